@@ -1,0 +1,92 @@
+#include "catalogue.hpp"
+
+#include <algorithm>
+
+#include <fiona/error.hpp>
+#include <fiona/marketplace/index.hpp>
+#include <fiona/marketplace/store.hpp>
+#include <fmt/format.h>
+
+namespace fiona::console {
+namespace {
+
+void add_installed(std::vector<KnownPlugin>& plugins, std::vector<std::string>& problems, const std::filesystem::path& directory) {
+  const marketplace::Store store(directory.empty() ? marketplace::Store::default_directory() : directory);
+  for (const auto& package : store.installed()) {
+    if (package.manifest.kind() != fiona::PLUGIN) continue;
+    try {
+      plugins.push_back({package.manifest, package.interface(), true});
+    } catch (const Error& problem) {
+      problems.push_back(problem.what());
+    }
+  }
+}
+
+void add_offered(std::vector<KnownPlugin>& plugins) {
+  const marketplace::Marketplace market;
+  for (const auto& entry : market.search({})) {
+    const auto same = [&entry](const KnownPlugin& known) { return known.manifest.publisher() == entry.manifest().publisher() && known.manifest.name() == entry.manifest().name(); };
+    const bool there = std::any_of(plugins.begin(), plugins.end(), same);
+    if (!there && entry.manifest().kind() == fiona::PLUGIN) plugins.push_back({entry.manifest(), entry.interface(), false});
+  }
+}
+
+}  // namespace
+
+std::string KnownComponent::load_name() const {
+  return plugin->interface.components_size() == 1 ? plugin->name() : plugin->name() + "/" + component->name();
+}
+
+Catalogue::Catalogue(const std::filesystem::path& store) {
+  try {
+    add_installed(plugins_, problems_, store);
+  } catch (const Error& problem) {
+    problems_.push_back(problem.what());
+  }
+  try {
+    add_offered(plugins_);
+  } catch (const Error& problem) {
+    // A machine without a marketplace directory is a normal one.
+    if (problem.code() != ErrorCode::NotFound) problems_.push_back(problem.what());
+  }
+}
+
+std::vector<KnownComponent> Catalogue::find(std::string_view name) const {
+  std::vector<KnownComponent> found;
+  for (const KnownPlugin& plugin : plugins_) {
+    for (const auto& component : plugin.interface.components()) {
+      const std::string tail = "/" + component.name();
+      const bool whole = name == plugin.name() || name == plugin.manifest.name();
+      if (whole || name == plugin.name() + tail || name == plugin.manifest.name() + tail) found.push_back({&plugin, &component});
+    }
+  }
+  return found;
+}
+
+std::vector<KnownComponent> Catalogue::with_port(fiona::Direction direction, std::string_view service) const {
+  std::vector<KnownComponent> found;
+  for (const KnownPlugin& plugin : plugins_) {
+    for (const auto& component : plugin.interface.components()) {
+      const bool fits = std::any_of(component.ports().begin(), component.ports().end(), [&](const auto& port) { return port.direction() == direction && port.service() == service; });
+      if (fits) found.push_back({&plugin, &component});
+    }
+  }
+  return found;
+}
+
+std::vector<std::string> Catalogue::names() const {
+  std::vector<std::string> names;
+  for (const KnownPlugin& plugin : plugins_) {
+    names.push_back(plugin.manifest.name());
+    names.push_back(plugin.name());
+  }
+  return names;
+}
+
+const TypeSet& Catalogue::types_of(const KnownPlugin& plugin) const {
+  auto& types = types_[&plugin];
+  if (!types) types = std::make_unique<TypeSet>(plugin.interface.descriptors());
+  return *types;
+}
+
+}  // namespace fiona::console

@@ -1,0 +1,215 @@
+#include "completion.hpp"
+
+#include <algorithm>
+#include <map>
+#include <set>
+
+#include "system_view.hpp"
+#include "verb_table.hpp"
+
+namespace fiona::console {
+namespace {
+
+struct Asked {
+  std::string_view word;   ///< as far as it is typed
+  const Line& line;        ///< what stands before it
+  Names& names;
+};
+using Candidates = std::vector<std::string>;
+
+Candidates instances(const Asked& asked) {
+  const auto* system = asked.names.system();
+  Candidates names = system == nullptr ? Candidates{} : instance_names(*system);
+  if (asked.line.verb.text == "set" || asked.line.verb.text == "get") names.emplace_back("host");
+  return names;
+}
+
+Candidates ports(const Asked& asked) {
+  Candidates found;
+  const auto* system = asked.names.system();
+  if (system == nullptr) return found;
+  // `wire` and `unwire` begin with a required port; after `to` stands a provided one.
+  const bool wiring = asked.line.verb.text == "wire" || asked.line.verb.text == "unwire";
+  const auto wanted = asked.line.positional.empty() ? fiona::REQUIRES : fiona::PROVIDES;
+  for (const auto& instance : system->instances()) {
+    for (const auto& port : instance.ports()) {
+      if (!wiring || port.direction() == wanted) found.push_back(instance.name() + "." + port.name());
+    }
+  }
+  return found;
+}
+
+const control::InstanceStatus* named_instance(const Asked& asked) {
+  const auto* system = asked.names.system();
+  if (system == nullptr || asked.line.positional.empty()) return nullptr;
+  return find_instance(*system, asked.line.positional[0].text);
+}
+
+Candidates modes(const Asked& asked) {
+  const auto* instance = named_instance(asked);
+  Candidates found{"neutral"};
+  if (instance != nullptr) found.insert(found.end(), instance->modes().begin(), instance->modes().end());
+  else found.emplace_back("active");
+  return found;
+}
+
+Candidates parameters(const Asked& asked) {
+  Candidates found;
+  if (const auto* instance = named_instance(asked)) {
+    for (const auto& parameter : instance->parameters()) found.push_back(parameter.name());
+  } else if (!asked.line.positional.empty() && asked.line.positional[0].text == "host") {
+    found = {"clock", "speed"};
+  }
+  return found;
+}
+
+/// Values where the range names them: "up|down", and true or false.
+Candidates parameter_values(const Asked& asked, std::string_view name) {
+  if (!asked.line.positional.empty() && asked.line.positional[0].text == "host" && name == "clock") return {"system", "virtual"};
+  Candidates found;
+  const auto* instance = named_instance(asked);
+  for (int i = 0; instance != nullptr && i < instance->parameters_size(); ++i) {
+    const auto& parameter = instance->parameters(i);
+    if (parameter.name() != name) continue;
+    if (parameter.type() == "bool") return {"false", "true"};
+    if (parameter.range().find('|') == std::string::npos) continue;
+    for (std::string_view rest = parameter.range(); !rest.empty();) {
+      const std::size_t end = std::min(rest.find('|'), rest.size());
+      found.emplace_back(rest.substr(0, end));
+      rest.remove_prefix(std::min(end + 1, rest.size()));
+    }
+  }
+  return found;
+}
+
+Candidates groups(const Asked& asked) {
+  Candidates found{"main"};
+  const auto* system = asked.names.system();
+  for (int i = 0; system != nullptr && i < system->groups_size(); ++i) found.push_back(system->groups(i).name());
+  return found;
+}
+
+Candidates things(const Asked& asked) {
+  Candidates found = instances(asked);
+  for (const auto& part : {ports(asked), asked.names.plugins()}) found.insert(found.end(), part.begin(), part.end());
+  const auto* system = asked.names.system();
+  for (int i = 0; system != nullptr && i < system->instances_size(); ++i) {
+    for (const auto& port : system->instances(i).ports()) found.push_back(short_name(port.service()));
+  }
+  return found;
+}
+
+Candidates verb_names(const Asked&) {
+  Candidates found;
+  for (const Verb& verb : verb_rows()) found.push_back(verb.name);
+  return found;
+}
+
+Candidates operators(const Asked&) { return {"==", "!=", "<", "<=", ">", ">="}; }
+
+using Source = Candidates (*)(const Asked&);
+const std::map<std::string, Source, std::less<>>& sources() {
+  static const std::map<std::string, Source, std::less<>> kSources{
+      {"INSTANCE", instances}, {"INSTANCE.PORT", ports}, {"INSTANCE.PORT.FIELD", ports}, {"MODE", modes}, {"PARAM", parameters}, {"GROUP", groups}, {"THING", things}, {"VERB", verb_names}, {"OP", operators},
+      {"PLUGIN", [](const Asked& asked) { return asked.names.plugins(); }},
+      {"PACKAGE", [](const Asked& asked) { return asked.names.packages(); }},
+      {"FILE", [](const Asked& asked) { return asked.names.files(asked.word); }},
+      {"DIR", [](const Asked& asked) { return asked.names.files(asked.word); }}};
+  return kSources;
+}
+
+void add_slot(Candidates& found, const Slot& slot, const Asked& asked) {
+  for (const std::string& literal : slot.literals()) found.push_back(literal);
+  const auto source = sources().find(slot.placeholder());
+  if (source == sources().end()) return;
+  const Candidates more = source->second(asked);
+  found.insert(found.end(), more.begin(), more.end());
+}
+
+/// The words before the one that is typed, read as far as the shape goes, without complaint.
+Line partial_line(const WordLine& words, const Shape& shape, const Slot*& pending) {
+  Line line;
+  line.words = words;
+  line.verb = words.items.front().word;
+  pending = nullptr;
+  for (std::size_t i = 1; i < words.items.size(); ++i) {
+    const WordLine::Item& item = words.items[i];
+    if (item.name) {
+      line.arguments.push_back({*item.name, item.word});
+    } else if (pending != nullptr) {
+      pending = nullptr;
+    } else if (const Clause* clause = item.word.kind == WordKind::Plain ? shape.find_clause(item.word.text) : nullptr) {
+      line.clauses.emplace(clause->keyword, item.word);
+      pending = &clause->slot;
+    } else if (const OptionSlot* option = shape.find_option(item.word.text)) {
+      line.options.emplace(option->name, TypedArgument{});
+      if (option->takes_value()) pending = &option->slot;
+    } else {
+      line.positional.push_back(item.word);
+    }
+  }
+  return line;
+}
+
+void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, std::string_view word, Names& names) {
+  const Slot* pending = nullptr;
+  const Line line = partial_line(words, shape, pending);
+  const Asked asked{word, line, names};
+  if (pending != nullptr) return add_slot(found, *pending, asked);
+  const std::size_t equals = word.find('=');
+  if (equals != std::string_view::npos) {
+    for (const std::string& value : parameter_values(asked, word.substr(0, equals))) found.push_back(std::string(word.substr(0, equals + 1)) + value);
+    return;
+  }
+  const auto& slots = shape.positional();
+  const bool first_matches = line.positional.empty() || slots.empty() || slots.front().accepts(line.positional.front());
+  if (!first_matches) return;
+  const bool more = !slots.empty() && slots.back().repeated;
+  if (line.positional.size() < slots.size() || more) add_slot(found, slots[std::min(line.positional.size(), slots.size() - 1)], asked);
+  if (line.positional.size() < slots.size() && slots[line.positional.size()].required) return;
+  for (const Clause& clause : shape.clauses()) {
+    if (!line.clauses.contains(clause.keyword)) found.push_back(clause.keyword);
+  }
+  if (shape.takes_arguments()) {
+    for (const std::string& name : parameters(asked)) found.push_back(name + "=");
+  }
+  if (!word.starts_with('-')) return;
+  for (const OptionSlot& option : shape.options()) found.push_back(option.name);
+  for (const GlobalOption& option : global_options()) found.push_back(option.slot.name);
+}
+
+}  // namespace
+
+std::vector<std::string> completed_placeholders() {
+  std::vector<std::string> names;
+  for (const auto& [name, source] : sources()) names.push_back(name);
+  return names;
+}
+
+Completion complete(std::string_view typed, Names& names) {
+  Completion completion;
+  const std::size_t blank = typed.find_last_of(" \t");
+  completion.start = blank == std::string_view::npos ? 0 : blank + 1;
+  const std::string_view word = typed.substr(completion.start);
+  WordLine before;
+  try {
+    before = split_line(typed.substr(0, completion.start));
+  } catch (const Error&) {
+    return completion;  // inside a quote: nothing is known
+  }
+  Candidates found;
+  if (before.empty()) {
+    for (const Verb& verb : verb_rows()) found.push_back(verb.name);
+  } else if (const Verb* verb = find_verb(before.items.front().word.text)) {
+    for (const Shape& shape : verb->forms) add_by_shape(found, before, shape, word, names);
+  }
+  const std::set<std::string> sorted(found.begin(), found.end());
+  for (const std::string& candidate : sorted) {
+    // What needs quotes is left out: a half-typed bare word cannot grow into a quoted one.
+    const bool bare = candidate.find('=') != std::string::npos || quoted_word(candidate) == candidate;
+    if (bare && candidate.starts_with(word)) completion.candidates.push_back(candidate);
+  }
+  return completion;
+}
+
+}  // namespace fiona::console

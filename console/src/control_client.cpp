@@ -1,0 +1,219 @@
+#include "control_client.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <fiona/error.hpp>
+#include <fmt/format.h>
+
+#include "inert.hpp"
+
+namespace fiona::console {
+namespace {
+
+constexpr std::size_t kHeader = 4;
+
+std::uint32_t length_at(std::string_view bytes) {
+  std::uint32_t length = 0;
+  for (std::size_t i = 0; i < kHeader; ++i) length |= std::uint32_t{static_cast<unsigned char>(bytes[i])} << (8 * i);
+  return length;
+}
+
+std::string framed(const control::Request& request) {
+  const std::string body = request.SerializeAsString();
+  if (body.size() > FrameReader::kLargest) {
+    throw Error(ErrorCode::Usage, ErrorText{.what = "the request is too large", .expected = "at most 16 MiB", .found = fmt::format("{} bytes", body.size())});
+  }
+  std::string frame;
+  for (std::size_t i = 0; i < kHeader; ++i) frame += static_cast<char>(body.size() >> (8 * i) & 0xffU);
+  return frame + body;
+}
+
+ErrorCode code_of(std::uint32_t code) {
+  return code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : ErrorCode::Failed;
+}
+
+}  // namespace
+
+bool FrameReader::next(control::Reply& reply) {
+  const std::string_view rest = std::string_view(buffer_).substr(at_);
+  if (rest.size() < kHeader) return false;
+  const std::size_t length = length_at(rest);
+  if (length > kLargest) {
+    throw Error(ErrorCode::Failed, ErrorText{.what = "the host's answer is too large", .expected = "at most 16 MiB", .found = fmt::format("{} bytes", length)});
+  }
+  if (rest.size() < kHeader + length) return false;
+  if (!reply.ParseFromArray(rest.data() + kHeader, static_cast<int>(length))) {
+    throw Error(ErrorCode::Failed, ErrorText{.what = "the host's answer cannot be read", .next = "are `fiona` and `fiona-host` of one version?  fiona version"});
+  }
+  at_ += kHeader + length;
+  if (at_ == buffer_.size() || at_ > kLargest) {
+    buffer_.erase(0, at_);
+    at_ = 0;
+  }
+  return true;
+}
+
+void throw_failure(const control::Failure& failure) {
+  // Inert here, not only at the terminal: a newline in a field must not look like a line of ours.
+  ErrorText text{.what = inert(failure.what()), .where = inert(failure.where()), .expected = inert(failure.expected()), .found = inert(failure.found()), .next = inert(failure.next())};
+  for (const std::string& name : failure.near()) text.near.push_back(inert(name));
+  throw Error(code_of(failure.code()), std::move(text));
+}
+
+ControlClient::ControlClient(Reactor& reactor, std::filesystem::path socket, std::chrono::milliseconds timeout)
+    : reactor_(reactor), path_(std::move(socket)), timeout_(timeout) {
+  connect(timeout);
+}
+
+ControlClient::~ControlClient() {
+  on_closed_ = nullptr;
+  close();
+}
+
+void ControlClient::connect(std::chrono::milliseconds timeout) {
+  const auto refuse = [this](const std::string& why) {
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers: " + why, .where = "unix:" + path_.string(), .next = "start one: fiona run FILE"});
+  };
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  if (path_.native().size() >= sizeof address.sun_path) refuse("the socket's path is too long");
+  std::memcpy(address.sun_path, path_.c_str(), path_.native().size());
+  socket_ = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (socket_ < 0) refuse(std::strerror(errno));
+  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  // A unix socket with a full backlog gives EAGAIN instead of a pending connection.
+  while (::connect(socket_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
+    const int problem = errno;
+    const bool again = problem == EAGAIN && std::chrono::steady_clock::now() < deadline;
+    if (problem != EINTR && !again) {
+      ::close(socket_);
+      socket_ = -1;
+      refuse(std::strerror(problem));
+    }
+    if (again) reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(10));
+  }
+  reactor_.add(socket_, [this] { receive(); });
+}
+
+void ControlClient::send(const control::Request& request) {
+  const std::string frame = framed(request);
+  const auto deadline = std::chrono::steady_clock::now() + timeout_;
+  for (std::string_view rest = frame; !rest.empty();) {
+    const ssize_t sent = closed() ? -1 : ::send(socket_, rest.data(), rest.size(), MSG_NOSIGNAL);
+    if (sent > 0) {
+      rest.remove_prefix(static_cast<std::size_t>(sent));
+    } else if (closed() || (errno != EAGAIN && errno != EINTR) || !Reactor::wait_writable(socket_, deadline)) {
+      throw Error(ErrorCode::Unreachable, ErrorText{.what = closed() ? "the host has gone" : "the host does not take the request", .where = "unix:" + path_.string()});
+    }
+  }
+}
+
+void ControlClient::receive() {
+  std::array<char, 65536> chunk;
+  const ssize_t count = ::recv(socket_, chunk.data(), chunk.size(), 0);
+  if (count < 0 && (errno == EAGAIN || errno == EINTR)) return;
+  if (count <= 0) return close();
+  frames_.append({chunk.data(), static_cast<std::size_t>(count)});
+  control::Reply reply;
+  try {
+    while (!closed() && frames_.next(reply)) arrived(reply);
+  } catch (const Error&) {
+    close();  // after bytes that make no sense nothing later does
+    throw;
+  }
+}
+
+void ControlClient::arrived(const control::Reply& reply) {
+  const auto found = answers_.find(reply.id());
+  if (found == answers_.end()) return;  // of a call that was given up, or of a watch that was stopped
+  const Answer answer = found->second;
+  answer(reply);
+}
+
+void ControlClient::close() {
+  if (closed()) return;
+  reactor_.remove(socket_);
+  ::close(socket_);
+  socket_ = -1;
+  if (on_closed_) on_closed_();
+}
+
+std::uint64_t ControlClient::begin(control::Request request, Answer answer) {
+  request.set_id(++last_id_);
+  request.set_author(author_);
+  answers_[last_id_] = std::move(answer);
+  try {
+    send(request);
+  } catch (...) {
+    answers_.erase(request.id());
+    throw;
+  }
+  return request.id();
+}
+
+void ControlClient::tell(control::Request request) {
+  const std::uint64_t id = begin(std::move(request), [](const control::Reply&) {});
+  forget(id);
+}
+
+control::Reply ControlClient::call(control::Request request) { return call(std::move(request), timeout_); }
+
+control::Reply ControlClient::call(control::Request request, std::chrono::milliseconds timeout) {
+  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  request.set_deadline_ms(static_cast<std::uint32_t>(timeout.count()));
+  control::Reply reply;
+  bool here = false;
+  const std::uint64_t id = begin(std::move(request), [&reply, &here](const control::Reply& got) {
+    reply = got;
+    here = true;
+  });
+  // The host answers at its deadline; a little more lets its own words arrive instead of ours.
+  return wait_for(id, reply, here, deadline + std::max(timeout / 10, std::chrono::milliseconds(50)));
+}
+
+control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& reply, const bool& here, SteadyTime deadline) {
+  bool in_time = false;
+  try {
+    in_time = reactor_.run_until([this, &here] { return here || closed(); }, deadline);
+  } catch (...) {
+    forget(id);
+    throw;
+  }
+  forget(id);
+  if (!here) {
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = in_time ? "the host has gone" : "the host does not answer in time", .where = "unix:" + path_.string(), .next = in_time ? "fiona ls hosts" : "more time: --timeout 10s"});
+  }
+  if (reply.has_failure()) throw_failure(reply.failure());
+  return reply;
+}
+
+control::Reply ControlClient::call_waiting(control::Request request) {
+  constexpr std::chrono::seconds kQuiet{5};
+  control::Reply reply;
+  bool here = false;
+  const std::uint64_t id = begin(std::move(request), [&reply, &here](const control::Reply& got) {
+    reply = got;
+    here = true;
+  });
+  try {
+    while (!reactor_.run_until([this, &here] { return here || closed(); }, std::chrono::steady_clock::now() + kQuiet)) {
+      control::Request sign_of_life;
+      sign_of_life.mutable_snapshot();
+      call(std::move(sign_of_life), std::max<std::chrono::milliseconds>(timeout_, kQuiet));
+    }
+  } catch (...) {
+    forget(id);
+    throw;
+  }
+  return wait_for(id, reply, here, std::chrono::steady_clock::now());
+}
+
+}  // namespace fiona::console

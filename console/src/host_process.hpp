@@ -1,0 +1,52 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include <sys/types.h>
+
+#include "reactor.hpp"
+
+namespace fiona::console {
+
+struct HostLaunch {
+  std::filesystem::path program;
+  std::filesystem::path socket;
+  std::string name;
+  std::filesystem::path store;  ///< empty: the user's
+};
+
+/// A host that this process started. It ends when this process does: the host watches the lifeline, a pipe whose
+/// other end only this process holds.
+class HostProcess {
+ public:
+  using OnLine = std::function<void(const std::string&)>;
+
+  /// Starts it and waits until it is ready. What it says later goes to `on_line`, line by line. Throws its own words as
+  /// fiona::Error if it does not come up, Unreachable after 10 s.
+  HostProcess(Reactor& reactor, const HostLaunch& launch, OnLine on_line);
+  HostProcess(const HostProcess&) = delete;
+  HostProcess& operator=(const HostProcess&) = delete;
+  ~HostProcess();
+
+  /// Lets go of the lifeline and waits; kills it if it has not ended after 5 s. The exit code; 128 + signal.
+  int stop();
+  bool running();
+
+ private:
+  void spawn(const HostLaunch& launch, int ready, int lifeline, int said);
+  void wait_ready(int ready);
+  void read_said();
+  int collect();
+
+  Reactor& reactor_;
+  OnLine on_line_;
+  pid_t process_ = -1;
+  int lifeline_ = -1;
+  int said_ = -1;
+  std::string line_;
+  std::optional<int> exit_code_;
+};
+
+}  // namespace fiona::console

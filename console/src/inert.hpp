@@ -1,0 +1,30 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+
+namespace fiona::console {
+
+/// The text with everything that could act on a terminal or mislead a reader made visible: control bytes (C0, C1, DEL),
+/// escape sequences, line and paragraph separators, bidirectional overrides, zero-width and other invisible
+/// characters become `\u{…}` (newline and tab `\n`, `\t`), bytes that are no UTF-8 become `\x{…}`. The result is valid UTF-8 on one line,
+/// and inert(inert(x)) == inert(x).
+/// Every text that comes from a host, a component, a file or a marketplace passes through here before it is printed.
+std::string inert(std::string_view text);
+
+/// The same for text that is meant to have lines: newlines stay, each line is inert.
+std::string inert_lines(std::string_view text);
+
+/// The columns that the text takes on a terminal: wide East Asian characters and emoji count 2, combining marks 0.
+std::size_t display_width(std::string_view text);
+
+/// One decoded character; `valid` is false for a byte that is no UTF-8, which then is taken alone.
+struct Character {
+  char32_t code = 0;
+  std::size_t bytes = 1;
+  bool valid = false;
+};
+Character decode(std::string_view text);
+void append_utf8(std::string& out, char32_t code);
+
+}  // namespace fiona::console

@@ -1,0 +1,64 @@
+// The `fiona` command: everything a person types.
+#include <cstdio>
+#include <iostream>
+#include <string>
+#include <vector>
+
+#include <unistd.h>
+
+#include "command_line.hpp"
+#include "prompt.hpp"
+#include "script.hpp"
+#include "session.hpp"
+#include "verb_table.hpp"
+
+namespace {
+
+using namespace fiona::console;
+
+constexpr int kInterrupted = 130;
+
+/// Lines from a pipe or a file: a script without a name.
+void run_standard_input(Session& session) {
+  std::string text{std::istreambuf_iterator<char>(std::cin), std::istreambuf_iterator<char>()};
+  std::vector<Line> lines;
+  for (const WordLine& words : split_script(text, "stdin")) lines.push_back(read_line(words));
+  run_script(session, lines);
+}
+
+int serve(Output& out, const std::vector<std::string>& arguments) {
+  CommandLine command = read_command_line(arguments);
+  out.manner = command.manner;
+  if (command.help) command.line = split_line("help");
+  if (command.version) command.line = split_line("version");
+  Reactor reactor;
+  reactor.take_signals();
+  Session session(reactor, out, command.options);
+  if (command.line) {
+    if (!command.line->empty()) session.run(*command.line);
+  } else if (::isatty(STDIN_FILENO) != 0) {
+    run_prompt(session, {});
+  } else {
+    run_standard_input(session);
+  }
+  // `quit 3` ends the host with 3; the command that said so has succeeded unless it is the run itself.
+  const bool is_run = command.line && !command.line->empty() && command.line->items.front().word.text == "run";
+  return is_run ? session.finished.value_or(0) : 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Output out(Output::standard_sink());
+  try {
+    return serve(out, {argv + 1, argv + argc});
+  } catch (const Interrupted&) {
+    return kInterrupted;
+  } catch (const fiona::Error& error) {
+    out.error(error);
+    return static_cast<int>(error.code());
+  } catch (const std::exception& error) {
+    out.error(fiona::Error(fiona::ErrorCode::Failed, error.what()));
+    return static_cast<int>(fiona::ErrorCode::Failed);
+  }
+}

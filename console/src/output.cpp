@@ -1,0 +1,84 @@
+#include "output.hpp"
+
+#include <cstdio>
+
+#include <fmt/format.h>
+
+#include "grammar.hpp"
+#include "inert.hpp"
+
+namespace fiona::console {
+namespace {
+
+nlohmann::json error_object(const Error& error) {
+  const ErrorText& text = error.text();
+  nlohmann::json object{{"code", static_cast<int>(error.code())}, {"what", text.what}};
+  const auto add = [&object](const char* key, const std::string& value) {
+    if (!value.empty()) object[key] = value;
+  };
+  add("where", text.where);
+  add("expected", text.expected);
+  add("found", text.found);
+  add("next", text.next);
+  if (!text.near.empty()) object["near"] = text.near;
+  return object;
+}
+
+}  // namespace
+
+Output::Sink Output::standard_sink() {
+  return [](Stream stream, std::string_view lines) {
+    std::FILE* file = stream == Stream::Out ? stdout : stderr;
+    std::fwrite(lines.data(), 1, lines.size(), file);
+    std::fflush(file);
+  };
+}
+
+void Output::write(Stream stream, std::string_view lines) {
+  while (lines.ends_with('\n')) lines.remove_suffix(1);
+  sink_(stream, inert_lines(lines) + "\n");
+}
+
+void Output::text(std::string_view lines) {
+  if (!manner.json) write(Stream::Out, lines);
+}
+
+void Output::done(std::string_view note, nlohmann::json more) {
+  more["done"] = note;
+  object(std::move(more));
+  if (!manner.json && !manner.quiet && !note.empty()) write(Stream::Out, note);
+}
+
+void Output::remark(std::string_view lines) {
+  if (!manner.json && !manner.quiet) write(Stream::Err, lines);
+}
+
+void Output::object(nlohmann::json value) {
+  if (!manner.json) return;
+  value["fiona"] = 1;
+  write(Stream::Out, value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace));
+}
+
+void Output::table(const Table& table, std::string_view when_empty, bool header) {
+  for (auto& row : table.objects()) object(std::move(row));
+  if (table.empty() && !when_empty.empty()) text(when_empty);
+  if (table.empty()) return;
+  std::string lines;
+  for (const std::string& line : table.lines(header)) lines += line + "\n";
+  text(lines);
+}
+
+void Output::error(const Error& error) {
+  if (manner.json) return object({{"error", error_object(error)}});
+  std::string text = fmt::format("error: {}", error.what());
+  const auto* placed = dynamic_cast<const LineError*>(&error);
+  if (placed != nullptr && !placed->caret().empty()) {
+    std::string caret;
+    for (const char c : "\n" + placed->caret()) caret += c == '\n' ? std::string("\n  ") : std::string(1, c);
+    const std::size_t first_line = text.find('\n');
+    text.insert(first_line == std::string::npos ? text.size() : first_line, caret);
+  }
+  write(Stream::Err, text);
+}
+
+}  // namespace fiona::console

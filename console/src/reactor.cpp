@@ -1,0 +1,102 @@
+#include "reactor.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <csignal>
+#include <system_error>
+#include <vector>
+
+#include <poll.h>
+#include <sys/signalfd.h>
+#include <unistd.h>
+
+namespace fiona::console {
+namespace {
+
+int poll_timeout_ms(std::optional<SteadyTime> deadline) {
+  if (!deadline) return -1;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(*deadline - std::chrono::steady_clock::now());
+  return static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 3'600'000));
+}
+
+}  // namespace
+
+Reactor::~Reactor() {
+  if (signals_ >= 0) ::close(signals_);
+}
+
+void Reactor::take_signals() {
+  sigset_t taken;
+  sigemptyset(&taken);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&taken, signal);
+  ::sigprocmask(SIG_BLOCK, &taken, nullptr);
+  ::signal(SIGPIPE, SIG_IGN);
+  signals_ = ::signalfd(-1, &taken, SFD_CLOEXEC | SFD_NONBLOCK);
+  if (signals_ < 0) throw std::system_error(errno, std::generic_category(), "signalfd");
+  add(signals_, [this] { read_signal(); });
+}
+
+void Reactor::read_signal() {
+  signalfd_siginfo info{};
+  if (::read(signals_, &info, sizeof info) > 0) throw Interrupted();
+}
+
+void Reactor::add(int descriptor, std::function<void()> ready) { descriptors_[descriptor] = std::move(ready); }
+
+void Reactor::remove(int descriptor) { descriptors_.erase(descriptor); }
+
+std::uint64_t Reactor::add_timer(SteadyTime when, std::function<void()> expired) {
+  timers_[++last_timer_] = {when, std::move(expired)};
+  return last_timer_;
+}
+
+void Reactor::cancel_timer(std::uint64_t timer) { timers_.erase(timer); }
+
+bool Reactor::run_until(const std::function<bool()>& done, std::optional<SteadyTime> deadline) {
+  while (!done()) {
+    if (deadline && std::chrono::steady_clock::now() >= *deadline) return false;
+    serve_once(deadline);
+  }
+  return true;
+}
+
+void Reactor::serve_once(std::optional<SteadyTime> deadline) {
+  for (const auto& [number, timer] : timers_) deadline = deadline ? std::min(*deadline, timer.when) : timer.when;
+  std::vector<pollfd> waiting;
+  for (const auto& [descriptor, ready] : descriptors_) waiting.push_back({descriptor, POLLIN, 0});
+  const int count = ::poll(waiting.data(), waiting.size(), poll_timeout_ms(deadline));
+  if (count < 0 && errno != EINTR) throw std::system_error(errno, std::generic_category(), "poll");
+  for (const pollfd& entry : waiting) {
+    // A callback may have removed this descriptor, or a later one.
+    const auto found = descriptors_.find(entry.fd);
+    if (count <= 0 || entry.revents == 0 || found == descriptors_.end()) continue;
+    const auto ready = found->second;
+    ready();
+  }
+  expire_timers();
+}
+
+void Reactor::expire_timers() {
+  const auto now = std::chrono::steady_clock::now();
+  for (auto next = timers_.begin(); next != timers_.end();) {
+    if (next->second.when > now) {
+      ++next;
+      continue;
+    }
+    const auto expired = std::move(next->second.expired);
+    timers_.erase(next);
+    expired();
+    next = timers_.begin();
+  }
+}
+
+bool Reactor::wait_writable(int descriptor, SteadyTime deadline) {
+  while (true) {
+    pollfd waiting{descriptor, POLLOUT, 0};
+    const int count = ::poll(&waiting, 1, poll_timeout_ms(deadline));
+    if (count > 0) return true;
+    if (count == 0 || errno != EINTR) return false;
+  }
+}
+
+}  // namespace fiona::console

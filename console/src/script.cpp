@@ -1,0 +1,81 @@
+#include "script.hpp"
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <sstream>
+
+#include <fmt/format.h>
+
+#include "verb_table.hpp"
+
+namespace fiona::console {
+namespace {
+
+/// The word that an error of the host is about: the one that it names as its place, or quotes. The verb otherwise.
+Place blamed(const Line& line, const ErrorText& text) {
+  const auto names = [&text](const std::string& word) {
+    return word.size() > 1 && (text.where == word || text.where.ends_with("." + word) || text.what.find("'" + word + "'") != std::string::npos);
+  };
+  for (std::size_t i = 1; i < line.words.items.size(); ++i) {
+    const WordLine::Item& item = line.words.items[i];
+    if (item.name && names(item.name->text)) return item.name->place;
+    if (names(item.word.text)) return item.word.place;
+  }
+  return line.verb.place;
+}
+
+/// Puts the settings of a script in place, and the old ones back.
+class ScriptSetting {
+ public:
+  explicit ScriptSetting(Session& session) : session_(session), setting_(session.setting) { session.setting = Setting::Script; }
+  ScriptSetting(const ScriptSetting&) = delete;
+  ScriptSetting& operator=(const ScriptSetting&) = delete;
+  ~ScriptSetting() { session_.setting = setting_; }
+
+ private:
+  Session& session_;
+  const Setting setting_;
+};
+
+}  // namespace
+
+std::string read_text(const std::filesystem::path& file) {
+  std::error_code problem;
+  const auto status = std::filesystem::status(file, problem);
+  if (!std::filesystem::exists(status)) throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = file.string()});
+  if (std::filesystem::is_directory(status)) throw Error(ErrorCode::Usage, ErrorText{.what = "this is a directory", .where = file.string(), .expected = "a system file"});
+  std::ifstream in(file, std::ios::binary);
+  constexpr std::size_t kMost = (16U << 20U) + 1;  // one more than a script may have: it says that it is too long
+  std::string text(kMost, '\0');
+  if (in) in.read(text.data(), static_cast<std::streamsize>(kMost));
+  if (!in && !in.eof()) throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be read: {}", std::strerror(errno)), .where = file.string()});
+  text.resize(static_cast<std::size_t>(in.gcount()));
+  return text;
+}
+
+std::vector<Line> read_script(const std::filesystem::path& file) {
+  std::vector<Line> lines;
+  for (const WordLine& words : split_script(read_text(file), file.string())) lines.push_back(read_line(words));
+  return lines;
+}
+
+void rethrow_at(const Line& line, const Error& error) {
+  if (dynamic_cast<const LineError*>(&error) != nullptr) throw LineError(dynamic_cast<const LineError&>(error));
+  throw LineError(line.words, blamed(line, error.text()), error.text(), error.code());
+}
+
+void run_script(Session& session, const std::vector<Line>& lines, const std::function<void(const Line&)>& before) {
+  const ScriptSetting setting(session);
+  for (const Line& line : lines) {
+    if (before) before(line);
+    try {
+      session.run(line);
+    } catch (const Error& error) {
+      rethrow_at(line, error);
+    }
+    if (session.finished) return;
+  }
+}
+
+}  // namespace fiona::console

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "session.hpp"
+
+namespace fiona::console {
+
+/// The text of a system file. Throws fiona::Error: NotFound, or Failed where it cannot be read.
+std::string read_text(const std::filesystem::path& file);
+
+/// The lines of a file, each read by its verb's form, so that a mistake in the last line is told before the first one runs.
+std::vector<Line> read_script(const std::filesystem::path& file);
+
+/// Runs the lines in order and stops at the first that fails; its error then says file:line:column. `before` is called
+/// with each line before it runs. Ends early when a line was `quit`.
+void run_script(Session& session, const std::vector<Line>& lines, const std::function<void(const Line&)>& before = {});
+
+/// The error as one of this line: with its place, and a caret under the word that it is about. A LineError stays.
+[[noreturn]] void rethrow_at(const Line& line, const Error& error);
+
+}  // namespace fiona::console

@@ -1,0 +1,90 @@
+#include "session.hpp"
+
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "locations.hpp"
+#include "verb_table.hpp"
+#include "watch_list.hpp"
+
+namespace fiona::console {
+namespace {
+
+/// The options of one line, for as long as the line runs.
+class LineOptions {
+ public:
+  LineOptions(Session& session, const Line& line) : session_(session), manner_(session.out.manner), options_(session.options) {
+    Manner& manner = session.out.manner;
+    manner.json = manner.json || line.has("--json");
+    manner.quiet = manner.quiet || line.has("-q");
+    manner.verbose = manner.verbose || line.has("-v");
+    if (const Word* store = line.option("--store")) session.options.store = store->text;
+    if (const Word* timeout = line.option("--timeout")) {
+      session.options.timeout = std::chrono::milliseconds(static_cast<std::int64_t>(duration_ms(*timeout, line.words)));
+    }
+    take_endpoint(line);
+  }
+  LineOptions(const LineOptions&) = delete;
+  LineOptions& operator=(const LineOptions&) = delete;
+  ~LineOptions() {
+    session_.out.manner = manner_;
+    session_.options = options_;
+  }
+
+ private:
+  void take_endpoint(const Line& line) {
+    for (const char* name : {"--at", "--host"}) {
+      const Word* given = line.option(name);
+      if (given == nullptr) continue;
+      if (session_.setting != Setting::Shell) throw line.error(*given, {.what = fmt::format("{} chooses the host when `fiona` starts, not in the middle", name), .next = fmt::format("from a shell: fiona {} {} …", name, given->text)});
+      (std::string_view(name) == "--at" ? session_.options.at : session_.options.host) = given->text;
+    }
+  }
+
+  Session& session_;
+  const Manner manner_;
+  const Options options_;
+};
+
+}  // namespace
+
+Session::Session(Reactor& reactor_in, Output& output, Options options_in)
+    : reactor(reactor_in), out(output), options(std::move(options_in)), watches_(std::make_unique<WatchList>(*this)) {}
+
+Session::~Session() = default;
+
+ControlClient& Session::host() {
+  if (!connected()) connect(chosen_socket(options.at, options.host));
+  return *client_;
+}
+
+ControlClient* Session::host_if_running() {
+  if (connected()) return client_.get();
+  if (options.at.empty() && options.host.empty() && running_hosts().empty()) return nullptr;
+  return &host();
+}
+
+void Session::connect(const std::filesystem::path& socket) {
+  client_ = std::make_unique<ControlClient>(reactor, socket, options.timeout);
+}
+
+void Session::disconnect() {
+  watches_->clear();
+  client_.reset();
+}
+
+control::System Session::snapshot() {
+  control::Request request;
+  request.mutable_snapshot();
+  return std::move(*call(std::move(request)).mutable_system());
+}
+
+void Session::run(const WordLine& words) { run(read_line(words)); }
+
+void Session::run(const Line& line) {
+  const LineOptions scoped(*this, line);
+  find_verb(line.verb.text)->handler(*this, line);
+}
+
+}  // namespace fiona::console

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <chrono>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "control_client.hpp"
+#include "output.hpp"
+#include "reactor.hpp"
+#include "shape.hpp"
+
+namespace fiona::console {
+
+class WatchList;
+
+/// Where a line comes from; a few verbs behave by it.
+enum class Setting {
+  Shell,   ///< one line, then the process ends: `watch` stays until it is over
+  Prompt,  ///< a person types more: `watch` goes on above the prompt
+  Script,  ///< a system file: likewise
+};
+
+/// What the process was told about which host and how to talk.
+struct Options {
+  std::string at;                             ///< "unix:PATH"; empty: found in the run-time directory
+  std::string host;                           ///< its name; empty: the one that runs
+  std::filesystem::path store;                ///< empty: the user's
+  std::chrono::milliseconds timeout{2000};
+};
+
+/// One console: the connection to a host, made when first needed, and what is said.
+class Session {
+ public:
+  Session(Reactor& reactor, Output& output, Options options);
+  ~Session();
+
+  Reactor& reactor;
+  Output& out;
+  Options options;
+  Setting setting = Setting::Shell;
+  int source_depth = 0;         ///< how many files are being sourced, one inside the other
+  std::optional<int> finished;  ///< the exit code once `quit` was typed
+
+  /// The connection. Throws fiona::Error (Unreachable) with the next step where no host runs.
+  ControlClient& host();
+
+  /// The connection if a host can be found, for verbs that know more with one.
+  ControlClient* host_if_running();
+
+  void connect(const std::filesystem::path& socket);
+  void disconnect();
+  bool connected() const { return client_ != nullptr && !client_->closed(); }
+
+  control::Reply call(control::Request request) { return host().call(std::move(request)); }
+  control::System snapshot();
+
+  WatchList& watches() { return *watches_; }
+
+  /// Runs one line by the table of verbs. Throws what it throws; `finished` tells of `quit`.
+  void run(const WordLine& words);
+  void run(const Line& line);
+
+ private:
+  std::unique_ptr<ControlClient> client_;
+  std::unique_ptr<WatchList> watches_;
+};
+
+}  // namespace fiona::console

@@ -1,0 +1,81 @@
+#include "system_view.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+namespace fiona::console {
+
+std::vector<std::string> instance_names(const control::System& system) {
+  std::vector<std::string> names;
+  for (const auto& instance : system.instances()) names.push_back(instance.name());
+  return names;
+}
+
+const control::InstanceStatus* find_instance(const control::System& system, std::string_view name) {
+  const auto found = std::find_if(system.instances().begin(), system.instances().end(), [name](const auto& instance) { return instance.name() == name; });
+  return found == system.instances().end() ? nullptr : &*found;
+}
+
+const control::PortStatus* find_port(const control::InstanceStatus& instance, std::string_view name) {
+  const auto found = std::find_if(instance.ports().begin(), instance.ports().end(), [name](const auto& port) { return port.name() == name; });
+  return found == instance.ports().end() ? nullptr : &*found;
+}
+
+const control::InstanceStatus& instance_at(const control::System& system, const Word& word, const Line& line) {
+  const std::string name = word.text.substr(0, word.text.find('.'));
+  if (const auto* instance = find_instance(system, name)) return *instance;
+  throw line.error(word, {.what = fmt::format("there is no instance '{}'", name), .next = "ls", .near = nearest_names(name, instance_names(system))}, ErrorCode::NotFound);
+}
+
+const control::PortStatus& port_at(const control::System& system, const Word& word, const Line& line) {
+  const control::PortName name = port_name(word, line.words);
+  const auto& instance = instance_at(system, word, line);
+  if (const auto* port = find_port(instance, name.port())) return *port;
+  std::vector<std::string> known;
+  for (const auto& port : instance.ports()) known.push_back(port.name());
+  throw line.error(word, {.what = fmt::format("{} has no port '{}'", instance.name(), name.port()), .next = fmt::format("show {}", instance.name()), .near = nearest_names(name.port(), known)}, ErrorCode::NotFound);
+}
+
+std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
+
+std::string short_name(std::string_view full_name) {
+  const std::size_t dot = full_name.rfind('.');
+  return std::string(dot == std::string_view::npos ? full_name : full_name.substr(dot + 1));
+}
+
+std::string connection_text(const control::PortStatus& port) {
+  const auto with_reason = [&port](const char* word) { return port.reason().empty() ? std::string(word) : fmt::format("{}: {}", word, port.reason()); };
+  switch (port.connection()) {
+    case control::UNWIRED: return "unwired";
+    case control::WAITING: return with_reason("waiting");
+    case control::CONNECTED: return "connected";
+    case control::LOST: return with_reason("lost");
+    default: return "unknown";
+  }
+}
+
+std::string health_text(const control::InstanceStatus& instance) {
+  if (instance.mode() == "failed") return instance.reason().empty() ? "failed" : "failed: " + instance.reason();
+  for (const auto connection : {control::LOST, control::WAITING}) {
+    for (const auto& port : instance.ports()) {
+      if (port.direction() == fiona::REQUIRES && port.connection() == connection) return fmt::format("{} {}", connection == control::LOST ? "lost" : "waiting", port.name());
+    }
+  }
+  for (const auto& port : instance.ports()) {
+    if (port.direction() == fiona::REQUIRES && !port.optional() && port.connection() == control::UNWIRED) return fmt::format("unwired {}", port.name());
+  }
+  return "ok";
+}
+
+std::string rate_text(double rate_hz) {
+  if (rate_hz <= 0) return "-";
+  return rate_hz >= 10 ? fmt::format("{:.0f} Hz", rate_hz) : fmt::format("{:.2g} Hz", rate_hz);
+}
+
+std::string age_text(double age_ms) {
+  if (age_ms < 0) return "never";
+  return age_ms < 1000 ? fmt::format("{:.0f} ms", age_ms) : fmt::format("{:.1f} s", age_ms / 1000);
+}
+
+}  // namespace fiona::console

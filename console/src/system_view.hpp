@@ -1,0 +1,33 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "shape.hpp"
+
+namespace fiona::console {
+
+/// Reading the host's snapshot: names looked up with near names in the refusal, and what a person calls things.
+
+std::vector<std::string> instance_names(const control::System& system);
+const control::InstanceStatus* find_instance(const control::System& system, std::string_view name);
+const control::PortStatus* find_port(const control::InstanceStatus& instance, std::string_view name);
+
+/// Throw LineError (NotFound) with near names at the word.
+const control::InstanceStatus& instance_at(const control::System& system, const Word& word, const Line& line);
+const control::PortStatus& port_at(const control::System& system, const Word& word, const Line& line);
+
+std::string text_of(const control::PortName& name);
+/// "LocationProvider" of "fiona.localisation.LocationProvider".
+std::string short_name(std::string_view full_name);
+/// "ok", "failed: …", "lost nav.imu", "waiting nav.imu": the worst first.
+std::string health_text(const control::InstanceStatus& instance);
+/// "connected", "waiting: provider is not active".
+std::string connection_text(const control::PortStatus& port);
+/// "50 Hz", "0.2 Hz", "-".
+std::string rate_text(double rate_hz);
+/// "12 ms", "3.4 s", "never".
+std::string age_text(double age_ms);
+
+}  // namespace fiona::console

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "session.hpp"
+#include "shape.hpp"
+
+namespace fiona::console {
+
+/// What a verb may be used for, from 0 (nothing) to 9 (everything); one policy for console, scripts, pages and
+/// components compares with it.
+enum class Access : std::uint8_t {
+  Observe = 1,     ///< sees what runs
+  Operate = 4,     ///< changes modes and parameters
+  Compose = 6,     ///< loads, wires, saves
+  Administer = 9,  ///< installs, starts and ends hosts
+};
+
+/// One row of the table: parser, help and completion come from it.
+struct Verb {
+  using Handler = void (*)(Session&, const Line&);
+
+  std::string name;
+  std::vector<Shape> forms;
+  std::string does;      ///< one line
+  std::string more;      ///< what else there is to know; lines
+  Access access;
+  Handler handler;
+};
+
+/// All verbs, in the order in which help shows them.
+const std::vector<Verb>& verb_rows();
+
+/// The verb, or nothing.
+const Verb* find_verb(std::string_view name);
+
+/// Options that every line takes: `--json`, `--timeout T`, …, with one line of help each.
+struct GlobalOption {
+  OptionSlot slot;
+  std::string does;
+};
+const std::vector<GlobalOption>& global_options();
+
+/// The line read by the form of its verb that fits best. Throws LineError: no such verb (with near names), or the first word
+/// that does not belong.
+Line read_line(const WordLine& words);
+
+/// "operate (4)".
+std::string access_text(Access access);
+
+}  // namespace fiona::console

@@ -1,0 +1,68 @@
+// save and source: systems as files.
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "../saved_system.hpp"
+#include "../script.hpp"
+#include "verbs.hpp"
+
+namespace fiona::console::verbs {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Written beside the file and renamed: a reader, or a power cut, sees the old text or the new one.
+void replace_file(const fs::path& file, std::string_view text) {
+  const fs::path fresh = file.string() + fmt::format(".{}.new", ::getpid());
+  const auto fail = [&fresh, &file] {
+    const int problem = errno;
+    ::unlink(fresh.c_str());
+    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be written: {}", std::strerror(problem)), .where = file.string()});
+  };
+  const int descriptor = ::open(fresh.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+  if (descriptor < 0) fail();
+  bool sound = true;
+  while (sound && !text.empty()) {
+    const ssize_t written = ::write(descriptor, text.data(), text.size());
+    sound = written > 0 || (written < 0 && errno == EINTR);
+    if (written > 0) text.remove_prefix(static_cast<std::size_t>(written));
+  }
+  sound = sound && ::fsync(descriptor) == 0;
+  const int problem = errno;
+  ::close(descriptor);
+  errno = problem;
+  if (!sound || ::rename(fresh.c_str(), file.c_str()) != 0) fail();
+}
+
+}  // namespace
+
+void save(Session& session, const Line& line) {
+  const control::System system = session.snapshot();
+  const std::string text = saved_system(system);
+  const fs::path file = line.positional[0].text;
+  replace_file(file, text);
+  session.out.done(fmt::format("saved {} instance{} to {}", system.instances_size(), system.instances_size() == 1 ? "" : "s", file.string()), {{"file", file.string()}});
+}
+
+void source(Session& session, const Line& line) {
+  // A file that sources itself would never end.
+  constexpr int kDeepest = 16;
+  fs::path file = line.positional[0].text;
+  if (file.is_relative() && !line.words.origin.empty()) file = fs::path(line.words.origin).parent_path() / file;
+  if (session.source_depth >= kDeepest) throw line.error(line.positional[0], {.what = fmt::format("files source each other more than {} deep", kDeepest)});
+  const std::vector<Line> lines = read_script(file);
+  ++session.source_depth;
+  try {
+    run_script(session, lines);
+  } catch (...) {
+    --session.source_depth;
+    throw;
+  }
+  --session.source_depth;
+}
+
+}  // namespace fiona::console::verbs

@@ -1,0 +1,104 @@
+#include <algorithm>
+#include <map>
+
+#include <fmt/format.h>
+
+#include "../catalogue.hpp"
+#include "../locations.hpp"
+#include "../system_view.hpp"
+#include "verbs.hpp"
+
+namespace fiona::console::verbs {
+namespace {
+
+void ls_instances(Session& session) {
+  const control::System system = session.snapshot();
+  Table table({"instance", "plugin", "mode", "health", "wires", "rate", "group"});
+  for (const auto& instance : system.instances()) {
+    int required = 0;
+    int connected = 0;
+    double rate_hz = 0;
+    for (const auto& port : instance.ports()) {
+      if (port.direction() == fiona::REQUIRES) ++required;
+      if (port.direction() == fiona::REQUIRES && port.connection() == control::CONNECTED) ++connected;
+      if (port.direction() == fiona::PROVIDES) rate_hz = std::max(rate_hz, port.rate_hz());
+    }
+    table.add({instance.name(), short_name(instance.plugin().substr(instance.plugin().find('/') + 1)), instance.mode(), health_text(instance), required == 0 ? "-" : fmt::format("{}/{}", connected, required), {rate_text(rate_hz), rate_hz}, instance.group()});
+  }
+  session.out.table(table, "nothing is loaded\n  next: load PLUGIN [as NAME]   (ls plugins)");
+}
+
+void ls_plugins(Session& session) {
+  const Catalogue catalogue(session.options.store);
+  Table table({"plugin", "component", "version", "where", "summary"});
+  for (const KnownPlugin& plugin : catalogue.plugins()) {
+    for (const auto& component : plugin.interface.components()) {
+      table.add({plugin.name(), component.name(), plugin.manifest.version(), plugin.installed ? "installed" : "market", plugin.manifest.summary()});
+    }
+  }
+  session.out.table(table, "no plugin is installed, and there is no marketplace\n  next: market search --from DIR");
+  for (const std::string& problem : catalogue.problems()) session.out.remark(problem);
+}
+
+void ls_wires(Session& session) {
+  const control::System system = session.snapshot();
+  Table table({"client", "provider", "service", "connection", "every", "rate", "age", "dropped"});
+  for (const auto& instance : system.instances()) {
+    for (const auto& port : instance.ports()) {
+      if (port.direction() != fiona::REQUIRES || port.connection() == control::UNWIRED) continue;
+      table.add({instance.name() + "." + port.name(), text_of(port.peer()), short_name(port.service()), connection_text(port), {fmt::format("{}", std::max(1U, port.prescale())), std::max(1U, port.prescale())}, {rate_text(port.rate_hz()), port.rate_hz()}, {age_text(port.age_ms()), port.age_ms()}, {fmt::format("{}", port.dropped()), port.dropped()}});
+    }
+  }
+  session.out.table(table, "no port is wired\n  next: spots");
+}
+
+void ls_services(Session& session) {
+  const control::System system = session.snapshot();
+  struct Use {
+    int provided = 0;
+    int required = 0;
+    int pattern = 0;
+  };
+  std::map<std::string, Use> services;
+  for (const auto& instance : system.instances()) {
+    for (const auto& port : instance.ports()) {
+      Use& use = services[port.service()];
+      use.pattern = port.pattern();
+      ++(port.direction() == fiona::PROVIDES ? use.provided : use.required);
+    }
+  }
+  Table table({"service", "pattern", "provided", "required"});
+  for (const auto& [name, use] : services) table.add({name, pattern_text(use.pattern), {fmt::format("{}", use.provided), use.provided}, {fmt::format("{}", use.required), use.required}});
+  session.out.table(table, "nothing is loaded, so no service is spoken");
+}
+
+void ls_hosts(Session& session) {
+  Table table({"host", "version", "clock", "instances", "answer", "endpoint"});
+  for (const RunningHost& running : running_hosts()) {
+    const std::string endpoint = "unix:" + running.socket.string();
+    try {
+      ControlClient client(session.reactor, running.socket, session.options.timeout);
+      control::Request request;
+      request.mutable_snapshot();
+      const control::Reply reply = client.call(std::move(request));
+      const control::System& system = reply.system();
+      table.add({running.name, system.version(), system.clock(), {fmt::format("{}", system.instances_size()), system.instances_size()}, "ok", endpoint});
+    } catch (const Error& problem) {
+      table.add({running.name, "", "", "", problem.text().what, endpoint});
+    }
+  }
+  session.out.table(table, "no host runs\n  next: fiona run FILE");
+}
+
+}  // namespace
+
+void ls(Session& session, const Line& line) {
+  const std::string what = line.positional.empty() ? "instances" : line.positional[0].text;
+  if (what == "plugins") return ls_plugins(session);
+  if (what == "wires") return ls_wires(session);
+  if (what == "services") return ls_services(session);
+  if (what == "hosts") return ls_hosts(session);
+  ls_instances(session);
+}
+
+}  // namespace fiona::console::verbs

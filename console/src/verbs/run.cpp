@@ -1,0 +1,149 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <unistd.h>
+
+#include "../host_process.hpp"
+#include "../locations.hpp"
+#include "../prompt.hpp"
+#include "../script.hpp"
+#include "../system_view.hpp"
+#include "../white_spots.hpp"
+#include "verbs.hpp"
+
+namespace fiona::console::verbs {
+namespace {
+
+/// The instance that a load line makes, as far as the line tells: without `as` it is the component's name.
+std::string instance_of(const Line& load) {
+  if (const Word* name = load.clause("as")) return name->text;
+  const std::string& plugin = load.positional[0].text;
+  return plugin.substr(plugin.rfind('/') + 1);
+}
+
+/// `--set walk.trace=X` replaces or adds an argument of the line that loads `walk`.
+void override_parameter(std::vector<Line>& lines, const Line& run, const TypedArgument& given) {
+  const std::size_t dot = given.name.text.find('.');
+  if (dot == std::string::npos || dot == 0 || dot + 1 == given.name.text.size()) {
+    const Word& at = given.name.text.empty() ? given.value : given.name;
+    throw run.error(at, {.what = "--set does not say which parameter", .expected = "--set INSTANCE.PARAM=VALUE"});
+  }
+  const std::string instance = given.name.text.substr(0, dot);
+  std::vector<std::string> known;
+  for (Line& line : lines) {
+    if (line.verb.text != "load") continue;
+    known.push_back(instance_of(line));
+    if (known.back() != instance) continue;
+    TypedArgument changed{{given.name.text.substr(dot + 1), WordKind::Plain, line.verb.place}, given.value};
+    changed.value.place = line.verb.place;  // errors show the line that takes it
+    const auto same = std::find_if(line.arguments.begin(), line.arguments.end(), [&changed](const TypedArgument& old) { return old.name.text == changed.name.text; });
+    if (same == line.arguments.end()) line.arguments.push_back(std::move(changed));
+    else same->value = std::move(changed.value);
+    return;
+  }
+  throw run.error(given.name, {.what = fmt::format("the files load no instance '{}'", instance), .near = nearest_names(instance, known)}, ErrorCode::NotFound);
+}
+
+std::vector<Line> lines_to_run(const Line& run) {
+  std::vector<Line> lines;
+  for (const Word& file : run.positional) {
+    for (Line& line : read_script(file.text)) lines.push_back(std::move(line));
+  }
+  for (const Line& line : lines) {
+    if (line.verb.text == "run") throw line.error(line.verb, {.what = "a system file cannot start a host", .next = "source FILE runs the lines of another file"});
+  }
+  const auto [first, last] = run.options.equal_range("--set");
+  for (auto option = first; option != last; ++option) override_parameter(lines, run, option->second);
+  return lines;
+}
+
+void refuse_white_spots(Session& session) {
+  const std::vector<std::string> spots = strict_spots(session.snapshot());
+  if (spots.empty()) return;
+  throw Error(ErrorCode::WiringInvalid, ErrorText{.what = fmt::format("{} required port{} nobody: {}", spots.size(), spots.size() == 1 ? " is served by" : "s are served by", fmt::join(spots, ", ")), .next = "wire them, or run without --strict; `fiona spots` tells who could serve"});
+}
+
+void run_lines(Session& session, const std::vector<Line>& lines, bool strict) {
+  bool checked = !strict;
+  run_script(session, lines, [&session, &checked](const Line& line) {
+    const auto& verb = line.verb.text;
+    if (checked || (verb != "wait" && verb != "expect" && verb != "sleep" && verb != "quit")) return;
+    checked = true;  // time passes from here on
+    refuse_white_spots(session);
+  });
+  if (!checked && !session.finished) refuse_white_spots(session);
+}
+
+void end_host(Session& session, int code) {
+  control::Request request;
+  request.mutable_quit()->set_exit_code(code);
+  session.call(std::move(request));
+  session.finished = code;
+}
+
+/// Lets the system run until a component ends it, somebody quits, or the time is over.
+void run_headless(Session& session, const Word* duration, const Line& line) {
+  control::Request request;
+  if (duration != nullptr) {
+    request.mutable_sleep()->set_duration_ms(duration_ms(*duration, line.words));
+    session.host().call_waiting(std::move(request));
+    return end_host(session, 0);
+  }
+  request.mutable_run();
+  control::Reply ended;
+  bool here = false;
+  ControlClient& client = session.host();
+  const std::uint64_t id = client.begin(std::move(request), [&ended, &here](const control::Reply& reply) {
+    ended = reply;
+    here = reply.has_ended() || reply.has_failure();
+  });
+  session.reactor.run_until([&here, &client] { return here || client.closed(); });
+  client.forget(id);
+  if (ended.has_failure()) throw_failure(ended.failure());
+  if (!here) return;  // it went without a word: its own exit code tells
+  if (!ended.ended().reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended.ended().reason()));
+  session.finished = ended.ended().exit_code();
+  if (!client.closed()) end_host(session, ended.ended().exit_code());
+}
+
+HostLaunch launch_of(const Line& line, const Options& options) {
+  HostLaunch launch;
+  launch.program = host_program();
+  launch.name = line.option("--host") != nullptr ? line.option("--host")->text : options.host.empty() ? "main" : options.host;
+  launch.socket = socket_of(launch.name);
+  launch.store = options.store;
+  if (answers(launch.socket)) {
+    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("a host '{}' runs already", launch.name), .where = "unix:" + launch.socket.string(), .next = fmt::format("end it: fiona --host {} quit; or choose another name: --host NAME", launch.name)});
+  }
+  return launch;
+}
+
+}  // namespace
+
+void run(Session& session, const Line& line) {
+  if (session.setting != Setting::Shell) throw line.error(line.verb, {.what = "run starts a host and belongs to a shell", .next = "source FILE runs the lines in this host"});
+  const Word* duration = line.option("--for");
+  if (duration != nullptr) duration_ms(*duration, line.words);
+  const std::vector<Line> lines = lines_to_run(line);
+  const HostLaunch launch = launch_of(line, session.options);
+  HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
+  session.connect(launch.socket);
+  session.host().set_author(fmt::format("script {}", line.positional[0].text));
+  const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json && ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
+  try {
+    run_lines(session, lines, line.has("--strict"));
+    if (!session.finished && attach) run_prompt(session, {.started_host = true, .let_run = true});
+    if (!session.finished && !attach) run_headless(session, duration, line);
+  } catch (...) {
+    session.disconnect();
+    host.stop();
+    throw;
+  }
+  session.disconnect();
+  const int code = host.stop();
+  if (!session.finished && code != 0) throw Error(code == 130 ? ErrorCode::Failed : ErrorCode::ComponentFailed, ErrorText{.what = fmt::format("the host ended on its own, with exit code {}", code), .where = fmt::format("host {}", launch.name)});
+  if (!session.finished) session.finished = code;
+}
+
+}  // namespace fiona::console::verbs

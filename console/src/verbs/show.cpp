@@ -1,0 +1,185 @@
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "../catalogue.hpp"
+#include "../locations.hpp"
+#include "../system_view.hpp"
+#include "verbs.hpp"
+
+#include "fiona/options.pb.h"
+
+namespace fiona::console::verbs {
+namespace {
+
+namespace pb = google::protobuf;
+
+void show_ports(Session& session, const control::InstanceStatus& instance) {
+  Table table({"port", "direction", "service", "pattern", "connection", "peer", "messages", "rate", "age", "doc"});
+  for (const auto& port : instance.ports()) {
+    const bool required = port.direction() == fiona::REQUIRES;
+    std::vector<std::string> clients;
+    for (const auto& client : port.clients()) clients.push_back(text_of(client));
+    table.add({port.name(), required ? (port.optional() ? "requires, optional" : "requires") : "provides", short_name(port.service()), pattern_text(port.pattern()), required ? connection_text(port) : "", required ? (port.peer().instance().empty() ? "" : text_of(port.peer())) : fmt::format("{}", fmt::join(clients, ", ")), {fmt::format("{}", port.messages()), port.messages()}, {rate_text(port.rate_hz()), port.rate_hz()}, {age_text(port.age_ms()), port.age_ms()}, port.doc()});
+  }
+  session.out.table(table, "it has no ports");
+}
+
+void show_instance(Session& session, const control::InstanceStatus& instance) {
+  Table facts({"fact", "value"});
+  facts.add({"instance", instance.name()});
+  facts.add({"plugin", fmt::format("{} {}", instance.plugin(), instance.version())});
+  facts.add({"component", instance.component()});
+  facts.add({"mode", instance.mode()});
+  if (!instance.reason().empty()) facts.add({"reason", instance.reason()});
+  facts.add({"modes", fmt::format("{}", fmt::join(instance.modes(), ", "))});
+  facts.add({"group", instance.group()});
+  facts.add({"handlers", {fmt::format("{:.1f} ms of CPU time", instance.handler_ms()), instance.handler_ms()}});
+  facts.add({"queue", {fmt::format("{}", instance.queue_depth()), instance.queue_depth()}});
+  if (!instance.doc().empty()) facts.add({"doc", instance.doc()});
+  session.out.table(facts, "", false);
+  session.out.text("");
+  show_ports(session, instance);
+  Table parameters({"parameter", "value", "unit", "range", "default", "doc"});
+  for (const auto& parameter : instance.parameters()) parameters.add({parameter.name(), parameter.value(), parameter.unit(), parameter.range(), parameter.default_value(), parameter.doc()});
+  if (!parameters.empty()) session.out.text("");
+  session.out.table(parameters, "");
+  Table tasks({"task", "period", "runs", "overruns"});
+  for (const auto& task : instance.tasks()) tasks.add({task.name(), {fmt::format("{:g} ms", task.period_ms()), task.period_ms()}, {fmt::format("{}", task.runs()), task.runs()}, {fmt::format("{}", task.overruns()), task.overruns()}});
+  if (!tasks.empty()) session.out.text("");
+  session.out.table(tasks, "");
+}
+
+void show_port(Session& session, const control::InstanceStatus& instance, const control::PortStatus& port) {
+  const bool required = port.direction() == fiona::REQUIRES;
+  Table facts({"fact", "value"});
+  facts.add({"port", instance.name() + "." + port.name()});
+  facts.add({"direction", required ? (port.optional() ? "requires, optional" : "requires") : "provides"});
+  facts.add({"service", port.service()});
+  facts.add({"pattern", pattern_text(port.pattern())});
+  if (required) facts.add({"connection", fmt::format("{}, for {:.1f} s", connection_text(port), port.since_s())});
+  if (required && !port.peer().instance().empty()) facts.add({"wired to", text_of(port.peer())});
+  if (required && port.prescale() > 1) facts.add({"every", {fmt::format("{}", port.prescale()), port.prescale()}});
+  if (required && !port.transport().empty()) facts.add({"transport", port.transport()});
+  std::vector<std::string> clients;
+  for (const auto& client : port.clients()) clients.push_back(text_of(client));
+  if (!required) facts.add({"clients", fmt::format("{}", fmt::join(clients, ", "))});
+  for (const auto& [name, count] : {std::pair{"messages", port.messages()}, {"superseded", port.superseded()}, {"dropped", port.dropped()}, {"refused", port.refused()}}) facts.add({name, {fmt::format("{}", count), count}});
+  facts.add({"rate", {rate_text(port.rate_hz()), port.rate_hz()}});
+  facts.add({"age", {age_text(port.age_ms()), port.age_ms()}});
+  if (!port.doc().empty()) facts.add({"doc", port.doc()});
+  session.out.table(facts, "", false);
+  session.out.text(fmt::format("\nmore: show {}", short_name(port.service())));
+}
+
+void show_object(Session& session, const pb::Descriptor& type) {
+  session.out.text(fmt::format("{}", type.full_name()));
+  session.out.table(field_table(type), "it has no fields");
+}
+
+void show_service(Session& session, const pb::ServiceDescriptor& service) {
+  const auto& contract = service.options().GetExtension(fiona::contract);
+  Table facts({"fact", "value"});
+  facts.add({"service", service.full_name()});
+  facts.add({"pattern", pattern_text(contract.pattern())});
+  facts.add({"version", fmt::format("{}.{}", std::max(1U, contract.major()), contract.minor())});
+  if (contract.period_ms() > 0) facts.add({"period", {fmt::format("{} ms", contract.period_ms()), contract.period_ms()}});
+  const std::string doc = service.options().GetExtension(fiona::service_doc);
+  if (!doc.empty()) facts.add({"doc", doc});
+  session.out.table(facts, "", false);
+  for (int i = 0; i < service.method_count(); ++i) {
+    for (const auto* type : {service.method(i)->input_type(), service.method(i)->output_type()}) {
+      if (type->full_name() == "fiona.None") continue;
+      session.out.text("");
+      show_object(session, *type);
+    }
+  }
+}
+
+void show_plugin(Session& session, const KnownPlugin& plugin) {
+  Table facts({"fact", "value"});
+  facts.add({"plugin", plugin.name()});
+  facts.add({"version", plugin.manifest.version()});
+  facts.add({"summary", plugin.manifest.summary()});
+  facts.add({"license", plugin.manifest.license()});
+  facts.add({"where", plugin.installed ? "installed" : "marketplace: market install " + plugin.name()});
+  if (!plugin.manifest.hello().empty()) facts.add({"try", plugin.manifest.hello()});
+  session.out.table(facts, "", false);
+  for (const auto& component : plugin.interface.components()) {
+    session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));
+    Table ports({"port", "direction", "service", "doc"});
+    for (const auto& port : component.ports()) ports.add({port.name(), port.direction() == fiona::PROVIDES ? "provides" : port.optional() ? "requires, optional" : "requires", port.service(), port.doc()});
+    session.out.table(ports, "it has no ports");
+  }
+}
+
+void show_parameters(Session& session, const Catalogue& catalogue, const KnownPlugin& plugin) {
+  for (const auto& component : plugin.interface.components()) {
+    const auto* type = component.parameters().empty() || !plugin.installed ? nullptr : catalogue.types_of(plugin).object(component.parameters());
+    if (type == nullptr) continue;
+    session.out.text(fmt::format("\nparameters of {}", component.name()));
+    session.out.table(field_table(*type), "");
+  }
+}
+
+/// A type of the platform whose full name or last part is `name`.
+template <class Find>
+auto platform_type(const std::string& name, Find find) -> decltype(find(name)) {
+  if (const auto* exact = find(name)) return exact;
+  for (const char* package : {"fiona", "fiona.sensors", "fiona.perception", "fiona.localisation", "fiona.navigation", "fiona.security", "fiona.hmi"}) {
+    if (const auto* found = find(std::string(package) + "." + name)) return found;
+  }
+  return nullptr;
+}
+
+bool show_described(Session& session, const std::string& name) {
+  control::Request request;
+  request.mutable_describe()->set_name(name);
+  try {
+    const control::Reply reply = session.call(std::move(request));
+    const TypeSet types(reply.description().files());
+    if (const auto* service = reply.description().is_service() ? types.service(reply.description().name()) : nullptr) return show_service(session, *service), true;
+    if (const auto* type = types.object(reply.description().name())) return show_object(session, *type), true;
+  } catch (const Error& problem) {
+    if (problem.code() != ErrorCode::NotFound) throw;
+  }
+  return false;
+}
+
+bool show_platform(Session& session, const std::string& name) {
+  const auto* pool = pb::DescriptorPool::generated_pool();
+  const auto* service = platform_type(name, [pool](const std::string& full) { return pool->FindServiceByName(full); });
+  if (service != nullptr) return show_service(session, *service), true;
+  const auto* type = platform_type(name, [pool](const std::string& full) { return pool->FindMessageTypeByName(full); });
+  if (type != nullptr) return show_object(session, *type), true;
+  return false;
+}
+
+}  // namespace
+
+void show(Session& session, const Line& line) {
+  const Word& thing = line.positional[0];
+  std::vector<std::string> known;
+  const bool running = session.host_if_running() != nullptr;
+  if (running) {
+    const control::System system = session.snapshot();
+    const std::string first = thing.text.substr(0, thing.text.find('.'));
+    if (const auto* instance = find_instance(system, first)) {
+      return first == thing.text ? show_instance(session, *instance) : show_port(session, *instance, port_at(system, thing, line));
+    }
+    known = instance_names(system);
+  }
+  const Catalogue catalogue(session.options.store);
+  if (const auto found = catalogue.find(thing.text); !found.empty()) {
+    show_plugin(session, *found.front().plugin);
+    return show_parameters(session, catalogue, *found.front().plugin);
+  }
+  if (running && show_described(session, thing.text)) return;
+  if (show_platform(session, thing.text)) return;
+  for (const std::string& name : catalogue.names()) known.push_back(name);
+  throw line.error(thing, {.what = fmt::format("there is no instance, port, plugin, service or object '{}'", thing.text), .next = running ? "ls" : "ls plugins", .near = nearest_names(thing.text, known)}, ErrorCode::NotFound);
+}
+
+}  // namespace fiona::console::verbs

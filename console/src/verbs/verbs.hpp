@@ -1,0 +1,31 @@
+#pragma once
+
+#include "../session.hpp"
+
+/// The handlers of the table of verbs: each does what one line asks, or throws fiona::Error.
+namespace fiona::console::verbs {
+
+void load(Session& session, const Line& line);
+void unload(Session& session, const Line& line);
+void wire(Session& session, const Line& line);
+void unwire(Session& session, const Line& line);
+void set(Session& session, const Line& line);
+void get(Session& session, const Line& line);
+void state(Session& session, const Line& line);
+void ls(Session& session, const Line& line);
+void show(Session& session, const Line& line);
+void spots(Session& session, const Line& line);
+void watch(Session& session, const Line& line);
+void check(Session& session, const Line& line);
+void run(Session& session, const Line& line);
+void save(Session& session, const Line& line);
+void source(Session& session, const Line& line);
+void wait(Session& session, const Line& line);
+void expect(Session& session, const Line& line);
+void sleep(Session& session, const Line& line);
+void quit(Session& session, const Line& line);
+void market(Session& session, const Line& line);
+void help(Session& session, const Line& line);
+void version(Session& session, const Line& line);
+
+}  // namespace fiona::console::verbs

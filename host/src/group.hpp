@@ -1,0 +1,84 @@
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "os/message_stream.hpp"
+#include "os/process.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+
+/// A process of the host that holds instances: the host's own (`main`), or a child.
+class Group {
+ public:
+  explicit Group(std::string name) : name_(std::move(name)) {}
+  virtual ~Group() = default;
+  Group(const Group&) = delete;
+  Group& operator=(const Group&) = delete;
+
+  const std::string& name() const { return name_; }
+  /// [control thread] Does it and returns the answer. Throws Error: what the group refused, or Unreachable when the
+  /// group did not answer in time or is gone.
+  wire::GroupMessage request(wire::GroupRequest request);
+
+  virtual std::string endpoint() const = 0;
+  virtual pid_t process() const = 0;
+  virtual bool alive() const = 0;
+  virtual void peer_lost(const std::string& endpoint, const std::string& reason) = 0;
+
+ protected:
+  virtual wire::GroupMessage perform(const wire::GroupRequest& request) = 0;
+
+ private:
+  const std::string name_;
+};
+
+/// `main`: the runtime in the host's own process.
+class MainGroup final : public Group {
+ public:
+  MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, Runtime::OnEvent on_event);
+  std::string endpoint() const override { return runtime_.endpoint(); }
+  pid_t process() const override;
+  bool alive() const override { return true; }
+  void peer_lost(const std::string& lost, const std::string& reason) override { runtime_.peer_lost(lost, reason); }
+
+ private:
+  wire::GroupMessage perform(const wire::GroupRequest& request) override { return runtime_.handle(request); }
+  Runtime runtime_;
+};
+
+/// A child process, `fiona-group`, that ends when the host's end of its socket closes.
+class ChildGroup final : public Group {
+ public:
+  /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
+  ChildGroup(std::string name, const std::string& endpoint, const SystemClock& clock, Runtime::OnEvent on_event);
+
+  std::string endpoint() const override { return endpoint_; }
+  pid_t process() const override { return child_->id(); }
+  bool alive() const override { return end_.empty(); }
+  void peer_lost(const std::string&, const std::string&) override {}
+
+  int descriptor() const { return stream_->descriptor(); }
+  /// [control thread] Passes on the events that have come. False once the process is gone.
+  bool serve();
+  /// How it ended; empty while it lives.
+  const std::string& end() const { return end_; }
+
+ private:
+  wire::GroupMessage perform(const wire::GroupRequest& request) override;
+  std::optional<wire::GroupMessage> wait_for(std::uint64_t id, std::chrono::seconds deadline);
+  void note_end();
+
+  const std::string endpoint_;
+  const Runtime::OnEvent on_event_;
+  std::unique_ptr<os::ChildProcess> child_;
+  std::unique_ptr<os::MessageStream> stream_;
+  std::uint64_t next_id_ = 1;
+  std::string end_;
+};
+
+}  // namespace fiona::host

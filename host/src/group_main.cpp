@@ -1,0 +1,74 @@
+// fiona-group: the process of a group. It is started by a host, inherits a socket to it as descriptor 3, does what
+// comes over that socket, and ends when the socket closes.
+#include <poll.h>
+
+#include <iostream>
+#include <string>
+
+#include "fiona/error.hpp"
+#include "mailbox.hpp"
+#include "os/message_stream.hpp"
+#include "runtime.hpp"
+
+namespace {
+
+using fiona::host::Mailbox;
+using fiona::host::Runtime;
+
+constexpr int kGroupSocket = 3;
+/// Events that may wait for a slow host; watched values beyond it are dropped.
+constexpr std::size_t kEventBound = 10'000;
+
+int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
+  while (true) {
+    pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
+                      {events.descriptor(), POLLIN, 0}};
+    ::poll(waits, 2, -1);
+    for (auto& event : events.take()) {
+      if (!stream.send(event)) return 1;
+    }
+    if (!stream.flush() || !stream.receive()) return 0;
+    fiona::wire::GroupRequest request;
+    while (stream.next(request)) {
+      const auto reply = runtime.handle(request);
+      // What the request caused is told before its answer.
+      for (auto& event : events.take()) stream.send(event);
+      if (!stream.send(reply)) return 1;
+    }
+  }
+}
+
+std::string value_of(int argc, char** argv, std::string_view flag) {
+  for (int i = 1; i + 1 < argc; ++i) {
+    if (argv[i] == flag) return argv[i + 1];
+  }
+  throw fiona::Error(fiona::ErrorCode::Usage, "fiona-group is started by fiona-host, which gives it " + std::string(flag));
+}
+
+int run(int argc, char** argv) {
+  const std::string endpoint = value_of(argc, argv, "--endpoint");
+  fiona::SystemClock clock({std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
+  fiona::Pool pool;
+  Mailbox<fiona::wire::GroupMessage> events;
+  fiona::host::PluginLibraries libraries;
+  Runtime runtime(pool, clock, libraries, endpoint, [&events](fiona::wire::GroupMessage event) {
+    const bool droppable = event.has_tapped();
+    events.push(std::move(event), droppable ? kEventBound : SIZE_MAX);
+  });
+  fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
+  fiona::wire::GroupMessage ready;
+  ready.mutable_ready()->set_endpoint(endpoint);
+  if (!stream.send(ready)) return 1;
+  return serve(runtime, stream, events);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return run(argc, argv);
+  } catch (const std::exception& error) {
+    std::cerr << "fiona-group: " << error.what() << "\n";
+    return 1;
+  }
+}

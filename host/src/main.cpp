@@ -1,0 +1,102 @@
+// fiona-host: the process that holds a running system. People start it through `fiona run`.
+#include <signal.h>
+#include <sys/signalfd.h>
+#include <unistd.h>
+
+#include <boost/program_options.hpp>
+#include <iostream>
+#include <string>
+
+#include "control_server.hpp"
+#include "fiona/error.hpp"
+#include "os/unix_socket.hpp"
+
+namespace {
+
+namespace options = boost::program_options;
+
+struct Flags {
+  std::string name = "main";
+  std::string socket;
+  std::string store;
+  std::size_t threads = 0;
+  int ready = -1;
+  int lifeline = -1;
+  bool version = false;
+  bool help = false;
+};
+
+Flags parse(int argc, char** argv, options::options_description& description) {
+  Flags flags;
+  auto add = description.add_options();
+  add("name", options::value(&flags.name)->default_value("main"), "the host's name, one per user and run-time directory");
+  add("socket", options::value(&flags.socket), "where it listens for consoles");
+  add("store", options::value(&flags.store), "the installed packages");
+  add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
+  add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
+  add("lifeline-fd", options::value(&flags.lifeline)->default_value(-1), "descriptor whose end ends the host");
+  add("version", options::bool_switch(&flags.version), "prints the version");
+  add("help", options::bool_switch(&flags.help), "prints this");
+  options::variables_map values;
+  options::store(options::parse_command_line(argc, argv, description), values);
+  options::notify(values);
+  return flags;
+}
+
+std::filesystem::path runtime_directory() {
+  const char* directory = std::getenv("XDG_RUNTIME_DIR");
+  if (directory && *directory) return std::filesystem::path(directory) / "fiona";
+  return "/tmp/fiona-" + std::to_string(::geteuid());
+}
+
+void tell(int descriptor, const std::string& line) {
+  if (descriptor < 0) return;
+  static_cast<void>(::write(descriptor, line.data(), line.size()));
+  ::close(descriptor);
+}
+
+/// Signals that end the run, as a descriptor; blocked before any thread starts.
+int signals_as_descriptor() {
+  sigset_t ending;
+  sigemptyset(&ending);
+  sigaddset(&ending, SIGINT);
+  sigaddset(&ending, SIGTERM);
+  sigprocmask(SIG_BLOCK, &ending, nullptr);
+  return ::signalfd(-1, &ending, SFD_CLOEXEC | SFD_NONBLOCK);
+}
+
+int serve(const Flags& flags) {
+  const int signals = signals_as_descriptor();
+  const std::filesystem::path socket =
+      flags.socket.empty() ? runtime_directory() / (flags.name + ".sock") : std::filesystem::path(flags.socket);
+  fiona::os::require_private_directory(socket.parent_path());
+  const std::filesystem::path store =
+      flags.store.empty() ? fiona::marketplace::Store::default_directory() : std::filesystem::path(flags.store);
+  fiona::host::ControlServer server(socket, {flags.name, store, socket.parent_path(), flags.threads});
+  tell(flags.ready, "READY\n");
+  return server.serve(flags.lifeline, signals);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  options::options_description description("fiona-host: holds a running system");
+  Flags flags;
+  try {
+    flags = parse(argc, argv, description);
+    if (flags.help) return std::cout << description, 0;
+    if (flags.version) return std::cout << "fiona-host " << FIONA_VERSION << "\n", 0;
+    return serve(flags);
+  } catch (const options::error& error) {
+    std::cerr << "fiona-host: " << error.what() << "\n" << description;
+    return 2;
+  } catch (const fiona::Error& error) {
+    tell(flags.ready, std::string(error.what()) + "\n");
+    std::cerr << "fiona-host: " << error.what() << "\n";
+    return static_cast<int>(error.code());
+  } catch (const std::exception& error) {
+    tell(flags.ready, std::string(error.what()) + "\n");
+    std::cerr << "fiona-host: " << error.what() << "\n";
+    return 1;
+  }
+}

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <google/protobuf/message_lite.h>
+
+#include <chrono>
+#include <cstddef>
+#include <string>
+
+#include "os/descriptor.hpp"
+
+namespace fiona::os {
+
+/// Protobuf messages over a stream socket, each preceded by its length as 4 bytes, little endian. Reading never
+/// blocks; writing keeps what the socket does not take, up to a bound.
+class MessageStream {
+ public:
+  static constexpr std::size_t kMaxMessage = 16 * 1024 * 1024;  ///< bytes; a longer one ends the stream
+  static constexpr std::size_t kMaxUnsent = 32 * 1024 * 1024;   ///< bytes; a reader this slow is cut off
+
+  explicit MessageStream(Descriptor socket);
+
+  int descriptor() const { return socket_.get(); }
+  /// Reads what there is. False when the peer has closed, broken the framing, or the stream failed.
+  bool receive();
+  /// Parses the next complete message; false when there is none. A malformed one closes the stream.
+  bool next(google::protobuf::MessageLite& message);
+  /// Queues and sends as much as goes now. False when the stream is closed or too much is unsent.
+  bool send(const google::protobuf::MessageLite& message);
+  /// Sends more of what is queued. False when the stream has failed.
+  bool flush();
+  std::size_t unsent() const { return out_.size() - out_begin_; }
+  bool closed() const { return closed_; }
+
+  /// Blocks until the socket is readable, at most until `deadline`; false when that passes.
+  bool wait_readable(std::chrono::steady_clock::time_point deadline) const;
+
+ private:
+  Descriptor socket_;
+  std::string in_;
+  std::size_t in_begin_ = 0;
+  std::string out_;
+  std::size_t out_begin_ = 0;
+  bool closed_ = false;
+};
+
+}  // namespace fiona::os

@@ -1,0 +1,68 @@
+#include "os/process.hpp"
+
+#include <fcntl.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/random.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+
+#include <cerrno>
+#include <cstring>
+
+#include "fiona/error.hpp"
+
+extern char** environ;
+
+namespace fiona::os {
+
+ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
+                           const std::vector<std::pair<int, int>>& inherited) {
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  for (const auto& [ours, theirs] : inherited) posix_spawn_file_actions_adddup2(&actions, ours, theirs);
+  std::vector<std::string> words{program.string()};
+  words.insert(words.end(), arguments.begin(), arguments.end());
+  std::vector<char*> argv;
+  for (auto& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  const int error = ::posix_spawn(&id_, program.c_str(), &actions, nullptr, argv.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  if (error != 0) {
+    throw Error(ErrorCode::Failed, {.what = "the process cannot be started",
+                                    .where = program.string(),
+                                    .found = std::strerror(error),
+                                    .next = "build or install FIONA again: its programs belong side by side"});
+  }
+  handle_ = Descriptor(static_cast<int>(::syscall(SYS_pidfd_open, id_, 0)));
+}
+
+ChildProcess::~ChildProcess() {
+  if (!end().empty()) return;
+  ::kill(id_, SIGKILL);
+  ::waitpid(id_, nullptr, 0);
+}
+
+std::string ChildProcess::end() {
+  if (!end_.empty()) return end_;
+  int status = 0;
+  if (::waitpid(id_, &status, WNOHANG) != id_) return {};
+  if (WIFEXITED(status)) {
+    end_ = "exited with code " + std::to_string(WEXITSTATUS(status));
+  } else {
+    end_ = "killed by signal " + std::to_string(WTERMSIG(status)) + " (" + strsignal(WTERMSIG(status)) + ")";
+  }
+  return end_;
+}
+
+std::filesystem::path program_directory() { return std::filesystem::read_symlink("/proc/self/exe").parent_path(); }
+
+std::string random_token() {
+  std::string token(16, '\0');
+  if (::getrandom(token.data(), token.size(), 0) != static_cast<ssize_t>(token.size())) {
+    throw Error(ErrorCode::Failed, {.what = "the system gives no random bytes", .found = std::strerror(errno)});
+  }
+  return token;
+}
+
+}  // namespace fiona::os

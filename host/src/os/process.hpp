@@ -1,0 +1,43 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "os/descriptor.hpp"
+
+namespace fiona::os {
+
+/// A child process, known by a pidfd so that its number is never mistaken for another's. Destruction kills and reaps.
+class ChildProcess {
+ public:
+  /// Starts `program`. Of the descriptors only those of `inherited` reach it, each (ours, its number there).
+  /// Throws Error if it cannot be started.
+  ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
+               const std::vector<std::pair<int, int>>& inherited);
+  ~ChildProcess();
+  ChildProcess(const ChildProcess&) = delete;
+  ChildProcess& operator=(const ChildProcess&) = delete;
+
+  pid_t id() const { return id_; }
+  /// Readable when the process has ended.
+  int descriptor() const { return handle_.get(); }
+  /// "exited with code 3", "killed by signal 11 (Segmentation fault)"; empty while it runs. Reaps.
+  std::string end();
+
+ private:
+  pid_t id_ = -1;
+  Descriptor handle_;
+  std::string end_;
+};
+
+/// The directory of the running program, for its siblings.
+std::filesystem::path program_directory();
+
+/// 16 bytes nobody can guess.
+std::string random_token();
+
+}  // namespace fiona::os

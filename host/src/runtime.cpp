@@ -1,0 +1,348 @@
+#include "runtime.hpp"
+
+#include <algorithm>
+
+#include "fiona/describe.hpp"
+#include "fiona/error.hpp"
+#include "fiona/push.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// How long a life-cycle call of a component may take before the host gives up on it.
+constexpr Duration kLifeCycleDeadline = std::chrono::seconds(10);
+
+std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
+
+control::Connection to_proto(Connection connection) { return static_cast<control::Connection>(connection); }
+
+}  // namespace
+
+struct Runtime::Instance {
+  wire::Create made_from;
+  std::string doc;
+  std::unique_ptr<Hull> hull;
+};
+
+/// A wire of which this process holds at least one end.
+struct Runtime::Wire {
+  std::shared_ptr<LocalWire> local;            ///< both ends here
+  detail::PushProvider* provider = nullptr;    ///< of a local push
+  RequiredPort* client = nullptr;              ///< of a local wire
+};
+
+/// Copies what a push port puts to whoever watches, as bytes.
+class Runtime::TapSink final : public Sink {
+ public:
+  TapSink(std::uint64_t id, detail::PushProvider& port, const OnEvent& on_event)
+      : id_(id), port_(port), on_event_(on_event) {}
+
+  Outcome deliver(Parcel parcel) override {
+    wire::GroupMessage message;
+    auto& tapped = *message.mutable_tapped();
+    tapped.set_tap(id_);
+    tapped.set_type(parcel.envelope.object->GetDescriptor()->full_name());
+    parcel.envelope.object->SerializeToString(tapped.mutable_object());
+    tapped.set_sequence(parcel.envelope.sequence);
+    tapped.set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
+    on_event_(std::move(message));
+    return Outcome::Ok;
+  }
+  detail::PushProvider& port() const { return port_; }
+
+ private:
+  const std::uint64_t id_;
+  detail::PushProvider& port_;
+  const OnEvent& on_event_;
+};
+
+control::Failure failure_of_exception() {
+  control::Failure failure;
+  try {
+    throw;
+  } catch (const Error& error) {
+    failure.set_code(static_cast<std::uint32_t>(error.code()));
+    failure.set_what(error.text().what);
+    failure.set_where(error.text().where);
+    failure.set_expected(error.text().expected);
+    failure.set_found(error.text().found);
+    failure.set_next(error.text().next);
+    for (const auto& name : error.text().near) failure.add_near(name);
+  } catch (const std::exception& error) {
+    failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
+    failure.set_what(error.what());
+  } catch (...) {
+    failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
+    failure.set_what("something that is not a std::exception was thrown");
+  }
+  return failure;
+}
+
+void throw_failure(const control::Failure& failure) {
+  throw Error(static_cast<ErrorCode>(failure.code()),
+              {.what = failure.what(),
+               .where = failure.where(),
+               .expected = failure.expected(),
+               .found = failure.found(),
+               .next = failure.next(),
+               .near = {failure.near().begin(), failure.near().end()}});
+}
+
+Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, OnEvent on_event)
+    : pool_(pool),
+      clock_(clock),
+      on_event_(std::move(on_event)),
+      libraries_(libraries),
+      links_(pool, std::move(endpoint), [this](std::uint64_t wire, const std::string& reason) {
+        wire::GroupMessage message;
+        message.mutable_wire_lost()->set_wire(wire);
+        message.mutable_wire_lost()->set_reason(reason);
+        emit(std::move(message));
+      }) {}
+
+Runtime::~Runtime() {
+  for (auto& [id, wire] : wires_) wire.local->cut();
+  for (auto& [name, instance] : instances_) instance->hull->shut_down(kLifeCycleDeadline);
+}
+
+wire::GroupMessage Runtime::handle(const wire::GroupRequest& request) {
+  wire::GroupMessage reply;
+  reply.mutable_done();
+  try {
+    dispatch(request, reply);
+  } catch (...) {
+    *reply.mutable_failure() = failure_of_exception();
+  }
+  reply.set_id(request.id());
+  return reply;
+}
+
+void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& reply) {
+  using Request = wire::GroupRequest;
+  switch (request.what_case()) {
+    case Request::kCreate: return create(request.create());
+    case Request::kDestroy: return destroy(request.destroy(), reply);
+    case Request::kSetParameters: {
+      const auto& arguments = request.set_parameters().parameters();
+      const std::vector<control::Argument> changes(arguments.begin(), arguments.end());
+      return find(request.set_parameters().instance()).hull->set_parameters(changes, kDefaultDeadline);
+    }
+    case Request::kSetMode:
+      return find(request.set_mode().instance()).hull->set_mode(request.set_mode().mode(), kLifeCycleDeadline);
+    case Request::kWireLocal: return wire_local(request.wire_local());
+    case Request::kWireProvide: {
+      const auto& wire = request.wire_provide();
+      return links_.provide(wire.wire(), wire.token(), provided(wire.provider()), wire.prescale());
+    }
+    case Request::kWireRequire: {
+      const auto& wire = request.wire_require();
+      return links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint());
+    }
+    case Request::kCut: return cut(request.cut());
+    case Request::kStatus: return status(*reply.mutable_status());
+    case Request::kTap: return tap(request.tap());
+    case Request::kUntap: return untap(request.untap().tap());
+    case Request::WHAT_NOT_SET: throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
+  }
+}
+
+void Runtime::create(const wire::Create& request) {
+  const Plugin& plugin = libraries_.open(request.plugin(), request.library(), request.interface());
+  const auto entry = std::find_if(plugin.entries().begin(), plugin.entries().end(),
+                                  [&](const Plugin::Entry& e) { return e.name == request.component(); });
+  const auto& components = request.interface().components();
+  const auto packaged = std::find_if(components.begin(), components.end(),
+                                     [&](const ComponentInterface& c) { return c.name() == request.component(); });
+  if (entry == plugin.entries().end() || packaged == components.end()) {
+    std::vector<std::string> known;
+    for (const auto& e : plugin.entries()) known.push_back(e.name);
+    throw Error(ErrorCode::NotFound, {.what = "plugin '" + request.plugin() + "' has no component '" + request.component() + "'",
+                                      .where = request.library(),
+                                      .near = known});
+  }
+  auto instance = std::make_unique<Instance>();
+  instance->made_from = request;
+  instance->doc = entry->doc;
+  instance->hull = std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, *this, request.share()});
+  Hull& hull = *instance->hull;
+  try {
+    hull.create(entry->make);
+    const auto difference = interface_difference(interface_of(hull, entry->name, entry->doc), *packaged);
+    if (!difference.empty()) {
+      throw Error(ErrorCode::Failed, {.what = "component '" + request.component() + "' is not what its package says: " + difference,
+                                      .where = request.library(),
+                                      .next = "install the package again, or ask the publisher to pack it again"});
+    }
+    const std::vector<control::Argument> parameters(request.parameters().begin(), request.parameters().end());
+    hull.set_parameters(parameters, kDefaultDeadline);
+    hull.set_mode(request.mode().empty() ? hull.main_modes().front() : request.mode(), kLifeCycleDeadline);
+  } catch (...) {
+    hull.shut_down(kLifeCycleDeadline);
+    throw;
+  }
+  instances_.emplace(request.instance(), std::move(instance));
+}
+
+void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
+  Instance& instance = find(request.instance());
+  std::erase_if(taps_, [&](const auto& entry) { return &entry.second->port().hull() == instance.hull.get(); });
+  const bool clean = instance.hull->shut_down(kLifeCycleDeadline);
+  if (!clean) {
+    reply.mutable_done()->set_note("'" + request.instance() +
+                                   "' did not come free: its handler still runs, and its memory stays until the process ends");
+    static_cast<void>(instance.hull.release());
+  }
+  instances_.erase(request.instance());
+}
+
+Runtime::Instance& Runtime::find(const std::string& name) {
+  const auto found = instances_.find(name);
+  if (found != instances_.end()) return *found->second;
+  throw Error(ErrorCode::NotFound, "there is no instance '" + name + "' in this process");
+}
+
+ProvidedPort& Runtime::provided(const control::PortName& name) {
+  auto* port = dynamic_cast<ProvidedPort*>(find(name.instance()).hull->find_port(name.port()));
+  if (port) return *port;
+  throw Error(ErrorCode::NotFound, text_of(name) + " is no provided port");
+}
+
+RequiredPort& Runtime::required(const control::PortName& name) {
+  auto* port = dynamic_cast<RequiredPort*>(find(name.instance()).hull->find_port(name.port()));
+  if (port) return *port;
+  throw Error(ErrorCode::NotFound, text_of(name) + " is no required port");
+}
+
+void Runtime::wire_local(const wire::WireLocal& request) {
+  ProvidedPort& provider = provided(request.provider());
+  RequiredPort& client = required(request.client());
+  auto* push = dynamic_cast<detail::PushProvider*>(&provider);
+  Inbox& inbox = push ? *client.inbox() : *provider.inbox();
+  const std::string name = client.full_name() + "<" + provider.full_name();
+  auto local = std::make_shared<LocalWire>(name, inbox, push ? request.prescale() : 1);
+  client.set_connection(Connection::Connected, provider.full_name());
+  if (push) {
+    push->attach(local);
+  } else {
+    client.set_target(local);
+  }
+  wires_[request.wire()] = Wire{std::move(local), push, &client};
+}
+
+void Runtime::cut(const wire::Cut& request) {
+  const auto found = wires_.find(request.wire());
+  if (found == wires_.end()) return links_.cut(request.wire(), request.reason(), !request.last());
+  const Wire wire = std::move(found->second);
+  wires_.erase(found);
+  if (wire.provider) wire.provider->detach(*wire.local);
+  if (request.last()) wire.client->set_target(nullptr);
+  wire.local->cut();
+  if (request.last()) wire.client->set_connection(Connection::Unwired, request.reason());
+}
+
+void Runtime::tap(const wire::Tap& request) {
+  auto* port = dynamic_cast<detail::PushProvider*>(&provided(request.port()));
+  if (!port) {
+    throw Error(ErrorCode::Usage, {.what = text_of(request.port()) + " does not push: there is nothing to watch",
+                                   .where = text_of(request.port()),
+                                   .expected = "a port of a push service"});
+  }
+  auto sink = std::make_shared<TapSink>(request.tap(), *port, on_event_);
+  taps_[request.tap()] = sink;
+  port->attach(sink);
+}
+
+void Runtime::untap(std::uint64_t id) {
+  const auto found = taps_.find(id);
+  if (found == taps_.end()) return;
+  found->second->port().detach(*found->second);
+  taps_.erase(found);
+}
+
+namespace {
+
+void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
+  PortCounters& counters = port.counters();
+  status.set_name(port.name());
+  status.set_direction(port.direction() == PortDirection::Provides ? PROVIDES : REQUIRES);
+  status.set_service(port.service().name());
+  status.set_pattern(port.service().pattern());
+  status.set_optional(port.optional());
+  status.set_doc(port.doc());
+  status.set_messages(counters.messages);
+  status.set_superseded(counters.superseded);
+  status.set_dropped(counters.dropped);
+  status.set_refused(counters.refused);
+  const std::int64_t newest_ns = counters.newest_ns;
+  const double age_ms = std::max(0.0, 1e3 * to_seconds(now.time_since_epoch() - Duration(newest_ns)));
+  status.set_age_ms(newest_ns < 0 ? -1 : age_ms);
+  // A rate from long ago is no rate.
+  status.set_rate_hz(newest_ns < 0 || age_ms > 3000 ? 0.0F : counters.rate_hz.load());
+  if (auto* required = dynamic_cast<RequiredPort*>(&port)) {
+    status.set_connection(to_proto(required->connection()));
+    status.set_reason(required->connection_reason());
+    status.set_since_s(to_seconds(now - required->connection_since()));
+  }
+}
+
+}  // namespace
+
+void Runtime::status(wire::GroupStatusReply& reply) const {
+  const TimePoint now = clock_.now();
+  for (const auto& [name, instance] : instances_) {
+    const Hull& hull = *instance->hull;
+    auto& status = *reply.add_instances();
+    status.set_name(name);
+    status.set_plugin(instance->made_from.plugin());
+    status.set_component(instance->made_from.component());
+    status.set_version(instance->made_from.version());
+    status.set_mode(hull.mode());
+    for (const auto& mode : hull.main_modes()) status.add_modes(mode);
+    status.set_reason(hull.reason());
+    status.set_doc(instance->doc);
+    status.set_mode_at_load(instance->made_from.mode());
+    for (Port* port : hull.ports()) fill_port(*status.add_ports(), *port, now);
+    if (hull.parameters()) {
+      for (auto& one : hull.parameters()->status()) *status.add_parameters() = std::move(one);
+      for (auto& one : hull.parameters()->differences()) *status.add_set_parameters() = std::move(one);
+    }
+    for (const Task* task : hull.tasks()) {
+      auto& one = *status.add_tasks();
+      one.set_name(task->name());
+      one.set_period_ms(1e3 * to_seconds(task->period()));
+      one.set_runs(task->runs());
+      one.set_overruns(task->overruns());
+    }
+    status.set_handler_ms(1e3 * to_seconds(hull.strand().busy_time()));
+    status.set_queue_depth(hull.strand().queue_depth());
+  }
+}
+
+void Runtime::mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) {
+  wire::GroupMessage message;
+  auto& changed = *message.mutable_mode_changed();
+  changed.set_instance(instance);
+  changed.set_mode(mode);
+  changed.set_reason(reason);
+  emit(std::move(message));
+}
+
+void Runtime::run_ended(const std::string& instance, int exit_code, const std::string& reason) {
+  wire::GroupMessage message;
+  auto& ended = *message.mutable_run_ended();
+  ended.set_instance(instance);
+  ended.set_exit_code(exit_code);
+  ended.set_reason(reason);
+  emit(std::move(message));
+}
+
+void Runtime::logged(const std::string& instance, LogLevel level, std::string_view text) {
+  wire::GroupMessage message;
+  auto& log = *message.mutable_logged();
+  log.set_instance(instance);
+  log.set_level(static_cast<std::uint32_t>(level));
+  log.set_text(std::string(text));
+  emit(std::move(message));
+}
+
+}  // namespace fiona::host

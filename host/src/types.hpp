@@ -1,0 +1,43 @@
+#pragma once
+
+#include <google/protobuf/descriptor.h>
+#include <google/protobuf/dynamic_message.h>
+
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "fiona/control.pb.h"
+#include "fiona/manifest.pb.h"
+
+namespace fiona::host {
+
+/// The services and objects that the system knows: the platform's, and those that the interfaces of loaded plugins
+/// carry. Never needs a plugin's code.
+class Types {
+ public:
+  Types();
+  ~Types();
+
+  /// Learns a plugin's own protos; once per plugin.
+  void add(const std::string& plugin, const Interface& interface);
+
+  /// The service as `plugin` has it; null if unknown.
+  const google::protobuf::ServiceDescriptor* service(const std::string& plugin, const std::string& full_name) const;
+  /// An empty object of this type; null if unknown.
+  std::unique_ptr<google::protobuf::Message> make(const std::string& type) const;
+  /// The file and what it imports, dependencies before users.
+  static google::protobuf::FileDescriptorSet files_of(const google::protobuf::FileDescriptor& file);
+  /// Describes a service or object by its full name or the last part of it. Throws Error NotFound with near names.
+  control::Description describe(const std::string& name) const;
+
+ private:
+  struct Source;
+  std::map<std::string, std::unique_ptr<Source>> plugins_;
+};
+
+/// "fiona.localisation.LocationProvider" -> "LocationProvider".
+std::string last_part(const std::string& full_name);
+
+}  // namespace fiona::host

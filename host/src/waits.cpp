@@ -1,0 +1,220 @@
+#include "waits.hpp"
+
+#include <fmt/format.h>
+
+#include <vector>
+
+#include "fiona/error.hpp"
+#include "fiona/hull.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+
+struct Waits::Wait {
+  std::uint64_t owner = 0;
+  std::uint64_t id = 0;
+  Answer answer;
+  TimePoint since{};
+  TimerId timer = 0;
+  bool ended = false;
+  bool is_run = false;
+  std::optional<control::WaitMode> mode;
+  std::optional<control::Expect> expect;
+  std::uint64_t tap = 0;
+  std::string seen;  ///< the last value that did not meet the expectation
+};
+
+namespace {
+
+Duration from_ms(double ms) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms)); }
+
+control::Reply failure(ErrorCode code, std::string what, std::string where, std::string found, std::string next) {
+  control::Reply reply;
+  auto& failure = *reply.mutable_failure();
+  failure.set_code(static_cast<std::uint32_t>(code));
+  failure.set_what(std::move(what));
+  failure.set_where(std::move(where));
+  failure.set_found(std::move(found));
+  failure.set_next(std::move(next));
+  return reply;
+}
+
+std::string name_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
+
+}  // namespace
+
+Waits::Waits(Clock& clock, Executor& executor)
+    : clock_(clock),
+      virtual_(dynamic_cast<VirtualClock*>(&clock)),
+      // Not an instance: named so that no instance can be (a slash), and first in the order of an instant.
+      strand_(std::make_shared<Strand>("/host", executor, clock)) {}
+
+Waits::~Waits() { strand_->close(); }
+
+Waits::WaitPtr Waits::add(std::uint64_t owner, std::uint64_t id, Answer answer) {
+  auto wait = std::make_shared<Wait>();
+  wait->owner = owner;
+  wait->id = id;
+  wait->answer = std::move(answer);
+  wait->since = clock_.now();
+  return wait;
+}
+
+double Waits::elapsed_ms(const Wait& wait) const { return 1e3 * to_seconds(clock_.now() - wait.since); }
+
+void Waits::time_out_after(const WaitPtr& wait, double within_ms, std::function<control::Reply()> reply) {
+  auto expire = [this, weak = std::weak_ptr(wait), reply = std::move(reply)] {
+    if (const auto expired = weak.lock()) finish(expired, reply());
+  };
+  const TimePoint at = wait->since + from_ms(within_ms);
+  wait->timer = virtual_ ? virtual_->stop_at(at, std::move(expire)) : clock_.schedule(at, strand_, std::move(expire));
+}
+
+void Waits::wait_mode(std::uint64_t owner, std::uint64_t id, const control::WaitMode& request, Answer answer) {
+  auto wait = add(owner, id, std::move(answer));
+  wait->mode = request;
+  {
+    const std::lock_guard lock(mutex_);
+    waits_.push_back(wait);
+  }
+  time_out_after(wait, request.within_ms(), [request] {
+    return failure(ErrorCode::Unreachable,
+                   fmt::format("'{}' did not reach mode {} within {} ms", request.instance(), request.mode(), request.within_ms()),
+                   request.instance(), "", "show " + request.instance());
+  });
+  if (virtual_) virtual_->release();
+}
+
+void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap, Answer answer) {
+  auto wait = add(owner, id, std::move(answer));
+  wait->expect = request;
+  wait->tap = tap;
+  {
+    const std::lock_guard lock(mutex_);
+    waits_.push_back(wait);
+  }
+  const double within_ms = request.within_ms() > 0 ? request.within_ms() : 1e3 * to_seconds(kDefaultDeadline);
+  time_out_after(wait, within_ms, [request, within_ms, weak = std::weak_ptr(wait)] {
+    const auto expired = weak.lock();
+    const std::string seen = expired ? expired->seen : "";
+    return failure(ErrorCode::Failed,
+                   fmt::format("{}.{} was not as expected within {} ms", name_of(request.port()), request.field(), within_ms),
+                   name_of(request.port()), seen.empty() ? "no message at all" : "last seen: " + seen,
+                   "watch " + name_of(request.port()));
+  });
+  if (virtual_) virtual_->release();
+}
+
+void Waits::sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer) {
+  auto wait = add(owner, id, std::move(answer));
+  {
+    const std::lock_guard lock(mutex_);
+    waits_.push_back(wait);
+  }
+  time_out_after(wait, request.duration_ms(), [request] {
+    control::Reply reply;
+    reply.mutable_met()->set_after_ms(request.duration_ms());
+    return reply;
+  });
+  if (virtual_) virtual_->release();
+}
+
+void Waits::run(std::uint64_t owner, std::uint64_t id, Answer answer) {
+  auto wait = add(owner, id, std::move(answer));
+  wait->is_run = true;
+  {
+    const std::lock_guard lock(mutex_);
+    waits_.push_back(wait);
+  }
+  if (virtual_) virtual_->release();
+}
+
+/// Whoever ends a wait first holds the clock, on the thread where it happened: before time can go on.
+void Waits::finish(const WaitPtr& wait, std::optional<control::Reply> reply) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (wait->ended) return;
+    wait->ended = true;
+    waits_.remove(wait);
+  }
+  if (virtual_) {
+    virtual_->hold();
+    virtual_->cancel_stop(wait->timer);
+  } else {
+    clock_.cancel(wait->timer);
+  }
+  if (!reply) return;
+  reply->set_id(wait->id);
+  wait->answer(std::move(*reply));
+}
+
+std::optional<control::Reply> Waits::reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const {
+  if (!wait.mode || wait.mode->instance() != changed.instance()) return std::nullopt;
+  if (changed.mode() == wait.mode->mode()) {
+    control::Reply reply;
+    reply.mutable_met()->set_after_ms(elapsed_ms(wait));
+    reply.mutable_met()->set_seen(changed.mode());
+    return reply;
+  }
+  if (changed.mode() != kModeFailed) return std::nullopt;
+  return failure(ErrorCode::ComponentFailed, "'" + changed.instance() + "' failed while it was waited for", changed.instance(),
+                 changed.reason(), "show " + changed.instance());
+}
+
+std::optional<control::Reply> Waits::reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const {
+  if (!wait.expect || wait.tap != tapped.tap()) return std::nullopt;
+  const auto object = types.make(tapped.type());
+  if (!object || !object->ParseFromString(tapped.object())) return std::nullopt;
+  control::Reply reply;
+  try {
+    auto [met, text] = compare_field(*object, wait.expect->field(), wait.expect->comparison(), wait.expect->value());
+    wait.seen = text;
+    if (!met) return std::nullopt;
+    reply.mutable_met()->set_after_ms(elapsed_ms(wait));
+    reply.mutable_met()->set_seen(text);
+  } catch (...) {
+    *reply.mutable_failure() = failure_of_exception();
+  }
+  return reply;
+}
+
+void Waits::on_event(const wire::GroupMessage& event, const Types& types) {
+  std::vector<std::pair<WaitPtr, control::Reply>> ended;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& wait : waits_) {
+      std::optional<control::Reply> reply;
+      if (event.has_mode_changed()) reply = reply_to_mode(*wait, event.mode_changed());
+      if (event.has_tapped()) reply = reply_to_value(*wait, event.tapped(), types);
+      if (reply) ended.emplace_back(wait, std::move(*reply));
+    }
+  }
+  for (auto& [wait, reply] : ended) finish(wait, std::move(reply));
+}
+
+void Waits::drop_owner(std::uint64_t owner) {
+  std::vector<WaitPtr> dropped;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& wait : waits_) {
+      if (wait->owner == owner) dropped.push_back(wait);
+    }
+  }
+  for (const auto& wait : dropped) finish(wait, std::nullopt);
+}
+
+void Waits::end_run(int exit_code, const std::string& reason) {
+  std::vector<WaitPtr> all;
+  {
+    const std::lock_guard lock(mutex_);
+    all.assign(waits_.begin(), waits_.end());
+  }
+  for (const auto& wait : all) {
+    control::Reply reply;
+    reply.mutable_ended()->set_exit_code(exit_code);
+    reply.mutable_ended()->set_reason(reason);
+    finish(wait, std::move(reply));
+  }
+}
+
+}  // namespace fiona::host

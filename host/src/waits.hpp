@@ -1,0 +1,63 @@
+#pragma once
+
+#include <functional>
+#include <list>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "fiona/clock.hpp"
+#include "fiona/control.pb.h"
+#include "fiona/wire.pb.h"
+#include "types.hpp"
+
+namespace fiona::host {
+
+/// Requests whose answer comes when something has happened in the system: a mode reached, a value seen, a time passed,
+/// the run ended. While one is open a virtual clock runs; the moment it is met the clock is held, so that a script
+/// goes on at exactly that instant.
+class Waits {
+ public:
+  using Answer = std::function<void(control::Reply)>;  ///< [any thread]
+
+  Waits(Clock& clock, Executor& executor);
+  ~Waits();
+
+  void wait_mode(std::uint64_t owner, std::uint64_t id, const control::WaitMode& request, Answer answer);
+  /// `tap` is the watched port's tap; what it delivers is offered to `on_event`.
+  void expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap, Answer answer);
+  void sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer);
+  void run(std::uint64_t owner, std::uint64_t id, Answer answer);
+
+  /// [any thread] Something has happened.
+  void on_event(const wire::GroupMessage& event, const Types& types);
+  /// The owner has gone: its waits end without an answer.
+  void drop_owner(std::uint64_t owner);
+  /// The run has ended: every wait is answered.
+  void end_run(int exit_code, const std::string& reason);
+
+ private:
+  struct Wait;
+  using WaitPtr = std::shared_ptr<Wait>;
+
+  WaitPtr add(std::uint64_t owner, std::uint64_t id, Answer answer);
+  void time_out_after(const WaitPtr& wait, double within_ms, std::function<control::Reply()> reply);
+  void finish(const WaitPtr& wait, std::optional<control::Reply> reply);
+  double elapsed_ms(const Wait& wait) const;
+  std::optional<control::Reply> reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const;
+  std::optional<control::Reply> reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const;
+
+  Clock& clock_;
+  VirtualClock* const virtual_;
+  const std::shared_ptr<Strand> strand_;
+  std::mutex mutex_;
+  std::list<WaitPtr> waits_;
+};
+
+/// Compares the field at `path` ("position.x", "waypoints[0].x") of `object` with `value`: true or false and the
+/// field's text. Throws Error NotFound for a field that is not there, Usage for kinds that do not compare.
+std::pair<bool, std::string> compare_field(const google::protobuf::Message& object, const std::string& path,
+                                           control::Comparison comparison, const control::Value& value);
+
+}  // namespace fiona::host

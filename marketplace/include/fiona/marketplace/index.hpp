@@ -1,0 +1,49 @@
+#pragma once
+
+#include <filesystem>
+#include <fiona/marketplace/version.hpp>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "fiona/manifest.pb.h"
+
+namespace fiona::marketplace {
+
+/// The index of a marketplace directory, as it was when this was made. Entries name their .fpk beside it.
+class Marketplace {
+ public:
+  /// Reads and checks `directory`/index.binpb. Throws fiona::Error: NotFound if there is no index, Failed if
+  /// it is damaged.
+  explicit Marketplace(std::filesystem::path directory = default_directory());
+
+  /// $FIONA_MARKET, else ../marketplace beside the running binary's directory, else
+  /// /usr/share/fiona/marketplace.
+  static std::filesystem::path default_directory();
+
+  const std::filesystem::path& directory() const noexcept { return directory_; }
+  const Index& index() const noexcept { return index_; }
+
+  /// The newest version of each package in which every word occurs (name, publisher, summary, components,
+  /// services; case does not count), sorted by name. No words: all packages.
+  std::vector<IndexEntry> search(const std::vector<std::string>& words) const;
+
+  /// All versions of "publisher/name" or "name", newest first. Throws fiona::Error (NotFound) with the
+  /// nearest names, or with the full names if two publishers have it.
+  std::vector<IndexEntry> info(std::string_view name) const;
+
+  /// The entry to install for "[publisher/]name[@version]" on this machine: the newest release, or the newest
+  /// pre-release where there is no release, or exactly the version. Throws fiona::Error: NotFound, with what
+  /// there is; DependencyConflict if it exists for other architectures only.
+  IndexEntry select(std::string_view request) const;
+
+  /// The newest versions of packages with a component that provides `service` (full name): who could fill a
+  /// white spot.
+  std::vector<IndexEntry> providers_of(std::string_view service) const;
+
+ private:
+  std::filesystem::path directory_;
+  Index index_;
+};
+
+}  // namespace fiona::marketplace

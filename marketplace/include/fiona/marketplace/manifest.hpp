@@ -1,0 +1,52 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "fiona/manifest.pb.h"
+
+namespace fiona::marketplace {
+
+/// The file names that every package has; libraries are below lib/, data files below share/.
+inline constexpr std::string_view kManifestFile = "manifest.textproto";
+inline constexpr std::string_view kInterfaceFile = "interface.textproto";
+inline constexpr std::string_view kReadmeFile = "README.md";
+
+/// What a package may cost at most. A manifest that asks for more is refused before anything is unpacked.
+struct PackageLimits {
+  std::uint64_t manifest_bytes = std::uint64_t{1} << 20;
+  std::uint64_t interface_bytes = std::uint64_t{512} << 10;
+  std::uint64_t total_bytes = std::uint64_t{512} << 20;  ///< unpacked, all files together
+  std::size_t files = 4096;
+};
+
+/// Reads a manifest and checks it as far as its author writes it: names, version, texts. `where` names the
+/// file in errors. Throws fiona::Error (Failed) with line and column of what is wrong.
+Manifest parse_manifest(std::string_view text, const std::string& where);
+
+/// Reads an interface.textproto. Throws fiona::Error (Failed) with line and column of what is wrong.
+Interface parse_interface(std::string_view text, const std::string& where);
+
+/// Checks a manifest of a packed package: the author's part, and the list of files that packing adds. The
+/// list holds only canonical paths, in the one order a package has, and within the limits. Throws
+/// fiona::Error (Failed).
+void check_packed_manifest(const Manifest& manifest, const std::string& where,
+                           const PackageLimits& limits = {});
+
+/// Why `path` cannot be a file of a package, as the end of a sentence; empty if it can. A path is
+/// interface.textproto, README.md, or below lib/ or share/; at most 100 characters; elements are ASCII
+/// letters, digits and "._+@=,-", and begin with a letter, a digit or '_'.
+std::string path_fault(std::string_view path);
+
+/// Whether a package's file `a` comes before `b`: interface, README, lib/, share/; each sorted by bytes.
+bool comes_before(std::string_view a, std::string_view b);
+
+/// "publisher/name".
+std::string full_name(const Manifest& manifest);
+
+/// The architecture of this build as manifests spell it: "x86_64" or "aarch64".
+std::string_view this_architecture();
+
+}  // namespace fiona::marketplace

@@ -1,0 +1,77 @@
+#pragma once
+
+#include <filesystem>
+#include <fiona/marketplace/manifest.hpp>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace fiona::marketplace {
+
+/// One package in a store. A value: it stays what it was when the store changes.
+struct InstalledPackage {
+  Manifest manifest;
+  std::filesystem::path directory;  ///< absolute
+  std::filesystem::path library;    ///< absolute; empty for a package without a library
+  std::filesystem::path share;      ///< absolute; its data files, may not exist
+  std::string blake2b;              ///< of the .fpk that it came from; also the directory's name
+  std::string source;               ///< where it was installed from
+
+  /// "publisher/name".
+  std::string name() const { return full_name(manifest); }
+
+  /// Reads interface.textproto, checked against the hash in the manifest. Throws fiona::Error: BadSignature
+  /// if the file is not what was installed.
+  Interface interface() const;
+};
+
+/// Keeps an installed package's files from being swept away by a later installation, for as long as it lives.
+class PackageHold {
+ public:
+  explicit PackageHold(int descriptor) : descriptor_(descriptor) {}
+  PackageHold(PackageHold&& other) noexcept : descriptor_(std::exchange(other.descriptor_, -1)) {}
+  PackageHold& operator=(PackageHold&&) = delete;
+  ~PackageHold();
+
+  /// The package's opened directory, for openat.
+  int descriptor() const noexcept { return descriptor_; }
+
+ private:
+  int descriptor_;
+};
+
+/// Read-only view of what a user has installed. Each call reads the store anew: one file, replaced
+/// atomically, so a reader sees the state before or after an installation, never between. Takes no lock and
+/// writes nothing.
+class Store {
+ public:
+  /// `directory` need not exist: such a store is empty.
+  explicit Store(std::filesystem::path directory = default_directory());
+
+  /// $FIONA_STORE, else $XDG_DATA_HOME/fiona/store, else ~/.local/share/fiona/store.
+  static std::filesystem::path default_directory();
+
+  const std::filesystem::path& directory() const noexcept { return directory_; }
+
+  /// All packages, sorted by name. Throws fiona::Error (Failed) if the store's list is damaged.
+  std::vector<InstalledPackage> installed() const;
+
+  /// The package "publisher/name" or "name". Throws fiona::Error (NotFound): with the nearest names if it is
+  /// unknown, with the full names if two publishers have it.
+  InstalledPackage find(std::string_view name) const;
+
+  /// Compares every file with the manifest: presence, kind, size, hash; and that there is no other file.
+  /// Throws fiona::Error (BadSignature) that names the first difference.
+  void verify(const InstalledPackage& package) const;
+
+  /// Protects the package's files while they are in use. Throws fiona::Error (NotFound) if they are gone
+  /// already.
+  PackageHold hold(const InstalledPackage& package) const;
+
+ private:
+  std::filesystem::path directory_;
+};
+
+}  // namespace fiona::marketplace

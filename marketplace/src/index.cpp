@@ -1,0 +1,196 @@
+#include <fcntl.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/hash.hpp>
+#include <fiona/marketplace/index.hpp>
+#include <fiona/marketplace/manifest.hpp>
+#include <set>
+
+#include "files.hpp"
+#include "index_file.hpp"
+#include "names.hpp"
+#include "text_check.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+namespace filesystem = std::filesystem;
+
+constexpr std::uint64_t kMostIndexBytes = std::uint64_t{64} << 20;
+
+Version version_of(const IndexEntry& entry) { return *Version::parse(entry.manifest().version()); }
+
+bool fits_this_machine(const IndexEntry& entry) {
+  return entry.manifest().architecture().empty() || entry.manifest().architecture() == this_architecture();
+}
+
+// The order in which versions are offered: those for this machine, then releases, then the newest.
+bool is_offered_before(const IndexEntry& a, const IndexEntry& b) {
+  if (fits_this_machine(a) != fits_this_machine(b)) return fits_this_machine(a);
+  const Version version_a = version_of(a), version_b = version_of(b);
+  if (version_a.is_prerelease() != version_b.is_prerelease()) return version_b.is_prerelease();
+  return version_b < version_a;
+}
+
+std::string lower(std::string text) {
+  std::ranges::transform(text, text.begin(),
+                         [](char c) { return c >= 'A' && c <= 'Z' ? char(c - 'A' + 'a') : c; });
+  return text;
+}
+
+std::string searchable(const IndexEntry& entry) {
+  std::string text = full_name(entry.manifest()) + "\n" + entry.manifest().summary();
+  for (const auto& component : entry.interface().components()) {
+    text += "\n" + component.name() + "\n" + component.doc();
+    for (const auto& port : component.ports()) text += "\n" + port.service();
+  }
+  return lower(text);
+}
+
+bool provides(const IndexEntry& entry, std::string_view service) {
+  return std::ranges::any_of(entry.interface().components(), [&](const ComponentInterface& component) {
+    return std::ranges::any_of(component.ports(), [&](const PortInterface& port) {
+      return port.direction() == PROVIDES && port.service() == service;
+    });
+  });
+}
+
+template <typename Wanted>
+std::vector<IndexEntry> newest_where(const Index& index, Wanted&& wanted) {
+  std::vector<IndexEntry> entries{index.entries().begin(), index.entries().end()};
+  std::ranges::sort(entries, [](const IndexEntry& a, const IndexEntry& b) {
+    const std::string name_a = full_name(a.manifest()), name_b = full_name(b.manifest());
+    return name_a != name_b ? name_a < name_b : is_offered_before(a, b);
+  });
+  const auto same = [](const IndexEntry& a, const IndexEntry& b) {
+    return full_name(a.manifest()) == full_name(b.manifest());
+  };
+  entries.erase(std::unique(entries.begin(), entries.end(), same), entries.end());
+  std::erase_if(entries, [&](const IndexEntry& entry) { return !wanted(entry); });
+  return entries;
+}
+
+[[noreturn]] void refuse_version(std::string_view version, const std::vector<IndexEntry>& entries,
+                                 const filesystem::path& directory) {
+  std::string known;
+  for (const auto& entry : entries) known += (known.empty() ? "" : ", ") + entry.manifest().version();
+  const std::string name = full_name(entries.front().manifest());
+  throw Error(ErrorCode::NotFound,
+              ErrorText{.what = "the marketplace has no such version of " + name,
+                        .where = directory.string(),
+                        .expected = "one of " + known,
+                        .found = text_fault(version, false).empty() ? std::string(version) : "",
+                        .next = "market install " + name});
+}
+
+void check_entry(const IndexEntry& entry, const std::string& where) {
+  check_packed_manifest(entry.manifest(), where);
+  const std::string name = full_name(entry.manifest());
+  std::string fault = texts_fault(entry.interface());
+  if (entry.file() != package_file_name(entry.manifest(), entry.blake2b()))
+    fault = "its file name is not its own";
+  if (!is_blake2b(entry.blake2b())) fault = "it has no hash";
+  if (!fault.empty()) {
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = "the entry of " + name + " is wrong: " + fault, .where = where});
+  }
+}
+
+}  // namespace
+
+std::string package_file_name(const Manifest& manifest, std::string_view blake2b) {
+  const std::string architecture = manifest.architecture().empty() ? "any" : manifest.architecture();
+  return manifest.publisher() + "." + manifest.name() + "-" + manifest.version() + "-" + architecture + "-" +
+         std::string(blake2b.substr(0, 16)) + ".fpk";
+}
+
+std::optional<Index> read_index(const filesystem::path& directory) {
+  const filesystem::path path = directory / kIndexFile;
+  const FileDescriptor file = open_regular(AT_FDCWD, path, path);
+  if (!file) return std::nullopt;
+  Index index;
+  try {
+    if (!index.ParseFromString(read_all(file, kMostIndexBytes, path))) {
+      throw Error(ErrorCode::Failed, ErrorText{.what = "it is not an index", .where = path.string()});
+    }
+    for (const auto& entry : index.entries()) check_entry(entry, path.string());
+  } catch (const Error& error) {
+    ErrorText text = error.text();
+    text.what = "the marketplace's index is damaged: " + text.what;
+    text.next = "publish the packages into a new directory, or choose another marketplace with --from";
+    throw Error(error.code(), text);
+  }
+  return index;
+}
+
+Marketplace::Marketplace(filesystem::path directory)
+    : directory_(filesystem::absolute(directory).lexically_normal()) {
+  auto index = read_index(directory_);
+  if (!index) {
+    throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no marketplace here: it has no index.binpb",
+                                               .where = directory_.string(),
+                                               .next = "choose one with --from DIR, or set FIONA_MARKET"});
+  }
+  index_ = std::move(*index);
+}
+
+filesystem::path Marketplace::default_directory() {
+  if (const char* chosen = std::getenv("FIONA_MARKET"); chosen && *chosen) return chosen;
+  std::error_code failure;
+  const filesystem::path binary = filesystem::read_symlink("/proc/self/exe", failure);
+  const filesystem::path beside = binary.parent_path().parent_path() / "marketplace";
+  if (!failure && filesystem::exists(beside / kIndexFile, failure)) return beside;
+  return "/usr/share/fiona/marketplace";
+}
+
+std::vector<IndexEntry> Marketplace::search(const std::vector<std::string>& words) const {
+  return newest_where(index_, [&](const IndexEntry& entry) {
+    const std::string text = searchable(entry);
+    return std::ranges::all_of(words,
+                               [&](const auto& word) { return text.find(lower(word)) != std::string::npos; });
+  });
+}
+
+std::vector<IndexEntry> Marketplace::info(std::string_view name) const {
+  std::set<std::string> known;
+  for (const auto& entry : index_.entries()) known.insert(full_name(entry.manifest()));
+  const std::string full =
+      resolve_name(name, known, "the marketplace has no package", directory_.string(), "market search");
+  std::vector<IndexEntry> entries;
+  for (const auto& entry : index_.entries()) {
+    if (full_name(entry.manifest()) == full) entries.push_back(entry);
+  }
+  std::ranges::sort(entries, [](const auto& a, const auto& b) { return version_of(b) < version_of(a); });
+  return entries;
+}
+
+IndexEntry Marketplace::select(std::string_view request) const {
+  const std::size_t at = request.find('@');
+  auto entries = info(request.substr(0, at));
+  if (at != std::string_view::npos) {
+    const auto wanted = Version::parse(request.substr(at + 1));
+    const auto all = entries;
+    std::erase_if(entries, [&](const IndexEntry& entry) { return !wanted || version_of(entry) != *wanted; });
+    if (entries.empty()) refuse_version(request.substr(at + 1), all, directory_);
+  }
+  const IndexEntry& chosen = *std::ranges::min_element(entries, is_offered_before);
+  if (!fits_this_machine(chosen)) {
+    throw Error(
+        ErrorCode::DependencyConflict,
+        ErrorText{.what = full_name(chosen.manifest()) + " " + chosen.manifest().version() +
+                          " is not made for this machine",
+                  .where = directory_.string(),
+                  .expected = std::string(this_architecture()),
+                  .found = chosen.manifest().architecture(),
+                  .next = "ask its publisher for a package for this machine, or build it from source"});
+  }
+  return chosen;
+}
+
+std::vector<IndexEntry> Marketplace::providers_of(std::string_view service) const {
+  return newest_where(index_, [&](const IndexEntry& entry) { return provides(entry, service); });
+}
+
+}  // namespace fiona::marketplace

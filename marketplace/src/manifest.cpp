@@ -1,0 +1,218 @@
+#include <algorithm>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/hash.hpp>
+#include <fiona/marketplace/manifest.hpp>
+#include <fiona/marketplace/version.hpp>
+#include <set>
+
+#include "text_check.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+constexpr std::string_view kLower = "abcdefghijklmnopqrstuvwxyz";
+constexpr std::string_view kNameRest = "abcdefghijklmnopqrstuvwxyz0123456789-";
+constexpr std::string_view kWord = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_";
+constexpr std::size_t kPathLength = 100;  // what a plain tar header holds without an extension
+constexpr std::size_t kNameLength = 64;
+
+[[noreturn]] void refuse(const std::string& where, std::string what, std::string expected = {},
+                         std::string found = {}) {
+  throw Error(ErrorCode::Failed, ErrorText{.what = std::move(what),
+                                           .where = where,
+                                           .expected = std::move(expected),
+                                           .found = std::move(found)});
+}
+
+void check_name(const std::string& where, const std::string& field, const std::string& name) {
+  const bool fits = !name.empty() && name.size() <= kNameLength &&
+                    kLower.find(name.front()) != std::string_view::npos &&
+                    name.find_first_not_of(kNameRest) == std::string::npos;
+  if (!fits) {
+    refuse(where, field + " is not a name that a package may have",
+           "at most 64 lower-case letters, digits and '-', beginning with a letter", "\"" + name + "\"");
+  }
+}
+
+void check_authors_part(const Manifest& manifest, const std::string& where) {
+  check_name(where, "publisher", manifest.publisher());
+  check_name(where, "name", manifest.name());
+  if (!Version::parse(manifest.version())) {
+    refuse(where, "version is not a semantic version", "MAJOR.MINOR.PATCH, such as 1.0.0 or 1.2.0-rc.1",
+           "\"" + manifest.version() + "\"");
+  }
+  if (!PackageKind_IsValid(manifest.kind())) refuse(where, "kind is none that this version knows");
+  if (manifest.summary().empty())
+    refuse(where, "summary is missing", "one line that says what the package is for");
+  if (manifest.license().empty())
+    refuse(where, "license is missing", "an SPDX identifier, such as Apache-2.0");
+}
+
+int rank(std::string_view path) {
+  if (path == kInterfaceFile) return 0;
+  if (path == kReadmeFile) return 1;
+  if (path.starts_with("lib/")) return 2;
+  return path.starts_with("share/") ? 3 : 4;
+}
+
+std::string lower(std::string text) {
+  for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+  return text;
+}
+
+// Two files of one name on a file system that ignores case, or a file where another needs a directory.
+void check_clashes(const Manifest& manifest, const std::string& where) {
+  std::set<std::string> files;
+  std::set<std::string> spellings, spellings_lower;
+  for (const auto& file : manifest.files()) files.insert(file.path());
+  for (const auto& file : manifest.files()) {
+    for (std::size_t slash = 0; slash != std::string::npos;) {
+      slash = file.path().find('/', slash + 1);
+      const std::string prefix = file.path().substr(0, slash);
+      if (slash != std::string::npos && files.contains(prefix)) {
+        refuse(where, prefix + " is listed as a file, and " + file.path() + " needs a directory there");
+      }
+      if (spellings.insert(prefix).second && !spellings_lower.insert(lower(prefix)).second) {
+        refuse(where, prefix + " differs from another name only in upper and lower case");
+      }
+    }
+  }
+}
+
+void check_file(const PackageFile& file, const std::string& where) {
+  if (const std::string fault = path_fault(file.path()); !fault.empty()) {
+    const bool shown = text_fault(file.path(), false).empty();
+    refuse(where, "a listed file's path " + fault, {},
+           shown ? "\"" + file.path() + "\"" : "a path that is not text");
+  }
+  if (!is_blake2b(file.blake2b()))
+    refuse(where, file.path() + " has no hash", "blake2b of 64 lower-case hex digits");
+}
+
+void check_files(const Manifest& manifest, const std::string& where, const PackageLimits& limits) {
+  if (static_cast<std::size_t>(manifest.files_size()) > limits.files) {
+    refuse(where, "the package has too many files", "at most " + std::to_string(limits.files),
+           std::to_string(manifest.files_size()));
+  }
+  std::uint64_t total = 0;
+  const PackageFile* previous = nullptr;
+  for (const auto& file : manifest.files()) {
+    check_file(file, where);
+    if (previous && previous->path() == file.path()) refuse(where, file.path() + " is listed twice");
+    if (previous && !comes_before(previous->path(), file.path())) {
+      refuse(where, file.path() + " is listed after " + previous->path(),
+             "interface.textproto, README.md, lib/…, share/…, each sorted");
+    }
+    previous = &file;
+    const std::uint64_t most = file.path() == kInterfaceFile ? limits.interface_bytes : limits.total_bytes;
+    if (file.size() > most || (total += file.size()) > limits.total_bytes) {
+      refuse(where, file.path() + " makes the package larger than it may be",
+             "at most " + std::to_string(most) + " bytes",
+             std::to_string(file.size() > most ? file.size() : total) + " bytes");
+    }
+  }
+  check_clashes(manifest, where);
+}
+
+bool lists(const Manifest& manifest, std::string_view path) {
+  return std::ranges::any_of(manifest.files(), [&](const PackageFile& file) { return file.path() == path; });
+}
+
+void check_library(const Manifest& manifest, const std::string& where) {
+  const bool wants = manifest.kind() != DATA;
+  if (wants != !manifest.library().empty()) {
+    refuse(where, wants ? "a package of this kind needs a library" : "a package of kind DATA has no library");
+  }
+  if (wants && (!manifest.library().starts_with("lib/") || !lists(manifest, manifest.library()))) {
+    refuse(where, "library does not name a listed file below lib/", {}, "\"" + manifest.library() + "\"");
+  }
+  if (wants != !manifest.architecture().empty() || manifest.architecture().size() > 32 ||
+      manifest.architecture().find_first_not_of(kWord) != std::string::npos) {
+    refuse(where, "architecture does not fit the package's kind", wants ? "x86_64 or aarch64" : "none",
+           "\"" + manifest.architecture() + "\"");
+  }
+}
+
+void check_port(const PortInterface& port, const std::string& where, const std::string& component) {
+  if (port.name().empty() || port.service().empty() || port.direction() == DIRECTION_UNSPECIFIED) {
+    refuse(where, "port \"" + port.name() + "\" of " + component + " lacks its name, direction or service");
+  }
+}
+
+}  // namespace
+
+Manifest parse_manifest(std::string_view text, const std::string& where) {
+  Manifest manifest;
+  parse_text(text, where, manifest);
+  check_authors_part(manifest, where);
+  return manifest;
+}
+
+Interface parse_interface(std::string_view text, const std::string& where) {
+  Interface interface;
+  parse_text(text, where, interface);
+  std::set<std::string> components;
+  for (const auto& component : interface.components()) {
+    check_name(where, "a component's name", component.name());
+    if (!components.insert(component.name()).second)
+      refuse(where, "component " + component.name() + " is there twice");
+    std::set<std::string> ports;
+    for (const auto& port : component.ports()) {
+      check_port(port, where, component.name());
+      if (!ports.insert(port.name()).second) {
+        refuse(where, "port " + port.name() + " of " + component.name() + " is there twice");
+      }
+    }
+  }
+  return interface;
+}
+
+void check_packed_manifest(const Manifest& manifest, const std::string& where, const PackageLimits& limits) {
+  if (const std::string fault = texts_fault(manifest); !fault.empty()) refuse(where, fault);
+  check_authors_part(manifest, where);
+  check_files(manifest, where, limits);
+  for (const std::string_view needed : {kInterfaceFile, kReadmeFile}) {
+    if (!lists(manifest, needed)) refuse(where, "the package has no " + std::string(needed));
+  }
+  check_library(manifest, where);
+}
+
+std::string path_fault(std::string_view path) {
+  if (path.empty()) return "is empty";
+  if (path.size() > kPathLength) return "is longer than 100 characters";
+  if (path.front() == '/') return "is absolute";
+  for (std::size_t begin = 0; begin <= path.size();) {
+    const std::size_t slash = std::min(path.find('/', begin), path.size());
+    const std::string_view element = path.substr(begin, slash - begin);
+    if (element.empty()) return "has an empty element";
+    if (element == "." || element == "..") return "has a \"" + std::string(element) + "\" element";
+    const auto allowed = [](char c) {
+      return kWord.find(c) != std::string_view::npos ||
+             std::string_view("._+@=,-").find(c) != std::string_view::npos;
+    };
+    if (!std::ranges::all_of(element, allowed))
+      return "has a character other than ASCII letters, digits and ._+@=,-";
+    if (kWord.find(element.front()) == std::string_view::npos)
+      return "has an element that begins with a sign";
+    begin = slash + 1;
+  }
+  return rank(path) == 4 ? "is not interface.textproto, README.md, or below lib/ or share/" : "";
+}
+
+bool comes_before(std::string_view a, std::string_view b) {
+  return rank(a) != rank(b) ? rank(a) < rank(b) : a < b;
+}
+
+std::string full_name(const Manifest& manifest) { return manifest.publisher() + "/" + manifest.name(); }
+
+std::string_view this_architecture() {
+#if defined(__x86_64__)
+  return "x86_64";
+#elif defined(__aarch64__)
+  return "aarch64";
+#else
+#error "FIONA runs on x86-64 and arm64"
+#endif
+}
+
+}  // namespace fiona::marketplace

@@ -1,0 +1,106 @@
+#include <fcntl.h>
+
+#include <algorithm>
+#include <array>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/hash.hpp>
+#include <fiona/marketplace/package.hpp>
+#include <fiona/marketplace/publish.hpp>
+#include <fiona/marketplace/version.hpp>
+
+#include "durable.hpp"
+#include "files.hpp"
+#include "index_file.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+namespace filesystem = std::filesystem;
+
+IndexEntry entry_for(const PackageContents& contents) {
+  IndexEntry entry;
+  *entry.mutable_manifest() = contents.manifest;
+  *entry.mutable_interface() = contents.interface;
+  entry.mutable_interface()->clear_descriptors();
+  entry.set_file(package_file_name(contents.manifest, contents.blake2b));
+  entry.set_size(contents.size);
+  entry.set_blake2b(contents.blake2b);
+  return entry;
+}
+
+IndexEntry* find_version(Index& index, const Manifest& manifest) {
+  for (auto& entry : *index.mutable_entries()) {
+    const bool same = full_name(entry.manifest()) == full_name(manifest) &&
+                      entry.manifest().architecture() == manifest.architecture() &&
+                      *Version::parse(entry.manifest().version()) == *Version::parse(manifest.version());
+    if (same) return &entry;
+  }
+  return nullptr;
+}
+
+// Copies what was checked: if the file changed since, its hash says so.
+void copy_in(const filesystem::path& from, const IndexEntry& entry, const DurableDirectory& marketplace) {
+  const std::string fresh = entry.file() + ".new";
+  const FileDescriptor source = open_regular(AT_FDCWD, from, from);
+  if (!source)
+    throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = from.string()});
+  marketplace.remove_file(fresh);
+  try {
+    Blake2b hash;
+    const FileDescriptor target = marketplace.create(fresh, 0644);
+    std::array<char, 1 << 16> buffer;
+    while (const std::size_t count = read_some(source.number(), buffer.data(), buffer.size(), from)) {
+      hash.update({buffer.data(), count});
+      marketplace.write(target, {buffer.data(), count}, fresh);
+    }
+    marketplace.sync(target, fresh);
+    if (hash.finish() != entry.blake2b()) {
+      throw Error(ErrorCode::Failed, ErrorText{.what = "the package changed while it was being published",
+                                               .where = from.string(),
+                                               .next = "publish it again"});
+    }
+    marketplace.move(fresh, marketplace, entry.file());
+  } catch (...) {
+    marketplace.remove_tree_quietly(fresh);
+    throw;
+  }
+}
+
+[[noreturn]] void refuse_other_content(const IndexEntry& published, const IndexEntry& entry,
+                                       const filesystem::path& marketplace) {
+  throw Error(ErrorCode::NotAllowed,
+              ErrorText{.what = full_name(entry.manifest()) + " " + published.manifest().version() +
+                                " is published already, with other content",
+                        .where = marketplace.string(),
+                        .expected = published.blake2b(),
+                        .found = entry.blake2b(),
+                        .next = "raise the version in the manifest, pack and publish again"});
+}
+
+void write_index(Index& index, const DurableDirectory& marketplace) {
+  index.set_generation(index.generation() + 1);
+  std::ranges::sort(*index.mutable_entries(), {}, &IndexEntry::file);
+  marketplace.replace(std::string(kIndexFile), index.SerializeAsString());
+}
+
+}  // namespace
+
+PublishOutcome publish(const filesystem::path& package, const filesystem::path& marketplace,
+                       const PublishOptions& options) {
+  const IndexEntry entry = entry_for(inspect_package(package, options.limits));
+  DurableDirectory directory{options.os, marketplace, 0755};
+  directory.lock(options.lock_wait);
+  Index index = read_index(directory.path()).value_or(Index{});
+  IndexEntry* published = find_version(index, entry.manifest());
+  const bool same = published && published->blake2b() == entry.blake2b();
+  if (same && directory.has(entry.file())) return PublishOutcome::AlreadyPublished;
+  if (published && !same && !options.replace) refuse_other_content(*published, entry, directory.path());
+  const std::string replaced = published && !same ? published->file() : "";
+  copy_in(package, entry, directory);
+  *(published ? published : index.add_entries()) = entry;
+  write_index(index, directory);
+  if (!replaced.empty()) directory.remove_file(replaced);
+  return replaced.empty() ? PublishOutcome::Published : PublishOutcome::Replaced;
+}
+
+}  // namespace fiona::marketplace

@@ -1,0 +1,176 @@
+#include <dirent.h>
+#include <fcntl.h>
+#include <google/protobuf/util/message_differencer.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstdlib>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/hash.hpp>
+#include <fiona/marketplace/store.hpp>
+#include <set>
+
+#include "files.hpp"
+#include "installed.hpp"
+#include "names.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+namespace filesystem = std::filesystem;
+
+InstalledPackage located(const filesystem::path& store, const fiona::InstalledPackage& entry) {
+  InstalledPackage package;
+  package.manifest = entry.manifest();
+  package.directory = store / entry.directory();
+  if (!entry.manifest().library().empty()) package.library = package.directory / entry.manifest().library();
+  package.share = package.directory / "share";
+  package.blake2b = package.directory.filename().string();
+  package.source = entry.source();
+  return package;
+}
+
+[[noreturn]] void refuse_damaged(const InstalledPackage& package, const std::string& what,
+                                 std::string expected = {}, std::string found = {}) {
+  throw Error(ErrorCode::BadSignature,
+              ErrorText{.what = "the installed package " + package.name() + " is damaged: " + what,
+                        .where = package.directory.string(),
+                        .expected = std::move(expected),
+                        .found = std::move(found),
+                        .next = "market install " + package.name() + "@" + package.manifest.version()});
+}
+
+// Opens a listed file, whose path the manifest's check has found harmless, or refuses.
+FileDescriptor open_listed(const InstalledPackage& package, const std::string& path) {
+  const filesystem::path shown = package.directory / path;
+  FileDescriptor file;
+  try {
+    file = open_regular(AT_FDCWD, shown, shown);
+  } catch (const Error& error) {
+    refuse_damaged(package, path + " cannot be read: " + error.text().what);
+  }
+  if (!file) refuse_damaged(package, path + " is missing");
+  return file;
+}
+
+void verify_file(const InstalledPackage& package, const PackageFile& listed) {
+  const FileDescriptor file = open_listed(package, listed.path());
+  if (size_of(file) != listed.size()) {
+    refuse_damaged(package, listed.path() + " has another size", std::to_string(listed.size()) + " bytes",
+                   std::to_string(size_of(file)) + " bytes");
+  }
+  Blake2b hash;
+  std::array<char, 1 << 16> buffer;
+  while (const std::size_t count =
+             read_some(file.number(), buffer.data(), buffer.size(), package.directory)) {
+    hash.update({buffer.data(), count});
+  }
+  if (const std::string found = hash.finish(); found != listed.blake2b()) {
+    refuse_damaged(package, listed.path() + " has other content", listed.blake2b(), found);
+  }
+}
+
+void verify_manifest(const InstalledPackage& package) {
+  const FileDescriptor file = open_listed(package, std::string(kManifestFile));
+  try {
+    const Manifest manifest = parse_manifest(
+        read_all(file, PackageLimits{}.manifest_bytes, package.directory), std::string(kManifestFile));
+    if (google::protobuf::util::MessageDifferencer::Equals(manifest, package.manifest)) return;
+  } catch (const Error& error) {
+    refuse_damaged(package, error.what());
+  }
+  refuse_damaged(package, "its manifest is not the one that was installed");
+}
+
+void verify_nothing_else(const InstalledPackage& package) {
+  std::set<std::string> known{std::string(kManifestFile)};
+  for (const auto& file : package.manifest.files()) {
+    for (std::size_t slash = 0; slash != std::string::npos;) {
+      slash = file.path().find('/', slash + 1);
+      known.insert(file.path().substr(0, slash));
+    }
+  }
+  std::error_code failure;
+  filesystem::recursive_directory_iterator entry{package.directory, failure};
+  for (; !failure && entry != filesystem::recursive_directory_iterator{}; entry.increment(failure)) {
+    const std::string path = entry->path().lexically_relative(package.directory).string();
+    if (!known.contains(path)) refuse_damaged(package, path + " does not belong to it");
+  }
+  if (failure) refuse_damaged(package, "it cannot be read: " + failure.message());
+}
+
+}  // namespace
+
+Interface InstalledPackage::interface() const {
+  const std::string path{kInterfaceFile};
+  const std::string text =
+      read_all(open_listed(*this, path), PackageLimits{}.interface_bytes, directory / path);
+  const auto listed =
+      std::ranges::find_if(manifest.files(), [&](const auto& file) { return file.path() == path; });
+  if (listed == manifest.files().end() || fiona::marketplace::blake2b(text) != listed->blake2b()) {
+    refuse_damaged(*this, path + " has other content");
+  }
+  return parse_interface(text, (directory / path).string());
+}
+
+PackageHold::~PackageHold() {
+  if (descriptor_ >= 0) ::close(descriptor_);
+}
+
+Store::Store(filesystem::path directory) : directory_(filesystem::absolute(directory).lexically_normal()) {}
+
+filesystem::path Store::default_directory() {
+  const auto variable = [](const char* name) {
+    return filesystem::path(std::getenv(name) ? std::getenv(name) : "");
+  };
+  if (const auto store = variable("FIONA_STORE"); !store.empty()) return store;
+  // The XDG base directory specification: a relative path is to be ignored.
+  if (const auto data = variable("XDG_DATA_HOME"); data.is_absolute()) return data / "fiona/store";
+  if (const auto home = variable("HOME"); home.is_absolute()) return home / ".local/share/fiona/store";
+  throw Error(ErrorCode::NotFound,
+              ErrorText{.what = "there is no place for installed packages: HOME is not set",
+                        .next = "set FIONA_STORE to a directory"});
+}
+
+std::vector<InstalledPackage> Store::installed() const {
+  std::vector<InstalledPackage> packages;
+  const Installed list = read_installed(directory_);
+  for (const auto& entry : list.packages()) packages.push_back(located(directory_, entry));
+  std::ranges::sort(packages, {}, &InstalledPackage::name);
+  return packages;
+}
+
+InstalledPackage Store::find(std::string_view name) const {
+  const auto packages = installed();
+  std::set<std::string> known;
+  for (const auto& package : packages) known.insert(package.name());
+  const std::string full = resolve_name(name, known, "there is no installed package", directory_.string(),
+                                        "market install " + std::string(name));
+  return *std::ranges::find(packages, full, &InstalledPackage::name);
+}
+
+void Store::verify(const InstalledPackage& package) const {
+  verify_manifest(package);
+  for (const auto& file : package.manifest.files()) verify_file(package, file);
+  verify_nothing_else(package);
+}
+
+PackageHold Store::hold(const InstalledPackage& package) const {
+  FileDescriptor directory = open_directory(AT_FDCWD, package.directory, package.directory);
+  // Under the lock, look again: a sweep may have removed the directory between opening and locking it.
+  if (directory && ::flock(directory.number(), LOCK_SH | LOCK_NB) == 0) {
+    struct stat status {};
+    if (::fstat(directory.number(), &status) == 0 && status.st_nlink > 0)
+      return PackageHold{directory.release()};
+  }
+  throw Error(ErrorCode::NotFound,
+              ErrorText{.what = package.name() + " " + package.manifest.version() + " is no longer installed",
+                        .where = package.directory.string(),
+                        .next = "market install " + package.name()});
+}
+
+}  // namespace fiona::marketplace

@@ -1,0 +1,94 @@
+// fiona-pack: makes a package from an author's files, and publishes packages into a marketplace directory.
+#include <fcntl.h>
+
+#include <boost/program_options.hpp>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/package.hpp>
+#include <fiona/marketplace/publish.hpp>
+#include <iostream>
+
+#include "../src/files.hpp"
+
+namespace {
+
+namespace filesystem = std::filesystem;
+namespace options = boost::program_options;
+using fiona::marketplace::PackageSource;
+
+options::options_description described() {
+  options::options_description flags{
+      "fiona-pack --manifest FILE --interface FILE --readme FILE [--library FILE]... [--share DIR] -o "
+      "OUT.fpk\n"
+      "fiona-pack --publish FILE... --to DIR [--replace]\n"};
+  const auto text = [] { return options::value<std::string>(); };
+  const auto texts = [] { return options::value<std::vector<std::string>>()->multitoken(); };
+  flags.add_options()("manifest", text(), "the author's manifest.textproto")(
+      "interface", text(), "what fiona plugin describe wrote")("readme", text(), "README.md")(
+      "library", texts(), "shared libraries; the first is the plugin's own")(
+      "share", text(), "directory of data files")("output,o", text(), "the package to write")(
+      "publish", texts(), "packages to put into a marketplace")("to", text(), "the marketplace directory")(
+      "replace", "let other content of the same version take its place: for a build's own marketplace only")(
+      "help,h", "this text");
+  return flags;
+}
+
+std::string needed(const options::variables_map& flags, const std::string& name) {
+  if (flags.count(name)) return flags[name].as<std::string>();
+  throw fiona::Error(fiona::ErrorCode::Usage,
+                     fiona::ErrorText{.what = "--" + name + " is missing", .next = "fiona-pack --help"});
+}
+
+std::string content(const filesystem::path& path) {
+  const auto file = fiona::marketplace::open_regular(AT_FDCWD, path, path);
+  if (!file) {
+    throw fiona::Error(fiona::ErrorCode::NotFound,
+                       fiona::ErrorText{.what = "there is no such file", .where = path.string()});
+  }
+  return fiona::marketplace::read_all(file, std::uint64_t{16} << 20, path);
+}
+
+void pack(const options::variables_map& flags) {
+  PackageSource source;
+  source.manifest = content(needed(flags, "manifest"));
+  source.interface = content(needed(flags, "interface"));
+  source.readme = content(needed(flags, "readme"));
+  if (flags.count("library")) {
+    for (const auto& library : flags["library"].as<std::vector<std::string>>())
+      source.libraries.push_back(library);
+  }
+  if (flags.count("share")) source.share = flags["share"].as<std::string>();
+  fiona::marketplace::pack_to(needed(flags, "output"), source);
+}
+
+void publish(const options::variables_map& flags) {
+  const filesystem::path to = needed(flags, "to");
+  fiona::marketplace::PublishOptions how;
+  how.replace = flags.count("replace") > 0;
+  for (const auto& package : flags["publish"].as<std::vector<std::string>>()) {
+    fiona::marketplace::publish(package, to, how);
+  }
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  try {
+    options::variables_map flags;
+    options::store(options::parse_command_line(count, arguments, described()), flags);
+    if (flags.count("help")) {
+      std::cout << described();
+      return 0;
+    }
+    flags.count("publish") ? publish(flags) : pack(flags);
+    return 0;
+  } catch (const fiona::Error& error) {
+    std::cerr << "fiona-pack: " << error.what() << "\n";
+    return static_cast<int>(error.code());
+  } catch (const options::error& error) {
+    std::cerr << "fiona-pack: " << error.what() << "\n  next: fiona-pack --help\n";
+    return static_cast<int>(fiona::ErrorCode::Usage);
+  } catch (const std::exception& error) {
+    std::cerr << "fiona-pack: " << error.what() << "\n";
+    return static_cast<int>(fiona::ErrorCode::Failed);
+  }
+}

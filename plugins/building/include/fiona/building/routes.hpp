@@ -1,0 +1,81 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "fiona/building/plan.hpp"
+
+namespace fiona::building {
+
+/// How one gets along an edge of the graph.
+enum class Passage : std::uint8_t { Walk, Door, Stairs, Escalator, Ramp, Lift };
+
+/// Paces that turn lengths into costs. A lift is waited for once per ride.
+inline constexpr double kWalkPace_mps = 1.3;
+inline constexpr double kStairsPace_mps = 0.7;
+inline constexpr double kLiftPace_mps = 1.0;
+inline constexpr double kLiftWait_s = 15.0;
+
+struct GraphNode {
+  Point at{};
+  double level = 0.0;
+  std::optional<std::size_t> room{};  ///< index into Plan::rooms
+};
+
+struct GraphEdge {
+  std::size_t from = 0;
+  std::size_t to = 0;
+  Passage passage = Passage::Walk;
+  double length_m = 0.0;  ///< in the plane; height for a lift
+  double cost_s = 0.0;
+  bool one_way = false;  ///< from `from` to `to` only
+};
+
+/// Where one can walk. Inside a room, nodes that see each other are joined; rooms are joined by doors and by
+/// open borders, levels by stairs, ramps, escalators and lifts.
+struct Graph {
+  std::vector<GraphNode> nodes{};
+  std::vector<GraphEdge> edges{};
+  std::vector<std::vector<std::size_t>> edges_of_node{};
+  std::vector<std::vector<std::size_t>> nodes_of_room{};
+  std::vector<std::size_t> centre_of_room{};
+};
+
+struct RouteOptions {
+  bool stairs = true;  ///< stairs and escalators may be used
+  bool lift = true;
+};
+
+struct RoutePoint {
+  Point at{};
+  double level = 0.0;
+  Passage passage = Passage::Walk;    ///< by which this point is reached from the one before
+  std::optional<std::size_t> room{};  ///< index into Plan::rooms
+};
+
+struct Route {
+  std::vector<RoutePoint> points{};  ///< first: the start; last: the goal
+  double length_m = 0.0;
+  double cost_s = 0.0;
+};
+
+/// Builds the graph of a plan. Cost: for each room the square of its doors and corners times its edges.
+Graph build_graph(const Plan& plan);
+
+/// Nearest node of the graph on the same level, for a start or goal outside of all rooms, is taken up to
+/// here.
+inline constexpr double kSnap_m = 5.0;
+
+/// The quickest way through the graph (Dijkstra).
+std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from,
+                                const PathPoint& to, const RouteOptions& options);
+
+/// Whether one can walk straight from `a` to `b` within the room.
+bool sees(const Plan& plan, const Room& room, Point a, Point b);
+
+/// The index of the smallest room around `p`.
+std::optional<std::size_t> room_index_at(const Plan& plan, Point p, double level);
+
+}  // namespace fiona::building

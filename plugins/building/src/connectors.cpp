@@ -1,0 +1,197 @@
+// Stairs, escalators, ramps, lifts and walkable lines.
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "draft.hpp"
+
+namespace fiona::building {
+namespace {
+
+/// Levels on which the elements at a node lie for certain: its own tag, or ways on a single level.
+std::set<double> levels_at_node(Draft& draft, std::int64_t node) {
+  std::set<double> levels;
+  const auto add_single = [&](const Tags& tags) {
+    const auto parsed = parse_levels(tag(tags, "level"));
+    if (parsed && parsed->size() == 1) levels.insert(parsed->front());
+  };
+  add_single(draft.file.nodes.at(node).tags);
+  if (!levels.empty()) return levels;
+  for (std::int64_t way : draft.ways_of_node[node]) add_single(draft.file.ways.at(way).tags);
+  return levels;
+}
+
+std::optional<double> end_level(Draft& draft, std::int64_t node, double low, double high) {
+  const std::set<double> levels = levels_at_node(draft, node);
+  const bool at_low = levels.contains(low);
+  if (at_low == levels.contains(high)) return std::nullopt;
+  return at_low ? low : high;
+}
+
+/// Which end is up: by the levels that meet the ends, else by `incline`, else by the order in the level tag.
+bool starts_low(Draft& draft, const OsmWay& way, const std::vector<double>& levels, double low, double high) {
+  if (const auto start = end_level(draft, way.nodes.front(), low, high)) return *start == low;
+  if (const auto end = end_level(draft, way.nodes.back(), low, high)) return *end == high;
+  const std::string& incline = tag(way.tags, "incline");
+  if (incline == "down" || incline.starts_with('-')) return false;
+  if (incline == "up" || !incline.empty()) return true;
+  return levels.front() == low;
+}
+
+/// Levels along a way: as its nodes say (landings with a level of their own), in between by length.
+std::vector<PathPoint> climb(const Draft& draft, const OsmWay& way, const std::vector<Point>& points,
+                             double from, double to) {
+  std::vector<std::pair<std::size_t, double>> known{{0, from}};
+  for (std::size_t i = 1; i + 1 < points.size(); ++i) {
+    const auto own = parse_levels(tag(draft.file.nodes.at(way.nodes[i]).tags, "level"));
+    const bool between = own && own->size() == 1 && (own->front() - from) * (own->front() - to) <= 0.0;
+    if (between) known.push_back({i, own->front()});
+  }
+  known.push_back({points.size() - 1, to});
+  std::vector<PathPoint> path{{points.front(), from}};
+  for (std::size_t k = 1; k < known.size(); ++k) {
+    const auto [first, low] = known[k - 1];
+    const auto [last, high] = known[k];
+    double total = 0.0, walked = 0.0;
+    for (std::size_t i = first; i < last; ++i) total += distance_m(points[i], points[i + 1]);
+    for (std::size_t i = first + 1; i <= last; ++i) {
+      walked += distance_m(points[i - 1], points[i]);
+      path.push_back(
+          {points[i], i == last ? high : low + (high - low) * (total > 0.0 ? walked / total : 1.0)});
+    }
+  }
+  return path;
+}
+
+ConnectorKind kind_of(const Tags& tags) {
+  const std::string& conveying = tag(tags, "conveying");
+  if (!conveying.empty() && conveying != "no") return ConnectorKind::Escalator;
+  return tag(tags, "highway") == "steps" ? ConnectorKind::Stairs : ConnectorKind::Ramp;
+}
+
+void add_climb(Draft& draft, std::int64_t id, const OsmWay& way, const std::vector<double>& levels,
+               const std::vector<Point>& points) {
+  const auto [low, high] = std::minmax_element(levels.begin(), levels.end());
+  const bool up = starts_low(draft, way, levels, *low, *high);
+  Connector connector{{'w', id}, kind_of(way.tags), tag(way.tags, "name"), levels, {}, false};
+  std::sort(connector.levels.begin(), connector.levels.end());
+  connector.path = climb(draft, way, points, up ? *low : *high, up ? *high : *low);
+  const std::string& conveying = tag(way.tags, "conveying");
+  connector.one_way = conveying == "forward" || conveying == "backward";
+  if (conveying == "backward") std::reverse(connector.path.begin(), connector.path.end());
+  draft.plan.connectors.push_back(std::move(connector));
+}
+
+void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
+  const ElementId element{'w', id};
+  std::vector<double> levels = draft.levels_of(element, way.tags);
+  const auto points = levels.empty() ? std::nullopt : draft.points_of(id);
+  if (!points || points->size() < 2) return;
+  const bool repeats = way.tags.contains("repeat_on");
+  const auto own = parse_levels(tag(way.tags, "level"));
+  if (levels.size() > 1 && !repeats) return add_climb(draft, id, way, levels, *points);
+  if (repeats && own && own->size() > 1) {
+    // Stairs that repeat: the same climb from each of the levels named.
+    const double rise =
+        *std::max_element(own->begin(), own->end()) - *std::min_element(own->begin(), own->end());
+    for (double base : levels) add_climb(draft, id, way, {base, base + rise}, *points);
+    return;
+  }
+  for (double level : levels) {
+    Path path{element, {}, tag(way.tags, "highway") == "steps"};
+    for (Point p : *points) path.points.push_back({p, level});
+    draft.plan.paths.push_back(std::move(path));
+  }
+}
+
+bool is_walkable_line(const Tags& tags) {
+  static const std::set<std::string> kKinds = {"footway", "corridor",   "steps",
+                                               "path",    "pedestrian", "service"};
+  return kKinds.contains(tag(tags, "highway")) && tags.contains("level") && tag(tags, "area") != "yes";
+}
+
+void add_lift(Draft& draft, ElementId id, Point at, const std::string& name, std::vector<double> levels) {
+  std::sort(levels.begin(), levels.end());
+  Connector lift{id, ConnectorKind::Lift, name, levels, {}, false};
+  for (double level : levels) lift.path.push_back({at, level});
+  draft.plan.connectors.push_back(std::move(lift));
+}
+
+void add_lift_nodes(Draft& draft) {
+  for (const auto& [id, node] : draft.file.nodes) {
+    if (tag(node.tags, "highway") != "elevator") continue;
+    std::vector<double> levels = draft.levels_of({'n', id}, node.tags);
+    if (levels.empty()) {
+      for (std::int64_t way : draft.ways_of_node[id]) {
+        for (double level : draft.levels_of({'w', way}, draft.file.ways.at(way).tags)) {
+          if (std::find(levels.begin(), levels.end(), level) == levels.end()) levels.push_back(level);
+        }
+      }
+    }
+    if (levels.size() > 1) {
+      add_lift(draft, {'n', id}, draft.at(node), tag(node.tags, "name"), std::move(levels));
+    } else {
+      draft.warn({'n', id}, "the lift joins no two levels; left out");
+    }
+  }
+}
+
+/// A climb for a stairs room without a steps way: up one long side and down the other half of the room.
+std::vector<PathPoint> climb_in(const Room& room, double low, double high) {
+  const Box box = bounds(room.polygon.outer);
+  const bool along_x = box.high.x_m - box.low.x_m > box.high.y_m - box.low.y_m;
+  Point reach =
+      along_x ? Point{(box.high.x_m - box.low.x_m) / 4, 0.0} : Point{0.0, (box.high.y_m - box.low.y_m) / 4};
+  if (!contains(room.polygon, room.centre - reach) || !contains(room.polygon, room.centre + reach))
+    reach = {};
+  return {{room.centre - reach, low}, {room.centre + reach, (low + high) / 2}, {room.centre - reach, high}};
+}
+
+bool serves(const Connector& connector, const Room& room, ConnectorKind kind) {
+  if (connector.kind != kind) return false;
+  return std::any_of(connector.path.begin(), connector.path.end(), [&](const PathPoint& p) {
+    return p.level == room.level && contains(room.polygon, p.at);
+  });
+}
+
+/// Stairs rooms and lift shafts in which nothing is drawn join their levels all the same.
+void add_shafts(Draft& draft) {
+  std::map<ElementId, std::vector<const Room*>> shafts;
+  for (const Room& room : draft.plan.rooms) {
+    if (room.kind != RoomKind::Stairs && room.kind != RoomKind::Lift) continue;
+    const ConnectorKind kind = room.kind == RoomKind::Lift ? ConnectorKind::Lift : ConnectorKind::Stairs;
+    const auto& drawn = draft.plan.connectors;
+    if (std::any_of(drawn.begin(), drawn.end(), [&](const Connector& c) { return serves(c, room, kind); }))
+      continue;
+    shafts[room.id].push_back(&room);
+  }
+  for (auto& [id, rooms] : shafts) {
+    std::sort(rooms.begin(), rooms.end(), [](const Room* a, const Room* b) { return a->level < b->level; });
+    if (rooms.size() < 2) continue;
+    const Room& first = *rooms.front();
+    if (first.kind == RoomKind::Lift) {
+      std::vector<double> levels;
+      for (const Room* room : rooms) levels.push_back(room->level);
+      add_lift(draft, id, first.centre, first.name, std::move(levels));
+      continue;
+    }
+    for (std::size_t i = 1; i < rooms.size(); ++i) {
+      const double low = rooms[i - 1]->level, high = rooms[i]->level;
+      draft.plan.connectors.push_back(
+          {id, ConnectorKind::Stairs, first.name, {low, high}, climb_in(first, low, high), false});
+    }
+  }
+}
+
+}  // namespace
+
+void add_connectors(Draft& draft) {
+  for (const auto& [id, way] : draft.file.ways) {
+    if (is_walkable_line(way.tags)) add_line(draft, id, way);
+  }
+  add_lift_nodes(draft);
+  add_shafts(draft);
+}
+
+}  // namespace fiona::building

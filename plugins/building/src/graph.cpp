@@ -1,0 +1,257 @@
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <tuple>
+
+#include "fiona/building/routes.hpp"
+
+namespace fiona::building {
+namespace {
+
+/// How far from a door or a corner a person walks, if there is room for it.
+constexpr double kClearance_m = 0.6;
+constexpr double kBorderStep_m = 0.5;
+constexpr double kBorderProbe_m = 0.3;
+/// Corners flatter than this (sine) hide nothing.
+constexpr double kFlatCorner = 0.05;
+
+double lift_cost_s(double height_m) { return kLiftWait_s + height_m / kLiftPace_mps; }
+
+bool walls_between(const Plan& plan, Point a, Point b, double level) {
+  const auto on_level =
+      std::equal_range(plan.walls.begin(), plan.walls.end(), Wall{{}, level, 0.0, false},
+                       [](const Wall& left, const Wall& right) { return left.level < right.level; });
+  return std::any_of(on_level.first, on_level.second, [&](const Wall& wall) {
+    return crossing({a, b}, wall.segment).has_value();
+  });
+}
+
+class GraphBuilder {
+ public:
+  explicit GraphBuilder(const Plan& plan) : plan_(plan) {}
+
+  Graph build() {
+    graph_.nodes_of_room.resize(plan_.rooms.size());
+    for (std::size_t room = 0; room < plan_.rooms.size(); ++room) {
+      graph_.centre_of_room.push_back(add_node(plan_.rooms[room].centre, plan_.rooms[room].level, room));
+      add_corners(room);
+    }
+    for (const Door& door : plan_.doors) add_passage(door.at, door.normal, door.level, Passage::Door);
+    for (std::size_t room = 0; room < plan_.rooms.size(); ++room) add_open_borders(room);
+    for (const Connector& connector : plan_.connectors) add_connector(connector);
+    for (const Path& path : plan_.paths) add_path(path);
+    for (std::size_t room = 0; room < plan_.rooms.size(); ++room) join_room(room);
+    graph_.edges_of_node.resize(graph_.nodes.size());
+    for (std::size_t i = 0; i < graph_.edges.size(); ++i) {
+      graph_.edges_of_node[graph_.edges[i].from].push_back(i);
+      graph_.edges_of_node[graph_.edges[i].to].push_back(i);
+    }
+    return std::move(graph_);
+  }
+
+ private:
+  std::size_t add_node(Point at, double level, std::optional<std::size_t> room) {
+    graph_.nodes.push_back({at, level, room});
+    if (room) graph_.nodes_of_room[*room].push_back(graph_.nodes.size() - 1);
+    return graph_.nodes.size() - 1;
+  }
+
+  void add_edge(std::size_t from, std::size_t to, Passage passage, bool one_way = false) {
+    const GraphNode& a = graph_.nodes[from];
+    const GraphNode& b = graph_.nodes[to];
+    const double rise_m = std::abs(plan_.heights.floor_m(a.level) - plan_.heights.floor_m(b.level));
+    if (passage == Passage::Lift) {
+      graph_.edges.push_back({from, to, passage, rise_m, lift_cost_s(rise_m), one_way});
+      return;
+    }
+    const double length = distance_m(a.at, b.at);
+    const bool climbs = passage == Passage::Stairs || passage == Passage::Escalator;
+    // Steps that are drawn as a point still have to be climbed.
+    const double cost = climbs ? std::max(length, rise_m) / kStairsPace_mps : length / kWalkPace_mps;
+    graph_.edges.push_back({from, to, passage, length, cost, one_way});
+  }
+
+  /// Convex corners of obstacles are where shortest ways bend.
+  void add_corners(std::size_t room) {
+    const Polygon& polygon = plan_.rooms[room].polygon;
+    add_corners(room, polygon.outer);
+    for (const Ring& hole : polygon.holes) add_corners(room, hole);
+  }
+
+  void add_corners(std::size_t index, const Ring& ring) {
+    const Room& room = plan_.rooms[index];
+    for (std::size_t i = 0; i < ring.size(); ++i) {
+      const Point corner = ring[i];
+      const Point arriving = unit(corner - ring[(i + ring.size() - 1) % ring.size()]);
+      const Point leaving = unit(ring[(i + 1) % ring.size()] - corner);
+      if (cross(arriving, leaving) > -kFlatCorner) continue;
+      const Point inwards = unit(left_of(arriving) + left_of(leaving));
+      for (double reach : {kClearance_m * 1.4, kClearance_m, kClearance_m / 3}) {
+        const Point p = corner + inwards * reach;
+        if (!contains(room.polygon, p) || !sees(plan_, room, corner + inwards * 0.05, p)) continue;
+        add_node(p, room.level, index);
+        break;
+      }
+    }
+  }
+
+  /// A point on one side of a door, within a room and reached straight through the door.
+  std::optional<std::size_t> threshold(Point at, Point side, double level) {
+    for (double reach : {kClearance_m, kClearance_m / 2, kClearance_m / 4}) {
+      const Point p = at + side * reach;
+      const auto room = room_index_at(plan_, p, level);
+      if (room && !walls_between(plan_, at, p, level)) return add_node(p, level, room);
+    }
+    return std::nullopt;
+  }
+
+  void add_passage(Point at, Point normal, double level, Passage passage) {
+    const std::size_t middle = add_node(at, level, std::nullopt);
+    by_place_[{at.x_m, at.y_m, level}] = middle;
+    for (const Point side : {normal, normal * -1.0}) {
+      if (const auto inside = threshold(at, side, level)) add_edge(middle, *inside, passage);
+    }
+  }
+
+  /// Corridors and areas are open towards each other: one passage in the middle of each common border.
+  void add_open_borders(std::size_t index) {
+    const Room& room = plan_.rooms[index];
+    if (room.kind != RoomKind::Corridor && room.kind != RoomKind::Area) return;
+    for (const Segment& side : edges(room.polygon)) {
+      const double length = distance_m(side.from, side.to);
+      const int steps = std::max(1, static_cast<int>(length / kBorderStep_m));
+      int first = 0;
+      std::optional<std::size_t> before = neighbour(index, side, 0.5 / steps);
+      for (int step = 1; step <= steps; ++step) {
+        const auto here = step < steps ? neighbour(index, side, (step + 0.5) / steps) : std::nullopt;
+        if (step < steps && here == before) continue;
+        if (before) add_border(index, *before, side, (first + step) / (2.0 * steps));
+        first = step;
+        before = here;
+      }
+    }
+  }
+
+  /// The room beyond an edge at a share of its length, if nothing stands between.
+  std::optional<std::size_t> neighbour(std::size_t index, const Segment& side, double share) const {
+    const Point at = side.from + (side.to - side.from) * share;
+    const Point inwards = left_of(unit(side.to - side.from)) * kBorderProbe_m;
+    const double level = plan_.rooms[index].level;
+    const auto beyond = room_index_at(plan_, at - inwards, level);
+    if (!beyond || *beyond == index || at_door(at, level)) return std::nullopt;
+    if (walls_between(plan_, at + inwards, at - inwards, level)) return std::nullopt;
+    return beyond;
+  }
+
+  /// The gap of a door is no open border: it has its passage already.
+  bool at_door(Point at, double level) const {
+    return std::any_of(plan_.doors.begin(), plan_.doors.end(), [&](const Door& door) {
+      return door.level == level && distance_m(door.at, at) < door.width_m / 2 + 0.1;
+    });
+  }
+
+  void add_border(std::size_t index, std::size_t beyond, const Segment& side, double share) {
+    const RoomKind other = plan_.rooms[beyond].kind;
+    const bool both_open = other == RoomKind::Corridor || other == RoomKind::Area;
+    const Point at = side.from + (side.to - side.from) * share;
+    // The same border is met again from the other side; the corridor with the lower index draws it.
+    const bool shared = both_open && distance_to_edges(plan_.rooms[beyond], at) < 0.1;
+    if (shared && beyond < index) return;
+    add_passage(at, left_of(unit(side.to - side.from)), plan_.rooms[index].level, Passage::Walk);
+  }
+
+  static double distance_to_edges(const Room& room, Point p) {
+    double nearest = std::numeric_limits<double>::max();
+    for (const Segment& side : edges(room.polygon)) nearest = std::min(nearest, distance_m(p, side));
+    return nearest;
+  }
+
+  /// One node for one place: lines that share a node of the file, or end at a door, are joined there.
+  std::size_t node_at(const PathPoint& p) {
+    const auto [known, added] = by_place_.try_emplace({p.at.x_m, p.at.y_m, p.level}, 0);
+    if (added) known->second = add_node(p.at, p.level, room_index_at(plan_, p.at, p.level));
+    return known->second;
+  }
+
+  void add_connector(const Connector& connector) {
+    std::vector<std::size_t> nodes;
+    for (const PathPoint& p : connector.path) nodes.push_back(node_at(p));
+    if (connector.kind == ConnectorKind::Lift) {
+      for (std::size_t i = 0; i < nodes.size(); ++i) {
+        for (std::size_t j = i + 1; j < nodes.size(); ++j) add_edge(nodes[i], nodes[j], Passage::Lift);
+      }
+      return;
+    }
+    const Passage passage = connector.kind == ConnectorKind::Stairs      ? Passage::Stairs
+                            : connector.kind == ConnectorKind::Escalator ? Passage::Escalator
+                                                                         : Passage::Ramp;
+    for (std::size_t i = 1; i < nodes.size(); ++i)
+      add_edge(nodes[i - 1], nodes[i], passage, connector.one_way);
+    attach_end(nodes.front(), connector.path[0].at - connector.path[1].at);
+    attach_end(nodes.back(), connector.path.back().at - connector.path[connector.path.size() - 2].at);
+  }
+
+  /// Stairs often end on the border of a room: the room beyond the last step is the one they lead to.
+  void attach_end(std::size_t node, Point outwards) {
+    GraphNode& end = graph_.nodes[node];
+    if (end.room) return;
+    end.room = room_index_at(plan_, end.at + unit(outwards) * kBorderProbe_m, end.level);
+    if (end.room) graph_.nodes_of_room[*end.room].push_back(node);
+  }
+
+  void add_path(const Path& path) {
+    for (std::size_t i = 1; i < path.points.size(); ++i) {
+      add_edge(node_at(path.points[i - 1]), node_at(path.points[i]),
+               path.steps ? Passage::Stairs : Passage::Walk);
+    }
+  }
+
+  void join_room(std::size_t index) {
+    const std::vector<std::size_t>& nodes = graph_.nodes_of_room[index];
+    for (std::size_t i = 0; i < nodes.size(); ++i) {
+      for (std::size_t j = i + 1; j < nodes.size(); ++j) {
+        if (sees(plan_, plan_.rooms[index], graph_.nodes[nodes[i]].at, graph_.nodes[nodes[j]].at)) {
+          add_edge(nodes[i], nodes[j], Passage::Walk);
+        }
+      }
+    }
+  }
+
+  const Plan& plan_;
+  Graph graph_{};
+  std::map<std::tuple<double, double, double>, std::size_t> by_place_{};
+};
+
+}  // namespace
+
+bool sees(const Plan& plan, const Room& room, Point a, Point b) {
+  constexpr double kTouch_m = 0.02;  // an end that stands on a border is not behind it
+  const Segment sight{a, b};
+  const double length = distance_m(a, b);
+  if (length < kTouch_m) return true;
+  const auto blocks = [&](const Segment& side) {
+    const auto at = crossing(sight, side);
+    return at && *at * length > kTouch_m && (1.0 - *at) * length > kTouch_m;
+  };
+  const std::vector<Segment> sides = edges(room.polygon);
+  if (std::any_of(sides.begin(), sides.end(), blocks)) return false;
+  if (!contains(room.polygon, (a + b) * 0.5)) return false;
+  return !walls_between(plan, a + unit(b - a) * kTouch_m, b - unit(b - a) * kTouch_m, room.level);
+}
+
+std::optional<std::size_t> room_index_at(const Plan& plan, Point p, double level) {
+  std::optional<std::size_t> best;
+  double smallest_m2 = std::numeric_limits<double>::max();
+  for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
+    const Room& room = plan.rooms[i];
+    if (room.level != level || !contains(room.polygon, p)) continue;
+    const double area = area_m2(room.polygon);
+    if (area < smallest_m2) best = i, smallest_m2 = area;
+  }
+  return best;
+}
+
+Graph build_graph(const Plan& plan) { return GraphBuilder(plan).build(); }
+
+}  // namespace fiona::building

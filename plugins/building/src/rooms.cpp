@@ -1,0 +1,263 @@
+// The outline, the reference, the rooms, the levels and the landmarks of a plan.
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include <fiona/error.hpp>
+
+#include "draft.hpp"
+
+namespace fiona::building {
+namespace {
+
+std::optional<Ring> degrees_of(const OsmFile& file, const std::vector<std::int64_t>& nodes) {
+  Ring ring;
+  for (std::int64_t id : nodes) {
+    const auto node = file.nodes.find(id);
+    if (node == file.nodes.end()) return std::nullopt;
+    ring.push_back({node->second.longitude_deg, node->second.latitude_deg});
+  }
+  return ring;
+}
+
+/// The places (x longitude, y latitude, degrees) of all that is tagged as lying on a level.
+std::vector<Point> indoor_places(const OsmFile& file) {
+  std::vector<Point> places;
+  const auto add = [&](const OsmNode& node) { places.push_back({node.longitude_deg, node.latitude_deg}); };
+  for (const auto& [id, node] : file.nodes) {
+    if (node.tags.contains("level")) add(node);
+  }
+  for (const auto& [id, way] : file.ways) {
+    if (!way.tags.contains("level")) continue;
+    for (std::int64_t corner : way.nodes) {
+      if (const auto node = file.nodes.find(corner); node != file.nodes.end()) add(node->second);
+    }
+  }
+  return places;
+}
+
+bool is_outline(const Area& area) {
+  const std::string& building = tag(*area.tags, "building");
+  return !building.empty() && building != "no" && !area.outers.empty();
+}
+
+double heading_rad(const OsmFile& file, std::int64_t id, const OsmNode& node) {
+  const std::string& value = tag(node.tags, "fiona:heading");
+  if (value.empty()) return 0.0;
+  const auto degrees = parse_metres(value);
+  if (!degrees || std::abs(*degrees) > 360.0) {
+    throw Error(ErrorCode::Failed,
+                {.what = "the heading of the reference of " + file.name + " cannot be read",
+                 .where = file.name + ", node " + std::to_string(id),
+                 .expected = "fiona:heading in degrees from true north, clockwise, -360 to 360",
+                 .found = "fiona:heading=" + value,
+                 .next = "correct the tag, or remove it for 0"});
+  }
+  return *degrees * std::numbers::pi / 180.0;
+}
+
+std::optional<Reference> tagged_reference(const OsmFile& file) {
+  std::optional<Reference> found;
+  std::int64_t first = 0;
+  for (const auto& [id, node] : file.nodes) {
+    if (tag(node.tags, "fiona:reference") != "yes") continue;
+    if (found) {
+      throw Error(ErrorCode::Failed,
+                  {.what = "the building file " + file.name + " has two references",
+                   .where = file.name,
+                   .expected = "fiona:reference=yes on one node",
+                   .found = "node " + std::to_string(first) + " and node " + std::to_string(id),
+                   .next = "remove the tag from one of them"});
+    }
+    first = id;
+    found = Reference{node.latitude_deg, node.longitude_deg, heading_rad(file, id, node), true};
+  }
+  return found;
+}
+
+RoomKind kind_of(const Tags& tags) {
+  const std::string& room = tag(tags, "room");
+  if (room == "stairs" || room == "steps" || tag(tags, "stairs") == "yes") return RoomKind::Stairs;
+  if (room == "elevator" || tag(tags, "elevator") == "yes" || tag(tags, "highway") == "elevator") {
+    return RoomKind::Lift;
+  }
+  if (tag(tags, "indoor") == "corridor") return RoomKind::Corridor;
+  if (tag(tags, "indoor") == "area" || tag(tags, "area") == "yes") return RoomKind::Area;
+  return RoomKind::Room;
+}
+
+std::optional<Ring> ring_of(Draft& draft, ElementId id, const std::vector<std::int64_t>& nodes) {
+  Ring ring;
+  for (std::int64_t number : nodes) {
+    const auto node = draft.file.nodes.find(number);
+    if (node == draft.file.nodes.end()) {
+      draft.warn(id, "node " + std::to_string(number) + " is not in the file; left out");
+      return std::nullopt;
+    }
+    ring.push_back(draft.at(node->second));
+  }
+  return ring;
+}
+
+std::vector<Polygon> polygons_of(Draft& draft, const Area& area) {
+  std::vector<Polygon> polygons;
+  if (area.outers.empty()) draft.warn(area.id, "its ways do not close to a ring; left out");
+  for (const auto& nodes : area.outers) {
+    if (auto ring = ring_of(draft, area.id, nodes)) polygons.push_back({std::move(*ring), {}});
+  }
+  for (const auto& nodes : area.inners) {
+    auto ring = ring_of(draft, area.id, nodes);
+    if (!ring) continue;
+    for (Polygon& polygon : polygons) {
+      if (contains(polygon.outer, inner_point({*ring, {}}))) polygon.holes.push_back(*ring);
+    }
+  }
+  for (Polygon& polygon : polygons) normalise(polygon);
+  std::erase_if(polygons, [&](const Polygon& polygon) {
+    const bool empty = polygon.outer.size() < 3 || area_m2(polygon) < 0.01;
+    if (empty) draft.warn(area.id, "it has no area; left out");
+    return empty;
+  });
+  return polygons;
+}
+
+void add_room(Draft& draft, const Area& area) {
+  const Tags& tags = *area.tags;
+  if (!tags.contains("level") && !tags.contains("repeat_on")) {
+    draft.warn(area.id, "it has no level; left out (add level=0 for the ground floor)");
+    return;
+  }
+  const std::vector<double> levels = draft.levels_of(area.id, tags);
+  for (const Polygon& polygon : polygons_of(draft, area)) {
+    const std::string& use = tags.contains("room") ? tag(tags, "room") : tag(tags, "amenity");
+    const Point centre = inner_point(polygon);
+    for (double level : levels) {
+      draft.plan.rooms.push_back(
+          {area.id, kind_of(tags), level, tag(tags, "name"), tag(tags, "ref"), use, polygon, centre});
+    }
+  }
+  for (std::int64_t way : area.ways) draft.levels_of_way[way].insert(levels.begin(), levels.end());
+  if (const auto loss = draft.attenuation_db(area.id, tags)) draft.attenuation_of_room[area.id] = *loss;
+}
+
+/// Storey heights by indoor=level, and names of levels.
+void read_level_elements(Draft& draft, std::map<int, double>& storeys, std::map<double, std::string>& names) {
+  const auto read = [&](ElementId id, const Tags& tags) {
+    if (tag(tags, "indoor") != "level") return;
+    const std::string& height = tag(tags, "height");
+    const auto metres = parse_metres(height);
+    const bool usable = metres && *metres >= 0.5 && *metres <= 100.0;
+    if (!height.empty() && !usable)
+      draft.warn(id, "height=" + height + " is not a storey of 0.5 to 100 m; not used");
+    for (double level : draft.levels_of(id, tags)) {
+      names.emplace(level, tag(tags, "name"));
+      if (usable && level == std::floor(level)) storeys[static_cast<int>(level)] = *metres;
+    }
+  };
+  for (const auto& [id, node] : draft.file.nodes) read({'n', id}, node.tags);
+  for (const auto& [id, way] : draft.file.ways) read({'w', id}, way.tags);
+  for (const auto& [id, relation] : draft.file.relations) read({'r', id}, relation.tags);
+}
+
+double default_storey_m(const Area* outline) {
+  if (outline == nullptr) return Heights::kDefaultStorey_m;
+  const auto height = parse_metres(tag(*outline->tags, "height"));
+  const auto levels = parse_metres(tag(*outline->tags, "building:levels"));
+  const double storey = height && levels && *levels >= 1.0 ? *height / *levels : 0.0;
+  return storey >= 2.0 && storey <= 20.0 ? storey : Heights::kDefaultStorey_m;
+}
+
+std::set<double> used_levels(const Plan& plan) {
+  std::set<double> used;
+  for (const Room& room : plan.rooms) used.insert(room.level);
+  for (const Connector& connector : plan.connectors)
+    used.insert(connector.levels.begin(), connector.levels.end());
+  for (const Path& path : plan.paths) used.insert(path.points.front().level);
+  return used;
+}
+
+}  // namespace
+
+const Area* find_outline(const OsmFile& file, const std::vector<Area>& areas) {
+  const std::vector<Point> places = indoor_places(file);
+  const Area* best = nullptr;
+  std::ptrdiff_t most = -1;
+  for (const Area& area : areas) {
+    if (!is_outline(area)) continue;
+    std::ptrdiff_t inside = 0;
+    for (const auto& nodes : area.outers) {
+      const auto ring = degrees_of(file, nodes);
+      if (!ring) continue;
+      inside += std::count_if(places.begin(), places.end(), [&](Point p) { return contains(*ring, p); });
+    }
+    if (inside > most) best = &area, most = inside;
+  }
+  return most > 0 ? best : nullptr;
+}
+
+Reference find_reference(const OsmFile& file, const Area* outline) {
+  if (const auto tagged = tagged_reference(file)) return *tagged;
+  if (outline != nullptr) {
+    if (const auto ring = degrees_of(file, outline->outers.front())) {
+      const Point middle = centroid(*ring);
+      return {middle.y_m, middle.x_m, 0.0, false};
+    }
+  }
+  const std::vector<Point> places = indoor_places(file);
+  if (places.empty()) {
+    throw Error(ErrorCode::Failed,
+                {.what = "the building file " + file.name + " has nothing on a level",
+                 .where = file.name,
+                 .expected = "rooms, corridors or ways with a tag such as level=0",
+                 .found = std::to_string(file.nodes.size()) + " nodes and " +
+                          std::to_string(file.ways.size()) + " ways without a level",
+                 .next = "tag them: https://wiki.openstreetmap.org/wiki/Simple_Indoor_Tagging"});
+  }
+  Point sum{};
+  for (const Point& place : places) sum = sum + place;
+  return {sum.y_m / static_cast<double>(places.size()), sum.x_m / static_cast<double>(places.size()), 0.0,
+          false};
+}
+
+void add_rooms(Draft& draft, const std::vector<Area>& areas) {
+  for (const Area& area : areas) {
+    if (is_indoor_area(*area.tags) && !is_outline(area)) add_room(draft, area);
+  }
+}
+
+void add_levels(Draft& draft) {
+  if (draft.outline != nullptr) {
+    draft.plan.name = tag(*draft.outline->tags, "name");
+    if (auto polygons = polygons_of(draft, *draft.outline); !polygons.empty())
+      draft.plan.outline = polygons.front();
+  }
+  std::map<int, double> storeys;
+  std::map<double, std::string> names;
+  read_level_elements(draft, storeys, names);
+  draft.plan.heights = Heights(default_storey_m(draft.outline), std::move(storeys));
+  for (double level : used_levels(draft.plan)) {
+    const auto name = names.find(level);
+    const bool named = name != names.end() && !name->second.empty();
+    draft.plan.levels.push_back(
+        {level, draft.plan.heights.floor_m(level), named ? name->second : "Level " + level_text(level)});
+  }
+}
+
+void add_landmarks(Draft& draft) {
+  for (const auto& [id, node] : draft.file.nodes) {
+    const auto own = [](const auto& tag) { return tag.first.starts_with("fiona:"); };
+    if (tag(node.tags, "fiona:reference") == "yes" || std::none_of(node.tags.begin(), node.tags.end(), own)) {
+      continue;
+    }
+    const std::vector<double> levels = draft.levels_of({'n', id}, node.tags);
+    if (levels.empty()) {
+      draft.warn({'n', id}, "it has a fiona: tag and no level; left out");
+      continue;
+    }
+    const double height_m = parse_metres(tag(node.tags, "height")).value_or(0.0);
+    draft.plan.landmarks.push_back({{'n', id}, draft.at(node), levels.front(), height_m, node.tags});
+  }
+}
+
+}  // namespace fiona::building

@@ -1,0 +1,130 @@
+#include "fiona/building/routes.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <queue>
+
+namespace fiona::building {
+namespace {
+
+constexpr double kNever = std::numeric_limits<double>::infinity();
+constexpr std::size_t kStart = std::numeric_limits<std::size_t>::max();
+
+struct Access {
+  std::size_t node;
+  double length_m;
+};
+
+/// The nodes that one reaches straight from a place: those of the rooms around it, else the nearest one.
+std::vector<Access> access_from(const Plan& plan, const Graph& graph, const PathPoint& place) {
+  std::vector<Access> found;
+  for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
+    const Room& room = plan.rooms[i];
+    if (room.level != place.level || !contains(room.polygon, place.at)) continue;
+    for (std::size_t node : graph.nodes_of_room[i]) {
+      const Point at = graph.nodes[node].at;
+      if (sees(plan, room, place.at, at)) found.push_back({node, distance_m(place.at, at)});
+    }
+  }
+  if (!found.empty()) return found;
+  Access nearest{kStart, kSnap_m};
+  for (std::size_t i = 0; i < graph.nodes.size(); ++i) {
+    const double length = distance_m(graph.nodes[i].at, place.at);
+    if (graph.nodes[i].level == place.level && length <= nearest.length_m) nearest = {i, length};
+  }
+  if (nearest.node != kStart) found.push_back(nearest);
+  return found;
+}
+
+bool allowed(Passage passage, const RouteOptions& options) {
+  if (passage == Passage::Lift) return options.lift;
+  return options.stairs || (passage != Passage::Stairs && passage != Passage::Escalator);
+}
+
+struct Search {
+  std::vector<double> cost_s;
+  std::vector<std::size_t> edge;  ///< by which a node was reached; kStart: from the start
+};
+
+Search search(const Graph& graph, const std::vector<Access>& starts, const RouteOptions& options) {
+  Search found{std::vector<double>(graph.nodes.size(), kNever),
+               std::vector<std::size_t>(graph.nodes.size(), kStart)};
+  using Entry = std::pair<double, std::size_t>;
+  std::priority_queue<Entry, std::vector<Entry>, std::greater<>> open;
+  for (const Access& start : starts) {
+    const double cost = start.length_m / kWalkPace_mps;
+    if (cost < found.cost_s[start.node]) open.emplace(found.cost_s[start.node] = cost, start.node);
+  }
+  while (!open.empty()) {
+    const auto [cost, node] = open.top();
+    open.pop();
+    if (cost > found.cost_s[node]) continue;
+    for (std::size_t index : graph.edges_of_node[node]) {
+      const GraphEdge& edge = graph.edges[index];
+      if (!allowed(edge.passage, options) || (edge.one_way && edge.to == node)) continue;
+      const std::size_t next = edge.from == node ? edge.to : edge.from;
+      const double reached = cost + edge.cost_s;
+      if (reached >= found.cost_s[next]) continue;
+      found.cost_s[next] = reached;
+      found.edge[next] = index;
+      open.emplace(reached, next);
+    }
+  }
+  return found;
+}
+
+/// One walks straight if nothing is between: no detour over the nodes of the room.
+std::optional<Route> straight(const Plan& plan, const PathPoint& from, const PathPoint& to) {
+  if (from.level != to.level) return std::nullopt;
+  for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
+    const Room& room = plan.rooms[i];
+    if (room.level != from.level || !contains(room.polygon, from.at) || !contains(room.polygon, to.at))
+      continue;
+    if (!sees(plan, room, from.at, to.at)) continue;
+    const double length = distance_m(from.at, to.at);
+    return Route{{{from.at, from.level, Passage::Walk, i}, {to.at, to.level, Passage::Walk, i}},
+                 length,
+                 length / kWalkPace_mps};
+  }
+  return std::nullopt;
+}
+
+void add_point(Route& route, const RoutePoint& point) {
+  const bool same =
+      !route.points.empty() && route.points.back().at == point.at && route.points.back().level == point.level;
+  if (!same) route.points.push_back(point);
+}
+
+}  // namespace
+
+std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from,
+                                const PathPoint& to, const RouteOptions& options) {
+  if (auto direct = straight(plan, from, to)) return direct;
+  const Search found = search(graph, access_from(plan, graph, from), options);
+  Access goal{kStart, 0.0};
+  double best_s = kNever;
+  for (const Access& end : access_from(plan, graph, to)) {
+    const double cost = found.cost_s[end.node] + end.length_m / kWalkPace_mps;
+    if (cost < best_s) goal = end, best_s = cost;
+  }
+  if (goal.node == kStart) return std::nullopt;
+
+  std::vector<RoutePoint> backwards{{to.at, to.level, Passage::Walk, room_index_at(plan, to.at, to.level)}};
+  double length = goal.length_m;
+  for (std::size_t node = goal.node;;) {
+    const GraphNode& at = graph.nodes[node];
+    const std::size_t index = found.edge[node];
+    const Passage passage = index == kStart ? Passage::Walk : graph.edges[index].passage;
+    backwards.push_back({at.at, at.level, passage, at.room});
+    if (index == kStart) break;
+    length += graph.edges[index].length_m;
+    node = graph.edges[index].from == node ? graph.edges[index].to : graph.edges[index].from;
+  }
+  length += distance_m(from.at, backwards.back().at);
+  Route route{{}, length, best_s};
+  add_point(route, {from.at, from.level, Passage::Walk, room_index_at(plan, from.at, from.level)});
+  for (auto point = backwards.rbegin(); point != backwards.rend(); ++point) add_point(route, *point);
+  return route;
+}
+
+}  // namespace fiona::building

@@ -1,0 +1,20 @@
+#pragma once
+
+#include <filesystem>
+
+#include "radio_map.hpp"
+
+namespace fiona::radio {
+
+/// Version of the file format that this build writes and reads.
+inline constexpr std::uint32_t kRadioMapVersion = 1;
+
+/// Writes the map as one file: beside the target first, then renamed, so that a reader sees the old map or the new.
+/// Throws fiona::Error when the disk refuses.
+void save(const RadioMap& map, const std::filesystem::path& file);
+
+/// Reads a map. Throws fiona::Error: NotFound when there is no such file; Failed when it is no radio map, is of another
+/// version, is truncated or garbled (a checksum covers every byte). Memory stays in proportion to the file's size.
+RadioMap load(const std::filesystem::path& file);
+
+}  // namespace fiona::radio

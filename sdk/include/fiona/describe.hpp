@@ -1,0 +1,22 @@
+#pragma once
+
+#include "fiona/manifest.pb.h"
+#include "fiona/plugin.hpp"
+
+namespace fiona {
+
+/// Whether libfiona-msgs carries this proto file: no plugin may.
+bool is_platform_proto(const std::string& file);
+
+/// What one component declares, read from its hull after `create`.
+ComponentInterface interface_of(const Hull& hull, std::string_view component, std::string_view doc);
+
+/// Makes each component of the plugin once, on a clock that stands and without starting it, and writes down what it
+/// declares: the content of `interface.textproto`. Throws what a constructor throws.
+Interface describe(const Plugin& plugin);
+
+/// The first way in which what a component declares differs from its package's interface, as a sentence; empty if
+/// they agree.
+std::string interface_difference(const ComponentInterface& declared, const ComponentInterface& packaged);
+
+}  // namespace fiona

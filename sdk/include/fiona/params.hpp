@@ -1,0 +1,90 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "fiona/control.pb.h"
+#include "fiona/service.hpp"
+
+namespace fiona {
+
+class Component;
+class Hull;
+
+namespace detail {
+
+/// A component's parameters without their type: the current values, the rules, the component's own check.
+class ParamsBase {
+ public:
+  using Check = std::function<void(const Object&)>;
+  ParamsBase(Component& owner, std::unique_ptr<Object> defaults, Check check, std::function<void()> changed);
+  ParamsBase(const ParamsBase&) = delete;
+  ParamsBase& operator=(const ParamsBase&) = delete;
+
+  /// [strand] All or nothing: fields typed and converted to their units, declared rules, the component's check on
+  /// the whole draft, then the switch. Throws Error naming field, value and rule; nothing has changed then.
+  void apply(std::span<const control::Argument> changes);
+
+  /// [any thread] The values of this moment.
+  std::shared_ptr<const Object> snapshot() const;
+  /// [any thread] Every field with value, default, unit, range and doc, as the console shows it.
+  std::vector<control::ParameterStatus> status() const;
+  /// [any thread] The fields that differ from their defaults, as arguments that set them.
+  std::vector<control::Argument> differences() const;
+
+ protected:
+  const Object& current() const { return *current_; }
+
+ private:
+  Hull& hull_;
+  const std::shared_ptr<const Object> defaults_;
+  const Check check_;
+  const std::function<void()> changed_;
+  mutable std::mutex mutex_;
+  std::shared_ptr<const Object> current_;
+};
+
+}  // namespace detail
+
+/// Fills `message` with the defaults that its fields declare (`(fiona.default_value)`). A default that does not parse
+/// or breaks its own range throws Error naming the field: a mistake of the author, seen when the plugin is built.
+void set_declared_defaults(Object& message);
+
+/// Sets the fields that `changes` name, converting units, and checks every declared rule (range, size, enumerators).
+/// Throws Error naming field, value, rule; `message` is then unspecified, so pass a draft.
+void set_fields(Object& message, std::span<const control::Argument> changes);
+
+/// A component's parameters, as one proto message whose field options carry default, range, unit and doc:
+///
+///     fiona::Params<StepHeadingParams> params_{*this};                // params_->gain()
+///     fiona::Params<P> params_{*this, &Self::check, &Self::changed};  // check(draft) throws Error to refuse
+///
+/// Tasks and handlers see one consistent set: a change happens between them, on the strand.
+template <class M>
+class Params : public detail::ParamsBase {
+ public:
+  template <class C>
+  explicit Params(C& owner) : ParamsBase(owner, defaults(), nullptr, nullptr) {}
+  template <class C>
+  Params(C& owner, void (C::*check)(const M& draft) const, void (C::*changed)() = nullptr)
+      : ParamsBase(
+            owner, defaults(), [&owner, check](const Object& d) { (owner.*check)(static_cast<const M&>(d)); },
+            changed ? std::function<void()>([&owner, changed] { (owner.*changed)(); }) : nullptr) {}
+
+  /// [strand] Valid until the handler or task ends.
+  const M& operator*() const { return static_cast<const M&>(current()); }
+  const M* operator->() const { return &**this; }
+
+ private:
+  static std::unique_ptr<Object> defaults() {
+    auto message = std::make_unique<M>();
+    set_declared_defaults(*message);
+    return message;
+  }
+};
+
+}  // namespace fiona

@@ -1,0 +1,249 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "fiona/async.hpp"
+#include "fiona/message.hpp"
+#include "fiona/result.hpp"
+#include "fiona/service.hpp"
+#include "fiona/strand.hpp"
+
+namespace fiona {
+
+class Component;
+class Hull;
+
+enum class PortDirection { Provides, Requires };
+
+/// A client port's place in its life (patterns.md, rules shared by all).
+enum class Connection { Unwired, Waiting, Connected, Lost };
+std::string_view to_string(Connection connection);
+
+/// How a push subscription receives: the newest value only, or each one in order through a bounded queue.
+enum class Delivery { Newest, Each };
+
+/// What an author may say of a port beyond its service.
+struct PortOptions {
+  bool optional = false;  ///< the component can do without: no white spot, no complaint
+  std::string_view doc = {};
+  Delivery delivery = Delivery::Each;
+};
+
+/// Counters of a port, written on its strand or link, read by anyone.
+struct PortCounters {
+  std::atomic<std::uint64_t> messages{0};    ///< put, or received
+  std::atomic<std::uint64_t> superseded{0};  ///< overwritten by a newer value before anyone read them
+  std::atomic<std::uint64_t> dropped{0};     ///< lost to a full queue
+  std::atomic<std::uint64_t> refused{0};     ///< failed the check of size, range or finiteness
+  std::atomic<std::uint64_t> not_active{0};  ///< arrived in a mode that does not serve the port
+  std::atomic<std::int64_t> newest_ns{-1};   ///< origin of the newest message on the instance's clock
+  std::atomic<float> rate_hz{0};             ///< over the last second or so of the instance's clock
+
+  /// [strand] One more message, of this origin.
+  void count(TimePoint origin);
+
+ private:
+  std::int64_t window_start_ns_ = -1;
+  std::uint64_t window_messages_ = 0;
+};
+
+/// Where the answer to a request goes. Shared by the request under way and whoever will answer it.
+class ReplySink {
+ public:
+  virtual ~ReplySink() = default;
+  /// [any thread] Ends the request; only the first call counts.
+  virtual void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) = 0;
+  /// [any thread] The client gave up or is gone: nobody reads the answer.
+  bool abandoned() const { return abandoned_.load(std::memory_order_relaxed); }
+  void abandon() { abandoned_.store(true, std::memory_order_relaxed); }
+
+ private:
+  std::atomic<bool> abandoned_{false};
+};
+
+/// A message on its way into an inbox: with `reply`, a request.
+struct Parcel {
+  Envelope envelope;
+  std::shared_ptr<ReplySink> reply;
+};
+
+/// The far end of a wire as the near end sees it: an inbox of the same process, or a link to another.
+class Sink {
+ public:
+  virtual ~Sink() = default;
+  /// [any thread] Takes the message or says why not. Never waits, never runs a handler on the caller's stack.
+  virtual Outcome deliver(Parcel parcel) = 0;
+};
+
+/// A named member of a component that provides or requires one service. Declared by constructing it; it registers
+/// with its owner, and lives exactly as long.
+class Port {
+ public:
+  Port(Component& owner, std::string_view name, PortDirection direction, const ServiceInfo& service,
+       const PortOptions& options);
+  virtual ~Port() = default;
+  Port(const Port&) = delete;
+  Port& operator=(const Port&) = delete;
+
+  const std::string& name() const { return name_; }
+  PortDirection direction() const { return direction_; }
+  const ServiceInfo& service() const { return service_; }
+  bool optional() const { return optional_; }
+  const std::string& doc() const { return doc_; }
+  Hull& hull() const { return hull_; }
+  /// `instance.port`
+  std::string full_name() const;
+  PortCounters& counters() { return counters_; }
+
+  /// [strand] The instance shuts down: end what waits, let go of sinks.
+  virtual void close() {}
+
+ private:
+  Hull& hull_;
+  const std::string name_;
+  const PortDirection direction_;
+  const ServiceInfo& service_;
+  const bool optional_;
+  const std::string doc_;
+  PortCounters counters_;
+};
+
+/// The bounded queue in front of a handler, or the slot of a *newest* subscription.
+class Inbox {
+ public:
+  /// Ends a parcel on the strand. An Async that it returns keeps the next parcel waiting until it has ended.
+  using Handler = std::function<std::optional<Async<>>(const Parcel&)>;
+
+  /// Bytes that may wait, unless a single message is larger (architecture 7.4).
+  static constexpr std::size_t kMaxBytes = 4 * 1024 * 1024;
+
+  Inbox(Port& port, Delivery delivery, Handler handler);
+  ~Inbox();
+
+  /// [any thread] Queues the parcel; when full, the oldest goes and is counted (push), or the parcel is refused
+  /// with Rejected (send, query: nothing that a client counts on is dropped behind its back).
+  Outcome push(Parcel parcel);
+
+  /// The value in the slot of a *newest* inbox; stale: from a provider that has been replaced.
+  struct Newest {
+    Envelope envelope;
+    bool stale = false;
+  };
+  /// [any thread] The slot of a *newest* inbox without handler; the value stays.
+  std::optional<Newest> newest();
+  /// [any thread] Calls `waiter` once, with the envelope, on the strand, when the next message has come.
+  void on_next(std::function<void(const Envelope&)> waiter);
+  /// [any thread] What is in the slot is from a provider that has been replaced.
+  void mark_stale();
+  /// [any thread] Empties queue and slot; requests are answered with `outcome`.
+  void clear(Outcome outcome);
+
+  Port& port() const { return port_; }
+
+  /// [strand] Handles at most `limit` parcels.
+  void drain(std::size_t limit);
+
+ private:
+  friend class Strand;
+  Outcome push_each(std::unique_lock<std::mutex>& lock, Parcel parcel);
+  void push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel);
+  void wake(std::unique_lock<std::mutex>& lock);
+  void notify_waiters(const Envelope& envelope);
+  bool make_room(std::size_t bytes);
+  bool refill();
+  void handle();
+  void finish_parcel();
+  bool is_push() const;
+
+  Port& port_;
+  Strand& strand_;
+  const Delivery delivery_;
+  const Handler handler_;
+
+  // guarded by the strand's mutex
+  std::deque<Parcel> queue_;
+  std::optional<Newest> slot_;
+  bool slot_read_ = true;
+  bool ready_ = false;
+  std::vector<std::function<void(const Envelope&)>> waiters_;
+
+  std::atomic<std::size_t> bytes_{0};  ///< of queue_, batch_ and current_
+
+  // strand only
+  std::deque<Parcel> batch_;
+  std::optional<Parcel> current_;  ///< what the handler, perhaps a coroutine, refers to
+};
+
+/// A port that provides: messages leave through sinks (push) or enter through an inbox (send, query).
+class ProvidedPort : public Port {
+ public:
+  ProvidedPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+      : Port(owner, name, PortDirection::Provides, service, options) {}
+  /// The inbox of a send or query provider; null for a push.
+  virtual Inbox* inbox() { return nullptr; }
+  void close() override {
+    if (Inbox* in = inbox()) in->clear(Outcome::Disconnected);
+  }
+};
+
+/// A port that requires: it has one wire.
+class RequiredPort : public Port {
+ public:
+  RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+      : Port(owner, name, PortDirection::Requires, service, options) {}
+
+  /// The inbox of a push client; null for send and query.
+  virtual Inbox* inbox() { return nullptr; }
+  /// [any thread] Where a send or query client's messages go from now on; null: nowhere.
+  virtual void set_target(std::shared_ptr<Sink> /*target*/) {}
+  void close() override { on_connection(Connection::Unwired); }
+
+  /// [any thread]
+  Connection connection() const { return connection_.load(); }
+  /// [any thread] Called by the host's wiring. Leaving Connected ends waits as patterns.md's table says.
+  void set_connection(Connection connection, std::string reason);
+  std::string connection_reason() const;
+  /// [any thread] When it entered its connection state, on the instance's clock.
+  TimePoint connection_since() const { return TimePoint(Duration(since_ns_.load())); }
+
+ protected:
+  /// [strand] The connection has changed.
+  virtual void on_connection(Connection) {}
+
+ private:
+  std::atomic<Connection> connection_{Connection::Unwired};
+  std::atomic<std::int64_t> since_ns_{0};
+  mutable std::mutex reason_mutex_;
+  std::string reason_ = "not wired";
+};
+
+/// A wire within one process: hands parcels to the inbox at its end, every `prescale`-th of a push.
+class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWire> {
+ public:
+  LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale);
+  Outcome deliver(Parcel parcel) override;
+  /// [any thread] After it returned nothing more reaches the inbox.
+  void cut();
+  const std::string& name() const { return name_; }
+
+ private:
+  Outcome hand_over(Parcel parcel);
+
+  const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
+  const std::uint32_t prescale_;
+  std::mutex mutex_;
+  Inbox* inbox_;  ///< null once cut
+  Clock& clock_;
+  std::uint64_t puts_ = 0;
+  std::uint64_t staged_ = 0;
+};
+
+}  // namespace fiona

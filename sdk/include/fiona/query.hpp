@@ -1,0 +1,185 @@
+#pragma once
+
+#include <coroutine>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+
+#include "fiona/error.hpp"
+#include "fiona/port.hpp"
+#include "fiona/provides.hpp"
+
+namespace fiona {
+
+/// The deadline of a call that names none (architecture 7).
+inline constexpr Duration kDefaultDeadline = std::chrono::seconds(2);
+
+namespace detail {
+
+class QueryClient : public RequiredPort {
+ public:
+  QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+      : RequiredPort(owner, name, service, options) {}
+  ~QueryClient() override;
+  void set_target(std::shared_ptr<Sink> target) override;
+
+ protected:
+  struct Answer {
+    Outcome outcome = Outcome::NoData;
+    std::string reason;
+    std::shared_ptr<const Object> object;
+  };
+
+  /// With a constructor, and always a named variable: g++ 12 destroys an aggregate that is awaited as a temporary twice.
+  struct Awaiter {
+    Awaiter(QueryClient& client, std::shared_ptr<const Object> asked, Duration within)
+        : port(client), request(std::move(asked)), deadline(within) {}
+    QueryClient& port;
+    std::shared_ptr<const Object> request;
+    Duration deadline;
+    Answer answer;
+    bool await_ready() const { return false; }
+    bool await_suspend(std::coroutine_handle<> caller);
+    Answer await_resume() { return std::move(answer); }
+  };
+  void on_connection(Connection connection) override;
+
+ private:
+  class Reply;
+  struct Open {
+    Awaiter* awaiter;
+    std::coroutine_handle<> caller;
+    std::shared_ptr<Reply> reply;
+    TimerId deadline;
+  };
+  Outcome start(std::uint64_t id, Awaiter& awaiter, std::coroutine_handle<> caller);
+  void finish(std::uint64_t id, Answer answer);
+
+  std::mutex target_mutex_;
+  std::shared_ptr<Sink> target_;
+  std::unordered_map<std::uint64_t, Open> open_;  ///< strand only
+  std::uint64_t next_id_ = 1;
+};
+
+class QueryProvider : public ProvidedPort {
+ public:
+  QueryProvider(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
+                Inbox::Handler handler)
+      : ProvidedPort(owner, name, service, options), inbox_(*this, Delivery::Each, std::move(handler)) {}
+  Inbox* inbox() override { return &inbox_; }
+
+ private:
+  Inbox inbox_;
+};
+
+}  // namespace detail
+
+/// The right, and the duty, to answer one request; movable, may be kept and used later on the strand. Dropped without
+/// an answer it answers `rejected("no answer")`.
+template <class A>
+class Reply {
+ public:
+  explicit Reply(std::shared_ptr<ReplySink> sink) : sink_(std::move(sink)) {}
+  Reply(Reply&&) noexcept = default;
+  Reply& operator=(Reply&& other) noexcept {
+    std::swap(sink_, other.sink_);
+    return *this;
+  }
+  ~Reply() {
+    if (sink_) sink_->answer(Outcome::Rejected, "no answer", nullptr);
+  }
+
+  /// [any thread] Ends the request with this answer.
+  void answer(A object) { answer(std::make_shared<const A>(std::move(object))); }
+  void answer(std::shared_ptr<const A> object) { end(Outcome::Ok, {}, std::move(object)); }
+  /// [any thread] Ends it without one; the client's result carries `reason`.
+  void reject(std::string reason) { end(Outcome::Rejected, std::move(reason), nullptr); }
+  /// [any thread] Whether the client gave up, or is gone: an answer would reach nobody.
+  bool abandoned() const { return !sink_ || sink_->abandoned(); }
+
+ private:
+  void end(Outcome outcome, std::string reason, std::shared_ptr<const A> object) {
+    if (auto sink = std::exchange(sink_, nullptr)) sink->answer(outcome, std::move(reason), std::move(object));
+  }
+  std::shared_ptr<ReplySink> sink_;
+};
+
+namespace detail {
+
+template <class A>
+Async<> answer_later(Async<A> work, Reply<A> reply) {
+  try {
+    reply.answer(co_await work);
+  } catch (const Error& error) {
+    reply.reject(error.what());
+  }
+}
+
+/// `A f(const Q&)`, `Async<A> f(const Q&)` or `void f(const Q&, Reply<A>)`.
+template <class C, class Q, class A, class R>
+Inbox::Handler query_handler(C& owner, R (C::*handler)(const Q&)) {
+  return [&owner, handler](const Parcel& parcel) -> std::optional<Async<>> {
+    const auto& request = static_cast<const Q&>(*parcel.envelope.object);
+    Reply<A> reply(parcel.reply);
+    if constexpr (std::is_same_v<R, A>) {
+      try {
+        reply.answer((owner.*handler)(request));
+      } catch (const Error& error) {
+        reply.reject(error.what());
+      }
+      return std::nullopt;
+    } else {
+      static_assert(std::is_same_v<R, Async<A>>, "a query handler returns the answer or fiona::Async of it");
+      return answer_later<A>((owner.*handler)(request), std::move(reply));
+    }
+  };
+}
+template <class C, class Q, class A>
+Inbox::Handler query_handler(C& owner, void (C::*handler)(const Q&, Reply<A>)) {
+  return [&owner, handler](const Parcel& parcel) -> std::optional<Async<>> {
+    (owner.*handler)(static_cast<const Q&>(*parcel.envelope.object), Reply<A>(parcel.reply));
+    return std::nullopt;
+  };
+}
+
+}  // namespace detail
+
+/// Answers requests: `Provides<RouteService> routes_{*this, "routes", &Self::on_route};`. The handler returns the
+/// answer, returns an Async of it, or takes a `Reply` to be used later. A handler that throws Error rejects the
+/// request with its text; one that throws anything else fails the instance.
+template <QueryService S>
+class Provides<S> : public detail::QueryProvider {
+ public:
+  using RequestType = typename S::RequestType;
+  using AnswerType = typename S::AnswerType;
+
+  template <class C, class H>
+  Provides(C& owner, std::string_view name, H handler, PortOptions options = {})
+      : QueryProvider(owner, name, S::info(), options,
+                      detail::query_handler<C, RequestType, AnswerType>(owner, handler)) {}
+};
+
+/// Asks: `auto route = co_await routes_.query(request, 500ms);`
+template <QueryService S>
+class Requires<S> : public detail::QueryClient {
+ public:
+  using RequestType = typename S::RequestType;
+  using AnswerType = typename S::AnswerType;
+  using AnswerPtr = std::shared_ptr<const AnswerType>;
+
+  template <class C>
+  Requires(C& owner, std::string_view name, PortOptions options = {})
+      : QueryClient(owner, name, S::info(), options) {}
+
+  /// [strand] Exactly one outcome: the answer, or why there is none, within the deadline. Many may be open at once;
+  /// answers come in any order. The answer is shared with the provider and immutable.
+  Async<Result<AnswerPtr>> query(RequestType request, Duration deadline = kDefaultDeadline) {
+    Awaiter awaiter(*this, std::make_shared<const RequestType>(std::move(request)), deadline);
+    Answer answer = co_await awaiter;
+    if (answer.outcome != Outcome::Ok) co_return Result<AnswerPtr>(answer.outcome, std::move(answer.reason));
+    co_return std::static_pointer_cast<const AnswerType>(answer.object);
+  }
+};
+
+}  // namespace fiona

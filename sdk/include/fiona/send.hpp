@@ -1,0 +1,67 @@
+#pragma once
+
+#include <memory>
+#include <string_view>
+
+#include "fiona/port.hpp"
+#include "fiona/provides.hpp"
+#include "fiona/push.hpp"
+
+namespace fiona {
+namespace detail {
+
+class SendClient : public RequiredPort {
+ public:
+  SendClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+      : RequiredPort(owner, name, service, options) {}
+  void set_target(std::shared_ptr<Sink> target) override;
+
+ protected:
+  Outcome send_object(std::shared_ptr<const Object> object);
+
+ private:
+  std::mutex target_mutex_;
+  std::shared_ptr<Sink> target_;
+  std::uint64_t sequence_ = 0;
+};
+
+class SendProvider : public ProvidedPort {
+ public:
+  SendProvider(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
+               Inbox::Handler handler)
+      : ProvidedPort(owner, name, service, options), inbox_(*this, Delivery::Each, std::move(handler)) {}
+  Inbox* inbox() override { return &inbox_; }
+
+ private:
+  Inbox inbox_;
+};
+
+}  // namespace detail
+
+/// Receives what clients send: `Provides<DestinationProvider> destination_{*this, "destination", &Self::on_destination};`
+/// The receiver is the provider (architecture 5). Handlers as for a push client.
+template <SendService S>
+class Provides<S> : public detail::SendProvider {
+ public:
+  using ObjectType = typename S::ObjectType;
+
+  template <class C, class R, class A>
+  Provides(C& owner, std::string_view name, R (C::*handler)(A), PortOptions options = {})
+      : SendProvider(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
+};
+
+/// Sends, one way: Ok means that the provider's bounded queue has it; a full queue is an outcome, not a wait.
+template <SendService S>
+class Requires<S> : public detail::SendClient {
+ public:
+  using ObjectType = typename S::ObjectType;
+
+  template <class C>
+  Requires(C& owner, std::string_view name, PortOptions options = {})
+      : SendClient(owner, name, S::info(), options) {}
+
+  /// [strand]
+  Outcome send(ObjectType object) { return send_object(std::make_shared<const ObjectType>(std::move(object))); }
+};
+
+}  // namespace fiona

@@ -1,0 +1,113 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "fiona/time.hpp"
+
+namespace fiona {
+
+class Clock;
+class Inbox;
+
+/// A move-only piece of work without argument or result.
+class Job {
+ public:
+  Job() = default;
+  template <class F>
+    requires(!std::is_same_v<std::remove_cvref_t<F>, Job>)
+  Job(F&& work) : work_(std::make_unique<Holder<std::remove_cvref_t<F>>>(std::forward<F>(work))) {}
+  void operator()() { work_->run(); }
+  explicit operator bool() const { return work_ != nullptr; }
+
+ private:
+  struct Base {
+    virtual ~Base() = default;
+    virtual void run() = 0;
+  };
+  template <class F>
+  struct Holder final : Base {
+    explicit Holder(F&& f) : work(std::move(f)) {}
+    explicit Holder(const F& f) : work(f) {}
+    void run() override { work(); }
+    F work;
+  };
+  std::unique_ptr<Base> work_;
+};
+
+/// Something that an executor runs once for each time it was submitted.
+class Runnable {
+ public:
+  virtual ~Runnable() = default;
+  virtual void run() = 0;
+};
+
+/// Where strands get their threads from: a pool in a host, the caller's own thread on a test bench.
+class Executor {
+ public:
+  virtual ~Executor() = default;
+  /// [any thread] Runs `runnable` soon, never on the caller's stack. The executor shares it until it has run.
+  virtual void submit(std::shared_ptr<Runnable> runnable) = 0;
+  /// Runs what waits, where the executor has no threads of its own; a caller is about to wait for it.
+  virtual void help() {}
+};
+
+/// Runs the work of one instance, one piece after the other, on whichever thread the executor lends: handlers,
+/// tasks and life-cycle calls never overlap, so a component needs no lock.
+///
+/// It holds at most one wake-up at a time: messages wait in bounded inboxes and are drained in batches.
+class Strand final : public Runnable, public std::enable_shared_from_this<Strand> {
+ public:
+  Strand(std::string name, Executor& executor, Clock& clock);
+  ~Strand() override;
+
+  const std::string& name() const { return name_; }
+  Clock& clock() const { return clock_; }
+
+  /// [any thread] Queues `job`; false, and the job is destroyed, once the strand is closed.
+  bool post(Job job);
+
+  /// [any thread] Whether the calling thread is running this strand now.
+  bool is_current() const;
+
+  /// [any thread, not this strand] Runs `work` on the strand and waits for its end, at most `deadline` of the
+  /// machine's own time. False if it did not end by then (it is then skipped, or runs to its end unattended) or the
+  /// strand is closed. What `work` throws is thrown here.
+  bool call(Job work, Duration deadline);
+
+  /// [any thread] Refuses new work and drops what is queued. What runs goes on; `call` waiters return false.
+  void close();
+
+  /// [any thread] Pieces of work that wait.
+  std::size_t queue_depth() const;
+  /// [any thread] Time spent running, by the machine's steady clock.
+  Duration busy_time() const { return Duration(busy_ns_.load(std::memory_order_relaxed)); }
+
+  void run() override;
+
+ private:
+  friend class Inbox;
+  struct Turn;
+
+  void wake(std::unique_lock<std::mutex>& lock);
+  bool take_turn(Turn& turn);
+  void run_turn(Turn& turn);
+
+  const std::string name_;
+  Executor& executor_;
+  Clock& clock_;
+  mutable std::mutex mutex_;
+  std::vector<Job> jobs_;
+  std::vector<Inbox*> ready_;
+  bool scheduled_ = false;
+  std::atomic<bool> closed_{false};  ///< written under the mutex
+  std::atomic<std::int64_t> busy_ns_{0};
+};
+
+}  // namespace fiona

@@ -1,0 +1,187 @@
+#pragma once
+
+#include <google/protobuf/text_format.h>
+
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "fiona/error.hpp"
+#include "fiona/hull.hpp"
+#include "fiona/testing/inline_executor.hpp"
+
+namespace fiona::testing {
+
+/// A component on the bench: alone, on the test's thread, on a clock that the test moves. No host, process or socket.
+///
+///     Bench<StepCounter> bench;
+///     bench.start();
+///     bench.put<GetIMUService>("imu", sample);
+///     bench.advance(100ms);
+///     EXPECT_EQ(bench.take<StepProvider>("steps").size(), 1);
+///
+/// Every port is wired to the bench: what the component puts is kept until taken, what it asks is answered by
+/// `answer_with`. An outcome or exception that fails the instance is seen by `mode()` and `reason()`.
+template <class C>
+class Bench : private HullEvents {
+ public:
+  explicit Bench(std::string name = "component", std::filesystem::path share = {})
+      : hull_(std::move(name), {executor_, clock_, *this, std::move(share)}) {
+    hull_.create([](Hull& hull) { return std::make_unique<C>(hull); });
+    for (Port* port : hull_.ports()) wire(*port);
+  }
+  ~Bench() override { hull_.shut_down(kDefaultDeadline); }
+
+  /// Sets one parameter from its console spelling of kind text, number, integer or flag. Throws Error if refused.
+  void set(std::string_view name, std::string_view text) {
+    change(name, [&](control::Value& value) { value.set_text(std::string(text)); });
+  }
+  void set(std::string_view name, const char* text) { set(name, std::string_view(text)); }
+  void set(std::string_view name, double number) {
+    change(name, [&](control::Value& value) { value.set_number(number); });
+  }
+  void set(std::string_view name, int number) {
+    change(name, [&](control::Value& value) { value.set_integer(number); });
+  }
+  void set(std::string_view name, bool flag) {
+    change(name, [&](control::Value& value) { value.set_flag(flag); });
+  }
+
+  /// Brings the instance into a mode, `active` if none is named. Throws Error ComponentFailed if it refuses.
+  void start(std::string_view mode = kModeActive) { hull_.set_mode(mode, kDefaultDeadline); }
+  /// Lets the clock run for `duration`, and everything that this causes.
+  void advance(Duration duration) {
+    clock_.release();
+    clock_.stop_at(clock_.now() + duration, [this] { clock_.hold(); });
+    executor_.help();
+  }
+  TimePoint now() const { return clock_.now(); }
+
+  /// Hands a message to a required push port or a provided send port, as a wire would; it has been handled when
+  /// this returns.
+  template <class S>
+  Outcome put(std::string_view port, typename S::ObjectType object) {
+    Envelope envelope{std::make_shared<const typename S::ObjectType>(std::move(object)), ++sequence_, clock_.now(), 0};
+    envelope.bytes = envelope.object->ByteSizeLong();
+    const Outcome outcome = inbox(port).push({std::move(envelope), nullptr});
+    executor_.help();
+    return outcome;
+  }
+
+  /// What the component has put or sent through `port` since the last call.
+  template <class S>
+  std::vector<Received<typename S::ObjectType>> take(std::string_view port) {
+    std::vector<Received<typename S::ObjectType>> all;
+    for (const auto& parcel : std::exchange(collector(port).parcels, {})) {
+      all.push_back(detail::received<typename S::ObjectType>(parcel.envelope));
+    }
+    return all;
+  }
+
+  /// Asks a provided query port; time runs until it has answered, at most for `deadline`.
+  template <QueryService S>
+  Result<std::shared_ptr<const typename S::AnswerType>> ask(std::string_view port, typename S::RequestType request,
+                                                            Duration deadline = kDefaultDeadline) {
+    auto reply = std::make_shared<Collected>();
+    auto object = std::make_shared<const typename S::RequestType>(std::move(request));
+    const Outcome outcome = inbox(port).push({Envelope{object, ++sequence_, clock_.now(), 0}, reply});
+    executor_.help();
+    if (outcome != Outcome::Ok) return outcome;
+    if (!reply->answered) advance(deadline);
+    if (!reply->answered) return Outcome::Timeout;
+    if (reply->outcome != Outcome::Ok) return {reply->outcome, reply->reason};
+    return std::static_pointer_cast<const typename S::AnswerType>(reply->object);
+  }
+
+  /// From now on a required query port is answered by `answer(request)`.
+  template <QueryService S, class F>
+  void answer_with(std::string_view port, F answer) {
+    collector(port).answer = [answer = std::move(answer)](const Parcel& parcel) {
+      const auto& request = static_cast<const typename S::RequestType&>(*parcel.envelope.object);
+      parcel.reply->answer(Outcome::Ok, {}, std::make_shared<const typename S::AnswerType>(answer(request)));
+    };
+  }
+
+  std::string mode() const { return hull_.mode(); }
+  std::string reason() const { return hull_.reason(); }
+  Hull& hull() { return hull_; }
+  /// The exit code with which the component ended the run, and why; none if it has not.
+  const std::optional<std::pair<int, std::string>>& run_end() const { return run_end_; }
+  const std::vector<std::string>& log() const { return log_; }
+
+ private:
+  struct Collector final : Sink {
+    Outcome deliver(Parcel parcel) override {
+      if (answer) answer(parcel);
+      parcels.push_back(std::move(parcel));
+      return Outcome::Ok;
+    }
+    std::vector<Parcel> parcels;
+    std::function<void(const Parcel&)> answer;
+  };
+  struct Collected final : ReplySink {
+    void answer(Outcome result, std::string why, std::shared_ptr<const Object> what) override {
+      if (std::exchange(answered, true)) return;
+      outcome = result;
+      reason = std::move(why);
+      object = std::move(what);
+    }
+    bool answered = false;
+    Outcome outcome = Outcome::NoData;
+    std::string reason;
+    std::shared_ptr<const Object> object;
+  };
+
+  void wire(Port& port) {
+    auto sink = std::make_shared<Collector>();
+    if (auto* provider = dynamic_cast<detail::PushProvider*>(&port)) provider->attach(sink);
+    if (auto* client = dynamic_cast<RequiredPort*>(&port)) {
+      client->set_target(sink);
+      client->set_connection(Connection::Connected, "on the bench");
+    }
+    collectors_.emplace(port.name(), std::move(sink));
+  }
+
+  Port& find(std::string_view name) {
+    if (Port* port = hull_.find_port(name)) return *port;
+    throw Error(ErrorCode::NotFound, "the component has no port '" + std::string(name) + "'");
+  }
+  Inbox& inbox(std::string_view name) {
+    Port& port = find(name);
+    Inbox* inbox = nullptr;
+    if (auto* provided = dynamic_cast<ProvidedPort*>(&port)) inbox = provided->inbox();
+    if (auto* required = dynamic_cast<RequiredPort*>(&port)) inbox = required->inbox();
+    if (inbox) return *inbox;
+    throw Error(ErrorCode::Usage, "nothing can be handed to port '" + std::string(name) + "'");
+  }
+  Collector& collector(std::string_view name) { return *collectors_.at(find(name).name()); }
+
+  template <class F>
+  void change(std::string_view name, F fill) {
+    control::Argument argument;
+    argument.set_name(std::string(name));
+    fill(*argument.mutable_value());
+    hull_.set_parameters({&argument, 1}, kDefaultDeadline);
+  }
+
+  void mode_changed(const std::string&, const std::string&, const std::string&) override {}
+  void run_ended(const std::string&, int exit_code, const std::string& reason) override {
+    if (!run_end_) run_end_.emplace(exit_code, reason);
+  }
+  void logged(const std::string&, LogLevel, std::string_view text) override { log_.emplace_back(text); }
+
+  InlineExecutor executor_;
+  VirtualClock clock_;
+  Hull hull_;
+  std::map<std::string, std::shared_ptr<Collector>> collectors_;
+  std::uint64_t sequence_ = 0;
+  std::optional<std::pair<int, std::string>> run_end_;
+  std::vector<std::string> log_;
+};
+
+}  // namespace fiona::testing

@@ -1,0 +1,29 @@
+#pragma once
+
+#include <chrono>
+
+namespace fiona {
+
+using Duration = std::chrono::nanoseconds;
+
+/// The time that components live in: read from the instance's clock (system, simulated or replayed), never from
+/// the operating system. It only grows. On the system clock it is Unix time at the host's start plus what has
+/// passed since, so it does not jump when the machine's clock is set; on a virtual clock it starts at zero.
+struct Timeline {
+  using duration = Duration;
+  using rep = duration::rep;
+  using period = duration::period;
+  using time_point = std::chrono::time_point<Timeline, Duration>;
+  static constexpr bool is_steady = true;
+};
+
+using TimePoint = Timeline::time_point;
+
+/// Milliseconds since the timeline's epoch: the document's `T` attributes.
+constexpr std::int64_t to_milliseconds(TimePoint time) {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(time.time_since_epoch()).count();
+}
+
+constexpr double to_seconds(Duration duration) { return std::chrono::duration<double>(duration).count(); }
+
+}  // namespace fiona

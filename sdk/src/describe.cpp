@@ -1,0 +1,112 @@
+#include "fiona/describe.hpp"
+
+#include <google/protobuf/descriptor.h>
+
+#include <deque>
+#include <set>
+#include <sstream>
+
+#include "fiona/clock.hpp"
+#include "fiona/testing/inline_executor.hpp"
+
+namespace fiona {
+namespace {
+
+using google::protobuf::FileDescriptor;
+
+/// The files that libfiona-msgs carries; every other file is a plugin's own.
+const std::set<std::string>& platform_files() {
+  static const std::set<std::string> files = [] {
+    std::istringstream names(FIONA_PLATFORM_PROTOS);
+    std::set<std::string> all;
+    for (std::string name; names >> name;) all.insert(name);
+    return all;
+  }();
+  return files;
+}
+
+}  // namespace
+
+bool is_platform_proto(const std::string& file) {
+  return platform_files().contains(file) || file.starts_with("google/protobuf/");
+}
+
+namespace {
+
+/// Appends `file` and what it imports, dependencies before users, leaving out the platform's.
+void add_files(const FileDescriptor& file, std::set<std::string>& seen, google::protobuf::FileDescriptorSet& set) {
+  if (is_platform_proto(file.name()) || !seen.insert(file.name()).second) return;
+  for (int i = 0; i < file.dependency_count(); ++i) add_files(*file.dependency(i), seen, set);
+  file.CopyTo(set.add_file());
+}
+
+class SilentEvents final : public HullEvents {
+ public:
+  void mode_changed(const std::string&, const std::string&, const std::string&) override {}
+  void run_ended(const std::string&, int, const std::string&) override {}
+  void logged(const std::string&, LogLevel, std::string_view) override {}
+};
+
+}  // namespace
+
+ComponentInterface interface_of(const Hull& hull, std::string_view component, std::string_view doc) {
+  ComponentInterface interface;
+  interface.set_name(std::string(component));
+  interface.set_doc(std::string(doc));
+  for (const Port* port : hull.ports()) {
+    auto& one = *interface.add_ports();
+    one.set_name(port->name());
+    one.set_direction(port->direction() == PortDirection::Provides ? PROVIDES : REQUIRES);
+    one.set_service(port->service().name());
+    one.set_optional(port->optional());
+    one.set_doc(port->doc());
+  }
+  if (hull.parameters()) interface.set_parameters(hull.parameters()->snapshot()->GetDescriptor()->full_name());
+  for (const auto& mode : hull.main_modes()) interface.add_modes(mode);
+  for (const Task* task : hull.tasks()) {
+    auto& one = *interface.add_tasks();
+    one.set_name(task->name());
+    one.set_period_ms(std::chrono::duration<double, std::milli>(task->period()).count());
+  }
+  return interface;
+}
+
+Interface describe(const Plugin& plugin) {
+  Interface interface;
+  interface.set_abi(kAbiTag);
+  std::set<std::string> seen;
+  testing::InlineExecutor executor;
+  VirtualClock clock;
+  SilentEvents events;
+  for (const auto& entry : plugin.entries()) {
+    Hull hull(entry.name, {executor, clock, events, {}});
+    hull.create(entry.make);
+    *interface.add_components() = interface_of(hull, entry.name, entry.doc);
+    for (const Port* port : hull.ports()) {
+      add_files(*port->service().descriptor().file(), seen, *interface.mutable_descriptors());
+    }
+    if (hull.parameters()) {
+      add_files(*hull.parameters()->snapshot()->GetDescriptor()->file(), seen, *interface.mutable_descriptors());
+    }
+    hull.shut_down(std::chrono::seconds(2));
+  }
+  return interface;
+}
+
+std::string interface_difference(const ComponentInterface& declared, const ComponentInterface& packaged) {
+  const auto text = [](const PortInterface& port) {
+    return (port.direction() == PROVIDES ? "provides " : "requires ") + port.name() + " (" + port.service() + ")" +
+           (port.optional() ? ", optional" : "");
+  };
+  for (int i = 0; i < std::max(declared.ports_size(), packaged.ports_size()); ++i) {
+    const std::string is = i < declared.ports_size() ? text(declared.ports(i)) : "no further port";
+    const std::string said = i < packaged.ports_size() ? text(packaged.ports(i)) : "no further port";
+    if (is != said) return "it " + is + "; its interface says: " + said;
+  }
+  if (declared.parameters() != packaged.parameters()) {
+    return "its parameters are '" + declared.parameters() + "'; its interface says '" + packaged.parameters() + "'";
+  }
+  return {};
+}
+
+}  // namespace fiona

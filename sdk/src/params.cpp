@@ -1,0 +1,179 @@
+#include "fiona/params.hpp"
+
+#include <fmt/format.h>
+#include <google/protobuf/descriptor.h>
+#include <google/protobuf/text_format.h>
+
+#include <cmath>
+#include <limits>
+
+#include "fiona/component.hpp"
+#include "fiona/error.hpp"
+#include "fiona/hull.hpp"
+#include "fiona/rules.hpp"
+#include "value_text.hpp"
+
+namespace fiona {
+
+using google::protobuf::Descriptor;
+using google::protobuf::FieldDescriptor;
+using google::protobuf::Message;
+
+namespace {
+
+std::vector<std::string> field_names(const Descriptor& type) {
+  std::vector<std::string> names;
+  for (int i = 0; i < type.field_count(); ++i) names.push_back(type.field(i)->name());
+  return names;
+}
+
+/// Follows the dots of `path` to the message that holds its last field.
+std::pair<Message*, const FieldDescriptor*> locate(Message& root, const std::string& path) {
+  Message* message = &root;
+  std::size_t begin = 0;
+  while (true) {
+    const std::size_t dot = path.find('.', begin);
+    const std::string name = path.substr(begin, dot == std::string::npos ? dot : dot - begin);
+    const FieldDescriptor* field = message->GetDescriptor()->FindFieldByName(name);
+    if (!field) {
+      const auto known = field_names(*message->GetDescriptor());
+      throw Error(ErrorCode::NotFound, {.what = "there is no parameter '" + path + "'",
+                                        .expected = fmt::format("one of {}", fmt::join(known, ", ")),
+                                        .near = nearest_names(name, known)});
+    }
+    if (dot == std::string::npos) return {message, field};
+    if (field->is_repeated() || field->cpp_type() != FieldDescriptor::CPPTYPE_MESSAGE) {
+      throw Error(ErrorCode::NotFound, {.what = "parameter '" + name + "' has no fields of its own", .where = path});
+    }
+    message = message->GetReflection()->MutableMessage(message, field);
+    begin = dot + 1;
+  }
+}
+
+const Message& located(const Message& root, const std::string& path, const FieldDescriptor** field) {
+  // `locate` creates nested messages on its way, so it works on a copy where the original must stay.
+  auto [message, found] = locate(const_cast<Message&>(root), path);
+  *field = found;
+  return *message;
+}
+
+}  // namespace
+
+void set_fields(Object& message, std::span<const control::Argument> changes) {
+  for (const auto& change : changes) {
+    auto [holder, field] = locate(message, change.name());
+    detail::set_field(*holder, *field, change.value(), change.name());
+  }
+  if (const auto violation = ObjectRules(*message.GetDescriptor()).first_violation(message)) {
+    throw Error(ErrorCode::Usage, "refused: " + *violation);
+  }
+}
+
+void set_declared_defaults(Object& message) {
+  const Descriptor& type = *message.GetDescriptor();
+  for (int i = 0; i < type.field_count(); ++i) {
+    const FieldDescriptor& field = *type.field(i);
+    if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) {
+      set_declared_defaults(*message.GetReflection()->MutableMessage(&message, &field));
+      continue;
+    }
+    const std::string& text = field.options().GetExtension(fiona::default_value);
+    if (!text.empty()) detail::set_field(message, field, detail::parse_default(field, text), field.full_name());
+  }
+  if (const auto violation = ObjectRules(type).first_violation(message)) {
+    throw Error(ErrorCode::Usage, {.what = "the declared default breaks its own rule: " + *violation,
+                                   .where = type.full_name(),
+                                   .next = "correct (fiona.default_value) in " + type.file()->name()});
+  }
+}
+
+namespace detail {
+
+ParamsBase::ParamsBase(Component& owner, std::unique_ptr<Object> defaults, Check check, std::function<void()> changed)
+    : hull_(owner.hull()),
+      defaults_(std::move(defaults)),
+      check_(std::move(check)),
+      changed_(std::move(changed)),
+      current_(defaults_) {
+  if (hull_.params_) {
+    throw Error(ErrorCode::Usage, {.what = "a component has one parameter message", .where = hull_.name()});
+  }
+  hull_.params_ = this;
+}
+
+void ParamsBase::apply(std::span<const control::Argument> changes) {
+  std::shared_ptr<Object> draft(current_->New());
+  draft->CopyFrom(*current_);
+  try {
+    set_fields(*draft, changes);
+    if (check_) check_(*draft);
+  } catch (const Error& error) {
+    ErrorText text = error.text();
+    if (text.where.empty()) text.where = hull_.name();
+    if (text.next.empty()) text.next = "get " + hull_.name();
+    throw Error(error.code(), std::move(text));
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    current_ = std::move(draft);
+  }
+  if (changed_ && hull_.mode() != kModeInit) changed_();
+}
+
+std::shared_ptr<const Object> ParamsBase::snapshot() const {
+  const std::lock_guard lock(mutex_);
+  return current_;
+}
+
+namespace {
+
+void for_each_leaf(const Message& message, const std::string& prefix,
+                   const std::function<void(const std::string&, const Message&, const FieldDescriptor&)>& visit) {
+  const Descriptor& type = *message.GetDescriptor();
+  for (int i = 0; i < type.field_count(); ++i) {
+    const FieldDescriptor& field = *type.field(i);
+    const std::string name = prefix + field.name();
+    if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) {
+      for_each_leaf(message.GetReflection()->GetMessage(message, &field), name + ".", visit);
+    } else {
+      visit(name, message, field);
+    }
+  }
+}
+
+}  // namespace
+
+std::vector<control::ParameterStatus> ParamsBase::status() const {
+  std::vector<control::ParameterStatus> all;
+  const auto values = snapshot();
+  for_each_leaf(*values, "", [&](const std::string& name, const Message& holder, const FieldDescriptor& field) {
+    auto& one = all.emplace_back();
+    const FieldDescriptor* same = nullptr;
+    const Message& default_holder = located(*defaults_, name, &same);
+    one.set_name(name);
+    one.set_value(field_text(holder, field));
+    one.set_default_value(field_text(default_holder, field));
+    one.set_type(type_text(field));
+    one.set_unit(field.options().GetExtension(fiona::unit));
+    one.set_range(range_text(field));
+    one.set_doc(field.options().GetExtension(fiona::doc));
+  });
+  return all;
+}
+
+std::vector<control::Argument> ParamsBase::differences() const {
+  std::vector<control::Argument> changed;
+  const auto values = snapshot();
+  for_each_leaf(*values, "", [&](const std::string& name, const Message& holder, const FieldDescriptor& field) {
+    const FieldDescriptor* same = nullptr;
+    const Message& default_holder = located(*defaults_, name, &same);
+    if (field_text(holder, field) == field_text(default_holder, field)) return;
+    auto& one = changed.emplace_back();
+    one.set_name(name);
+    *one.mutable_value() = field_value(holder, field);
+  });
+  return changed;
+}
+
+}  // namespace detail
+}  // namespace fiona

@@ -1,0 +1,284 @@
+#include "fiona/port.hpp"
+
+#include <utility>
+
+#include "fiona/clock.hpp"
+#include "fiona/hull.hpp"
+
+namespace fiona {
+namespace {
+
+/// What a message costs in memory beside its serialised size: object, queue entry, shared count.
+constexpr std::size_t kMessageOverhead = 256;
+/// Parcels that leave the queue at once, so that "drop the oldest" finds most of them still there.
+constexpr std::size_t kBatch = 64;
+
+std::size_t cost(const Parcel& parcel) { return parcel.envelope.bytes + kMessageOverhead; }
+
+}  // namespace
+
+std::string_view to_string(Connection connection) {
+  switch (connection) {
+    case Connection::Unwired: return "unwired";
+    case Connection::Waiting: return "waiting";
+    case Connection::Connected: return "connected";
+    case Connection::Lost: return "lost";
+  }
+  return "unknown";
+}
+
+void PortCounters::count(TimePoint origin) {
+  messages.fetch_add(1, std::memory_order_relaxed);
+  const std::int64_t now_ns = origin.time_since_epoch().count();
+  newest_ns.store(now_ns, std::memory_order_relaxed);
+  constexpr std::int64_t kWindowNs = 1'000'000'000;
+  // Origins may step back a little, as those of the rows of a radio scan do: that is no new beginning.
+  constexpr std::int64_t kStepBackNs = 60 * kWindowNs;
+  if (window_start_ns_ < 0 || now_ns < window_start_ns_ - kStepBackNs) {
+    window_start_ns_ = now_ns;
+    window_messages_ = 0;
+    return;
+  }
+  ++window_messages_;
+  const std::int64_t elapsed_ns = now_ns - window_start_ns_;
+  if (elapsed_ns < kWindowNs) return;
+  rate_hz.store(static_cast<float>(static_cast<double>(window_messages_) * 1e9 / static_cast<double>(elapsed_ns)),
+                std::memory_order_relaxed);
+  window_start_ns_ = now_ns;
+  window_messages_ = 0;
+}
+
+Port::Port(Component& owner, std::string_view name, PortDirection direction, const ServiceInfo& service,
+           const PortOptions& options)
+    : hull_(owner.hull()),
+      name_(name),
+      direction_(direction),
+      service_(service),
+      optional_(options.optional),
+      doc_(options.doc) {
+  hull_.add(*this);
+}
+
+std::string Port::full_name() const { return hull_.name() + "." + name_; }
+
+TimePoint owner_now(const Port& port) { return port.hull().clock().now(); }
+
+// ---- inbox ----------------------------------------------------------------------------------------------------
+
+Inbox::Inbox(Port& port, Delivery delivery, Handler handler)
+    : port_(port), strand_(port.hull().strand()), delivery_(delivery), handler_(std::move(handler)) {}
+
+Inbox::~Inbox() = default;
+
+bool Inbox::is_push() const {
+  const Pattern pattern = port_.service().pattern();
+  return pattern == PUSH_NEWEST || pattern == PUSH_TIMED;
+}
+
+Outcome Inbox::push(Parcel parcel) {
+  std::unique_lock lock(strand_.mutex_);
+  if (strand_.closed_) return Outcome::Disconnected;
+  if (delivery_ == Delivery::Each) return push_each(lock, std::move(parcel));
+  push_newest(lock, std::move(parcel));
+  return Outcome::Ok;
+}
+
+Outcome Inbox::push_each(std::unique_lock<std::mutex>& lock, Parcel parcel) {
+  const std::size_t bytes = cost(parcel);
+  if (!make_room(bytes)) return Outcome::Rejected;
+  bytes_.fetch_add(bytes, std::memory_order_relaxed);
+  notify_waiters(parcel.envelope);
+  queue_.push_back(std::move(parcel));
+  wake(lock);
+  return Outcome::Ok;
+}
+
+void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
+  if (!handler_) {
+    if (!port_.hull().is_active()) {
+      port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+    port_.counters().count(parcel.envelope.origin);
+    if (slot_ && !slot_read_) port_.counters().superseded.fetch_add(1, std::memory_order_relaxed);
+    notify_waiters(parcel.envelope);
+    slot_ = Newest{std::move(parcel.envelope), false};
+    slot_read_ = false;
+    return;
+  }
+  for (const Parcel& old : queue_) {
+    bytes_.fetch_sub(cost(old), std::memory_order_relaxed);
+    port_.counters().superseded.fetch_add(1, std::memory_order_relaxed);
+  }
+  queue_.clear();
+  bytes_.fetch_add(cost(parcel), std::memory_order_relaxed);
+  queue_.push_back(std::move(parcel));
+  wake(lock);
+}
+
+/// A full push queue loses its oldest entries, counted; a full queue of requests takes no more.
+bool Inbox::make_room(std::size_t bytes) {
+  const auto full = [&] {
+    const std::size_t waiting = bytes_.load(std::memory_order_relaxed);
+    return waiting > 0 && waiting + bytes > kMaxBytes;
+  };
+  if (!is_push()) return !full();
+  while (full() && !queue_.empty()) {
+    bytes_.fetch_sub(cost(queue_.front()), std::memory_order_relaxed);
+    port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
+    queue_.pop_front();
+  }
+  return true;
+}
+
+void Inbox::wake(std::unique_lock<std::mutex>& lock) {
+  if (!ready_) {
+    ready_ = true;
+    strand_.ready_.push_back(this);
+  }
+  strand_.wake(lock);
+}
+
+/// Called with the strand's mutex held: the waiters run as jobs of the strand.
+void Inbox::notify_waiters(const Envelope& envelope) {
+  if (waiters_.empty()) return;
+  for (auto& waiter : std::exchange(waiters_, {})) {
+    strand_.jobs_.emplace_back([waiter = std::move(waiter), envelope] { waiter(envelope); });
+  }
+  if (strand_.scheduled_) return;
+  strand_.scheduled_ = true;
+  strand_.clock_.strand_busy();
+  strand_.executor_.submit(strand_.shared_from_this());
+}
+
+std::optional<Inbox::Newest> Inbox::newest() {
+  const std::lock_guard lock(strand_.mutex_);
+  slot_read_ = true;
+  return slot_;
+}
+
+void Inbox::on_next(std::function<void(const Envelope&)> waiter) {
+  const std::lock_guard lock(strand_.mutex_);
+  waiters_.push_back(std::move(waiter));
+}
+
+void Inbox::mark_stale() {
+  const std::lock_guard lock(strand_.mutex_);
+  if (slot_) slot_->stale = true;
+}
+
+void Inbox::clear(Outcome outcome) {
+  std::deque<Parcel> dropped;
+  {
+    const std::lock_guard lock(strand_.mutex_);
+    dropped.swap(queue_);
+    slot_.reset();
+    slot_read_ = true;
+    for (const Parcel& parcel : dropped) bytes_.fetch_sub(cost(parcel), std::memory_order_relaxed);
+  }
+  for (const Parcel& parcel : dropped) {
+    if (parcel.reply) parcel.reply->answer(outcome, {}, nullptr);
+  }
+}
+
+bool Inbox::refill() {
+  const std::lock_guard lock(strand_.mutex_);
+  while (!queue_.empty() && batch_.size() < kBatch) {
+    batch_.push_back(std::move(queue_.front()));
+    queue_.pop_front();
+  }
+  return !batch_.empty();
+}
+
+void Inbox::drain(std::size_t limit) {
+  for (std::size_t handled = 0; !current_; ++handled) {
+    if (batch_.empty() && !refill()) return;
+    if (handled == limit) {
+      std::unique_lock lock(strand_.mutex_);
+      wake(lock);
+      return;
+    }
+    current_ = std::move(batch_.front());
+    batch_.pop_front();
+    handle();
+    if (strand_.closed_) return;
+  }
+}
+
+/// Ends the current parcel, or leaves it to the coroutine that the handler returned.
+void Inbox::handle() {
+  Hull& hull = port_.hull();
+  if (current_->reply && current_->reply->abandoned()) return finish_parcel();
+  if (!hull.is_active()) {
+    port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
+    if (current_->reply) current_->reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
+    return finish_parcel();
+  }
+  port_.counters().count(current_->envelope.origin);
+  std::optional<Async<>> coroutine;
+  hull.guarded([&] { coroutine = handler_(*current_); });
+  if (!coroutine) return finish_parcel();
+  hull.spawn(std::move(*coroutine), [this] {
+    finish_parcel();
+    drain(kBatch);
+  });
+}
+
+void Inbox::finish_parcel() {
+  bytes_.fetch_sub(cost(*current_), std::memory_order_relaxed);
+  current_.reset();
+}
+
+// ---- required port and local wire -----------------------------------------------------------------------------
+
+void RequiredPort::set_connection(Connection connection, std::string reason) {
+  {
+    const std::lock_guard lock(reason_mutex_);
+    reason_ = std::move(reason);
+  }
+  connection_.store(connection);
+  since_ns_.store(hull().clock().now().time_since_epoch().count());
+  hull().strand().post([this, connection] { on_connection(connection); });
+}
+
+std::string RequiredPort::connection_reason() const {
+  const std::lock_guard lock(reason_mutex_);
+  return reason_;
+}
+
+LocalWire::LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale)
+    : name_(std::move(name)), prescale_(prescale == 0 ? 1 : prescale), inbox_(&inbox), clock_(inbox.port().hull().clock()) {}
+
+Outcome LocalWire::deliver(Parcel parcel) {
+  if (!clock_.staging()) {
+    const std::lock_guard lock(mutex_);
+    return hand_over(std::move(parcel));
+  }
+  std::uint64_t sequence = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!inbox_) return Outcome::Disconnected;
+    sequence = ++staged_;
+  }
+  clock_.stage(name_, sequence, [self = shared_from_this(), parcel = std::move(parcel)]() mutable {
+    const std::lock_guard lock(self->mutex_);
+    const auto reply = parcel.reply;
+    const Outcome outcome = self->hand_over(std::move(parcel));
+    if (reply && outcome != Outcome::Ok) reply->answer(outcome, {}, nullptr);
+  });
+  return Outcome::Ok;
+}
+
+/// Called with the mutex held, so that after `cut` nothing is under way.
+Outcome LocalWire::hand_over(Parcel parcel) {
+  if (!inbox_) return Outcome::Disconnected;
+  if (puts_++ % prescale_ != 0) return Outcome::Ok;
+  return inbox_->push(std::move(parcel));
+}
+
+void LocalWire::cut() {
+  const std::lock_guard lock(mutex_);
+  inbox_ = nullptr;
+}
+
+}  // namespace fiona

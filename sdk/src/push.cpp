@@ -1,0 +1,101 @@
+#include "fiona/push.hpp"
+
+#include <algorithm>
+
+#include "fiona/hull.hpp"
+
+namespace fiona::detail {
+
+std::uint64_t PushProvider::attach(std::shared_ptr<Sink> sink) {
+  const std::lock_guard lock(mutex_);
+  auto sinks = std::make_shared<Sinks>(*sinks_);
+  sinks->push_back(sink);
+  sinks_ = std::move(sinks);
+  if (last_ && service().contract().last_value()) sink->deliver(Parcel{*last_, nullptr});
+  return sequence_;
+}
+
+void PushProvider::detach(const Sink& sink) {
+  const std::lock_guard lock(mutex_);
+  auto sinks = std::make_shared<Sinks>(*sinks_);
+  std::erase_if(*sinks, [&sink](const auto& other) { return other.get() == &sink; });
+  sinks_ = std::move(sinks);
+}
+
+std::size_t PushProvider::subscribers() const {
+  const std::lock_guard lock(mutex_);
+  return sinks_->size();
+}
+
+void PushProvider::close() {
+  const std::lock_guard lock(mutex_);
+  sinks_ = std::make_shared<Sinks>();
+  last_.reset();
+}
+
+Outcome PushProvider::put_object(std::shared_ptr<const Object> object, TimePoint origin) {
+  if (const auto violation = rules_.first_violation(*object)) {
+    const auto refused = counters().refused.fetch_add(1, std::memory_order_relaxed);
+    if (refused == 0) hull().events().logged(hull().name(), LogLevel::Warning, full_name() + " refused a put: " + *violation);
+    return Outcome::Rejected;
+  }
+  Envelope envelope{std::move(object), 0, origin, 0};
+  envelope.bytes = envelope.object->ByteSizeLong();
+  std::shared_ptr<const Sinks> sinks;
+  {
+    // The subscriber list and the sequence change together, so that "from sequence n" is exact.
+    const std::lock_guard lock(mutex_);
+    envelope.sequence = ++sequence_;
+    sinks = sinks_;
+    if (service().contract().last_value()) last_ = envelope;
+  }
+  counters().count(origin);
+  for (const auto& sink : *sinks) sink->deliver(Parcel{envelope, nullptr});
+  return Outcome::Ok;
+}
+
+PushClient::PushClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
+                       Inbox::Handler handler)
+    : RequiredPort(owner, name, service, options), inbox_(*this, options.delivery, std::move(handler)) {}
+
+void PushClient::on_connection(Connection connection) {
+  if (connection == Connection::Connected) return inbox_.mark_stale();
+  inbox_.clear(Outcome::Disconnected);
+  if (connection == Connection::Waiting) return;
+  for (const auto& wait : std::exchange(waits_, {})) finish(wait, Outcome::Disconnected);
+}
+
+bool PushClient::NextAwaiter::await_suspend(std::coroutine_handle<> caller) {
+  wait = std::make_shared<NextWait>();
+  wait->caller = caller;
+  const Connection connection = port.connection();
+  if (connection == Connection::Unwired || connection == Connection::Lost) {
+    wait->outcome = connection == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected;
+    return false;
+  }
+  port.waits_.push_back(wait);
+  port.inbox_.on_next([&client = port, pending = wait](const Envelope& envelope) {
+    pending->envelope = envelope;
+    client.finish(pending, Outcome::Ok);
+  });
+  Hull& hull = port.hull();
+  wait->deadline = hull.clock().schedule(hull.clock().now() + deadline, hull.shared_strand(),
+                                         [&client = port, pending = wait] { client.finish(pending, Outcome::Timeout); });
+  return true;
+}
+
+Result<Envelope> PushClient::NextAwaiter::await_resume() {
+  if (wait->outcome == Outcome::Ok) return std::move(*wait->envelope);
+  return wait->outcome;
+}
+
+void PushClient::finish(const std::shared_ptr<NextWait>& wait, Outcome outcome) {
+  if (wait->ended) return;
+  wait->ended = true;
+  wait->outcome = outcome;
+  hull().clock().cancel(wait->deadline);
+  std::erase(waits_, wait);
+  wait->caller.resume();
+}
+
+}  // namespace fiona::detail

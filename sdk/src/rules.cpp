@@ -1,0 +1,141 @@
+#include "fiona/rules.hpp"
+
+#include <fmt/format.h>
+#include <google/protobuf/descriptor.h>
+
+#include <cmath>
+
+namespace fiona {
+
+using google::protobuf::Descriptor;
+using google::protobuf::FieldDescriptor;
+using google::protobuf::Reflection;
+
+namespace {
+
+std::optional<double> number_of(const Object& object, const FieldDescriptor& field, int index) {
+  const Reflection& reflect = *object.GetReflection();
+  const bool repeated = index >= 0;
+  switch (field.cpp_type()) {
+    case FieldDescriptor::CPPTYPE_DOUBLE:
+      return repeated ? reflect.GetRepeatedDouble(object, &field, index) : reflect.GetDouble(object, &field);
+    case FieldDescriptor::CPPTYPE_FLOAT:
+      return repeated ? reflect.GetRepeatedFloat(object, &field, index) : reflect.GetFloat(object, &field);
+    case FieldDescriptor::CPPTYPE_INT32:
+      return repeated ? reflect.GetRepeatedInt32(object, &field, index) : reflect.GetInt32(object, &field);
+    case FieldDescriptor::CPPTYPE_UINT32:
+      return repeated ? reflect.GetRepeatedUInt32(object, &field, index) : reflect.GetUInt32(object, &field);
+    case FieldDescriptor::CPPTYPE_INT64:
+      return static_cast<double>(repeated ? reflect.GetRepeatedInt64(object, &field, index)
+                                          : reflect.GetInt64(object, &field));
+    case FieldDescriptor::CPPTYPE_UINT64:
+      return static_cast<double>(repeated ? reflect.GetRepeatedUInt64(object, &field, index)
+                                          : reflect.GetUInt64(object, &field));
+    default: return std::nullopt;
+  }
+}
+
+std::optional<std::size_t> length_of(const Object& object, const FieldDescriptor& field) {
+  const Reflection& reflect = *object.GetReflection();
+  if (field.is_repeated()) return static_cast<std::size_t>(reflect.FieldSize(object, &field));
+  if (field.cpp_type() != FieldDescriptor::CPPTYPE_STRING) return std::nullopt;
+  std::string scratch;
+  return reflect.GetStringReference(object, &field, &scratch).size();
+}
+
+std::string unit_of(const FieldDescriptor& field) {
+  const std::string& unit = field.options().GetExtension(fiona::unit);
+  return unit.empty() ? "" : " " + unit;
+}
+
+bool is_floating(const FieldDescriptor& field) {
+  return field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE || field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT;
+}
+
+}  // namespace
+
+ObjectRules::ObjectRules(const Descriptor& type) {
+  compile(type);
+  root_ = &rules_.at(&type);
+}
+
+void ObjectRules::compile(const Descriptor& type) {
+  if (!rules_.try_emplace(&type).second) return;
+  Rules rules;
+  for (int i = 0; i < type.field_count(); ++i) {
+    const FieldDescriptor& field = *type.field(i);
+    const auto& options = field.options();
+    FieldRule rule{&field, {}, {}, 0, 0, false, false};
+    if (options.HasExtension(fiona::min)) rule.min = options.GetExtension(fiona::min);
+    if (options.HasExtension(fiona::max)) rule.max = options.GetExtension(fiona::max);
+    rule.size = static_cast<int>(options.GetExtension(fiona::size));
+    rule.max_size = options.GetExtension(fiona::max_size);
+    rule.finite = is_floating(field) && !options.GetExtension(fiona::allow_not_finite);
+    rule.nested = field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE;
+    if (rule.nested) compile(*field.message_type());
+    if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.nested) rules.push_back(rule);
+  }
+  rules_[&type] = std::move(rules);
+}
+
+std::optional<std::string> ObjectRules::first_violation(const Object& object) const { return check(object, *root_); }
+
+std::optional<std::string> ObjectRules::check(const Object& object, const Rules& rules) const {
+  for (const FieldRule& rule : rules) {
+    if (auto violation = rule.nested ? check_nested(object, rule) : check_field(object, rule)) return violation;
+  }
+  return std::nullopt;
+}
+
+std::optional<std::string> ObjectRules::check_field(const Object& object, const FieldRule& rule) const {
+  const FieldDescriptor& field = *rule.field;
+  if (field.has_presence() && !object.GetReflection()->HasField(object, &field)) return std::nullopt;
+  if (const auto length = length_of(object, field)) {
+    const std::string_view things = field.is_repeated() ? "elements" : "bytes";
+    if (rule.size > 0 && *length != 0 && *length != static_cast<std::size_t>(rule.size)) {
+      return fmt::format("{} has {} {}, not {}", field.name(), *length, things, rule.size);
+    }
+    if (rule.max_size > 0 && *length > rule.max_size) {
+      return fmt::format("{} has {} {}, more than {}", field.name(), *length, things, rule.max_size);
+    }
+  }
+  if (!rule.min && !rule.max && !rule.finite) return std::nullopt;
+  const int count = field.is_repeated() ? object.GetReflection()->FieldSize(object, &field) : 1;
+  for (int i = 0; i < count; ++i) {
+    const auto value = number_of(object, field, field.is_repeated() ? i : -1);
+    if (!value) return std::nullopt;
+    const std::string name = field.is_repeated() ? fmt::format("{}[{}]", field.name(), i) : field.name();
+    if (rule.finite && !std::isfinite(*value)) return fmt::format("{} is {}, not a finite number", name, *value);
+    if (rule.min && *value < *rule.min) return fmt::format("{} is {}, below {}{}", name, *value, *rule.min, unit_of(field));
+    if (rule.max && *value > *rule.max) return fmt::format("{} is {}, above {}{}", name, *value, *rule.max, unit_of(field));
+  }
+  return std::nullopt;
+}
+
+std::optional<std::string> ObjectRules::check_nested(const Object& object, const FieldRule& rule) const {
+  const FieldDescriptor& field = *rule.field;
+  const Reflection& reflect = *object.GetReflection();
+  const Rules& rules = rules_.at(field.message_type());
+  const auto prefixed = [&](std::optional<std::string> violation, const std::string& prefix) {
+    if (violation) violation = prefix + "." + *violation;
+    return violation;
+  };
+  if (!field.is_repeated()) {
+    if (!reflect.HasField(object, &field)) return std::nullopt;
+    return prefixed(check(reflect.GetMessage(object, &field), rules), field.name());
+  }
+  const int count = reflect.FieldSize(object, &field);
+  if (rule.size > 0 && count != 0 && count != rule.size) {
+    return fmt::format("{} has {} elements, not {}", field.name(), count, rule.size);
+  }
+  if (rule.max_size > 0 && static_cast<std::size_t>(count) > rule.max_size) {
+    return fmt::format("{} has {} elements, more than {}", field.name(), count, rule.max_size);
+  }
+  for (int i = 0; i < count; ++i) {
+    auto violation = check(reflect.GetRepeatedMessage(object, &field, i), rules);
+    if (violation) return prefixed(std::move(violation), fmt::format("{}[{}]", field.name(), i));
+  }
+  return std::nullopt;
+}
+
+}  // namespace fiona

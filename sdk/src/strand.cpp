@@ -1,0 +1,161 @@
+#include "fiona/strand.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <exception>
+
+#include "fiona/clock.hpp"
+#include "fiona/port.hpp"
+
+namespace fiona {
+namespace {
+
+/// Parcels and jobs that a strand handles before it lets another one have the thread.
+constexpr std::size_t kTurnLimit = 256;
+
+thread_local const Strand* current_strand = nullptr;
+
+}  // namespace
+
+struct Strand::Turn {
+  std::vector<Job> jobs;
+  std::vector<Inbox*> ready;
+};
+
+Strand::Strand(std::string name, Executor& executor, Clock& clock)
+    : name_(std::move(name)), executor_(executor), clock_(clock) {}
+
+Strand::~Strand() = default;
+
+bool Strand::is_current() const { return current_strand == this; }
+
+bool Strand::post(Job job) {
+  std::unique_lock lock(mutex_);
+  if (closed_) return false;
+  jobs_.push_back(std::move(job));
+  wake(lock);
+  return true;
+}
+
+void Strand::wake(std::unique_lock<std::mutex>& lock) {
+  if (scheduled_) return;
+  scheduled_ = true;
+  clock_.strand_busy();
+  lock.unlock();
+  executor_.submit(shared_from_this());
+}
+
+void Strand::run() {
+  const Strand* outer = std::exchange(current_strand, this);
+  const auto begin = std::chrono::steady_clock::now();
+  Turn turn;
+  bool more = true;
+  for (std::size_t turns = 0; more && turns < 8; ++turns) {
+    more = take_turn(turn);
+    if (more) run_turn(turn);
+  }
+  busy_ns_.fetch_add((std::chrono::steady_clock::now() - begin).count(), std::memory_order_relaxed);
+  current_strand = outer;
+  if (more) {
+    executor_.submit(shared_from_this());
+  } else {
+    clock_.strand_idle();
+  }
+}
+
+bool Strand::take_turn(Turn& turn) {
+  const std::lock_guard lock(mutex_);
+  if (jobs_.empty() && ready_.empty()) {
+    scheduled_ = false;
+    return false;
+  }
+  turn.jobs.swap(jobs_);
+  turn.ready.swap(ready_);
+  for (Inbox* inbox : turn.ready) inbox->ready_ = false;
+  return true;
+}
+
+void Strand::run_turn(Turn& turn) {
+  // A piece of work may close the strand and destroy what the rest of the turn refers to.
+  for (auto& job : turn.jobs) {
+    if (!closed_) job();
+  }
+  turn.jobs.clear();
+  for (Inbox* inbox : turn.ready) {
+    if (!closed_) inbox->drain(kTurnLimit);
+  }
+  turn.ready.clear();
+}
+
+namespace {
+
+/// A `call` under way, shared by the caller who waits and the job that runs or is dropped.
+struct Call {
+  enum class Stage { Waiting, Running, Done, Dropped };
+  std::mutex mutex;
+  std::condition_variable changed;
+  Stage stage = Stage::Waiting;
+  std::exception_ptr error;
+  Job work;
+
+  bool enter(Stage next) {
+    const std::lock_guard lock(mutex);
+    if (stage == Stage::Dropped || stage == Stage::Done) return false;
+    stage = next;
+    changed.notify_all();
+    return true;
+  }
+  void run() {
+    if (!enter(Stage::Running)) return;
+    try {
+      work();
+    } catch (...) {
+      error = std::current_exception();
+    }
+    work = Job();
+    enter(Stage::Done);
+  }
+};
+
+/// Tells the caller when a closing strand drops the job.
+struct CallGuard {
+  std::shared_ptr<Call> call;
+  explicit CallGuard(std::shared_ptr<Call> c) : call(std::move(c)) {}
+  CallGuard(CallGuard&&) = default;
+  ~CallGuard() {
+    if (call) call->enter(Call::Stage::Dropped);
+  }
+};
+
+}  // namespace
+
+bool Strand::call(Job work, Duration deadline) {
+  auto call = std::make_shared<Call>();
+  call->work = std::move(work);
+  if (!post([guard = CallGuard(call)] { guard.call->run(); })) return false;
+  executor_.help();
+  std::unique_lock lock(call->mutex);
+  call->changed.wait_for(lock, deadline, [&] { return call->stage >= Call::Stage::Done; });
+  if (call->stage == Call::Stage::Waiting) call->stage = Call::Stage::Dropped;
+  if (call->stage != Call::Stage::Done) return false;
+  if (call->error) std::rethrow_exception(call->error);
+  return true;
+}
+
+void Strand::close() {
+  std::vector<Job> dropped;  // destroyed after the lock is released: what a job holds may post again
+  const std::lock_guard lock(mutex_);
+  closed_ = true;
+  dropped.swap(jobs_);
+  ready_.clear();
+}
+
+std::size_t Strand::queue_depth() const {
+  const std::lock_guard lock(mutex_);
+  std::size_t depth = jobs_.size();
+  for (const Inbox* inbox : ready_) depth += inbox->queue_.size();
+  return depth;
+}
+
+}  // namespace fiona

@@ -1,0 +1,174 @@
+// Components that the conformance tests load as any system would: from a library, through the host.
+#include <fiona/plugin.hpp>
+
+#include <chrono>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "fiona/test/test.fiona.hpp"
+
+namespace fiona::test {
+
+using namespace std::chrono_literals;
+
+std::int64_t steady_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
+
+/// Puts numbered samples through every push pattern and the send pattern.
+class Source final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) next_.at(now());
+  }
+
+ private:
+  void put_next() {
+    if (!params_->fail_with().empty()) throw std::runtime_error(params_->fail_with());
+    if (params_->count() > 0 && number_ >= params_->count()) return;
+    ++number_;
+    newest_.put(sample());
+    last_.put(sample());
+    orders_.send(sample());
+    next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+  }
+  void produce() { timed_.put(sample()); }
+  Sample sample() const {
+    Sample one;
+    one.set_number(number_);
+    one.set_sent_ns(steady_ns());
+    one.mutable_payload()->resize(params_->payload());
+    return one;
+  }
+
+  std::uint64_t number_ = 0;
+  Params<SourceParams> params_{*this};
+  Provides<SampleNewest> newest_{*this, "newest"};
+  Provides<SampleLast> last_{*this, "last"};
+  Provides<SampleTimed> timed_{*this, "timed", &Source::produce};
+  Requires<Order> orders_{*this, "orders", {.optional = true}};
+  Timer next_{*this, &Source::put_next};
+};
+
+/// Receives, and tells in a push service of its own what it has seen, so that a test can watch it from anywhere:
+/// `number` counts the messages, `value` is the sum of their numbers.
+class Sink final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_sample(const Received<Sample>& sample) {
+    if (params_->work_ms() > 0) std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->work_ms()));
+    ++seen_;
+    sum_ += static_cast<double>(sample->number());
+    report();
+  }
+  void on_order(const Sample& sample) {
+    ++seen_;
+    sum_ += static_cast<double>(sample.number());
+    report();
+  }
+  void poll() {
+    const auto latest = latest_.latest();
+    if (!latest) return;
+    Sample report;
+    report.set_number((*latest)->number());
+    report.set_value(latest->stale ? 1 : 0);
+    latest_report_.put(std::move(report));
+  }
+  void report() {
+    Sample one;
+    one.set_number(seen_);
+    one.set_value(sum_);
+    report_.put(std::move(one));
+  }
+
+  std::uint64_t seen_ = 0;
+  double sum_ = 0;
+  Params<SinkParams> params_{*this};
+  Requires<SampleNewest> each_{*this, "each", &Sink::on_sample, {.optional = true}};
+  Requires<SampleNewest> newest_{*this, "newest", &Sink::on_sample, {.optional = true, .delivery = Delivery::Newest}};
+  Requires<SampleTimed> timed_{*this, "timed", &Sink::on_sample, {.optional = true}};
+  Requires<SampleLast> last_{*this, "last", &Sink::on_sample, {.optional = true}};
+  Requires<SampleNewest> latest_{*this, "latest", {.optional = true}};
+  Provides<Order> orders_{*this, "orders", &Sink::on_order};
+  Provides<SampleLast> report_{*this, "report"};
+  Provides<SampleNewest> latest_report_{*this, "latest_report"};
+  Task poller_{*this, "poller", 10ms, &Sink::poll};
+};
+
+/// Answers in the manner that the question asks for.
+class Answerer final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_question(const Question& question, fiona::Reply<Reply> reply) {
+    if (question.manner() == "drop") return;
+    if (question.manner() == "throw") throw std::runtime_error("asked to throw");
+    if (question.manner() == "error") return reply.reject("asked to refuse");
+    if (question.manner() == "never") return kept_.push_back(std::move(reply));
+    Reply answer;
+    answer.set_number(question.number());
+    answer.set_payload(question.payload());
+    if (question.manner() == "later") {
+      if (waiting_.empty()) later_.at(now() + 50ms);
+      waiting_.emplace_back(std::move(answer), std::move(reply));
+      return;
+    }
+    reply.answer(std::move(answer));
+  }
+  void answer_waiting() {
+    for (auto& [answer, reply] : std::exchange(waiting_, {})) reply.answer(std::move(answer));
+  }
+
+  std::vector<fiona::Reply<Reply>> kept_;
+  std::vector<std::pair<Reply, fiona::Reply<Reply>>> waiting_;
+  Provides<Echo> echo_{*this, "echo", &Answerer::on_question};
+  Timer later_{*this, &Answerer::answer_waiting};
+};
+
+/// Asks once a period; reports the `number` of the question and the outcome in `value`, its reason in `payload`.
+class Asker final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) next_.at(now());
+  }
+
+ private:
+  void ask_next() {
+    if (params_->count() > 0 && asked_ >= params_->count()) return;
+    ++asked_;
+    hull().spawn(ask(asked_), [] {});
+    next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+  }
+  Async<> ask(std::uint64_t number) {
+    Question question;
+    question.set_number(number);
+    question.set_manner(params_->manner());
+    question.mutable_payload()->resize(params_->payload());
+    const auto answer = co_await echo_.query(std::move(question), 500ms);
+    Sample report;
+    report.set_number(answer ? (*answer)->number() : number);
+    report.set_value(static_cast<double>(answer.outcome()));
+    report.set_payload(answer ? std::to_string((*answer)->payload().size()) : answer.reason());
+    outcome_.put(std::move(report));
+  }
+
+  std::uint64_t asked_ = 0;
+  Params<AskerParams> params_{*this};
+  Requires<Echo> echo_{*this, "echo"};
+  Provides<SampleLast> outcome_{*this, "outcome"};
+  Timer next_{*this, &Asker::ask_next};
+};
+
+}  // namespace fiona::test
+
+FIONA_PLUGIN(plugin) {
+  plugin.add<fiona::test::Source>("source", "puts numbered samples");
+  plugin.add<fiona::test::Sink>("sink", "counts what it receives");
+  plugin.add<fiona::test::Answerer>("answerer", "answers in the manner asked for");
+  plugin.add<fiona::test::Asker>("asker", "asks, and reports the outcome");
+}

@@ -1,0 +1,217 @@
+// The sentences of docs/patterns.md that hold today, each run over every transport.
+#include <gtest/gtest.h>
+
+#include "fiona/error.hpp"
+#include "fiona/result.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+class Patterns : public testing::TestWithParam<Transport> {
+ protected:
+  RunningSystem system{GetParam()};
+};
+
+double value_of(Outcome outcome) { return static_cast<double>(outcome); }
+
+TEST_P(Patterns, PushEachDeliversEveryMessageOnceInOrder) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=1 count=200");
+  system.wire("sink.each", "source.newest");
+  const auto report = system.watch("sink.report");
+  system.eventually("connected", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
+  system.state("source", "active");
+  const auto last = system.wait_for(report, [](const auto& s) { return s.number() == 200; });
+  EXPECT_EQ(last.value(), 200 * 201 / 2) << "the sum of the numbers 1 to 200: none lost, none twice";
+}
+
+TEST_P(Patterns, PrescaleDeliversTheFirstPutAfterSubscribingThenEveryNth) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=1 count=100");
+  system.wire("sink.each", "source.newest", 10);
+  const auto report = system.watch("sink.report");
+  system.eventually("connected", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
+  system.state("source", "active");
+  const auto last = system.wait_for(report, [](const auto& s) { return s.number() == 10; });
+  EXPECT_EQ(last.value(), 1 + 11 + 21 + 31 + 41 + 51 + 61 + 71 + 81 + 91);
+}
+
+TEST_P(Patterns, NewestSubscriptionKeepsOneValueAndCountsTheSuperseded) {
+  system.load_client("sink", "sink", "work_ms=50");
+  system.load_provider("source", "source", "period_ms=1 count=300");
+  system.wire("sink.newest", "source.newest");
+  system.eventually("superseded", [&] { return system.port("sink.newest").superseded() > 100; });
+  EXPECT_LT(system.port("sink.newest").messages(), 60U);
+  EXPECT_EQ(system.port("sink.newest").dropped(), 0U);
+}
+
+TEST_P(Patterns, ServiceWithLastValueGivesItToALateSubscriber) {
+  system.load_provider("source", "source", "period_ms=1 count=1");
+  system.eventually("put", [&] { return system.port("source.last").messages() == 1; });
+  system.load_client("sink", "sink");
+  const auto report = system.watch("sink.report");
+  system.wire("sink.last", "source.last");
+  EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).value(), 1);
+}
+
+TEST_P(Patterns, ServiceWithoutLastValueGivesALateSubscriberNothing) {
+  system.load_provider("source", "source", "period_ms=1 count=1");
+  system.eventually("put", [&] { return system.port("source.newest").messages() == 1; });
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("connected", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
+  EXPECT_EQ(system.port("sink.each").messages(), 0U);
+}
+
+TEST_P(Patterns, PushTimedProducesOnceAPeriodWhileActive) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "count=1");
+  system.wire("sink.timed", "source.timed");
+  system.eventually("produced", [&] { return system.port("sink.timed").messages() >= 10; });
+  const auto before = system.instance("source").tasks(0).runs();
+  system.state("source", "neutral");
+  const auto after = system.instance("source").tasks(0).runs();
+  system.load_provider("source", "clockwork", "period_ms=1 count=100");
+  system.eventually("time has passed", [&] { return system.port("clockwork.newest").messages() == 100; });
+  EXPECT_GE(after, before);
+  EXPECT_EQ(system.instance("source").tasks(0).runs(), after);
+}
+
+TEST_P(Patterns, LatestDoesNotConsume) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=1 count=5");
+  const auto report = system.watch("sink.latest_report");
+  system.wire("sink.latest", "source.newest");
+  system.eventually("connected", [&] { return system.port("sink.latest").connection() == control::CONNECTED; });
+  system.state("source", "active");
+  system.wait_for(report, [](const auto& s) { return s.number() == 5; });
+  EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).number(), 5U) << "read again, the same value";
+}
+
+TEST_P(Patterns, LatestKeepsTheOldValueMarkedStaleUntilTheNewProviderSpeaks) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "first", "neutral period_ms=1 count=5");
+  system.load_provider("source", "second", "neutral period_ms=1 count=7");
+  const auto report = system.watch("sink.latest_report");
+  system.wire("sink.latest", "first.newest");
+  system.eventually("connected", [&] { return system.port("sink.latest").connection() == control::CONNECTED; });
+  system.state("first", "active");
+  system.wait_for(report, [](const auto& s) { return s.number() == 5 && s.value() == 0; });
+  system.wire("sink.latest", "second.newest");
+  system.wait_for(report, [](const auto& s) { return s.number() == 5 && s.value() == 1; });
+}
+
+TEST_P(Patterns, QueryGetsItsAnswer) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "count=20 period_ms=1 payload=1000");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  const auto report = system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Ok); });
+  EXPECT_EQ(report.payload(), "1000");
+}
+
+TEST_P(Patterns, ProviderMayAnswerLater) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "manner=later period_ms=20");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Ok); });
+}
+
+TEST_P(Patterns, ReplyDroppedWithoutAnswerIsRejectedNoAnswer) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "manner=drop period_ms=20");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  const auto report = system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Rejected); });
+  EXPECT_EQ(report.payload(), "no answer");
+}
+
+TEST_P(Patterns, RefusalCarriesItsReason) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "manner=error period_ms=20");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  const auto report = system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Rejected); });
+  EXPECT_EQ(report.payload(), "asked to refuse");
+}
+
+TEST_P(Patterns, QueryEndsAtItsDeadline) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "manner=never count=3");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Timeout); });
+}
+
+TEST_P(Patterns, QueryOnAPortWithoutWireIsUnwired) {
+  system.load_client("asker", "asker", "period_ms=10");
+  const auto outcome = system.watch("asker.outcome");
+  EXPECT_EQ(system.wait_for(outcome, [](const auto&) { return true; }).value(), value_of(Outcome::Unwired));
+}
+
+TEST_P(Patterns, PendingQueryEndsDisconnectedWhenTheWireIsCut) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "manner=never period_ms=20");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  system.eventually("asked", [&] { return system.port("answerer.echo").messages() >= 1; });
+  system.unwire("asker.echo");
+  system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Disconnected); });
+}
+
+TEST_P(Patterns, ProviderOutsideItsModeAnswersNotActiveAtOnce) {
+  system.load_provider("answerer", "answerer");
+  system.state("answerer", "neutral");
+  system.load_client("asker", "asker", "period_ms=20");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::NotActive); });
+}
+
+TEST_P(Patterns, SendReachesTheReceiverInOrder) {
+  system.load_client("sink", "receiver");
+  system.load_provider("source", "sender", "neutral period_ms=1 count=100");
+  const auto report = system.watch("receiver.report");
+  system.wire("sender.orders", "receiver.orders");
+  system.eventually("connected", [&] { return system.port("sender.orders").connection() == control::CONNECTED; });
+  system.state("sender", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 100; }).value(), 5050);
+}
+
+TEST_P(Patterns, HandlerThatThrowsFailsItsInstanceAndNobodyElse) {
+  system.load_provider("source", "source", "period_ms=1");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.set("source", "fail_with=broken");
+  system.eventually("failed", [&] { return system.instance("source").mode() == "failed"; });
+  EXPECT_EQ(system.instance("source").reason(), "broken");
+  EXPECT_EQ(system.instance("sink").mode(), "active");
+}
+
+TEST_P(Patterns, OneMebibyteArrivesWhole) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=5 count=20 payload=1048576");
+  system.wire("sink.each", "source.newest");
+  const auto report = system.watch("sink.report");
+  system.eventually("connected", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
+  system.state("source", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 20; }).value(), 210);
+}
+
+TEST_P(Patterns, UnloadingAProviderUnwiresItsClientsAndSaysWho) {
+  system.load_provider("source", "source");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  control::Unload request;
+  request.set_instance("source");
+  EXPECT_EQ(system.system().unload(request), "unloaded source; now unwired: sink.each");
+  EXPECT_EQ(system.port("sink.each").connection(), control::UNWIRED);
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc),
+                         [](const auto& tested) { return to_string(tested.param); });
+
+}  // namespace
+}  // namespace fiona::conformance

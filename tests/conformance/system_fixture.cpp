@@ -1,0 +1,195 @@
+#include "system_fixture.hpp"
+
+#include <poll.h>
+
+#include <cstdlib>
+#include <sstream>
+
+#include "fiona/error.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+control::PortName port_name(const std::string& text) {
+  control::PortName name;
+  name.set_instance(text.substr(0, text.find('.')));
+  name.set_port(text.substr(text.find('.') + 1));
+  return name;
+}
+
+/// "a=1 b=text" as arguments.
+template <class List>
+void add_arguments(const std::string& text, List& list) {
+  std::istringstream words(text);
+  for (std::string word; words >> word;) {
+    if (word.find('=') == std::string::npos) continue;
+    auto& argument = *list.Add();
+    argument.set_name(word.substr(0, word.find('=')));
+    const std::string value = word.substr(word.find('=') + 1);
+    char* end = nullptr;
+    const double number = std::strtod(value.c_str(), &end);
+    if (!value.empty() && *end == '\0') {
+      if (number == static_cast<double>(static_cast<std::int64_t>(number))) {
+        argument.mutable_value()->set_integer(static_cast<std::int64_t>(number));
+      } else {
+        argument.mutable_value()->set_number(number);
+      }
+    } else {
+      argument.mutable_value()->set_text(value);
+    }
+  }
+}
+
+std::filesystem::path make_directory() {
+  std::string name = (std::filesystem::temp_directory_path() / "fiona-test-XXXXXX").string();
+  return ::mkdtemp(name.data());
+}
+
+}  // namespace
+
+std::string to_string(Transport transport) { return transport == Transport::Process ? "Process" : "Ipc"; }
+
+SeenSample::SeenSample(const google::protobuf::Message& sample) {
+  const auto& type = *sample.GetDescriptor();
+  const auto& reflect = *sample.GetReflection();
+  number_ = reflect.GetUInt64(sample, type.FindFieldByName("number"));
+  value_ = reflect.GetDouble(sample, type.FindFieldByName("value"));
+  payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
+}
+
+RunningSystem::RunningSystem(Transport transport) : transport_(transport), directory_(make_directory()) {
+  system_ = std::make_unique<host::System>(host::System::Options{"test", directory_ / "store", directory_, 2},
+                                           [this](const wire::GroupMessage& event) {
+                                             if (!event.has_tapped()) return;
+                                             const auto sample = system_->types().make(event.tapped().type());
+                                             sample->ParseFromString(event.tapped().object());
+                                             const std::lock_guard lock(mutex_);
+                                             seen_[event.tapped().tap()].push_back(SeenSample(*sample));
+                                           });
+}
+
+RunningSystem::~RunningSystem() {
+  system_.reset();
+  std::filesystem::remove_all(directory_);
+}
+
+void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
+                         const std::string& parameters) {
+  control::Load request;
+  request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
+  request.set_instance(name);
+  request.set_group(group);
+  if (parameters.starts_with("neutral")) request.set_mode("neutral");
+  add_arguments(parameters, *request.mutable_parameters());
+  system_->load(request);
+}
+
+void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
+  load(component, name, "", parameters);
+}
+
+void RunningSystem::load_client(const std::string& component, const std::string& name, const std::string& parameters) {
+  load(component, name, transport_ == Transport::Ipc ? "far" : "", parameters);
+}
+
+void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
+  control::Wire request;
+  *request.mutable_client() = port_name(client);
+  *request.mutable_provider() = port_name(provider);
+  request.set_prescale(every);
+  system_->wire(request);
+}
+
+void RunningSystem::unwire(const std::string& client) {
+  control::Unwire request;
+  *request.mutable_client() = port_name(client);
+  system_->unwire(request);
+}
+
+void RunningSystem::set(const std::string& instance_name, const std::string& parameters) {
+  control::Set request;
+  request.set_instance(instance_name);
+  add_arguments(parameters, *request.mutable_parameters());
+  system_->set(request);
+}
+
+void RunningSystem::state(const std::string& instance_name, const std::string& mode) {
+  control::State request;
+  request.set_instance(instance_name);
+  request.set_mode(mode);
+  system_->state(request);
+}
+
+void RunningSystem::unload(const std::string& instance_name) {
+  control::Unload request;
+  request.set_instance(instance_name);
+  system_->unload(request);
+}
+
+std::uint64_t RunningSystem::watch(const std::string& name) { return system_->tap(port_name(name)); }
+
+void RunningSystem::serve_groups(std::chrono::milliseconds most) {
+  const auto children = system_->child_groups();
+  std::vector<pollfd> waits;
+  for (auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
+  ::poll(waits.data(), waits.size(), static_cast<int>(most.count()));
+  for (std::size_t i = 0; i < waits.size(); ++i) {
+    if (waits[i].revents != 0) system_->serve_group(*children[i]);
+  }
+}
+
+void RunningSystem::eventually(const std::string& what, const std::function<bool()>& fits,
+                               std::chrono::milliseconds deadline) {
+  const auto end = std::chrono::steady_clock::now() + deadline;
+  while (!fits()) {
+    if (std::chrono::steady_clock::now() > end) {
+      throw Error(ErrorCode::Unreachable, "never happened: " + what);
+    }
+    serve_groups(std::chrono::milliseconds(2));
+  }
+}
+
+SeenSample RunningSystem::wait_for(std::uint64_t id, const std::function<bool(const SeenSample&)>& fits,
+                                     std::chrono::milliseconds deadline) {
+  SeenSample found;
+  eventually(
+      "a sample that fits",
+      [&] {
+        const std::lock_guard lock(mutex_);
+        for (auto& next = passed_[id]; next < seen_[id].size();) {
+          found = seen_[id][next++];
+          if (fits(found)) return true;
+        }
+        return false;
+      },
+      deadline);
+  return found;
+}
+
+std::vector<SeenSample> RunningSystem::take(std::uint64_t id) {
+  serve_groups(std::chrono::milliseconds(0));
+  const std::lock_guard lock(mutex_);
+  const auto& all = seen_[id];
+  std::vector<SeenSample> rest(all.begin() + static_cast<std::ptrdiff_t>(passed_[id]), all.end());
+  passed_[id] = all.size();
+  return rest;
+}
+
+control::InstanceStatus RunningSystem::instance(const std::string& name) {
+  const auto snapshot = system_->snapshot();
+  for (const auto& one : snapshot.instances()) {
+    if (one.name() == name) return one;
+  }
+  throw Error(ErrorCode::NotFound, "no instance " + name);
+}
+
+control::PortStatus RunningSystem::port(const std::string& name) {
+  const auto wanted = port_name(name);
+  const auto owner = instance(wanted.instance());
+  for (const auto& one : owner.ports()) {
+    if (one.name() == wanted.port()) return one;
+  }
+  throw Error(ErrorCode::NotFound, "no port " + name);
+}
+
+}  // namespace fiona::conformance

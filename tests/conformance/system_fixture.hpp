@@ -1,0 +1,79 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <condition_variable>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "system.hpp"
+
+namespace fiona::conformance {
+
+/// Between which places the wires of a test run.
+enum class Transport { Process, Ipc };
+std::string to_string(Transport transport);
+
+/// A fiona.test.Sample as the test sees it. The test must not link the message itself: the plugin brings it, and
+/// protobuf allows a file once per process.
+class SeenSample {
+ public:
+  SeenSample() = default;
+  explicit SeenSample(const google::protobuf::Message& sample);
+  std::uint64_t number() const { return number_; }
+  double value() const { return value_; }
+  const std::string& payload() const { return payload_; }
+
+ private:
+  std::uint64_t number_ = 0;
+  double value_ = 0;
+  std::string payload_;
+};
+
+/// A running system in the test's process, with the test's components loaded as plugins. The provider's side lives in
+/// `main`; the client's side in `main` too, or behind ipc in a group.
+class RunningSystem {
+ public:
+  explicit RunningSystem(Transport transport = Transport::Process);
+  ~RunningSystem();
+
+  /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
+  void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
+  void load_client(const std::string& component, const std::string& name, const std::string& parameters = "");
+  void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
+  void unwire(const std::string& client);
+  void set(const std::string& instance, const std::string& parameters);
+  void state(const std::string& instance, const std::string& mode);
+  void unload(const std::string& instance);
+  host::System& system() { return *system_; }
+
+  /// Watches a port that pushes test samples; `wait_for` looks at what it has put since.
+  std::uint64_t watch(const std::string& port);
+  /// The first sample of the watched port, not looked at before, that `fits`; fails the test after `deadline`.
+  SeenSample wait_for(std::uint64_t watch, const std::function<bool(const SeenSample&)>& fits,
+                        std::chrono::milliseconds deadline = std::chrono::seconds(10));
+  /// All samples so far that `wait_for` has not passed.
+  std::vector<SeenSample> take(std::uint64_t watch);
+  control::PortStatus port(const std::string& name);
+  control::InstanceStatus instance(const std::string& name);
+  /// Polls `fits` until it holds; fails the test after `deadline`.
+  void eventually(const std::string& what, const std::function<bool()>& fits,
+                  std::chrono::milliseconds deadline = std::chrono::seconds(10));
+
+ private:
+  void load(const std::string& component, const std::string& name, const std::string& group, const std::string& parameters);
+  void serve_groups(std::chrono::milliseconds most);
+
+  const Transport transport_;
+  std::filesystem::path directory_;
+  std::mutex mutex_;
+  std::map<std::uint64_t, std::vector<SeenSample>> seen_;
+  std::map<std::uint64_t, std::size_t> passed_;
+  std::unique_ptr<host::System> system_;
+};
+
+}  // namespace fiona::conformance

@@ -1,0 +1,192 @@
+#include <algorithm>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "completion.hpp"
+#include "verb_table.hpp"
+
+namespace fiona::console {
+namespace {
+
+std::string error_of(const std::string& text) {
+  try {
+    read_line(split_line(text));
+  } catch (const LineError& error) {
+    return error.what();
+  }
+  return "no error";
+}
+
+Line line_of(const std::string& text) { return read_line(split_line(text)); }
+
+/// Two instances: nav requires `imu` and `location`, walk provides `imu`.
+class FixedNames final : public Names {
+ public:
+  FixedNames() {
+    auto* walk = system_.add_instances();
+    walk->set_name("walk");
+    walk->add_modes("active");
+    auto* trace = walk->add_parameters();
+    trace->set_name("trace");
+    auto* direction = walk->add_parameters();
+    direction->set_name("direction");
+    direction->set_range("up|down");
+    add_port(*walk, "imu", fiona::PROVIDES);
+    auto* nav = system_.add_instances();
+    nav->set_name("nav");
+    add_port(*nav, "imu", fiona::REQUIRES);
+  }
+  const control::System* system() override { return silent ? nullptr : &system_; }
+  std::vector<std::string> plugins() override { return {"trace-player", "fiona/trace-player"}; }
+  std::vector<std::string> packages() override { return {"fiona/step-heading"}; }
+  std::vector<std::string> files(std::string_view) override { return {"demo.fiona", "systems/", "with blank"}; }
+
+  bool silent = false;
+
+ private:
+  static void add_port(control::InstanceStatus& instance, const char* name, fiona::Direction direction) {
+    auto* port = instance.add_ports();
+    port->set_name(name);
+    port->set_direction(direction);
+    port->set_service("fiona.sensors.GetIMUService");
+  }
+  control::System system_;
+};
+
+std::vector<std::string> candidates(std::string_view typed) {
+  FixedNames names;
+  return complete(typed, names).candidates;
+}
+
+using Texts = std::vector<std::string>;
+
+TEST(VerbTable, HasEveryVerbOnce) {
+  std::multiset<std::string> names;
+  for (const Verb& verb : verb_rows()) names.insert(verb.name);
+  for (const char* name : {"load", "unload", "wire", "unwire", "set", "get", "state", "ls", "show", "spots", "watch", "check", "run", "save", "source", "wait", "expect", "sleep", "quit", "help", "version", "market"}) EXPECT_EQ(names.count(name), 1U) << name;
+}
+
+TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
+  for (const Verb& verb : verb_rows()) {
+    EXPECT_FALSE(verb.does.empty()) << verb.name;
+    EXPECT_NE(verb.handler, nullptr) << verb.name;
+    EXPECT_GE(static_cast<int>(verb.access), 1) << verb.name;
+    EXPECT_LE(static_cast<int>(verb.access), 9) << verb.name;
+    ASSERT_FALSE(verb.forms.empty()) << verb.name;
+    for (const Shape& shape : verb.forms) EXPECT_TRUE((shape.text() + " ").starts_with(verb.name + " ")) << shape.text();
+  }
+}
+
+TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
+  // Words that only the person knows: numbers, times, new names.
+  const std::set<std::string> free{"", "N", "T", "VALUE", "CODE", "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE"};
+  const std::vector<std::string> known = completed_placeholders();
+  const auto check = [&](const Slot& slot, const std::string& form) {
+    const std::string placeholder = slot.placeholder();
+    EXPECT_TRUE(free.contains(placeholder) || std::count(known.begin(), known.end(), placeholder) > 0) << placeholder << " in " << form;
+  };
+  for (const Verb& verb : verb_rows()) {
+    for (const Shape& shape : verb.forms) {
+      for (const Slot& slot : shape.positional()) check(slot, shape.text());
+      for (const Clause& clause : shape.clauses()) check(clause.slot, shape.text());
+      for (const OptionSlot& option : shape.options()) check(option.slot, shape.text());
+    }
+  }
+}
+
+TEST(Shapes, ComeFromTheTextThatHelpShows) {
+  const Shape shape("load PLUGIN [as INSTANCE] [PARAM=VALUE …]");
+  ASSERT_EQ(shape.positional().size(), 1U);
+  EXPECT_TRUE(shape.positional()[0].required);
+  ASSERT_NE(shape.find_clause("as"), nullptr);
+  EXPECT_FALSE(shape.find_clause("as")->slot.required);
+  EXPECT_TRUE(shape.takes_arguments());
+  EXPECT_FALSE(shape.needs_arguments());
+}
+
+TEST(Lines, AreReadByTheirForm) {
+  const Line line = line_of("load trace-player as walk in fast at neutral trace=\"a b\" rate=5");
+  EXPECT_EQ(line.positional[0].text, "trace-player");
+  EXPECT_EQ(line.clause("as")->text, "walk");
+  EXPECT_EQ(line.clause("in")->text, "fast");
+  EXPECT_EQ(line.clause("at")->text, "neutral");
+  ASSERT_EQ(line.control_arguments().size(), 2U);
+  EXPECT_EQ(line.control_arguments()[0].value().text(), "a b");
+}
+
+TEST(Lines, OptionsStandAnywhereAndTakeTheirValues) {
+  const Line line = line_of("run a.fiona --headless b.fiona --for 10s --set walk.trace=X --set walk.rate=2 --json");
+  EXPECT_EQ(line.positional.size(), 2U);
+  EXPECT_TRUE(line.has("--headless"));
+  EXPECT_EQ(line.option("--for")->text, "10s");
+  EXPECT_EQ(line.options.count("--set"), 2U);
+  EXPECT_EQ(line.options.find("--set")->second.name.text, "walk.trace");
+  EXPECT_TRUE(line.has("--json"));
+}
+
+TEST(Lines, ANegativeNumberIsNoOption) { EXPECT_EQ(line_of("expect nav.location.x > -5").positional[2].text, "-5"); }
+
+TEST(Lines, AnUnknownVerbGetsTheNearestNames) { EXPECT_EQ(error_of("lod x"), "column 1: there is no verb 'lod'\n  did you mean: load\n  next: help"); }
+
+TEST(Lines, AMissingWordIsNamed) { EXPECT_EQ(error_of("load"), "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]"); }
+
+TEST(Lines, AMissingClauseIsNamed) { EXPECT_NE(error_of("wire a.b").find("wire needs 'to INSTANCE.PORT'"), std::string::npos); }
+
+TEST(Lines, AWordAfterAKeywordIsNeeded) { EXPECT_NE(error_of("load x as").find("column 8: a word is missing after 'as'"), std::string::npos); }
+
+TEST(Lines, AKeywordThatDoesNotBelongIsRefusedWithTheWayToQuoteIt) { EXPECT_NE(error_of("wire a.b to c.d else e.f").find("column 17: 'else' does not belong to wire here"), std::string::npos); }
+
+TEST(Lines, OneWordTooManyIsRefused) { EXPECT_NE(error_of("unload a b").find("column 10: 'b' is one word too many"), std::string::npos); }
+
+TEST(Lines, AWordThatIsNoneOfTheChoicesGetsTheNearest) { EXPECT_EQ(error_of("ls wirse"), "column 4: 'wirse' cannot stand here\n  expected: instances, plugins, wires, services, hosts\n  did you mean: wires"); }
+
+TEST(Lines, AnArgumentGivenTwiceIsRefused) { EXPECT_NE(error_of("set a x=1 x=2").find("column 11: x is given twice"), std::string::npos); }
+
+TEST(Lines, AnArgumentWhereNoneIsTakenIsRefused) { EXPECT_NE(error_of("ls x=1").find("column 4: ls takes no x=…"), std::string::npos); }
+
+TEST(Lines, AnUnknownOptionGetsTheNearest) { EXPECT_NE(error_of("run a --headles").find("did you mean: --headless"), std::string::npos); }
+
+TEST(Lines, SetNeedsSomethingToSet) { EXPECT_NE(error_of("set a").find("set needs at least one name=value"), std::string::npos); }
+
+TEST(Lines, ASecondFormIsChosenByItsWord) {
+  EXPECT_EQ(line_of("watch stop nav.location").positional.size(), 2U);
+  EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
+  EXPECT_EQ(error_of("market instal a"), "column 8: market cannot 'instal'\n  expected: search, info, install\n  did you mean: install\n  next: help market");
+}
+
+TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"unload", "unwire"})); }
+
+TEST(Completion, KnowsLivingInstances) { EXPECT_EQ(candidates("unload w"), Texts{"walk"}); }
+
+TEST(Completion, OffersTheEndOfAWireThatFits) {
+  EXPECT_EQ(candidates("wire "), Texts{"nav.imu"});
+  EXPECT_EQ(candidates("wire nav.imu to "), Texts{"walk.imu"});
+}
+
+TEST(Completion, OffersKeywordsWhenTheWordsBeforeAreThere) { EXPECT_EQ(candidates("wire nav.imu "), (Texts{"every", "to"})); }
+
+TEST(Completion, KnowsParametersAndTheirValues) {
+  EXPECT_EQ(candidates("set walk t"), Texts{"trace="});
+  EXPECT_EQ(candidates("set walk direction="), (Texts{"direction=down", "direction=up"}));
+}
+
+TEST(Completion, KnowsModes) { EXPECT_EQ(candidates("state walk "), (Texts{"active", "neutral"})); }
+
+TEST(Completion, KnowsPluginsFilesAndOptions) {
+  EXPECT_EQ(candidates("load tr"), Texts{"trace-player"});
+  EXPECT_EQ(candidates("source d"), Texts{"demo.fiona"});
+  EXPECT_EQ(candidates("run x --h"), (Texts{"--headless", "--host"}));
+}
+
+TEST(Completion, WithoutAHostOffersWhatTheTableKnows) {
+  FixedNames names;
+  names.silent = true;
+  EXPECT_TRUE(complete("unload ", names).candidates.empty());
+  EXPECT_EQ(complete("ls w", names).candidates, Texts{"wires"});
+}
+
+TEST(Completion, InsideAQuoteOffersNothing) { EXPECT_TRUE(candidates("show \"wa lk").empty()); }
+
+}  // namespace
+}  // namespace fiona::console

@@ -1,0 +1,262 @@
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <fiona/marketplace/index.hpp>
+#include <fiona/marketplace/install.hpp>
+#include <fiona/marketplace/publish.hpp>
+
+#include "fault_os.hpp"
+#include "support.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+using namespace testing;
+namespace filesystem = std::filesystem;
+
+// What a store holds, as a person would say it.
+std::string contents(const filesystem::path& store) {
+  std::string text;
+  for (const auto& package : Store{store}.installed()) {
+    Store{store}.verify(package);
+    text += package.name() + "@" + package.manifest.version() + " ";
+  }
+  return text;
+}
+
+// One change of a store: what it starts from, what is done, what is there before and after.
+struct Change {
+  std::string name;
+  std::vector<std::string> first;  // installed before
+  std::string request;             // "-NAME" removes
+  std::string before, after;
+  bool rubbish = false;  // an earlier crash left some
+};
+
+std::ostream& operator<<(std::ostream& out, const Change& change) { return out << change.name; }
+
+class Crash : public ::testing::TestWithParam<Change> {
+ protected:
+  Crash() {
+    publish_plugin(scratch_.path(), market_, "steps", "1.0.0", "old");
+    publish_plugin(scratch_.path(), market_, "steps", "2.0.0", "new");
+    publish_plugin(scratch_.path(), market_, "maps", "1.0.0");
+  }
+
+  // A store in the state that the change starts from.
+  filesystem::path fresh_store() {
+    const filesystem::path start = scratch_ / "start", store = scratch_ / "store";
+    if (!filesystem::exists(start)) {
+      filesystem::create_directory(start);
+      for (const auto& request : GetParam().first) install(request, Marketplace{market_}, start);
+      if (GetParam().rubbish) {
+        write_file(start / "staging-0123/share/a/b", "half");
+        write_file(start / "packages" / std::string(64, 'a') / "lib/x.so", "old");
+        write_file(start / "installed.textproto.new", "half");
+      }
+    }
+    filesystem::remove_all(store);
+    filesystem::copy(start, store, filesystem::copy_options::recursive);
+    return store;
+  }
+
+  void change(const filesystem::path& store, const OsCalls& os) {
+    InstallOptions options;
+    options.os = os;
+    const std::string& request = GetParam().request;
+    if (request.starts_with('-'))
+      marketplace::remove(request.substr(1), store, options);
+    else
+      install(request, Marketplace{market_}, store, options);
+  }
+
+  void expect_retry_succeeds(const filesystem::path& store) {
+    if (contents(store) != GetParam().after || !GetParam().request.starts_with('-'))
+      change(store, system_calls());
+    EXPECT_EQ(contents(store), GetParam().after);
+    install("maps", Marketplace{market_}, store);  // the next change sweeps
+    for (const auto& entry : filesystem::directory_iterator(store)) {
+      const std::string name = entry.path().filename();
+      EXPECT_TRUE(name == "packages" || name == "installed.textproto") << name << " was left";
+    }
+    const auto packages = std::distance(filesystem::directory_iterator(store / "packages"), {});
+    EXPECT_EQ(static_cast<std::size_t>(packages), Store{store}.installed().size());
+  }
+
+  // The calls that change something, in the undisturbed change.
+  int calls() {
+    int count = 0;
+    change(fresh_store(), guarded_calls([&count] { return ++count, 0; }));
+    return count;
+  }
+
+  Scratch scratch_;
+  filesystem::path market_ = scratch_ / "market";
+};
+
+TEST_P(Crash, KilledAtAnyCallTheStoreIsOldOrNewAndARetrySucceeds) {
+  const int all = calls();
+  ASSERT_GT(all, 5);
+  int old_states = 0;
+  for (int fatal = 1; fatal <= all; ++fatal) {
+    const filesystem::path store = fresh_store();
+    const pid_t child = ::fork();
+    if (child == 0) {
+      int count = 0;
+      change(store, guarded_calls([&] { return ++count == fatal ? ::raise(SIGKILL) : 0; }));
+      ::_exit(0);
+    }
+    int status = 0;
+    ASSERT_EQ(::waitpid(child, &status, 0), child);
+    ASSERT_TRUE(WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL) << "call " << fatal;
+    const std::string found = contents(store);
+    EXPECT_TRUE(found == GetParam().before || found == GetParam().after) << found << " at call " << fatal;
+    old_states += found == GetParam().before;
+    expect_retry_succeeds(store);
+  }
+  EXPECT_GT(old_states, 0);
+  EXPECT_LT(old_states, all);
+}
+
+TEST_P(Crash, AnyCallThatFailsOnceIsToldAndLeavesTheOldState) {
+  const int all = calls();
+  for (const int error : {ENOSPC, EIO, EDQUOT, EMFILE, EROFS}) {
+    for (int failing = 1; failing <= all; ++failing) {
+      const filesystem::path store = fresh_store();
+      int count = 0;
+      std::string what;
+      try {
+        change(store, guarded_calls([&] { return ++count == failing ? error : 0; }));
+      } catch (const Error& refused) {
+        what = refused.text().what;
+        EXPECT_EQ(refused.code(), ErrorCode::Failed);
+        EXPECT_NE(what.find(std::strerror(error)), std::string::npos) << what;
+        EXPECT_EQ(what.find("could not "), 0u) << what;
+        EXPECT_FALSE(refused.text().next.empty());
+      }
+      // A lock that cannot be tested while sweeping only keeps rubbish longer.
+      EXPECT_TRUE(!what.empty() || GetParam().rubbish) << "call " << failing << " failed and nobody said so";
+      EXPECT_EQ(contents(store), what.empty() ? GetParam().after : GetParam().before)
+          << "call " << failing << ": " << what;
+      expect_retry_succeeds(store);
+    }
+  }
+}
+
+TEST_P(Crash, ADiskThatFailsFromAnyCallOnLeavesOldOrNew) {
+  const int all = calls();
+  for (int failing = 1; failing <= all; ++failing) {
+    const filesystem::path store = fresh_store();
+    int count = 0;
+    EXPECT_THROW(change(store, guarded_calls([&] { return ++count >= failing ? EIO : 0; })), Error);
+    const std::string found = contents(store);
+    EXPECT_TRUE(found == GetParam().before || found == GetParam().after) << found << " at call " << failing;
+    expect_retry_succeeds(store);
+  }
+}
+
+TEST_P(Crash, ASignalAtAnyCallIsNotNoticed) {
+  const int all = calls();
+  for (int interrupted = 1; interrupted <= all; ++interrupted) {
+    const filesystem::path store = fresh_store();
+    int count = 0;
+    EXPECT_NO_THROW(change(store, guarded_calls([&] { return ++count == interrupted ? EINTR : 0; })));
+    EXPECT_EQ(contents(store), GetParam().after);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Changes, Crash,
+    ::testing::Values(
+        Change{"FirstInstall", {}, "steps@1.0.0", "", "acme/steps@1.0.0 "},
+        Change{"SecondPackage",
+               {"maps"},
+               "steps@1.0.0",
+               "acme/maps@1.0.0 ",
+               "acme/maps@1.0.0 acme/steps@1.0.0 "},
+        Change{"Upgrade", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 "},
+        Change{
+            "UpgradeWithRubbish", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 ", true},
+        Change{"Remove",
+               {"maps", "steps@1.0.0"},
+               "-maps",
+               "acme/maps@1.0.0 acme/steps@1.0.0 ",
+               "acme/steps@1.0.0 "}),
+    [](const auto& test) { return test.param.name; });
+
+// The same for a marketplace directory.
+class PublishCrash : public ::testing::Test {
+ protected:
+  PublishCrash() {
+    publish_plugin(scratch_.path(), scratch_ / "start", "steps", "1.0.0", "old");
+    package_ = scratch_ / "next.fpk";
+    pack_to(package_, plugin_source(scratch_.path(), "steps", "1.0.0", "new"));
+  }
+
+  filesystem::path fresh_market() {
+    filesystem::remove_all(scratch_ / "market");
+    filesystem::copy(scratch_ / "start", scratch_ / "market", filesystem::copy_options::recursive);
+    return scratch_ / "market";
+  }
+
+  void replace(const OsCalls& os) {
+    PublishOptions options;
+    options.replace = true;
+    options.os = os;
+    publish(package_, scratch_ / "market", options);
+  }
+
+  // Whatever the index says can be installed.
+  void expect_whole() {
+    const Marketplace market{scratch_ / "market"};
+    ASSERT_EQ(market.index().entries_size(), 1);
+    const Scratch store;
+    EXPECT_EQ(install("steps", market, store.path()).outcome, InstallOutcome::Installed);
+  }
+
+  Scratch scratch_;
+  filesystem::path package_;
+};
+
+TEST_F(PublishCrash, KilledAtAnyCallTheIndexNamesOnlyWhatIsThere) {
+  int all = 0;
+  fresh_market();
+  replace(guarded_calls([&all] { return ++all, 0; }));
+  for (int fatal = 1; fatal <= all; ++fatal) {
+    fresh_market();
+    const pid_t child = ::fork();
+    if (child == 0) {
+      int count = 0;
+      replace(guarded_calls([&] { return ++count == fatal ? ::raise(SIGKILL) : 0; }));
+      ::_exit(0);
+    }
+    int status = 0;
+    ASSERT_EQ(::waitpid(child, &status, 0), child);
+    ASSERT_TRUE(WIFSIGNALED(status));
+    expect_whole();
+    replace(system_calls());
+    expect_whole();
+    EXPECT_EQ(Marketplace{scratch_ / "market"}.index().generation(), 2u);
+  }
+}
+
+TEST_F(PublishCrash, AnyCallThatFailsIsToldAndTheIndexStaysWhole) {
+  int all = 0;
+  fresh_market();
+  replace(guarded_calls([&all] { return ++all, 0; }));
+  for (int failing = 1; failing <= all; ++failing) {
+    fresh_market();
+    int count = 0;
+    const Error error =
+        error_of([&] { replace(guarded_calls([&] { return ++count == failing ? ENOSPC : 0; })); });
+    EXPECT_NE(error.text().what.find("No space left on device"), std::string::npos) << error.what();
+    expect_whole();
+  }
+}
+
+}  // namespace
+}  // namespace fiona::marketplace

@@ -1,0 +1,531 @@
+#include <algorithm>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include <fiona/building/building.hpp>
+#include <fiona/building/svg.hpp>
+#include <fiona/error.hpp>
+
+namespace fiona::building {
+namespace {
+
+/// Builds OSM XML in metres around 48 N 10 E, where nodes are named by their ids.
+class Osm {
+ public:
+  Osm& node(int id, double x_m, double y_m, const std::string& tags = "") {
+    std::ostringstream line;
+    line.precision(12);
+    line << "<node id=\"" << id << "\" lat=\"" << 48.0 + y_m / 111194.87 << "\" lon=\""
+         << 10.0 + x_m / 74629.6 << "\">" << written(tags) << "</node>\n";
+    nodes_ += line.str();
+    return *this;
+  }
+  Osm& way(int id, const std::vector<int>& nodes, const std::string& tags) {
+    ways_ += "<way id=\"" + std::to_string(id) + "\">";
+    for (int node : nodes) ways_ += "<nd ref=\"" + std::to_string(node) + "\"/>";
+    ways_ += written(tags) + "</way>\n";
+    return *this;
+  }
+  /// A rectangle with nodes id .. id + 3 from its lower left corner; `on_south` are nodes on its south side.
+  Osm& rectangle(int id, double x0, double y0, double x1, double y1, const std::string& tags,
+                 const std::vector<int>& on_south = {}) {
+    node(id, x0, y0).node(id + 1, x1, y0).node(id + 2, x1, y1).node(id + 3, x0, y1);
+    std::vector<int> ring{id};
+    ring.insert(ring.end(), on_south.begin(), on_south.end());
+    for (int corner : {id + 1, id + 2, id + 3, id}) ring.push_back(corner);
+    return way(id, ring, tags);
+  }
+  std::string text() const {
+    return "<?xml version='1.0'?><osm version='0.6'>\n<node id='1' lat='48.0' lon='10.0'>"
+           "<tag k='fiona:reference' v='yes'/></node>\n" +
+           nodes_ + ways_ + "</osm>";
+  }
+  Building read() const { return Building::parse(text(), "house.osm"); }
+
+ private:
+  /// "indoor=room level=0": no spaces within values.
+  static std::string written(const std::string& tags) {
+    std::string xml;
+    std::istringstream words(tags);
+    for (std::string word; words >> word;) {
+      const std::size_t equals = word.find('=');
+      xml += "<tag k=\"" + word.substr(0, equals) + "\" v=\"" + word.substr(equals + 1) + "\"/>";
+    }
+    return xml;
+  }
+
+  std::string nodes_{};
+  std::string ways_{};
+};
+
+/// A corridor 20 x 3 m with two rooms of 10 x 5 m north of it; the left one has a door.
+Osm corridor_with_two_rooms() {
+  Osm osm;
+  osm.node(5, 5, 3, "door=hinged level=0");
+  osm.rectangle(10, 0, 0, 20, 3, "indoor=corridor level=0 name=Corridor");
+  osm.rectangle(20, 0, 3, 10, 8, "indoor=room level=0 name=Left ref=A1", {5});
+  osm.rectangle(30, 10, 3, 20, 8, "indoor=room level=0 name=Right material=concrete");
+  return osm;
+}
+
+std::string error_of(const std::string& xml) {
+  try {
+    Building::parse(xml, "house.osm");
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "no error";
+}
+
+Building own_building() { return Building::read(FIONA_BUILDING_FILE); }
+
+using Levels = std::vector<double>;
+
+TEST(Levels, ListsRangesAndFractionsAreRead) {
+  EXPECT_EQ(parse_levels("0"), Levels({0}));
+  EXPECT_EQ(parse_levels("-1;0.5"), Levels({-1, 0.5}));
+  EXPECT_EQ(parse_levels("1-3"), Levels({1, 2, 3}));
+  EXPECT_EQ(parse_levels("-2--1; 4"), Levels({-2, -1, 4}));
+  EXPECT_EQ(parse_levels("-1-1;1"), Levels({-1, 0, 1}));
+  EXPECT_EQ(parse_levels("0.5-2"), Levels({0.5, 1.5, 2}));
+}
+
+TEST(Levels, TextThatIsNoListIsRefused) {
+  for (const char* text : {"", "ground", "0,1", "1;", "1-", "--1", "nan", "1e9", "0-100000"}) {
+    EXPECT_FALSE(parse_levels(text)) << text;
+  }
+}
+
+TEST(Levels, HalfLevelsLieHalfWayUpTheirStorey) {
+  const Heights heights{3.0, {{0, 4.0}, {-1, 2.5}}};
+  EXPECT_DOUBLE_EQ(heights.floor_m(0.5), 2.0);
+  EXPECT_DOUBLE_EQ(heights.floor_m(2), 7.0);
+  EXPECT_DOUBLE_EQ(heights.floor_m(-1), -2.5);
+  EXPECT_DOUBLE_EQ(heights.floor_m(-2), -5.5);
+}
+
+TEST(Levels, LevelAtAHeightIsTheReverseOfItsHeight) {
+  const Heights heights{3.0, {{0, 4.0}, {-1, 2.5}}};
+  for (double level : {-2.25, -1.0, -0.5, 0.0, 0.75, 1.0, 3.5}) {
+    EXPECT_NEAR(heights.level_at(heights.floor_m(level)), level, 1e-12);
+  }
+}
+
+TEST(BuildingFile, RoomsKeepNameRefLevelAndPlaceInMetres) {
+  const Building house = corridor_with_two_rooms().read();
+  const Room& left = house.room("Left");
+  EXPECT_EQ(left.ref, "A1");
+  EXPECT_EQ(left.level, 0.0);
+  EXPECT_NEAR(area_m2(left.polygon), 50.0, 0.2);
+  EXPECT_NEAR(left.centre.x_m, 5.0, 0.1);
+  EXPECT_NEAR(left.centre.y_m, 5.5, 0.1);
+}
+
+TEST(BuildingFile, ARoomOnSeveralLevelsIsARoomOnEach) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 5, 5, "indoor=room level=0-1 repeat_on=4 name=Shaft");
+  const Building house = osm.read();
+  Levels levels;
+  for (const Room& room : house.rooms()) levels.push_back(room.level);
+  EXPECT_EQ(levels, Levels({0, 1, 4}));
+}
+
+TEST(BuildingFile, AMultipolygonHasItsHole) {
+  const Building house = own_building();
+  const Room& corridor = house.room("Ring Corridor", 0.0);
+  ASSERT_EQ(corridor.polygon.holes.size(), 1u);
+  EXPECT_FALSE(contains(corridor.polygon, {30, 17}));
+  EXPECT_TRUE(contains(corridor.polygon, {30, 9}));
+}
+
+TEST(BuildingFile, HeightsComeFromTheLevelElements) {
+  const Building house = own_building();
+  EXPECT_DOUBLE_EQ(house.height_m(1), 3.6);
+  EXPECT_DOUBLE_EQ(house.height_m(0.5), 1.8);
+}
+
+TEST(BuildingFile, WithoutHeightsAStoreyIsThreeMetres) {
+  EXPECT_DOUBLE_EQ(corridor_with_two_rooms().read().height_m(2), 6.0);
+}
+
+TEST(BuildingFile, WithoutATaggedReferenceTheCentroidOfTheOutlineIsTheOrigin) {
+  Osm osm = corridor_with_two_rooms();
+  osm.rectangle(40, 0, 0, 20, 8, "building=yes");
+  std::string xml = osm.text();
+  xml.replace(xml.find("fiona:reference"), 15, "note:reference!");
+  const Building house = Building::parse(xml, "house.osm");
+  EXPECT_FALSE(house.reference().from_file);
+  EXPECT_NEAR(house.to_local({48.0, 10.0}).x_m, -10.0, 0.05);
+  EXPECT_NEAR(house.to_local({48.0, 10.0}).y_m, -4.0, 0.05);
+}
+
+TEST(BuildingFile, TheHeadingTurnsTheLocalFrame) {
+  std::string xml = corridor_with_two_rooms().text();
+  const std::string reference = "<tag k='fiona:reference' v='yes'/>";
+  xml.replace(xml.find(reference), reference.size(), reference + "<tag k='fiona:heading' v='90'/>");
+  const Building house = Building::parse(xml, "house.osm");
+  const Point east = house.to_local({48.0, 10.0 + 10.0 / 74629.6});
+  EXPECT_NEAR(east.y_m, 10.0, 0.02);
+  EXPECT_NEAR(east.x_m, 0.0, 0.02);
+}
+
+TEST(BuildingFile, LocalAndWgs84AreInverse) {
+  const Building house = own_building();
+  const Point back = house.to_local(house.to_wgs84({12.5, 30.25}));
+  EXPECT_NEAR(back.x_m, 12.5, 1e-6);
+  EXPECT_NEAR(back.y_m, 30.25, 1e-6);
+}
+
+TEST(BuildingFile, OwnBuildingIsReadWithoutAWarning) {
+  const Building house = own_building();
+  EXPECT_EQ(house.name(), "Blautal House");
+  EXPECT_EQ(house.levels().size(), 2u);
+  EXPECT_EQ(house.warnings(), std::vector<std::string>{});
+}
+
+TEST(BuildingFile, AFileThatEndsEarlyNamesFileLineAndNextStep) {
+  const std::string xml = corridor_with_two_rooms().text();
+  const std::string error = error_of(xml.substr(0, xml.size() / 2));
+  EXPECT_NE(error.find("cannot read the building file house.osm: line "), std::string::npos) << error;
+  EXPECT_NE(error.find("a file that ends early was not fully copied"), std::string::npos) << error;
+}
+
+TEST(BuildingFile, EveryCutOfTheFileGivesAnErrorAndNothingElse) {
+  const std::string xml = corridor_with_two_rooms().text();
+  for (std::size_t size = 0; size + 7 < xml.size(); size += 97) {
+    EXPECT_NE(error_of(xml.substr(0, size)), "no error") << size;
+  }
+}
+
+TEST(BuildingFile, TextThatIsNotOsmIsRefused) {
+  const std::string error = error_of("<html><body>404</body></html>");
+  EXPECT_NE(error.find("cannot read the building file house.osm"), std::string::npos) << error;
+  EXPECT_NE(error.find("open it in JOSM"), std::string::npos) << error;
+}
+
+TEST(BuildingFile, EntityBombsAreRefused) {
+  const std::string error = error_of(
+      "<!DOCTYPE x [<!ENTITY a 'aaaaaaaa'><!ENTITY b '&a;&a;&a;&a;'>]>"
+      "<osm version='0.6'><node id='1' lat='1' lon='1'><tag k='n' v='&b;'/></node></osm>");
+  EXPECT_NE(error.find("ntit"), std::string::npos) << error;
+}
+
+TEST(BuildingFile, AFileWithoutLevelsSaysWhatIsMissing) {
+  const std::string error = error_of("<osm version='0.6'><node id='1' lat='48' lon='10'/></osm>");
+  EXPECT_NE(error.find("house.osm has nothing on a level"), std::string::npos) << error;
+  EXPECT_NE(error.find("Simple_Indoor_Tagging"), std::string::npos) << error;
+}
+
+TEST(BuildingFile, AMissingFileIsNotFound) {
+  try {
+    Building::read("no/such/house.osm");
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::NotFound);
+    EXPECT_NE(std::string(error.what()).find("no/such/house.osm: there is no such file"), std::string::npos);
+  }
+}
+
+TEST(BuildingFile, TwoReferencesAreRefusedWithBothNodes) {
+  Osm osm = corridor_with_two_rooms();
+  osm.node(7, 1, 1, "fiona:reference=yes");
+  const std::string error = error_of(osm.text());
+  EXPECT_NE(error.find("has two references"), std::string::npos) << error;
+  EXPECT_NE(error.find("node 1 and node 7"), std::string::npos) << error;
+}
+
+TEST(BuildingFile, ARoomWithoutALevelIsLeftOutAndNamed) {
+  Osm osm = corridor_with_two_rooms();
+  osm.rectangle(50, 0, 10, 5, 15, "indoor=room name=Lost");
+  const Building house = osm.read();
+  EXPECT_EQ(house.warnings(),
+            std::vector<std::string>{"way 50: it has no level; left out (add level=0 for the ground floor)"});
+  EXPECT_EQ(house.rooms().size(), 3u);
+}
+
+TEST(BuildingFile, ALevelThatCannotBeReadIsLeftOutAndQuoted) {
+  Osm osm = corridor_with_two_rooms();
+  osm.rectangle(50, 0, 10, 5, 15, "indoor=room level=0,1");
+  EXPECT_EQ(
+      osm.read().warnings(),
+      std::vector<std::string>{"way 50: level=0,1 is not a list of levels such as 0, -1;0 or 1-3; left out"});
+}
+
+TEST(BuildingFile, ARoomWhoseNodesAreMissingIsLeftOutAndNamed) {
+  Osm osm = corridor_with_two_rooms();
+  osm.way(60, {10, 11, 999, 10}, "indoor=room level=0");
+  EXPECT_EQ(osm.read().warnings(), std::vector<std::string>{"way 60: node 999 is not in the file; left out"});
+}
+
+TEST(BuildingRooms, TheSmallestRoomAroundAPointIsFound) {
+  Osm osm = corridor_with_two_rooms();
+  osm.rectangle(50, 1, 5, 3, 7, "indoor=area level=0 name=Corner");
+  const Building house = osm.read();
+  EXPECT_EQ(house.room_at({2, 6}, 0)->name, "Corner");
+  EXPECT_EQ(house.room_at({6, 6}, 0)->name, "Left");
+  EXPECT_EQ(house.room_at({6, 6}, 1), nullptr);
+  EXPECT_EQ(house.room_at({6, 60}, 0), nullptr);
+}
+
+TEST(BuildingRooms, AnUnknownNameOffersTheNearest) {
+  try {
+    own_building().room("Libary");
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::NotFound);
+    ASSERT_FALSE(error.text().near.empty());
+    EXPECT_EQ(error.text().near.front(), "Library");
+  }
+}
+
+TEST(BuildingWalls, AWallBetweenTwoRoomsCountsOnceWithTheStrongerMaterial) {
+  const Crossings crossed = corridor_with_two_rooms().read().walls_crossed({8, 5}, {12, 5}, 0);
+  EXPECT_EQ(crossed.walls, 1);
+  EXPECT_DOUBLE_EQ(crossed.attenuation_db, 12.0);
+}
+
+TEST(BuildingWalls, TwoFacesOfOneThickWallCountOnce) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 5, 5, "indoor=room level=0");
+  osm.rectangle(20, 5.3, 0, 10, 5, "indoor=room level=0");
+  EXPECT_EQ(osm.read().walls_crossed({2, 2}, {8, 3}, 0).walls, 1);
+}
+
+TEST(BuildingWalls, ADoorIsAGapOfItsWidth) {
+  const Building house = corridor_with_two_rooms().read();
+  EXPECT_EQ(house.walls_crossed({5, 1}, {5, 5}, 0).walls, 0);
+  EXPECT_EQ(house.walls_crossed({5.4, 1}, {5.4, 5}, 0).walls, 0);
+  EXPECT_EQ(house.walls_crossed({5.6, 1}, {5.6, 5}, 0).walls, 1);
+}
+
+TEST(BuildingWalls, AreasAndCorridorsHaveNoWallsOfTheirOwn) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 5, 5, "indoor=area level=0");
+  EXPECT_EQ(osm.read().walls_crossed({2, 2}, {8, 2}, 0).walls, 0);
+}
+
+TEST(BuildingWalls, AWayThroughTheCeilingMeetsTheWallsOfBothFloors) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 5, "indoor=area level=0;1");
+  osm.node(20, 2, 0).node(21, 2, 5).way(20, {20, 21}, "indoor=wall level=0 fiona:attenuation=7");
+  osm.node(30, 8, 0).node(31, 8, 5).way(30, {30, 31}, "indoor=wall level=1 material=glass");
+  const Building house = osm.read();
+  EXPECT_DOUBLE_EQ(house.walls_crossed({0, 2}, 1.0, {10, 2}, 5.0).attenuation_db, 10.0);
+  EXPECT_DOUBLE_EQ(house.walls_crossed({0, 2}, 1.0, {10, 2}, 2.0).attenuation_db, 7.0);
+}
+
+TEST(BuildingRoutes, ARouteLeadsThroughTheDoor) {
+  const Building house = corridor_with_two_rooms().read();
+  const auto route = house.route(house.room("Corridor"), house.room("Left"));
+  ASSERT_TRUE(route);
+  const bool by_door = std::any_of(route->points.begin(), route->points.end(), [](const RoutePoint& p) {
+    return p.passage == Passage::Door && distance_m(p.at, Point{5, 3}) < 0.05;
+  });
+  EXPECT_TRUE(by_door);
+  EXPECT_NEAR(route->length_m, 8.3, 1.0);
+}
+
+TEST(BuildingRoutes, ARoomWithoutADoorHasNoRoute) {
+  const Building house = corridor_with_two_rooms().read();
+  EXPECT_FALSE(house.route(house.room("Corridor"), house.room("Right")));
+}
+
+TEST(BuildingRoutes, ARouteCrossesNoWall) {
+  const Building house = own_building();
+  for (const Room& room : house.rooms()) {
+    const auto route = house.route(house.room("Workshop"), room);
+    ASSERT_TRUE(route) << room.name;
+    for (std::size_t i = 1; i < route->points.size(); ++i) {
+      const RoutePoint &a = route->points[i - 1], &b = route->points[i];
+      const int walls = a.level == b.level ? house.walls_crossed(a.at, b.at, a.level).walls : 0;
+      EXPECT_EQ(walls, 0) << room.name;
+    }
+  }
+}
+
+bool uses(const Route& route, Passage passage) {
+  return std::any_of(route.points.begin(), route.points.end(),
+                     [&](const RoutePoint& p) { return p.passage == passage; });
+}
+
+TEST(BuildingRoutes, WithoutStairsTheLiftIsTakenAndWithoutTheLiftTheStairs) {
+  const Building house = own_building();
+  const Room& from = house.room("Workshop");
+  const Room& to = house.room("Kitchen");
+  const auto by_lift = house.route(from, to, {.stairs = false});
+  const auto by_stairs = house.route(from, to, {.lift = false});
+  ASSERT_TRUE(by_lift && by_stairs);
+  EXPECT_TRUE(uses(*by_lift, Passage::Lift));
+  EXPECT_FALSE(uses(*by_lift, Passage::Stairs));
+  EXPECT_TRUE(uses(*by_stairs, Passage::Stairs));
+  EXPECT_FALSE(house.route(from, to, {.stairs = false, .lift = false}));
+}
+
+TEST(BuildingRoutes, LevelsOnStairsRiseSteadilyAndLandingsKeepTheirLevel) {
+  const Building house = own_building();
+  const auto route = house.route(house.room("Workshop"), house.room("Quiet Room"), {.lift = false});
+  ASSERT_TRUE(route);
+  std::size_t on_landing = 0;
+  for (std::size_t i = 1; i < route->points.size(); ++i) {
+    EXPECT_GE(route->points[i].level, route->points[i - 1].level);
+    on_landing += route->points[i].level == 0.5;
+  }
+  EXPECT_EQ(on_landing, 2u);
+}
+
+TEST(BuildingRoutes, AnEscalatorLeadsOneWayOnly) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 4, "indoor=area level=0 name=Below");
+  osm.rectangle(20, 0, 0, 10, 4, "indoor=area level=1 name=Above");
+  osm.node(30, 2, 2, "level=0").node(31, 8, 2, "level=1");
+  osm.way(30, {30, 31}, "highway=steps level=0;1 conveying=forward");
+  const Building house = osm.read();
+  EXPECT_TRUE(house.route(house.room("Below"), house.room("Above")));
+  EXPECT_FALSE(house.route(house.room("Above"), house.room("Below")));
+}
+
+TEST(BuildingRoutes, AStairsRoomWithoutStepsStillJoinsItsLevels) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 4, 6, "indoor=room room=stairs level=0;1 name=Stairs");
+  const Building house = osm.read();
+  EXPECT_TRUE(house.route(house.room("Stairs", 0.0), house.room("Stairs", 1.0)));
+}
+
+TEST(BuildingRoutes, CorridorsThatTouchAreOpenToEachOther) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 3, "indoor=corridor level=0 name=East");
+  osm.rectangle(20, -3, 0, 0, 10, "indoor=corridor level=0 name=North");
+  const Building house = osm.read();
+  EXPECT_TRUE(house.route(house.room("East"), house.room("North")));
+}
+
+TEST(BuildingRoutes, AStepsWayTakesItsUpperEndFromWhatItMeets) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 3, 3, "indoor=area level=1 name=Upper");
+  osm.node(30, 8, 1).node(31, 1, 1).node(32, 2, 2);
+  osm.way(30, {31, 30}, "highway=steps level=0;1");
+  osm.way(31, {31, 32}, "highway=footway level=1");
+  const Building house = osm.read();
+  ASSERT_EQ(house.connectors().size(), 1u);
+  EXPECT_EQ(house.connectors()[0].path.front().level, 1.0);
+  EXPECT_EQ(house.connectors()[0].path.back().level, 0.0);
+}
+
+TEST(Svg, NamesAreEscapedWhereverTheyAppear) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 20, 20, "indoor=room level=0 name=&lt;script&gt;&amp;&quot;");
+  const Track track{"<b>\"me\"\x01", {{0, 1, 1, 0}, {10, 2, 2, 0}}, "", ""};
+  const std::string svg = floor_plan_svg(osm.read(), {&track, 1}, {.title = "a<b"});
+  EXPECT_EQ(svg.find("<script"), std::string::npos);
+  EXPECT_EQ(svg.find("<b>"), std::string::npos);
+  EXPECT_EQ(svg.find('\x01'), std::string::npos);
+  EXPECT_NE(svg.find("&lt;b&gt;&quot;me&quot;"), std::string::npos);
+}
+
+TEST(Svg, EachLevelHasItsPanelAndTitleAndDescriptionAreThere) {
+  const std::string svg = floor_plan_svg(own_building(), {});
+  EXPECT_NE(svg.find("aria-label=\"Ground Floor\""), std::string::npos);
+  EXPECT_NE(svg.find("aria-label=\"First Floor\""), std::string::npos);
+  EXPECT_NE(svg.find("<title id=\"title\">Blautal House</title>"), std::string::npos);
+  EXPECT_NE(svg.find("2 levels. No tracks.</desc>"), std::string::npos);
+}
+
+TEST(Svg, TracksDifferInDashAsWellAsInColour) {
+  const std::vector<Track> tracks = {{"truth", {{0, 1, 1, 0}, {10, 2, 2, 0}}, "", ""},
+                                     {"estimate", {{0, 1, 2, 0}, {10, 2, 3, 0}}, "", ""}};
+  const std::string svg = track_svg(tracks);
+  EXPECT_NE(svg.find("#0072b2\" stroke-width=\"2\" stroke-dasharray=\"none\""), std::string::npos);
+  EXPECT_NE(svg.find("#d55e00\" stroke-width=\"2\" stroke-dasharray=\"8 4\""), std::string::npos);
+}
+
+TEST(Svg, AColourFromOutsideCannotBecomeMarkup) {
+  const Track track{"evil", {{0, 1, 1, 0}}, "red\"/><script>", ""};
+  try {
+    track_svg({&track, 1});
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::Usage);
+    EXPECT_NE(std::string(error.what()).find("the track evil cannot be drawn"), std::string::npos);
+  }
+}
+
+TEST(Svg, AFileThatCannotBeWrittenIsNamed) {
+  try {
+    write_track_svg("no/such/directory/track.svg", {});
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_NE(std::string(error.what()).find("cannot write the drawing no/such/directory/track.svg"),
+              std::string::npos);
+  }
+}
+
+class RealFiles : public testing::Test {
+ protected:
+  std::filesystem::path folder_{};
+
+  void SetUp() override {
+    const char* data = std::getenv("FIONA_DATA");
+    if (data == nullptr) GTEST_SKIP() << "set FIONA_DATA to the directory that holds osm_indoor/";
+    folder_ = std::filesystem::path(data) / "osm_indoor";
+    if (!std::filesystem::exists(folder_)) GTEST_SKIP() << folder_ << " does not exist";
+  }
+
+  /// The files are kept compressed; the reader takes plain .osm.
+  Building read(const std::string& name, const std::string& unpack) const {
+    const std::filesystem::path packed = folder_ / name;
+    const std::filesystem::path plain = std::filesystem::path(testing::TempDir()) / (name + ".osm");
+    const std::string command = unpack + " -dc '" + packed.string() + "' > '" + plain.string() + "'";
+    if (std::system(command.c_str()) != 0) throw std::runtime_error("cannot unpack " + packed.string());
+    return Building::read(plain);
+  }
+};
+
+TEST_F(RealFiles, DarmstadtStationHasItsLevelsStairsAndLifts) {
+  const Building station = read("da_hbf.osm.xz", "xz");
+  const auto count = [&](ConnectorKind kind) {
+    return std::count_if(station.connectors().begin(), station.connectors().end(),
+                         [&](const Connector& c) { return c.kind == kind; });
+  };
+  EXPECT_EQ(station.levels().front().level, -1.0);
+  EXPECT_EQ(station.levels().back().level, 1.0);
+  EXPECT_GE(count(ConnectorKind::Lift), 5);
+  EXPECT_GE(count(ConnectorKind::Stairs), 20);
+  EXPECT_EQ(station.room("REWE").level, 0.0);
+}
+
+TEST_F(RealFiles, DarmstadtPassageIsLeftByLiftWhereStairsAreClosed) {
+  const Building station = read("da_hbf.osm.xz", "xz");
+  const auto lift =
+      std::find_if(station.connectors().begin(), station.connectors().end(), [](const Connector& c) {
+        return c.id == ElementId{'n', 2472210873};
+      });
+  ASSERT_NE(lift, station.connectors().end());
+  const auto route = station.route(lift->path.front(), lift->path.back(), {.stairs = false});
+  ASSERT_TRUE(route);
+  EXPECT_TRUE(uses(*route, Passage::Lift));
+}
+
+TEST_F(RealFiles, MoorgateTellsWhatItLeftOut) {
+  const Building station = read("moorgate.osm.xz", "xz");
+  EXPECT_EQ(std::count(station.warnings().begin(), station.warnings().end(),
+                       "node 1141415207: level=0,1 is not a list of levels such as 0, -1;0 or 1-3; left out"),
+            1);
+  EXPECT_GE(station.connectors().size(), 20u);
+}
+
+TEST_F(RealFiles, PlatformsAloneAreNoBuildingAndTheErrorSaysSo) {
+  try {
+    read("kde-hamburg-central.osm.gz", "gzip");
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_NE(std::string(error.what()).find("has no room, stairs or way with a level"), std::string::npos);
+  }
+}
+
+}  // namespace
+}  // namespace fiona::building

@@ -1,0 +1,152 @@
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "heading_filter.hpp"
+#include "step_detector.hpp"
+#include "step_tracker.hpp"
+
+namespace fiona::steps {
+namespace {
+
+using Eigen::AngleAxisd;
+using Eigen::Matrix3d;
+using Eigen::Vector3d;
+using std::chrono::milliseconds;
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+const Vector3d kFieldWorld_gauss(0.0, 0.2, -0.43);  // middle Europe: north and down
+
+/// What a phone held flat reads while its top edge points `heading_rad` counter-clockwise from east.
+ImuSample flat_phone(milliseconds time, double heading_rad, double rate_dps = 0.0) {
+  const Matrix3d world_from_phone = AngleAxisd(heading_rad - std::numbers::pi / 2, Vector3d::UnitZ()).toRotationMatrix();
+  return {time, Vector3d(0, 0, 1), Vector3d(0, 0, rate_dps), world_from_phone.transpose() * kFieldWorld_gauss};
+}
+
+/// Steps found in `seconds` of a vertical bounce of that frequency and amplitude.
+std::vector<DetectedStep> steps_of_bounce(double hertz, double amplitude_g, double seconds) {
+  StepDetector detector;
+  std::vector<DetectedStep> steps;
+  for (int t_ms = 0; t_ms < seconds * 1000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    sample.acceleration_g.z() += amplitude_g * std::sin(2 * std::numbers::pi * hertz * t_ms / 1000.0);
+    if (const auto step = detector.feed(sample)) steps.push_back(*step);
+  }
+  return steps;
+}
+
+TEST(StepDetector, WalkingAtTwoHertzGivesTwoStepsASecond) {
+  EXPECT_NEAR(steps_of_bounce(2.0, 0.25, 10.0).size(), 20.0, 1.0);
+}
+
+TEST(StepDetector, StandingStillGivesNoStep) { EXPECT_EQ(steps_of_bounce(2.0, 0.0, 10.0).size(), 0u); }
+
+TEST(StepDetector, ATrembleOfTheHandIsNoStep) { EXPECT_EQ(steps_of_bounce(9.0, 0.1, 10.0).size(), 0u); }
+
+TEST(StepDetector, AStrongerBounceIsALongerStep) {
+  EXPECT_GT(steps_of_bounce(2.0, 0.5, 5.0).back().length_m, steps_of_bounce(2.0, 0.15, 5.0).back().length_m);
+}
+
+TEST(StepDetector, StepLengthsAreThoseOfAWalker) {
+  const double length_m = steps_of_bounce(1.9, 0.25, 5.0).back().length_m;
+  EXPECT_GT(length_m, 0.4);
+  EXPECT_LT(length_m, 1.0);
+}
+
+TEST(StepDetector, AGapInTheSamplesIsNoStep) {
+  StepDetector detector;
+  EXPECT_FALSE(detector.feed(flat_phone(milliseconds(0), 0)));
+  ImuSample late = flat_phone(milliseconds(5000), 0);
+  late.acceleration_g *= 3.0;
+  EXPECT_FALSE(detector.feed(late));
+}
+
+TEST(StepDetector, TimeThatGoesBackIsIgnored) {
+  StepDetector detector;
+  detector.feed(flat_phone(milliseconds(100), 0));
+  ImuSample earlier = flat_phone(milliseconds(50), 0);
+  earlier.acceleration_g *= 9.0;
+  EXPECT_FALSE(detector.feed(earlier));
+}
+
+TEST(HeadingFilter, IsSilentUntilAligned) { EXPECT_FALSE(HeadingFilter().is_aligned()); }
+
+TEST(HeadingFilter, FreeFallAlignsNothing) {
+  HeadingFilter filter;
+  filter.feed({milliseconds(0), Vector3d::Zero(), Vector3d::Zero(), kFieldWorld_gauss});
+  EXPECT_FALSE(filter.is_aligned());
+}
+
+TEST(HeadingFilter, AlignsToTheCompassAtOnce) {
+  for (const double heading : {-3.0, -1.0, 0.0, 0.5, 2.5}) {
+    HeadingFilter filter;
+    filter.feed(flat_phone(milliseconds(0), heading));
+    EXPECT_NEAR(filter.heading_rad(), heading, 1e-6);
+  }
+}
+
+TEST(HeadingFilter, ATurnToTheLeftIsCounterClockwise) {
+  HeadingFilter filter;
+  for (int t_ms = 0; t_ms <= 1000; t_ms += 10) filter.feed(flat_phone(milliseconds(t_ms), 0.09 * t_ms * kDegree, 90.0));
+  EXPECT_NEAR(filter.heading_rad(), 90 * kDegree, 2 * kDegree);
+}
+
+TEST(HeadingFilter, DeclinationTurnsMagneticIntoTrue) {
+  HeadingFilterOptions options;
+  options.declination_rad = 15 * kDegree;  // the compass points 15 degrees east of true north
+  HeadingFilter filter(options);
+  filter.feed(flat_phone(milliseconds(0), std::numbers::pi / 2));
+  EXPECT_NEAR(filter.heading_rad(), 75 * kDegree, 1e-6);
+}
+
+TEST(HeadingFilter, AnUprightPhoneLooksWhereItsBackPoints) {
+  // Top edge to the ceiling, back to the north.
+  const Matrix3d world_from_phone = AngleAxisd(std::numbers::pi / 2, Vector3d::UnitX()).toRotationMatrix();
+  HeadingFilter filter;
+  filter.feed({milliseconds(0), world_from_phone.transpose() * Vector3d::UnitZ(), Vector3d::Zero(),
+               world_from_phone.transpose() * kFieldWorld_gauss});
+  EXPECT_NEAR(filter.heading_rad(), std::numbers::pi / 2, 1e-6);
+}
+
+TEST(HeadingFilter, PassingIronDoesNotTurnTheHeading) {
+  HeadingFilter filter;
+  for (int t_ms = 0; t_ms < 10'000; t_ms += 20) filter.feed(flat_phone(milliseconds(t_ms), 0.0));
+  for (int t_ms = 10'000; t_ms < 14'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    sample.field_gauss += Vector3d(0.9, 0.6, 0.0);
+    filter.feed(sample);
+  }
+  EXPECT_NEAR(filter.heading_rad(), 0.0, 3 * kDegree);
+}
+
+TEST(HeadingFilter, DoubtGrowsWhileIronIsNear) {
+  HeadingFilter filter;
+  for (int t_ms = 0; t_ms < 60'000; t_ms += 20) filter.feed(flat_phone(milliseconds(t_ms), 0.0));
+  const double calm = filter.heading_sd_rad();
+  for (int t_ms = 60'000; t_ms < 63'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    sample.field_gauss *= 2.5;
+    filter.feed(sample);
+  }
+  EXPECT_GT(filter.heading_sd_rad(), calm);
+}
+
+TEST(StepTracker, AWalkNorthGoesNorth) {
+  StepTracker tracker;
+  double east_m = 0.0, north_m = 0.0;
+  for (int t_ms = 0; t_ms < 10'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 90 * kDegree);
+    sample.acceleration_g.z() += 0.25 * std::sin(2 * std::numbers::pi * 1.8 * t_ms / 1000.0);
+    if (const auto step = tracker.feed(sample)) {
+      east_m += step->length_m * std::cos(step->heading_rad);
+      north_m += step->length_m * std::sin(step->heading_rad);
+    }
+  }
+  EXPECT_GT(north_m, 8.0);
+  EXPECT_NEAR(east_m, 0.0, 0.2);
+}
+
+}  // namespace
+}  // namespace fiona::steps
