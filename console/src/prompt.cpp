@@ -38,7 +38,8 @@ class LivingNames final : public Names {
 
   std::vector<std::string> plugins() override {
     std::vector<std::string> names;
-    for (const KnownPlugin& plugin : Catalogue(session_.options.store).plugins()) {
+    const Catalogue catalogue(session_.options.store);
+    for (const KnownPlugin& plugin : catalogue.plugins()) {
       if (plugin.installed) names.insert(names.end(), {plugin.manifest.name(), plugin.name()});
     }
     return names;
@@ -46,7 +47,8 @@ class LivingNames final : public Names {
 
   std::vector<std::string> packages() override {
     std::vector<std::string> names;
-    for (const KnownPlugin& plugin : Catalogue(session_.options.store).plugins()) names.push_back(plugin.name());
+    const Catalogue catalogue(session_.options.store);
+    for (const KnownPlugin& plugin : catalogue.plugins()) names.push_back(plugin.name());
     return names;
   }
 

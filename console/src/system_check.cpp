@@ -62,13 +62,14 @@ class Checker {
     const bool is_path = plugin.text.ends_with(".so") || plugin.text.starts_with('/') || plugin.text.starts_with('.');
     std::vector<KnownComponent> found = is_path ? std::vector<KnownComponent>{} : catalogue_.find(plugin.text);
     if (is_path) result_.remarks.push_back(fmt::format("{}: what {} is cannot be known without opening it", place_text(line.words, plugin.place), plugin.text));
-    if (!is_path) check_found(line, plugin, found);
-    const KnownComponent known = is_path ? KnownComponent{} : found.front();
+    // An instance that cannot be loaded is remembered too: the lines that use it are not wrong for that.
+    const KnownComponent known = found.size() == 1 ? found.front() : KnownComponent{};
     const Word* as = line.clause("as");
     const std::string name = as != nullptr ? as->text : known.component != nullptr ? known.component->name() : plugin.text.substr(plugin.text.rfind('/') + 1);
     if (instances_.contains(name)) throw line.error(as != nullptr ? *as : plugin, {.what = fmt::format("there is an instance '{}' already", name), .next = "give it another name: as NAME"});
     if (name == "host") throw line.error(as != nullptr ? *as : plugin, {.what = "'host' is the host's own name", .next = "give it another name: as NAME"});
     instances_[name] = {known};
+    if (!is_path) check_found(line, plugin, found);
     if (const Word* mode = line.clause("at")) check_mode(line, *mode, instances_[name]);
     check_parameters(line, instances_[name]);
   }
@@ -78,8 +79,7 @@ class Checker {
       throw line.error(plugin, {.what = fmt::format("no plugin '{}' is installed or in the marketplace", plugin.text), .next = fmt::format("market search {}", typed_text(plugin.text)), .near = nearest_names(plugin.text, catalogue_.names())}, ErrorCode::NotFound);
     }
     const KnownPlugin* first = found.front().plugin;
-    const bool one_plugin = std::all_of(found.begin(), found.end(), [first](const KnownComponent& known) { return known.plugin == first; });
-    if (!one_plugin || found.size() > 1) {
+    if (found.size() > 1) {
       std::vector<std::string> names;
       for (const KnownComponent& known : found) names.push_back(known.load_name());
       throw line.error(plugin, {.what = fmt::format("'{}' means several components", plugin.text), .expected = fmt::format("{}", fmt::join(names, ", "))});

@@ -73,6 +73,16 @@ std::string rate_text(double rate_hz) {
   return rate_hz >= 10 ? fmt::format("{:.0f} Hz", rate_hz) : fmt::format("{:.2g} Hz", rate_hz);
 }
 
+std::vector<std::string> split_lines(std::string_view text) {
+  std::vector<std::string> lines;
+  while (!text.empty()) {
+    const std::size_t end = std::min(text.find('\n'), text.size());
+    if (end > 0) lines.emplace_back(text.substr(0, end));
+    text.remove_prefix(std::min(end + 1, text.size()));
+  }
+  return lines;
+}
+
 std::string age_text(double age_ms) {
   if (age_ms < 0) return "never";
   return age_ms < 1000 ? fmt::format("{:.0f} ms", age_ms) : fmt::format("{:.1f} s", age_ms / 1000);

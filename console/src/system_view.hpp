@@ -27,6 +27,8 @@ std::string health_text(const control::InstanceStatus& instance);
 std::string connection_text(const control::PortStatus& port);
 /// "50 Hz", "0.2 Hz", "-".
 std::string rate_text(double rate_hz);
+/// The lines of a text that is not empty.
+std::vector<std::string> split_lines(std::string_view text);
 /// "12 ms", "3.4 s", "never".
 std::string age_text(double age_ms);
 

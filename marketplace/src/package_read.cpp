@@ -48,18 +48,6 @@ class PackageReader {
   }
 
   PackageContents read() {
-    try {
-      return read_all_files();
-    } catch (const Error& error) {
-      if (!error.text().next.empty()) throw;
-      ErrorText text = error.text();
-      text.next = kNextStep;
-      throw Error(error.code(), text);
-    }
-  }
-
- private:
-  PackageContents read_all_files() {
     read_manifest();
     for (const auto& file : contents_.manifest.files()) read_listed(file);
     if (EntryPointer extra = next_entry()) refuse_extra(extra);
@@ -277,7 +265,14 @@ class NoSink final : public PackageSink {
 
 PackageContents read_package(const ByteSource& source, const std::string& where, PackageSink& sink,
                              const PackageLimits& limits) {
-  return PackageReader(source, where, sink, limits).read();
+  try {
+    return PackageReader(source, where, sink, limits).read();
+  } catch (const Error& error) {
+    if (!error.text().next.empty()) throw;
+    ErrorText text = error.text();
+    text.next = kNextStep;
+    throw Error(error.code(), text);
+  }
 }
 
 PackageContents inspect_package(const std::filesystem::path& path, const PackageLimits& limits) {

@@ -136,7 +136,7 @@ std::vector<control::Reply> system_reply(const control::System& system) {
 TEST_F(ConsoleTest, ALoadLineIsALoadRequest) {
   session().run(split_line("load trace-player as walk in fast at neutral trace=\"a b\" rate=5Hz"));
   ASSERT_EQ(requests().size(), 1U);
-  const control::Load& load = requests()[0].load();
+  const control::Load load = requests()[0].load();
   EXPECT_EQ(load.plugin(), "trace-player");
   EXPECT_EQ(load.instance(), "walk");
   EXPECT_EQ(load.group(), "fast");
@@ -249,7 +249,7 @@ TEST_F(ConsoleTest, ExpectIsSentWithFieldComparisonAndValue) {
     return std::vector{reply};
   };
   session().run(split_line("expect nav.location.position.x >= 1.5m for 2s"));
-  const control::Expect& expect = requests()[0].expect();
+  const control::Expect expect = requests()[0].expect();
   EXPECT_EQ(expect.port().port(), "location");
   EXPECT_EQ(expect.field(), "position.x");
   EXPECT_EQ(expect.comparison(), control::GREATER_OR_EQUAL);
@@ -301,14 +301,14 @@ TEST_F(ConsoleTest, AWatchInAScriptGoesOnBesideTheLines) {
 }
 
 TEST_F(ConsoleTest, AScriptStopsAtTheFirstLineThatFailsAndSaysWhere) {
-  script = [](const control::Request& request) { return std::vector{request.has_unload() ? failure(ErrorCode::NotFound, "there is no instance 'b'") : done()}; };
-  const auto path = file("a.fiona", "load x\n  unload b\nload y\n");
+  script = [](const control::Request& request) { return std::vector{request.has_unload() ? failure(ErrorCode::NotFound, "there is no instance 'bb'") : done()}; };
+  const auto path = file("a.fiona", "load x\n  unload bb\nload y\n");
   try {
     run_script(session(), read_script(path));
     FAIL() << "it ran to the end";
   } catch (const LineError& error) {
-    EXPECT_EQ(error.what(), path.string() + ":2:10: there is no instance 'b'");
-    EXPECT_EQ(error.caret(), "  unload b\n         ^");
+    EXPECT_EQ(error.what(), path.string() + ":2:10: there is no instance 'bb'");
+    EXPECT_EQ(error.caret(), "  unload bb\n         ^");
     EXPECT_EQ(error.code(), ErrorCode::NotFound);
   }
   EXPECT_EQ(requests().size(), 2U);

@@ -52,6 +52,7 @@ class HostileArchive : public ::testing::Test {
     const Error error = error_of([&] { install("steps", Marketplace{market_}, store_, options); });
     EXPECT_EQ(snapshot(scratch_.path()), before);
     EXPECT_FALSE(error.text().where.empty());
+    EXPECT_FALSE(error.text().next.empty());
     return error;
   }
 

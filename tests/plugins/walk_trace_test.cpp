@@ -122,6 +122,43 @@ TEST(WalkTrace, AWiFiRowKeepsWhenItWasReallyHeard) {
   EXPECT_EQ(walk.start_ms, 1575603597141);
 }
 
+Walk walk_of(const std::string& text) {
+  const Folder folder;
+  write_archive(folder.path / "F1" / "train.tar.xz", {{"train/north.tsv", text}});
+  return survey_of(Dataset::open(folder.path)).at(0);
+}
+
+TEST(WalkTrace, ABeaconWithAPowerKeepsItsIdentityInLowerCase) {
+  const Walk walk = walk_of("# trace=north\nB\t5\t9195B3AD-A9D0\t7\t65535\t-56\t-90\tE078A33DB5B4\n");
+  const auto& row = std::get<BeaconRow>(walk.events.at(0).data);
+  EXPECT_EQ(walk.beacons.at(row.beacon), (BeaconIdentity{"9195b3ad-a9d0", 7, 65535, -56}));
+  EXPECT_EQ(walk.transmitters.at(row.transmitter), "E078A33DB5B4");
+  EXPECT_FLOAT_EQ(row.rssi_dbm, -90);
+}
+
+TEST(WalkTrace, ABeaconWithoutAPowerSaysSo) {
+  const Walk walk = walk_of("# trace=north\nB\t5\tBEAC-2023\t1\t2\t-90\tBEAC20230001\n");
+  const auto& row = std::get<BeaconRow>(walk.events.at(0).data);
+  EXPECT_EQ(walk.beacons.at(row.beacon), (BeaconIdentity{"beac-2023", 1, 2, std::nullopt}));
+  EXPECT_FLOAT_EQ(row.rssi_dbm, -90);
+}
+
+TEST(WalkTrace, TransmittersOfOneIdentityShareIt) {
+  const Walk walk = walk_of("# trace=north\nB\t1\tAB\t0\t0\t-56\t-90\taa\nB\t2\tab\t0\t0\t-56\t-91\tbb\n"
+                            "B\t3\tab\t0\t1\t-56\t-92\tbb\n");
+  std::vector<std::uint32_t> identities;
+  for (const Event& event : walk.events) identities.push_back(std::get<BeaconRow>(event.data).beacon);
+  EXPECT_THAT(identities, ElementsAre(0, 0, 1));
+  EXPECT_EQ(walk.beacons.size(), 2u);
+}
+
+TEST(WalkTrace, ABeaconBeyondTheRangeOfItsFieldsIsGarbled) {
+  EXPECT_THAT(error_of("# trace=north\nB\t5\tab\t65536\t0\t-90\taa\n"), HasSubstr("a major from 0 to 65535"));
+  EXPECT_THAT(error_of("# trace=north\nB\t5\tab\t0\t-1\t-90\taa\n"), HasSubstr("a minor from 0 to 65535"));
+  EXPECT_THAT(error_of("# trace=north\nB\t5\tab\t0\t0\t200\t-90\taa\n"), HasSubstr("a power at 1 m"));
+  EXPECT_THAT(error_of("# trace=north\nB\t5\t\t0\t0\t-90\taa\n"), HasSubstr("a beacon's UUID"));
+}
+
 TEST(WalkTrace, OneArchiveAtTheTopCarriesLevelsInItsWayPoints) {
   const Folder folder;
   write_archive(folder.path / "train.tar.xz", {{"train/T01R01.tsv", kMuseum}});

@@ -44,7 +44,7 @@ void info(Session& session, const Line& line) {
   facts.add({"rights", newest.rights().empty() ? "none beyond a sandbox" : fmt::format("{}", fmt::join(newest.rights(), ", "))});
   facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
   facts.add({"signed", entries.front().signature().empty() ? "no" : "yes"});
-  if (!newest.hello().empty()) facts.add({"try", newest.hello()});
+  for (const std::string& hello : split_lines(newest.hello())) facts.add({"try", hello});
   session.out.table(facts, "", false);
   for (const auto& component : entries.front().interface().components()) {
     Table ports({"port", "direction", "service", "doc"});
@@ -71,8 +71,8 @@ void install(Session& session, const Line& line) {
   for (std::size_t i = 1; i < line.positional.size(); ++i) {
     const marketplace::InstallResult result = marketplace::install(line.positional[i].text, market, store);
     session.out.done(outcome_text(result), {{"package", result.package.name()}, {"version", result.package.manifest.version()}});
-    const std::string& hello = result.package.manifest.hello();
-    if (!hello.empty() && result.outcome == marketplace::InstallOutcome::Installed) session.out.remark("try: " + hello);
+    if (result.outcome != marketplace::InstallOutcome::Installed) continue;
+    for (const std::string& hello : split_lines(result.package.manifest.hello())) session.out.remark("  try: " + hello);
   }
 }
 

@@ -105,7 +105,7 @@ void show_plugin(Session& session, const KnownPlugin& plugin) {
   facts.add({"summary", plugin.manifest.summary()});
   facts.add({"license", plugin.manifest.license()});
   facts.add({"where", plugin.installed ? "installed" : "marketplace: market install " + plugin.name()});
-  if (!plugin.manifest.hello().empty()) facts.add({"try", plugin.manifest.hello()});
+  for (const std::string& hello : split_lines(plugin.manifest.hello())) facts.add({"try", hello});
   session.out.table(facts, "", false);
   for (const auto& component : plugin.interface.components()) {
     session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));

@@ -23,8 +23,9 @@ constexpr std::int64_t kMostMissedPeriods = 50;
 constexpr std::size_t kMostWarnings = 5;
 constexpr auto kPeriod = ImuModel::kPeriod;
 
-/// Faster walkers make longer steps and more of them: about equally, by the square root of the speed each (Grieve and
-/// Gear, "The relationships between length of stride, step frequency, time of swing and speed of walking", 1966).
+/// Faster walkers make longer steps and more of them: about equally, by the square root of the speed each
+/// (Grieve and Gear, "The relationships between length of stride, step frequency, time of swing and speed of
+/// walking", 1966).
 Gait gait_of(const Parameters& parameters) {
   Gait gait;
   gait.cadence_hz *= std::sqrt(parameters.speed_mps() / gait.speed_mps);
@@ -78,12 +79,15 @@ void BuildingSimulator::check(const Parameters& draft) const {
 }
 
 void BuildingSimulator::on_start() {
-  const std::filesystem::path file = params_->building().empty() ? resource("building.osm") : params_->building();
+  const std::filesystem::path file(params_->building().empty() ? resource("building.osm").string()
+                                                               : params_->building());
   world_ = std::make_unique<World>(file, *params_);
   const auto& warnings = world_->building.warnings();
-  for (std::size_t i = 0; i < std::min(warnings.size(), kMostWarnings); ++i) log(LogLevel::Warning, warnings[i]);
+  for (std::size_t i = 0; i < std::min(warnings.size(), kMostWarnings); ++i)
+    log(LogLevel::Warning, warnings[i]);
   if (warnings.size() > kMostWarnings) {
-    log(LogLevel::Warning, fmt::format("{} more like this in {}", warnings.size() - kMostWarnings, file.string()));
+    log(LogLevel::Warning,
+        fmt::format("{} more like this in {}", warnings.size() - kMostWarnings, file.string()));
   }
   log(LogLevel::Info, fmt::format("{}: {} levels, {} transmitters", world_->building.name(),
                                   world_->building.levels().size(), world_->radio.transmitters()));
@@ -98,7 +102,8 @@ void BuildingSimulator::resume() {
   begun_ = now() - resumed_;
 }
 
-/// Brings the simulation to the present. Both producers call it, so their order within an instant does not matter.
+/// Brings the simulation to the present. Both producers call it, so their order within an instant does not
+/// matter.
 void BuildingSimulator::walk_on() {
   // To the nearest period: a task that runs a little early or late does not shift the grid.
   std::int64_t due = (now() - begun_ + kPeriod / 2) / kPeriod;

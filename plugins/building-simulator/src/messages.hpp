@@ -17,7 +17,8 @@ sensors::GetIMU imu_message(const ImuSample& sample);
 /// One row of a Wi-Fi scan; `begun` is the instance's time at the simulation's zero.
 sensors::RFSignalRSSI wifi_message(const WifiReading& reading, const std::string& receiver, TimePoint begun);
 
-/// What was heard of each beacon since the list before, as one entry: mean strength, latest time, strongest first.
+/// What was heard of each beacon since the list before, as one entry: mean strength, latest time, strongest
+/// first.
 sensors::CommiBeaconList beacon_list(const BeaconBatch& batch, TimePoint begun);
 
 /// Where the phone is and how it is turned: known exactly, so the covariances are zero.

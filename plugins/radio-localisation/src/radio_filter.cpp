@@ -14,7 +14,7 @@ constexpr Time kSlice{1000};            // rows heard within it are judged at on
 constexpr double kRowMemory = 300.0;    // rows over which the share of known transmitters is taken
 constexpr double kLeastRows = 20.0;
 constexpr double kForeignShare = 0.08;
-constexpr double kWidestSd_m = 20.0;    // beyond it an estimate guides nobody
+constexpr double kWidestSpread_m = 17.0;  // of the particles; beyond it an estimate guides nobody
 constexpr double kOffsetNoise_db2 = 9.0;
 constexpr double kOffsetDrift_db2 = 0.02;
 
@@ -281,11 +281,11 @@ Estimate RadioFilter::estimate() const {
     const Eigen::Vector2d d = Eigen::Vector2d(p.x_m, p.y_m) - mean;
     result.covariance += p.weight / on_level[best] * d * d.transpose();
   }
-  const double floor_m2 = options_.covariance_floor_m * options_.covariance_floor_m;
-  result.covariance = options_.covariance_factor * result.covariance + floor_m2 * Eigen::Matrix2d::Identity();
+  const bool wide = result.covariance.trace() > kWidestSpread_m * kWidestSpread_m;
+  const double floor_m2 = map_->accuracy.covariance_floor_m * map_->accuracy.covariance_floor_m;
+  result.covariance = map_->accuracy.covariance_factor * result.covariance + floor_m2 * Eigen::Matrix2d::Identity();
   result.x_m = mean.x();
   result.y_m = mean.y();
-  const bool wide = result.covariance.trace() > kWidestSd_m * kWidestSd_m;
   result.validity = wide ? Validity::Ambiguous : Validity::Valid;
   return result;
 }

@@ -35,8 +35,6 @@ struct FilterOptions {
   double map_error_reach_m = 8.0;      ///< walk over which that error is forgotten
   Time stamp_lag{600};                 ///< by which receivers stamp rows too early; measured on survey walks
   double jump_rate_per_s = 5e-4;       ///< carried off unseen: how often the filter believes that it was kidnapped
-  double covariance_factor = 1.4;      ///< the particles' spread is too narrow by this; measured on survey walks left out
-  double covariance_floor_m = 1.5;     ///< standard deviation that no fix is better than, likewise
   double path_prior = 0.3;            ///< weight per second of the squared distance from where the survey walked
 };
 

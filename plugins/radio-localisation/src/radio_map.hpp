@@ -54,6 +54,12 @@ struct Transmitter {
   std::vector<Span> spans;
 };
 
+/// How far fixes of a filter on this map err, beside what its particles know: see calibrate().
+struct Accuracy {
+  double covariance_factor = 4.0;   ///< of the particles' covariance
+  double covariance_floor_m = 1.5;  ///< standard deviation that no fix is better than
+};
+
 /// How a transmitter is called in the map: lower case, without the separators of a MAC address or UUID.
 std::string normalised_id(std::string_view id);
 
@@ -64,6 +70,7 @@ class RadioMap {
   std::string name;                    ///< of the building
   std::optional<Reference> reference;  ///< of the local frame, where the survey knew it
   double cell_m = 2.0;
+  Accuracy accuracy;
   std::vector<Level> levels;           ///< ascending
   std::vector<Cell> cells;
   std::vector<Transmitter> transmitters;

@@ -91,8 +91,7 @@ class Reader {
                                     .where = file_.string(),
                                     .expected = "a complete file written by fiona-radiomap",
                                     .found = found,
-                                    .next = "copy the file again, or learn it again: fiona-radiomap learn DIR -o FILE",
-                                    .near = {}});
+                                    .next = "copy the file again, or learn it again: fiona-radiomap learn DIR -o FILE"});
   }
 
  private:
@@ -208,6 +207,11 @@ RadioMap read_payload(Reader& reader) {
   }
   map.cell_m = reader.real();
   reader.require(map.cell_m > 0.01 && map.cell_m < 1000.0, "cells of impossible size");
+  map.accuracy.covariance_factor = reader.real();
+  map.accuracy.covariance_floor_m = reader.real();
+  reader.require(map.accuracy.covariance_factor > 0.0 && map.accuracy.covariance_factor < 1e4 &&
+                     map.accuracy.covariance_floor_m >= 0.0 && map.accuracy.covariance_floor_m < 1e4,
+                 "an impossible accuracy");
   const std::uint32_t levels = reader.count(28);
   reader.require(levels > 0, "no level");
   for (std::uint32_t i = 0; i < levels; ++i) read_level(reader, map);
@@ -227,8 +231,7 @@ std::string read_file(const fs::path& file) {
                                       .where = file.string(),
                                       .expected = "a file written by fiona-radiomap",
                                       .found = error ? error.message() : "no readable file",
-                                      .next = "learn one: fiona-radiomap learn DIR -o FILE",
-                                      .near = {}});
+                                      .next = "learn one: fiona-radiomap learn DIR -o FILE"});
   }
   std::string bytes(std::min(size, kMostBytes + 1), '\0');
   stream.read(bytes.data(), static_cast<std::streamsize>(bytes.size()));
@@ -244,6 +247,8 @@ void save(const RadioMap& map, const fs::path& file) {
   payload.integer(static_cast<std::uint8_t>(map.reference ? 1 : 0));
   if (map.reference) payload.real(map.reference->latitude_deg), payload.real(map.reference->longitude_deg);
   payload.real(map.cell_m);
+  payload.real(map.accuracy.covariance_factor);
+  payload.real(map.accuracy.covariance_floor_m);
   payload.integer(static_cast<std::uint32_t>(map.levels.size()));
   for (const Level& level : map.levels) write_level(payload, map, level);
   payload.integer(static_cast<std::uint32_t>(map.transmitters.size()));
@@ -269,9 +274,7 @@ void save(const RadioMap& map, const fs::path& file) {
   throw Error(ErrorCode::Failed, {.what = "cannot write the radio map: " + error.message(),
                                   .where = file.string(),
                                   .expected = "a folder that exists, may be written, and has room",
-                                  .found = {},
-                                  .next = "choose another file with -o",
-                                  .near = {}});
+                                  .next = "choose another file with -o"});
 }
 
 RadioMap load(const fs::path& file) {
@@ -284,8 +287,7 @@ RadioMap load(const fs::path& file) {
                                     .where = file.string(),
                                     .expected = "version " + std::to_string(kRadioMapVersion),
                                     .found = "version " + std::to_string(version),
-                                    .next = "learn it again with this fiona-radiomap: fiona-radiomap learn DIR -o FILE",
-                                    .near = {}});
+                                    .next = "learn it again with this fiona-radiomap: fiona-radiomap learn DIR -o FILE"});
   }
   const auto length = header.integer<std::uint64_t>();
   const auto expected = header.integer<std::uint64_t>();

@@ -7,7 +7,7 @@
 namespace fiona::radio {
 
 /// Version of the file format that this build writes and reads.
-inline constexpr std::uint32_t kRadioMapVersion = 1;
+inline constexpr std::uint32_t kRadioMapVersion = 2;
 
 /// Writes the map as one file: beside the target first, then renamed, so that a reader sees the old map or the new.
 /// Throws fiona::Error when the disk refuses.

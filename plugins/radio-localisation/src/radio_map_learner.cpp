@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
-#include <set>
 
 #include <fiona/error.hpp>
 
@@ -54,7 +54,7 @@ struct RadioMapLearner::Kernel {
 RadioMapLearner::RadioMapLearner(const LearnerOptions& options) : options_(options) {}
 
 void RadioMapLearner::sweep(Radio radio, int level, double x_m, double y_m) {
-  sweeps_[static_cast<int>(radio)].push_back({level, static_cast<float>(x_m), static_cast<float>(y_m)});
+  sweeps_[static_cast<int>(radio)].push_back({level, static_cast<float>(x_m), static_cast<float>(y_m), walk_});
 }
 
 void RadioMapLearner::heard(std::string_view id, Radio radio, int level, double x_m, double y_m, double rssi_dbm) {
@@ -63,52 +63,54 @@ void RadioMapLearner::heard(std::string_view id, Radio radio, int level, double 
                                     .where = std::string(id),
                                     .expected = "at most " + std::to_string(options_.most_samples) + " rows",
                                     .found = "more",
-                                    .next = "learn one map per building",
-                                    .near = {}});
+                                    .next = "learn one map per building"});
   }
   const auto [entry, added] = by_id_.try_emplace(normalised_id(id), heard_.size());
   if (added) heard_.push_back({entry->first, radio, {}});
   heard_[entry->second].samples.push_back(
-      {{level, static_cast<float>(x_m), static_cast<float>(y_m)}, static_cast<float>(rssi_dbm), walk_});
+      {{level, static_cast<float>(x_m), static_cast<float>(y_m), walk_}, static_cast<float>(rssi_dbm)});
 }
 
-void RadioMapLearner::begin_walk() { ++walk_; }
+std::uint32_t RadioMapLearner::begin_walk() { return ++walk_; }
 
 void RadioMapLearner::path(int level, double x_m, double y_m) {
-  path_.push_back({level, static_cast<float>(x_m), static_cast<float>(y_m)});
+  path_.push_back({level, static_cast<float>(x_m), static_cast<float>(y_m), walk_});
 }
 
-RadioMap RadioMapLearner::learn(std::string name) const {
-  if (path_.empty() || heard_.empty()) {
+RadioMap RadioMapLearner::learn(std::string name, const std::set<std::uint32_t>& left_out) const {
+  std::vector<WalkUse> walks(walk_ + 1);
+  for (const std::uint32_t walk : left_out) walks.at(walk).counts = false;
+  std::vector<Point> path;
+  std::copy_if(path_.begin(), path_.end(), std::back_inserter(path),
+               [&](const Point& point) { return walks[point.walk].counts; });
+  if (path.empty() || heard_.empty()) {
     throw Error(ErrorCode::Failed, {.what = "no radio map can be learnt: the walks hold no radio row with a position",
                                     .where = name,
                                     .expected = "survey walks with way-points and Wi-Fi or beacon rows",
-                                    .found = std::to_string(path_.size()) + " positions, " +
+                                    .found = std::to_string(path.size()) + " positions, " +
                                              std::to_string(heard_.size()) + " transmitters",
-                                    .next = "record the survey with way-points",
-                                    .near = {}});
+                                    .next = "record the survey with way-points"});
   }
   RadioMap map;
   map.name = std::move(name);
   map.cell_m = options_.cell_m;
-  make_levels(map);
+  make_levels(map, path);
   const Kernel kernel(options_);
-  std::vector<double> offset_db(walk_ + 1, 0.0);
-  learn_transmitters(map, offset_db, kernel);
+  learn_transmitters(map, walks, kernel);
   for (int round = 0; round < options_.offset_rounds; ++round) {
-    refine_offsets(map, offset_db);
-    learn_transmitters(map, offset_db, kernel);
+    refine_offsets(map, walks);
+    learn_transmitters(map, walks, kernel);
   }
   map.index();
   return map;
 }
 
-void RadioMapLearner::make_levels(RadioMap& map) const {
+void RadioMapLearner::make_levels(RadioMap& map, const std::vector<Point>& path) const {
   std::set<int> numbers;
-  for (const Point& point : path_) numbers.insert(point.level);
+  for (const Point& point : path) numbers.insert(point.level);
   for (const int number : numbers) {
     double west = 1e9, south = 1e9, east = -1e9, north = -1e9;
-    for (const Point& point : path_) {
+    for (const Point& point : path) {
       if (point.level != number) continue;
       west = std::min(west, double(point.x_m)), east = std::max(east, double(point.x_m));
       south = std::min(south, double(point.y_m)), north = std::max(north, double(point.y_m));
@@ -118,8 +120,7 @@ void RadioMapLearner::make_levels(RadioMap& map) const {
                                       .where = "level " + std::to_string(number),
                                       .expected = "way-points within 20 km",
                                       .found = std::to_string(std::lround(std::max(east - west, north - south))) + " m",
-                                      .next = "check the way-points' unit and origin",
-                                      .near = {}});
+                                      .next = "check the way-points' unit and origin"});
     }
     Level level;
     level.level = number;
@@ -128,15 +129,15 @@ void RadioMapLearner::make_levels(RadioMap& map) const {
     level.columns = static_cast<int>(std::ceil((east - west + 2.0 * options_.reach_m) / options_.cell_m));
     level.rows = static_cast<int>(std::ceil((north - south + 2.0 * options_.reach_m) / options_.cell_m));
     map.levels.push_back(std::move(level));
-    make_cells(map, map.levels.size() - 1);
+    make_cells(map, path, map.levels.size() - 1);
   }
 }
 
-void RadioMapLearner::make_cells(RadioMap& map, std::size_t level_index) const {
+void RadioMapLearner::make_cells(RadioMap& map, const std::vector<Point>& path, std::size_t level_index) const {
   Level& level = map.levels[level_index];
   const double reach = options_.reach_m;
   std::vector<float> distance(static_cast<std::size_t>(level.columns) * level.rows, std::numeric_limits<float>::max());
-  for (const Point& point : path_) {
+  for (const Point& point : path) {
     if (point.level != level.level) continue;
     const int last_row = std::min<int>(level.rows - 1, (point.y_m + reach - level.south_m) / options_.cell_m);
     const int last_column = std::min<int>(level.columns - 1, (point.x_m + reach - level.west_m) / options_.cell_m);
@@ -164,37 +165,37 @@ void RadioMapLearner::make_cells(RadioMap& map, std::size_t level_index) const {
                                     .where = "level " + std::to_string(level.level),
                                     .expected = "at most " + std::to_string(kMostCellsOfALevel) + " cells",
                                     .found = std::to_string(level.cell_count) + " cells",
-                                    .next = "learn with larger cells (--cell)",
-                                    .near = {}});
+                                    .next = "learn with larger cells (--cell)"});
   }
 }
 
-std::vector<float> RadioMapLearner::count_sweeps(const RadioMap& map, Radio radio, const Kernel& kernel) const {
+std::vector<float> RadioMapLearner::count_sweeps(const RadioMap& map, Radio radio, const std::vector<WalkUse>& walks,
+                                                 const Kernel& kernel) const {
   std::vector<float> count(map.cells.size(), 0.0f);
   for (const Point& point : sweeps_[static_cast<int>(radio)]) {
     const auto level_index = map.level_index(point.level);
-    if (!level_index) continue;
+    if (!level_index || !walks[point.walk].counts) continue;
     kernel.scatter(map, map.levels[*level_index], point.x_m, point.y_m,
                    [&](std::uint32_t cell, float weight) { count[cell] += weight; });
   }
   return count;
 }
 
-void RadioMapLearner::learn_transmitters(RadioMap& map, const std::vector<double>& offset_db,
+void RadioMapLearner::learn_transmitters(RadioMap& map, const std::vector<WalkUse>& walks,
                                          const Kernel& kernel) const {
   map.transmitters.clear();
   map.expectations.clear();
-  const std::vector<float> sweeps[2] = {count_sweeps(map, Radio::WiFi, kernel),
-                                        count_sweeps(map, Radio::Bluetooth, kernel)};
+  const std::vector<float> sweeps[2] = {count_sweeps(map, Radio::WiFi, walks, kernel),
+                                        count_sweeps(map, Radio::Bluetooth, walks, kernel)};
   for (const Heard& heard : heard_) {
-    learn_transmitter(map, heard, sweeps[static_cast<int>(heard.radio)], offset_db, kernel);
+    learn_transmitter(map, heard, sweeps[static_cast<int>(heard.radio)], walks, kernel);
   }
 }
 
 /// Moves each walk's offset by the mean deviation of its rows from the map; their mean over all walks stays zero, for
 /// the map's own level is free.
-void RadioMapLearner::refine_offsets(const RadioMap& map, std::vector<double>& offset_db) const {
-  std::vector<double> sum(offset_db.size(), 0.0), count(offset_db.size(), kOffsetDoubtRows);
+void RadioMapLearner::refine_offsets(const RadioMap& map, std::vector<WalkUse>& walks) const {
+  std::vector<double> sum(walks.size(), 0.0), count(walks.size(), kOffsetDoubtRows);
   std::unordered_map<std::string_view, const Transmitter*> learnt;
   for (const Transmitter& transmitter : map.transmitters) learnt.emplace(transmitter.id, &transmitter);
   std::vector<std::int16_t> expected(map.cells.size());
@@ -210,28 +211,31 @@ void RadioMapLearner::refine_offsets(const RadioMap& map, std::vector<double>& o
     for (const Sample& sample : heard.samples) {
       const auto level_index = map.level_index(sample.at.level);
       const std::int32_t cell = level_index ? map.cell_at(*level_index, sample.at.x_m, sample.at.y_m) : -1;
-      if (cell < 0 || expected[cell] < 0) continue;
-      sum[sample.walk] += sample.rssi_dbm - offset_db[sample.walk] + 0.5 * expected[cell];
-      count[sample.walk] += 1.0;
+      if (cell < 0 || expected[cell] < 0 || !walks[sample.at.walk].counts) continue;
+      sum[sample.at.walk] += sample.rssi_dbm - walks[sample.at.walk].offset_db + 0.5 * expected[cell];
+      count[sample.at.walk] += 1.0;
     }
   }
-  double mean = 0.0;
-  for (std::size_t walk = 0; walk < offset_db.size(); ++walk) {
-    offset_db[walk] += sum[walk] / count[walk];
-    mean += offset_db[walk] / static_cast<double>(offset_db.size());
+  double total = 0.0, counting = 0.0;
+  for (std::size_t walk = 0; walk < walks.size(); ++walk) {
+    if (!walks[walk].counts) continue;
+    walks[walk].offset_db += sum[walk] / count[walk];
+    total += walks[walk].offset_db;
+    counting += 1.0;
   }
-  for (double& offset : offset_db) offset -= mean;
+  for (WalkUse& walk : walks) walk.offset_db -= total / counting;
 }
 
 void RadioMapLearner::learn_transmitter(RadioMap& map, const Heard& heard, const std::vector<float>& sweeps,
-                                        const std::vector<double>& offset_db, const Kernel& kernel) const {
+                                        const std::vector<WalkUse>& walks, const Kernel& kernel) const {
   Transmitter transmitter{heard.id, heard.radio, {}};
   for (std::uint32_t level_index = 0; level_index < map.levels.size(); ++level_index) {
     const Level& level = map.levels[level_index];
     std::vector<float> count(level.cell_count, 0.0f), sum(level.cell_count, 0.0f);
     for (const Sample& sample : heard.samples) {
-      if (sample.at.level != level.level) continue;
-      const auto rssi_dbm = static_cast<float>(sample.rssi_dbm - offset_db[sample.walk]);
+      const WalkUse& walk = walks[sample.at.walk];
+      if (sample.at.level != level.level || !walk.counts) continue;
+      const auto rssi_dbm = static_cast<float>(sample.rssi_dbm - walk.offset_db);
       kernel.scatter(map, level, sample.at.x_m, sample.at.y_m, [&](std::uint32_t cell, float weight) {
         count[cell - level.first_cell] += weight;
         sum[cell - level.first_cell] += weight * rssi_dbm;

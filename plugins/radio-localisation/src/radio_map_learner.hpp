@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -30,8 +31,8 @@ class RadioMapLearner {
  public:
   explicit RadioMapLearner(const LearnerOptions& options = {});
 
-  /// What follows was recorded on another walk, perhaps with another phone.
-  void begin_walk();
+  /// What follows was recorded on another walk, perhaps with another phone. Gives the walk's number.
+  std::uint32_t begin_walk();
 
   /// A receiver listened here once over all channels, whatever it heard.
   void sweep(Radio radio, int level, double x_m, double y_m);
@@ -42,18 +43,19 @@ class RadioMapLearner {
   /// A survey walk went through here. Points should lie at most half a cell apart.
   void path(int level, double x_m, double y_m);
 
-  /// Throws fiona::Error when nothing was learnt, or a level is larger than a map can hold.
-  RadioMap learn(std::string name) const;
+  /// Learns from all walks but those of the numbers in `left_out`. Throws fiona::Error when nothing was learnt, or a
+  /// level is larger than a map can hold.
+  RadioMap learn(std::string name, const std::set<std::uint32_t>& left_out = {}) const;
 
  private:
   struct Point {
     std::int32_t level;
     float x_m, y_m;
+    std::uint32_t walk;
   };
   struct Sample {
     Point at;
     float rssi_dbm;
-    std::uint32_t walk;
   };
   struct Heard {
     std::string id;
@@ -61,14 +63,19 @@ class RadioMapLearner {
     std::vector<Sample> samples;
   };
   struct Kernel;
+  struct WalkUse {
+    bool counts = true;
+    double offset_db = 0.0;  ///< what its phone reads above the others
+  };
 
-  void make_levels(RadioMap& map) const;
-  void make_cells(RadioMap& map, std::size_t level_index) const;
-  std::vector<float> count_sweeps(const RadioMap& map, Radio radio, const Kernel& kernel) const;
-  void learn_transmitters(RadioMap& map, const std::vector<double>& offset_db, const Kernel& kernel) const;
+  void make_levels(RadioMap& map, const std::vector<Point>& path) const;
+  void make_cells(RadioMap& map, const std::vector<Point>& path, std::size_t level_index) const;
+  std::vector<float> count_sweeps(const RadioMap& map, Radio radio, const std::vector<WalkUse>& walks,
+                                  const Kernel& kernel) const;
+  void learn_transmitters(RadioMap& map, const std::vector<WalkUse>& walks, const Kernel& kernel) const;
   void learn_transmitter(RadioMap& map, const Heard& heard, const std::vector<float>& sweeps,
-                         const std::vector<double>& offset_db, const Kernel& kernel) const;
-  void refine_offsets(const RadioMap& map, std::vector<double>& offset_db) const;
+                         const std::vector<WalkUse>& walks, const Kernel& kernel) const;
+  void refine_offsets(const RadioMap& map, std::vector<WalkUse>& walks) const;
 
   LearnerOptions options_;
   std::vector<Point> path_;

@@ -68,13 +68,14 @@ void add_beacons(RadioMapLearner& learner, const walk::Walk& walk, const WayPoin
 
 }  // namespace
 
-void add_survey_walk(RadioMapLearner& learner, const walk::Walk& walk) {
+std::optional<std::uint32_t> add_survey_walk(RadioMapLearner& learner, const walk::Walk& walk) {
   const WayPoints points = walk::way_points_of(walk);
-  if (points.empty()) return;
-  learner.begin_walk();
+  if (points.empty()) return std::nullopt;
+  const std::uint32_t number = learner.begin_walk();
   add_path(learner, points);
   add_wifi(learner, walk, points);
   add_beacons(learner, walk, points);
+  return number;
 }
 
 }  // namespace fiona::radio

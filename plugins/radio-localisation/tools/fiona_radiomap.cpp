@@ -27,11 +27,9 @@ constexpr const char* kUsage =
 
 [[noreturn]] void usage_error(const std::string& what, const std::string& found) {
   throw Error(ErrorCode::Usage, {.what = what,
-                                 .where = {},
                                  .expected = "learn DIR -o FILE, or info FILE",
                                  .found = found,
-                                 .next = "fiona-radiomap help",
-                                 .near = {}});
+                                 .next = "fiona-radiomap help"});
 }
 
 fiona::radio::Reference parse_reference(const std::string& text) {
@@ -48,11 +46,9 @@ fiona::radio::Reference parse_reference(const std::string& text) {
   } catch (const std::logic_error&) {  // not numbers: told below
   }
   throw Error(ErrorCode::Usage, {.what = "--reference is not a position",
-                                 .where = {},
                                  .expected = "LAT,LON in degrees, such as 49.4611419,11.1109429",
                                  .found = text,
-                                 .next = "fiona-radiomap help",
-                                 .near = {}});
+                                 .next = "fiona-radiomap help"});
 }
 
 int learn(const options::variables_map& given, const std::string& folder) {

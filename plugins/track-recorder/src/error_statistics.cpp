@@ -10,7 +10,7 @@ void ErrorStatistics::add(double error_m) {
   sum_m_ += error_m;
   largest_m_ = std::max(largest_m_, error_m);
   if (error_m >= kLargest_m) return;
-  const auto bin = static_cast<std::size_t>(error_m / kBin_m);
+  const auto bin = static_cast<std::size_t>(std::llround(error_m / kBin_m));
   if (bin >= bins_.size()) bins_.resize(bin + 1);
   ++bins_[bin];
 }
@@ -22,7 +22,7 @@ double ErrorStatistics::quantile_m(double share) const {
   std::uint64_t passed = 0;
   for (std::size_t bin = 0; bin < bins_.size(); ++bin) {
     passed += bins_[bin];
-    if (bins_[bin] > 0 && passed >= wanted) return (static_cast<double>(bin) + 0.5) * kBin_m;
+    if (bins_[bin] > 0 && passed >= wanted) return static_cast<double>(bin) * kBin_m;
   }
   return largest_m_;
 }

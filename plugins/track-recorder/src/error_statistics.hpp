@@ -5,7 +5,7 @@
 
 namespace fiona::recorder {
 
-/// Mean and quantiles of position errors in bounded memory: errors are counted in bins of one centimetre.
+/// Mean and quantiles of position errors in bounded memory: errors are counted to the nearest centimetre.
 class ErrorStatistics {
  public:
   static constexpr double kBin_m = 0.01;

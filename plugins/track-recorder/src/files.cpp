@@ -14,10 +14,11 @@ namespace fs = std::filesystem;
 
 [[noreturn]] void refuse(const fs::path& path, const std::string& cause) {
   std::error_code ignored;
-  throw Error(ErrorCode::Failed,
-              {.what = "cannot write " + path.string() + ": " + cause,
-               .where = fs::absolute(path, ignored).string(),
-               .next = "check that the directory exists, may be written and has space, or name another file"});
+  throw Error(
+      ErrorCode::Failed,
+      {.what = "cannot write " + path.string() + ": " + cause,
+       .where = fs::absolute(path, ignored).string(),
+       .next = "check that the directory exists, may be written and has space, or name another file"});
 }
 
 std::string cause_of(int error) { return std::generic_category().message(error); }

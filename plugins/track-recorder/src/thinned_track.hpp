@@ -7,8 +7,8 @@
 
 namespace fiona::recorder {
 
-/// A track of bounded length for drawing: when it is full every second point goes, and from then on half as many are
-/// kept. The first point and the latest stay.
+/// A track of bounded length for drawing: when it is full every second point goes, and from then on half as
+/// many are kept. The first point and the latest stay.
 class ThinnedTrack {
  public:
   static constexpr std::size_t kMostPoints = 20'000;

@@ -12,9 +12,11 @@ namespace {
 
 using track_recorder::Parameters;
 
-[[noreturn]] void refuse_value(const std::string& name, const std::string& found, const std::string& expected) {
-  throw Error(ErrorCode::Usage,
-              {.what = "parameter '" + name + "' does not take this value", .expected = expected, .found = found});
+[[noreturn]] void refuse_value(const std::string& name, const std::string& found,
+                               const std::string& expected) {
+  throw Error(
+      ErrorCode::Usage,
+      {.what = "parameter '" + name + "' does not take this value", .expected = expected, .found = found});
 }
 
 bool fits_a_csv_field(const std::string& text) { return text.find_first_of(",\"\r\n") == std::string::npos; }
@@ -34,9 +36,10 @@ void TrackRecorder::check(const Parameters& draft) const {
   Parameters other = draft;
   other.set_report_period_s(params_->report_period_s());
   if (google::protobuf::util::MessageDifferencer::Equals(other, *params_)) return;
-  throw Error(ErrorCode::NotAllowed, {.what = "the recording has begun: only report_period_s can still be changed",
-                                      .where = name(),
-                                      .next = "unload " + name() + ", then load it with the new parameters"});
+  throw Error(ErrorCode::NotAllowed,
+              {.what = "the recording has begun: only report_period_s can still be changed",
+               .where = name(),
+               .next = "unload " + name() + ", then load it with the new parameters"});
 }
 
 void TrackRecorder::changed() {
@@ -98,7 +101,8 @@ building::TrackPoint TrackRecorder::track_point(const Fix& fix) const {
 
 void TrackRecorder::schedule_report() {
   const double period_s = params_->report_period_s();
-  if (period_s > 0.0) report_.at(now() + std::chrono::round<Duration>(std::chrono::duration<double>(period_s)));
+  if (period_s > 0.0)
+    report_.at(now() + std::chrono::round<Duration>(std::chrono::duration<double>(period_s)));
 }
 
 void TrackRecorder::report() {
@@ -121,7 +125,8 @@ std::string TrackRecorder::drawing() const {
   if (!truth_track_.empty()) tracks.push_back({"truth", truth_track_.points(), "#444444", "2 3"});
   if (!track_.empty()) tracks.push_back({"location", track_.points(), "#0072b2", "none"});
   const building::SvgOptions options{.title = params_->trace()};
-  return building_ ? building::floor_plan_svg(*building_, tracks, options) : building::track_svg(tracks, options);
+  return building_ ? building::floor_plan_svg(*building_, tracks, options)
+                   : building::track_svg(tracks, options);
 }
 
 std::string TrackRecorder::summary() const {
@@ -130,9 +135,10 @@ std::string TrackRecorder::summary() const {
   const ErrorStatistics& errors = comparison_.errors();
   if (errors.count() == 0) return text;
   const double right = static_cast<double>(comparison_.right_levels()) / static_cast<double>(errors.count());
-  return text + fmt::format("; error of {}: mean {:.2f} m, median {:.2f} m, p90 {:.2f} m; level right {:.1f} %",
-                            errors.count(), errors.mean_m(), errors.quantile_m(0.5), errors.quantile_m(0.9),
-                            100.0 * right);
+  return text +
+         fmt::format("; error of {}: mean {:.2f} m, median {:.2f} m, p90 {:.2f} m; level right {:.1f} %",
+                     errors.count(), errors.mean_m(), errors.quantile_m(0.5), errors.quantile_m(0.9),
+                     100.0 * right);
 }
 
 }  // namespace fiona::recorder

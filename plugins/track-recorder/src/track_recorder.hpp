@@ -15,8 +15,8 @@
 
 namespace fiona::recorder {
 
-/// Writes the positions of any localisation as CSV and draws them over the floor plan; with a truth beside it, says how
-/// far off they were.
+/// Writes the positions of any localisation as CSV and draws them over the floor plan; with a truth beside
+/// it, says how far off they were.
 class TrackRecorder final : public Component {
  public:
   using Component::Component;
@@ -45,8 +45,11 @@ class TrackRecorder final : public Component {
   Requires<localisation::LocationProvider> location_{
       *this, "location", &TrackRecorder::on_location, {.doc = "the positions to be recorded"}};
   Requires<localisation::LocationProvider> truth_{
-      *this, "truth", &TrackRecorder::on_truth,
-      {.optional = true, .doc = "where the device really was: a second track in the drawing, and the errors"}};
+      *this,
+      "truth",
+      &TrackRecorder::on_truth,
+      {.optional = true,
+       .doc = "where the device really was: a second track in the drawing, and the errors"}};
   Timer report_{*this, &TrackRecorder::report};
 
   bool started_ = false;

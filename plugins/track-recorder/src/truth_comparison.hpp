@@ -21,8 +21,8 @@ struct Fix {
 /// The whole level nearest to z; halves go up.
 int whole_level(double z);
 
-/// Compares estimates with the truth at their own times, whichever of the two arrives first. The truth is taken as
-/// straight between two of its fixes.
+/// Compares estimates with the truth at their own times, whichever of the two arrives first. The truth is
+/// taken as straight between two of its fixes.
 class TruthComparison {
  public:
   /// An estimate between two truths that are further apart is not compared.

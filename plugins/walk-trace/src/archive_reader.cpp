@@ -21,9 +21,7 @@ ArchiveReader::ArchiveReader(const std::filesystem::path& file, const Limits& li
     throw Error(ErrorCode::NotFound, {.what = "cannot read the archive of walks: " + error.message(),
                                       .where = file.string(),
                                       .expected = "a readable .tar.xz",
-                                      .found = {},
-                                      .next = "check the folder's name and that its files were copied",
-                                      .near = {}});
+                                      .next = "check the folder's name and that its files were copied"});
   }
   if (size > limits.archive_bytes) fail("the archive is larger than the reader accepts", std::to_string(size) + " bytes");
   archive_ = archive_read_new();
@@ -46,8 +44,7 @@ void ArchiveReader::fail(const std::string& what, const std::string& found) cons
                                   .where = where(),
                                   .expected = "a complete .tar.xz of .tsv walks",
                                   .found = found,
-                                  .next = "get the archive again from its source",
-                                  .near = {}});
+                                  .next = "get the archive again from its source"});
 }
 
 bool ArchiveReader::next() {

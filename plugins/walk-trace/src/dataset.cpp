@@ -22,8 +22,7 @@ constexpr const char* kLayouts = "FLOOR/train.tar.xz for floors like B1, F1, F2,
                                     .where = folder.string(),
                                     .expected = kLayouts,
                                     .found = found,
-                                    .next = "name the folder that holds the archives",
-                                    .near = {}});
+                                    .next = "name the folder that holds the archives"});
 }
 
 Walk parse_current(ArchiveReader& reader, std::optional<int> level, const Limits& limits) {

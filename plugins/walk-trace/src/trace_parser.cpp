@@ -30,6 +30,9 @@ FieldList split(std::string_view line) {
   return fields;
 }
 
+/// Without the locale of std::tolower.
+char lower_case(char letter) { return letter >= 'A' && letter <= 'Z' ? static_cast<char>(letter - 'A' + 'a') : letter; }
+
 }  // namespace
 
 TraceParser::TraceParser(std::string where, std::optional<int> level, std::size_t most_events)
@@ -42,8 +45,7 @@ void TraceParser::fail(const std::string& what, const std::string& expected, std
                                   .where = where_ + ":" + std::to_string(line_number_),
                                   .expected = expected,
                                   .found = std::string(found.substr(0, kMostShown)),
-                                  .next = "get the archive again from its source, or leave this walk out of it",
-                                  .near = {}});
+                                  .next = "get the archive again from its source, or leave this walk out of it"});
 }
 
 void TraceParser::line(std::string_view text) {
@@ -123,7 +125,16 @@ EventData TraceParser::wifi(const FieldList& fields, std::int64_t t_ms) {
 EventData TraceParser::beacon(const FieldList& fields) {
   need(fields, 7, 8, "B, time, uuid, major, minor, transmit power if known, rssi, mac");
   const std::size_t rssi = fields.count - 2;
-  return BeaconRow{transmitter(fields.text[rssi + 1]), static_cast<float>(number(fields, rssi, "an RSSI in dBm"))};
+  BeaconIdentity beacon{.uuid = std::string(fields.text[2]),
+                        .major = static_cast<std::uint32_t>(integer_within(fields, 3, "a major", 0, 65535)),
+                        .minor = static_cast<std::uint32_t>(integer_within(fields, 4, "a minor", 0, 65535))};
+  if (beacon.uuid.empty()) fail("a row is garbled", "a beacon's UUID", "nothing");
+  std::transform(beacon.uuid.begin(), beacon.uuid.end(), beacon.uuid.begin(), lower_case);
+  if (fields.count == 8) {
+    beacon.measured_power_dbm = static_cast<int>(integer_within(fields, 5, "a power at 1 m in dBm", -128, 127));
+  }
+  return BeaconRow{transmitter(fields.text[rssi + 1]), identity(std::move(beacon)),
+                   static_cast<float>(number(fields, rssi, "an RSSI in dBm"))};
 }
 
 EventData TraceParser::way_point(const FieldList& fields) {
@@ -153,6 +164,14 @@ std::int64_t TraceParser::integer(const FieldList& fields, std::size_t index, co
   return value;
 }
 
+std::int64_t TraceParser::integer_within(const FieldList& fields, std::size_t index, const char* meaning,
+                                         std::int64_t least, std::int64_t most) const {
+  const std::int64_t value = integer(fields, index, meaning);
+  if (value >= least && value <= most) return value;
+  fail("a row is garbled",
+       std::string(meaning) + " from " + std::to_string(least) + " to " + std::to_string(most), fields.text[index]);
+}
+
 void TraceParser::need(const FieldList& fields, std::size_t least, std::size_t most, const char* expected) const {
   if (fields.count >= least && fields.count <= most) return;
   fail("a row is garbled", expected, std::to_string(fields.count) + " fields");
@@ -163,6 +182,12 @@ std::uint32_t TraceParser::transmitter(std::string_view name) {
   const auto [entry, added] =
       transmitter_index_.try_emplace(std::string(name), static_cast<std::uint32_t>(walk_.transmitters.size()));
   if (added) walk_.transmitters.emplace_back(name);
+  return entry->second;
+}
+
+std::uint32_t TraceParser::identity(BeaconIdentity beacon) {
+  const auto [entry, added] = beacon_index_.try_emplace(beacon, static_cast<std::uint32_t>(walk_.beacons.size()));
+  if (added) walk_.beacons.push_back(std::move(beacon));
   return entry->second;
 }
 

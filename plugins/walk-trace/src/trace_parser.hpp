@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -31,7 +32,10 @@ class TraceParser {
   double number(const Fields& fields, std::size_t index, const char* meaning) const;
   std::int64_t integer(const Fields& fields, std::size_t index, const char* meaning) const;
   void need(const Fields& fields, std::size_t least, std::size_t most, const char* expected) const;
+  std::int64_t integer_within(const Fields& fields, std::size_t index, const char* meaning, std::int64_t least,
+                              std::int64_t most) const;
   std::uint32_t transmitter(std::string_view name);
+  std::uint32_t identity(BeaconIdentity beacon);
   [[noreturn]] void fail(const std::string& what, const std::string& expected, std::string_view found) const;
 
   std::string where_;
@@ -40,6 +44,7 @@ class TraceParser {
   std::size_t line_number_ = 0;
   Walk walk_;
   std::unordered_map<std::string, std::uint32_t> transmitter_index_;
+  std::map<BeaconIdentity, std::uint32_t> beacon_index_;
 };
 
 }  // namespace fiona::walk

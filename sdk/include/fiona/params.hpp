@@ -5,6 +5,7 @@
 #include <mutex>
 #include <span>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "fiona/control.pb.h"
@@ -62,6 +63,7 @@ void set_fields(Object& message, std::span<const control::Argument> changes);
 ///
 ///     fiona::Params<StepHeadingParams> params_{*this};                // params_->gain()
 ///     fiona::Params<P> params_{*this, &Self::check, &Self::changed};  // check(draft) throws Error to refuse
+///     fiona::Params<P> params_{*this, nullptr, &Self::changed};
 ///
 /// Tasks and handlers see one consistent set: a change happens between them, on the strand.
 template <class M>
@@ -70,9 +72,11 @@ class Params : public detail::ParamsBase {
   template <class C>
   explicit Params(C& owner) : ParamsBase(owner, defaults(), nullptr, nullptr) {}
   template <class C>
-  Params(C& owner, void (C::*check)(const M& draft) const, void (C::*changed)() = nullptr)
+  Params(C& owner, void (std::type_identity_t<C>::*check)(const M& draft) const,
+         void (std::type_identity_t<C>::*changed)() = nullptr)
       : ParamsBase(
-            owner, defaults(), [&owner, check](const Object& d) { (owner.*check)(static_cast<const M&>(d)); },
+            owner, defaults(),
+            check ? Check([&owner, check](const Object& d) { (owner.*check)(static_cast<const M&>(d)); }) : nullptr,
             changed ? std::function<void()>([&owner, changed] { (owner.*changed)(); }) : nullptr) {}
 
   /// [strand] Valid until the handler or task ends.

@@ -8,17 +8,18 @@
 /// Access to `fiona.sensors.GetIMU` as vectors, in the axes that phones use.
 namespace fiona::sensors {
 
-/// One reading of an inertial unit in the axes of an Android phone: x to the right of the screen, y to its top edge,
-/// z out of it. GetIMU has the axes of the platform's devices: x where the device points, y to its left, z up out of
-/// it. A phone that is held to be read points where its top edge points, so
+/// One reading of an inertial unit in the axes of an Android phone: x to the right of the screen, y to its
+/// top edge, z out of it. GetIMU has the axes of the platform's devices: x where the device points, y to its
+/// left, z up out of it. A phone that is held to be read points where its top edge points, so
 ///
 ///     x_device = y_phone,  y_device = -x_phone,  z_device = z_phone
 ///
-/// for forces, rates of turn and fields alike: a quarter turn about z, which leaves right-handed axes right-handed.
-/// The units are those of GetIMU. A sensor that the device does not have, or of which a component is missing, is
-/// absent.
+/// for forces, rates of turn and fields alike: a quarter turn about z, which leaves right-handed axes
+/// right-handed. The units are those of GetIMU. A sensor that the device does not have, or of which a
+/// component is missing, is absent.
 ///
-/// Source: Android developer documentation, "Sensors overview", sensor coordinate system; proto/fiona/sensors.proto.
+/// Source: Android developer documentation, "Sensors overview", sensor coordinate system;
+/// proto/fiona/sensors.proto.
 struct PhoneAxes {
   using Vector = std::array<double, 3>;  ///< x, y, z
 
@@ -35,7 +36,9 @@ constexpr PhoneAxes::Vector device_to_phone(const PhoneAxes::Vector& device) {
 }
 
 /// A vector of phone axes in device axes.
-constexpr PhoneAxes::Vector phone_to_device(const PhoneAxes::Vector& phone) { return {phone[1], -phone[0], phone[2]}; }
+constexpr PhoneAxes::Vector phone_to_device(const PhoneAxes::Vector& phone) {
+  return {phone[1], -phone[0], phone[2]};
+}
 
 /// What `imu` says, in phone axes.
 inline PhoneAxes to_phone_axes(const GetIMU& imu) {

@@ -13,8 +13,8 @@
 
 namespace fiona::simulator {
 
-/// A person with a phone who walks from room to room of a building: what the phone's sensors say, and where the person
-/// really is. The same parameters give the same messages, at the same times after the start.
+/// A person with a phone who walks from room to room of a building: what the phone's sensors say, and where
+/// the person really is. The same parameters give the same messages, at the same times after the start.
 class BuildingSimulator final : public Component {
  public:
   explicit BuildingSimulator(Hull& hull);
@@ -38,20 +38,28 @@ class BuildingSimulator final : public Component {
 
   Params<Parameters> params_{*this, &BuildingSimulator::check};
   Provides<sensors::GetIMUService> imu_{
-      *this, "imu", &BuildingSimulator::produce_imu, ImuModel::kPeriod,
+      *this,
+      "imu",
+      &BuildingSimulator::produce_imu,
+      ImuModel::kPeriod,
       {.doc = "the phone in the person's hand: accelerometer, gyroscope, magnetometer, 50 Hz"}};
   Provides<sensors::RFSignalRSSIService> wifi_{
-      *this, "wifi", {.doc = "one message for each row of the phone's Wi-Fi scans, dated when it was really heard"}};
+      *this,
+      "wifi",
+      {.doc = "one message for each row of the phone's Wi-Fi scans, dated when it was really heard"}};
   Provides<sensors::IbeaconlistProvider> beacons_{
       *this, "beacons", {.doc = "the iBeacons heard in the last 0.3 s; an empty list if there was none"}};
   Provides<localisation::LocationProvider> truth_{
-      *this, "truth", &BuildingSimulator::produce_truth, std::chrono::milliseconds(200),
+      *this,
+      "truth",
+      &BuildingSimulator::produce_truth,
+      std::chrono::milliseconds(200),
       {.doc = "where the person really is: no localisation has this port, compare with it"}};
 
   std::unique_ptr<World> world_;
   /// The instance's time at the simulation's zero. A pause moves it on: the person stands still meanwhile.
   TimePoint begun_{};
-  std::int64_t periods_ = 0;  ///< of ImuModel::kPeriod, simulated so far
+  std::int64_t periods_ = 0;              ///< of ImuModel::kPeriod, simulated so far
   std::chrono::milliseconds resumed_{0};  ///< the simulation's time at which it last went on after a pause
   bool ended_ = false;
 };

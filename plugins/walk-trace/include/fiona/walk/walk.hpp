@@ -1,5 +1,6 @@
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -33,9 +34,18 @@ struct WifiRow {
   std::int32_t frequency_mhz;
   std::int64_t heard_ms;        ///< equals the event's time where the recording does not say
 };
+/// What an iBeacon says of itself. Several transmitters may say the same.
+struct BeaconIdentity {
+  std::string uuid;                             ///< lower-case
+  std::uint32_t major = 0, minor = 0;           ///< 0 to 65535
+  std::optional<int> measured_power_dbm = {};   ///< RSSI at 1 m, where the recording says it
+
+  auto operator<=>(const BeaconIdentity&) const = default;
+};
 /// One iBeacon advertisement.
 struct BeaconRow {
   std::uint32_t transmitter;    ///< index into Walk::transmitters (the MAC address)
+  std::uint32_t beacon;         ///< index into Walk::beacons
   float rssi_dbm;
 };
 /// Air pressure, hPa.
@@ -61,6 +71,7 @@ struct Walk {
   std::optional<std::int64_t> start_ms;  ///< Unix time of t = 0, where the recording says it
   std::optional<int> level;              ///< of survey walks that stay on one level
   std::vector<std::string> transmitters; ///< identifiers that the rows refer to
+  std::vector<BeaconIdentity> beacons;   ///< identities that the beacon rows refer to
   std::vector<Event> events;
 
   bool has_inertial_rows() const;

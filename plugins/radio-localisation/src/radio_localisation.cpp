@@ -1,0 +1,91 @@
+#include "radio_localisation.hpp"
+
+#include <cmath>
+
+#include "radio_map_file.hpp"
+
+namespace fiona::radio_localisation {
+namespace {
+
+/// What tells a beacon apart: its address, else what it advertises.
+std::string beacon_id(const sensors::CommiBeacon& beacon) {
+  if (!beacon.address().empty()) return beacon.address();
+  return beacon.uuid() + "/" + std::to_string(beacon.major()) + "/" + std::to_string(beacon.minor());
+}
+
+localisation::CommLocation location_of(const radio::Estimate& estimate, const radio::RadioMap& map) {
+  localisation::CommLocation location;
+  auto& position = *location.mutable_position();
+  if (map.reference) {
+    position.set_reference_lat(map.reference->latitude_deg);
+    position.set_reference_long(map.reference->longitude_deg);
+  }
+  if (!estimate.is_valid()) return location;
+  position.set_x(estimate.x_m);
+  position.set_y(estimate.y_m);
+  position.set_z(estimate.level);
+  const auto& c = estimate.covariance;
+  for (const double v : {c(0, 0), c(0, 1), 0.0, c(1, 0), c(1, 1), 0.0, 0.0, 0.0, estimate.level_variance}) {
+    position.add_confidence(v);
+  }
+  position.set_is_valid(true);
+  location.set_is_valid(true);
+  return location;
+}
+
+}  // namespace
+
+void RadioLocalisation::on_start() {
+  if (params_->map().empty()) {
+    throw Error(ErrorCode::Usage, {.what = "no radio map is named",
+                                   .where = name(),
+                                   .next = "fiona-radiomap learn FOLDER -o FILE, then load radio-localisation as " + name() +
+                                           " map=FILE"});
+  }
+  map_ = std::make_shared<const radio::RadioMap>(radio::load(params_->map()));
+  radio::FilterOptions options;
+  options.particles = params_->particles();
+  options.seed = params_->seed();
+  filter_.emplace(map_, options);
+}
+
+void RadioLocalisation::on_wifi(const Received<sensors::RFSignalRSSI>& signal) {
+  if (!signal->has_rss() || signal->rf_type() != "WiFi") return;
+  const radio::Time heard(signal->has_t() ? signal->t() : to_milliseconds(signal.origin));
+  filter_->signal(clock_ms(), {signal->transmitter_id(), radio::Radio::WiFi, signal->rss(), heard});
+}
+
+void RadioLocalisation::on_beacons(const sensors::CommiBeaconList& beacons) {
+  for (const auto& beacon : beacons.beacon_list()) {
+    if (!beacon.has_rssi()) continue;
+    const std::string id = beacon_id(beacon);
+    const radio::Time heard = beacon.has_t() ? radio::Time(beacon.t()) : clock_ms();
+    filter_->signal(clock_ms(), {id, radio::Radio::Bluetooth, static_cast<double>(beacon.rssi()), heard});
+  }
+}
+
+void RadioLocalisation::on_step(const localisation::CommStep& step) {
+  if (!step.is_valid()) return;
+  filter_->step({radio::Time(step.t_end()), step.length(), std::sqrt(step.length_var()), step.heading(),
+                 std::sqrt(step.heading_var())});
+}
+
+void RadioLocalisation::produce() {
+  filter_->advance(clock_ms());
+  const radio::Estimate estimate = filter_->estimate();
+  note_validity(estimate.validity);
+  location_.put(location_of(estimate, *map_));
+}
+
+/// Says once, each time that it changes, why there is no position.
+void RadioLocalisation::note_validity(radio::Validity validity) {
+  if (validity == validity_) return;
+  validity_ = validity;
+  if (validity == radio::Validity::ForeignBuilding) {
+    log(LogLevel::Warning, "hardly any transmitter that is heard is in radio map '" + map_->name +
+                               "': this is another building, or the survey is out of date");
+  }
+  if (validity == radio::Validity::Ambiguous) log(LogLevel::Info, "what is heard fits too many places");
+}
+
+}  // namespace fiona::radio_localisation

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+
+#include "fiona/component.hpp"
+#include "fiona/localisation.fiona.hpp"
+#include "fiona/radio_localisation/params.pb.h"
+#include "fiona/sensors.fiona.hpp"
+#include "radio_filter.hpp"
+
+namespace fiona::radio_localisation {
+
+/// Positions from Wi-Fi and iBeacons against a radio map, with steps in between.
+class RadioLocalisation final : public Component {
+ public:
+  using Component::Component;
+  void on_start() override;
+
+ private:
+  void on_wifi(const Received<sensors::RFSignalRSSI>& signal);
+  void on_beacons(const sensors::CommiBeaconList& beacons);
+  void on_step(const localisation::CommStep& step);
+  void produce();
+  void note_validity(radio::Validity validity);
+  radio::Time clock_ms() const { return radio::Time(to_milliseconds(now())); }
+
+  Params<RadioLocalisationParams> params_{*this};
+  Requires<sensors::RFSignalRSSIService> wifi_{*this, "wifi", &RadioLocalisation::on_wifi,
+                                               {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
+  Requires<sensors::IbeaconlistProvider> beacons_{*this, "beacons", &RadioLocalisation::on_beacons,
+                                                  {.optional = true, .doc = "iBeacons in range"}};
+  Requires<localisation::StepProvider> steps_{*this, "steps", &RadioLocalisation::on_step,
+                                              {.optional = true, .doc = "how the person moves between the scans"}};
+  Provides<localisation::LocationProvider> location_{*this, "location", &RadioLocalisation::produce};
+
+  std::shared_ptr<const radio::RadioMap> map_;
+  std::optional<radio::RadioFilter> filter_;
+  radio::Validity validity_ = radio::Validity::NoEvidence;
+};
+
+}  // namespace fiona::radio_localisation
