@@ -272,7 +272,9 @@ std::string made_caret(const WordLine& line, const Place& place) {
 
 ErrorText placed(ErrorText text, const WordLine& line, const Place& place) {
   const std::string where = place_text(line, place);
-  text.where = text.where.empty() ? where : where + ", " + text.where;
+  // Of a typed line the caret says where; a file needs its name and line as well.
+  if (text.where.empty()) text.where = where;
+  else if (!line.origin.empty()) text.where = where + ", " + text.where;
   return text;
 }
 

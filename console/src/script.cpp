@@ -12,19 +12,6 @@
 namespace fiona::console {
 namespace {
 
-/// The word that an error of the host is about: the one that it names as its place, or quotes. The verb otherwise.
-Place blamed(const Line& line, const ErrorText& text) {
-  const auto names = [&text](const std::string& word) {
-    return word.size() > 1 && (text.where == word || text.where.ends_with("." + word) || text.what.find("'" + word + "'") != std::string::npos);
-  };
-  for (std::size_t i = 1; i < line.words.items.size(); ++i) {
-    const WordLine::Item& item = line.words.items[i];
-    if (item.name && names(item.name->text)) return item.name->place;
-    if (names(item.word.text)) return item.word.place;
-  }
-  return line.verb.place;
-}
-
 /// Puts the settings of a script in place, and the old ones back.
 class ScriptSetting {
  public:
@@ -60,20 +47,11 @@ std::vector<Line> read_script(const std::filesystem::path& file) {
   return lines;
 }
 
-void rethrow_at(const Line& line, const Error& error) {
-  if (dynamic_cast<const LineError*>(&error) != nullptr) throw LineError(dynamic_cast<const LineError&>(error));
-  throw LineError(line.words, blamed(line, error.text()), error.text(), error.code());
-}
-
 void run_script(Session& session, const std::vector<Line>& lines, const std::function<void(const Line&)>& before) {
   const ScriptSetting setting(session);
   for (const Line& line : lines) {
     if (before) before(line);
-    try {
-      session.run(line);
-    } catch (const Error& error) {
-      rethrow_at(line, error);
-    }
+    session.run(line);
     if (session.finished) return;
   }
 }

@@ -19,7 +19,4 @@ std::vector<Line> read_script(const std::filesystem::path& file);
 /// with each line before it runs. Ends early when a line was `quit`.
 void run_script(Session& session, const std::vector<Line>& lines, const std::function<void(const Line&)>& before = {});
 
-/// The error as one of this line: with its place, and a caret under the word that it is about. A LineError stays.
-[[noreturn]] void rethrow_at(const Line& line, const Error& error);
-
 }  // namespace fiona::console

@@ -47,6 +47,26 @@ class LineOptions {
   const Options options_;
 };
 
+/// The word that an error is about: the one that it names as its place, or quotes.
+const Word* blamed(const Line& line, const ErrorText& text) {
+  const auto names = [&text](const std::string& word) {
+    return word.size() > 1 && (text.where == word || text.where.ends_with("." + word) || text.what.find("'" + word + "'") != std::string::npos);
+  };
+  for (std::size_t i = 1; i < line.words.items.size(); ++i) {
+    const WordLine::Item& item = line.words.items[i];
+    if (item.name && names(item.name->text)) return &*item.name;
+    if (names(item.word.text)) return &item.word;
+  }
+  return nullptr;
+}
+
+/// The error as one of this line, with a caret under the word that it is about; in a file at least with the line.
+[[noreturn]] void rethrow_at(const Line& line, const Error& error) {
+  const Word* word = blamed(line, error.text());
+  if (word == nullptr && line.words.origin.empty()) throw Error(error);
+  throw LineError(line.words, word == nullptr ? line.verb.place : word->place, error.text(), error.code());
+}
+
 }  // namespace
 
 Session::Session(Reactor& reactor_in, Output& output, Options options_in)
@@ -84,7 +104,13 @@ void Session::run(const WordLine& words) { run(read_line(words)); }
 
 void Session::run(const Line& line) {
   const LineOptions scoped(*this, line);
-  find_verb(line.verb.text)->handler(*this, line);
+  try {
+    find_verb(line.verb.text)->handler(*this, line);
+  } catch (const LineError&) {
+    throw;
+  } catch (const Error& error) {
+    rethrow_at(line, error);
+  }
 }
 
 }  // namespace fiona::console

@@ -1,6 +1,7 @@
 #include "types.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 #include <utility>
 
@@ -58,6 +59,13 @@ class PoolBuilder {
   std::set<std::string> begun_;
 };
 
+/// Short enough to read: --json has every digit. Degrees may be coordinates, large numbers counts
+/// or times: they keep their digits.
+std::string number_text(double number, const pb::FieldDescriptor& field) {
+  const bool long_one = std::abs(number) >= 1e5 || field.options().GetExtension(fiona::unit) == "deg";
+  return fmt::format("{:.{}g}", number, long_one ? 12 : 5);
+}
+
 std::string scalar_text(const pb::Message& object, const pb::FieldDescriptor& field, int index) {
   const pb::Reflection& reflection = *object.GetReflection();
   const bool repeated = field.is_repeated();
@@ -66,8 +74,8 @@ std::string scalar_text(const pb::Message& object, const pb::FieldDescriptor& fi
     case pb::FieldDescriptor::CPPTYPE_INT64: return fmt::format("{}", repeated ? reflection.GetRepeatedInt64(object, &field, index) : reflection.GetInt64(object, &field));
     case pb::FieldDescriptor::CPPTYPE_UINT32: return fmt::format("{}", repeated ? reflection.GetRepeatedUInt32(object, &field, index) : reflection.GetUInt32(object, &field));
     case pb::FieldDescriptor::CPPTYPE_UINT64: return fmt::format("{}", repeated ? reflection.GetRepeatedUInt64(object, &field, index) : reflection.GetUInt64(object, &field));
-    case pb::FieldDescriptor::CPPTYPE_DOUBLE: return fmt::format("{:.10g}", repeated ? reflection.GetRepeatedDouble(object, &field, index) : reflection.GetDouble(object, &field));
-    case pb::FieldDescriptor::CPPTYPE_FLOAT: return fmt::format("{:.7g}", repeated ? reflection.GetRepeatedFloat(object, &field, index) : reflection.GetFloat(object, &field));
+    case pb::FieldDescriptor::CPPTYPE_DOUBLE: return number_text(repeated ? reflection.GetRepeatedDouble(object, &field, index) : reflection.GetDouble(object, &field), field);
+    case pb::FieldDescriptor::CPPTYPE_FLOAT: return number_text(repeated ? reflection.GetRepeatedFloat(object, &field, index) : reflection.GetFloat(object, &field), field);
     case pb::FieldDescriptor::CPPTYPE_BOOL: return (repeated ? reflection.GetRepeatedBool(object, &field, index) : reflection.GetBool(object, &field)) ? "true" : "false";
     case pb::FieldDescriptor::CPPTYPE_ENUM: {
       const int number = repeated ? reflection.GetRepeatedEnumValue(object, &field, index) : reflection.GetEnumValue(object, &field);

@@ -104,7 +104,11 @@ void run_headless(Session& session, const Word* duration, const Line& line) {
   if (!here) return;  // it went without a word: its own exit code tells
   if (!ended.ended().reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended.ended().reason()));
   session.finished = ended.ended().exit_code();
-  if (!client.closed()) end_host(session, ended.ended().exit_code());
+  try {
+    end_host(session, ended.ended().exit_code());
+  } catch (const Error& error) {
+    if (error.code() != ErrorCode::Unreachable) throw;  // somebody's `quit` ended the run, and the host is going already
+  }
 }
 
 HostLaunch launch_of(const Line& line, const Options& options) {

@@ -68,6 +68,7 @@ sensors::CommiBeaconList beacon_list(const BeaconBatch& batch, TimePoint begun) 
     beacon.set_uuid(row.uuid);
     beacon.set_major(static_cast<std::uint32_t>(row.major));
     beacon.set_minor(static_cast<std::uint32_t>(row.minor));
+    beacon.set_address(beacon_address(row));
     beacon.set_measured_power(row.measured_power_dbm);
     beacon.set_rssi(row.rssi_dbm);
     beacon.set_distance(static_cast<float>(beacon_distance_m(row.measured_power_dbm, row.rssi_dbm)));

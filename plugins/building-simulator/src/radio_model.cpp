@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstdio>
 
 #include <fiona/error.hpp>
 
@@ -166,6 +167,13 @@ RadioOutput RadioModel::advance(const Truth& truth) {
     output.batches.push_back(std::move(batch));
   }
   return output;
+}
+
+std::string beacon_address(const BeaconReading& beacon) {
+  const std::string name = beacon.uuid + "/" + std::to_string(beacon.major) + "/" + std::to_string(beacon.minor);
+  char digits[13];
+  std::snprintf(digits, sizeof digits, "%012llX", static_cast<unsigned long long>(hash(name.c_str()) & 0xffffffffffffull));
+  return digits;
 }
 
 }  // namespace fiona::simulator

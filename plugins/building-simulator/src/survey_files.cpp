@@ -114,12 +114,11 @@ void add_radio(std::vector<Row>& rows, const Trace& trace) {
     }
   }
   for (const BeaconReading& beacon : trace.beacons) {
-    const std::string name = beacon.uuid + format("/%d/%d", beacon.major, beacon.minor);
     rows.push_back(
         {beacon.heard.count(),
-         format("B\t%lld\t%s\t%d\t%d\t%d\t%d\t%012llX\n", static_cast<long long>(beacon.heard.count()),
+         format("B\t%lld\t%s\t%d\t%d\t%d\t%d\t%s\n", static_cast<long long>(beacon.heard.count()),
                 beacon.uuid.c_str(), beacon.major, beacon.minor, beacon.measured_power_dbm, beacon.rssi_dbm,
-                static_cast<unsigned long long>(hash(name.c_str()) & 0xffffffffffffull))});
+                beacon_address(beacon).c_str())});
   }
 }
 

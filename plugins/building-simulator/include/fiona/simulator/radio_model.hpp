@@ -36,6 +36,9 @@ struct BeaconReading {
   double distance_m = 0.0;  ///< estimate from the two, see beacon_distance_m
 };
 
+/// The device address of a simulated beacon, twelve hexadecimal digits: always the same for the same advertisement.
+std::string beacon_address(const BeaconReading& beacon);
+
 struct BeaconBatch {
   milliseconds t{0};
   std::vector<BeaconReading> readings{};

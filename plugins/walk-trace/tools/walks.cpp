@@ -1,0 +1,23 @@
+// fiona-walks DIR: the names of the test walks of a recording, one a line.
+#include <exception>
+#include <iostream>
+
+#include "fiona/error.hpp"
+#include "fiona/walk/dataset.hpp"
+
+int main(int argc, char** argv) {
+  if (argc != 2) {
+    std::cerr << "usage: fiona-walks DIR\n";
+    return 2;
+  }
+  try {
+    for (const auto& name : fiona::walk::Dataset::open(argv[1]).walk_names()) std::cout << name << "\n";
+    return 0;
+  } catch (const fiona::Error& error) {
+    std::cerr << "error: " << error.what() << "\n";
+    return static_cast<int>(error.code());
+  } catch (const std::exception& error) {
+    std::cerr << "error: " << error.what() << "\n";
+    return 1;
+  }
+}
