@@ -2,15 +2,16 @@
 
 #include <algorithm>
 
+#include <fmt/format.h>
 #include <fiona/error.hpp>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/store.hpp>
-#include <fmt/format.h>
 
 namespace fiona::console {
 namespace {
 
-void add_installed(std::vector<KnownPlugin>& plugins, std::vector<std::string>& problems, const std::filesystem::path& directory) {
+void add_installed(std::vector<KnownPlugin>& plugins, std::vector<std::string>& problems,
+                   const std::filesystem::path& directory) {
   const marketplace::Store store(directory.empty() ? marketplace::Store::default_directory() : directory);
   for (const auto& package : store.installed()) {
     if (package.manifest.kind() != fiona::PLUGIN) continue;
@@ -25,9 +26,13 @@ void add_installed(std::vector<KnownPlugin>& plugins, std::vector<std::string>& 
 void add_offered(std::vector<KnownPlugin>& plugins) {
   const marketplace::Marketplace market;
   for (const auto& entry : market.search({})) {
-    const auto same = [&entry](const KnownPlugin& known) { return known.manifest.publisher() == entry.manifest().publisher() && known.manifest.name() == entry.manifest().name(); };
+    const auto same = [&entry](const KnownPlugin& known) {
+      return known.manifest.publisher() == entry.manifest().publisher() &&
+             known.manifest.name() == entry.manifest().name();
+    };
     const bool there = std::any_of(plugins.begin(), plugins.end(), same);
-    if (!there && entry.manifest().kind() == fiona::PLUGIN) plugins.push_back({entry.manifest(), entry.interface(), false});
+    if (!there && entry.manifest().kind() == fiona::PLUGIN)
+      plugins.push_back({entry.manifest(), entry.interface(), false});
   }
 }
 
@@ -57,7 +62,8 @@ std::vector<KnownComponent> Catalogue::find(std::string_view name) const {
     for (const auto& component : plugin.interface.components()) {
       const std::string tail = "/" + component.name();
       const bool whole = name == plugin.name() || name == plugin.manifest.name();
-      if (whole || name == plugin.name() + tail || name == plugin.manifest.name() + tail) found.push_back({&plugin, &component});
+      if (whole || name == plugin.name() + tail || name == plugin.manifest.name() + tail)
+        found.push_back({&plugin, &component});
     }
   }
   return found;
@@ -67,7 +73,9 @@ std::vector<KnownComponent> Catalogue::with_port(fiona::Direction direction, std
   std::vector<KnownComponent> found;
   for (const KnownPlugin& plugin : plugins_) {
     for (const auto& component : plugin.interface.components()) {
-      const bool fits = std::any_of(component.ports().begin(), component.ports().end(), [&](const auto& port) { return port.direction() == direction && port.service() == service; });
+      const bool fits = std::any_of(component.ports().begin(), component.ports().end(), [&](const auto& port) {
+        return port.direction() == direction && port.service() == service;
+      });
       if (fits) found.push_back({&plugin, &component});
     }
   }

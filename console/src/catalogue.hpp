@@ -39,7 +39,8 @@ class Catalogue {
   const std::vector<KnownPlugin>& plugins() const { return plugins_; }
   const std::vector<std::string>& problems() const { return problems_; }
 
-  /// What "publisher/name", "name" or "name/component" means, installed ones before those of the marketplace; empty: unknown.
+  /// What "publisher/name", "name" or "name/component" means, installed ones before those of the marketplace; empty:
+  /// unknown.
   std::vector<KnownComponent> find(std::string_view name) const;
 
   /// Components with a port of that direction and service, installed ones first.

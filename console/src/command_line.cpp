@@ -27,7 +27,8 @@ void apply(CommandLine& command, const std::string& name, const std::string& val
   if (name == "--store") command.options.store = value;
   if (name == "--timeout") {
     const WordLine line = ready_words({name, value});
-    command.options.timeout = std::chrono::milliseconds(static_cast<std::int64_t>(duration_ms(line.items[1].word, line)));
+    command.options.timeout =
+        std::chrono::milliseconds(static_cast<std::int64_t>(duration_ms(line.items[1].word, line)));
   }
 }
 
@@ -43,7 +44,10 @@ bool take_front(CommandLine& command, std::deque<std::string>& words) {
   const std::size_t equals = word.find('=');
   std::string value = equals == std::string::npos ? "" : word.substr(equals + 1);
   if (option->takes_value() && equals == std::string::npos) {
-    if (words.empty()) throw Error(ErrorCode::Usage, ErrorText{.what = fmt::format("{} needs a value", option->name), .expected = fmt::format("{} {}", option->name, option->slot.placeholder())});
+    if (words.empty())
+      throw Error(ErrorCode::Usage,
+                  ErrorText{.what = fmt::format("{} needs a value", option->name),
+                            .expected = fmt::format("{} {}", option->name, option->slot.placeholder())});
     value = words.front();
     words.pop_front();
   }
@@ -71,7 +75,9 @@ CommandLine read_command_line(const std::vector<std::string>& arguments) {
     if (take_front(command, words)) continue;
     std::vector<std::string> known{"--help", "--version"};
     for (const GlobalOption& option : global_options()) known.push_back(option.slot.name);
-    throw Error(ErrorCode::Usage, ErrorText{.what = fmt::format("there is no option {}", words.front()), .next = "fiona help", .near = nearest_names(words.front(), known)});
+    throw Error(ErrorCode::Usage, ErrorText{.what = fmt::format("there is no option {}", words.front()),
+                                            .next = "fiona help",
+                                            .near = nearest_names(words.front(), known)});
   }
   if (is_line_with_options(words)) {
     std::deque<std::string> trailing(words.begin() + 1, words.end());

@@ -18,8 +18,8 @@ struct CommandLine {
   std::optional<WordLine> line{};  ///< nothing: the prompt, or lines from standard input
 };
 
-/// Options before the first word and after the last belong to the process; one argument between them is a line, several are
-/// ready words. Throws fiona::Error (Usage).
+/// Options before the first word and after the last belong to the process; one argument between them is a line, several
+/// are ready words. Throws fiona::Error (Usage).
 CommandLine read_command_line(const std::vector<std::string>& arguments);
 
 }  // namespace fiona::console

@@ -11,8 +11,8 @@ namespace fiona::console {
 namespace {
 
 struct Asked {
-  std::string_view word;   ///< as far as it is typed
-  const Line& line;        ///< what stands before it
+  std::string_view word;  ///< as far as it is typed
+  const Line& line;       ///< what stands before it
   Names& names;
 };
 using Candidates = std::vector<std::string>;
@@ -48,8 +48,10 @@ const control::InstanceStatus* named_instance(const Asked& asked) {
 Candidates modes(const Asked& asked) {
   const auto* instance = named_instance(asked);
   Candidates found{"neutral"};
-  if (instance != nullptr) found.insert(found.end(), instance->modes().begin(), instance->modes().end());
-  else found.emplace_back("active");
+  if (instance != nullptr)
+    found.insert(found.end(), instance->modes().begin(), instance->modes().end());
+  else
+    found.emplace_back("active");
   return found;
 }
 
@@ -65,7 +67,8 @@ Candidates parameters(const Asked& asked) {
 
 /// Values where the range names them: "up|down", and true or false.
 Candidates parameter_values(const Asked& asked, std::string_view name) {
-  if (!asked.line.positional.empty() && asked.line.positional[0].text == "host" && name == "clock") return {"system", "virtual"};
+  if (!asked.line.positional.empty() && asked.line.positional[0].text == "host" && name == "clock")
+    return {"system", "virtual"};
   Candidates found;
   const auto* instance = named_instance(asked);
   for (int i = 0; instance != nullptr && i < instance->parameters_size(); ++i) {
@@ -110,7 +113,15 @@ Candidates operators(const Asked&) { return {"==", "!=", "<", "<=", ">", ">="}; 
 using Source = Candidates (*)(const Asked&);
 const std::map<std::string, Source, std::less<>>& sources() {
   static const std::map<std::string, Source, std::less<>> kSources{
-      {"INSTANCE", instances}, {"INSTANCE.PORT", ports}, {"INSTANCE.PORT.FIELD", ports}, {"MODE", modes}, {"PARAM", parameters}, {"GROUP", groups}, {"THING", things}, {"VERB", verb_names}, {"OP", operators},
+      {"INSTANCE", instances},
+      {"INSTANCE.PORT", ports},
+      {"INSTANCE.PORT.FIELD", ports},
+      {"MODE", modes},
+      {"PARAM", parameters},
+      {"GROUP", groups},
+      {"THING", things},
+      {"VERB", verb_names},
+      {"OP", operators},
       {"PLUGIN", [](const Asked& asked) { return asked.names.plugins(); }},
       {"PACKAGE", [](const Asked& asked) { return asked.names.packages(); }},
       {"FILE", [](const Asked& asked) { return asked.names.files(asked.word); }},
@@ -158,14 +169,16 @@ void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, 
   if (pending != nullptr) return add_slot(found, *pending, asked);
   const std::size_t equals = word.find('=');
   if (equals != std::string_view::npos) {
-    for (const std::string& value : parameter_values(asked, word.substr(0, equals))) found.push_back(std::string(word.substr(0, equals + 1)) + value);
+    for (const std::string& value : parameter_values(asked, word.substr(0, equals)))
+      found.push_back(std::string(word.substr(0, equals + 1)) + value);
     return;
   }
   const auto& slots = shape.positional();
   const bool first_matches = line.positional.empty() || slots.empty() || slots.front().accepts(line.positional.front());
   if (!first_matches) return;
   const bool more = !slots.empty() && slots.back().repeated;
-  if (line.positional.size() < slots.size() || more) add_slot(found, slots[std::min(line.positional.size(), slots.size() - 1)], asked);
+  if (line.positional.size() < slots.size() || more)
+    add_slot(found, slots[std::min(line.positional.size(), slots.size() - 1)], asked);
   if (line.positional.size() < slots.size() && slots[line.positional.size()].required) return;
   for (const Clause& clause : shape.clauses()) {
     if (!line.clauses.contains(clause.keyword)) found.push_back(clause.keyword);

@@ -10,8 +10,8 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include <fiona/error.hpp>
 #include <fmt/format.h>
+#include <fiona/error.hpp>
 
 #include "inert.hpp"
 
@@ -29,11 +29,23 @@ std::uint32_t length_at(std::string_view bytes) {
 std::string framed(const control::Request& request) {
   const std::string body = request.SerializeAsString();
   if (body.size() > FrameReader::kLargest) {
-    throw Error(ErrorCode::Usage, ErrorText{.what = "the request is too large", .expected = "at most 16 MiB", .found = fmt::format("{} bytes", body.size())});
+    throw Error(ErrorCode::Usage, ErrorText{.what = "the request is too large",
+                                            .expected = "at most 16 MiB",
+                                            .found = fmt::format("{} bytes", body.size())});
   }
   std::string frame;
   for (std::size_t i = 0; i < kHeader; ++i) frame += static_cast<char>(body.size() >> (8 * i) & 0xffU);
   return frame + body;
+}
+
+/// A text that was lines, as when an error tells of another one.
+std::string on_one_line(std::string_view text) {
+  std::string out;
+  for (std::size_t at = 0; at < text.size(); ++at) {
+    out += text[at] == '\n' ? std::string("; ") : std::string(1, text[at]);
+    while (text[at] == '\n' && at + 1 < text.size() && text[at + 1] == ' ') ++at;
+  }
+  return out;
 }
 
 ErrorCode code_of(std::uint32_t code) {
@@ -47,11 +59,14 @@ bool FrameReader::next(control::Reply& reply) {
   if (rest.size() < kHeader) return false;
   const std::size_t length = length_at(rest);
   if (length > kLargest) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = "the host's answer is too large", .expected = "at most 16 MiB", .found = fmt::format("{} bytes", length)});
+    throw Error(ErrorCode::Failed, ErrorText{.what = "the host's answer is too large",
+                                             .expected = "at most 16 MiB",
+                                             .found = fmt::format("{} bytes", length)});
   }
   if (rest.size() < kHeader + length) return false;
   if (!reply.ParseFromArray(rest.data() + kHeader, static_cast<int>(length))) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = "the host's answer cannot be read", .next = "are `fiona` and `fiona-host` of one version?  fiona version"});
+    throw Error(ErrorCode::Failed, ErrorText{.what = "the host's answer cannot be read",
+                                             .next = "are `fiona` and `fiona-host` of one version?  fiona version"});
   }
   at_ += kHeader + length;
   if (at_ == buffer_.size() || at_ > kLargest) {
@@ -63,7 +78,11 @@ bool FrameReader::next(control::Reply& reply) {
 
 void throw_failure(const control::Failure& failure) {
   // Inert here, not only at the terminal: a newline in a field must not look like a line of ours.
-  ErrorText text{.what = inert(failure.what()), .where = inert(failure.where()), .expected = inert(failure.expected()), .found = inert(failure.found()), .next = inert(failure.next())};
+  ErrorText text{.what = inert(on_one_line(failure.what())),
+                 .where = inert(failure.where()),
+                 .expected = inert(failure.expected()),
+                 .found = inert(failure.found()),
+                 .next = inert(failure.next())};
   for (const std::string& name : failure.near()) text.near.push_back(inert(name));
   throw Error(code_of(failure.code()), std::move(text));
 }
@@ -80,7 +99,9 @@ ControlClient::~ControlClient() {
 
 void ControlClient::connect(std::chrono::milliseconds timeout) {
   const auto refuse = [this](const std::string& why) {
-    throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers: " + why, .where = "unix:" + path_.string(), .next = "start one: fiona run FILE"});
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers: " + why,
+                                                  .where = "unix:" + path_.string(),
+                                                  .next = "start one: fiona run FILE"});
   };
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
@@ -98,7 +119,8 @@ void ControlClient::connect(std::chrono::milliseconds timeout) {
       socket_ = -1;
       refuse(std::strerror(problem));
     }
-    if (again) reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(10));
+    if (again)
+      reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(10));
   }
   reactor_.add(socket_, [this] { receive(); });
 }
@@ -111,7 +133,9 @@ void ControlClient::send(const control::Request& request) {
     if (sent > 0) {
       rest.remove_prefix(static_cast<std::size_t>(sent));
     } else if (closed() || (errno != EAGAIN && errno != EINTR) || !Reactor::wait_writable(socket_, deadline)) {
-      throw Error(ErrorCode::Unreachable, ErrorText{.what = closed() ? "the host has gone" : "the host does not take the request", .where = "unix:" + path_.string()});
+      throw Error(ErrorCode::Unreachable,
+                  ErrorText{.what = closed() ? "the host has gone" : "the host does not take the request",
+                            .where = "unix:" + path_.string()});
     }
   }
 }
@@ -179,7 +203,8 @@ control::Reply ControlClient::call(control::Request request, std::chrono::millis
   return wait_for(id, reply, here, deadline + std::max(timeout / 10, std::chrono::milliseconds(50)));
 }
 
-control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& reply, const bool& here, SteadyTime deadline) {
+control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& reply, const bool& here,
+                                       SteadyTime deadline) {
   bool in_time = false;
   try {
     in_time = reactor_.run_until([this, &here] { return here || closed(); }, deadline);
@@ -189,7 +214,10 @@ control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& r
   }
   forget(id);
   if (!here) {
-    throw Error(ErrorCode::Unreachable, ErrorText{.what = in_time ? "the host has gone" : "the host does not answer in time", .where = "unix:" + path_.string(), .next = in_time ? "fiona ls hosts" : "more time: --timeout 10s"});
+    throw Error(ErrorCode::Unreachable,
+                ErrorText{.what = in_time ? "the host has gone" : "the host does not answer in time",
+                          .where = "unix:" + path_.string(),
+                          .next = in_time ? "fiona ls hosts" : "more time: --timeout 10s"});
   }
   if (reply.has_failure()) throw_failure(reply.failure());
   return reply;

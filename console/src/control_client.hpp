@@ -45,8 +45,8 @@ class ControlClient {
   control::Reply call(control::Request request);
   control::Reply call(control::Request request, std::chrono::milliseconds timeout);
 
-  /// For requests that wait on the system's clock, which may stand or run slowly: no deadline of its own, but while nothing
-  /// comes the host is asked for a sign of life, and Unreachable is thrown when it gives none.
+  /// For requests that wait on the system's clock, which may stand or run slowly: no deadline of its own, but while
+  /// nothing comes the host is asked for a sign of life, and Unreachable is thrown when it gives none.
   control::Reply call_waiting(control::Request request);
 
   /// Sends; `answer` gets every reply to it until forget(). Returns the request's id.

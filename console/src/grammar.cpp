@@ -51,7 +51,8 @@ class Scanner {
   void advance() {
     const Character next = decode(text_);
     if (!next.valid) fail(place_, {.what = "this byte is not UTF-8", .next = "save the text as UTF-8"});
-    const bool control = (next.code < 0x20 && next.code != '\n' && next.code != '\t' && next.code != '\r') || next.code == 0x7f;
+    const bool control =
+        (next.code < 0x20 && next.code != '\n' && next.code != '\t' && next.code != '\r') || next.code == 0x7f;
     if (control) {
       fail(place_, {.what = fmt::format("a control character (U+{:04X}) stands in the line", std::uint32_t{next.code}),
                     .next = fmt::format("write it as \\u{{{:x}}} inside quotes", std::uint32_t{next.code})});
@@ -101,7 +102,9 @@ class Scanner {
     const Place start = place_;
     Word word = peek() == '"' ? take_quoted() : peek() == '[' || peek() == '{' ? take_bracketed() : take_plain("");
     word.place = start;
-    if (!at_word_end()) fail(place_, {.what = "a blank is missing here", .expected = "a blank or the end of the line after the closing mark"});
+    if (!at_word_end())
+      fail(place_,
+           {.what = "a blank is missing here", .expected = "a blank or the end of the line after the closing mark"});
     return word;
   }
 
@@ -110,7 +113,8 @@ class Scanner {
     const Place start = place_;
     Word word = peek() == '"' ? take_quoted() : peek() == '[' || peek() == '{' ? take_bracketed() : take_plain(",]");
     word.place = start;
-    if (word.text.empty() && word.kind == WordKind::Plain) fail(start, {.what = "a value is missing in the list", .expected = "[a, b]"});
+    if (word.text.empty() && word.kind == WordKind::Plain)
+      fail(start, {.what = "a value is missing in the list", .expected = "[a, b]"});
     return word;
   }
 
@@ -120,7 +124,8 @@ class Scanner {
     while (!at_word_end() && ends.find(peek()) == std::string_view::npos) {
       if (peek() == '"') fail(place_, {.what = "a quote stands inside a word", .next = "quote the whole word: \"…\""});
       if (peek() == '\\') {
-        fail(place_, {.what = "a \\ stands outside of quotes", .next = "quote the word and write \\\\; at the end of a line, \\ goes on with the next"});
+        fail(place_, {.what = "a \\ stands outside of quotes",
+                      .next = "quote the word and write \\\\; at the end of a line, \\ goes on with the next"});
       }
       const std::string_view before = text_;
       advance();
@@ -134,7 +139,8 @@ class Scanner {
     Word word{.kind = WordKind::Quoted};
     advance();
     while (peek() != '"') {
-      if (at_end() || peek() == '\n') fail(start, {.what = "this quote is never closed", .next = "close it with \" on the same line"});
+      if (at_end() || peek() == '\n')
+        fail(start, {.what = "this quote is never closed", .next = "close it with \" on the same line"});
       if (skip_continuation()) continue;
       if (peek() == '\\') {
         take_escape(word.text);
@@ -165,16 +171,19 @@ class Scanner {
 
   void take_code_point(std::string& out, const Place& start) {
     const std::size_t end = text_.substr(0, 10).find('}');
-    const std::string_view digits = end == std::string_view::npos || end < 2 || peek(1) != '{' ? "" : text_.substr(2, end - 2);
+    const std::string_view digits =
+        end == std::string_view::npos || end < 2 || peek(1) != '{' ? "" : text_.substr(2, end - 2);
     char32_t code = 0;
     bool sound = !digits.empty() && digits.size() <= 6;
     for (const char digit : digits) {
-      const std::size_t value = std::string_view("0123456789abcdef").find(digit >= 'A' && digit <= 'F' ? static_cast<char>(digit + 32) : digit);
+      const std::size_t value = std::string_view("0123456789abcdef")
+                                    .find(digit >= 'A' && digit <= 'F' ? static_cast<char>(digit + 32) : digit);
       sound = sound && value != std::string_view::npos;
       code = code * 16 + static_cast<char32_t>(value & 0xfU);
     }
     if (!sound || code == 0 || code > 0x10ffff || (code >= 0xd800 && code <= 0xdfff)) {
-      fail(start, {.what = "this is no character", .expected = "\\u{…} with one to six hex digits, a Unicode character other than zero"});
+      fail(start, {.what = "this is no character",
+                   .expected = "\\u{…} with one to six hex digits, a Unicode character other than zero"});
     }
     append_utf8(out, code);
     for (std::size_t i = 0; i <= end; ++i) advance();
@@ -187,11 +196,16 @@ class Scanner {
     Word word{.kind = peek() == '[' ? WordKind::List : WordKind::Message};
     std::string open;
     do {
-      if (at_end() || peek() == '\n') fail(start, {.what = fmt::format("this {} is never closed", before[0]), .next = "close it on the same line, or continue the line with a trailing \\"});
+      if (at_end() || peek() == '\n')
+        fail(start, {.what = fmt::format("this {} is never closed", before[0]),
+                     .next = "close it on the same line, or continue the line with a trailing \\"});
       const char c = peek();
       if (c == '[' || c == '{') open += c == '[' ? ']' : '}';
-      if (open.size() > kDeepestNesting) fail(place_, {.what = "brackets are nested too deep", .expected = fmt::format("at most {} levels", kDeepestNesting)});
-      if ((c == ']' || c == '}') && c != open.back()) fail(place_, {.what = fmt::format("this {} closes nothing", c), .expected = std::string(1, open.back())});
+      if (open.size() > kDeepestNesting)
+        fail(place_,
+             {.what = "brackets are nested too deep", .expected = fmt::format("at most {} levels", kDeepestNesting)});
+      if ((c == ']' || c == '}') && c != open.back())
+        fail(place_, {.what = fmt::format("this {} closes nothing", c), .expected = std::string(1, open.back())});
       if (c == ']' || c == '}') open.pop_back();
       if (c == '"' || (c == '\'' && word.kind == WordKind::Message)) {
         skip_quoted(c);
@@ -207,7 +221,9 @@ class Scanner {
     const Place start = place_;
     advance();
     while (peek() != mark) {
-      if (at_end() || peek() == '\n') fail(start, {.what = "this quote is never closed", .next = fmt::format("close it with {} on the same line", mark)});
+      if (at_end() || peek() == '\n')
+        fail(start,
+             {.what = "this quote is never closed", .next = fmt::format("close it with {} on the same line", mark)});
       if (skip_continuation()) continue;
       if (peek() == '\\') advance();
       if (!at_end()) advance();
@@ -226,12 +242,15 @@ std::optional<WordLine> next_line(Scanner& scanner, const WordLine& frame) {
     if (line.items.empty()) line.place = scanner.place();
     if (scanner.peek() == '\\') {
       const bool last = scanner.rest().size() == 1;
-      scanner.fail(scanner.place(), {.what = last ? "the line goes on after \\, and nothing follows" : "a \\ stands outside of quotes", .next = last ? "write the rest, or take the \\ away" : "quote the word and write \\\\"});
+      scanner.fail(scanner.place(),
+                   {.what = last ? "the line goes on after \\, and nothing follows" : "a \\ stands outside of quotes",
+                    .next = last ? "write the rest, or take the \\ away" : "quote the word and write \\\\"});
     }
     WordLine::Item item;
     item.name = scanner.take_name();
     if (item.name && scanner.at_word_end()) {
-      scanner.fail(scanner.place(), {.what = fmt::format("no value follows {}=", item.name->text), .expected = "a value without a blank before it; \"\" is the empty text"});
+      scanner.fail(scanner.place(), {.what = fmt::format("no value follows {}=", item.name->text),
+                                     .expected = "a value without a blank before it; \"\" is the empty text"});
     }
     item.word = scanner.take_word();
     line.items.push_back(std::move(item));
@@ -273,8 +292,10 @@ std::string made_caret(const WordLine& line, const Place& place) {
 ErrorText placed(ErrorText text, const WordLine& line, const Place& place) {
   const std::string where = place_text(line, place);
   // Of a typed line the caret says where; a file needs its name and line as well.
-  if (text.where.empty()) text.where = where;
-  else if (!line.origin.empty()) text.where = where + ", " + text.where;
+  if (text.where.empty())
+    text.where = where;
+  else if (!line.origin.empty())
+    text.where = where + ", " + text.where;
   return text;
 }
 
@@ -289,11 +310,16 @@ std::string place_text(const WordLine& line, const Place& place) {
   return fmt::format("column {}", place.column);
 }
 
-bool is_keyword(std::string_view word) { return std::find(kKeywords.begin(), kKeywords.end(), word) != kKeywords.end(); }
+bool is_keyword(std::string_view word) {
+  return std::find(kKeywords.begin(), kKeywords.end(), word) != kKeywords.end();
+}
 
 std::vector<WordLine> split_script(std::string_view text, const std::string& origin) {
   if (text.size() > kMostBytes) {
-    throw Error(ErrorCode::Usage, ErrorText{.what = "the script is too long", .where = origin, .expected = "at most 16 MiB", .found = fmt::format("{} bytes", text.size())});
+    throw Error(ErrorCode::Usage, ErrorText{.what = "the script is too long",
+                                            .where = origin,
+                                            .expected = "at most 16 MiB",
+                                            .found = fmt::format("{} bytes", text.size())});
   }
   const WordLine frame = frame_of(text, origin);
   Scanner scanner(text, frame);
@@ -306,7 +332,8 @@ std::vector<WordLine> split_script(std::string_view text, const std::string& ori
 
 WordLine split_line(std::string_view text, const std::string& origin) {
   std::vector<WordLine> lines = split_script(text, origin);
-  if (lines.size() > 1) throw LineError(lines[1], lines[1].place, {.what = "a second command begins here", .expected = "one command"});
+  if (lines.size() > 1)
+    throw LineError(lines[1], lines[1].place, {.what = "a second command begins here", .expected = "one command"});
   return lines.empty() ? frame_of(text, origin) : std::move(lines.front());
 }
 
@@ -329,12 +356,15 @@ WordLine ready_words(const std::vector<std::string>& words) {
     std::string_view value = words[i];
     Scanner scanner(value, line, places[i]);
     item.name = scanner.take_name();
-    item.word = {.text = std::string(item.name ? scanner.rest() : value), .kind = WordKind::Plain, .place = item.name ? scanner.place() : places[i]};
+    item.word = {.text = std::string(item.name ? scanner.rest() : value),
+                 .kind = WordKind::Plain,
+                 .place = item.name ? scanner.place() : places[i]};
     const char first = scanner.peek();
     const bool bracketed = first == '[' || first == '{';
     if (bracketed || (item.name && first == '"')) {
       item.word = scanner.take_word();
-      if (!scanner.at_end()) scanner.fail(scanner.place(), {.what = "more follows after the value", .next = "quote the whole value"});
+      if (!scanner.at_end())
+        scanner.fail(scanner.place(), {.what = "more follows after the value", .next = "quote the whole value"});
     } else if (item.word.text.empty() || item.word.text.find_first_of(" \t\n") != std::string::npos) {
       item.word.kind = WordKind::Quoted;
     }
@@ -371,10 +401,12 @@ std::vector<Word> list_elements(const Word& list, const WordLine& line) {
     elements.push_back(scanner.take_element());
     scanner.skip_blanks();
     if (scanner.peek() == ']') break;
-    if (scanner.peek() != ',') scanner.fail(scanner.place(), {.what = "a comma is missing in the list", .expected = "[a, b]"});
+    if (scanner.peek() != ',')
+      scanner.fail(scanner.place(), {.what = "a comma is missing in the list", .expected = "[a, b]"});
     scanner.advance();
     scanner.skip_blanks();
-    if (scanner.peek() == ']') scanner.fail(scanner.place(), {.what = "a value is missing in the list", .expected = "[a, b]"});
+    if (scanner.peek() == ']')
+      scanner.fail(scanner.place(), {.what = "a value is missing in the list", .expected = "[a, b]"});
   }
   return elements;
 }

@@ -41,12 +41,12 @@ struct Word {
 /// One command line as words, before any verb is known.
 struct WordLine {
   struct Item {
-    Word word{};                      ///< a bare word, or the value of `name=value`
-    std::optional<Word> name{};       ///< set for `name=value`
+    Word word{};                 ///< a bare word, or the value of `name=value`
+    std::optional<Word> name{};  ///< set for `name=value`
   };
   std::vector<Item> items{};
-  std::string origin{};               ///< the file; empty for a typed line
-  Place place{};                      ///< of the first word
+  std::string origin{};  ///< the file; empty for a typed line
+  Place place{};         ///< of the first word
   /// The physical lines, for the caret; shared by all lines of a file, which has thousands at times.
   std::shared_ptr<const std::vector<std::string>> source{};
 

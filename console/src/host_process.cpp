@@ -11,8 +11,8 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <fiona/error.hpp>
 #include <fmt/format.h>
+#include <fiona/error.hpp>
 
 extern char** environ;
 
@@ -33,7 +33,8 @@ struct Pipe {
 
 Pipe make_pipe() {
   std::array<int, 2> ends{};
-  if (::pipe2(ends.data(), O_CLOEXEC) != 0) throw Error(ErrorCode::Failed, fmt::format("no pipe can be made: {}", std::strerror(errno)));
+  if (::pipe2(ends.data(), O_CLOEXEC) != 0)
+    throw Error(ErrorCode::Failed, fmt::format("no pipe can be made: {}", std::strerror(errno)));
   // Clear of the numbers that the host's descriptors are moved to, which dup2 would close.
   for (int& end : ends) {
     const int moved = ::fcntl(end, F_DUPFD_CLOEXEC, 10);
@@ -47,7 +48,8 @@ SteadyTime in(std::chrono::seconds time) { return std::chrono::steady_clock::now
 
 }  // namespace
 
-HostProcess::HostProcess(Reactor& reactor, const HostLaunch& launch, OnLine on_line) : reactor_(reactor), on_line_(std::move(on_line)) {
+HostProcess::HostProcess(Reactor& reactor, const HostLaunch& launch, OnLine on_line)
+    : reactor_(reactor), on_line_(std::move(on_line)) {
   const Pipe ready = make_pipe();
   const Pipe lifeline = make_pipe();
   const Pipe said = make_pipe();
@@ -93,17 +95,28 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
   ::posix_spawnattr_setpgroup(&attributes, 0);
   ::posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
 
-  std::vector<std::string> words{launch.program.string(), "--socket", launch.socket.string(), "--name", launch.name, "--ready-fd", fmt::format("{}", kReadyInHost), "--lifeline-fd", fmt::format("{}", kLifelineInHost)};
+  std::vector<std::string> words{launch.program.string(),
+                                 "--socket",
+                                 launch.socket.string(),
+                                 "--name",
+                                 launch.name,
+                                 "--ready-fd",
+                                 fmt::format("{}", kReadyInHost),
+                                 "--lifeline-fd",
+                                 fmt::format("{}", kLifelineInHost)};
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);
-  const int problem = ::posix_spawn(&process_, launch.program.c_str(), &actions, &attributes, arguments.data(), environ);
+  const int problem =
+      ::posix_spawn(&process_, launch.program.c_str(), &actions, &attributes, arguments.data(), environ);
   ::posix_spawn_file_actions_destroy(&actions);
   ::posix_spawnattr_destroy(&attributes);
   if (problem != 0) {
     process_ = -1;
-    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the host cannot be started: {}", std::strerror(problem)), .where = launch.program.string()});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("the host cannot be started: {}", std::strerror(problem)),
+                          .where = launch.program.string()});
   }
 }
 
@@ -126,10 +139,14 @@ void HostProcess::wait_ready(int ready) {
   }
   reactor_.remove(ready);
   if (told.starts_with("READY\n")) return;
-  if (!in_time) throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host does not get ready within 10 s", .where = fmt::format("process {}", process_)});
+  if (!in_time)
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host does not get ready within 10 s",
+                                                  .where = fmt::format("process {}", process_)});
   const int code = collect();
   while (told.ends_with('\n')) told.pop_back();
-  throw Error(code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : ErrorCode::Failed, ErrorText{.what = told.empty() ? fmt::format("the host ended before it was ready (exit code {})", code) : "the host did not start: " + told});
+  throw Error(code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : ErrorCode::Failed,
+              ErrorText{.what = told.empty() ? fmt::format("the host ended before it was ready (exit code {})", code)
+                                             : "the host did not start: " + told});
 }
 
 void HostProcess::read_said() {
@@ -164,7 +181,8 @@ int HostProcess::collect() {
   }
   if (running()) ::kill(process_, SIGKILL);
   int status = 0;
-  if (!exit_code_ && ::waitpid(process_, &status, 0) == process_) exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  if (!exit_code_ && ::waitpid(process_, &status, 0) == process_)
+    exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   return exit_code_.value_or(1);
 }
 

@@ -32,7 +32,8 @@ char** match_array(const std::vector<std::string>& candidates) {
   }
   auto** matches = static_cast<char**>(std::calloc(candidates.size() + 2, sizeof(char*)));
   matches[0] = ::strdup(common.c_str());
-  for (std::size_t i = 0; i < candidates.size() && candidates.size() > 1; ++i) matches[i + 1] = ::strdup(candidates[i].c_str());
+  for (std::size_t i = 0; i < candidates.size() && candidates.size() > 1; ++i)
+    matches[i + 1] = ::strdup(candidates[i].c_str());
   return matches;
 }
 

@@ -12,8 +12,8 @@
 
 namespace fiona::console {
 
-/// The line that a person types in a terminal: libedit behind its readline calls, served by the reactor. One at a time, since
-/// that library has one state per process.
+/// The line that a person types in a terminal: libedit behind its readline calls, served by the reactor. One at a time,
+/// since that library has one state per process.
 class LineEditor {
  public:
   /// Called with what is typed up to the cursor.
@@ -24,8 +24,8 @@ class LineEditor {
   LineEditor& operator=(const LineEditor&) = delete;
   ~LineEditor();
 
-  /// Shows the prompt and waits for a line; nothing at Ctrl-D, or when `ended` turns true. Throws Interrupted at Ctrl-C; the line is
-  /// dropped then.
+  /// Shows the prompt and waits for a line; nothing at Ctrl-D, or when `ended` turns true. Throws Interrupted at
+  /// Ctrl-C; the line is dropped then.
   std::optional<std::string> read(const std::string& prompt, const std::function<bool()>& ended);
 
   /// Puts a line into the history, unless it is the one before again.

@@ -10,9 +10,9 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include <fiona/error.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <fiona/error.hpp>
 
 namespace fiona::console {
 namespace {
@@ -30,23 +30,39 @@ constexpr std::string_view kHostNameRule = "letters, digits and '-', at most 40"
 
 fs::path runtime_directory() {
   const std::string given = environment("XDG_RUNTIME_DIR");
-  const fs::path directory = given.empty() ? fs::path(fmt::format("/tmp/fiona-{}", ::getuid())) : fs::path(given) / "fiona";
+  const fs::path directory =
+      given.empty() ? fs::path(fmt::format("/tmp/fiona-{}", ::getuid())) : fs::path(given) / "fiona";
   if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the run-time directory cannot be made: {}", std::strerror(errno)), .where = directory.string(), .next = "set XDG_RUNTIME_DIR to a directory of yours"});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("the run-time directory cannot be made: {}", std::strerror(errno)),
+                          .where = directory.string(),
+                          .next = "set XDG_RUNTIME_DIR to a directory of yours"});
   }
-  struct stat status{};
+  struct stat status {};
   // lstat: in a shared directory somebody else may have put a link under this name.
   const bool ours = ::lstat(directory.c_str(), &status) == 0 && S_ISDIR(status.st_mode) && status.st_uid == ::getuid();
   if (!ours || (status.st_mode & 077U) != 0) {
-    throw Error(ErrorCode::NotAllowed, ErrorText{.what = "the run-time directory is not yours alone", .where = directory.string(), .expected = fmt::format("a directory of user {} with mode 0700", ::getuid()), .found = ours ? fmt::format("mode {:04o}", status.st_mode & 07777U) : fmt::format("user {}, {}", status.st_uid, S_ISDIR(status.st_mode) ? "a directory" : "no directory"), .next = ours ? fmt::format("chmod 700 {}", directory.string()) : "set XDG_RUNTIME_DIR to a directory of yours"});
+    throw Error(ErrorCode::NotAllowed,
+                ErrorText{.what = "the run-time directory is not yours alone",
+                          .where = directory.string(),
+                          .expected = fmt::format("a directory of user {} with mode 0700", ::getuid()),
+                          .found = ours ? fmt::format("mode {:04o}", status.st_mode & 07777U)
+                                        : fmt::format("user {}, {}", status.st_uid,
+                                                      S_ISDIR(status.st_mode) ? "a directory" : "no directory"),
+                          .next = ours ? fmt::format("chmod 700 {}", directory.string())
+                                       : "set XDG_RUNTIME_DIR to a directory of yours"});
   }
   return directory;
 }
 
 fs::path socket_of(std::string_view host) {
-  const auto fits = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_'; };
+  const auto fits = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_';
+  };
   if (host.empty() || host.size() > 40 || !std::all_of(host.begin(), host.end(), fits)) {
-    throw Error(ErrorCode::Usage, ErrorText{.what = "this is no name of a host", .expected = std::string(kHostNameRule), .found = std::string(host)});
+    throw Error(ErrorCode::Usage, ErrorText{.what = "this is no name of a host",
+                                            .expected = std::string(kHostNameRule),
+                                            .found = std::string(host)});
   }
   return runtime_directory() / (std::string(host) + ".sock");
 }
@@ -58,7 +74,8 @@ bool answers(const fs::path& socket) {
   std::memcpy(address.sun_path, socket.c_str(), socket.native().size());
   const int descriptor = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (descriptor < 0) return false;
-  const bool connected = ::connect(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 || errno == EAGAIN;
+  const bool connected =
+      ::connect(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 || errno == EAGAIN;
   ::close(descriptor);
   return connected;
 }
@@ -67,7 +84,8 @@ std::vector<RunningHost> running_hosts() {
   std::vector<RunningHost> hosts;
   std::error_code problem;
   for (const auto& entry : fs::directory_iterator(runtime_directory(), problem)) {
-    if (entry.path().extension() == ".sock" && answers(entry.path())) hosts.push_back({entry.path().stem().string(), entry.path()});
+    if (entry.path().extension() == ".sock" && answers(entry.path()))
+      hosts.push_back({entry.path().stem().string(), entry.path()});
   }
   std::sort(hosts.begin(), hosts.end(), [](const RunningHost& a, const RunningHost& b) { return a.name < b.name; });
   return hosts;
@@ -75,7 +93,9 @@ std::vector<RunningHost> running_hosts() {
 
 fs::path chosen_socket(const std::string& at, const std::string& host) {
   constexpr std::string_view kUnix = "unix:";
-  if (!at.empty() && !at.starts_with(kUnix)) throw Error(ErrorCode::Usage, ErrorText{.what = "this endpoint is not understood", .expected = "unix:PATH", .found = at});
+  if (!at.empty() && !at.starts_with(kUnix))
+    throw Error(ErrorCode::Usage,
+                ErrorText{.what = "this endpoint is not understood", .expected = "unix:PATH", .found = at});
   if (!at.empty()) return at.substr(kUnix.size());
   const std::vector<RunningHost> hosts = running_hosts();
   std::vector<std::string> names;
@@ -83,11 +103,17 @@ fs::path chosen_socket(const std::string& at, const std::string& host) {
   if (!host.empty()) {
     const fs::path socket = socket_of(host);
     if (std::find(names.begin(), names.end(), host) != names.end()) return socket;
-    throw Error(ErrorCode::Unreachable, ErrorText{.what = fmt::format("no host '{}' runs", host), .found = fmt::format("{}", fmt::join(names, ", ")), .next = fmt::format("fiona run FILE --host {}", host), .near = nearest_names(host, names)});
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = fmt::format("no host '{}' runs", host),
+                                                  .found = fmt::format("{}", fmt::join(names, ", ")),
+                                                  .next = fmt::format("fiona run FILE --host {}", host),
+                                                  .near = nearest_names(host, names)});
   }
-  if (hosts.empty()) throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host runs", .next = "start one: fiona run FILE"});
+  if (hosts.empty())
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host runs", .next = "start one: fiona run FILE"});
   if (hosts.size() > 1) {
-    throw Error(ErrorCode::Usage, ErrorText{.what = "several hosts run", .found = fmt::format("{}", fmt::join(names, ", ")), .next = fmt::format("name one: fiona --host {} …", names.front())});
+    throw Error(ErrorCode::Usage, ErrorText{.what = "several hosts run",
+                                            .found = fmt::format("{}", fmt::join(names, ", ")),
+                                            .next = fmt::format("name one: fiona --host {} …", names.front())});
   }
   return hosts.front().socket;
 }
@@ -104,7 +130,9 @@ fs::path host_program() {
   const fs::path self = fs::read_symlink("/proc/self/exe", problem);
   const fs::path program = self.parent_path() / "fiona-host";
   if (problem || ::access(program.c_str(), X_OK) != 0) {
-    throw Error(ErrorCode::NotFound, ErrorText{.what = "the host program is missing", .where = program.string(), .next = "`fiona-host` belongs beside `fiona`: build or install both"});
+    throw Error(ErrorCode::NotFound, ErrorText{.what = "the host program is missing",
+                                               .where = program.string(),
+                                               .next = "`fiona-host` belongs beside `fiona`: build or install both"});
   }
   return program;
 }

@@ -60,7 +60,8 @@ class LivingNames final : public Names {
     std::error_code problem;
     constexpr std::size_t kMost = 10'000;
     for (const auto& entry : fs::directory_iterator(directory.empty() ? "." : directory, problem)) {
-      if (names.size() < kMost) names.push_back(directory + entry.path().filename().string() + (entry.is_directory(problem) ? "/" : ""));
+      if (names.size() < kMost)
+        names.push_back(directory + entry.path().filename().string() + (entry.is_directory(problem) ? "/" : ""));
     }
     return names;
   }
@@ -75,8 +76,13 @@ class LivingNames final : public Names {
 class Prompt {
  public:
   Prompt(Session& session, const PromptOptions& options)
-      : session_(session), options_(options), names_(session), editor_(session.reactor, history_file(), [this](std::string_view typed) { return complete(typed, names_); }),
-        before_(session.out.exchange_sink([this](Stream stream, std::string_view lines) { editor_.print(stream, lines); })), setting_(session.setting) {
+      : session_(session),
+        options_(options),
+        names_(session),
+        editor_(session.reactor, history_file(), [this](std::string_view typed) { return complete(typed, names_); }),
+        before_(
+            session.out.exchange_sink([this](Stream stream, std::string_view lines) { editor_.print(stream, lines); })),
+        setting_(session.setting) {
     session.setting = Setting::Prompt;
   }
   Prompt(const Prompt&) = delete;
@@ -103,7 +109,10 @@ class Prompt {
  private:
   void serve_line() {
     const bool more = !typed_.empty();
-    const auto line = editor_.read(asking_ ? "stop the host and its system? (yes/no) " : more ? "     > " : "fiona> ", [this] { return !session_.connected(); });
+    const auto line = editor_.read(asking_ ? "stop the host and its system? (yes/no) "
+                                   : more  ? "     > "
+                                           : "fiona> ",
+                                   [this] { return !session_.connected(); });
     if (!session_.connected()) return;
     if (asking_) return take_answer(line);
     if (!line) return leave();
@@ -122,39 +131,47 @@ class Prompt {
   void run(const std::string& typed) {
     try {
       const WordLine words = split_line(typed);
-      if (!words.empty()) session_.run(words);
+      if (words.empty()) return;
+      ending_ = words.items.front().word.is_plain("quit");
+      session_.run(words);
+    } catch (const Interrupted&) {
+      session_.out.remark("interrupted");
     } catch (const Error& error) {
       session_.out.error(error);
     }
+    ending_ = false;
   }
 
   void let_run() {
     control::Request request;
     request.mutable_run();
     run_ = session_.host().begin(std::move(request), [this](const control::Reply& reply) {
-      if (reply.has_ended()) session_.out.remark(fmt::format("the run ended{}{} (exit code {}); `quit` ends the host", reply.ended().reason().empty() ? "" : ": ", reply.ended().reason(), reply.ended().exit_code()));
+      if (reply.has_ended() && !ending_)
+        session_.out.remark(fmt::format("the run ended{}{} (exit code {}); `quit` ends the host",
+                                        reply.ended().reason().empty() ? "" : ": ", reply.ended().reason(),
+                                        reply.ended().exit_code()));
     });
   }
 
   void leave() {
-    if (options_.started_host) asking_ = true;
-    else left_ = true;
+    if (options_.started_host)
+      asking_ = true;
+    else
+      left_ = true;
   }
 
   void take_answer(const std::optional<std::string>& answer) {
     asking_ = false;
     if (answer && !answer->starts_with('y') && !answer->starts_with('Y')) return;
-    control::Request request;
-    request.mutable_quit();
-    session_.call(std::move(request));
-    session_.finished = 0;
+    run("quit");
   }
 
   void interrupted() {
     typed_.clear();
     asking_ = false;
     const std::size_t stopped = session_.connected() ? session_.watches().stop("") : 0;
-    session_.out.remark(stopped > 0 ? fmt::format("stopped {} watch{}", stopped, stopped == 1 ? "" : "es") : "Ctrl-D leaves");
+    session_.out.remark(stopped > 0 ? fmt::format("stopped {} watch{}", stopped, stopped == 1 ? "" : "es")
+                                    : "Ctrl-D leaves");
   }
 
   void gone() const {
@@ -171,6 +188,7 @@ class Prompt {
   std::string typed_;
   std::optional<std::uint64_t> run_;
   bool asking_ = false;
+  bool ending_ = false;  // by a line of ours, which needs no news about it
   bool left_ = false;
 };
 

@@ -9,8 +9,9 @@ struct PromptOptions {
   bool let_run = false;       ///< a virtual clock runs while the prompt is there
 };
 
-/// Reads lines from the terminal until `quit` or Ctrl-D, with history and completion; other output appears above the line being
-/// typed. `session.finished` is set where the host was told to end. Throws fiona::Error (Unreachable) where the host goes away.
+/// Reads lines from the terminal until `quit` or Ctrl-D, with history and completion; other output appears above the
+/// line being typed. `session.finished` is set where the host was told to end. Throws fiona::Error (Unreachable) where
+/// the host goes away.
 void run_prompt(Session& session, const PromptOptions& options);
 
 }  // namespace fiona::console

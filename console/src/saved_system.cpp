@@ -15,9 +15,11 @@ std::string load_line(const control::InstanceStatus& instance) {
   const std::string own = slash == std::string::npos ? plugin : plugin.substr(slash + 1);
   if (!instance.component().empty() && instance.component() != own) plugin += "/" + instance.component();
   std::string line = fmt::format("load {} as {}", typed_text(plugin), typed_text(instance.name()));
-  if (!instance.group().empty() && instance.group() != "main") line += fmt::format(" in {}", typed_text(instance.group()));
+  if (!instance.group().empty() && instance.group() != "main")
+    line += fmt::format(" in {}", typed_text(instance.group()));
   if (!instance.mode_at_load().empty()) line += fmt::format(" at {}", typed_text(instance.mode_at_load()));
-  for (const auto& parameter : instance.set_parameters()) line += fmt::format(" {}={}", parameter.name(), typed(parameter.value()));
+  for (const auto& parameter : instance.set_parameters())
+    line += fmt::format(" {}={}", parameter.name(), typed(parameter.value()));
   return line + "\n";
 }
 
@@ -35,7 +37,8 @@ std::string wire_lines(const control::InstanceStatus& instance) {
 }
 
 bool is_main_mode(const control::InstanceStatus& instance) {
-  return instance.mode() != "init" && instance.mode() != "failed" && instance.mode() != "shutdown" && !instance.mode().empty();
+  return instance.mode() != "init" && instance.mode() != "failed" && instance.mode() != "shutdown" &&
+         !instance.mode().empty();
 }
 
 }  // namespace
@@ -48,7 +51,8 @@ std::string saved_system(const control::System& system) {
   for (const auto& instance : system.instances()) {
     const std::string first = instance.modes().empty() ? "active" : instance.modes(0);
     const std::string at_load = instance.mode_at_load().empty() ? first : instance.mode_at_load();
-    if (is_main_mode(instance) && instance.mode() != at_load) text += fmt::format("state {} {}\n", typed_text(instance.name()), typed_text(instance.mode()));
+    if (is_main_mode(instance) && instance.mode() != at_load)
+      text += fmt::format("state {} {}\n", typed_text(instance.name()), typed_text(instance.mode()));
   }
   return text;
 }

@@ -6,8 +6,9 @@
 
 namespace fiona::console {
 
-/// The system as a script that gives it back: the clock where it is not the system's, instances with their parameters in the order
-/// in which they were loaded, wires, modes that are not those of the load. The same system always gives the same text.
+/// The system as a script that gives it back: the clock where it is not the system's, instances with their parameters
+/// in the order in which they were loaded, wires, modes that are not those of the load. The same system always gives
+/// the same text.
 std::string saved_system(const control::System& system);
 
 }  // namespace fiona::console

@@ -15,7 +15,9 @@ namespace {
 /// Puts the settings of a script in place, and the old ones back.
 class ScriptSetting {
  public:
-  explicit ScriptSetting(Session& session) : session_(session), setting_(session.setting) { session.setting = Setting::Script; }
+  explicit ScriptSetting(Session& session) : session_(session), setting_(session.setting) {
+    session.setting = Setting::Script;
+  }
   ScriptSetting(const ScriptSetting&) = delete;
   ScriptSetting& operator=(const ScriptSetting&) = delete;
   ~ScriptSetting() { session_.setting = setting_; }
@@ -30,13 +32,18 @@ class ScriptSetting {
 std::string read_text(const std::filesystem::path& file) {
   std::error_code problem;
   const auto status = std::filesystem::status(file, problem);
-  if (!std::filesystem::exists(status)) throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = file.string()});
-  if (std::filesystem::is_directory(status)) throw Error(ErrorCode::Usage, ErrorText{.what = "this is a directory", .where = file.string(), .expected = "a system file"});
+  if (!std::filesystem::exists(status))
+    throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = file.string()});
+  if (std::filesystem::is_directory(status))
+    throw Error(ErrorCode::Usage,
+                ErrorText{.what = "this is a directory", .where = file.string(), .expected = "a system file"});
   std::ifstream in(file, std::ios::binary);
   constexpr std::size_t kMost = (16U << 20U) + 1;  // one more than a script may have: it says that it is too long
   std::string text(kMost, '\0');
   if (in) in.read(text.data(), static_cast<std::streamsize>(kMost));
-  if (!in && !in.eof()) throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be read: {}", std::strerror(errno)), .where = file.string()});
+  if (!in && !in.eof())
+    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be read: {}", std::strerror(errno)),
+                                             .where = file.string()});
   text.resize(static_cast<std::size_t>(in.gcount()));
   return text;
 }

@@ -14,7 +14,8 @@ namespace {
 /// The options of one line, for as long as the line runs.
 class LineOptions {
  public:
-  LineOptions(Session& session, const Line& line) : session_(session), manner_(session.out.manner), options_(session.options) {
+  LineOptions(Session& session, const Line& line)
+      : session_(session), manner_(session.out.manner), options_(session.options) {
     Manner& manner = session.out.manner;
     manner.json = manner.json || line.has("--json");
     manner.quiet = manner.quiet || line.has("-q");
@@ -37,7 +38,10 @@ class LineOptions {
     for (const char* name : {"--at", "--host"}) {
       const Word* given = line.option(name);
       if (given == nullptr) continue;
-      if (session_.setting != Setting::Shell) throw line.error(*given, {.what = fmt::format("{} chooses the host when `fiona` starts, not in the middle", name), .next = fmt::format("from a shell: fiona {} {} …", name, given->text)});
+      if (session_.setting != Setting::Shell)
+        throw line.error(*given,
+                         {.what = fmt::format("{} chooses the host when `fiona` starts, not in the middle", name),
+                          .next = fmt::format("from a shell: fiona {} {} …", name, given->text)});
       (std::string_view(name) == "--at" ? session_.options.at : session_.options.host) = given->text;
     }
   }
@@ -50,7 +54,11 @@ class LineOptions {
 /// The word that an error is about: the one that it names as its place, or quotes.
 const Word* blamed(const Line& line, const ErrorText& text) {
   const auto names = [&text](const std::string& word) {
-    return word.size() > 1 && (text.where == word || text.where.ends_with("." + word) || text.what.find("'" + word + "'") != std::string::npos);
+    const auto quoted = [&text](const std::string& name) {
+      return text.what.find("'" + name + "'") != std::string::npos;
+    };
+    return word.size() > 1 && (text.where == word || text.where.ends_with("." + word) || quoted(word) ||
+                               quoted(word.substr(0, word.find('.'))));
   };
   for (std::size_t i = 1; i < line.words.items.size(); ++i) {
     const WordLine::Item& item = line.words.items[i];

@@ -25,9 +25,9 @@ enum class Setting {
 
 /// What the process was told about which host and how to talk.
 struct Options {
-  std::string at;                             ///< "unix:PATH"; empty: found in the run-time directory
-  std::string host;                           ///< its name; empty: the one that runs
-  std::filesystem::path store;                ///< empty: the user's
+  std::string at;               ///< "unix:PATH"; empty: found in the run-time directory
+  std::string host;             ///< its name; empty: the one that runs
+  std::filesystem::path store;  ///< empty: the user's
   std::chrono::milliseconds timeout{2000};
 };
 

@@ -22,9 +22,12 @@ std::vector<std::string> split(std::string_view text, char mark) {
   return parts;
 }
 
-bool is_placeholder(std::string_view choice) { return !choice.empty() && std::isupper(static_cast<unsigned char>(choice[0])) != 0; }
+bool is_placeholder(std::string_view choice) {
+  return !choice.empty() && std::isupper(static_cast<unsigned char>(choice[0])) != 0;
+}
 bool is_option(std::string_view word) {
-  return word.size() >= 2 && word[0] == '-' && (std::islower(static_cast<unsigned char>(word[1])) != 0 || (word[1] == '-' && word.size() > 2));
+  return word.size() >= 2 && word[0] == '-' &&
+         (std::islower(static_cast<unsigned char>(word[1])) != 0 || (word[1] == '-' && word.size() > 2));
 }
 
 /// Words of a form with the brackets taken off: whether each is in brackets, and whether "…" follows.
@@ -85,9 +88,11 @@ class Binder {
   }
 
   void take_argument(const WordLine::Item& item) {
-    if (!shape_.takes_arguments()) fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text)});
+    if (!shape_.takes_arguments())
+      fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text)});
     const auto same = [&item](const TypedArgument& known) { return known.name.text == item.name->text; };
-    if (std::any_of(line_.arguments.begin(), line_.arguments.end(), same)) fail(item.name->place, {.what = fmt::format("{} is given twice", item.name->text)});
+    if (std::any_of(line_.arguments.begin(), line_.arguments.end(), same))
+      fail(item.name->place, {.what = fmt::format("{} is given twice", item.name->text)});
     line_.arguments.push_back({*item.name, item.word});
   }
 
@@ -95,14 +100,18 @@ class Binder {
     const std::size_t equals = word.text.find('=');
     const std::string name = word.text.substr(0, equals);
     const OptionSlot* option = shape_.find_option(name);
-    for (const OptionSlot& global : global_options_) option = option == nullptr && global.name == name ? &global : option;
+    for (const OptionSlot& global : global_options_)
+      option = option == nullptr && global.name == name ? &global : option;
     if (option == nullptr) fail(word.place, unknown_option(name));
     TypedArgument given;
-    if (equals != std::string::npos && !option->takes_value()) fail(word.place, {.what = fmt::format("{} takes no value", name)});
+    if (equals != std::string::npos && !option->takes_value())
+      fail(word.place, {.what = fmt::format("{} takes no value", name)});
     if (equals != std::string::npos) {
       given.value = {word.text.substr(equals + 1), WordKind::Plain, {word.place.line, word.place.column + equals + 1}};
     } else if (option->takes_value()) {
-      if (++at_ >= items().size()) fail(word.place, {.what = fmt::format("{} needs a value", name), .expected = fmt::format("{} {}", name, fmt::join(option->slot.choices, "|"))});
+      if (++at_ >= items().size())
+        fail(word.place, {.what = fmt::format("{} needs a value", name),
+                          .expected = fmt::format("{} {}", name, fmt::join(option->slot.choices, "|"))});
       given.value = items()[at_].word;
       if (items()[at_].name) given.name = *items()[at_].name;
     }
@@ -114,15 +123,22 @@ class Binder {
     std::vector<std::string> known;
     for (const OptionSlot& option : shape_.options()) known.push_back(option.name);
     for (const OptionSlot& option : global_options_) known.push_back(option.name);
-    return {.what = fmt::format("{} does not know {}", line_.verb.text, name), .next = fmt::format("help {}", line_.verb.text), .near = nearest_names(name, known)};
+    return {.what = fmt::format("{} does not know {}", line_.verb.text, name),
+            .next = fmt::format("help {}", line_.verb.text),
+            .near = nearest_names(name, known)};
   }
 
   void take_clause(const Word& keyword) {
     const Clause* clause = shape_.find_clause(keyword.text);
-    if (clause == nullptr) fail(keyword.place, {.what = fmt::format("'{}' does not belong to {} here", keyword.text, line_.verb.text), .next = fmt::format("a name that is a keyword is written in quotes: \"{}\"", keyword.text)});
-    if (line_.clauses.contains(keyword.text)) fail(keyword.place, {.what = fmt::format("'{}' is given twice", keyword.text)});
+    if (clause == nullptr)
+      fail(keyword.place, {.what = fmt::format("'{}' does not belong to {} here", keyword.text, line_.verb.text),
+                           .next = fmt::format("a name that is a keyword is written in quotes: \"{}\"", keyword.text)});
+    if (line_.clauses.contains(keyword.text))
+      fail(keyword.place, {.what = fmt::format("'{}' is given twice", keyword.text)});
     const bool there = at_ + 1 < items().size() && !items()[at_ + 1].name;
-    if (!there) fail(keyword.place, {.what = fmt::format("a word is missing after '{}'", keyword.text), .expected = fmt::format("{} {}", keyword.text, fmt::join(clause->slot.choices, "|"))});
+    if (!there)
+      fail(keyword.place, {.what = fmt::format("a word is missing after '{}'", keyword.text),
+                           .expected = fmt::format("{} {}", keyword.text, fmt::join(clause->slot.choices, "|"))});
     line_.clauses.emplace(keyword.text, items()[++at_].word);
   }
 
@@ -130,10 +146,14 @@ class Binder {
     const std::vector<Slot>& slots = shape_.positional();
     const std::size_t next = line_.positional.size();
     const bool more = !slots.empty() && slots.back().repeated;
-    if (next >= slots.size() && !more) fail(word.place, {.what = slots.empty() ? fmt::format("{} takes no '{}'", line_.verb.text, word.text) : fmt::format("'{}' is one word too many", word.text)});
+    if (next >= slots.size() && !more)
+      fail(word.place, {.what = slots.empty() ? fmt::format("{} takes no '{}'", line_.verb.text, word.text)
+                                              : fmt::format("'{}' is one word too many", word.text)});
     const Slot& slot = slots[std::min(next, slots.size() - 1)];
     if (!slot.accepts(word)) {
-      fail(word.place, {.what = fmt::format("'{}' cannot stand here", word.text), .expected = fmt::format("{}", fmt::join(slot.choices, ", ")), .near = nearest_names(word.text, slot.literals())});
+      fail(word.place, {.what = fmt::format("'{}' cannot stand here", word.text),
+                        .expected = fmt::format("{}", fmt::join(slot.choices, ", ")),
+                        .near = nearest_names(word.text, slot.literals())});
     }
     line_.positional.push_back(word);
   }
@@ -142,12 +162,16 @@ class Binder {
     const Place& place = line_.verb.place;
     const std::vector<Slot>& slots = shape_.positional();
     if (line_.positional.size() < slots.size() && slots[line_.positional.size()].required) {
-      fail(place, {.what = fmt::format("{} needs {}", line_.verb.text, fmt::join(slots[line_.positional.size()].choices, "|"))});
+      fail(place, {.what = fmt::format("{} needs {}", line_.verb.text,
+                                       fmt::join(slots[line_.positional.size()].choices, "|"))});
     }
     for (const Clause& clause : shape_.clauses()) {
-      if (clause.slot.required && !line_.clauses.contains(clause.keyword)) fail(place, {.what = fmt::format("{} needs '{} {}'", line_.verb.text, clause.keyword, fmt::join(clause.slot.choices, "|"))});
+      if (clause.slot.required && !line_.clauses.contains(clause.keyword))
+        fail(place, {.what = fmt::format("{} needs '{} {}'", line_.verb.text, clause.keyword,
+                                         fmt::join(clause.slot.choices, "|"))});
     }
-    if (shape_.needs_arguments() && line_.arguments.empty()) fail(place, {.what = fmt::format("{} needs at least one name=value", line_.verb.text)});
+    if (shape_.needs_arguments() && line_.arguments.empty())
+      fail(place, {.what = fmt::format("{} needs at least one name=value", line_.verb.text)});
   }
 
   Line line_;
@@ -165,12 +189,14 @@ std::string Slot::placeholder() const {
 
 std::vector<std::string> Slot::literals() const {
   std::vector<std::string> literals;
-  std::copy_if(choices.begin(), choices.end(), std::back_inserter(literals), [](const std::string& choice) { return !is_placeholder(choice); });
+  std::copy_if(choices.begin(), choices.end(), std::back_inserter(literals),
+               [](const std::string& choice) { return !is_placeholder(choice); });
   return literals;
 }
 
 bool Slot::accepts(const Word& word) const {
-  return !placeholder().empty() || std::any_of(choices.begin(), choices.end(), [&word](const std::string& choice) { return word.is_plain(choice); });
+  return !placeholder().empty() || std::any_of(choices.begin(), choices.end(),
+                                               [&word](const std::string& choice) { return word.is_plain(choice); });
 }
 
 Shape::Shape(std::string_view form) : text_(form) {
@@ -196,12 +222,14 @@ Shape::Shape(std::string_view form) : text_(form) {
 }
 
 const Clause* Shape::find_clause(std::string_view keyword) const {
-  const auto found = std::find_if(clauses_.begin(), clauses_.end(), [keyword](const Clause& clause) { return clause.keyword == keyword; });
+  const auto found = std::find_if(clauses_.begin(), clauses_.end(),
+                                  [keyword](const Clause& clause) { return clause.keyword == keyword; });
   return found == clauses_.end() ? nullptr : &*found;
 }
 
 const OptionSlot* Shape::find_option(std::string_view name) const {
-  const auto found = std::find_if(options_.begin(), options_.end(), [name](const OptionSlot& option) { return option.name == name; });
+  const auto found =
+      std::find_if(options_.begin(), options_.end(), [name](const OptionSlot& option) { return option.name == name; });
   return found == options_.end() ? nullptr : &*found;
 }
 

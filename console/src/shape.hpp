@@ -27,8 +27,8 @@ struct Clause {
 };
 
 struct OptionSlot {
-  std::string name;   ///< "--for", "-y"
-  Slot slot;          ///< its value; without choices: it takes none
+  std::string name;  ///< "--for", "-y"
+  Slot slot;         ///< its value; without choices: it takes none
   bool takes_value() const { return !slot.choices.empty(); }
 };
 
@@ -79,7 +79,9 @@ struct Line {
 
   /// The named arguments as the host takes them.
   std::vector<control::Argument> control_arguments() const;
-  LineError error(const Word& word, ErrorText text, ErrorCode code = ErrorCode::Usage) const { return {words, word.place, std::move(text), code}; }
+  LineError error(const Word& word, ErrorText text, ErrorCode code = ErrorCode::Usage) const {
+    return {words, word.place, std::move(text), code};
+  }
 };
 
 /// Reads the line by the shape. Throws LineError (Usage) at the first word that does not belong.

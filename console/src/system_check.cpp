@@ -4,10 +4,10 @@
 #include <map>
 #include <set>
 
-#include <fiona/contract.hpp>
-#include <fiona/params.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <fiona/contract.hpp>
+#include <fiona/params.hpp>
 
 #include "script.hpp"
 #include "system_view.hpp"
@@ -53,7 +53,11 @@ class Checker {
 
   void take(const Line& line) {
     static const std::map<std::string, void (Checker::*)(const Line&)> kChecks{
-        {"load", &Checker::take_load}, {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire}, {"unwire", &Checker::take_unwire}, {"set", &Checker::take_set}, {"state", &Checker::take_mode}, {"wait", &Checker::take_mode}, {"watch", &Checker::take_watch}, {"get", &Checker::take_instance}, {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep}, {"market", &Checker::take_market}, {"run", &Checker::take_run}};
+        {"load", &Checker::take_load},     {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
+        {"unwire", &Checker::take_unwire}, {"set", &Checker::take_set},       {"state", &Checker::take_mode},
+        {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},   {"get", &Checker::take_instance},
+        {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
+        {"market", &Checker::take_market}, {"run", &Checker::take_run}};
     if (const auto found = kChecks.find(line.verb.text); found != kChecks.end()) (this->*found->second)(line);
   }
 
@@ -61,13 +65,21 @@ class Checker {
     const Word& plugin = line.positional[0];
     const bool is_path = plugin.text.ends_with(".so") || plugin.text.starts_with('/') || plugin.text.starts_with('.');
     std::vector<KnownComponent> found = is_path ? std::vector<KnownComponent>{} : catalogue_.find(plugin.text);
-    if (is_path) result_.remarks.push_back(fmt::format("{}: what {} is cannot be known without opening it", place_text(line.words, plugin.place), plugin.text));
+    if (is_path)
+      result_.remarks.push_back(fmt::format("{}: what {} is cannot be known without opening it",
+                                            place_text(line.words, plugin.place), plugin.text));
     // An instance that cannot be loaded is remembered too: the lines that use it are not wrong for that.
     const KnownComponent known = found.size() == 1 ? found.front() : KnownComponent{};
     const Word* as = line.clause("as");
-    const std::string name = as != nullptr ? as->text : known.component != nullptr ? known.component->name() : plugin.text.substr(plugin.text.rfind('/') + 1);
-    if (instances_.contains(name)) throw line.error(as != nullptr ? *as : plugin, {.what = fmt::format("there is an instance '{}' already", name), .next = "give it another name: as NAME"});
-    if (name == "host") throw line.error(as != nullptr ? *as : plugin, {.what = "'host' is the host's own name", .next = "give it another name: as NAME"});
+    const std::string name = as != nullptr                ? as->text
+                             : known.component != nullptr ? known.component->name()
+                                                          : plugin.text.substr(plugin.text.rfind('/') + 1);
+    if (instances_.contains(name))
+      throw line.error(as != nullptr ? *as : plugin, {.what = fmt::format("there is an instance '{}' already", name),
+                                                      .next = "give it another name: as NAME"});
+    if (name == "host")
+      throw line.error(as != nullptr ? *as : plugin,
+                       {.what = "'host' is the host's own name", .next = "give it another name: as NAME"});
     instances_[name] = {known};
     if (!is_path) check_found(line, plugin, found);
     if (const Word* mode = line.clause("at")) check_mode(line, *mode, instances_[name]);
@@ -76,26 +88,38 @@ class Checker {
 
   void check_found(const Line& line, const Word& plugin, const std::vector<KnownComponent>& found) const {
     if (found.empty()) {
-      throw line.error(plugin, {.what = fmt::format("no plugin '{}' is installed or in the marketplace", plugin.text), .next = fmt::format("market search {}", typed_text(plugin.text)), .near = nearest_names(plugin.text, catalogue_.names())}, ErrorCode::NotFound);
+      throw line.error(plugin,
+                       {.what = fmt::format("no plugin '{}' is installed or in the marketplace", plugin.text),
+                        .next = fmt::format("market search {}", typed_text(plugin.text)),
+                        .near = nearest_names(plugin.text, catalogue_.names())},
+                       ErrorCode::NotFound);
     }
     const KnownPlugin* first = found.front().plugin;
     if (found.size() > 1) {
       std::vector<std::string> names;
       for (const KnownComponent& known : found) names.push_back(known.load_name());
-      throw line.error(plugin, {.what = fmt::format("'{}' means several components", plugin.text), .expected = fmt::format("{}", fmt::join(names, ", "))});
+      throw line.error(plugin, {.what = fmt::format("'{}' means several components", plugin.text),
+                                .expected = fmt::format("{}", fmt::join(names, ", "))});
     }
     if (!first->installed && !offered_.contains(first->name())) {
-      throw line.error(plugin, {.what = fmt::format("the plugin '{}' is not installed; the marketplace has it", plugin.text), .next = fmt::format("market install {}", first->name())}, ErrorCode::NotFound);
+      throw line.error(plugin,
+                       {.what = fmt::format("the plugin '{}' is not installed; the marketplace has it", plugin.text),
+                        .next = fmt::format("market install {}", first->name())},
+                       ErrorCode::NotFound);
     }
   }
 
   void check_parameters(const Line& line, const Instance& instance) {
     if (line.arguments.empty() || instance.known.component == nullptr) return;
     const std::string& type = instance.known.component->parameters();
-    if (type.empty()) throw line.error(line.arguments.front().name, {.what = fmt::format("{} has no parameters", instance.known.component->name())});
-    const std::unique_ptr<google::protobuf::Message> draft = instance.known.plugin->installed ? catalogue_.types_of(*instance.known.plugin).make(type) : nullptr;
+    if (type.empty())
+      throw line.error(line.arguments.front().name,
+                       {.what = fmt::format("{} has no parameters", instance.known.component->name())});
+    const std::unique_ptr<google::protobuf::Message> draft =
+        instance.known.plugin->installed ? catalogue_.types_of(*instance.known.plugin).make(type) : nullptr;
     if (draft == nullptr) {
-      result_.remarks.push_back(fmt::format("{}: the parameters of {} can be checked once it is installed", place_text(line.words, line.verb.place), instance.known.plugin->name()));
+      result_.remarks.push_back(fmt::format("{}: the parameters of {} can be checked once it is installed",
+                                            place_text(line.words, line.verb.place), instance.known.plugin->name()));
       return;
     }
     set_declared_defaults(*draft);
@@ -115,7 +139,9 @@ class Checker {
     if (found != instances_.end()) return found->second;
     std::vector<std::string> known;
     for (const auto& [other, instance] : instances_) known.push_back(other);
-    throw line.error(word, {.what = fmt::format("no line above loads an instance '{}'", name), .near = nearest_names(name, known)}, ErrorCode::NotFound);
+    throw line.error(
+        word, {.what = fmt::format("no line above loads an instance '{}'", name), .near = nearest_names(name, known)},
+        ErrorCode::NotFound);
   }
 
   /// The port, or nothing where the plugin's interface is not known.
@@ -128,7 +154,11 @@ class Checker {
       if (port.name() == name.port()) return &port;
       known.push_back(port.name());
     }
-    throw line.error(word, {.what = fmt::format("{} has no port '{}'", name.instance(), name.port()), .expected = fmt::format("{}", fmt::join(known, ", ")), .near = nearest_names(name.port(), known)}, ErrorCode::NotFound);
+    throw line.error(word,
+                     {.what = fmt::format("{} has no port '{}'", name.instance(), name.port()),
+                      .expected = fmt::format("{}", fmt::join(known, ", ")),
+                      .near = nearest_names(name.port(), known)},
+                     ErrorCode::NotFound);
   }
 
   void take_wire(const Line& line) {
@@ -137,8 +167,15 @@ class Checker {
     const auto* required = port_of(line, client);
     const auto* provided = port_of(line, provider);
     if (const Word* every = line.clause("every")) count_of(*every, line.words);
-    if (required != nullptr && required->direction() != fiona::REQUIRES) throw line.error(client, {.what = fmt::format("{} is a provided port", client.text), .expected = "wire REQUIRED to PROVIDED"}, ErrorCode::WiringInvalid);
-    if (provided != nullptr && provided->direction() != fiona::PROVIDES) throw line.error(provider, {.what = fmt::format("{} is a required port", provider.text), .expected = "wire REQUIRED to PROVIDED"}, ErrorCode::WiringInvalid);
+    if (required != nullptr && required->direction() != fiona::REQUIRES)
+      throw line.error(
+          client, {.what = fmt::format("{} is a provided port", client.text), .expected = "wire REQUIRED to PROVIDED"},
+          ErrorCode::WiringInvalid);
+    if (provided != nullptr && provided->direction() != fiona::PROVIDES)
+      throw line.error(
+          provider,
+          {.what = fmt::format("{} is a required port", provider.text), .expected = "wire REQUIRED to PROVIDED"},
+          ErrorCode::WiringInvalid);
     if (required != nullptr && provided != nullptr) check_contract(line, *required, *provided);
     wired_.insert(client.text);
   }
@@ -149,11 +186,20 @@ class Checker {
     const auto found = service_of(instance_of(line, client), required.service());
     const auto offered = service_of(instance_of(line, provider), provided.service());
     std::optional<std::string> difference;
-    if (found != nullptr && offered != nullptr) difference = contract_difference(*found, *offered);
-    else if (required.service() != provided.service()) difference = "the services differ";
+    if (found != nullptr && offered != nullptr)
+      difference = contract_difference(*found, *offered);
+    else if (required.service() != provided.service())
+      difference = "the services differ";
     if (!difference) return;
     const std::vector<std::string> fitting = providers_of(required.service());
-    throw line.error(provider, {.what = fmt::format("{} requires {}, {} provides {}: {}", client.text, short_name(required.service()), provider.text, short_name(provided.service()), *difference), .next = fitting.empty() ? "" : fmt::format("these provide {}: {}", short_name(required.service()), fmt::join(fitting, ", "))}, ErrorCode::WiringInvalid);
+    throw line.error(
+        provider,
+        {.what = fmt::format("{} requires {}, {} provides {}: {}", client.text, short_name(required.service()),
+                             provider.text, short_name(provided.service()), *difference),
+         .next = fitting.empty()
+                     ? ""
+                     : fmt::format("these provide {}: {}", short_name(required.service()), fmt::join(fitting, ", "))},
+        ErrorCode::WiringInvalid);
   }
 
   const google::protobuf::ServiceDescriptor* service_of(const Instance& instance, const std::string& service) const {
@@ -178,7 +224,11 @@ class Checker {
     if (known.size() == 1) known.emplace_back("active");
     if (line.verb.text == "wait") known.insert(known.end(), {"init", "failed", "shutdown"});
     if (std::find(known.begin(), known.end(), mode.text) != known.end()) return;
-    throw line.error(mode, {.what = fmt::format("{} has no mode '{}'", instance.known.component->name(), mode.text), .expected = fmt::format("{}", fmt::join(known, ", ")), .near = nearest_names(mode.text, known)}, ErrorCode::NotFound);
+    throw line.error(mode,
+                     {.what = fmt::format("{} has no mode '{}'", instance.known.component->name(), mode.text),
+                      .expected = fmt::format("{}", fmt::join(known, ", ")),
+                      .near = nearest_names(mode.text, known)},
+                     ErrorCode::NotFound);
   }
 
   void take_unload(const Line& line) {
@@ -196,9 +246,17 @@ class Checker {
   void check_host(const Line& line) const {
     const std::vector<std::string> known{"clock", "speed"};
     for (const TypedArgument& argument : line.arguments) {
-      if (argument.name.text != "clock" && argument.name.text != "speed") throw line.error(argument.name, {.what = fmt::format("the host has no parameter '{}'", argument.name.text), .expected = "clock, speed", .near = nearest_names(argument.name.text, known)}, ErrorCode::NotFound);
-      const bool sound = argument.name.text != "clock" || argument.value.text == "system" || argument.value.text == "virtual";
-      if (!sound) throw line.error(argument.value, {.what = fmt::format("there is no clock '{}'", argument.value.text), .expected = "system, virtual"});
+      if (argument.name.text != "clock" && argument.name.text != "speed")
+        throw line.error(argument.name,
+                         {.what = fmt::format("the host has no parameter '{}'", argument.name.text),
+                          .expected = "clock, speed",
+                          .near = nearest_names(argument.name.text, known)},
+                         ErrorCode::NotFound);
+      const bool sound =
+          argument.name.text != "clock" || argument.value.text == "system" || argument.value.text == "virtual";
+      if (!sound)
+        throw line.error(argument.value, {.what = fmt::format("there is no clock '{}'", argument.value.text),
+                                          .expected = "system, virtual"});
     }
   }
   void take_mode(const Line& line) {
@@ -220,22 +278,31 @@ class Checker {
     Word port = line.positional[0];
     const std::size_t first = port.text.find('.');
     const std::size_t second = first == std::string::npos ? first : port.text.find('.', first + 1);
-    if (second == std::string::npos) throw line.error(port, {.what = fmt::format("'{}' names no field", port.text), .expected = "instance.port.field"});
+    if (second == std::string::npos)
+      throw line.error(port,
+                       {.what = fmt::format("'{}' names no field", port.text), .expected = "instance.port.field"});
     port.text.resize(second);
     port_of(line, port);
     if (const Word* within = line.clause("for")) duration_ms(*within, line.words);
   }
   void take_sleep(const Line& line) { duration_ms(line.positional[0], line.words); }
-  void take_run(const Line& line) { throw line.error(line.verb, {.what = "a system file cannot start a host", .next = "source FILE runs the lines of another file"}); }
+  void take_run(const Line& line) {
+    throw line.error(
+        line.verb, {.what = "a system file cannot start a host", .next = "source FILE runs the lines of another file"});
+  }
   void take_market(const Line& line) {
     for (std::size_t i = 1; i < line.positional.size() && line.positional[0].text == "install"; ++i) {
-      for (const KnownComponent& known : catalogue_.find(line.positional[i].text.substr(0, line.positional[i].text.find('@')))) offered_.insert(known.plugin->name());
+      for (const KnownComponent& known :
+           catalogue_.find(line.positional[i].text.substr(0, line.positional[i].text.find('@'))))
+        offered_.insert(known.plugin->name());
     }
   }
   void take_source(const Line& line) {
     std::filesystem::path file = line.positional[0].text;
-    if (file.is_relative() && !line.words.origin.empty()) file = std::filesystem::path(line.words.origin).parent_path() / file;
-    if (!sourcing_.insert(file.lexically_normal().string()).second) throw line.error(line.positional[0], {.what = "files source each other in a circle"});
+    if (file.is_relative() && !line.words.origin.empty())
+      file = std::filesystem::path(line.words.origin).parent_path() / file;
+    if (!sourcing_.insert(file.lexically_normal().string()).second)
+      throw line.error(line.positional[0], {.what = "files source each other in a circle"});
     try {
       check(read_text(file), file.string());
     } catch (const Error& error) {
@@ -249,7 +316,8 @@ class Checker {
     if (instance.known.component == nullptr) return;
     for (const auto& port : instance.known.component->ports()) {
       const std::string full = name + "." + port.name();
-      if (port.direction() == fiona::REQUIRES && !wired_.contains(full)) result_.spots.push_back({full, port.service(), port.optional(), providers_of(port.service())});
+      if (port.direction() == fiona::REQUIRES && !wired_.contains(full))
+        result_.spots.push_back({full, port.service(), port.optional(), providers_of(port.service())});
     }
   }
 
@@ -257,7 +325,7 @@ class Checker {
   CheckResult result_;
   std::map<std::string, Instance> instances_;
   std::set<std::string> wired_;
-  std::set<std::string> offered_;   // by `market install` lines above
+  std::set<std::string> offered_;  // by `market install` lines above
   std::set<std::string> sourcing_;
 };
 
@@ -269,6 +337,8 @@ CheckResult check_text(std::string_view text, const std::string& origin, const C
   return checker.finish();
 }
 
-CheckResult check_system(const std::filesystem::path& file, const Catalogue& catalogue) { return check_text(read_text(file), file.string(), catalogue); }
+CheckResult check_system(const std::filesystem::path& file, const Catalogue& catalogue) {
+  return check_text(read_text(file), file.string(), catalogue);
+}
 
 }  // namespace fiona::console

@@ -13,19 +13,25 @@ std::vector<std::string> instance_names(const control::System& system) {
 }
 
 const control::InstanceStatus* find_instance(const control::System& system, std::string_view name) {
-  const auto found = std::find_if(system.instances().begin(), system.instances().end(), [name](const auto& instance) { return instance.name() == name; });
+  const auto found = std::find_if(system.instances().begin(), system.instances().end(),
+                                  [name](const auto& instance) { return instance.name() == name; });
   return found == system.instances().end() ? nullptr : &*found;
 }
 
 const control::PortStatus* find_port(const control::InstanceStatus& instance, std::string_view name) {
-  const auto found = std::find_if(instance.ports().begin(), instance.ports().end(), [name](const auto& port) { return port.name() == name; });
+  const auto found = std::find_if(instance.ports().begin(), instance.ports().end(),
+                                  [name](const auto& port) { return port.name() == name; });
   return found == instance.ports().end() ? nullptr : &*found;
 }
 
 const control::InstanceStatus& instance_at(const control::System& system, const Word& word, const Line& line) {
   const std::string name = word.text.substr(0, word.text.find('.'));
   if (const auto* instance = find_instance(system, name)) return *instance;
-  throw line.error(word, {.what = fmt::format("there is no instance '{}'", name), .next = "ls", .near = nearest_names(name, instance_names(system))}, ErrorCode::NotFound);
+  throw line.error(word,
+                   {.what = fmt::format("there is no instance '{}'", name),
+                    .next = "ls",
+                    .near = nearest_names(name, instance_names(system))},
+                   ErrorCode::NotFound);
 }
 
 const control::PortStatus& port_at(const control::System& system, const Word& word, const Line& line) {
@@ -34,7 +40,11 @@ const control::PortStatus& port_at(const control::System& system, const Word& wo
   if (const auto* port = find_port(instance, name.port())) return *port;
   std::vector<std::string> known;
   for (const auto& port : instance.ports()) known.push_back(port.name());
-  throw line.error(word, {.what = fmt::format("{} has no port '{}'", instance.name(), name.port()), .next = fmt::format("show {}", instance.name()), .near = nearest_names(name.port(), known)}, ErrorCode::NotFound);
+  throw line.error(word,
+                   {.what = fmt::format("{} has no port '{}'", instance.name(), name.port()),
+                    .next = fmt::format("show {}", instance.name()),
+                    .near = nearest_names(name.port(), known)},
+                   ErrorCode::NotFound);
 }
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
@@ -45,7 +55,9 @@ std::string short_name(std::string_view full_name) {
 }
 
 std::string connection_text(const control::PortStatus& port) {
-  const auto with_reason = [&port](const char* word) { return port.reason().empty() ? std::string(word) : fmt::format("{}: {}", word, port.reason()); };
+  const auto with_reason = [&port](const char* word) {
+    return port.reason().empty() ? std::string(word) : fmt::format("{}: {}", word, port.reason());
+  };
   switch (port.connection()) {
     case control::UNWIRED: return "unwired";
     case control::WAITING: return with_reason("waiting");
@@ -59,11 +71,13 @@ std::string health_text(const control::InstanceStatus& instance) {
   if (instance.mode() == "failed") return instance.reason().empty() ? "failed" : "failed: " + instance.reason();
   for (const auto connection : {control::LOST, control::WAITING}) {
     for (const auto& port : instance.ports()) {
-      if (port.direction() == fiona::REQUIRES && port.connection() == connection) return fmt::format("{} {}", connection == control::LOST ? "lost" : "waiting", port.name());
+      if (port.direction() == fiona::REQUIRES && port.connection() == connection)
+        return fmt::format("{} {}", connection == control::LOST ? "lost" : "waiting", port.name());
     }
   }
   for (const auto& port : instance.ports()) {
-    if (port.direction() == fiona::REQUIRES && !port.optional() && port.connection() == control::UNWIRED) return fmt::format("unwired {}", port.name());
+    if (port.direction() == fiona::REQUIRES && !port.optional() && port.connection() == control::UNWIRED)
+      return fmt::format("unwired {}", port.name());
   }
   return "ok";
 }

@@ -12,8 +12,8 @@ namespace fiona::console {
 class Table {
  public:
   struct Cell {
-    std::string text;       ///< for people: "50 Hz"
-    nlohmann::json value;   ///< for programs: 50.0
+    std::string text;      ///< for people: "50 Hz"
+    nlohmann::json value;  ///< for programs: 50.0
 
     Cell(std::string both) : text(both), value(std::move(both)) {}  // NOLINT: a row is a list of texts mostly
     Cell(const char* both) : Cell(std::string(both)) {}             // NOLINT

@@ -5,10 +5,10 @@
 #include <set>
 #include <utility>
 
-#include <fiona/error.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <google/protobuf/util/json_util.h>
+#include <fiona/error.hpp>
 
 #include "fiona/options.pb.h"
 
@@ -43,14 +43,16 @@ class PoolBuilder {
 
  private:
   struct Problems final : pb::DescriptorPool::ErrorCollector {
-    void AddError(const std::string&, const std::string& element, const pb::Message*, ErrorLocation, const std::string& message) override {
+    void AddError(const std::string&, const std::string& element, const pb::Message*, ErrorLocation,
+                  const std::string& message) override {
       if (text.empty()) text = element + ": " + message;
     }
     std::string text;
   };
 
   [[noreturn]] static void refuse(const std::string& name, const std::string& why) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the descriptors do not fit together: {}", why), .where = name});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("the descriptors do not fit together: {}", why), .where = name});
   }
 
   pb::DescriptorPool& pool_;
@@ -70,21 +72,39 @@ std::string scalar_text(const pb::Message& object, const pb::FieldDescriptor& fi
   const pb::Reflection& reflection = *object.GetReflection();
   const bool repeated = field.is_repeated();
   switch (field.cpp_type()) {
-    case pb::FieldDescriptor::CPPTYPE_INT32: return fmt::format("{}", repeated ? reflection.GetRepeatedInt32(object, &field, index) : reflection.GetInt32(object, &field));
-    case pb::FieldDescriptor::CPPTYPE_INT64: return fmt::format("{}", repeated ? reflection.GetRepeatedInt64(object, &field, index) : reflection.GetInt64(object, &field));
-    case pb::FieldDescriptor::CPPTYPE_UINT32: return fmt::format("{}", repeated ? reflection.GetRepeatedUInt32(object, &field, index) : reflection.GetUInt32(object, &field));
-    case pb::FieldDescriptor::CPPTYPE_UINT64: return fmt::format("{}", repeated ? reflection.GetRepeatedUInt64(object, &field, index) : reflection.GetUInt64(object, &field));
-    case pb::FieldDescriptor::CPPTYPE_DOUBLE: return number_text(repeated ? reflection.GetRepeatedDouble(object, &field, index) : reflection.GetDouble(object, &field), field);
-    case pb::FieldDescriptor::CPPTYPE_FLOAT: return number_text(repeated ? reflection.GetRepeatedFloat(object, &field, index) : reflection.GetFloat(object, &field), field);
-    case pb::FieldDescriptor::CPPTYPE_BOOL: return (repeated ? reflection.GetRepeatedBool(object, &field, index) : reflection.GetBool(object, &field)) ? "true" : "false";
+    case pb::FieldDescriptor::CPPTYPE_INT32:
+      return fmt::format(
+          "{}", repeated ? reflection.GetRepeatedInt32(object, &field, index) : reflection.GetInt32(object, &field));
+    case pb::FieldDescriptor::CPPTYPE_INT64:
+      return fmt::format(
+          "{}", repeated ? reflection.GetRepeatedInt64(object, &field, index) : reflection.GetInt64(object, &field));
+    case pb::FieldDescriptor::CPPTYPE_UINT32:
+      return fmt::format(
+          "{}", repeated ? reflection.GetRepeatedUInt32(object, &field, index) : reflection.GetUInt32(object, &field));
+    case pb::FieldDescriptor::CPPTYPE_UINT64:
+      return fmt::format(
+          "{}", repeated ? reflection.GetRepeatedUInt64(object, &field, index) : reflection.GetUInt64(object, &field));
+    case pb::FieldDescriptor::CPPTYPE_DOUBLE:
+      return number_text(
+          repeated ? reflection.GetRepeatedDouble(object, &field, index) : reflection.GetDouble(object, &field), field);
+    case pb::FieldDescriptor::CPPTYPE_FLOAT:
+      return number_text(
+          repeated ? reflection.GetRepeatedFloat(object, &field, index) : reflection.GetFloat(object, &field), field);
+    case pb::FieldDescriptor::CPPTYPE_BOOL:
+      return (repeated ? reflection.GetRepeatedBool(object, &field, index) : reflection.GetBool(object, &field))
+                 ? "true"
+                 : "false";
     case pb::FieldDescriptor::CPPTYPE_ENUM: {
-      const int number = repeated ? reflection.GetRepeatedEnumValue(object, &field, index) : reflection.GetEnumValue(object, &field);
+      const int number =
+          repeated ? reflection.GetRepeatedEnumValue(object, &field, index) : reflection.GetEnumValue(object, &field);
       const auto* value = field.enum_type()->FindValueByNumber(number);
       return value == nullptr ? fmt::format("{}", number) : value->name();
     }
     case pb::FieldDescriptor::CPPTYPE_STRING: {
-      const std::string text = repeated ? reflection.GetRepeatedString(object, &field, index) : reflection.GetString(object, &field);
-      return field.type() == pb::FieldDescriptor::TYPE_BYTES ? fmt::format("<{} bytes>", text.size()) : fmt::format("\"{}\"", text);
+      const std::string text =
+          repeated ? reflection.GetRepeatedString(object, &field, index) : reflection.GetString(object, &field);
+      return field.type() == pb::FieldDescriptor::TYPE_BYTES ? fmt::format("<{} bytes>", text.size())
+                                                             : fmt::format("\"{}\"", text);
     }
     case pb::FieldDescriptor::CPPTYPE_MESSAGE: break;
   }
@@ -97,7 +117,8 @@ bool is_below(std::string_view path, std::string_view above) {
 
 class Flattener {
  public:
-  Flattener(const std::vector<std::string>& wanted, int most_elements) : wanted_(wanted), most_elements_(most_elements) {}
+  Flattener(const std::vector<std::string>& wanted, int most_elements)
+      : wanted_(wanted), most_elements_(most_elements) {}
 
   void walk(const pb::Message& object, const std::string& prefix, int depth) {
     const pb::Descriptor& type = *object.GetDescriptor();
@@ -108,7 +129,9 @@ class Flattener {
 
  private:
   bool passes(const std::string& path, bool inner) const {
-    return wanted_.empty() || std::any_of(wanted_.begin(), wanted_.end(), [&path, inner](const std::string& want) { return is_below(path, want) || (inner && is_below(want, path)); });
+    return wanted_.empty() || std::any_of(wanted_.begin(), wanted_.end(), [&path, inner](const std::string& want) {
+             return is_below(path, want) || (inner && is_below(want, path));
+           });
   }
 
   void take(const pb::Message& object, const pb::FieldDescriptor& field, const std::string& prefix, int depth) {
@@ -155,18 +178,23 @@ class Flattener {
 };
 
 std::string type_text(const pb::FieldDescriptor& field) {
-  const std::string base = field.message_type() != nullptr ? field.message_type()->name() : field.enum_type() != nullptr ? "enum " + field.enum_type()->name() : field.type_name();
+  const std::string base = field.message_type() != nullptr ? field.message_type()->name()
+                           : field.enum_type() != nullptr  ? "enum " + field.enum_type()->name()
+                                                           : field.type_name();
   const auto& options = field.options();
   if (!field.is_repeated()) return field.has_optional_keyword() ? base + ", optional" : base;
   if (options.GetExtension(fiona::size) > 0) return fmt::format("{}[{}]", base, options.GetExtension(fiona::size));
-  return options.GetExtension(fiona::max_size) > 0 ? fmt::format("{}[up to {}]", base, options.GetExtension(fiona::max_size)) : base + "[]";
+  return options.GetExtension(fiona::max_size) > 0
+             ? fmt::format("{}[up to {}]", base, options.GetExtension(fiona::max_size))
+             : base + "[]";
 }
 
 std::string range_text(const pb::FieldDescriptor& field) {
   const auto& options = field.options();
   const bool low = options.HasExtension(fiona::min);
   const bool high = options.HasExtension(fiona::max);
-  if (low && high) return fmt::format("{:g} .. {:g}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
+  if (low && high)
+    return fmt::format("{:g} .. {:g}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
   if (low) return fmt::format("from {:g}", options.GetExtension(fiona::min));
   if (high) return fmt::format("up to {:g}", options.GetExtension(fiona::max));
   if (field.enum_type() == nullptr) return "";
@@ -175,14 +203,17 @@ std::string range_text(const pb::FieldDescriptor& field) {
   return fmt::format("{}", fmt::join(names, "|"));
 }
 
-void add_fields(Table& table, const pb::Descriptor& type, const std::string& prefix, std::vector<const pb::Descriptor*> above) {
+void add_fields(Table& table, const pb::Descriptor& type, const std::string& prefix,
+                std::vector<const pb::Descriptor*> above) {
   if (std::find(above.begin(), above.end(), &type) != above.end() || above.size() > kDeepest) return;
   above.push_back(&type);
   for (int i = 0; i < type.field_count(); ++i) {
     const pb::FieldDescriptor& field = *type.field(i);
     const auto& options = field.options();
-    table.add({prefix + field.name(), type_text(field), options.GetExtension(fiona::unit), range_text(field), options.GetExtension(fiona::doc)});
-    if (field.message_type() != nullptr) add_fields(table, *field.message_type(), prefix + field.name() + (field.is_repeated() ? "[]." : "."), above);
+    table.add({prefix + field.name(), type_text(field), options.GetExtension(fiona::unit), range_text(field),
+               options.GetExtension(fiona::doc)});
+    if (field.message_type() != nullptr)
+      add_fields(table, *field.message_type(), prefix + field.name() + (field.is_repeated() ? "[]." : "."), above);
   }
 }
 
@@ -209,7 +240,8 @@ std::unique_ptr<pb::Message> TypeSet::make(const std::string& full_name) const {
   return type == nullptr ? nullptr : std::unique_ptr<pb::Message>(factory_->GetPrototype(type)->New());
 }
 
-std::vector<FieldText> field_texts(const pb::Message& object, const std::vector<std::string>& wanted, int most_elements) {
+std::vector<FieldText> field_texts(const pb::Message& object, const std::vector<std::string>& wanted,
+                                   int most_elements) {
   Flattener flattener(wanted, most_elements);
   flattener.walk(object, "", 0);
   return std::move(flattener.found);
@@ -223,7 +255,8 @@ PathCheck check_path(const pb::Descriptor& type, std::string_view path) {
     const pb::FieldDescriptor* field = level == nullptr ? nullptr : level->FindFieldByName(std::string(name));
     if (field == nullptr) {
       PathCheck missing{.exists = false, .level = level == nullptr ? "" : level->name(), .known = {}};
-      for (int i = 0; level != nullptr && i < level->field_count(); ++i) missing.known.push_back(level->field(i)->name());
+      for (int i = 0; level != nullptr && i < level->field_count(); ++i)
+        missing.known.push_back(level->field(i)->name());
       return missing;
     }
     level = field->message_type();

@@ -18,7 +18,8 @@ namespace fiona::console {
 /// Types that came as descriptors, with which any object is read without compiled code.
 class TypeSet {
  public:
-  /// Files that a set lacks are taken from the platform's own. Throws fiona::Error (Failed) where they do not fit together.
+  /// Files that a set lacks are taken from the platform's own. Throws fiona::Error (Failed) where they do not fit
+  /// together.
   explicit TypeSet(const google::protobuf::FileDescriptorSet& files);
 
   /// By full name; nullptr where unknown. What the set does not have is looked for among the platform's types.
@@ -41,9 +42,10 @@ struct FieldText {
   std::string unit;
 };
 
-/// The fields that are set, in the order of their declaration, nested ones by path. With `wanted`, only those and what is
-/// below them. Long lists end in "… n more" after `most_elements`.
-std::vector<FieldText> field_texts(const google::protobuf::Message& object, const std::vector<std::string>& wanted, int most_elements = 8);
+/// The fields that are set, in the order of their declaration, nested ones by path. With `wanted`, only those and what
+/// is below them. Long lists end in "… n more" after `most_elements`.
+std::vector<FieldText> field_texts(const google::protobuf::Message& object, const std::vector<std::string>& wanted,
+                                   int most_elements = 8);
 
 /// Whether a path like "position.x" or "beacons[0].rssi" exists in the type; near names of the level that fails.
 struct PathCheck {

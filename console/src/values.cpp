@@ -21,7 +21,8 @@ bool is_unit(std::string_view text) {
   for (std::size_t at = 0; at < text.size();) {
     const Character next = decode(text.substr(at));
     const bool ascii_letter = next.code < 0x80 && std::isalpha(static_cast<int>(next.code)) != 0;
-    const bool sign = next.code == '%' || next.code == 0xb5 || next.code == 0x3bc || next.code == 0xb0 || next.code == 0x2126 || next.code == 0x3a9;
+    const bool sign = next.code == '%' || next.code == 0xb5 || next.code == 0x3bc || next.code == 0xb0 ||
+                      next.code == 0x2126 || next.code == 0x3a9;
     const bool inner = next.code == '/' || next.code == '^' || next.code == '*' || next.code == '2' || next.code == '3';
     if (!next.valid || !(ascii_letter || sign || (at > 0 && inner))) return false;
     at += next.bytes;
@@ -32,8 +33,11 @@ bool is_unit(std::string_view text) {
 std::optional<control::Value> number_of(const std::string& text) {
   std::string_view digits = text;
   if (digits.starts_with('+')) digits.remove_prefix(1);
-  const std::string_view unsigned_digits = digits.starts_with('-') && digits.size() != text.size() - 1 ? digits.substr(1) : digits;
-  const bool begins = !unsigned_digits.empty() && (is_digit(unsigned_digits[0]) || (unsigned_digits[0] == '.' && unsigned_digits.size() > 1 && is_digit(unsigned_digits[1])));
+  const std::string_view unsigned_digits =
+      digits.starts_with('-') && digits.size() != text.size() - 1 ? digits.substr(1) : digits;
+  const bool begins = !unsigned_digits.empty() &&
+                      (is_digit(unsigned_digits[0]) ||
+                       (unsigned_digits[0] == '.' && unsigned_digits.size() > 1 && is_digit(unsigned_digits[1])));
   if (!begins) return std::nullopt;
   double number = 0;
   const auto [end, problem] = std::from_chars(digits.data(), digits.data() + digits.size(), number);
@@ -85,14 +89,16 @@ std::string in_quotes(std::string_view text) {
 }
 
 std::string typed_number(const control::Value& value) {
-  std::string out = value.kind_case() == control::Value::kInteger ? fmt::format("{}", value.integer()) : fmt::format("{}", value.number());
+  std::string out = value.kind_case() == control::Value::kInteger ? fmt::format("{}", value.integer())
+                                                                  : fmt::format("{}", value.number());
   const bool looks_whole = out.find_first_not_of("-0123456789") == std::string::npos;
   if (value.kind_case() == control::Value::kNumber && looks_whole) out += ".0";
   return out + value.unit();
 }
 
 bool same_number(const control::Value& a, const control::Value& b) {
-  return a.kind_case() == b.kind_case() && a.number() == b.number() && a.integer() == b.integer() && a.unit() == b.unit();
+  return a.kind_case() == b.kind_case() && a.number() == b.number() && a.integer() == b.integer() &&
+         a.unit() == b.unit();
 }
 
 struct TimeUnit {
@@ -120,7 +126,8 @@ control::Value value_of(const Word& word, const WordLine& line) {
     }
     case WordKind::List:
       value.mutable_list();
-      for (const Word& element : detail::list_elements(word, line)) *value.mutable_list()->add_values() = value_of(element, line);
+      for (const Word& element : detail::list_elements(word, line))
+        *value.mutable_list()->add_values() = value_of(element, line);
       break;
   }
   return value;
@@ -148,7 +155,8 @@ std::string typed(const control::Value& value) {
       std::string out;
       for (const auto& element : value.list().values()) {
         std::string text = typed(element);
-        const bool breaks_list = element.kind_case() == control::Value::kText && text.find_first_of(",]") != std::string::npos && text[0] != '"';
+        const bool breaks_list = element.kind_case() == control::Value::kText &&
+                                 text.find_first_of(",]") != std::string::npos && text[0] != '"';
         out += (out.empty() ? "" : ", ") + (breaks_list ? in_quotes(element.text()) : text);
       }
       return "[" + out + "]";
@@ -160,25 +168,35 @@ std::string typed(const control::Value& value) {
 
 double duration_ms(const Word& word, const WordLine& line) {
   const auto value = word.kind == WordKind::Plain ? number_of(word.text) : std::nullopt;
-  const double number = !value ? -1 : value->kind_case() == control::Value::kInteger ? static_cast<double>(value->integer()) : value->number();
-  const auto unit = std::find_if(kTimeUnits.begin(), kTimeUnits.end(), [&value](const TimeUnit& known) { return value && known.name == value->unit(); });
+  const double number = !value                                           ? -1
+                        : value->kind_case() == control::Value::kInteger ? static_cast<double>(value->integer())
+                                                                         : value->number();
+  const auto unit = std::find_if(kTimeUnits.begin(), kTimeUnits.end(),
+                                 [&value](const TimeUnit& known) { return value && known.name == value->unit(); });
   if (number < 0 || unit == kTimeUnits.end()) {
-    throw LineError(line, word.place, {.what = fmt::format("'{}' is no duration", word.text), .expected = "a number with ns, us, ms, s, min or h: 500ms, 1.5s"});
+    throw LineError(line, word.place,
+                    {.what = fmt::format("'{}' is no duration", word.text),
+                     .expected = "a number with ns, us, ms, s, min or h: 500ms, 1.5s"});
   }
   return number * unit->ms;
 }
 
 unsigned count_of(const Word& word, const WordLine& line) {
   const auto value = word.kind == WordKind::Plain ? number_of(word.text) : std::nullopt;
-  const bool sound = value && value->kind_case() == control::Value::kInteger && value->unit().empty() && value->integer() >= 1 && value->integer() <= std::numeric_limits<std::int32_t>::max();
-  if (!sound) throw LineError(line, word.place, {.what = fmt::format("'{}' is no count", word.text), .expected = "a whole number from 1"});
+  const bool sound = value && value->kind_case() == control::Value::kInteger && value->unit().empty() &&
+                     value->integer() >= 1 && value->integer() <= std::numeric_limits<std::int32_t>::max();
+  if (!sound)
+    throw LineError(line, word.place,
+                    {.what = fmt::format("'{}' is no count", word.text), .expected = "a whole number from 1"});
   return static_cast<unsigned>(value->integer());
 }
 
 control::PortName port_name(const Word& word, const WordLine& line) {
   const std::size_t dot = word.text.find('.');
-  const bool sound = dot != std::string::npos && dot > 0 && dot + 1 < word.text.size() && word.text.find('.', dot + 1) == std::string::npos;
-  if (!sound) throw LineError(line, word.place, {.what = fmt::format("'{}' is no port", word.text), .expected = "instance.port"});
+  const bool sound = dot != std::string::npos && dot > 0 && dot + 1 < word.text.size() &&
+                     word.text.find('.', dot + 1) == std::string::npos;
+  if (!sound)
+    throw LineError(line, word.place, {.what = fmt::format("'{}' is no port", word.text), .expected = "instance.port"});
   control::PortName name;
   name.set_instance(word.text.substr(0, dot));
   name.set_port(word.text.substr(dot + 1));

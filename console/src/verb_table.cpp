@@ -14,16 +14,19 @@ std::vector<Shape> forms(std::initializer_list<std::string_view> texts) { return
 
 std::vector<Verb> composing_verbs() {
   return {
-      {"load", forms({"load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]"}), "creates an instance of a plugin",
+      {"load", forms({"load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]"}),
+       "creates an instance of a plugin",
        "PLUGIN is publisher/name, name, name/component where a plugin has several, or the path of a library.\n"
        "Without `as` the instance has the component's name; without `in` it lives in main; `at` is its first mode.",
        Access::Compose, verbs::load},
-      {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose, verbs::unload},
+      {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
+       verbs::unload},
       {"wire", forms({"wire INSTANCE.PORT to INSTANCE.PORT [every N]"}), "connects a required port to a provided one",
        "Checked before it is done; a port that has a wire already gets the new one without a gap.\n"
        "`every N` passes each N-th message of a push.",
        Access::Compose, verbs::wire},
-      {"unwire", forms({"unwire INSTANCE.PORT"}), "takes the wire of a required port away", "", Access::Compose, verbs::unwire},
+      {"unwire", forms({"unwire INSTANCE.PORT"}), "takes the wire of a required port away", "", Access::Compose,
+       verbs::unwire},
   };
 }
 
@@ -33,8 +36,10 @@ std::vector<Verb> operating_verbs() {
        "A number may carry a unit, which is converted: 200ms, 1.5m, 30deg.\n"
        "The instance `host` is the host itself: set host clock=virtual speed=0",
        Access::Operate, verbs::set},
-      {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe, verbs::get},
-      {"state", forms({"state INSTANCE [MODE]"}), "shows the mode, or changes it and waits until it is reached", "", Access::Operate, verbs::state},
+      {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe,
+       verbs::get},
+      {"state", forms({"state INSTANCE [MODE]"}), "shows the mode, or changes it and waits until it is reached", "",
+       Access::Operate, verbs::state},
   };
 }
 
@@ -43,13 +48,19 @@ std::vector<Verb> seeing_verbs() {
       {"ls", forms({"ls [instances|plugins|wires|services|hosts]"}), "lists what runs, is installed or connected",
        "health says ok, waiting, lost or failed; wires is connected/required.", Access::Observe, verbs::ls},
       {"show", forms({"show THING"}), "everything about an instance, port, plugin, service or object",
-       "THING: walk, walk.imu, trace-player, LocationProvider, CommLocation. Without a host, what is installed and what the platform knows.",
+       "THING: walk, walk.imu, trace-player, LocationProvider, CommLocation. Without a host, what is installed and "
+       "what the platform knows.",
        Access::Observe, verbs::show},
       {"spots", forms({"spots"}), "white spots: required ports that nobody serves, provided ones that nobody uses",
-       "Who could serve: running instances, installed plugins, packages of the marketplace, each with the line to type.", Access::Observe, verbs::spots},
-      {"watch", forms({"watch INSTANCE.PORT [FIELD …] [every T] [for T]", "watch stop [INSTANCE.PORT]"}), "prints what goes through a port",
-       "Any type. `every` is the shortest time between two lines, `for` ends it; both are time on your watch, not the system's clock.\n"
-       "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, Ctrl-C does.",
+       "Who could serve: running instances, installed plugins, packages of the marketplace, each with the line to "
+       "type.",
+       Access::Observe, verbs::spots},
+      {"watch", forms({"watch INSTANCE.PORT [FIELD …] [every T] [for T]", "watch stop [INSTANCE.PORT]"}),
+       "prints what goes through a port",
+       "Any type. `every` is the shortest time between two lines, on the system's clock and on yours; `for` ends it, "
+       "on yours.\n"
+       "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, Ctrl-C "
+       "does.",
        Access::Observe, verbs::watch},
   };
 }
@@ -57,30 +68,49 @@ std::vector<Verb> seeing_verbs() {
 std::vector<Verb> file_verbs() {
   return {
       {"check", forms({"check FILE"}), "reads a system file against the installed interfaces and starts nothing",
-       "Grammar, plugins, instances, ports, contracts, parameters: each mistake with line and column; then the white spots.", Access::Observe, verbs::check},
-      {"run", forms({"run FILE … [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR]"}), "starts a host and runs system files in it (from a shell)",
-       "In a terminal the prompt follows; --headless lets the system run until it ends, --for T for that long on its clock.\n"
-       "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code 4).",
+       "Grammar, plugins, instances, ports, contracts, parameters: each mistake with line and column; then the white "
+       "spots.",
+       Access::Observe, verbs::check},
+      {"run",
+       forms(
+           {"run FILE … [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR]"}),
+       "starts a host and runs system files in it (from a shell)",
+       "In a terminal the prompt follows; --headless lets the system run until it ends, --for T for that long on its "
+       "clock.\n"
+       "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
+       "4).",
        Access::Administer, verbs::run},
-      {"save", forms({"save FILE"}), "writes the running system as a file that gives it back", "Replaces the file in one step; a saved system that is run and saved again is the same text.", Access::Compose, verbs::save},
-      {"source", forms({"source FILE"}), "runs the lines of a file, up to the first that fails", "", Access::Compose, verbs::source},
+      {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
+       "Replaces the file in one step; a saved system that is run and saved again is the same text.", Access::Compose,
+       verbs::save},
+      {"source", forms({"source FILE"}), "runs the lines of a file, up to the first that fails", "", Access::Compose,
+       verbs::source},
   };
 }
 
 std::vector<Verb> waiting_verbs() {
   return {
-      {"wait", forms({"wait INSTANCE MODE [for T]"}), "waits until an instance is in a mode", "Time is the system's clock; without `for`, 2 s (or --timeout).", Access::Observe, verbs::wait},
-      {"expect", forms({"expect INSTANCE.PORT.FIELD OP VALUE [for T]"}), "waits until a field of a message fulfils a condition, and fails otherwise",
-       "OP: == != < <= > >=. Without `for` the next message decides. In a shell, quote < and >.", Access::Observe, verbs::expect},
-      {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe, verbs::sleep},
-      {"quit", forms({"quit [CODE]"}), "ends the host; its exit code is CODE", "To leave the prompt and let the host run: Ctrl-D.", Access::Administer, verbs::quit},
+      {"wait", forms({"wait INSTANCE MODE [for T]"}), "waits until an instance is in a mode",
+       "Time is the system's clock; without `for`, 2 s (or --timeout).", Access::Observe, verbs::wait},
+      {"expect", forms({"expect INSTANCE.PORT.FIELD OP VALUE [for T]"}),
+       "waits until a field of a message fulfils a condition, and fails otherwise",
+       "OP: == != < <= > >=. Without `for` the next message decides. In a shell, quote < and >.", Access::Observe,
+       verbs::expect},
+      {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe,
+       verbs::sleep},
+      {"quit", forms({"quit [CODE]"}), "ends the host; its exit code is CODE",
+       "To leave the prompt and let the host run: Ctrl-D.", Access::Administer, verbs::quit},
   };
 }
 
 std::vector<Verb> remaining_verbs() {
   return {
-      {"market", forms({"market search [WORD …] [--from DIR]", "market info PACKAGE [--from DIR]", "market install PACKAGE … [--from DIR] [-y]"}),
-       "finds packages and installs them", "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.", Access::Administer, verbs::market},
+      {"market",
+       forms({"market search [WORD …] [--from DIR]", "market info PACKAGE [--from DIR]",
+              "market install PACKAGE … [--from DIR] [-y]"}),
+       "finds packages and installs them",
+       "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.", Access::Administer,
+       verbs::market},
       {"help", forms({"help [VERB|exit|grammar]"}), "this, or one verb in full", "", Access::Observe, verbs::help},
       {"version", forms({"version"}), "the versions of console and host", "", Access::Observe, verbs::version},
   };
@@ -103,7 +133,8 @@ std::size_t matched_literals(const WordLine& words, const Shape& shape) {
 const std::vector<Verb>& verb_rows() {
   static const std::vector<Verb> kVerbs = [] {
     std::vector<Verb> all;
-    for (auto part : {composing_verbs(), operating_verbs(), seeing_verbs(), file_verbs(), waiting_verbs(), remaining_verbs()}) {
+    for (auto part :
+         {composing_verbs(), operating_verbs(), seeing_verbs(), file_verbs(), waiting_verbs(), remaining_verbs()}) {
       all.insert(all.end(), part.begin(), part.end());
     }
     return all;
@@ -112,7 +143,8 @@ const std::vector<Verb>& verb_rows() {
 }
 
 const Verb* find_verb(std::string_view name) {
-  const auto found = std::find_if(verb_rows().begin(), verb_rows().end(), [name](const Verb& verb) { return verb.name == name; });
+  const auto found =
+      std::find_if(verb_rows().begin(), verb_rows().end(), [name](const Verb& verb) { return verb.name == name; });
   return found == verb_rows().end() ? nullptr : &*found;
 }
 
@@ -132,23 +164,36 @@ const std::vector<GlobalOption>& global_options() {
 Line read_line(const WordLine& words) {
   static const std::vector<OptionSlot> kGlobal = global_slots();
   const Word& name = words.items.front().word;
-  if (words.items.front().name) throw LineError(words, words.items.front().name->place, {.what = "a line begins with a verb", .next = "help"});
+  if (words.items.front().name)
+    throw LineError(words, words.items.front().name->place, {.what = "a line begins with a verb", .next = "help"});
   const Verb* verb = name.kind == WordKind::Plain ? find_verb(name.text) : nullptr;
   if (verb == nullptr) {
     std::vector<std::string> known;
     for (const Verb& row : verb_rows()) known.push_back(row.name);
-    throw LineError(words, name.place, {.what = fmt::format("there is no verb '{}'", name.text), .next = "help", .near = nearest_names(name.text, known)});
+    throw LineError(words, name.place,
+                    {.what = fmt::format("there is no verb '{}'", name.text),
+                     .next = "help",
+                     .near = nearest_names(name.text, known)});
   }
   // The form whose literal word stands in the line is meant; otherwise the first that takes a word of any meaning.
-  const auto literal = std::find_if(verb->forms.begin(), verb->forms.end(), [&words](const Shape& shape) { return matched_literals(words, shape) > 0; });
+  const auto literal = std::find_if(verb->forms.begin(), verb->forms.end(),
+                                    [&words](const Shape& shape) { return matched_literals(words, shape) > 0; });
   if (literal != verb->forms.end()) return bind(words, *literal, kGlobal);
-  const auto open = std::find_if(verb->forms.begin(), verb->forms.end(), [](const Shape& shape) { return shape.positional().empty() || !shape.positional().front().placeholder().empty(); });
-  if (open != verb->forms.end() || verb->forms.size() == 1) return bind(words, open == verb->forms.end() ? verb->forms.front() : *open, kGlobal);
+  const auto open = std::find_if(verb->forms.begin(), verb->forms.end(), [](const Shape& shape) {
+    return shape.positional().empty() || !shape.positional().front().placeholder().empty();
+  });
+  if (open != verb->forms.end() || verb->forms.size() == 1)
+    return bind(words, open == verb->forms.end() ? verb->forms.front() : *open, kGlobal);
   std::vector<std::string> known;
   for (const Shape& shape : verb->forms) known.push_back(shape.positional().front().choices.front());
   const bool any = words.items.size() > 1;
   const Word& second = any ? words.items[1].word : name;
-  throw LineError(words, second.place, {.what = any ? fmt::format("{} cannot '{}'", name.text, second.text) : fmt::format("{} needs one more word", name.text), .expected = fmt::format("{}", fmt::join(known, ", ")), .next = fmt::format("help {}", name.text), .near = nearest_names(second.text, known)});
+  throw LineError(words, second.place,
+                  {.what = any ? fmt::format("{} cannot '{}'", name.text, second.text)
+                               : fmt::format("{} needs one more word", name.text),
+                   .expected = fmt::format("{}", fmt::join(known, ", ")),
+                   .next = fmt::format("help {}", name.text),
+                   .near = nearest_names(second.text, known)});
 }
 
 std::string access_text(Access access) {

@@ -25,8 +25,8 @@ struct Verb {
 
   std::string name;
   std::vector<Shape> forms;
-  std::string does;      ///< one line
-  std::string more;      ///< what else there is to know; lines
+  std::string does;  ///< one line
+  std::string more;  ///< what else there is to know; lines
   Access access;
   Handler handler;
 };
@@ -44,8 +44,8 @@ struct GlobalOption {
 };
 const std::vector<GlobalOption>& global_options();
 
-/// The line read by the form of its verb that fits best. Throws LineError: no such verb (with near names), or the first word
-/// that does not belong.
+/// The line read by the form of its verb that fits best. Throws LineError: no such verb (with near names), or the first
+/// word that does not belong.
 Line read_line(const WordLine& words);
 
 /// "operate (4)".

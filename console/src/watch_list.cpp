@@ -11,13 +11,15 @@ std::uint64_t WatchList::start(const WatchRequest& request) {
   message.mutable_watch()->set_min_period_ms(request.every_ms);
   const auto number = std::make_shared<std::uint64_t>(0);
   // The entry exists before any reply can be served: replies come in the reactor's waits only.
-  *number = session_.host().begin(std::move(message), [this, number](const control::Reply& reply) { arrived(*number, reply); });
+  *number = session_.host().begin(std::move(message),
+                                  [this, number](const control::Reply& reply) { arrived(*number, reply); });
   Running& watch = running_[*number];
   watch.request = request;
   watch.name = request.port.instance() + "." + request.port.port();
   watch.manner_json = session_.out.manner.json;
   if (request.for_ms) {
-    const auto end_at = std::chrono::steady_clock::now() + std::chrono::microseconds(static_cast<std::int64_t>(*request.for_ms * 1000));
+    const auto end_at =
+        std::chrono::steady_clock::now() + std::chrono::microseconds(static_cast<std::int64_t>(*request.for_ms * 1000));
     watch.timer = session_.reactor.add_timer(end_at, [this, id = *number] { end(id, true); });
   }
   return *number;
@@ -29,7 +31,8 @@ void WatchList::arrived(std::uint64_t id, const control::Reply& reply) {
   try {
     if (reply.has_failure()) throw_failure(reply.failure());
     if (reply.has_sample()) print(found->second, reply.sample());
-    if (reply.has_done() && found->second.samples == 0 && !reply.done().note().empty()) session_.out.remark(reply.done().note());
+    if (reply.has_done() && found->second.samples == 0 && !reply.done().note().empty())
+      session_.out.remark(reply.done().note());
   } catch (const Error& problem) {
     end(id, !reply.has_failure());
     // In a shell the watch is the command, and its failure the command's; elsewhere it is news beside other lines.
@@ -42,7 +45,12 @@ void WatchList::check_fields(const Running& watch) const {
   for (const std::string& field : watch.request.fields) {
     const PathCheck checked = check_path(*watch.object->GetDescriptor(), field);
     if (checked.exists) continue;
-    throw Error(ErrorCode::NotFound, ErrorText{.what = fmt::format("there is no field '{}' in {}", field, watch.object->GetDescriptor()->name()), .where = watch.name, .expected = checked.known.empty() ? "" : fmt::format("{}", fmt::join(checked.known, ", ")), .near = nearest_names(field, checked.known)});
+    throw Error(
+        ErrorCode::NotFound,
+        ErrorText{.what = fmt::format("there is no field '{}' in {}", field, watch.object->GetDescriptor()->name()),
+                  .where = watch.name,
+                  .expected = checked.known.empty() ? "" : fmt::format("{}", fmt::join(checked.known, ", ")),
+                  .near = nearest_names(field, checked.known)});
   }
 }
 
@@ -50,16 +58,33 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
   if (!watch.object) {
     watch.types = std::make_unique<TypeSet>(sample.files());
     watch.object = watch.types->make(sample.type());
-    if (!watch.object) throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the host did not describe the type {}", sample.type()), .where = watch.name});
+    if (!watch.object)
+      throw Error(
+          ErrorCode::Failed,
+          ErrorText{.what = fmt::format("the host did not describe the type {}", sample.type()), .where = watch.name});
     check_fields(watch);
   }
-  if (!watch.object->ParseFromString(sample.object())) throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("a {} cannot be read", sample.type()), .where = watch.name});
+  if (!watch.object->ParseFromString(sample.object()))
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("a {} cannot be read", sample.type()), .where = watch.name});
   ++watch.samples;
+  // The host counts `every` on the system's clock, which may run much faster than anybody reads. Half of it, so that
+  // a sample that comes a little early is not lost.
+  const auto now = std::chrono::steady_clock::now();
+  const std::chrono::duration<double, std::milli> since = now - watch.printed;
+  if (watch.samples > 1 && since.count() < watch.request.every_ms / 2) return;
+  watch.printed = now;
   Output& out = session_.out;
   const Manner before = out.manner;
   out.manner.json = watch.manner_json;
   if (watch.manner_json) {
-    out.object({{"watch", watch.name}, {"sequence", sample.sequence()}, {"time_s", sample.time_s()}, {"age_ms", sample.age_ms()}, {"skipped", sample.skipped()}, {"type", sample.type()}, {"object", object_json(*watch.object)}});
+    out.object({{"watch", watch.name},
+                {"sequence", sample.sequence()},
+                {"time_s", sample.time_s()},
+                {"age_ms", sample.age_ms()},
+                {"skipped", sample.skipped()},
+                {"type", sample.type()},
+                {"object", object_json(*watch.object)}});
   } else {
     std::vector<std::string> parts;
     for (const FieldText& field : field_texts(*watch.object, watch.request.fields, before.verbose ? 1000 : 8)) {

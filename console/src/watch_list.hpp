@@ -44,6 +44,7 @@ class WatchList {
     std::optional<std::uint64_t> timer;
     bool manner_json = false;
     std::uint64_t samples = 0;
+    SteadyTime printed{};
   };
 
   void arrived(std::uint64_t id, const control::Reply& reply);

@@ -11,17 +11,24 @@ namespace {
 
 constexpr std::size_t kMostOfAKind = 3;
 
-bool is_unserved(const control::PortStatus& port) { return port.direction() == fiona::REQUIRES && port.connection() != control::CONNECTED; }
-bool is_unused(const control::PortStatus& port) { return port.direction() == fiona::PROVIDES && port.clients().empty(); }
+bool is_unserved(const control::PortStatus& port) {
+  return port.direction() == fiona::REQUIRES && port.connection() != control::CONNECTED;
+}
+bool is_unused(const control::PortStatus& port) {
+  return port.direction() == fiona::PROVIDES && port.clients().empty();
+}
 
 void add_running(WhiteSpot& spot, const control::System& system) {
   std::size_t count = 0;
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
       const std::string name = instance.name() + "." + port.name();
-      const bool fits = port.service() == spot.service && (spot.required ? port.direction() == fiona::PROVIDES : is_unserved(port));
+      const bool fits =
+          port.service() == spot.service && (spot.required ? port.direction() == fiona::PROVIDES : is_unserved(port));
       if (!fits || ++count > kMostOfAKind) continue;
-      spot.fillers.push_back({"running", name, spot.required ? fmt::format("wire {} to {}", spot.port, name) : fmt::format("wire {} to {}", name, spot.port)});
+      spot.fillers.push_back({"running", name,
+                              spot.required ? fmt::format("wire {} to {}", spot.port, name)
+                                            : fmt::format("wire {} to {}", name, spot.port)});
     }
   }
 }
@@ -29,10 +36,13 @@ void add_running(WhiteSpot& spot, const control::System& system) {
 void add_known(WhiteSpot& spot, const Catalogue& catalogue) {
   std::size_t installed = 0;
   std::size_t offered = 0;
-  for (const KnownComponent& known : catalogue.with_port(spot.required ? fiona::PROVIDES : fiona::REQUIRES, spot.service)) {
+  for (const KnownComponent& known :
+       catalogue.with_port(spot.required ? fiona::PROVIDES : fiona::REQUIRES, spot.service)) {
     if (++(known.plugin->installed ? installed : offered) > kMostOfAKind) continue;
     const std::string what = fmt::format("{} {}", known.load_name(), known.plugin->manifest.version());
-    spot.fillers.push_back({known.plugin->installed ? "installed" : "market", what, known.plugin->installed ? fmt::format("load {}", known.load_name()) : fmt::format("market install {}", known.plugin->name())});
+    spot.fillers.push_back({known.plugin->installed ? "installed" : "market", what,
+                            known.plugin->installed ? fmt::format("load {}", known.load_name())
+                                                    : fmt::format("market install {}", known.plugin->name())});
   }
 }
 
@@ -44,12 +54,18 @@ std::vector<WhiteSpot> white_spots(const control::System& system, const Catalogu
     for (const auto& port : instance.ports()) {
       if (!is_unserved(port) && !is_unused(port)) continue;
       const bool required = port.direction() == fiona::REQUIRES;
-      WhiteSpot& spot = spots.emplace_back(WhiteSpot{required, port.optional(), instance.name() + "." + port.name(), port.service(), required ? connection_text(port) : "", {}});
+      WhiteSpot& spot = spots.emplace_back(WhiteSpot{required,
+                                                     port.optional(),
+                                                     instance.name() + "." + port.name(),
+                                                     port.service(),
+                                                     required ? connection_text(port) : "",
+                                                     {}});
       add_running(spot, system);
       add_known(spot, catalogue);
     }
   }
-  std::stable_sort(spots.begin(), spots.end(), [](const WhiteSpot& a, const WhiteSpot& b) { return a.required > b.required; });
+  std::stable_sort(spots.begin(), spots.end(),
+                   [](const WhiteSpot& a, const WhiteSpot& b) { return a.required > b.required; });
   return spots;
 }
 

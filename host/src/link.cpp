@@ -403,7 +403,9 @@ Links::Links(Pool& pool, std::string endpoint, OnLost on_lost)
   server_->start();
 }
 
-Links::~Links() {
+Links::~Links() { stop(); }
+
+void Links::stop() {
   server_->stop();
   for (auto& [endpoint, peer] : peers_) peer.link->stop();
 }

@@ -137,6 +137,8 @@ class Links {
   ~Links();
 
   const std::string& endpoint() const { return endpoint_; }
+  /// Closes the sockets: after it returned no message reaches a port any more.
+  void stop();
   /// Lets a peer open `wire` to `provider` if it brings `token`.
   void provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale);
   /// Opens `wire` from `client` to the process that listens at `endpoint`.

@@ -4,6 +4,7 @@
 #include <dlfcn.h>
 
 #include <boost/dll/shared_library.hpp>
+#include <optional>
 #include <system_error>
 
 #include "fiona/describe.hpp"
@@ -13,7 +14,7 @@ namespace fiona::host {
 
 struct PluginLibraries::Library {
   boost::dll::shared_library handle;
-  Plugin plugin;
+  std::optional<Plugin> plugin;  ///< none while its entry has not been accepted
   std::string owner;
   std::filesystem::file_time_type written;
 };
@@ -76,11 +77,11 @@ void PluginLibraries::check_before_opening(const std::string& name, const std::f
   }
 }
 
-const Plugin& PluginLibraries::open(const std::string& name, const std::filesystem::path& path,
-                                    const Interface& interface) {
+PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const std::filesystem::path& path,
+                                                  const Interface& interface) {
   if (const auto known = libraries_.find(path); known != libraries_.end()) {
     std::error_code ignored;
-    if (std::filesystem::last_write_time(path, ignored) == known->second->written) return known->second->plugin;
+    if (std::filesystem::last_write_time(path, ignored) == known->second->written) return *known->second;
     refuse(name, path, {.what = "the file has changed since it was loaded, and a library is never unloaded",
                         .next = "load " + name + " in GROUP: a group is a process of its own"});
   }
@@ -90,22 +91,28 @@ const Plugin& PluginLibraries::open(const std::string& name, const std::filesyst
   library->written = std::filesystem::exists(path) ? std::filesystem::last_write_time(path) : std::filesystem::file_time_type{};
   library->handle = load(name, path);
   for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), name);
-  auto& opened = *library;
-  libraries_.emplace(path, std::move(library));
-  if (!opened.handle.has(kPluginEntrySymbol)) {
+  return *libraries_.emplace(path, std::move(library)).first->second;
+}
+
+const Plugin& PluginLibraries::open(const std::string& name, const std::filesystem::path& path,
+                                    const Interface& interface) {
+  Library& library = opened(name, path, interface);
+  if (library.plugin) return *library.plugin;
+  if (!library.handle.has(kPluginEntrySymbol)) {
     refuse(name, path, {.what = "it has no entry",
                         .expected = std::string("the symbol ") + kPluginEntrySymbol,
                         .next = "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } defines it"});
   }
-  const auto& entry = *opened.handle.get<const PluginEntry*()>(kPluginEntrySymbol)();
+  const auto& entry = *library.handle.get<const PluginEntry*()>(kPluginEntrySymbol)();
   if (entry.size < sizeof(PluginEntry) || entry.edge_version != kPluginEdgeVersion || std::string_view(entry.abi) != kAbiTag) {
     refuse(name, path, {.what = "the library is not the one that its interface describes",
                         .expected = kAbiTag,
                         .found = entry.abi,
                         .next = "install the package again"});
   }
-  entry.declare(opened.plugin);
-  return opened.plugin;
+  Plugin plugin;
+  entry.declare(plugin);
+  return library.plugin.emplace(std::move(plugin));
 }
 
 }  // namespace fiona::host

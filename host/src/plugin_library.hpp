@@ -25,6 +25,7 @@ class PluginLibraries {
 
  private:
   struct Library;
+  Library& opened(const std::string& name, const std::filesystem::path& path, const Interface& interface);
   void check_before_opening(const std::string& name, const std::filesystem::path& path, const Interface& interface) const;
 
   std::map<std::filesystem::path, std::unique_ptr<Library>> libraries_;

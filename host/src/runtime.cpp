@@ -12,6 +12,28 @@ namespace {
 /// How long a life-cycle call of a component may take before the host gives up on it.
 constexpr Duration kLifeCycleDeadline = std::chrono::seconds(10);
 
+void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& library) {
+  try {
+    hull.create(entry.make);
+  } catch (const Error&) {
+    throw;
+  } catch (const std::exception& error) {
+    throw Error(ErrorCode::ComponentFailed,
+                {.what = "component '" + entry.name + "' cannot be made: " + error.what(),
+                 .where = library,
+                 .expected = "a constructor that only declares; on_start() opens files and devices",
+                 .next = "tell the publisher"});
+  }
+}
+
+/// The text of what went wrong at a load: there is no instance afterwards that one could look at.
+ErrorText without_instance(ErrorText text, const std::string& instance) {
+  if (text.next == "show " + instance || text.next == "get " + instance) {
+    text.next = "'" + instance + "' was not loaded: correct that, then load it again";
+  }
+  return text;
+}
+
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 
 control::Connection to_proto(Connection connection) { return static_cast<control::Connection>(connection); }
@@ -101,6 +123,7 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
       }) {}
 
 Runtime::~Runtime() {
+  links_.stop();
   for (auto& [id, wire] : wires_) wire.local->cut();
   for (auto& [name, instance] : instances_) instance->hull->shut_down(kLifeCycleDeadline);
 }
@@ -166,7 +189,7 @@ void Runtime::create(const wire::Create& request) {
   instance->hull = std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, *this, request.share()});
   Hull& hull = *instance->hull;
   try {
-    hull.create(entry->make);
+    make_component(hull, *entry, request.library());
     const auto difference = interface_difference(interface_of(hull, entry->name, entry->doc), *packaged);
     if (!difference.empty()) {
       throw Error(ErrorCode::Failed, {.what = "component '" + request.component() + "' is not what its package says: " + difference,
@@ -176,9 +199,9 @@ void Runtime::create(const wire::Create& request) {
     const std::vector<control::Argument> parameters(request.parameters().begin(), request.parameters().end());
     hull.set_parameters(parameters, kDefaultDeadline);
     hull.set_mode(request.mode().empty() ? hull.main_modes().front() : request.mode(), kLifeCycleDeadline);
-  } catch (...) {
+  } catch (const Error& error) {
     hull.shut_down(kLifeCycleDeadline);
-    throw;
+    throw Error(error.code(), without_instance(error.text(), request.instance()));
   }
   instances_.emplace(request.instance(), std::move(instance));
 }

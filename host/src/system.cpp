@@ -44,22 +44,28 @@ void require_name(const std::string& name, std::string_view kind) {
 }  // namespace
 
 System::System(Options options, OnEvent on_event)
-    : options_(std::move(options)), on_event_(std::move(on_event)), store_(options_.store), pool_(options_.threads) {
+    : options_(std::move(options)), on_event_(std::move(on_event)), store_(options_.store) {
   use_clock(std::make_unique<SystemClock>());
 }
 
-System::~System() {
+System::~System() { end_threads(); }
+
+/// Groups, then threads, then the clock: a strand tells the clock that it is idle after its last job has ended.
+void System::end_threads() {
   groups_.clear();
+  if (waits_) waits_->stop();
+  pool_.reset();
+  waits_.reset();
 }
 
 void System::use_clock(std::unique_ptr<Clock> clock) {
-  groups_.clear();
-  waits_.reset();
+  end_threads();
   clock_ = std::move(clock);
-  waits_ = std::make_unique<Waits>(*clock_, pool_);
+  pool_ = std::make_unique<Pool>(options_.threads);
+  waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (options_.directory / (options_.name + ".main.ipc")).string();
   groups_[std::string(kMain)] =
-      std::make_unique<MainGroup>(pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) { deliver(event); });
+      std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) { deliver(event); });
 }
 
 /// Waits first, on the thread where it happened; then whoever else listens.
@@ -192,7 +198,7 @@ std::string System::load(const control::Load& request) {
                                    .found = instances_.at(name).package.name,
                                    .next = fmt::format("load {} as OTHER-NAME, or: unload {}", request.plugin(), name)});
   }
-  types_.add(package.name, package.interface);
+  auto types = Types::read(package.name, package.interface);
   Group& target = group(request.group());
   wire::GroupRequest create;
   auto& c = *create.mutable_create();
@@ -205,11 +211,25 @@ std::string System::load(const control::Load& request) {
   *c.mutable_interface() = package.interface;
   *c.mutable_parameters() = request.parameters();
   c.set_mode(request.mode());
-  target.request(std::move(create));
+  try {
+    target.request(std::move(create));
+  } catch (...) {
+    retire_if_empty(target);
+    throw;
+  }
+  types_.add(package.name, std::move(types));
   const std::string note = fmt::format("{} {} as {}{}", package.name, package.version, name,
                                        target.name() == kMain ? "" : " in " + target.name());
   instances_.emplace(name, Instance{std::move(package), target.name(), {}, next_order_++});
   return note;
+}
+
+/// A process that was started for an instance that could not be made has no purpose.
+void System::retire_if_empty(const Group& target) {
+  const std::string name = target.name();
+  const bool used = std::any_of(instances_.begin(), instances_.end(),
+                                [&](const auto& entry) { return entry.second.group == name; });
+  if (!used && name != kMain) groups_.erase(name);
 }
 
 std::string System::unload(const control::Unload& request) {
@@ -460,13 +480,19 @@ std::vector<ChildGroup*> System::child_groups() {
   std::vector<ChildGroup*> children;
   for (auto& [name, one] : groups_) {
     auto* child = dynamic_cast<ChildGroup*>(one.get());
-    if (child && child->alive()) children.push_back(child);
+    if (!child) continue;
+    // A request may have found the end of the process before its socket was polled.
+    if (!child->alive()) lose(*child);
+    if (child->alive()) children.push_back(child);
   }
   return children;
 }
 
-void System::serve_group(ChildGroup& gone) {
-  if (gone.serve()) return;
+void System::serve_group(ChildGroup& group) {
+  if (!group.serve()) lose(group);
+}
+
+void System::lose(ChildGroup& gone) {
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   for (auto& [name, one] : groups_) {
     if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
@@ -531,6 +557,23 @@ void System::complete_status(control::InstanceStatus& status) const {
   }
 }
 
+/// The instances of a group; none when the process turns out to be gone, which is then noted.
+std::vector<control::InstanceStatus> System::status_of_group(Group& target) {
+  std::vector<control::InstanceStatus> found;
+  if (!target.alive()) return found;
+  wire::GroupRequest request;
+  request.mutable_status();
+  try {
+    const auto reply = target.request(std::move(request));
+    std::copy_if(reply.status().instances().begin(), reply.status().instances().end(), std::back_inserter(found),
+                 [this](const auto& one) { return instances_.contains(one.name()); });
+  } catch (const Error&) {
+    if (target.alive()) throw;
+    if (auto* child = dynamic_cast<ChildGroup*>(&target)) lose(*child);
+  }
+  return found;
+}
+
 control::System System::snapshot() {
   control::System all;
   all.set_host(options_.name);
@@ -544,14 +587,8 @@ control::System System::snapshot() {
     auto& status = *all.add_groups();
     status.set_name(name);
     status.set_process(one->process());
+    for (auto& in_group : status_of_group(*one)) ordered[instances_.at(in_group.name()).order] = std::move(in_group);
     status.set_alive(one->alive());
-    if (!one->alive()) continue;
-    wire::GroupRequest request;
-    request.mutable_status();
-    const auto reply = one->request(std::move(request));
-    for (const auto& in_group : reply.status().instances()) {
-      if (instances_.contains(in_group.name())) ordered[instances_.at(in_group.name()).order] = in_group;
-    }
   }
   for (const auto& [name, one] : instances_) {
     if (!one.lost.empty()) ordered[one.order] = status_of_lost(name, one);

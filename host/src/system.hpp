@@ -52,7 +52,7 @@ class System {
   Clock& clock() { return *clock_; }
   /// The groups that are child processes: poll their descriptors, call `serve_group` when readable.
   std::vector<ChildGroup*> child_groups();
-  void serve_group(ChildGroup& group);
+  void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
 
@@ -88,6 +88,9 @@ class System {
   Installed find_library(const std::filesystem::path& library) const;
   static std::string choose_component(const Interface& interface, const std::string& plugin, const std::string& wanted);
   Group& group(const std::string& name);
+  void retire_if_empty(const Group& target);
+  void lose(ChildGroup& gone);
+  std::vector<control::InstanceStatus> status_of_group(Group& target);
   Instance& instance(const std::string& name);
   std::vector<std::string> instance_names() const;
   PortRef port(const control::PortName& name, Direction direction);
@@ -97,6 +100,7 @@ class System {
   void disconnect(const control::PortName& client, const Wire& wire, bool last, const std::string& reason);
   void set_host(const control::Set& request);
   void use_clock(std::unique_ptr<Clock> clock);
+  void end_threads();
   control::InstanceStatus status_of_lost(const std::string& name, const Instance& instance) const;
   void complete_status(control::InstanceStatus& status) const;
   void deliver(const wire::GroupMessage& event);
@@ -106,8 +110,8 @@ class System {
   marketplace::Store store_;
   Types types_;
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
-  Pool pool_;
   std::unique_ptr<Clock> clock_;
+  std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::map<std::string, Instance> instances_;

@@ -1,6 +1,7 @@
 #include "types.hpp"
 
 #include <functional>
+#include <mutex>
 #include <set>
 
 #include "fiona/error.hpp"
@@ -20,7 +21,9 @@ using google::protobuf::FileDescriptor;
 using google::protobuf::ServiceDescriptor;
 
 /// A plugin's protos, on top of the platform's, in a pool of their own: two versions of a file can be known at once.
-struct Types::Source {
+class Types::Source {
+ public:
+  std::string content;  ///< the descriptors, serialised: tells builds apart
   DescriptorPool pool{DescriptorPool::generated_pool()};
   std::vector<const FileDescriptor*> files;
   mutable google::protobuf::DynamicMessageFactory factory;
@@ -37,6 +40,12 @@ std::vector<const FileDescriptor*> catalogue() {
           hmi::NextTurn::descriptor()->file()};
 }
 
+bool is_same(const FileDescriptor& built, const google::protobuf::FileDescriptorProto& file) {
+  google::protobuf::FileDescriptorProto own;
+  built.CopyTo(&own);
+  return own.SerializeAsString() == file.SerializeAsString();
+}
+
 void add_with_imports(const FileDescriptor& file, std::set<std::string>& seen, google::protobuf::FileDescriptorSet& set) {
   if (!seen.insert(file.name()).second) return;
   for (int i = 0; i < file.dependency_count(); ++i) add_with_imports(*file.dependency(i), seen, set);
@@ -48,21 +57,32 @@ void add_with_imports(const FileDescriptor& file, std::set<std::string>& seen, g
 Types::Types() = default;
 Types::~Types() = default;
 
-void Types::add(const std::string& plugin, const Interface& interface) {
-  auto source = std::make_unique<Source>();
+std::shared_ptr<const Types::Source> Types::read(const std::string& plugin, const Interface& interface) {
+  auto source = std::make_shared<Source>();
+  source->content = interface.descriptors().SerializeAsString();
   for (const auto& file : interface.descriptors().file()) {
+    // Libraries of this process may have brought the file, or another one of the same name.
     const FileDescriptor* built = source->pool.FindFileByName(file.name());
-    if (!built) built = source->pool.BuildFile(file);
+    if (!built || !is_same(*built, file)) built = source->pool.BuildFile(file);
     if (!built) {
       throw Error(ErrorCode::Failed, {.what = "the interface of plugin '" + plugin + "' has a proto that does not fit: " + file.name(),
                                       .next = "install the package again, or ask the publisher to pack it again"});
     }
     source->files.push_back(built);
   }
-  plugins_.insert_or_assign(plugin, std::move(source));
+  return source;
+}
+
+void Types::add(const std::string& plugin, std::shared_ptr<const Source> source) {
+  const std::unique_lock lock(mutex_);
+  auto& known = plugins_[plugin];
+  if (known && known->content == source->content) return;
+  if (known) replaced_.push_back(std::move(known));
+  known = std::move(source);
 }
 
 const ServiceDescriptor* Types::service(const std::string& plugin, const std::string& full_name) const {
+  const std::shared_lock lock(mutex_);
   const auto source = plugins_.find(plugin);
   return source == plugins_.end() ? DescriptorPool::generated_pool()->FindServiceByName(full_name)
                                   : source->second->pool.FindServiceByName(full_name);
@@ -73,6 +93,7 @@ std::unique_ptr<google::protobuf::Message> Types::make(const std::string& type) 
     return std::unique_ptr<google::protobuf::Message>(
         google::protobuf::MessageFactory::generated_factory()->GetPrototype(known)->New());
   }
+  const std::shared_lock lock(mutex_);
   for (const auto& [plugin, source] : plugins_) {
     const auto* known = source->pool.FindMessageTypeByName(type);
     if (known) return std::unique_ptr<google::protobuf::Message>(source->factory.GetPrototype(known)->New());
@@ -88,6 +109,7 @@ google::protobuf::FileDescriptorSet Types::files_of(const FileDescriptor& file) 
 }
 
 control::Description Types::describe(const std::string& name) const {
+  const std::shared_lock lock(mutex_);
   std::vector<const FileDescriptor*> files = catalogue();
   for (const auto& [plugin, source] : plugins_) files.insert(files.end(), source->files.begin(), source->files.end());
   std::vector<std::string> known;

@@ -5,6 +5,7 @@
 
 #include <map>
 #include <memory>
+#include <shared_mutex>
 #include <string>
 #include <vector>
 
@@ -14,14 +15,17 @@
 namespace fiona::host {
 
 /// The services and objects that the system knows: the platform's, and those that the interfaces of loaded plugins
-/// carry. Never needs a plugin's code.
+/// carry. Never needs a plugin's code. All functions [any thread].
 class Types {
  public:
   Types();
   ~Types();
 
-  /// Learns a plugin's own protos; once per plugin.
-  void add(const std::string& plugin, const Interface& interface);
+  class Source;
+  /// A plugin's own protos, which become known with `add`. Throws Error when they do not fit together.
+  static std::shared_ptr<const Source> read(const std::string& plugin, const Interface& interface);
+  /// Learns a plugin's protos; those of an earlier build of it stay alive for what is made of them.
+  void add(const std::string& plugin, std::shared_ptr<const Source> source);
 
   /// The service as `plugin` has it; null if unknown.
   const google::protobuf::ServiceDescriptor* service(const std::string& plugin, const std::string& full_name) const;
@@ -33,8 +37,9 @@ class Types {
   control::Description describe(const std::string& name) const;
 
  private:
-  struct Source;
-  std::map<std::string, std::unique_ptr<Source>> plugins_;
+  mutable std::shared_mutex mutex_;
+  std::map<std::string, std::shared_ptr<const Source>> plugins_;
+  std::vector<std::shared_ptr<const Source>> replaced_;
 };
 
 /// "fiona.localisation.LocationProvider" -> "LocationProvider".

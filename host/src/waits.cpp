@@ -49,7 +49,7 @@ Waits::Waits(Clock& clock, Executor& executor)
       // Not an instance: named so that no instance can be (a slash), and first in the order of an instant.
       strand_(std::make_shared<Strand>("/host", executor, clock)) {}
 
-Waits::~Waits() { strand_->close(); }
+Waits::~Waits() { stop(); }
 
 Waits::WaitPtr Waits::add(std::uint64_t owner, std::uint64_t id, Answer answer) {
   auto wait = std::make_shared<Wait>();

@@ -23,6 +23,8 @@ class Waits {
 
   Waits(Clock& clock, Executor& executor);
   ~Waits();
+  /// Lets go of the executor: what is timed does not end any more.
+  void stop() { strand_->close(); }
 
   void wait_mode(std::uint64_t owner, std::uint64_t id, const control::WaitMode& request, Answer answer);
   /// `tap` is the watched port's tap; what it delivers is offered to `on_event`.

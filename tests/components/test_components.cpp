@@ -1,6 +1,7 @@
 // Components that the conformance tests load as any system would: from a library, through the host.
 #include <fiona/plugin.hpp>
 
+#include <algorithm>
 #include <chrono>
 #include <stdexcept>
 #include <string>
@@ -164,6 +165,54 @@ class Asker final : public Component {
   Timer next_{*this, &Asker::ask_next};
 };
 
+/// Puts samples at a pace, stamped at the last moment: the sending half of a latency benchmark.
+class Pacer final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) next_.at(now());
+  }
+
+ private:
+  void put_next() {
+    if (++number_ < params_->count()) {
+      next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+    }
+    auto sample = samples_.make();
+    sample->set_number(number_);
+    sample->mutable_payload()->assign(params_->payload(), 'x');
+    sample->set_sent_ns(steady_ns());
+    samples_.put(std::move(sample));
+  }
+  std::uint64_t number_ = 0;
+  Params<SourceParams> params_{*this};
+  Provides<SampleNewest> samples_{*this, "samples"};
+  Timer next_{*this, &Pacer::put_next};
+};
+
+/// The receiving half: after `count` messages reports the median latency in `value`, the 99th percentile in `sent_ns`.
+class Stopwatch final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_sample(const Sample& sample) {
+    latencies_ns_.push_back(steady_ns() - sample.sent_ns());
+    if (latencies_ns_.size() < params_->count()) return;
+    std::sort(latencies_ns_.begin(), latencies_ns_.end());
+    Sample report;
+    report.set_number(latencies_ns_.size());
+    report.set_value(static_cast<double>(latencies_ns_[latencies_ns_.size() / 2]));
+    report.set_sent_ns(latencies_ns_[latencies_ns_.size() * 99 / 100]);
+    latencies_ns_.clear();
+    report_.put(std::move(report));
+  }
+  std::vector<std::int64_t> latencies_ns_;
+  Params<SourceParams> params_{*this};
+  Requires<SampleNewest> samples_{*this, "samples", &Stopwatch::on_sample};
+  Provides<SampleLast> report_{*this, "report"};
+};
+
 }  // namespace fiona::test
 
 FIONA_PLUGIN(plugin) {
@@ -171,4 +220,6 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Sink>("sink", "counts what it receives");
   plugin.add<fiona::test::Answerer>("answerer", "answers in the manner asked for");
   plugin.add<fiona::test::Asker>("asker", "asks, and reports the outcome");
+  plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
+  plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
 }

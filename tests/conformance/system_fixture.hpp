@@ -1,6 +1,5 @@
 #pragma once
 
-#include <gtest/gtest.h>
 
 #include <condition_variable>
 #include <filesystem>

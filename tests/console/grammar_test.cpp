@@ -7,7 +7,8 @@ namespace {
 
 std::vector<std::string> texts(const WordLine& line) {
   std::vector<std::string> out;
-  for (const auto& item : line.items) out.push_back(item.name ? item.name->text + "=" + item.word.text : item.word.text);
+  for (const auto& item : line.items)
+    out.push_back(item.name ? item.name->text + "=" + item.word.text : item.word.text);
   return out;
 }
 
@@ -27,7 +28,9 @@ std::string error_of(const std::string& text) {
   return "no error";
 }
 
-TEST(Grammar, BlanksSplitALineIntoWords) { EXPECT_EQ(texts(split_line("  load\ttrace-player   as walk ")), (Texts{"load", "trace-player", "as", "walk"})); }
+TEST(Grammar, BlanksSplitALineIntoWords) {
+  EXPECT_EQ(texts(split_line("  load\ttrace-player   as walk ")), (Texts{"load", "trace-player", "as", "walk"}));
+}
 
 TEST(Grammar, ACommentEndsTheLine) { EXPECT_EQ(texts(split_line("ls # everything")), Texts{"ls"}); }
 
@@ -35,22 +38,32 @@ TEST(Grammar, AHashInsideAWordIsNoComment) { EXPECT_EQ(texts(split_line("show a#
 
 TEST(Grammar, ALineOfACommentIsEmpty) { EXPECT_TRUE(split_line("# nothing").empty()); }
 
-TEST(Grammar, EscapesInsideQuotesAreWhatTheySay) { EXPECT_EQ(texts(split_line(R"(show "a \"b\" \\ \n \t \u{e9}\u{1F6B6}")")), (Texts{"show", "a \"b\" \\ \n \t é🚶"})); }
+TEST(Grammar, EscapesInsideQuotesAreWhatTheySay) {
+  EXPECT_EQ(texts(split_line(R"(show "a \"b\" \\ \n \t \u{e9}\u{1F6B6}")")), (Texts{"show", "a \"b\" \\ \n \t é🚶"}));
+}
 
 TEST(Grammar, AQuotedKeywordIsNoKeyword) { EXPECT_FALSE(split_line("\"to\"").items[0].word.is_plain("to")); }
 
-TEST(Grammar, ATrailingBackslashContinuesTheLine) { EXPECT_EQ(texts(split_line("wire nav.imu \\\n  to walk.imu")), (Texts{"wire", "nav.imu", "to", "walk.imu"})); }
+TEST(Grammar, ATrailingBackslashContinuesTheLine) {
+  EXPECT_EQ(texts(split_line("wire nav.imu \\\n  to walk.imu")), (Texts{"wire", "nav.imu", "to", "walk.imu"}));
+}
 
-TEST(Grammar, ABackslashAtTheEndOfACommentContinuesNothing) { EXPECT_EQ(split_script("ls # a \\\nspots", "").size(), 2U); }
+TEST(Grammar, ABackslashAtTheEndOfACommentContinuesNothing) {
+  EXPECT_EQ(split_script("ls # a \\\nspots", "").size(), 2U);
+}
 
-TEST(Grammar, WindowsLineEndsAndAByteOrderMarkAreRead) { EXPECT_EQ(split_script("\xef\xbb\xbfls\r\nspots\r\n", "").size(), 2U); }
+TEST(Grammar, WindowsLineEndsAndAByteOrderMarkAreRead) {
+  EXPECT_EQ(split_script("\xef\xbb\xbfls\r\nspots\r\n", "").size(), 2U);
+}
 
 TEST(Grammar, ANameAndItsValueAreOneArgument) {
   const WordLine line = split_line(R"(set a name="x y" rate=5 list=[1, "b c"])");
   EXPECT_EQ(texts(line), (Texts{"set", "a", "name=x y", "rate=5", "list=[1, \"b c\"]"}));
 }
 
-TEST(Grammar, AComparisonIsNoArgument) { EXPECT_EQ(texts(split_line("expect a.b.c == 5")), (Texts{"expect", "a.b.c", "==", "5"})); }
+TEST(Grammar, AComparisonIsNoArgument) {
+  EXPECT_EQ(texts(split_line("expect a.b.c == 5")), (Texts{"expect", "a.b.c", "==", "5"}));
+}
 
 TEST(Grammar, PlacesCountCodePointsFromOne) {
   const WordLine line = split_script("ls\n  show é walk", "f")[1];
@@ -58,7 +71,8 @@ TEST(Grammar, PlacesCountCodePointsFromOne) {
 }
 
 TEST(Grammar, AnErrorNamesFileLineAndColumnAndPutsACaretUnderTheWord) {
-  EXPECT_EQ(error_of("ls\nshow \"abc"), "a.fiona:2:6: this quote is never closed\n  next: close it with \" on the same line\nshow \"abc\n     ^");
+  EXPECT_EQ(error_of("ls\nshow \"abc"),
+            "a.fiona:2:6: this quote is never closed\n  next: close it with \" on the same line\nshow \"abc\n     ^");
 }
 
 TEST(Grammar, TheCaretStandsRightAfterCharactersThatAreShownLonger) {
@@ -66,25 +80,43 @@ TEST(Grammar, TheCaretStandsRightAfterCharactersThatAreShownLonger) {
   EXPECT_EQ(text.substr(text.find("show")), "show \\u{202e}\"\n             ^");
 }
 
-TEST(Grammar, AnUnknownEscapeIsRefused) { EXPECT_EQ(error_of(R"(show "\x")").substr(0, 42), "a.fiona:1:7: this escape is not known\n  ex"); }
-
-TEST(Grammar, SurrogatesAndZeroAreNoCharacters) {
-  for (const char* text : {R"("\u{d800}")", R"("\u{0}")", R"("\u{110000}")", R"("\u{}")", R"("\u{g}")", R"("\u65")", R"("\u{1234567}")"}) EXPECT_NE(error_of(text).find("this is no character"), std::string::npos) << text;
+TEST(Grammar, AnUnknownEscapeIsRefused) {
+  EXPECT_EQ(error_of(R"(show "\x")").substr(0, 42), "a.fiona:1:7: this escape is not known\n  ex");
 }
 
-TEST(Grammar, BytesThatAreNoUtf8AreRefusedWithTheirPlace) { EXPECT_NE(error_of("show \xff").find("a.fiona:1:6: this byte is not UTF-8"), std::string::npos); }
+TEST(Grammar, SurrogatesAndZeroAreNoCharacters) {
+  for (const char* text :
+       {R"("\u{d800}")", R"("\u{0}")", R"("\u{110000}")", R"("\u{}")", R"("\u{g}")", R"("\u65")", R"("\u{1234567}")"})
+    EXPECT_NE(error_of(text).find("this is no character"), std::string::npos) << text;
+}
 
-TEST(Grammar, AControlCharacterIsRefusedWithItsName) { EXPECT_NE(error_of("show \x1b[2J").find("a control character (U+001B) stands in the line"), std::string::npos); }
+TEST(Grammar, BytesThatAreNoUtf8AreRefusedWithTheirPlace) {
+  EXPECT_NE(error_of("show \xff").find("a.fiona:1:6: this byte is not UTF-8"), std::string::npos);
+}
 
-TEST(Grammar, AMissingValueIsRefused) { EXPECT_NE(error_of("set a rate= 5").find("a.fiona:1:12: no value follows rate="), std::string::npos); }
+TEST(Grammar, AControlCharacterIsRefusedWithItsName) {
+  EXPECT_NE(error_of("show \x1b[2J").find("a control character (U+001B) stands in the line"), std::string::npos);
+}
 
-TEST(Grammar, AnOpenBracketIsRefusedAtItsPlace) { EXPECT_NE(error_of("set a x=[1, {a: \"]\" }").find("a.fiona:1:9: this [ is never closed"), std::string::npos); }
+TEST(Grammar, AMissingValueIsRefused) {
+  EXPECT_NE(error_of("set a rate= 5").find("a.fiona:1:12: no value follows rate="), std::string::npos);
+}
 
-TEST(Grammar, BracketsThatCrossAreRefused) { EXPECT_NE(error_of("set a x=[{]}").find("this ] closes nothing"), std::string::npos); }
+TEST(Grammar, AnOpenBracketIsRefusedAtItsPlace) {
+  EXPECT_NE(error_of("set a x=[1, {a: \"]\" }").find("a.fiona:1:9: this [ is never closed"), std::string::npos);
+}
 
-TEST(Grammar, DeepNestingIsRefusedNotRecursed) { EXPECT_NE(error_of("set a x=" + std::string(100000, '[')).find("brackets are nested too deep"), std::string::npos); }
+TEST(Grammar, BracketsThatCrossAreRefused) {
+  EXPECT_NE(error_of("set a x=[{]}").find("this ] closes nothing"), std::string::npos);
+}
 
-TEST(Grammar, NothingAfterATrailingBackslashIsRefused) { EXPECT_NE(error_of("ls \\").find("the line goes on after \\, and nothing follows"), std::string::npos); }
+TEST(Grammar, DeepNestingIsRefusedNotRecursed) {
+  EXPECT_NE(error_of("set a x=" + std::string(100000, '[')).find("brackets are nested too deep"), std::string::npos);
+}
+
+TEST(Grammar, NothingAfterATrailingBackslashIsRefused) {
+  EXPECT_NE(error_of("ls \\").find("the line goes on after \\, and nothing follows"), std::string::npos);
+}
 
 TEST(Grammar, ATypedLineIsOneCommand) { EXPECT_THROW(split_line("ls\nspots"), LineError); }
 
@@ -97,7 +129,9 @@ TEST(Grammar, ATooLongScriptIsRefused) {
   }
 }
 
-TEST(ReadyWords, AreNeverSplitAgain) { EXPECT_EQ(texts(ready_words({"set", "a b", "name=x y", "#c"})), (Texts{"set", "a b", "name=x y", "#c"})); }
+TEST(ReadyWords, AreNeverSplitAgain) {
+  EXPECT_EQ(texts(ready_words({"set", "a b", "name=x y", "#c"})), (Texts{"set", "a b", "name=x y", "#c"}));
+}
 
 TEST(ReadyWords, AnEmptyValueIsTheEmptyText) {
   const WordLine line = ready_words({"set", "a", "name="});
@@ -128,12 +162,15 @@ TEST(Values, AnExponentIsNoUnit) {
   EXPECT_EQ(value("2e3").unit(), "");
 }
 
-TEST(Values, AnIntegerBeyondSixtyFourBitsIsANumber) { EXPECT_DOUBLE_EQ(value("18446744073709551616").number(), 18446744073709551616.0); }
+TEST(Values, AnIntegerBeyondSixtyFourBitsIsANumber) {
+  EXPECT_DOUBLE_EQ(value("18446744073709551616").number(), 18446744073709551616.0);
+}
 
 TEST(Values, ANumberKeepsHowItWasTyped) { EXPECT_EQ(value("007").typed(), "007"); }
 
 TEST(Values, AddressesDatesAndVersionsAreTexts) {
-  for (const char* text : {"10.0.0.1", "2024-01-01", "1.2.3", "-", "+", ".", "a5", "1e999", "--5", "+-5"}) EXPECT_EQ(value(text).kind_case(), control::Value::kText) << text;
+  for (const char* text : {"10.0.0.1", "2024-01-01", "1.2.3", "-", "+", ".", "a5", "1e999", "--5", "+-5"})
+    EXPECT_EQ(value(text).kind_case(), control::Value::kText) << text;
 }
 
 TEST(Values, AQuotedNumberIsAText) { EXPECT_EQ(value("\"5\"").text(), "5"); }
@@ -164,7 +201,26 @@ TEST(Values, AListMayBeEmptyAndNested) {
 TEST(Values, BracesHoldProtobufText) { EXPECT_EQ(value("{a: \"}\" b: '{'}").message(), "a: \"}\" b: '{'"); }
 
 TEST(Values, WhatIsTypedIsReadBackTheSame) {
-  for (const char* text : {"5", "-5", "5.0", "1.5m", "007", "2e3", "true", "word", "\"5\"", "\"true\"", "\"\"", "\"a b\"", "\"a\\\"b\\\\c\\nd\"", "\"to\"", "\"-x\"", "[1, \"a, b\", [x]]", "{a: 1}", "\"#x\"", "\"a=b\"", "é"}) {
+  for (const char* text : {"5",
+                           "-5",
+                           "5.0",
+                           "1.5m",
+                           "007",
+                           "2e3",
+                           "true",
+                           "word",
+                           "\"5\"",
+                           "\"true\"",
+                           "\"\"",
+                           "\"a b\"",
+                           "\"a\\\"b\\\\c\\nd\"",
+                           "\"to\"",
+                           "\"-x\"",
+                           "[1, \"a, b\", [x]]",
+                           "{a: 1}",
+                           "\"#x\"",
+                           "\"a=b\"",
+                           "é"}) {
     const control::Value first = value(text);
     EXPECT_EQ(value(typed(first)).SerializeAsString(), first.SerializeAsString()) << text << " -> " << typed(first);
   }

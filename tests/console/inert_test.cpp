@@ -12,7 +12,9 @@ TEST(Inert, OrdinaryTextInAnyScriptStays) {
   for (const char* text : {"plain", "Straße", "日本語", "مرحبا", "µ°Ω€", "🚶 e\u0301"}) EXPECT_EQ(inert(text), text);
 }
 
-TEST(Inert, EscapeSequencesBecomeVisible) { EXPECT_EQ(inert("\x1b[2J\x1b]0;title\x07"), "\\u{1b}[2J\\u{1b}]0;title\\u{7}"); }
+TEST(Inert, EscapeSequencesBecomeVisible) {
+  EXPECT_EQ(inert("\x1b[2J\x1b]0;title\x07"), "\\u{1b}[2J\\u{1b}]0;title\\u{7}");
+}
 
 TEST(Inert, EveryControlCharacterBecomesVisible) {
   for (char32_t code = 0; code < 0xa0; ++code) {
@@ -24,7 +26,8 @@ TEST(Inert, EveryControlCharacterBecomesVisible) {
 }
 
 TEST(Inert, BidirectionalAndInvisibleCharactersBecomeVisible) {
-  for (const char32_t code : {0x202aU, 0x202eU, 0x2066U, 0x2069U, 0x200bU, 0x200fU, 0x061cU, 0xfeffU, 0xadU, 0x2028U, 0x2029U, 0xe0041U, 0x3164U, 0xfe0fU}) {
+  for (const char32_t code : {0x202aU, 0x202eU, 0x2066U, 0x2069U, 0x200bU, 0x200fU, 0x061cU, 0xfeffU, 0xadU, 0x2028U,
+                              0x2029U, 0xe0041U, 0x3164U, 0xfe0fU}) {
     std::string text;
     append_utf8(text, code);
     EXPECT_TRUE(inert(text).starts_with("\\u{")) << std::hex << static_cast<unsigned>(code);

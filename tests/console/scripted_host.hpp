@@ -23,7 +23,8 @@ class TemporaryDirectory {
   std::filesystem::path path_;
 };
 
-/// A control server on a real unix socket that answers as a test says. It serves one client after the other, in a thread.
+/// A control server on a real unix socket that answers as a test says. It serves one client after the other, in a
+/// thread.
 class ScriptedHost {
  public:
   /// Gets a request, returns the replies; their ids are filled in where they are 0. No reply at all: silence.

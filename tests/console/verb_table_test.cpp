@@ -64,7 +64,10 @@ using Texts = std::vector<std::string>;
 TEST(VerbTable, HasEveryVerbOnce) {
   std::multiset<std::string> names;
   for (const Verb& verb : verb_rows()) names.insert(verb.name);
-  for (const char* name : {"load", "unload", "wire", "unwire", "set", "get", "state", "ls", "show", "spots", "watch", "check", "run", "save", "source", "wait", "expect", "sleep", "quit", "help", "version", "market"}) EXPECT_EQ(names.count(name), 1U) << name;
+  for (const char* name :
+       {"load",  "unload", "wire", "unwire", "set",  "get",    "state", "ls",   "show", "spots",   "watch",
+        "check", "run",    "save", "source", "wait", "expect", "sleep", "quit", "help", "version", "market"})
+    EXPECT_EQ(names.count(name), 1U) << name;
 }
 
 TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
@@ -74,17 +77,20 @@ TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
     EXPECT_GE(static_cast<int>(verb.access), 1) << verb.name;
     EXPECT_LE(static_cast<int>(verb.access), 9) << verb.name;
     ASSERT_FALSE(verb.forms.empty()) << verb.name;
-    for (const Shape& shape : verb.forms) EXPECT_TRUE((shape.text() + " ").starts_with(verb.name + " ")) << shape.text();
+    for (const Shape& shape : verb.forms)
+      EXPECT_TRUE((shape.text() + " ").starts_with(verb.name + " ")) << shape.text();
   }
 }
 
 TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
   // Words that only the person knows: numbers, times, new names.
-  const std::set<std::string> free{"", "N", "T", "VALUE", "CODE", "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE"};
+  const std::set<std::string> free{"",     "N",    "T",     "VALUE",    "CODE",
+                                   "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
     const std::string placeholder = slot.placeholder();
-    EXPECT_TRUE(free.contains(placeholder) || std::count(known.begin(), known.end(), placeholder) > 0) << placeholder << " in " << form;
+    EXPECT_TRUE(free.contains(placeholder) || std::count(known.begin(), known.end(), placeholder) > 0)
+        << placeholder << " in " << form;
   };
   for (const Verb& verb : verb_rows()) {
     for (const Shape& shape : verb.forms) {
@@ -127,32 +133,60 @@ TEST(Lines, OptionsStandAnywhereAndTakeTheirValues) {
 
 TEST(Lines, ANegativeNumberIsNoOption) { EXPECT_EQ(line_of("expect nav.location.x > -5").positional[2].text, "-5"); }
 
-TEST(Lines, AnUnknownVerbGetsTheNearestNames) { EXPECT_EQ(error_of("lod x"), "column 1: there is no verb 'lod'\n  did you mean: load\n  next: help"); }
+TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
+  EXPECT_EQ(error_of("lod x"), "column 1: there is no verb 'lod'\n  did you mean: load\n  next: help");
+}
 
-TEST(Lines, AMissingWordIsNamed) { EXPECT_EQ(error_of("load"), "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]"); }
+TEST(Lines, AMissingWordIsNamed) {
+  EXPECT_EQ(error_of("load"),
+            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]");
+}
 
-TEST(Lines, AMissingClauseIsNamed) { EXPECT_NE(error_of("wire a.b").find("wire needs 'to INSTANCE.PORT'"), std::string::npos); }
+TEST(Lines, AMissingClauseIsNamed) {
+  EXPECT_NE(error_of("wire a.b").find("wire needs 'to INSTANCE.PORT'"), std::string::npos);
+}
 
-TEST(Lines, AWordAfterAKeywordIsNeeded) { EXPECT_NE(error_of("load x as").find("column 8: a word is missing after 'as'"), std::string::npos); }
+TEST(Lines, AWordAfterAKeywordIsNeeded) {
+  EXPECT_NE(error_of("load x as").find("column 8: a word is missing after 'as'"), std::string::npos);
+}
 
-TEST(Lines, AKeywordThatDoesNotBelongIsRefusedWithTheWayToQuoteIt) { EXPECT_NE(error_of("wire a.b to c.d else e.f").find("column 17: 'else' does not belong to wire here"), std::string::npos); }
+TEST(Lines, AKeywordThatDoesNotBelongIsRefusedWithTheWayToQuoteIt) {
+  EXPECT_NE(error_of("wire a.b to c.d else e.f").find("column 17: 'else' does not belong to wire here"),
+            std::string::npos);
+}
 
-TEST(Lines, OneWordTooManyIsRefused) { EXPECT_NE(error_of("unload a b").find("column 10: 'b' is one word too many"), std::string::npos); }
+TEST(Lines, OneWordTooManyIsRefused) {
+  EXPECT_NE(error_of("unload a b").find("column 10: 'b' is one word too many"), std::string::npos);
+}
 
-TEST(Lines, AWordThatIsNoneOfTheChoicesGetsTheNearest) { EXPECT_EQ(error_of("ls wirse"), "column 4: 'wirse' cannot stand here\n  expected: instances, plugins, wires, services, hosts\n  did you mean: wires"); }
+TEST(Lines, AWordThatIsNoneOfTheChoicesGetsTheNearest) {
+  EXPECT_EQ(error_of("ls wirse"),
+            "column 4: 'wirse' cannot stand here\n  expected: instances, plugins, wires, services, hosts\n  did you "
+            "mean: wires");
+}
 
-TEST(Lines, AnArgumentGivenTwiceIsRefused) { EXPECT_NE(error_of("set a x=1 x=2").find("column 11: x is given twice"), std::string::npos); }
+TEST(Lines, AnArgumentGivenTwiceIsRefused) {
+  EXPECT_NE(error_of("set a x=1 x=2").find("column 11: x is given twice"), std::string::npos);
+}
 
-TEST(Lines, AnArgumentWhereNoneIsTakenIsRefused) { EXPECT_NE(error_of("ls x=1").find("column 4: ls takes no x=…"), std::string::npos); }
+TEST(Lines, AnArgumentWhereNoneIsTakenIsRefused) {
+  EXPECT_NE(error_of("ls x=1").find("column 4: ls takes no x=…"), std::string::npos);
+}
 
-TEST(Lines, AnUnknownOptionGetsTheNearest) { EXPECT_NE(error_of("run a --headles").find("did you mean: --headless"), std::string::npos); }
+TEST(Lines, AnUnknownOptionGetsTheNearest) {
+  EXPECT_NE(error_of("run a --headles").find("did you mean: --headless"), std::string::npos);
+}
 
-TEST(Lines, SetNeedsSomethingToSet) { EXPECT_NE(error_of("set a").find("set needs at least one name=value"), std::string::npos); }
+TEST(Lines, SetNeedsSomethingToSet) {
+  EXPECT_NE(error_of("set a").find("set needs at least one name=value"), std::string::npos);
+}
 
 TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(line_of("watch stop nav.location").positional.size(), 2U);
   EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
-  EXPECT_EQ(error_of("market instal a"), "column 8: market cannot 'instal'\n  expected: search, info, install\n  did you mean: install\n  next: help market");
+  EXPECT_EQ(error_of("market instal a"),
+            "column 8: market cannot 'instal'\n  expected: search, info, install\n  did you mean: install\n  next: "
+            "help market");
 }
 
 TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"unload", "unwire"})); }
@@ -164,7 +198,9 @@ TEST(Completion, OffersTheEndOfAWireThatFits) {
   EXPECT_EQ(candidates("wire nav.imu to "), Texts{"walk.imu"});
 }
 
-TEST(Completion, OffersKeywordsWhenTheWordsBeforeAreThere) { EXPECT_EQ(candidates("wire nav.imu "), (Texts{"every", "to"})); }
+TEST(Completion, OffersKeywordsWhenTheWordsBeforeAreThere) {
+  EXPECT_EQ(candidates("wire nav.imu "), (Texts{"every", "to"}));
+}
 
 TEST(Completion, KnowsParametersAndTheirValues) {
   EXPECT_EQ(candidates("set walk t"), Texts{"trace="});

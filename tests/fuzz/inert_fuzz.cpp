@@ -14,7 +14,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   if (inert(once) != once) std::abort();
   for (std::string_view rest = once; !rest.empty();) {
     const Character next = decode(rest);
-    const bool control = next.code < 0x20 || (next.code >= 0x7f && next.code < 0xa0) || (next.code >= 0x202a && next.code <= 0x202e) || (next.code >= 0x2066 && next.code <= 0x2069);
+    const bool control = next.code < 0x20 || (next.code >= 0x7f && next.code < 0xa0) ||
+                         (next.code >= 0x202a && next.code <= 0x202e) || (next.code >= 0x2066 && next.code <= 0x2069);
     if (!next.valid || control) std::abort();
     rest.remove_prefix(next.bytes);
   }

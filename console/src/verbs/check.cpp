@@ -14,13 +14,17 @@ void check(Session& session, const Line& line) {
   const CheckResult result = check_system(line.positional[0].text, catalogue);
   for (const std::string& remark : result.remarks) session.out.remark(remark);
   Table spots({"port", "service", "state", "who could"});
-  for (const auto& spot : result.spots) spots.add({spot.port, short_name(spot.service), spot.optional ? "unwired, optional" : "unwired", fmt::format("{}", fmt::join(spot.could, ", "))});
+  for (const auto& spot : result.spots)
+    spots.add({spot.port, short_name(spot.service), spot.optional ? "unwired, optional" : "unwired",
+               fmt::format("{}", fmt::join(spot.could, ", "))});
   if (!spots.empty()) session.out.text("required, nobody serves it");
   session.out.table(spots, "");
   // The last one is thrown, and told by whoever ran this line.
   for (std::size_t i = 0; i + 1 < result.errors.size(); ++i) session.out.error(result.errors[i]);
   if (!result.errors.empty()) throw LineError(result.errors.back());
-  session.out.done(fmt::format("{}: {} lines, {} instances, no errors", line.positional[0].text, result.lines, result.instances), {{"lines", result.lines}, {"instances", result.instances}});
+  session.out.done(
+      fmt::format("{}: {} lines, {} instances, no errors", line.positional[0].text, result.lines, result.instances),
+      {{"lines", result.lines}, {"instances", result.instances}});
 }
 
 }  // namespace fiona::console::verbs

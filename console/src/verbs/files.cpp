@@ -21,7 +21,9 @@ void replace_file(const fs::path& file, std::string_view text) {
   const auto fail = [&fresh, &file] {
     const int problem = errno;
     ::unlink(fresh.c_str());
-    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be written: {}", std::strerror(problem)), .where = file.string()});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("the file cannot be written: {}", std::strerror(problem)),
+                          .where = file.string()});
   };
   const int descriptor = ::open(fresh.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
   if (descriptor < 0) fail();
@@ -45,7 +47,9 @@ void save(Session& session, const Line& line) {
   const std::string text = saved_system(system);
   const fs::path file = line.positional[0].text;
   replace_file(file, text);
-  session.out.done(fmt::format("saved {} instance{} to {}", system.instances_size(), system.instances_size() == 1 ? "" : "s", file.string()), {{"file", file.string()}});
+  session.out.done(fmt::format("saved {} instance{} to {}", system.instances_size(),
+                               system.instances_size() == 1 ? "" : "s", file.string()),
+                   {{"file", file.string()}});
 }
 
 void source(Session& session, const Line& line) {
@@ -53,7 +57,8 @@ void source(Session& session, const Line& line) {
   constexpr int kDeepest = 16;
   fs::path file = line.positional[0].text;
   if (file.is_relative() && !line.words.origin.empty()) file = fs::path(line.words.origin).parent_path() / file;
-  if (session.source_depth >= kDeepest) throw line.error(line.positional[0], {.what = fmt::format("files source each other more than {} deep", kDeepest)});
+  if (session.source_depth >= kDeepest)
+    throw line.error(line.positional[0], {.what = fmt::format("files source each other more than {} deep", kDeepest)});
   const std::vector<Line> lines = read_script(file);
   ++session.source_depth;
   try {

@@ -32,7 +32,11 @@ constexpr std::string_view kGrammar =
 void help_for(Session& session, const Verb& verb) {
   std::vector<std::string> forms;
   for (const Shape& shape : verb.forms) forms.push_back(shape.text());
-  session.out.object({{"verb", verb.name}, {"forms", forms}, {"does", verb.does}, {"more", verb.more}, {"access", static_cast<int>(verb.access)}});
+  session.out.object({{"verb", verb.name},
+                      {"forms", forms},
+                      {"does", verb.does},
+                      {"more", verb.more},
+                      {"access", static_cast<int>(verb.access)}});
   std::string text = fmt::format("{}\n\n{}", fmt::join(forms, "\n"), verb.does);
   if (!verb.more.empty()) text += "\n" + verb.more;
   session.out.text(text + "\nneeds access level: " + access_text(verb.access));
@@ -40,11 +44,14 @@ void help_for(Session& session, const Verb& verb) {
 
 void help_all(Session& session) {
   Table table({"verb", "does", "access"});
-  for (const Verb& verb : verb_rows()) table.add({verb.name, verb.does, {access_text(verb.access), static_cast<int>(verb.access)}});
+  for (const Verb& verb : verb_rows())
+    table.add({verb.name, verb.does, {access_text(verb.access), static_cast<int>(verb.access)}});
   session.out.table(table, "");
   Table options({"option", "does"});
   for (const GlobalOption& option : global_options()) {
-    options.add({option.slot.takes_value() ? fmt::format("{} {}", option.slot.name, option.slot.slot.placeholder()) : option.slot.name, option.does});
+    options.add({option.slot.takes_value() ? fmt::format("{} {}", option.slot.name, option.slot.slot.placeholder())
+                                           : option.slot.name,
+                 option.does});
   }
   session.out.text("");
   session.out.table(options, "");
@@ -61,7 +68,11 @@ void help(Session& session, const Line& line) {
   if (text.empty()) {
     std::vector<std::string> known{"exit", "grammar"};
     for (const Verb& verb : verb_rows()) known.push_back(verb.name);
-    throw line.error(about, {.what = fmt::format("there is no help on '{}'", about.text), .next = "help", .near = nearest_names(about.text, known)}, ErrorCode::NotFound);
+    throw line.error(about,
+                     {.what = fmt::format("there is no help on '{}'", about.text),
+                      .next = "help",
+                      .near = nearest_names(about.text, known)},
+                     ErrorCode::NotFound);
   }
   session.out.object({{"help", about.text}, {"text", text}});
   session.out.text(text);

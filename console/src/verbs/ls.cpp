@@ -23,7 +23,13 @@ void ls_instances(Session& session) {
       if (port.direction() == fiona::REQUIRES && port.connection() == control::CONNECTED) ++connected;
       if (port.direction() == fiona::PROVIDES) rate_hz = std::max(rate_hz, port.rate_hz());
     }
-    table.add({instance.name(), short_name(instance.plugin().substr(instance.plugin().find('/') + 1)), instance.mode(), health_text(instance), required == 0 ? "-" : fmt::format("{}/{}", connected, required), {rate_text(rate_hz), rate_hz}, instance.group()});
+    table.add({instance.name(),
+               short_name(instance.plugin().substr(instance.plugin().find('/') + 1)),
+               instance.mode(),
+               health_text(instance),
+               required == 0 ? "-" : fmt::format("{}/{}", connected, required),
+               {rate_text(rate_hz), rate_hz},
+               instance.group()});
   }
   session.out.table(table, "nothing is loaded\n  next: load PLUGIN [as NAME]   (ls plugins)");
 }
@@ -33,7 +39,8 @@ void ls_plugins(Session& session) {
   Table table({"plugin", "component", "version", "where", "summary"});
   for (const KnownPlugin& plugin : catalogue.plugins()) {
     for (const auto& component : plugin.interface.components()) {
-      table.add({plugin.name(), component.name(), plugin.manifest.version(), plugin.installed ? "installed" : "market", plugin.manifest.summary()});
+      table.add({plugin.name(), component.name(), plugin.manifest.version(), plugin.installed ? "installed" : "market",
+                 plugin.manifest.summary()});
     }
   }
   session.out.table(table, "no plugin is installed, and there is no marketplace\n  next: market search --from DIR");
@@ -46,7 +53,14 @@ void ls_wires(Session& session) {
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
       if (port.direction() != fiona::REQUIRES || port.connection() == control::UNWIRED) continue;
-      table.add({instance.name() + "." + port.name(), text_of(port.peer()), short_name(port.service()), connection_text(port), {fmt::format("{}", std::max(1U, port.prescale())), std::max(1U, port.prescale())}, {rate_text(port.rate_hz()), port.rate_hz()}, {age_text(port.age_ms()), port.age_ms()}, {fmt::format("{}", port.dropped()), port.dropped()}});
+      table.add({instance.name() + "." + port.name(),
+                 text_of(port.peer()),
+                 short_name(port.service()),
+                 connection_text(port),
+                 {fmt::format("{}", std::max(1U, port.prescale())), std::max(1U, port.prescale())},
+                 {rate_text(port.rate_hz()), port.rate_hz()},
+                 {age_text(port.age_ms()), port.age_ms()},
+                 {fmt::format("{}", port.dropped()), port.dropped()}});
     }
   }
   session.out.table(table, "no port is wired\n  next: spots");
@@ -68,7 +82,11 @@ void ls_services(Session& session) {
     }
   }
   Table table({"service", "pattern", "provided", "required"});
-  for (const auto& [name, use] : services) table.add({name, pattern_text(use.pattern), {fmt::format("{}", use.provided), use.provided}, {fmt::format("{}", use.required), use.required}});
+  for (const auto& [name, use] : services)
+    table.add({name,
+               pattern_text(use.pattern),
+               {fmt::format("{}", use.provided), use.provided},
+               {fmt::format("{}", use.required), use.required}});
   session.out.table(table, "nothing is loaded, so no service is spoken");
 }
 
@@ -82,7 +100,12 @@ void ls_hosts(Session& session) {
       request.mutable_snapshot();
       const control::Reply reply = client.call(std::move(request));
       const control::System& system = reply.system();
-      table.add({running.name, system.version(), system.clock(), {fmt::format("{}", system.instances_size()), system.instances_size()}, "ok", endpoint});
+      table.add({running.name,
+                 system.version(),
+                 system.clock(),
+                 {fmt::format("{}", system.instances_size()), system.instances_size()},
+                 "ok",
+                 endpoint});
     } catch (const Error& problem) {
       table.add({running.name, "", "", "", problem.text().what, endpoint});
     }

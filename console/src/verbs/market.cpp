@@ -1,8 +1,8 @@
 // The only verb that changes a store; with catalogue.cpp the only file that knows the marketplace library.
-#include <fiona/marketplace/index.hpp>
-#include <fiona/marketplace/install.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <fiona/marketplace/index.hpp>
+#include <fiona/marketplace/install.hpp>
 
 #include "../system_view.hpp"
 #include "verbs.hpp"
@@ -26,9 +26,11 @@ void search(Session& session, const Line& line) {
   for (std::size_t i = 1; i < line.positional.size(); ++i) words.push_back(line.positional[i].text);
   Table table({"package", "version", "components", "summary"});
   for (const IndexEntry& entry : chosen_market(line).search(words)) {
-    table.add({marketplace::full_name(entry.manifest()), entry.manifest().version(), components_text(entry), entry.manifest().summary()});
+    table.add({marketplace::full_name(entry.manifest()), entry.manifest().version(), components_text(entry),
+               entry.manifest().summary()});
   }
-  session.out.table(table, words.empty() ? "the marketplace is empty" : fmt::format("no package has {}", fmt::join(words, " and ")));
+  session.out.table(
+      table, words.empty() ? "the marketplace is empty" : fmt::format("no package has {}", fmt::join(words, " and ")));
 }
 
 void info(Session& session, const Line& line) {
@@ -41,14 +43,20 @@ void info(Session& session, const Line& line) {
   facts.add({"versions", fmt::format("{}", fmt::join(versions, ", "))});
   facts.add({"summary", newest.summary()});
   facts.add({"license", newest.license()});
-  facts.add({"rights", newest.rights().empty() ? "none beyond a sandbox" : fmt::format("{}", fmt::join(newest.rights(), ", "))});
+  facts.add({"rights",
+             newest.rights().empty() ? "none beyond a sandbox" : fmt::format("{}", fmt::join(newest.rights(), ", "))});
   facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
   facts.add({"signed", entries.front().signature().empty() ? "no" : "yes"});
   for (const std::string& hello : split_lines(newest.hello())) facts.add({"try", hello});
   session.out.table(facts, "", false);
   for (const auto& component : entries.front().interface().components()) {
     Table ports({"port", "direction", "service", "doc"});
-    for (const auto& port : component.ports()) ports.add({port.name(), port.direction() == PROVIDES ? "provides" : port.optional() ? "requires, optional" : "requires", short_name(port.service()), port.doc()});
+    for (const auto& port : component.ports())
+      ports.add({port.name(),
+                 port.direction() == PROVIDES ? "provides"
+                 : port.optional()            ? "requires, optional"
+                                              : "requires",
+                 short_name(port.service()), port.doc()});
     session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));
     session.out.table(ports, "it has no ports");
   }
@@ -58,7 +66,8 @@ std::string outcome_text(const marketplace::InstallResult& result) {
   const std::string package = fmt::format("{} {}", result.package.name(), result.package.manifest.version());
   switch (result.outcome) {
     case marketplace::InstallOutcome::Installed: return "installed " + package;
-    case marketplace::InstallOutcome::Replaced: return fmt::format("installed {} in place of {}", package, result.previous_version);
+    case marketplace::InstallOutcome::Replaced:
+      return fmt::format("installed {} in place of {}", package, result.previous_version);
     case marketplace::InstallOutcome::Repaired: return "repaired " + package;
     case marketplace::InstallOutcome::AlreadyInstalled: return package + " is installed already";
   }
@@ -67,10 +76,12 @@ std::string outcome_text(const marketplace::InstallResult& result) {
 
 void install(Session& session, const Line& line) {
   const marketplace::Marketplace market = chosen_market(line);
-  const std::filesystem::path store = session.options.store.empty() ? marketplace::Store::default_directory() : session.options.store;
+  const std::filesystem::path store =
+      session.options.store.empty() ? marketplace::Store::default_directory() : session.options.store;
   for (std::size_t i = 1; i < line.positional.size(); ++i) {
     const marketplace::InstallResult result = marketplace::install(line.positional[i].text, market, store);
-    session.out.done(outcome_text(result), {{"package", result.package.name()}, {"version", result.package.manifest.version()}});
+    session.out.done(outcome_text(result),
+                     {{"package", result.package.name()}, {"version", result.package.manifest.version()}});
     if (result.outcome != marketplace::InstallOutcome::Installed) continue;
     for (const std::string& hello : split_lines(result.package.manifest.hello())) session.out.remark("  try: " + hello);
   }

@@ -10,7 +10,8 @@ namespace fiona::console::verbs {
 void set(Session& session, const Line& line) {
   control::Request request;
   request.mutable_set()->set_instance(line.positional[0].text);
-  for (control::Argument& argument : line.control_arguments()) *request.mutable_set()->add_parameters() = std::move(argument);
+  for (control::Argument& argument : line.control_arguments())
+    *request.mutable_set()->add_parameters() = std::move(argument);
   const control::Reply reply = session.call(std::move(request));
   session.out.done(reply.done().note().empty() ? fmt::format("set {}", line.positional[0].text) : reply.done().note());
 }
@@ -19,8 +20,15 @@ namespace {
 
 void get_host(Session& session, const control::System& system, const std::string& wanted) {
   Table table({"parameter", "value", "unit", "range", "default", "doc"});
-  if (wanted.empty() || wanted == "clock") table.add({"clock", system.clock(), "", "system|virtual", "system", "what time the instances see"});
-  if (wanted.empty() || wanted == "speed") table.add({"speed", {fmt::format("{}", system.speed()), system.speed()}, "", "from 0", "1", "of a virtual clock, times real time; 0: as fast as it goes"});
+  if (wanted.empty() || wanted == "clock")
+    table.add({"clock", system.clock(), "", "system|virtual", "system", "what time the instances see"});
+  if (wanted.empty() || wanted == "speed")
+    table.add({"speed",
+               {fmt::format("{}", system.speed()), system.speed()},
+               "",
+               "from 0",
+               "1",
+               "of a virtual clock, times real time; 0: as fast as it goes"});
   session.out.table(table, "");
 }
 
@@ -36,10 +44,16 @@ void get(Session& session, const Line& line) {
   for (const auto& parameter : instance.parameters()) {
     known.push_back(parameter.name());
     const bool shown = wanted.empty() || parameter.name() == wanted || parameter.name().starts_with(wanted + ".");
-    if (shown) table.add({parameter.name(), parameter.value(), parameter.unit(), parameter.range(), parameter.default_value(), parameter.doc()});
+    if (shown)
+      table.add({parameter.name(), parameter.value(), parameter.unit(), parameter.range(), parameter.default_value(),
+                 parameter.doc()});
   }
   if (table.empty() && !wanted.empty()) {
-    throw line.error(line.positional[1], {.what = fmt::format("{} has no parameter '{}'", instance.name(), wanted), .next = fmt::format("get {}", instance.name()), .near = nearest_names(wanted, known)}, ErrorCode::NotFound);
+    throw line.error(line.positional[1],
+                     {.what = fmt::format("{} has no parameter '{}'", instance.name(), wanted),
+                      .next = fmt::format("get {}", instance.name()),
+                      .near = nearest_names(wanted, known)},
+                     ErrorCode::NotFound);
   }
   session.out.table(table, fmt::format("{} has no parameters", instance.name()));
 }
@@ -49,7 +63,8 @@ void state(Session& session, const Line& line) {
     const control::System system = session.snapshot();
     const auto& instance = instance_at(system, line.positional[0], line);
     const std::vector<std::string> modes(instance.modes().begin(), instance.modes().end());
-    session.out.object({{"instance", instance.name()}, {"mode", instance.mode()}, {"modes", modes}, {"reason", instance.reason()}});
+    session.out.object(
+        {{"instance", instance.name()}, {"mode", instance.mode()}, {"modes", modes}, {"reason", instance.reason()}});
     std::string text = fmt::format("{} is {}", instance.name(), instance.mode());
     if (!instance.reason().empty()) text += ": " + instance.reason();
     if (!modes.empty()) text += fmt::format("  (it knows neutral, {})", fmt::join(modes, ", "));
@@ -59,7 +74,9 @@ void state(Session& session, const Line& line) {
   request.mutable_state()->set_instance(line.positional[0].text);
   request.mutable_state()->set_mode(line.positional[1].text);
   const control::Reply reply = session.call(std::move(request));
-  session.out.done(reply.done().note().empty() ? fmt::format("{} is {}", line.positional[0].text, line.positional[1].text) : reply.done().note());
+  session.out.done(reply.done().note().empty()
+                       ? fmt::format("{} is {}", line.positional[0].text, line.positional[1].text)
+                       : reply.done().note());
 }
 
 }  // namespace fiona::console::verbs

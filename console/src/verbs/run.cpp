@@ -37,12 +37,18 @@ void override_parameter(std::vector<Line>& lines, const Line& run, const TypedAr
     if (known.back() != instance) continue;
     TypedArgument changed{{given.name.text.substr(dot + 1), WordKind::Plain, line.verb.place}, given.value};
     changed.value.place = line.verb.place;  // errors show the line that takes it
-    const auto same = std::find_if(line.arguments.begin(), line.arguments.end(), [&changed](const TypedArgument& old) { return old.name.text == changed.name.text; });
-    if (same == line.arguments.end()) line.arguments.push_back(std::move(changed));
-    else same->value = std::move(changed.value);
+    const auto same = std::find_if(line.arguments.begin(), line.arguments.end(),
+                                   [&changed](const TypedArgument& old) { return old.name.text == changed.name.text; });
+    if (same == line.arguments.end())
+      line.arguments.push_back(std::move(changed));
+    else
+      same->value = std::move(changed.value);
     return;
   }
-  throw run.error(given.name, {.what = fmt::format("the files load no instance '{}'", instance), .near = nearest_names(instance, known)}, ErrorCode::NotFound);
+  throw run.error(
+      given.name,
+      {.what = fmt::format("the files load no instance '{}'", instance), .near = nearest_names(instance, known)},
+      ErrorCode::NotFound);
 }
 
 std::vector<Line> lines_to_run(const Line& run) {
@@ -51,7 +57,9 @@ std::vector<Line> lines_to_run(const Line& run) {
     for (Line& line : read_script(file.text)) lines.push_back(std::move(line));
   }
   for (const Line& line : lines) {
-    if (line.verb.text == "run") throw line.error(line.verb, {.what = "a system file cannot start a host", .next = "source FILE runs the lines of another file"});
+    if (line.verb.text == "run")
+      throw line.error(line.verb, {.what = "a system file cannot start a host",
+                                   .next = "source FILE runs the lines of another file"});
   }
   const auto [first, last] = run.options.equal_range("--set");
   for (auto option = first; option != last; ++option) override_parameter(lines, run, option->second);
@@ -61,7 +69,11 @@ std::vector<Line> lines_to_run(const Line& run) {
 void refuse_white_spots(Session& session) {
   const std::vector<std::string> spots = strict_spots(session.snapshot());
   if (spots.empty()) return;
-  throw Error(ErrorCode::WiringInvalid, ErrorText{.what = fmt::format("{} required port{} nobody: {}", spots.size(), spots.size() == 1 ? " is served by" : "s are served by", fmt::join(spots, ", ")), .next = "wire them, or run without --strict; `fiona spots` tells who could serve"});
+  throw Error(
+      ErrorCode::WiringInvalid,
+      ErrorText{.what = fmt::format("{} required port{} nobody: {}", spots.size(),
+                                    spots.size() == 1 ? " is served by" : "s are served by", fmt::join(spots, ", ")),
+                .next = "wire them, or run without --strict; `fiona spots` tells who could serve"});
 }
 
 void run_lines(Session& session, const std::vector<Line>& lines, bool strict) {
@@ -107,18 +119,25 @@ void run_headless(Session& session, const Word* duration, const Line& line) {
   try {
     end_host(session, ended.ended().exit_code());
   } catch (const Error& error) {
-    if (error.code() != ErrorCode::Unreachable) throw;  // somebody's `quit` ended the run, and the host is going already
+    if (error.code() != ErrorCode::Unreachable)
+      throw;  // somebody's `quit` ended the run, and the host is going already
   }
 }
 
 HostLaunch launch_of(const Line& line, const Options& options) {
   HostLaunch launch;
   launch.program = host_program();
-  launch.name = line.option("--host") != nullptr ? line.option("--host")->text : options.host.empty() ? "main" : options.host;
+  launch.name = line.option("--host") != nullptr ? line.option("--host")->text
+                : options.host.empty()           ? "main"
+                                                 : options.host;
   launch.socket = socket_of(launch.name);
   launch.store = options.store;
   if (answers(launch.socket)) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("a host '{}' runs already", launch.name), .where = "unix:" + launch.socket.string(), .next = fmt::format("end it: fiona --host {} quit; or choose another name: --host NAME", launch.name)});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("a host '{}' runs already", launch.name),
+                          .where = "unix:" + launch.socket.string(),
+                          .next = fmt::format("end it: fiona --host {} quit; or choose another name: --host NAME",
+                                              launch.name)});
   }
   return launch;
 }
@@ -126,7 +145,9 @@ HostLaunch launch_of(const Line& line, const Options& options) {
 }  // namespace
 
 void run(Session& session, const Line& line) {
-  if (session.setting != Setting::Shell) throw line.error(line.verb, {.what = "run starts a host and belongs to a shell", .next = "source FILE runs the lines in this host"});
+  if (session.setting != Setting::Shell)
+    throw line.error(line.verb, {.what = "run starts a host and belongs to a shell",
+                                 .next = "source FILE runs the lines in this host"});
   const Word* duration = line.option("--for");
   if (duration != nullptr) duration_ms(*duration, line.words);
   const std::vector<Line> lines = lines_to_run(line);
@@ -134,7 +155,8 @@ void run(Session& session, const Line& line) {
   HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
   session.connect(launch.socket);
   session.host().set_author(fmt::format("script {}", line.positional[0].text));
-  const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json && ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
+  const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json &&
+                      ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
   try {
     run_lines(session, lines, line.has("--strict"));
     if (!session.finished && attach) run_prompt(session, {.started_host = true, .let_run = true});
@@ -146,7 +168,10 @@ void run(Session& session, const Line& line) {
   }
   session.disconnect();
   const int code = host.stop();
-  if (!session.finished && code != 0) throw Error(code == 130 ? ErrorCode::Failed : ErrorCode::ComponentFailed, ErrorText{.what = fmt::format("the host ended on its own, with exit code {}", code), .where = fmt::format("host {}", launch.name)});
+  if (!session.finished && code != 0)
+    throw Error(code == 130 ? ErrorCode::Failed : ErrorCode::ComponentFailed,
+                ErrorText{.what = fmt::format("the host ended on its own, with exit code {}", code),
+                          .where = fmt::format("host {}", launch.name)});
   if (!session.finished) session.finished = code;
 }
 

@@ -22,7 +22,17 @@ void show_ports(Session& session, const control::InstanceStatus& instance) {
     const bool required = port.direction() == fiona::REQUIRES;
     std::vector<std::string> clients;
     for (const auto& client : port.clients()) clients.push_back(text_of(client));
-    table.add({port.name(), required ? (port.optional() ? "requires, optional" : "requires") : "provides", short_name(port.service()), pattern_text(port.pattern()), required ? connection_text(port) : "", required ? (port.peer().instance().empty() ? "" : text_of(port.peer())) : fmt::format("{}", fmt::join(clients, ", ")), {fmt::format("{}", port.messages()), port.messages()}, {rate_text(port.rate_hz()), port.rate_hz()}, {age_text(port.age_ms()), port.age_ms()}, port.doc()});
+    table.add({port.name(),
+               required ? (port.optional() ? "requires, optional" : "requires") : "provides",
+               short_name(port.service()),
+               pattern_text(port.pattern()),
+               required ? connection_text(port) : "",
+               required ? (port.peer().instance().empty() ? "" : text_of(port.peer()))
+                        : fmt::format("{}", fmt::join(clients, ", ")),
+               {fmt::format("{}", port.messages()), port.messages()},
+               {rate_text(port.rate_hz()), port.rate_hz()},
+               {age_text(port.age_ms()), port.age_ms()},
+               port.doc()});
   }
   session.out.table(table, "it has no ports");
 }
@@ -43,11 +53,17 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
   session.out.text("");
   show_ports(session, instance);
   Table parameters({"parameter", "value", "unit", "range", "default", "doc"});
-  for (const auto& parameter : instance.parameters()) parameters.add({parameter.name(), parameter.value(), parameter.unit(), parameter.range(), parameter.default_value(), parameter.doc()});
+  for (const auto& parameter : instance.parameters())
+    parameters.add({parameter.name(), parameter.value(), parameter.unit(), parameter.range(), parameter.default_value(),
+                    parameter.doc()});
   if (!parameters.empty()) session.out.text("");
   session.out.table(parameters, "");
   Table tasks({"task", "period", "runs", "overruns"});
-  for (const auto& task : instance.tasks()) tasks.add({task.name(), {fmt::format("{:g} ms", task.period_ms()), task.period_ms()}, {fmt::format("{}", task.runs()), task.runs()}, {fmt::format("{}", task.overruns()), task.overruns()}});
+  for (const auto& task : instance.tasks())
+    tasks.add({task.name(),
+               {fmt::format("{:g} ms", task.period_ms()), task.period_ms()},
+               {fmt::format("{}", task.runs()), task.runs()},
+               {fmt::format("{}", task.overruns()), task.overruns()}});
   if (!tasks.empty()) session.out.text("");
   session.out.table(tasks, "");
 }
@@ -66,7 +82,11 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
   std::vector<std::string> clients;
   for (const auto& client : port.clients()) clients.push_back(text_of(client));
   if (!required) facts.add({"clients", fmt::format("{}", fmt::join(clients, ", "))});
-  for (const auto& [name, count] : {std::pair{"messages", port.messages()}, {"superseded", port.superseded()}, {"dropped", port.dropped()}, {"refused", port.refused()}}) facts.add({name, {fmt::format("{}", count), count}});
+  for (const auto& [name, count] : {std::pair{"messages", port.messages()},
+                                    {"superseded", port.superseded()},
+                                    {"dropped", port.dropped()},
+                                    {"refused", port.refused()}})
+    facts.add({name, {fmt::format("{}", count), count}});
   facts.add({"rate", {rate_text(port.rate_hz()), port.rate_hz()}});
   facts.add({"age", {age_text(port.age_ms()), port.age_ms()}});
   if (!port.doc().empty()) facts.add({"doc", port.doc()});
@@ -85,7 +105,8 @@ void show_service(Session& session, const pb::ServiceDescriptor& service) {
   facts.add({"service", service.full_name()});
   facts.add({"pattern", pattern_text(contract.pattern())});
   facts.add({"version", fmt::format("{}.{}", std::max(1U, contract.major()), contract.minor())});
-  if (contract.period_ms() > 0) facts.add({"period", {fmt::format("{} ms", contract.period_ms()), contract.period_ms()}});
+  if (contract.period_ms() > 0)
+    facts.add({"period", {fmt::format("{} ms", contract.period_ms()), contract.period_ms()}});
   const std::string doc = service.options().GetExtension(fiona::service_doc);
   if (!doc.empty()) facts.add({"doc", doc});
   session.out.table(facts, "", false);
@@ -110,14 +131,21 @@ void show_plugin(Session& session, const KnownPlugin& plugin) {
   for (const auto& component : plugin.interface.components()) {
     session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));
     Table ports({"port", "direction", "service", "doc"});
-    for (const auto& port : component.ports()) ports.add({port.name(), port.direction() == fiona::PROVIDES ? "provides" : port.optional() ? "requires, optional" : "requires", port.service(), port.doc()});
+    for (const auto& port : component.ports())
+      ports.add({port.name(),
+                 port.direction() == fiona::PROVIDES ? "provides"
+                 : port.optional()                   ? "requires, optional"
+                                                     : "requires",
+                 port.service(), port.doc()});
     session.out.table(ports, "it has no ports");
   }
 }
 
 void show_parameters(Session& session, const Catalogue& catalogue, const KnownPlugin& plugin) {
   for (const auto& component : plugin.interface.components()) {
-    const auto* type = component.parameters().empty() || !plugin.installed ? nullptr : catalogue.types_of(plugin).object(component.parameters());
+    const auto* type = component.parameters().empty() || !plugin.installed
+                           ? nullptr
+                           : catalogue.types_of(plugin).object(component.parameters());
     if (type == nullptr) continue;
     session.out.text(fmt::format("\nparameters of {}", component.name()));
     session.out.table(field_table(*type), "");
@@ -128,7 +156,8 @@ void show_parameters(Session& session, const Catalogue& catalogue, const KnownPl
 template <class Find>
 auto platform_type(const std::string& name, Find find) -> decltype(find(name)) {
   if (const auto* exact = find(name)) return exact;
-  for (const char* package : {"fiona", "fiona.sensors", "fiona.perception", "fiona.localisation", "fiona.navigation", "fiona.security", "fiona.hmi"}) {
+  for (const char* package : {"fiona", "fiona.sensors", "fiona.perception", "fiona.localisation", "fiona.navigation",
+                              "fiona.security", "fiona.hmi"}) {
     if (const auto* found = find(std::string(package) + "." + name)) return found;
   }
   return nullptr;
@@ -140,7 +169,8 @@ bool show_described(Session& session, const std::string& name) {
   try {
     const control::Reply reply = session.call(std::move(request));
     const TypeSet types(reply.description().files());
-    if (const auto* service = reply.description().is_service() ? types.service(reply.description().name()) : nullptr) return show_service(session, *service), true;
+    if (const auto* service = reply.description().is_service() ? types.service(reply.description().name()) : nullptr)
+      return show_service(session, *service), true;
     if (const auto* type = types.object(reply.description().name())) return show_object(session, *type), true;
   } catch (const Error& problem) {
     if (problem.code() != ErrorCode::NotFound) throw;
@@ -167,7 +197,8 @@ void show(Session& session, const Line& line) {
     const control::System system = session.snapshot();
     const std::string first = thing.text.substr(0, thing.text.find('.'));
     if (const auto* instance = find_instance(system, first)) {
-      return first == thing.text ? show_instance(session, *instance) : show_port(session, *instance, port_at(system, thing, line));
+      return first == thing.text ? show_instance(session, *instance)
+                                 : show_port(session, *instance, port_at(system, thing, line));
     }
     known = instance_names(system);
   }
@@ -179,7 +210,11 @@ void show(Session& session, const Line& line) {
   if (running && show_described(session, thing.text)) return;
   if (show_platform(session, thing.text)) return;
   for (const std::string& name : catalogue.names()) known.push_back(name);
-  throw line.error(thing, {.what = fmt::format("there is no instance, port, plugin, service or object '{}'", thing.text), .next = running ? "ls" : "ls plugins", .near = nearest_names(thing.text, known)}, ErrorCode::NotFound);
+  throw line.error(thing,
+                   {.what = fmt::format("there is no instance, port, plugin, service or object '{}'", thing.text),
+                    .next = running ? "ls" : "ls plugins",
+                    .near = nearest_names(thing.text, known)},
+                   ErrorCode::NotFound);
 }
 
 }  // namespace fiona::console::verbs

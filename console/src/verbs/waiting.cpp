@@ -13,19 +13,22 @@ struct Operator {
   std::string_view typed;
   control::Comparison meant;
 };
-constexpr std::array kOperators{Operator{"==", control::EQUAL},         Operator{"!=", control::NOT_EQUAL},
-                                Operator{"<", control::LESS},           Operator{"<=", control::LESS_OR_EQUAL},
-                                Operator{">", control::GREATER},        Operator{">=", control::GREATER_OR_EQUAL}};
+constexpr std::array kOperators{Operator{"==", control::EQUAL},  Operator{"!=", control::NOT_EQUAL},
+                                Operator{"<", control::LESS},    Operator{"<=", control::LESS_OR_EQUAL},
+                                Operator{">", control::GREATER}, Operator{">=", control::GREATER_OR_EQUAL}};
 
 control::Comparison comparison_of(const Word& word, const Line& line) {
   for (const Operator& known : kOperators) {
     if (word.text == known.typed) return known.meant;
   }
-  throw line.error(word, {.what = fmt::format("'{}' compares nothing", word.text), .expected = "== != < <= > >=", .next = word.text == "=" ? "equality is ==" : ""});
+  throw line.error(word, {.what = fmt::format("'{}' compares nothing", word.text),
+                          .expected = "== != < <= > >=",
+                          .next = word.text == "=" ? "equality is ==" : ""});
 }
 
 void tell_met(Session& session, const control::Met& met) {
-  session.out.done(fmt::format("{} after {:.0f} ms", met.seen().empty() ? "reached" : met.seen(), met.after_ms()), {{"after_ms", met.after_ms()}, {"seen", met.seen()}});
+  session.out.done(fmt::format("{} after {:.0f} ms", met.seen().empty() ? "reached" : met.seen(), met.after_ms()),
+                   {{"after_ms", met.after_ms()}, {"seen", met.seen()}});
 }
 
 }  // namespace
@@ -36,7 +39,8 @@ void wait(Session& session, const Line& line) {
   wait.set_instance(line.positional[0].text);
   wait.set_mode(line.positional[1].text);
   const Word* within = line.clause("for");
-  wait.set_within_ms(within != nullptr ? duration_ms(*within, line.words) : static_cast<double>(session.options.timeout.count()));
+  wait.set_within_ms(within != nullptr ? duration_ms(*within, line.words)
+                                       : static_cast<double>(session.options.timeout.count()));
   tell_met(session, session.host().call_waiting(std::move(request)).met());
 }
 
@@ -44,7 +48,9 @@ void expect(Session& session, const Line& line) {
   const Word& target = line.positional[0];
   const std::size_t first = target.text.find('.');
   const std::size_t second = first == std::string::npos ? first : target.text.find('.', first + 1);
-  if (second == std::string::npos || second + 1 == target.text.size()) throw line.error(target, {.what = fmt::format("'{}' names no field", target.text), .expected = "instance.port.field"});
+  if (second == std::string::npos || second + 1 == target.text.size())
+    throw line.error(target,
+                     {.what = fmt::format("'{}' names no field", target.text), .expected = "instance.port.field"});
   control::Request request;
   control::Expect& expect = *request.mutable_expect();
   Word port = target;
@@ -69,8 +75,10 @@ void quit(Session& session, const Line& line) {
   if (!line.positional.empty()) {
     const Word& word = line.positional[0];
     const control::Value value = value_of(word, line.words);
-    const bool sound = value.kind_case() == control::Value::kInteger && value.unit().empty() && value.integer() >= 0 && value.integer() <= 255;
-    if (!sound) throw line.error(word, {.what = fmt::format("'{}' is no exit code", word.text), .expected = "0 .. 255"});
+    const bool sound = value.kind_case() == control::Value::kInteger && value.unit().empty() && value.integer() >= 0 &&
+                       value.integer() <= 255;
+    if (!sound)
+      throw line.error(word, {.what = fmt::format("'{}' is no exit code", word.text), .expected = "0 .. 255"});
     code = static_cast<int>(value.integer());
   }
   control::Request request;

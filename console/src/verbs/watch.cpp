@@ -13,7 +13,11 @@ void stop(Session& session, const Line& line) {
   const std::vector<std::string> running = session.watches().ports();
   const std::size_t stopped = session.watches().stop(port);
   if (!port.empty() && stopped == 0) {
-    throw line.error(line.positional[1], {.what = fmt::format("'{}' is not watched here", port), .found = fmt::format("{}", fmt::join(running, ", ")), .near = nearest_names(port, running)}, ErrorCode::NotFound);
+    throw line.error(line.positional[1],
+                     {.what = fmt::format("'{}' is not watched here", port),
+                      .found = fmt::format("{}", fmt::join(running, ", ")),
+                      .near = nearest_names(port, running)},
+                     ErrorCode::NotFound);
   }
   session.out.done(fmt::format("stopped {} watch{}", stopped, stopped == 1 ? "" : "es"), {{"stopped", stopped}});
 }
@@ -30,7 +34,8 @@ void watch(Session& session, const Line& line) {
   session.watches().start(request);
   if (session.setting != Setting::Shell) return;
   session.reactor.run_until([&session] { return session.watches().empty() || !session.connected(); });
-  if (!session.watches().empty()) throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host has gone", .where = line.positional[0].text});
+  if (!session.watches().empty())
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host has gone", .where = line.positional[0].text});
 }
 
 }  // namespace fiona::console::verbs

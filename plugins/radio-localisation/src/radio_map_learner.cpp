@@ -77,6 +77,17 @@ void RadioMapLearner::path(int level, double x_m, double y_m) {
   path_.push_back({level, static_cast<float>(x_m), static_cast<float>(y_m), walk_});
 }
 
+std::size_t RadioMapLearner::other_walks_near(std::uint32_t walk, int level, double x_m, double y_m,
+                                              double radius_m) const {
+  std::set<std::uint32_t> found;
+  for (const Point& point : path_) {
+    if (point.walk == walk || point.level != level) continue;
+    const double dx = point.x_m - x_m, dy = point.y_m - y_m;
+    if (dx * dx + dy * dy <= radius_m * radius_m) found.insert(point.walk);
+  }
+  return found.size();
+}
+
 RadioMap RadioMapLearner::learn(std::string name, const std::set<std::uint32_t>& left_out) const {
   std::vector<WalkUse> walks(walk_ + 1);
   for (const std::uint32_t walk : left_out) walks.at(walk).counts = false;

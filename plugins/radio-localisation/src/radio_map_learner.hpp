@@ -43,6 +43,11 @@ class RadioMapLearner {
   /// A survey walk went through here. Points should lie at most half a cell apart.
   void path(int level, double x_m, double y_m);
 
+  std::uint32_t walks() const { return walk_; }
+
+  /// Number of walks but `walk` that went through the place.
+  std::size_t other_walks_near(std::uint32_t walk, int level, double x_m, double y_m, double radius_m) const;
+
   /// Learns from all walks but those of the numbers in `left_out`. Throws fiona::Error when nothing was learnt, or a
   /// level is larger than a map can hold.
   RadioMap learn(std::string name, const std::set<std::uint32_t>& left_out = {}) const;

@@ -1,78 +1,36 @@
-#include <chrono>
-#include <cmath>
 #include <cstdint>
 #include <exception>
 #include <fstream>
 #include <iostream>
 #include <memory>
-#include <optional>
 #include <string>
 
 #include <boost/program_options.hpp>
 
 #include <fiona/error.hpp>
 #include <fiona/walk/dataset.hpp>
-#include <fiona/walk/imu_merger.hpp>
 
-#include "radio_filter.hpp"
+#include "journey.hpp"
 #include "radio_map_file.hpp"
-#include "step_tracker.hpp"
 
 namespace {
 
 namespace options = boost::program_options;
 namespace radio = fiona::radio;
 namespace walk = fiona::walk;
-using std::chrono::milliseconds;
 
-constexpr std::int64_t kOutput_ms = 200;
+constexpr radio::Time kOutput{200};
 
-/// Replays one walk in the order of its events and writes what a live navigator would show, five times a second.
-class Replay {
- public:
-  Replay(const walk::Walk& walk, std::shared_ptr<const radio::RadioMap> map, const radio::FilterOptions& filter,
-         std::ostream& out)
-      : walk_(walk), filter_(std::move(map), filter), out_(out) {}
-
-  void run() {
-    if (walk_.events.empty()) return;
-    std::int64_t next_ms = (walk_.events.front().t_ms / kOutput_ms + 1) * kOutput_ms;
-    for (const walk::Event& event : walk_.events) {
-      for (; next_ms < event.t_ms; next_ms += kOutput_ms) show(next_ms);
-      feed(event);
-    }
-    show(next_ms);
-  }
-
- private:
-  void feed(const walk::Event& event) {
-    const milliseconds time(event.t_ms);
-    if (const auto* wifi = std::get_if<walk::WifiRow>(&event.data)) {
-      filter_.signal(time, {walk_.transmitters[wifi->transmitter], radio::Radio::WiFi, wifi->rssi_dbm,
-                            milliseconds(wifi->heard_ms)});
-    } else if (const auto* beacon = std::get_if<walk::BeaconRow>(&event.data)) {
-      filter_.signal(time, {walk_.transmitters[beacon->transmitter], radio::Radio::Bluetooth, beacon->rssi_dbm, time});
-    } else if (const auto imu = merger_.feed(event)) {
-      const auto step = steps_.feed({milliseconds(imu->t_ms), Eigen::Vector3d(imu->acceleration_g),
-                                     Eigen::Vector3d(imu->rate_dps), Eigen::Vector3d(imu->field_gauss)});
-      if (step) filter_.step({step->time, step->length_m, step->length_sd_m, step->heading_rad, step->heading_sd_rad});
-    }
-  }
-
-  void show(std::int64_t t_ms) {
-    filter_.advance(milliseconds(t_ms));
-    const radio::Estimate at = filter_.estimate();
+void write_estimates(const walk::Walk& walk, std::shared_ptr<const radio::RadioMap> map,
+                     const radio::FilterOptions& options, std::ostream& out) {
+  radio::RadioFilter filter(std::move(map), options);
+  radio::replay(radio::journey_of(walk), filter, kOutput, [&](radio::Time time) {
+    const radio::Estimate at = filter.estimate();
     if (!at.is_valid()) return;
-    out_ << walk_.name << ',' << t_ms << ',' << at.x_m << ',' << at.y_m << ',' << at.level << ',' << at.covariance(0, 0)
-         << ',' << at.covariance(0, 1) << ',' << at.covariance(1, 1) << '\n';
-  }
-
-  const walk::Walk& walk_;
-  radio::RadioFilter filter_;
-  walk::ImuMerger merger_;
-  fiona::steps::StepTracker steps_;
-  std::ostream& out_;
-};
+    out << walk.name << ',' << time.count() << ',' << at.x_m << ',' << at.y_m << ',' << at.level << ','
+        << at.covariance(0, 0) << ',' << at.covariance(0, 1) << ',' << at.covariance(1, 1) << '\n';
+  });
+}
 
 int run(int argc, char** argv) {
   options::options_description named("usage: evaluate-walks DIR --map FILE -o OUT.csv");
@@ -97,7 +55,7 @@ int run(int argc, char** argv) {
   filter.seed = given["seed"].as<std::uint64_t>();
   filter.particles = given["particles"].as<std::size_t>();
   dataset.for_each_test_walk([&](const walk::Walk& walk) {
-    Replay(walk, map, filter, out).run();
+    write_estimates(walk, map, filter, out);
     return true;
   });
   out.close();

@@ -11,6 +11,7 @@
 #include <fiona/error.hpp>
 #include <fiona/walk/dataset.hpp>
 
+#include "accuracy.hpp"
 #include "radio_map_file.hpp"
 #include "survey.hpp"
 
@@ -60,17 +61,19 @@ int learn(const options::variables_map& given, const std::string& folder) {
     usage_error("--cell is out of range: 0.5 to 20 metres", std::to_string(learner_options.cell_m));
   }
   fiona::radio::RadioMapLearner learner(learner_options);
-  std::size_t walks = 0;
+  std::vector<fiona::radio::SurveyedJourney> journeys;
   dataset.for_each_survey_walk([&](const fiona::walk::Walk& walk) {
-    fiona::radio::add_survey_walk(learner, walk);
-    ++walks;
+    if (const auto number = fiona::radio::add_survey_walk(learner, walk)) {
+      journeys.push_back({*number, fiona::radio::journey_of(walk)});
+    }
     return true;
   });
   auto map = learner.learn(given.count("name") != 0 ? given["name"].as<std::string>() : dataset.name());
   if (given.count("reference") != 0) map.reference = parse_reference(given["reference"].as<std::string>());
+  map.accuracy = fiona::radio::fit_accuracy(fiona::radio::left_out_fixes(learner, journeys));
   const std::string output = given["output"].as<std::string>();
   fiona::radio::save(map, output);
-  std::cerr << "learnt " << map.name << " from " << walks << " walks: " << map.levels.size() << " levels, "
+  std::cerr << "learnt " << map.name << " from " << learner.walks() << " walks: " << map.levels.size() << " levels, "
             << map.transmitters.size() << " transmitters, " << std::filesystem::file_size(output) / 1024 << " KiB in "
             << output << '\n';
   return 0;
@@ -87,6 +90,8 @@ int info(const std::string& file) {
   for (const auto& transmitter : map.transmitters) beacons += transmitter.radio == fiona::radio::Radio::Bluetooth;
   std::cout << "transmitters  " << map.transmitters.size() - beacons << " Wi-Fi, " << beacons << " Bluetooth\n"
             << "cells         " << map.cells.size() << " of " << map.cell_m << " m\n"
+            << "accuracy      " << map.accuracy.covariance_factor << " times the spread's variance, and at least "
+            << map.accuracy.covariance_floor_m << " m\n"
             << std::fixed << std::setprecision(1);
   for (const auto& level : map.levels) {
     std::cout << "level " << std::setw(4) << level.level << "    x " << level.west_m << " .. "

@@ -1,0 +1,129 @@
+#include "bare_limits.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <cstdio>
+#include <cstring>
+#include <deque>
+#include <filesystem>
+#include <memory>
+#include <mutex>
+#include <stdexcept>
+#include <thread>
+#include <zmq.hpp>
+
+namespace fiona::bench {
+namespace {
+
+struct Message {
+  std::int64_t sent_ns = 0;
+  std::string payload;
+};
+
+class Queue {
+ public:
+  void push(std::shared_ptr<const Message> message) {
+    {
+      const std::lock_guard lock(mutex_);
+      messages_.push_back(std::move(message));
+    }
+    filled_.notify_one();
+  }
+  std::shared_ptr<const Message> pop() {
+    std::unique_lock lock(mutex_);
+    filled_.wait(lock, [this] { return !messages_.empty(); });
+    auto message = std::move(messages_.front());
+    messages_.pop_front();
+    return message;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable filled_;
+  std::deque<std::shared_ptr<const Message>> messages_;
+};
+
+/// Calls `send` once a period.
+template <class F>
+void pace(const Load& load, F send) {
+  auto next = std::chrono::steady_clock::now();
+  for (std::size_t i = 0; i < load.messages; ++i) {
+    next += std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double, std::milli>(load.period_ms));
+    std::this_thread::sleep_until(next);
+    send();
+  }
+}
+
+}  // namespace
+
+std::int64_t steady_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
+
+Latency summarise(std::vector<std::int64_t> all) {
+  std::sort(all.begin(), all.end());
+  return {static_cast<double>(all.at(all.size() / 2)), static_cast<double>(all.at(all.size() * 99 / 100))};
+}
+
+Latency through_queue(const Load& load) {
+  Queue queue;
+  std::vector<std::int64_t> latencies;
+  std::thread receiver([&] {
+    for (std::size_t i = 0; i < load.messages; ++i) {
+      const auto message = queue.pop();
+      latencies.push_back(steady_ns() - message->sent_ns);
+    }
+  });
+  pace(load, [&] {
+    auto message = std::make_shared<Message>();
+    message->payload.assign(load.bytes, 'x');
+    message->sent_ns = steady_ns();
+    queue.push(std::move(message));
+  });
+  receiver.join();
+  return summarise(std::move(latencies));
+}
+
+int receive_zeromq(const std::string& endpoint, std::size_t messages) {
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::pull);
+  socket.connect(endpoint);
+  std::vector<std::int64_t> latencies;
+  for (std::size_t i = 0; i < messages; ++i) {
+    zmq::message_t message;
+    if (!socket.recv(message)) return 1;
+    std::int64_t sent_ns = 0;
+    std::memcpy(&sent_ns, message.data(), sizeof sent_ns);
+    latencies.push_back(steady_ns() - sent_ns);
+  }
+  const Latency latency = summarise(std::move(latencies));
+  std::printf("%.0f %.0f\n", latency.median_ns, latency.p99_ns);
+  return 0;
+}
+
+Latency through_zeromq(const Load& load, const std::string& self) {
+  const auto path = std::filesystem::temp_directory_path() / ("fiona-bench-" + std::to_string(::getpid()) + ".ipc");
+  const std::string endpoint = "ipc://" + path.string();
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::push);
+  socket.bind(endpoint);
+  const std::string command = self + " --zeromq-receiver " + endpoint + " " + std::to_string(load.messages);
+  FILE* receiver = ::popen(command.c_str(), "r");
+  if (!receiver) throw std::runtime_error("the receiver does not start: " + command);
+  pace(load, [&] {
+    zmq::message_t message(load.bytes);
+    std::memset(message.data(), 'x', load.bytes);
+    const std::int64_t now_ns = steady_ns();
+    std::memcpy(message.data(), &now_ns, sizeof now_ns);
+    socket.send(message, zmq::send_flags::none);
+  });
+  Latency latency;
+  const int read = std::fscanf(receiver, "%lf %lf", &latency.median_ns, &latency.p99_ns);
+  ::pclose(receiver);
+  std::filesystem::remove(path);
+  if (read != 2) throw std::runtime_error("the receiver told no figures");
+  return latency;
+}
+
+}  // namespace fiona::bench

@@ -1,0 +1,35 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace fiona::bench {
+
+/// One series of paced messages.
+struct Load {
+  std::size_t bytes = 64;
+  std::size_t messages = 2000;
+  double period_ms = 0.5;
+};
+
+/// Latencies from just before the send call to the receiver, nanoseconds.
+struct Latency {
+  double median_ns = 0;
+  double p99_ns = 0;
+};
+
+Latency summarise(std::vector<std::int64_t> latencies_ns);
+std::int64_t steady_ns();
+
+/// A shared_ptr through a queue with mutex and condition variable to another thread: the least that a hand-over to
+/// another strand can cost.
+Latency through_queue(const Load& load);
+
+/// The same bytes through a bare ZeroMQ PUSH/PULL pair over ipc to another process (`self`, started as receiver).
+Latency through_zeromq(const Load& load, const std::string& self);
+/// The receiver's side; prints the two figures. The exit code.
+int receive_zeromq(const std::string& endpoint, std::size_t messages);
+
+}  // namespace fiona::bench

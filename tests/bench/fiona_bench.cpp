@@ -1,0 +1,102 @@
+// fiona-bench: every goal of speed as one line, NAME FIGURE GOAL ok|short, each a ratio to a bare limit measured in
+// turns in the same run. Exit code 1 if any is short.
+//
+// Provider and consumer are plugins loaded by a host, in one process or in two.
+#include <algorithm>
+#include <cstdio>
+#include <functional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "bare_limits.hpp"
+#include "system_fixture.hpp"
+
+namespace {
+
+using fiona::bench::Latency;
+using fiona::bench::Load;
+using fiona::conformance::RunningSystem;
+using fiona::conformance::Transport;
+
+constexpr int kRounds = 5;
+
+struct Goal {
+  const char* name;
+  double at_most;
+  Load load;
+  std::function<Latency(const Load&)> ours;
+  std::function<Latency(const Load&)> bare;
+};
+
+Latency through_fiona(const Load& load, Transport transport) {
+  RunningSystem system(transport);
+  const std::string count = "count=" + std::to_string(load.messages);
+  system.load_client("stopwatch", "stopwatch", count);
+  system.load_provider("pacer", "pacer", "neutral payload=" + std::to_string(load.bytes) + " period_ms=" +
+                                             std::to_string(load.period_ms) + " " + count);
+  system.wire("stopwatch.samples", "pacer.samples");
+  const auto report = system.watch("stopwatch.report");
+  system.eventually("connected", [&] { return system.port("stopwatch.samples").connection() == fiona::control::CONNECTED; });
+  system.state("pacer", "active");
+  try {
+    return {system.wait_for(report, [](const auto&) { return true; }, std::chrono::seconds(20)).value(), 0};
+  } catch (const std::exception&) {
+    const auto sent = system.port("pacer.samples");
+    const auto received = system.port("stopwatch.samples");
+    throw std::runtime_error("of " + std::to_string(sent.messages()) + " messages " + std::to_string(received.messages()) +
+                             " arrived; dropped: " + std::to_string(sent.dropped()) + " by the sender, " +
+                             std::to_string(received.dropped()) + " by the receiver");
+  }
+}
+
+double median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return values[values.size() / 2];
+}
+
+/// Ours and the limit in turns, so that a change of the machine's mood meets both.
+bool run(const Goal& goal) {
+  std::vector<double> ratios, ours_us, bare_us;
+  for (int round = 0; round < kRounds; ++round) {
+    const Latency bare = goal.bare(goal.load);
+    const Latency ours = goal.ours(goal.load);
+    ratios.push_back(ours.median_ns / bare.median_ns);
+    ours_us.push_back(ours.median_ns / 1e3);
+    bare_us.push_back(bare.median_ns / 1e3);
+  }
+  const double ratio = median(ratios);
+  const bool ok = ratio <= goal.at_most;
+  std::printf("%-44s %5.2fx   <= %.2fx   %s   (%.1f us, limit %.1f us)\n", goal.name, ratio, goal.at_most,
+              ok ? "ok" : "short", median(ours_us), median(bare_us));
+  std::fflush(stdout);
+  return ok;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc == 4 && std::string(argv[1]) == "--zeromq-receiver") {
+    return fiona::bench::receive_zeromq(argv[2], static_cast<std::size_t>(std::stoul(argv[3])));
+  }
+  const std::string self = argv[0];
+  const Load small{64, 2000, 0.5};
+  const Load large{1024 * 1024, 100, 20};
+  const auto in_process = [](const Load& load) { return through_fiona(load, Transport::Process); };
+  const auto across_groups = [](const Load& load) { return through_fiona(load, Transport::Ipc); };
+  const auto zeromq = [&self](const Load& load) { return fiona::bench::through_zeromq(load, self); };
+  const Goal goals[] = {
+      {"push 64 B, one process, p50 / queue", 2.0, small, in_process, fiona::bench::through_queue},
+      {"push 1 MiB, one process, p50 / queue", 2.0, large, in_process, fiona::bench::through_queue},
+      {"push 64 B, two groups, p50 / bare ZeroMQ ipc", 1.5, small, across_groups, zeromq},
+      {"push 1 MiB, two groups, p50 / bare ZeroMQ ipc", 2.0, large, across_groups, zeromq},
+  };
+  bool all = true;
+  try {
+    for (const Goal& goal : goals) all = run(goal) && all;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "error: %s\n", error.what());
+    return 1;
+  }
+  return all ? 0 : 1;
+}

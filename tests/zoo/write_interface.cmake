@@ -1,0 +1,12 @@
+# Writes the interface of one plugin of the zoo; the ABI tag comes from a described plugin of the same build.
+if(NOT ABI)
+  file(STRINGS ${DESCRIBED} line REGEX "^abi: " LIMIT_COUNT 1)
+  string(REGEX REPLACE "^abi: \"(.*)\"$" "\\1" ABI "${line}")
+endif()
+file(WRITE ${OUT} "abi: \"${ABI}\"
+components {
+  name: \"${COMPONENT}\"
+  ports { name: \"${PORT}\" direction: PROVIDES service: \"fiona.localisation.StepProvider\" }
+  modes: \"active\"
+}
+")
