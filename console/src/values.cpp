@@ -9,7 +9,7 @@
 
 #include "grammar.hpp"
 #include "inert.hpp"
-#include "list_elements.hpp"
+#include "scanner.hpp"
 
 namespace fiona::console {
 namespace {
@@ -126,7 +126,7 @@ control::Value value_of(const Word& word, const WordLine& line) {
     }
     case WordKind::List:
       value.mutable_list();
-      for (const Word& element : detail::list_elements(word, line))
+      for (const Word& element : list_elements(word, line))
         *value.mutable_list()->add_values() = value_of(element, line);
       break;
   }

@@ -188,7 +188,9 @@ void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tapped()) on_tapped(event.tapped());
   if (event.has_wire_lost()) system_.on_wire_lost(event.wire_lost().wire(), event.wire_lost().reason());
   if (event.has_logged()) std::cerr << event.logged().instance() << ": " << event.logged().text() << "\n";
-  if (event.has_mode_changed() && event.mode_changed().mode() == "failed") {
+  // One that fails while it is being loaded is told to whoever loads it.
+  const bool failed = event.has_mode_changed() && event.mode_changed().mode() == kModeFailed;
+  if (failed && system_.has_instance(event.mode_changed().instance())) {
     std::cerr << event.mode_changed().instance() << ": failed: " << event.mode_changed().reason() << "\n";
   }
 }

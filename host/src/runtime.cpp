@@ -28,6 +28,7 @@ void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& l
 
 /// The text of what went wrong at a load: there is no instance afterwards that one could look at.
 ErrorText without_instance(ErrorText text, const std::string& instance) {
+  if (text.where.empty()) text.where = instance;
   if (text.next == "show " + instance || text.next == "get " + instance) {
     text.next = "'" + instance + "' was not loaded: correct that, then load it again";
   }

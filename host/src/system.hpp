@@ -46,6 +46,7 @@ class System {
   /// Starts to deliver what a push port puts, as Tapped events; a required port stands for its provider's.
   std::uint64_t tap(const control::PortName& port);
   void untap(std::uint64_t tap);
+  bool has_instance(const std::string& name) const { return instances_.contains(name); }
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
 

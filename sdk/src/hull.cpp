@@ -12,6 +12,8 @@ namespace {
 std::string reason_of_exception() {
   try {
     throw;
+  } catch (const Error& error) {
+    return error.text().where.empty() ? error.text().what : error.text().where + ": " + error.text().what;
   } catch (const std::exception& error) {
     return error.what();
   } catch (...) {
@@ -92,17 +94,21 @@ void Hull::set_mode(std::string_view mode, Duration deadline) {
                  .where = name_,
                  .next = "show " + name_});
   }
-  if (this->mode() == kModeFailed) {
-    throw Error(ErrorCode::ComponentFailed,
-                {.what = "'" + name_ + "' failed: " + reason(), .where = name_, .next = "show " + name_});
-  }
+  if (this->mode() == kModeFailed) throw_failure();
+}
+
+void Hull::throw_failure() const {
+  const std::lock_guard lock(mutex_);
+  ErrorText text = refusal_.value_or(ErrorText{.what = reason_, .where = name_, .next = "show " + name_});
+  text.what = "'" + name_ + "' failed: " + text.what;
+  throw Error(ErrorCode::ComponentFailed, std::move(text));
 }
 
 void Hull::enter(std::string_view to) {
   const std::string from = mode();
   if (from == to || from == kModeFailed || from == kModeShutdown) return;
   if (from == kModeInit) {
-    guarded([this] { component_->on_start(); });
+    guarded([this] { start_component(); });
     if (mode() == kModeFailed) return;
     started_ = true;
   } else if (from != kModeNeutral) {
@@ -118,6 +124,16 @@ void Hull::enter(std::string_view to) {
   }
   guarded([this, to] { component_->on_mode(to); });
   if (mode() == to) events().mode_changed(name_, std::string(to), {});
+}
+
+void Hull::start_component() {
+  try {
+    component_->on_start();
+  } catch (const Error& error) {
+    const std::lock_guard lock(mutex_);
+    refusal_ = error.text();
+    throw;
+  }
 }
 
 void Hull::leave_main_mode() {

@@ -12,6 +12,7 @@
 
 #include <fiona/error.hpp>
 
+#include "accuracy.hpp"
 #include "radio_filter.hpp"
 #include "radio_map_file.hpp"
 #include "radio_map_learner.hpp"
@@ -210,6 +211,41 @@ TEST(RadioMap, AnOddPhoneInTheSurveyDoesNotShiftTheMap) {
   EXPECT_GE(sharpness(mixed.learn("m")), sharpness(plain.learn("p")) - 0.5f);
 }
 
+TEST(RadioMap, AWalkThatIsLeftOutTeachesNothing) {
+  const auto bytes = [](const RadioMap& map) {
+    const Folder folder;
+    save(map, folder.path / "map");
+    return bytes_of(folder.path / "map");
+  };
+  RadioMapLearner plain, more;
+  survey(plain, Building(), 0.0, 7);
+  survey(more, Building(), 0.0, 7);
+  const std::uint32_t odd = more.begin_walk();
+  for (double x_m = 0.0; x_m <= 90.0; x_m += 1.0) {
+    more.path(2, x_m, 10.0);
+    more.path(0, x_m, 10.0);
+    more.sweep(Radio::WiFi, 0, x_m, 10.0);
+    more.heard("aa0055", Radio::WiFi, 0, x_m, 10.0, -30.0);
+    more.heard("cc0001", Radio::WiFi, 0, x_m, 10.0, -50.0);
+  }
+  EXPECT_EQ(bytes(more.learn("hall", {odd})), bytes(plain.learn("hall")));
+  EXPECT_NE(bytes(more.learn("hall")), bytes(plain.learn("hall")));
+}
+
+TEST(RadioMap, OtherWalksNearAPlaceAreCountedOnceEach) {
+  RadioMapLearner learner;
+  for (int i = 0; i < 3; ++i) {
+    learner.begin_walk();
+    learner.path(0, 10.0, 0.0);
+    learner.path(0, 11.0, 0.0);
+  }
+  learner.path(1, 10.0, 0.0);
+  EXPECT_EQ(learner.other_walks_near(3, 0, 10.0, 3.0, 5.0), 2u);
+  EXPECT_EQ(learner.other_walks_near(0, 0, 10.0, 3.0, 5.0), 3u);
+  EXPECT_EQ(learner.other_walks_near(1, 1, 10.0, 3.0, 5.0), 1u);
+  EXPECT_EQ(learner.other_walks_near(1, 0, 10.0, 6.0, 5.0), 0u);
+}
+
 TEST(RadioMap, NothingHeardIsNoMap) {
   try {
     RadioMapLearner().learn("empty");
@@ -223,14 +259,27 @@ TEST(RadioMapFile, AMapComesBackAsItWasSaved) {
   const Folder folder;
   RadioMap map = *learnt_map();
   map.reference = Reference{49.4611419, 11.1109429};
+  map.accuracy = {2.25, 0.75};
   save(map, folder.path / "a");
   const RadioMap back = load(folder.path / "a");
   save(back, folder.path / "b");
   EXPECT_EQ(bytes_of(folder.path / "a"), bytes_of(folder.path / "b"));
   EXPECT_EQ(back.name, "hall");
   EXPECT_DOUBLE_EQ(back.reference->longitude_deg, 11.1109429);
+  EXPECT_DOUBLE_EQ(back.accuracy.covariance_factor, 2.25);
+  EXPECT_DOUBLE_EQ(back.accuracy.covariance_floor_m, 0.75);
   EXPECT_EQ(back.transmitters.size(), map.transmitters.size());
   EXPECT_EQ(back.cell_at(1, 20.0, 10.0), map.cell_at(1, 20.0, 10.0));
+}
+
+TEST(RadioMapFile, AnImpossibleAccuracyIsTold) {
+  for (const Accuracy accuracy : {Accuracy{std::nan(""), 1.0}, Accuracy{0.0, 1.0}, Accuracy{1.0, -1.0}}) {
+    const Folder folder;
+    RadioMap map = *learnt_map();
+    map.accuracy = accuracy;
+    save(map, folder.path / "a");
+    EXPECT_THAT(error_of(bytes_of(folder.path / "a")).what(), HasSubstr("an impossible accuracy"));
+  }
 }
 
 TEST(RadioMapFile, EveryTruncationIsTold) {
@@ -250,7 +299,7 @@ TEST(RadioMapFile, AnotherVersionIsToldWithBothNumbers) {
   std::string bytes = saved_map();
   bytes[8] = 9;
   const Error error = error_of(bytes);
-  EXPECT_EQ(error.text().expected, "version 1");
+  EXPECT_EQ(error.text().expected, "version 2");
   EXPECT_EQ(error.text().found, "version 9");
 }
 
@@ -426,6 +475,107 @@ TEST(RadioFilter, TheTruthLiesInTheRegionItClaims) {
     ++all;
   }
   EXPECT_GE(inside, 0.9 * all);
+}
+
+/// Fixes whose errors have the covariance factor * spread + floor^2, with spreads of 1 to 25 m^2.
+std::vector<LeftOutFix> drawn_fixes(double factor, double floor_m, std::size_t other_walks, std::uint64_t seed) {
+  Random random(seed);
+  std::vector<LeftOutFix> fixes;
+  for (int i = 0; i < 4000; ++i) {
+    const double variance = 1.0 + 24.0 * random.uniform();
+    const double sd = std::sqrt(factor * variance + floor_m * floor_m);
+    fixes.push_back({{sd * random.normal(), sd * random.normal()}, variance * Eigen::Matrix2d::Identity(), other_walks});
+  }
+  return fixes;
+}
+
+TEST(Accuracy, TheSizeOfTheErrorsIsFound) {
+  for (const Accuracy truth : {Accuracy{4.0, 0.0}, Accuracy{0.5, 0.0}, Accuracy{1.0, 5.0}}) {
+    const Accuracy found = fit_accuracy(drawn_fixes(truth.covariance_factor, truth.covariance_floor_m, 5, 1));
+    const auto variance = [](const Accuracy& a) {
+      return 13.0 * a.covariance_factor + a.covariance_floor_m * a.covariance_floor_m;
+    };
+    EXPECT_NEAR(variance(found) / variance(truth), 1.0, 0.12) << truth.covariance_factor;
+  }
+}
+
+TEST(Accuracy, PlacesThatOnlyOneOtherWalkSurveyedAreNotJudgedWhereThereAreBetterOnes) {
+  auto fixes = drawn_fixes(1.0, 0.0, 3, 1);
+  const Accuracy alone = fit_accuracy(fixes);
+  const auto wild = drawn_fixes(100.0, 0.0, 1, 2);
+  fixes.insert(fixes.end(), wild.begin(), wild.end());
+  EXPECT_EQ(fit_accuracy(fixes).covariance_factor, alone.covariance_factor);
+  EXPECT_GT(fit_accuracy(wild).covariance_factor * 13.0, 50.0 * 13.0 * alone.covariance_factor);
+}
+
+TEST(Accuracy, TooFewFixesGiveTheCarefulDefault) {
+  auto fixes = drawn_fixes(0.1, 0.0, 5, 1);
+  fixes.resize(50);
+  EXPECT_EQ(fit_accuracy(fixes).covariance_factor, Accuracy{}.covariance_factor);
+  EXPECT_EQ(fit_accuracy({}).covariance_floor_m, Accuracy{}.covariance_floor_m);
+}
+
+/// A survey walk eastwards at 1 m/s, with a sweep every two seconds.
+Journey survey_journey(const Building& building, int level, double y_m, std::uint64_t seed) {
+  Random random(seed);
+  Journey journey;
+  for (const auto& mast : building.masts) journey.transmitters.push_back(mast.id);
+  for (int t_s = 1; t_s <= 60; ++t_s) {
+    const milliseconds time(1000 * t_s);
+    journey.told.push_back({time, StepInput{time, 1.0, 0.15, 0.0, 0.1}});
+    if (t_s % 2 != 0) continue;
+    for (std::uint32_t i = 0; i < building.masts.size(); ++i) {
+      const double rssi = Building::rssi_dbm(building.masts[i], level, t_s, y_m) + 4.0 * random.normal();
+      if (rssi > -85.0) journey.told.push_back({time, Journey::Row{i, Radio::WiFi, static_cast<float>(rssi), time}});
+    }
+  }
+  journey.way_points = {{0, {0.0, y_m, level}}, {60'000, {60.0, y_m, level}}};
+  journey.end = milliseconds(60'000);
+  journey.has_steps = true;
+  return journey;
+}
+
+TEST(Accuracy, OfABuildingIsMeasuredOnItsOwnSurveyWalks) {
+  const Building building;
+  RadioMapLearner learner;
+  std::vector<SurveyedJourney> journeys;
+  for (std::uint64_t walk = 0; walk < 24; ++walk) {
+    const int level = static_cast<int>(walk % 2);
+    const double y_m = 2.0 + static_cast<double>(walk);
+    const std::uint32_t number = learner.begin_walk();
+    const Journey journey = survey_journey(building, level, y_m, walk);
+    for (const auto& told : journey.told) {
+      const double x_m = static_cast<double>(told.time.count()) / 1000.0;
+      learner.path(level, x_m, y_m);
+      if (const auto* row = std::get_if<Journey::Row>(&told.what)) {
+        learner.heard(journey.transmitters[row->transmitter], Radio::WiFi, level, x_m, y_m, row->rssi_dbm);
+      } else if (static_cast<int>(x_m) % 2 == 0) {
+        learner.sweep(Radio::WiFi, level, x_m, y_m);
+      }
+    }
+    journeys.push_back({number, journey});
+  }
+  const auto fixes = left_out_fixes(learner, journeys);
+  ASSERT_GT(fixes.size(), 1000u);
+  auto map = learner.learn("hall");
+  map.accuracy = fit_accuracy(fixes);
+  EXPECT_LT(map.accuracy.covariance_factor * 2.0 + std::pow(map.accuracy.covariance_floor_m, 2), 10.0);
+
+  const auto shared = std::make_shared<const RadioMap>(std::move(map));
+  int inside = 0, all = 0;
+  for (std::uint64_t walk = 0; walk < 12; ++walk) {
+    const double y_m = 3.5 + 2.0 * static_cast<double>(walk);
+    RadioFilter filter(shared);
+    replay(survey_journey(building, 0, y_m, 100 + walk), filter, milliseconds(1000), [&](Time time) {
+      const Estimate at = filter.estimate();
+      if (!at.is_valid()) return;
+      const Eigen::Vector2d error(at.x_m - static_cast<double>(time.count()) / 1000.0, at.y_m - y_m);
+      inside += error.dot(at.covariance.inverse() * error) < 5.991;
+      ++all;
+    });
+  }
+  EXPECT_GT(all, 600);
+  EXPECT_GE(inside, 0.88 * all);
 }
 
 }  // namespace

@@ -103,6 +103,7 @@ void run_headless(Session& session, const Word* duration, const Line& line) {
     return end_host(session, 0);
   }
   request.mutable_run();
+  session.out.remark("the system runs; Ctrl-C ends it");
   control::Reply ended;
   bool here = false;
   ControlClient& client = session.host();

@@ -18,6 +18,9 @@ struct Reference {
   double longitude_deg;
 };
 
+/// Squares that the rasters of all levels may have together, with and without cells: 64 MiB of memory.
+inline constexpr std::int64_t kMostSquares = 1 << 24;
+
 /// A square of the map in which radio was learnt.
 struct Cell {
   float x_m, y_m;         ///< centre

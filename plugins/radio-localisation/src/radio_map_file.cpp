@@ -19,7 +19,8 @@ constexpr std::string_view kMagic = "FIONARM\n";
 constexpr std::size_t kHeaderBytes = 8 + 4 + 8 + 8;
 constexpr std::uintmax_t kMostBytes = 1ull << 30;
 constexpr double kPathUnit_m = 0.1;
-constexpr std::int64_t kMostRaster = 1ll << 28;
+constexpr int kHighestLevel = 1000;
+constexpr double kFarthest_m = 1e7;
 
 /// FNV-1a, 64 bit: finds damage; who may have written the file is the package signature's business.
 std::uint64_t checksum(std::string_view bytes) {
@@ -123,14 +124,16 @@ void write_level(Writer& writer, const RadioMap& map, const Level& level) {
   }
 }
 
-void read_level(Reader& reader, RadioMap& map) {
+void read_level(Reader& reader, RadioMap& map, std::int64_t squares_left) {
   Level level;
   level.level = static_cast<std::int32_t>(reader.integer<std::uint32_t>());
+  reader.require(level.level >= -kHighestLevel && level.level <= kHighestLevel, "a level of impossible number");
+  reader.require(map.levels.empty() || map.levels.back().level < level.level, "levels that do not ascend");
   level.west_m = reader.real();
   level.south_m = reader.real();
   const std::int64_t columns = reader.integer<std::uint32_t>(), rows = reader.integer<std::uint32_t>();
-  reader.require(columns > 0 && rows > 0 && columns < kMostRaster && rows < kMostRaster && columns * rows < kMostRaster &&
-                     std::isfinite(level.west_m) && std::isfinite(level.south_m),
+  reader.require(columns > 0 && rows > 0 && columns <= squares_left && rows <= squares_left / columns &&
+                     std::abs(level.west_m) < kFarthest_m && std::abs(level.south_m) < kFarthest_m,
                  "a level of impossible extent");
   level.columns = static_cast<int>(columns);
   level.rows = static_cast<int>(rows);
@@ -204,6 +207,8 @@ RadioMap read_payload(Reader& reader) {
   if (reader.integer<std::uint8_t>() != 0) {
     const double latitude_deg = reader.real();
     map.reference = Reference{latitude_deg, reader.real()};
+    reader.require(std::abs(latitude_deg) <= 90.0 && std::abs(map.reference->longitude_deg) <= 180.0,
+                   "a reference that is no place on Earth");
   }
   map.cell_m = reader.real();
   reader.require(map.cell_m > 0.01 && map.cell_m < 1000.0, "cells of impossible size");
@@ -214,7 +219,11 @@ RadioMap read_payload(Reader& reader) {
                  "an impossible accuracy");
   const std::uint32_t levels = reader.count(28);
   reader.require(levels > 0, "no level");
-  for (std::uint32_t i = 0; i < levels; ++i) read_level(reader, map);
+  std::int64_t squares_left = kMostSquares;
+  for (std::uint32_t i = 0; i < levels; ++i) {
+    read_level(reader, map, squares_left);
+    squares_left -= static_cast<std::int64_t>(map.levels.back().cell_at.size());
+  }
   reader.require(!map.cells.empty(), "no cell");
   const std::uint32_t transmitters = reader.count(4);
   for (std::uint32_t i = 0; i < transmitters; ++i) read_transmitter(reader, map);
@@ -277,8 +286,9 @@ void save(const RadioMap& map, const fs::path& file) {
                                   .next = "choose another file with -o"});
 }
 
-RadioMap load(const fs::path& file) {
-  const std::string bytes = read_file(file);
+RadioMap load(const fs::path& file) { return parse(read_file(file), file); }
+
+RadioMap parse(std::string_view bytes, const fs::path& file) {
   Reader header(bytes, file);
   if (bytes.size() < kHeaderBytes || header.take(kMagic.size()) != kMagic) header.fail("another kind of file");
   const auto version = header.integer<std::uint32_t>();
@@ -291,7 +301,7 @@ RadioMap load(const fs::path& file) {
   }
   const auto length = header.integer<std::uint64_t>();
   const auto expected = header.integer<std::uint64_t>();
-  const std::string_view payload = std::string_view(bytes).substr(kHeaderBytes);
+  const std::string_view payload = bytes.substr(kHeaderBytes);
   if (payload.size() != length) {
     header.fail(std::to_string(payload.size()) + " bytes of " + std::to_string(length));
   }

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
+#include <string_view>
 
 #include "radio_map.hpp"
 
@@ -14,7 +16,11 @@ inline constexpr std::uint32_t kRadioMapVersion = 2;
 void save(const RadioMap& map, const std::filesystem::path& file);
 
 /// Reads a map. Throws fiona::Error: NotFound when there is no such file; Failed when it is no radio map, is of another
-/// version, is truncated or garbled (a checksum covers every byte). Memory stays in proportion to the file's size.
+/// version, is truncated or garbled (a checksum covers every byte). Memory stays within that of the largest rasters
+/// (kMostSquares) and a few times the file's size.
 RadioMap load(const std::filesystem::path& file);
+
+/// The map in the bytes of a file; `file` names them in errors.
+RadioMap parse(std::string_view bytes, const std::filesystem::path& file);
 
 }  // namespace fiona::radio

@@ -12,7 +12,6 @@ namespace {
 
 constexpr std::size_t kMostCellsOfALevel = std::numeric_limits<std::uint16_t>::max();
 constexpr double kOffsetDoubtRows = 20.0;  // rows that say "no offset" beside a walk's own
-constexpr double kMostExtent_m = 20'000.0;
 
 std::uint8_t quantised(double value) { return static_cast<std::uint8_t>(std::clamp(std::lround(value), 0l, 255l)); }
 
@@ -118,6 +117,7 @@ RadioMap RadioMapLearner::learn(std::string name, const std::set<std::uint32_t>&
 
 void RadioMapLearner::make_levels(RadioMap& map, const std::vector<Point>& path) const {
   std::set<int> numbers;
+  double squares = 0.0;
   for (const Point& point : path) numbers.insert(point.level);
   for (const int number : numbers) {
     double west = 1e9, south = 1e9, east = -1e9, north = -1e9;
@@ -126,19 +126,22 @@ void RadioMapLearner::make_levels(RadioMap& map, const std::vector<Point>& path)
       west = std::min(west, double(point.x_m)), east = std::max(east, double(point.x_m));
       south = std::min(south, double(point.y_m)), north = std::max(north, double(point.y_m));
     }
-    if (!(std::max(east - west, north - south) <= kMostExtent_m)) {
+    const double columns = std::ceil((east - west + 2.0 * options_.reach_m) / options_.cell_m);
+    const double rows = std::ceil((north - south + 2.0 * options_.reach_m) / options_.cell_m);
+    squares += columns * rows;
+    if (!(squares <= kMostSquares)) {
       throw Error(ErrorCode::Failed, {.what = "a level of the survey is too wide for one radio map",
                                       .where = "level " + std::to_string(number),
-                                      .expected = "way-points within 20 km",
+                                      .expected = "at most " + std::to_string(kMostSquares) + " squares on all levels",
                                       .found = std::to_string(std::lround(std::max(east - west, north - south))) + " m",
-                                      .next = "check the way-points' unit and origin"});
+                                      .next = "check the way-points' unit and origin, or learn with larger cells (--cell)"});
     }
     Level level;
     level.level = number;
     level.west_m = west - options_.reach_m;
     level.south_m = south - options_.reach_m;
-    level.columns = static_cast<int>(std::ceil((east - west + 2.0 * options_.reach_m) / options_.cell_m));
-    level.rows = static_cast<int>(std::ceil((north - south + 2.0 * options_.reach_m) / options_.cell_m));
+    level.columns = static_cast<int>(columns);
+    level.rows = static_cast<int>(rows);
     map.levels.push_back(std::move(level));
     make_cells(map, path, map.levels.size() - 1);
   }

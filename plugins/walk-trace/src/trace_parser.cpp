@@ -18,6 +18,9 @@ struct FieldList {
 namespace {
 
 constexpr std::size_t kMostShown = 60;
+constexpr std::int64_t kLongestWalk_ms = 86'400'000;  // a day: what reads a walk in steps of time must come to an end
+constexpr std::int64_t kHighestFloor = 1000;
+constexpr double kLargestNumber = 1e8;                // fits in a float and in any sum of squares
 
 FieldList split(std::string_view line) {
   FieldList fields;
@@ -88,7 +91,7 @@ void TraceParser::row(const FieldList& fields) {
     fail("the walk is longer than the reader accepts", "at most " + std::to_string(most_events_) + " rows", "more");
   }
   if (fields.count < 2) fail("a row is garbled", "a tag and a time, separated by a tab", fields.text[0]);
-  const std::int64_t t_ms = integer(fields, 1, "a time in ms");
+  const std::int64_t t_ms = integer_within(fields, 1, "a time in ms", -kLongestWalk_ms, kLongestWalk_ms);
   walk_.events.push_back({t_ms, parse(fields, t_ms)});
 }
 
@@ -117,9 +120,10 @@ EventData TraceParser::parse(const FieldList& fields, std::int64_t t_ms) {
 
 EventData TraceParser::wifi(const FieldList& fields, std::int64_t t_ms) {
   need(fields, 5, 6, "W, time, bssid, rssi, frequency and, if known, the time heard");
-  const std::int64_t heard_ms = fields.count == 6 ? integer(fields, 5, "the time heard in ms") : t_ms;
+  const std::int64_t told_ms = fields.count == 6 ? integer(fields, 5, "the time heard in ms") : t_ms;
+  const std::int64_t heard_ms = std::clamp(told_ms, -kLongestWalk_ms, t_ms);
   return WifiRow{transmitter(fields.text[2]), static_cast<float>(number(fields, 3, "an RSSI in dBm")),
-                 static_cast<std::int32_t>(integer(fields, 4, "a frequency in MHz")), std::min(heard_ms, t_ms)};
+                 static_cast<std::int32_t>(integer_within(fields, 4, "a frequency in MHz", 0, 1'000'000)), heard_ms};
 }
 
 EventData TraceParser::beacon(const FieldList& fields) {
@@ -140,15 +144,15 @@ EventData TraceParser::beacon(const FieldList& fields) {
 EventData TraceParser::way_point(const FieldList& fields) {
   need(fields, 4, 5, "P, time, x, y and, where the walk changes floors, the floor");
   if (fields.count == 4 && !level_) fail("a way-point does not say its floor", "P, time, x, y, floor", "no floor");
-  const int level = fields.count == 5 ? static_cast<int>(integer(fields, 4, "a floor")) : *level_;
-  return WayPoint{number(fields, 2, "x in metres"), number(fields, 3, "y in metres"), level};
+  const std::int64_t level = fields.count == 5 ? integer_within(fields, 4, "a floor", -kHighestFloor, kHighestFloor) : *level_;
+  return WayPoint{number(fields, 2, "x in metres"), number(fields, 3, "y in metres"), static_cast<int>(level)};
 }
 
 double TraceParser::number(const FieldList& fields, std::size_t index, const char* meaning) const {
   const std::string_view text = fields.text[index];
   double value = 0.0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
+  if (error != std::errc() || end != text.data() + text.size() || !(std::abs(value) <= kLargestNumber)) {
     fail("a row is garbled", std::string("a number: ") + meaning, text);
   }
   return value;

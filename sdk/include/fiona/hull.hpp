@@ -5,6 +5,7 @@
 #include <list>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <string_view>
@@ -99,7 +100,8 @@ class Hull {
 
   void add(Port& port);
   void enter(std::string_view mode);
-  void start_component(std::string_view mode);
+  void start_component();
+  [[noreturn]] void throw_failure() const;
   void leave_main_mode();
   void check_transition(std::string_view to) const;
   Async<> watched(Async<> work, std::list<Async<>>::iterator* self, Job then);
@@ -118,6 +120,7 @@ class Hull {
   mutable std::mutex mutex_;
   std::string mode_{kModeInit};
   std::string reason_;
+  std::optional<ErrorText> refusal_;  ///< what on_start threw, kept whole for whoever asked for the mode
   std::atomic<bool> active_{false};
 };
 

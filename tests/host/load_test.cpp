@@ -1,0 +1,237 @@
+// Plugins that are broken on purpose: each refusal is one clear sentence, and leaves nothing half done.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <optional>
+
+#include "fiona/error.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::host {
+namespace {
+
+using conformance::RunningSystem;
+using testing::HasSubstr;
+
+std::string zoo_library(const std::string& name) { return std::string(ZOO_DIRECTORY) + "/lib" + name + ".so"; }
+
+std::optional<Error> error_of_load(RunningSystem& system, const std::string& library, const std::string& group = "") {
+  control::Load request;
+  request.set_plugin(library);
+  request.set_instance("patient");
+  request.set_group(group);
+  try {
+    system.system().load(request);
+  } catch (const Error& error) {
+    return error;
+  }
+  return std::nullopt;
+}
+
+void expect_good_plugin_runs(RunningSystem& system) {
+  system.load_provider("source", "source", "period_ms=1");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("messages", [&] { return system.port("sink.each").messages() >= 3; });
+}
+
+struct Refusal {
+  std::string library;
+  ErrorCode code;
+  std::string what;
+  std::string found;
+  std::string next;
+};
+
+class Zoo : public testing::TestWithParam<Refusal> {
+ protected:
+  void expect_refused(const std::string& group) {
+    const auto error = error_of_load(system, zoo_library(GetParam().library), group);
+    ASSERT_TRUE(error.has_value()) << "it was loaded";
+    EXPECT_EQ(error->code(), GetParam().code);
+    EXPECT_THAT(error->text().what, HasSubstr(GetParam().what));
+    EXPECT_THAT(error->text().found, HasSubstr(GetParam().found));
+    EXPECT_THAT(error->text().next, HasSubstr(GetParam().next));
+    EXPECT_FALSE(error->text().where.empty());
+  }
+  RunningSystem system;
+};
+
+TEST_P(Zoo, IsRefusedWithOneClearSentenceTheFirstTimeAndTheSecond) {
+  expect_refused("");
+  expect_refused("");
+}
+
+TEST_P(Zoo, LeavesNoInstanceAndAGoodPluginStillRuns) {
+  expect_refused("");
+  EXPECT_EQ(system.system().snapshot().instances_size(), 0);
+  expect_good_plugin_runs(system);
+}
+
+TEST_P(Zoo, IsRefusedInAGroupAndTheGroupDoesNotStay) {
+  expect_refused("cage");
+  const auto snapshot = system.system().snapshot();
+  EXPECT_EQ(snapshot.instances_size(), 0);
+  ASSERT_EQ(snapshot.groups_size(), 1);
+  EXPECT_EQ(snapshot.groups(0).name(), "main");
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Each, Zoo,
+    testing::Values(
+        Refusal{"missing-symbol", ErrorCode::Failed, "plugin 'local/missing-symbol' cannot be loaded: the system's loader refuses it",
+                "undefined symbol: fiona_zoo_absent_function", "ask the publisher for a build for this system"},
+        Refusal{"no-entry", ErrorCode::Failed, "plugin 'local/no-entry' cannot be loaded: it has no entry", "", "FIONA_PLUGIN(plugin)"},
+        Refusal{"other-abi", ErrorCode::Failed, "it was built for another SDK or compiler", "fiona9.9-cxxabi9999",
+                "install a build of it for this version of FIONA"},
+        Refusal{"other-library", ErrorCode::Failed, "the library is not the one that its interface describes", "fiona9.9-cxxabi9999",
+                "install the package again"},
+        Refusal{"throws-in-factory", ErrorCode::ComponentFailed,
+                "component 'throws-in-factory' cannot be made: the antenna is not plugged in", "", "tell the publisher"},
+        Refusal{"fails-on-start", ErrorCode::ComponentFailed, "'patient' failed: there is no step counter on this machine", "", "plug one in"},
+        Refusal{"lies", ErrorCode::Failed,
+                "component 'lies' is not what its package says: it provides steps (fiona.localisation.StepProvider); its "
+                "interface says: provides strides (fiona.localisation.StepProvider)",
+                "", "install the package again"}),
+    [](const auto& tested) {
+      std::string name = tested.param.library;
+      std::erase(name, '-');
+      return name;
+    });
+
+TEST(Load, ProtoFileOfAnotherPluginIsRefusedBeforeTheLibraryIsOpened) {
+  RunningSystem system;
+  system.load_provider("source", "source");
+  const auto error = error_of_load(system, zoo_library("clashing-proto"));
+  ASSERT_TRUE(error.has_value());
+  EXPECT_EQ(error->code(), ErrorCode::Failed);
+  EXPECT_THAT(error->text().what, HasSubstr("its proto file 'fiona/test/test.proto' has already been brought by plugin "
+                                            "'local/test-components', and protobuf ends a process that gets it twice"));
+  EXPECT_EQ(error->text().next, "load local/clashing-proto in GROUP: a group is a process of its own");
+}
+
+TEST(Load, ProtoFileOfAnotherPluginIsNoObstacleInAGroupOfItsOwn) {
+  RunningSystem system;
+  system.load_provider("source", "source");
+  EXPECT_FALSE(error_of_load(system, zoo_library("clashing-proto"), "apart").has_value());
+  system.eventually("ticks", [&] { return system.port("patient.ticks").messages() >= 3; });
+}
+
+TEST(Load, ContractOfAPluginInAGroupIsItsOwnAndNotThatOfAFileOfTheSameName) {
+  RunningSystem system;
+  system.load_client("sink", "sink");
+  ASSERT_FALSE(error_of_load(system, zoo_library("clashing-proto"), "apart").has_value());
+  try {
+    system.wire("sink.each", "patient.ticks");
+    FAIL() << "wired";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "sink.each requires SampleNewest (push newest, Sample); patient.ticks provides Ticks (push newest, Tick)");
+  }
+}
+
+/// A folder with a copy of the good plugin, to be spoilt.
+class CopiedPlugin : public testing::Test {
+ protected:
+  CopiedPlugin() {
+    std::string name = (std::filesystem::temp_directory_path() / "fiona-load-XXXXXX").string();
+    directory = ::mkdtemp(name.data());
+    const std::filesystem::path built(TEST_COMPONENTS_LIBRARY);
+    std::filesystem::copy_file(built.parent_path() / "test-components.interface.textproto", interface());
+    std::filesystem::copy_file(built, library());
+  }
+  ~CopiedPlugin() override { std::filesystem::remove_all(directory); }
+
+  std::filesystem::path library() const { return directory / "libcopy.so"; }
+  std::filesystem::path interface() const { return directory / "copy.interface.textproto"; }
+  std::string component() const { return library().string() + "/source"; }
+
+  std::filesystem::path directory;
+  RunningSystem system;
+};
+
+TEST_F(CopiedPlugin, WithoutLibraryIsMissing) {
+  std::filesystem::remove(library());
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_EQ(error->text().what, "plugin 'local/copy' cannot be loaded: its library is missing");
+  EXPECT_EQ(error->text().where, library().string());
+}
+
+TEST_F(CopiedPlugin, WithoutInterfaceSaysWhoWritesIt) {
+  std::filesystem::remove(interface());
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_EQ(error->code(), ErrorCode::NotFound);
+  EXPECT_EQ(error->text().what, "plugin 'copy' has no readable interface beside it");
+  EXPECT_THAT(error->text().next, HasSubstr("fiona_add_plugin()"));
+}
+
+TEST_F(CopiedPlugin, TruncatedLibraryIsRefusedInTheLoadersWords) {
+  std::filesystem::resize_file(library(), 100);
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_THAT(error->text().found, HasSubstr("file too short"));
+}
+
+TEST_F(CopiedPlugin, TextInPlaceOfALibraryIsRefusedInTheLoadersWords) {
+  std::ofstream(library(), std::ios::trunc) << std::string(4096, 'x');
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_THAT(error->text().found, HasSubstr("invalid ELF header"));
+}
+
+TEST_F(CopiedPlugin, UnknownComponentIsToldTheNearestName) {
+  const auto error = error_of_load(system, library().string() + "/sourc");
+  ASSERT_TRUE(error.has_value());
+  EXPECT_EQ(error->code(), ErrorCode::NotFound);
+  EXPECT_EQ(error->text().what, "plugin 'local/copy' has no component 'sourc'");
+  EXPECT_THAT(error->text().near, testing::Contains("source"));
+}
+
+TEST_F(CopiedPlugin, RebuiltSinceItWasLoadedIsRefusedAndTheInstanceRunsOn) {
+  control::Load first;
+  first.set_plugin(component());
+  first.set_instance("first");
+  first.mutable_parameters()->Add()->set_name("period_ms");
+  first.mutable_parameters(0)->mutable_value()->set_integer(1);
+  system.system().load(first);
+  std::filesystem::last_write_time(library(), std::filesystem::file_time_type::clock::now() + std::chrono::hours(1));
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_THAT(error->text().what, HasSubstr("the file has changed since it was loaded, and a library is never unloaded"));
+  const auto before = system.port("first.newest").messages();
+  system.eventually("goes on", [&] { return system.port("first.newest").messages() > before; });
+}
+
+TEST(Load, TakenNameIsRefusedAndSaysWhoHasIt) {
+  RunningSystem system;
+  system.load_provider("source", "source");
+  try {
+    system.load_provider("sink", "source");
+    FAIL() << "loaded twice";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::Usage);
+    EXPECT_EQ(error.text().what, "there is an instance 'source' already");
+    EXPECT_THAT(error.text().next, HasSubstr("unload source"));
+  }
+  EXPECT_EQ(system.instance("source").component(), "source");
+}
+
+TEST(Load, WrongParameterLoadsNothing) {
+  RunningSystem system;
+  try {
+    system.load_provider("source", "source", "period_ms=0.01");
+    FAIL() << "loaded";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::Usage);
+    EXPECT_EQ(error.text().what, "refused: period_ms is 0.01, below 0.1 ms");
+    EXPECT_EQ(error.text().next, "'source' was not loaded: correct that, then load it again");
+  }
+  EXPECT_EQ(system.system().snapshot().instances_size(), 0);
+  expect_good_plugin_runs(system);
+}
+
+}  // namespace
+}  // namespace fiona::host

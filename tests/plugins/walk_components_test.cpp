@@ -1,0 +1,141 @@
+// The components of a recorded walk on the bench: what they put, and what they refuse.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <numbers>
+
+#include "fiona/objects/imu.hpp"
+#include "fiona/testing/bench.hpp"
+#include "radio_localisation.hpp"
+#include "radio_map_file.hpp"
+#include "step_heading.hpp"
+#include "trace_player.hpp"
+
+namespace fiona {
+namespace {
+
+using namespace std::chrono_literals;
+using radio_localisation::RadioLocalisation;
+using step_heading::StepHeading;
+using testing::Bench;
+using trace_player::TracePlayer;
+
+std::string error_of(const std::function<void()>& act) {
+  try {
+    act();
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "no error";
+}
+
+/// Walking east with two steps a second, the phone held flat, its top edge ahead.
+sensors::GetIMU gait(double t_s) {
+  const double swing_g = 0.25 * std::sin(2 * std::numbers::pi * 2.0 * t_s);
+  return sensors::from_phone_axes({.acceleration_g = sensors::PhoneAxes::Vector{0, 0, 1 + swing_g},
+                                   .rotation_deg_s = sensors::PhoneAxes::Vector{0, 0, 0},
+                                   .magnetic_gauss = sensors::PhoneAxes::Vector{-0.2, 0, -0.42}});
+}
+
+TEST(StepHeadingComponent, TwoStepsASecondEastward) {
+  Bench<StepHeading> bench;
+  bench.start();
+  for (int i = 0; i < 500; ++i) {
+    bench.put<sensors::GetIMUService>("imu", gait(0.02 * i));
+    bench.advance(20ms);
+  }
+  const auto steps = bench.take<localisation::StepProvider>("steps");
+  EXPECT_NEAR(static_cast<double>(steps.size()), 20.0, 2.0);
+  ASSERT_FALSE(steps.empty());
+  EXPECT_NEAR(steps.back()->heading(), 0.0, 0.1) << "counter-clockwise from east";
+  EXPECT_GT(steps.back()->length(), 0.3);
+  EXPECT_TRUE(steps.back()->is_valid());
+}
+
+TEST(StepHeadingComponent, DeclinationTurnsTheHeadingClockwise) {
+  Bench<StepHeading> bench;
+  bench.set("declination", 10.0);
+  bench.start();
+  for (int i = 0; i < 500; ++i) {
+    bench.put<sensors::GetIMUService>("imu", gait(0.02 * i));
+    bench.advance(20ms);
+  }
+  const auto steps = bench.take<localisation::StepProvider>("steps");
+  ASSERT_FALSE(steps.empty());
+  EXPECT_NEAR(steps.back()->heading(), -10.0 * std::numbers::pi / 180, 0.1);
+}
+
+TEST(StepHeadingComponent, ASampleWithoutMagnetometerIsLeftOut) {
+  Bench<StepHeading> bench;
+  bench.start();
+  for (int i = 0; i < 100; ++i) {
+    auto imu = gait(0.02 * i);
+    imu.clear_out_x_m();
+    bench.put<sensors::GetIMUService>("imu", imu);
+    bench.advance(20ms);
+  }
+  EXPECT_TRUE(bench.take<localisation::StepProvider>("steps").empty());
+  EXPECT_EQ(bench.mode(), "active");
+}
+
+TEST(RadioLocalisationComponent, WithoutAMapItRefusesToStartAndSaysHowToMakeOne) {
+  Bench<RadioLocalisation> bench("radio");
+  const std::string error = error_of([&] { bench.start(); });
+  EXPECT_NE(error.find("no radio map is named"), std::string::npos) << error;
+  EXPECT_NE(error.find("fiona-radiomap learn FOLDER -o FILE"), std::string::npos) << error;
+  EXPECT_EQ(bench.mode(), "failed");
+}
+
+TEST(RadioLocalisationComponent, AMapThatIsMissingIsNamed) {
+  Bench<RadioLocalisation> bench("radio");
+  bench.set("map", "nowhere.radiomap");
+  EXPECT_NE(error_of([&] { bench.start(); }).find("nowhere.radiomap"), std::string::npos);
+}
+
+TEST(RadioLocalisationComponent, ParticlesOutsideTheirRangeChangeNothing) {
+  Bench<RadioLocalisation> bench("radio");
+  const std::string error = error_of([&] { bench.set("particles", 5); });
+  EXPECT_NE(error.find("particles is 5, below 100"), std::string::npos) << error;
+  EXPECT_EQ(bench.hull().parameters()->status().at(1).value(), "1500");
+}
+
+TEST(TracePlayerComponent, WithoutARecordingItRefusesToStart) {
+  Bench<TracePlayer> bench("walk");
+  const std::string error = error_of([&] { bench.start(); });
+  EXPECT_NE(error.find("no recording is named"), std::string::npos) << error;
+  EXPECT_NE(error.find("load trace-player as walk dataset=FOLDER trace=NAME"), std::string::npos) << error;
+}
+
+/// One recorded walk of the developer's data, where it is on this machine.
+class RecordedWalk : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    const char* data = std::getenv("FIONA_DATA");
+    folder_ = std::filesystem::path(data ? data : FIONA_SHARED_DATA) / "indoor20_site1";
+    if (!std::filesystem::exists(folder_)) GTEST_SKIP() << "no recording at " << folder_ << ": set FIONA_DATA";
+  }
+  std::filesystem::path folder_;
+};
+
+TEST_F(RecordedWalk, IsPlayedAtItsOwnTimesAndEndsTheRun) {
+  Bench<TracePlayer> bench("walk");
+  bench.set("dataset", folder_.string());
+  bench.set("trace", "5dd9e7ccc5b77e0006b1733f");
+  bench.start();
+  bench.advance(1s);
+  const auto first_second = bench.take<sensors::GetIMUService>("imu");
+  EXPECT_NEAR(static_cast<double>(first_second.size()), 44.0, 4.0) << "50 Hz from 127 ms on";
+  EXPECT_FALSE(bench.run_end());
+  bench.advance(60s);
+  ASSERT_TRUE(bench.run_end());
+  EXPECT_EQ(bench.run_end()->first, 0);
+  EXPECT_EQ(bench.run_end()->second, "end of walk 5dd9e7ccc5b77e0006b1733f");
+  for (const auto& row : bench.take<sensors::RFSignalRSSIService>("wifi")) {
+    EXPECT_EQ(row.origin.time_since_epoch(), std::chrono::milliseconds(row->t())) << "the time it was heard";
+  }
+}
+
+}  // namespace
+}  // namespace fiona

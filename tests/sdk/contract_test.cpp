@@ -1,0 +1,388 @@
+// Contracts, rules, parameters, units, names: what is decided on values alone.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <deque>
+#include <limits>
+
+#include "fiona/contract.hpp"
+#include "fiona/message.hpp"
+#include "fiona/params.hpp"
+#include "fiona/rules.hpp"
+#include "fiona/sdk_test/objects.fiona.hpp"
+#include "fiona/testing/inline_executor.hpp"
+#include "fiona/units.hpp"
+#include "support.hpp"
+
+namespace fiona::sdk_test {
+namespace {
+
+using google::protobuf::DescriptorPool;
+using google::protobuf::FieldDescriptorProto;
+using google::protobuf::FileDescriptorProto;
+using google::protobuf::ServiceDescriptor;
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+
+// ---- contracts ------------------------------------------------------------------------------------------------
+
+/// The test's proto file as another package might have it.
+class OtherContract : public ::testing::Test {
+ protected:
+  OtherContract() { Ruled::descriptor()->file()->CopyTo(&file); }
+
+  FieldDescriptorProto& field(const std::string& name) {
+    for (auto& message : *file.mutable_message_type()) {
+      for (auto& one : *message.mutable_field()) {
+        if (message.name() == "Ruled" && one.name() == name) return one;
+      }
+    }
+    throw std::runtime_error("no field " + name);
+  }
+  ServiceContract& contract_of_file() {
+    for (auto& service : *file.mutable_service()) {
+      if (service.name() == "RuledObjects") return *service.mutable_options()->MutableExtension(contract);
+    }
+    throw std::runtime_error("no service");
+  }
+  const ServiceDescriptor& other(const std::string& service = "RuledObjects") {
+    auto& pool = pools.emplace_back(DescriptorPool::generated_pool());
+    if (!pool.BuildFile(file)) throw std::runtime_error("the changed file does not build");
+    return *pool.FindServiceByName("fiona.sdk_test." + service);
+  }
+  const ServiceDescriptor& ours() { return RuledObjects::info().descriptor(); }
+
+  FileDescriptorProto file;
+  std::deque<DescriptorPool> pools;
+};
+
+TEST_F(OtherContract, SameFileFromAnotherPoolFits) { EXPECT_EQ(contract_difference(ours(), other()), std::nullopt); }
+
+TEST_F(OtherContract, OtherUnitIsNamed) {
+  field("length").mutable_options()->SetExtension(unit, "km");
+  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.length has unit 'm' required, 'km' provided");
+}
+
+TEST_F(OtherContract, OtherFrameIsNamed) {
+  field("length").mutable_options()->SetExtension(frame, "body");
+  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.length has frame 'enu' required, 'body' provided");
+}
+
+TEST_F(OtherContract, OtherArrayLengthIsNamed) {
+  field("triple").mutable_options()->SetExtension(size, 4);
+  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.triple has size '3' required, '4' provided");
+}
+
+TEST_F(OtherContract, OtherTypeIsNamedEvenWhereTheWireTypeIsTheSame) {
+  field("name").set_type(FieldDescriptorProto::TYPE_BYTES);
+  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.name has type 'string' required, 'bytes' provided");
+}
+
+TEST_F(OtherContract, OtherCardinalityIsNamed) {
+  field("anything").set_label(FieldDescriptorProto::LABEL_REPEATED);
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Ruled.anything has cardinality 'singular' required, 'repeated' provided");
+}
+
+TEST_F(OtherContract, OtherEnumeratorNumberIsNamed) {
+  file.mutable_enum_type(0)->mutable_value(1)->set_number(7);
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Ruled.colour has enumerator GREEN '1' required, '7' provided");
+}
+
+TEST_F(OtherContract, DifferenceInANestedObjectIsFound) {
+  for (auto& message : *file.mutable_message_type()) {
+    if (message.name() == "Inner") message.mutable_field(0)->mutable_options()->SetExtension(unit, "deg");
+  }
+  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Inner.angle has unit 'rad' required, 'deg' provided");
+}
+
+TEST_F(OtherContract, FieldThatOnlyOneSideHasIsHowAMinorVersionGrows) {
+  auto& added = *file.mutable_message_type(2)->add_field();
+  ASSERT_EQ(file.message_type(2).name(), "Ruled");
+  added.set_name("added");
+  added.set_number(20);
+  added.set_label(FieldDescriptorProto::LABEL_OPTIONAL);
+  added.set_type(FieldDescriptorProto::TYPE_DOUBLE);
+  EXPECT_EQ(contract_difference(ours(), other()), std::nullopt);
+  EXPECT_EQ(contract_difference(pools.back().FindServiceByName("fiona.sdk_test.RuledObjects")[0], ours()), std::nullopt);
+}
+
+TEST_F(OtherContract, ProvidersMinorMayBeAboveTheClientsButNotBelow) {
+  contract_of_file().set_minor(1);
+  const auto& newer = other();
+  EXPECT_EQ(contract_difference(ours(), newer), std::nullopt);
+  EXPECT_EQ(contract_difference(newer, ours()), "version 1.1 required, 1.0 provided");
+}
+
+TEST_F(OtherContract, OtherMajorNeverFits) {
+  contract_of_file().set_major(2);
+  EXPECT_EQ(contract_difference(ours(), other()), "version 1.0 required, 2.0 provided");
+}
+
+TEST_F(OtherContract, OtherPatternNeverFits) {
+  contract_of_file().set_pattern(PUSH_TIMED);
+  EXPECT_EQ(contract_difference(ours(), other()), "the pattern differs");
+}
+
+TEST_F(OtherContract, OtherServiceIsNamed) {
+  EXPECT_EQ(contract_difference(ours(), other("Numbers")),
+            "service fiona.sdk_test.RuledObjects is not fiona.sdk_test.Numbers");
+}
+
+// ---- rules ----------------------------------------------------------------------------------------------------
+
+class Rules : public ::testing::Test {
+ protected:
+  std::optional<std::string> violation() const { return rules.first_violation(object); }
+  const ObjectRules rules{*Ruled::descriptor()};
+  Ruled object;
+};
+
+TEST_F(Rules, DefaultObjectBreaksNone) { EXPECT_EQ(violation(), std::nullopt); }
+
+TEST_F(Rules, LimitsAreInclusive) {
+  object.set_length(10);
+  EXPECT_EQ(violation(), std::nullopt);
+  object.set_length(10.5);
+  EXPECT_EQ(violation(), "length is 10.5, above 10 m");
+  object.set_length(-1);
+  EXPECT_EQ(violation(), "length is -1, below 0 m");
+}
+
+TEST_F(Rules, NotANumberAndInfinityAreRefusedUnlessAllowed) {
+  object.set_anything(std::numeric_limits<double>::infinity());
+  EXPECT_EQ(violation(), std::nullopt);
+  object.set_length(std::numeric_limits<double>::quiet_NaN());
+  EXPECT_EQ(violation(), "length is nan, not a finite number");
+}
+
+TEST_F(Rules, ArrayHasItsLengthOrNone) {
+  object.add_triple(0);
+  object.add_triple(0);
+  EXPECT_EQ(violation(), "triple has 2 elements, not 3");
+  object.add_triple(0);
+  EXPECT_EQ(violation(), std::nullopt);
+}
+
+TEST_F(Rules, EachElementIsChecked) {
+  for (const double value : {0.0, 1.0, 1.5}) object.add_triple(value);
+  EXPECT_EQ(violation(), "triple[2] is 1.5, above 1");
+}
+
+TEST_F(Rules, StringIsAtMostItsSize) {
+  object.set_name("four");
+  EXPECT_EQ(violation(), std::nullopt);
+  object.set_name("fives");
+  EXPECT_EQ(violation(), "name has 5 bytes, more than 4");
+}
+
+TEST_F(Rules, NestedObjectsAreCheckedAndNamedByTheirPath) {
+  object.mutable_inner()->set_angle(4);
+  EXPECT_EQ(violation(), "inner.angle is 4, above 3.2 rad");
+  object.clear_inner();
+  object.add_list();
+  object.add_list()->set_angle(std::nan(""));
+  EXPECT_EQ(violation(), "list[1].angle is nan, not a finite number");
+}
+
+TEST_F(Rules, ListOfObjectsIsAtMostItsSize) {
+  for (int i = 0; i < 3; ++i) object.add_list();
+  EXPECT_EQ(violation(), "list has 3 elements, more than 2");
+}
+
+TEST_F(Rules, AbsentOptionalFieldBreaksNone) {
+  EXPECT_EQ(violation(), std::nullopt);
+  object.set_maybe(0);
+  EXPECT_EQ(violation(), "maybe is 0, below 1");
+}
+
+// ---- parameters -----------------------------------------------------------------------------------------------
+
+class Adjustable final : public Component {
+ public:
+  using Component::Component;
+  int changes() const { return changes_; }
+  const Settings& settings() const { return *params_; }
+
+ private:
+  void check(const Settings& draft) const {
+    if (draft.label() == "forbidden") throw Error(ErrorCode::Usage, {.what = "this label is taken", .found = draft.label()});
+  }
+  void changed() { ++changes_; }
+
+  int changes_ = 0;
+  Params<Settings> params_{*this, &Adjustable::check, &Adjustable::changed};
+};
+
+class Parameters : public ::testing::Test {
+ protected:
+  Parameters() { made.hull.set_mode(kModeActive, std::chrono::seconds(1)); }
+
+  static control::Argument number(const std::string& name, double value, const std::string& unit = "") {
+    control::Argument one;
+    one.set_name(name);
+    one.mutable_value()->set_number(value);
+    one.mutable_value()->set_unit(unit);
+    return one;
+  }
+  static control::Argument word(const std::string& name, const std::string& value) {
+    control::Argument one;
+    one.set_name(name);
+    one.mutable_value()->set_text(value);
+    return one;
+  }
+  void set(const std::vector<control::Argument>& changes) { made.hull.set_parameters(changes, std::chrono::seconds(1)); }
+  ErrorText refusal_of(const std::vector<control::Argument>& changes) {
+    try {
+      set(changes);
+    } catch (const Error& error) {
+      return error.text();
+    }
+    return {.what = "it was taken"};
+  }
+
+  testing::InlineExecutor executor;
+  VirtualClock clock;
+  KeptEvents events;
+  Made<Adjustable> made{"knob", executor, clock, events};
+};
+
+TEST_F(Parameters, BeginWithTheirDeclaredDefaults) {
+  EXPECT_EQ(made->settings().gain(), 0.5);
+  EXPECT_EQ(made->settings().count(), 3U);
+  EXPECT_EQ(made->settings().colour(), GREEN);
+  EXPECT_THAT(made.hull.parameters()->differences(), IsEmpty());
+}
+
+TEST_F(Parameters, SeveralChangeTogetherAndAreToldOnce) {
+  set({number("gain", 0.7), number("window_s", 1500, "ms"), number("inner.angle", 90, "deg")});
+  EXPECT_EQ(made->settings().gain(), 0.7);
+  EXPECT_EQ(made->settings().window_s(), 1.5);
+  EXPECT_NEAR(made->settings().inner().angle(), 1.5707963, 1e-6);
+  EXPECT_EQ(made->changes(), 1);
+}
+
+TEST_F(Parameters, OneWrongAmongSeveralChangesNothing) {
+  EXPECT_EQ(refusal_of({number("gain", 0.7), number("count", -1)}).expected, "a whole number from 0 to 4294967295");
+  EXPECT_EQ(made->settings().gain(), 0.5);
+  EXPECT_EQ(made->changes(), 0);
+}
+
+TEST_F(Parameters, ComponentsOwnCheckSeesTheWholeDraftAndMayRefuse) {
+  const auto text = refusal_of({number("gain", 0.7), word("label", "forbidden")});
+  EXPECT_EQ(text.what, "this label is taken");
+  EXPECT_EQ(text.where, "knob");
+  EXPECT_EQ(text.next, "get knob");
+  EXPECT_EQ(made->settings().gain(), 0.5);
+  EXPECT_EQ(made->settings().label(), "");
+}
+
+TEST_F(Parameters, UnknownEnumeratorGetsTheNearest) {
+  const auto text = refusal_of({word("colour", "GRENE")});
+  EXPECT_EQ(text.expected, "one of RED, GREEN");
+  EXPECT_THAT(text.near, ElementsAre("GREEN"));
+}
+
+TEST_F(Parameters, UnknownNestedNameGetsTheNearest) {
+  const auto text = refusal_of({number("inner.angel", 1)});
+  EXPECT_EQ(text.what, "there is no parameter 'inner.angel'");
+  EXPECT_THAT(text.near, ElementsAre("angle"));
+}
+
+TEST_F(Parameters, DifferencesGiveTheValuesBack) {
+  set({number("gain", 0.1), word("label", "a \"quoted\" word"), word("colour", "RED")});
+  Settings copy;
+  set_declared_defaults(copy);
+  set_fields(copy, made.hull.parameters()->differences());
+  EXPECT_EQ(copy.SerializeAsString(), made->settings().SerializeAsString());
+}
+
+TEST(DeclaredDefault, OutsideItsOwnRangeIsTheAuthorsMistake) {
+  ImpossibleDefault message;
+  try {
+    set_declared_defaults(message);
+    FAIL() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "the declared default breaks its own rule: gain is 5, above 1");
+    EXPECT_EQ(error.text().where, "fiona.sdk_test.ImpossibleDefault");
+  }
+}
+
+// ---- units, names, messages -----------------------------------------------------------------------------------
+
+double converted(double value, std::string_view from, std::string_view to) {
+  const auto conversion = convert_unit(from, to);
+  return conversion ? value * conversion->factor + conversion->offset : std::nan("");
+}
+
+TEST(Units, ConvertWithinADimension) {
+  EXPECT_DOUBLE_EQ(converted(200, "ms", "s"), 0.2);
+  EXPECT_DOUBLE_EQ(converted(180, "deg", "rad"), std::acos(-1.0));
+  EXPECT_DOUBLE_EQ(converted(20, "degC", "K"), 293.15);
+  EXPECT_DOUBLE_EQ(converted(293.15, "K", "degC"), 20);
+  EXPECT_DOUBLE_EQ(converted(1, "g", "m/s^2"), 9.80665);
+  EXPECT_DOUBLE_EQ(converted(50, "uT", "gauss"), 0.5);
+  EXPECT_DOUBLE_EQ(converted(36, "km/h", "m/s"), 10);
+}
+
+TEST(Units, DoNotConvertBetweenDimensionsNorFromUnknownOnes) {
+  EXPECT_FALSE(convert_unit("m", "s").has_value());
+  EXPECT_FALSE(convert_unit("rad", "rad/s").has_value());
+  EXPECT_FALSE(convert_unit("furlong", "m").has_value());
+}
+
+TEST(Units, EqualSymbolsConvertEvenIfUnknown) { EXPECT_DOUBLE_EQ(converted(3, "furlong", "furlong"), 3); }
+
+TEST(NearestNames, FindTyposSwapsAndPrefixesBestFirst) {
+  const std::vector<std::string> verbs{"load", "unload", "loadable", "watch", "wire"};
+  EXPECT_THAT(nearest_names("laod", verbs), ElementsAre("load"));
+  EXPECT_THAT(nearest_names("lo", verbs), ElementsAre("load", "loadable"));
+  EXPECT_THAT(nearest_names("wach", verbs), ElementsAre("watch"));
+}
+
+TEST(NearestNames, OfferAtMostThreeAndNoneThatIsFar) {
+  const std::vector<std::string> ports{"port1", "port2", "port3", "port4"};
+  EXPECT_THAT(nearest_names("port", ports), ElementsAre("port1", "port2", "port3"));
+  EXPECT_THAT(nearest_names("zebra", ports), IsEmpty());
+  EXPECT_THAT(nearest_names("", ports), IsEmpty());
+}
+
+TEST(ErrorRendering, PutsEachPartOnALineOfItsOwn) {
+  const Error error(ErrorCode::NotFound, {.what = "no such port",
+                                          .where = "nav.loc",
+                                          .expected = "a port",
+                                          .found = "nothing",
+                                          .next = "show nav",
+                                          .near = {"location", "locate"}});
+  EXPECT_STREQ(error.what(),
+               "nav.loc: no such port\n  expected: a port\n  found: nothing\n  did you mean: location, locate\n  next: show nav");
+}
+
+TEST(MessagePool, GivesAMessageBackClearedWhenItsLastOwnerLetGo) {
+  MessagePool<Number> pool;
+  auto first = pool.acquire();
+  first->set_value(7);
+  const Number* place = first.get();
+  auto second_owner = first;
+  first.reset();
+  EXPECT_NE(pool.acquire().get(), place) << "it still has an owner";
+  second_owner.reset();
+  const auto again = pool.acquire();
+  EXPECT_EQ(again.get(), place);
+  EXPECT_EQ(again->value(), 0U);
+}
+
+TEST(MessagePool, MessagesMayOutliveIt) {
+  std::shared_ptr<Number> message;
+  {
+    MessagePool<Number> pool;
+    message = pool.acquire();
+  }
+  message->set_value(3);
+  EXPECT_EQ(message->value(), 3U);
+}
+
+}  // namespace
+}  // namespace fiona::sdk_test
