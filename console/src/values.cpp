@@ -136,7 +136,7 @@ control::Value value_of(const Word& word, const WordLine& line) {
 std::string quoted_word(std::string_view text) { return is_bare(text) ? std::string(text) : in_quotes(text); }
 
 std::string typed_text(std::string_view text) {
-  const bool plain = is_bare(text) && !is_keyword(text) && text[0] != '-' &&
+  const bool plain = is_bare(text) && !is_keyword(text) && text[0] != '-' && text[0] != '=' &&
                      plain_value({.text = std::string(text)}).kind_case() == control::Value::kText;
   return plain ? std::string(text) : in_quotes(text);
 }

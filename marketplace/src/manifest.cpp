@@ -55,7 +55,7 @@ int rank(std::string_view path) {
   return path.starts_with("share/") ? 3 : 4;
 }
 
-std::string lower(std::string text) {
+std::string lower_case(std::string text) {
   for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
   return text;
 }
@@ -72,7 +72,7 @@ void check_clashes(const Manifest& manifest, const std::string& where) {
       if (slash != std::string::npos && files.contains(prefix)) {
         refuse(where, prefix + " is listed as a file, and " + file.path() + " needs a directory there");
       }
-      if (spellings.insert(prefix).second && !spellings_lower.insert(lower(prefix)).second) {
+      if (spellings.insert(prefix).second && !spellings_lower.insert(lower_case(prefix)).second) {
         refuse(where, prefix + " differs from another name only in upper and lower case");
       }
     }

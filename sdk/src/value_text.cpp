@@ -22,7 +22,7 @@ using google::protobuf::Reflection;
 
 namespace {
 
-std::string quoted(std::string_view text) {
+std::string in_quotes(std::string_view text) {
   std::string out = "\"";
   for (const char c : text) {
     if (c == '"' || c == '\\') out += '\\';
@@ -41,7 +41,7 @@ std::string value_text(const Value& value) {
     case Value::kNumber: return fmt::format("{}{}", value.number(), value.unit());
     case Value::kInteger: return fmt::format("{}{}", value.integer(), value.unit());
     case Value::kFlag: return value.flag() ? "true" : "false";
-    case Value::kText: return quoted(value.text());
+    case Value::kText: return in_quotes(value.text());
     case Value::kMessage: return "{" + value.message() + "}";
     case Value::kList: {
       std::vector<std::string> parts;

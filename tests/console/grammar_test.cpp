@@ -219,7 +219,7 @@ TEST(Values, WhatIsTypedIsReadBackTheSame) {
                            "[1, \"a, b\", [x]]",
                            "{a: 1}",
                            "\"#x\"",
-                           "\"a=b\"",
+                           "\"a=b\"", "\"=\"",
                            "é"}) {
     const control::Value first = value(text);
     EXPECT_EQ(value(typed(first)).SerializeAsString(), first.SerializeAsString()) << text << " -> " << typed(first);

@@ -1,6 +1,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <memory>
 #include <string>
@@ -246,6 +247,19 @@ TEST(RadioMap, OtherWalksNearAPlaceAreCountedOnceEach) {
   EXPECT_EQ(learner.other_walks_near(1, 0, 10.0, 6.0, 5.0), 0u);
 }
 
+TEST(RadioMap, WayPointsThatAreTooFarApartAreTold) {
+  RadioMapLearner learner;
+  learner.path(0, 0.0, 0.0);
+  learner.path(0, 40'000.0, 40'000.0);
+  learner.heard("aa01", Radio::WiFi, 0, 0.0, 0.0, -50.0);
+  try {
+    learner.learn("x");
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("a level of the survey is too wide"));
+  }
+}
+
 TEST(RadioMap, NothingHeardIsNoMap) {
   try {
     RadioMapLearner().learn("empty");
@@ -272,14 +286,34 @@ TEST(RadioMapFile, AMapComesBackAsItWasSaved) {
   EXPECT_EQ(back.cell_at(1, 20.0, 10.0), map.cell_at(1, 20.0, 10.0));
 }
 
+/// The error that loading a map gives after `change`.
+std::string error_after(const std::function<void(RadioMap&)>& change) {
+  const Folder folder;
+  RadioMap map = *learnt_map();
+  change(map);
+  save(map, folder.path / "a");
+  return error_of(bytes_of(folder.path / "a")).what();
+}
+
 TEST(RadioMapFile, AnImpossibleAccuracyIsTold) {
   for (const Accuracy accuracy : {Accuracy{std::nan(""), 1.0}, Accuracy{0.0, 1.0}, Accuracy{1.0, -1.0}}) {
-    const Folder folder;
-    RadioMap map = *learnt_map();
-    map.accuracy = accuracy;
-    save(map, folder.path / "a");
-    EXPECT_THAT(error_of(bytes_of(folder.path / "a")).what(), HasSubstr("an impossible accuracy"));
+    EXPECT_THAT(error_after([&](RadioMap& map) { map.accuracy = accuracy; }), HasSubstr("an impossible accuracy"));
   }
+}
+
+TEST(RadioMapFile, ARasterBeyondTheMemoryGrantedIsTold) {
+  const auto widen = [](RadioMap& map) { map.levels[0].columns = kMostSquares; };
+  EXPECT_THAT(error_after(widen), HasSubstr("a level of impossible extent"));
+}
+
+TEST(RadioMapFile, LevelsOutOfOrderAreTold) {
+  EXPECT_THAT(error_after([](RadioMap& map) { map.levels[1].level = 0; }), HasSubstr("levels that do not ascend"));
+  EXPECT_THAT(error_after([](RadioMap& map) { map.levels[1].level = 5000; }), HasSubstr("a level of impossible number"));
+}
+
+TEST(RadioMapFile, AReferenceOffTheGlobeIsTold) {
+  const auto move = [](RadioMap& map) { map.reference = Reference{49.0, 1000.0}; };
+  EXPECT_THAT(error_after(move), HasSubstr("no place on Earth"));
 }
 
 TEST(RadioMapFile, EveryTruncationIsTold) {

@@ -274,6 +274,15 @@ TEST(WalkTrace, ANumberThatIsNotFiniteIsGarbled) {
   EXPECT_THAT(error_of("# trace=north floor=0\nP\t0\tnan\t20.0\n"), HasSubstr("x in metres"));
 }
 
+TEST(WalkTrace, ATimeBeyondADayIsGarbled) {
+  EXPECT_THAT(error_of("# trace=north floor=0\nP\t86400001\t1\t2\n"), HasSubstr("a time in ms from -86400000 to 86400000"));
+  EXPECT_THAT(error_of("# trace=north floor=0\nP\t-9223372036854775808\t1\t2\n"), HasSubstr("a time in ms"));
+}
+
+TEST(WalkTrace, ANumberThatNoFloatHoldsIsGarbled) {
+  EXPECT_THAT(error_of("# trace=north floor=0\nW\t5\taa\t1e300\t2437\n"), HasSubstr("an RSSI in dBm"));
+}
+
 TEST(WalkTrace, ARowCutShortIsNamed) {
   EXPECT_THAT(error_of("# trace=north floor=0\nA\t0\t1.0\n"), HasSubstr("tag, time, x, y, z"));
 }

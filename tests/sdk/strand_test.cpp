@@ -4,6 +4,7 @@
 
 #include <functional>
 #include <future>
+#include <map>
 #include <thread>
 
 #include "fiona/pool.hpp"
@@ -245,12 +246,12 @@ class Strands : public ::testing::Test {
   /// Occupies the strand until the returned promise is kept.
   std::promise<void> occupy() {
     std::promise<void> release;
-    std::promise<void> begun;
-    strand->post([&begun, blocked = release.get_future().share()] {
-      begun.set_value();
+    auto begun = std::make_shared<std::promise<void>>();
+    strand->post([begun, blocked = release.get_future().share()] {
+      begun->set_value();
       blocked.wait();
     });
-    begun.get_future().wait();
+    begun->get_future().wait();
     return release;
   }
 };
@@ -375,7 +376,6 @@ class Coroutines final : public Component {
  public:
   using Component::Component;
   std::string caught;
-  int gone = 0;
 
   Async<int> refuse() {
     throw std::runtime_error("refused");
@@ -389,13 +389,9 @@ class Coroutines final : public Component {
     }
   }
   Async<> let_it_pass() { co_await refuse(); }
-  Async<> wait_for_ever() {
-    const Witness witness(gone);
-    co_await std::suspend_always();
-  }
 };
 
-class Async_ : public ::testing::Test {
+class Coroutine : public ::testing::Test {
  protected:
   void spawn(Async<> work) {
     made.hull.strand().call([this, &work] { made.hull.spawn(std::move(work), [] {}); }, kLimit);
@@ -407,13 +403,13 @@ class Async_ : public ::testing::Test {
   Made<Coroutines> made{"coroutines", executor, clock, events};
 };
 
-TEST_F(Async_, ExceptionReachesWhoAwaits) {
+TEST_F(Coroutine, ExceptionReachesWhoAwaits) {
   spawn(made->catch_it());
   EXPECT_EQ(made->caught, "refused");
   EXPECT_EQ(made.hull.mode(), "init");
 }
 
-TEST_F(Async_, ExceptionThatNobodyCatchesFailsTheInstance) {
+TEST_F(Coroutine, ExceptionThatNobodyCatchesFailsTheInstance) {
   spawn(made->let_it_pass());
   EXPECT_EQ(made.hull.mode(), "failed");
   EXPECT_EQ(made.hull.reason(), "refused");
@@ -430,7 +426,7 @@ class Waiter final : public Component {
   }
 };
 
-TEST(Async, CoroutineThatNeverEndsIsDestroyedWithItsInstance) {
+TEST(CoroutineLife, CoroutineThatNeverEndsIsDestroyedWithItsInstance) {
   VirtualClock clock;
   testing::InlineExecutor executor;
   KeptEvents events;
@@ -448,11 +444,15 @@ TEST(Async, CoroutineThatNeverEndsIsDestroyedWithItsInstance) {
 TEST(Hull, ShutDownGivesUpOnAHandlerThatHangsAndSaysSo) {
   SystemClock clock;
   std::promise<void> release;
+  std::unique_ptr<Component> left;  // what the hull lets go of, so that the test can end it after the handler
   {
     Pool pool(1);
     KeptEvents events;
     Hull hull("stuck", {pool, clock, events, {}});
-    hull.create([](Hull& owner) { return std::make_unique<Waiter>(owner); });
+    hull.create([&left](Hull& owner) {
+      left = std::make_unique<Waiter>(owner);
+      return std::unique_ptr<Component>(left.get());
+    });
     std::promise<void> begun;
     hull.strand().post([&, blocked = release.get_future().share()] {
       begun.set_value();

@@ -15,7 +15,7 @@ namespace {
 constexpr double kTurn_rad = 2.0 * std::numbers::pi;
 constexpr int kCovarianceElements = 9;
 
-double radians(double degrees) { return degrees * std::numbers::pi / 180.0; }
+double radians_of(double degrees) { return degrees * std::numbers::pi / 180.0; }
 
 /// Into 0 to 2 pi, as orientations are given.
 double wrapped(double angle_rad) {
@@ -86,10 +86,10 @@ localisation::CommLocation truth_message(const Truth& truth, const ImuOptions& p
   position.set_is_valid(true);
   auto& orientation = *location.mutable_orientation();
   // Headings go clockwise from true north, yaw counter-clockwise from magnetic north.
-  orientation.set_yaw(wrapped(radians(phone.declination_deg) - truth.heading_rad));
+  orientation.set_yaw(wrapped(radians_of(phone.declination_deg) - truth.heading_rad));
   // The phone's x axis is the device's y axis turned round: a raised top edge is a negative pitch.
-  orientation.set_pitch(wrapped(-radians(phone.pitch_deg)));
-  orientation.set_roll(wrapped(radians(phone.roll_deg)));
+  orientation.set_pitch(wrapped(-radians_of(phone.pitch_deg)));
+  orientation.set_roll(wrapped(radians_of(phone.roll_deg)));
   orientation.set_is_valid(true);
   for (int i = 0; i < kCovarianceElements; ++i) {
     position.add_confidence(0.0);

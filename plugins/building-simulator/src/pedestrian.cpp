@@ -18,15 +18,15 @@ constexpr double kRounding_m = 0.35;
 constexpr double kSlowest_mps = 0.15;
 constexpr double kLiftDoors_s = 6.0;
 constexpr std::size_t kMostWaypoints = 256;
-constexpr double kTurn = 2.0 * std::numbers::pi;
+constexpr double kFullTurn = 2.0 * std::numbers::pi;
 
 double wrap(double angle_rad) {
-  const double turned = std::fmod(angle_rad, kTurn);
-  return turned < 0.0 ? turned + kTurn : turned;
+  const double turned = std::fmod(angle_rad, kFullTurn);
+  return turned < 0.0 ? turned + kFullTurn : turned;
 }
 
 /// -pi .. pi
-double difference(double to_rad, double from_rad) { return std::remainder(to_rad - from_rad, kTurn); }
+double difference(double to_rad, double from_rad) { return std::remainder(to_rad - from_rad, kFullTurn); }
 
 bool turns_back(Point before, Point corner, Point after) {
   constexpr double kSharpest = -0.3;  // cosine: about 107 degrees

@@ -9,7 +9,7 @@ namespace {
 
 using Eigen::Vector3d;
 
-constexpr std::chrono::milliseconds kGap{1000};
+constexpr std::chrono::milliseconds kRealignGap{1000};
 constexpr std::chrono::milliseconds kQuickAlignment{3000};  // higher gains while the first sample's shake is undone
 constexpr double kQuickFactor = 6.0;
 constexpr double kFieldMemory_s = 20.0;
@@ -43,7 +43,7 @@ void HeadingFilter::align(const ImuSample& sample) {
 }
 
 void HeadingFilter::feed(const ImuSample& sample) {
-  if (!aligned_ || sample.time - last_time_ > kGap) return align(sample);
+  if (!aligned_ || sample.time - last_time_ > kRealignGap) return align(sample);
   const double dt_s = std::chrono::duration<double>(sample.time - last_time_).count();
   if (dt_s <= 0.0) return;
   last_time_ = sample.time;
