@@ -255,8 +255,10 @@ Outcome RemoteWire::deliver_locked(Parcel parcel) {
     auto& request = *item.frame.mutable_request();
     request.set_id(id);
     request.set_origin_ns(origin_ns);
+    parcel.reply->set_on_abandon([weak = weak_from_this(), id] {
+      if (const auto wire = weak.lock()) wire->cancel(id);
+    });
     open_.emplace(id, std::move(parcel.reply));
-    std::erase_if(open_, [](const auto& entry) { return entry.second->abandoned(); });
     return credit_.offer(std::move(item), false, sender()) ? Outcome::Ok : Outcome::Rejected;
   }
   auto& object = *item.frame.mutable_object();
@@ -267,6 +269,20 @@ Outcome RemoteWire::deliver_locked(Parcel parcel) {
   const bool taken = credit_.offer(std::move(item), push, sender());
   port_.counters().dropped.fetch_add(credit_.dropped() - dropped, std::memory_order_relaxed);
   return taken ? Outcome::Ok : Outcome::Rejected;
+}
+
+/// The client gave up: the provider is told, so that it need not go on.
+void RemoteWire::cancel(std::uint64_t id) {
+  std::shared_ptr<ReplySink> given_up;  // let go outside the lock
+  const std::lock_guard lock(mutex_);
+  const auto open = open_.find(id);
+  if (open == open_.end()) return;
+  given_up = std::move(open->second);
+  open_.erase(open);
+  if (cut_) return;
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_cancel()->set_id(id);
+  send_frame(frame, nullptr);
 }
 
 void RemoteWire::on_frame(const wire::Frame& frame, std::string_view object) {
@@ -305,22 +321,26 @@ void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
   const bool request = frame.has_request();
   if (!inbox || request != (port_.service().pattern() == QUERY)) return;
   auto parsed = parse(port_.service().object(), object);
+  auto refusal = parsed ? object_rules_.first_violation(*parsed) : "the object does not parse";
   std::shared_ptr<ReplySink> reply;
-  const std::lock_guard lock(mutex_);
-  if (cut_) return;
-  give_credit(object.size() + 64);
-  if (request) {
-    reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
-    served_[frame.request().id()] = reply;
+  {
+    const std::lock_guard lock(mutex_);
+    if (cut_) return;
+    give_credit(object.size() + 64);
+    if (request) {
+      reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
+      served_[frame.request().id()] = reply;
+    }
+    if (!refusal) {
+      const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
+      Envelope envelope{std::move(parsed), request ? frame.request().id() : frame.object().sequence(),
+                        TimePoint(Duration(origin_ns)), object.size()};
+      if (inbox->push({std::move(envelope), reply}) == Outcome::Ok) return;
+      refusal = "the provider's queue is full";
+    }
   }
-  if (!parsed || object_rules_.first_violation(*parsed)) {
-    port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
-    return;
-  }
-  const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
-  Envelope envelope{std::move(parsed), request ? frame.request().id() : frame.object().sequence(),
-                    TimePoint(Duration(origin_ns)), object.size()};
-  inbox->push({std::move(envelope), std::move(reply)});
+  port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+  if (reply) reply->answer(Outcome::Rejected, *refusal, nullptr);
 }
 
 /// Credit goes back in quarters of the window, so that a stream of small messages does not double its traffic.

@@ -103,6 +103,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
  private:
   class RemoteReply;
   Outcome deliver_locked(Parcel parcel);
+  void cancel(std::uint64_t id);
   void on_object(const wire::Frame& frame, std::string_view object);
   void on_answer(const wire::Answer& answer, std::string_view object);
   void give_credit(std::size_t bytes);

@@ -507,8 +507,16 @@ void System::lose(ChildGroup& gone) {
     deliver(event);
   }
   for (auto& [client, wire] : wires_) {
-    const auto& provider = instances_.at(wire.provider.instance());
-    if (!provider.lost.empty()) wire.lost = reason;
+    const bool client_gone = instances_.at(client.first).group == gone.name();
+    const bool provider_gone = instances_.at(wire.provider.instance()).group == gone.name();
+    if (client_gone || provider_gone) wire.lost = reason;
+    if (!client_gone || provider_gone) continue;
+    // The provider lives on and must not go on sending to nobody.
+    wire::GroupRequest request;
+    request.mutable_cut()->set_wire(wire.id);
+    request.mutable_cut()->set_last(true);
+    request.mutable_cut()->set_reason(reason);
+    group(instances_.at(wire.provider.instance()).group).request(std::move(request));
   }
 }
 

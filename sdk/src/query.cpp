@@ -45,6 +45,11 @@ void QueryClient::set_target(std::shared_ptr<Sink> target) {
 }
 
 bool QueryClient::Awaiter::await_suspend(std::coroutine_handle<> caller) {
+  if (const auto violation = port.request_rules_.first_violation(*request)) {
+    port.counters().refused.fetch_add(1, std::memory_order_relaxed);
+    answer = Answer{Outcome::Rejected, "the request was refused: " + *violation, nullptr};
+    return false;
+  }
   const std::uint64_t id = port.next_id_++;
   const Outcome outcome = port.start(id, *this, caller);
   if (outcome == Outcome::Ok) return true;
@@ -82,6 +87,8 @@ void QueryClient::finish(std::uint64_t id, Answer answer) {
   open_.erase(found);
   hull().clock().cancel(open.deadline);
   open.reply->abandon();
+  const auto violation = answer.outcome == Outcome::Ok ? answer_rules_.first_violation(*answer.object) : std::nullopt;
+  if (violation) answer = Answer{Outcome::Rejected, "the answer was refused: " + *violation, nullptr};
   open.awaiter->answer = std::move(answer);
   open.caller.resume();
 }

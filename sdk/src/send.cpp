@@ -10,6 +10,10 @@ void SendClient::set_target(std::shared_ptr<Sink> target) {
 }
 
 Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
+  if (rules_.first_violation(*object)) {
+    counters().refused.fetch_add(1, std::memory_order_relaxed);
+    return Outcome::Rejected;
+  }
   std::shared_ptr<Sink> target;
   {
     const std::lock_guard lock(target_mutex_);

@@ -138,7 +138,8 @@ class Parameters : public testing::Test {
     return error_of([&] { system.system().set(request); });
   }
   std::string value(const std::string& name) {
-    for (const auto& one : system.instance("source").parameters()) {
+    const auto source = system.instance("source");
+    for (const auto& one : source.parameters()) {
       if (one.name() == name) return one.value();
     }
     return "no such parameter";
@@ -399,7 +400,8 @@ class Death : public testing::Test {
   }
   /// As a crash would: no farewell, no flush.
   void kill_far() {
-    for (const auto& group : system.system().snapshot().groups()) {
+    const auto snapshot = system.system().snapshot();
+    for (const auto& group : snapshot.groups()) {
       if (group.name() == "far") ::kill(group.process(), SIGKILL);
     }
   }

@@ -62,11 +62,16 @@ class ReplySink {
   /// [any thread] Ends the request; only the first call counts.
   virtual void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) = 0;
   /// [any thread] The client gave up or is gone: nobody reads the answer.
-  bool abandoned() const { return abandoned_.load(std::memory_order_relaxed); }
-  void abandon() { abandoned_.store(true, std::memory_order_relaxed); }
+  bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
+  void abandon() {
+    if (!abandoned_.exchange(true) && on_abandon_) on_abandon_();
+  }
+  /// [before the request leaves] What tells a far provider that nobody waits any more.
+  void set_on_abandon(std::function<void()> notice) { on_abandon_ = std::move(notice); }
 
  private:
   std::atomic<bool> abandoned_{false};
+  std::function<void()> on_abandon_;
 };
 
 /// A message on its way into an inbox: with `reply`, a request.

@@ -29,7 +29,7 @@ class PushProvider : public ProvidedPort {
   void close() override;
 
  protected:
-  /// [strand] Ok, or Rejected when a field breaks its declared rule (counted, and told to the log once a second).
+  /// [strand] Ok, or Rejected when a field breaks its declared rule (counted; the first is told to the log).
   Outcome put_object(std::shared_ptr<const Object> object, TimePoint origin);
 
  private:

@@ -9,6 +9,7 @@
 #include "fiona/error.hpp"
 #include "fiona/port.hpp"
 #include "fiona/provides.hpp"
+#include "fiona/rules.hpp"
 
 namespace fiona {
 
@@ -20,7 +21,7 @@ namespace detail {
 class QueryClient : public RequiredPort {
  public:
   QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-      : RequiredPort(owner, name, service, options) {}
+      : RequiredPort(owner, name, service, options), request_rules_(service.object()), answer_rules_(*service.answer()) {}
   ~QueryClient() override;
   void set_target(std::shared_ptr<Sink> target) override;
 
@@ -60,6 +61,8 @@ class QueryClient : public RequiredPort {
   std::shared_ptr<Sink> target_;
   std::unordered_map<std::uint64_t, Open> open_;  ///< strand only
   std::uint64_t next_id_ = 1;
+  const ObjectRules request_rules_;
+  const ObjectRules answer_rules_;
 };
 
 class QueryProvider : public ProvidedPort {

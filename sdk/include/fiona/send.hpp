@@ -6,6 +6,7 @@
 #include "fiona/port.hpp"
 #include "fiona/provides.hpp"
 #include "fiona/push.hpp"
+#include "fiona/rules.hpp"
 
 namespace fiona {
 namespace detail {
@@ -13,7 +14,7 @@ namespace detail {
 class SendClient : public RequiredPort {
  public:
   SendClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-      : RequiredPort(owner, name, service, options) {}
+      : RequiredPort(owner, name, service, options), rules_(service.object()) {}
   void set_target(std::shared_ptr<Sink> target) override;
 
  protected:
@@ -23,6 +24,7 @@ class SendClient : public RequiredPort {
   std::mutex target_mutex_;
   std::shared_ptr<Sink> target_;
   std::uint64_t sequence_ = 0;
+  const ObjectRules rules_;
 };
 
 class SendProvider : public ProvidedPort {
