@@ -392,11 +392,10 @@ void System::disconnect(const control::PortName& client, const Wire& wire, bool 
   cut.set_wire(wire.id);
   cut.set_last(last);
   cut.set_reason(reason);
-  // The provider first, so that it stops sending; an end whose process is gone has nothing left to cut.
-  for (const auto& name : {wire.provider.instance(), client.instance()}) {
+  // The client first: told by its host it knows whether another wire follows; told by the provider it would be lost.
+  for (const auto& name : {client.instance(), wire.provider.instance()}) {
     const auto found = instances_.find(name);
     if (found == instances_.end() || !found->second.lost.empty()) continue;
-    if (wire.local && name == wire.provider.instance() && name != client.instance()) continue;
     group(found->second.group).request(request);
     if (wire.local) return;
   }
@@ -493,6 +492,7 @@ void System::serve_group(ChildGroup& group) {
 }
 
 void System::lose(ChildGroup& gone) {
+  if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   for (auto& [name, one] : groups_) {
     if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
@@ -583,6 +583,7 @@ std::vector<control::InstanceStatus> System::status_of_group(Group& target) {
 }
 
 control::System System::snapshot() {
+  child_groups();  // notes those that a request found dead
   control::System all;
   all.set_host(options_.name);
   all.set_version(FIONA_VERSION);

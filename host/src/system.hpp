@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -118,6 +119,7 @@ class System {
   std::map<std::string, Instance> instances_;
   std::map<std::pair<std::string, std::string>, Wire> wires_;  ///< by client instance and port
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
+  std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   std::uint64_t next_wire_ = 1;
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_order_ = 1;

@@ -263,8 +263,9 @@ TEST(BuildingSimulator, APackageWithoutItsHouseIsTold) {
 TEST(BuildingSimulator, AMistypedStartRoomIsToldWithTheNearestNames) {
   Simulation simulation;
   simulation.set("start_room", "Libary");
-  error_of([&] { simulation.start(); });
-  EXPECT_THAT(simulation.reason(), HasSubstr("did you mean: Library"));
+  const auto error = error_of([&] { simulation.start(); });
+  EXPECT_THAT(error.what(), HasSubstr("did you mean: Library"));
+  EXPECT_THAT(simulation.reason(), HasSubstr("there is no room Libary"));
 }
 
 TEST(BuildingSimulator, ASpeedThatNobodyWalksIsRefused) {

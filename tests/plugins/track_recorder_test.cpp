@@ -137,12 +137,11 @@ TEST_F(TrackRecorderTest, AnOlderCsvIsOverwritten) {
 TEST_F(TrackRecorderTest, ACsvInNoDirectoryFailsTheStart) {
   Recorder recorder("rec");
   recorder.set("csv", path("missing/track.csv"));
-  EXPECT_EQ(error_of([&] { recorder.start(); }).code(), ErrorCode::ComponentFailed);
-  EXPECT_EQ(
-      recorder.reason(),
-      path("missing/track.csv") + ": cannot write " + path("missing/track.csv") +
-          ": No such file or directory\n"
-          "  next: check that the directory exists, may be written and has space, or name another file");
+  const Error error = error_of([&] { recorder.start(); });
+  EXPECT_EQ(error.code(), ErrorCode::ComponentFailed);
+  EXPECT_EQ(error.text().next, "check that the directory exists, may be written and has space, or name another file");
+  EXPECT_EQ(recorder.reason(), path("missing/track.csv") + ": cannot write " + path("missing/track.csv") +
+                                   ": No such file or directory");
 }
 
 TEST_F(TrackRecorderTest, AFullDiskFailsTheInstance) {
