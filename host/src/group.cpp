@@ -80,6 +80,7 @@ wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request) {
   if (alive() && stream_->send(numbered)) {
     if (auto reply = wait_for(numbered.id(), kRequestDeadline)) return std::move(*reply);
   }
+  if (stream_->closed()) note_end();
   throw Error(ErrorCode::Unreachable, {.what = "group '" + name() + "' does not answer",
                                        .found = alive() ? "alive, but silent" : end_,
                                        .next = "ls hosts"});
