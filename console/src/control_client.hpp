@@ -60,6 +60,7 @@ class ControlClient {
   bool closed() const { return socket_ < 0; }
   void on_closed(std::function<void()> callback) { on_closed_ = std::move(callback); }
 
+  void set_timeout(std::chrono::milliseconds timeout) { timeout_ = timeout; }
   void set_author(std::string author) { author_ = std::move(author); }
   const std::filesystem::path& path() const { return path_; }
 
@@ -73,7 +74,7 @@ class ControlClient {
 
   Reactor& reactor_;
   const std::filesystem::path path_;
-  const std::chrono::milliseconds timeout_;
+  std::chrono::milliseconds timeout_;
   std::string author_ = "console";
   int socket_ = -1;
   std::uint64_t last_id_ = 0;

@@ -86,6 +86,7 @@ Session::~Session() = default;
 
 ControlClient& Session::host() {
   if (!connected()) connect(chosen_socket(options.at, options.host));
+  client_->set_timeout(options.timeout);  // of this line
   return *client_;
 }
 

@@ -37,7 +37,8 @@ void use(fiona::radio::RadioMap map) {
   fiona::radio::RadioFilter filter(shared, options);
   for (int t_ms = 1000; t_ms <= 3000; t_ms += 1000) {
     const fiona::radio::Time time(t_ms);
-    for (const auto& transmitter : shared->transmitters) filter.signal(time, {transmitter.id, transmitter.radio, -60.0, time});
+    for (const auto& transmitter : shared->transmitters)
+      filter.signal(time, {transmitter.id, transmitter.radio, -60.0, time});
     filter.step({time, 0.7, 0.1, 0.0, 0.1});
     filter.advance(time + fiona::radio::Time(500));
     filter.estimate();

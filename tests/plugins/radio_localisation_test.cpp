@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
-#include <Eigen/LU>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <Eigen/LU>
 
 #include <fiona/error.hpp>
 
@@ -22,8 +22,8 @@ namespace fiona::radio {
 namespace {
 
 namespace fs = std::filesystem;
-using ::testing::HasSubstr;
 using std::chrono::milliseconds;
+using ::testing::HasSubstr;
 
 /// A building of two levels, 60 m x 30 m, with a transmitter every 10 m on each.
 struct Building {
@@ -308,7 +308,8 @@ TEST(RadioMapFile, ARasterBeyondTheMemoryGrantedIsTold) {
 
 TEST(RadioMapFile, LevelsOutOfOrderAreTold) {
   EXPECT_THAT(error_after([](RadioMap& map) { map.levels[1].level = 0; }), HasSubstr("levels that do not ascend"));
-  EXPECT_THAT(error_after([](RadioMap& map) { map.levels[1].level = 5000; }), HasSubstr("a level of impossible number"));
+  EXPECT_THAT(error_after([](RadioMap& map) { map.levels[1].level = 5000; }),
+              HasSubstr("a level of impossible number"));
 }
 
 TEST(RadioMapFile, AReferenceOffTheGlobeIsTold) {
@@ -518,7 +519,8 @@ std::vector<LeftOutFix> drawn_fixes(double factor, double floor_m, std::size_t o
   for (int i = 0; i < 4000; ++i) {
     const double variance = 1.0 + 24.0 * random.uniform();
     const double sd = std::sqrt(factor * variance + floor_m * floor_m);
-    fixes.push_back({{sd * random.normal(), sd * random.normal()}, variance * Eigen::Matrix2d::Identity(), other_walks});
+    fixes.push_back(
+        {{sd * random.normal(), sd * random.normal()}, variance * Eigen::Matrix2d::Identity(), other_walks});
   }
   return fixes;
 }

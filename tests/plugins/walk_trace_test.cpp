@@ -95,8 +95,9 @@ TEST(WalkTrace, FloorFoldersGiveTheirLevelsInOrder) {
   const Folder folder;
   for (const char* floor : {"F7", "B2", "F1"}) {
     const int level = *level_of_floor_name(floor);
-    write_archive(folder.path / floor / "train.tar.xz",
-                  {{"train/a.tsv", "# trace=" + std::string(floor) + " floor=" + std::to_string(level) + "\nP\t1\t2\t3\n"}});
+    write_archive(
+        folder.path / floor / "train.tar.xz",
+        {{"train/a.tsv", "# trace=" + std::string(floor) + " floor=" + std::to_string(level) + "\nP\t1\t2\t3\n"}});
   }
   std::vector<std::pair<std::string, int>> found;
   for (const Walk& walk : survey_of(Dataset::open(folder.path))) found.emplace_back(walk.name, *walk.level);
@@ -144,8 +145,9 @@ TEST(WalkTrace, ABeaconWithoutAPowerSaysSo) {
 }
 
 TEST(WalkTrace, TransmittersOfOneIdentityShareIt) {
-  const Walk walk = walk_of("# trace=north\nB\t1\tAB\t0\t0\t-56\t-90\taa\nB\t2\tab\t0\t0\t-56\t-91\tbb\n"
-                            "B\t3\tab\t0\t1\t-56\t-92\tbb\n");
+  const Walk walk = walk_of(
+      "# trace=north\nB\t1\tAB\t0\t0\t-56\t-90\taa\nB\t2\tab\t0\t0\t-56\t-91\tbb\n"
+      "B\t3\tab\t0\t1\t-56\t-92\tbb\n");
   std::vector<std::uint32_t> identities;
   for (const Event& event : walk.events) identities.push_back(std::get<BeaconRow>(event.data).beacon);
   EXPECT_THAT(identities, ElementsAre(0, 0, 1));
@@ -275,7 +277,8 @@ TEST(WalkTrace, ANumberThatIsNotFiniteIsGarbled) {
 }
 
 TEST(WalkTrace, ATimeBeyondADayIsGarbled) {
-  EXPECT_THAT(error_of("# trace=north floor=0\nP\t86400001\t1\t2\n"), HasSubstr("a time in ms from -86400000 to 86400000"));
+  EXPECT_THAT(error_of("# trace=north floor=0\nP\t86400001\t1\t2\n"),
+              HasSubstr("a time in ms from -86400000 to 86400000"));
   EXPECT_THAT(error_of("# trace=north floor=0\nP\t-9223372036854775808\t1\t2\n"), HasSubstr("a time in ms"));
 }
 

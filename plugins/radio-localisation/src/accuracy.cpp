@@ -79,7 +79,8 @@ void replay_left_out(const RadioMapLearner& learner, const SurveyedJourney& surv
     const auto truth = walk::position_at(journey.way_points, time.count());
     const Estimate at = filter.estimate();
     if (!truth || !at.is_valid()) return;
-    const auto others = learner.other_walks_near(surveyed.walk, truth->level, truth->x_m, truth->y_m, options.same_place_m);
+    const auto others =
+        learner.other_walks_near(surveyed.walk, truth->level, truth->x_m, truth->y_m, options.same_place_m);
     if (others == 0) return;
     // A mean over n walks errs by 1 / n of a single walk's variance; the final map has one walk more here.
     const auto walks = static_cast<double>(others);

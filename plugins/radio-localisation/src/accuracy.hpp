@@ -15,7 +15,7 @@ namespace fiona::radio {
 /// How one fix erred on a survey walk that its map had not learnt.
 struct LeftOutFix {
   Eigen::Vector2d error_m;
-  Eigen::Matrix2d spread_m2;   ///< covariance of the particles, as they are
+  Eigen::Matrix2d spread_m2;    ///< covariance of the particles, as they are
   std::size_t other_walks = 0;  ///< that surveyed the place and that the map had learnt
 };
 
@@ -34,10 +34,11 @@ struct SurveyedJourney {
 
 struct AccuracyOptions {
   std::size_t most_journeys = 60;
-  double left_out_share = 0.1;  ///< of all walks, at most, in one fold: the map should hardly be thinner than the final one
+  double left_out_share =
+      0.1;  ///< of all walks, at most, in one fold: the map should hardly be thinner than the final one
   std::size_t most_folds = 10;
-  Time every{1000};             ///< between the fixes that are judged
-  double same_place_m = 5.0;    ///< walks so near to a place surveyed it
+  Time every{1000};           ///< between the fixes that are judged
+  double same_place_m = 5.0;  ///< walks so near to a place surveyed it
 };
 
 /// Replays survey walks, those with inertial rows if there are any, against maps that were learnt without them, and

@@ -20,7 +20,8 @@ Journey journey_of(const walk::Walk& walk) {
   for (const walk::Event& event : walk.events) {
     const Time time(event.t_ms);
     if (const auto* wifi = std::get_if<walk::WifiRow>(&event.data)) {
-      journey.told.push_back({time, Journey::Row{wifi->transmitter, Radio::WiFi, wifi->rssi_dbm, Time(wifi->heard_ms)}});
+      journey.told.push_back(
+          {time, Journey::Row{wifi->transmitter, Radio::WiFi, wifi->rssi_dbm, Time(wifi->heard_ms)}});
     } else if (const auto* beacon = std::get_if<walk::BeaconRow>(&event.data)) {
       journey.told.push_back({time, Journey::Row{beacon->transmitter, Radio::Bluetooth, beacon->rssi_dbm, time}});
     } else if (const auto imu = merger.feed(event)) {

@@ -28,8 +28,8 @@ struct Journey {
   std::vector<std::string> transmitters;
   std::vector<Told> told;
   std::vector<std::pair<std::int64_t, walk::WayPoint>> way_points;
-  Time begin{}, end{};        ///< of all rows, inertial ones too
-  bool has_steps = false;     ///< the walk has inertial rows
+  Time begin{}, end{};     ///< of all rows, inertial ones too
+  bool has_steps = false;  ///< the walk has inertial rows
 };
 
 Journey journey_of(const walk::Walk& walk);

@@ -8,10 +8,10 @@ namespace fiona::radio {
 namespace {
 
 constexpr Time kOldestRow{10'000};
-constexpr Time kSweepSettles{60};       // rows of one sweep are told within this time
-constexpr Time kBeaconsGather{1000};    // beacons send all the time: a second of them is used at once
-constexpr Time kSlice{1000};            // rows heard within it are judged at one place
-constexpr double kRowMemory = 300.0;    // rows over which the share of known transmitters is taken
+constexpr Time kSweepSettles{60};     // rows of one sweep are told within this time
+constexpr Time kBeaconsGather{1000};  // beacons send all the time: a second of them is used at once
+constexpr Time kSlice{1000};          // rows heard within it are judged at one place
+constexpr double kRowMemory = 300.0;  // rows over which the share of known transmitters is taken
 constexpr double kLeastRows = 20.0;
 constexpr double kForeignShare = 0.08;
 constexpr double kWidestSpread_m = 17.0;  // of the particles; beyond it an estimate guides nobody
@@ -68,7 +68,8 @@ void RadioFilter::advance(Time now) {
 }
 
 void RadioFilter::diffuse(double dt_s) {
-  const double sd = (options_.steps_expected ? options_.still_diffusion_m : options_.free_diffusion_m) * std::sqrt(dt_s);
+  const double sd =
+      (options_.steps_expected ? options_.still_diffusion_m : options_.free_diffusion_m) * std::sqrt(dt_s);
   if (sd == 0.0) return;
   for (Particle& p : particles_) {
     p.x_m += sd * random_.normal();
@@ -191,7 +192,12 @@ RadioFilter::Particle RadioFilter::sample_from(const std::vector<double>& cumula
   const double error_x_m = options_.map_error_sd_m * random_.normal();
   const double error_y_m = options_.map_error_sd_m * random_.normal();
   return {at.x_m + map_->cell_m * (random_.uniform() - 0.5) - error_x_m,
-          at.y_m + map_->cell_m * (random_.uniform() - 0.5) - error_y_m, options_.heading_bias_sd_rad * random_.normal(), 1.0 + options_.step_gain_sd * random_.normal(), error_x_m, error_y_m, level_index,
+          at.y_m + map_->cell_m * (random_.uniform() - 0.5) - error_y_m,
+          options_.heading_bias_sd_rad * random_.normal(),
+          1.0 + options_.step_gain_sd * random_.normal(),
+          error_x_m,
+          error_y_m,
+          level_index,
           1.0 / static_cast<double>(options_.particles)};
 }
 

@@ -22,19 +22,19 @@ using Time = std::chrono::milliseconds;  ///< since any fixed epoch
 struct FilterOptions {
   std::size_t particles = 1500;
   std::uint64_t seed = 1;
-  bool steps_expected = true;          ///< a step source is wired; without one, walking is a random walk
-  double temper = 0.5;                 ///< log-likelihood of a sweep of n rows counts temper / sqrt(n): rows are not independent
+  bool steps_expected = true;  ///< a step source is wired; without one, walking is a random walk
+  double temper = 0.5;  ///< log-likelihood of a sweep of n rows counts temper / sqrt(n): rows are not independent
   LikelihoodOptions likelihood = {};
-  double heading_bias_sd_rad = 0.12;   ///< of a walk, at its start
-  double heading_drift_rad = 0.02;     ///< per step
-  double step_gain_sd = 0.06;          ///< of a walker, at the start
-  double step_gain_drift = 0.006;      ///< per step
+  double heading_bias_sd_rad = 0.12;  ///< of a walk, at its start
+  double heading_drift_rad = 0.02;    ///< per step
+  double step_gain_sd = 0.06;         ///< of a walker, at the start
+  double step_gain_drift = 0.006;     ///< per step
   double still_diffusion_m = 0.6;     ///< per square root of a second, whatever the steps say
-  double free_diffusion_m = 1.2;       ///< the same without a step source
-  double map_error_sd_m = 1.5;         ///< by which radio points beside the truth, alike over a few metres of walking
-  double map_error_reach_m = 8.0;      ///< walk over which that error is forgotten
-  Time stamp_lag{600};                 ///< by which receivers stamp rows too early; measured on survey walks
-  double jump_rate_per_s = 5e-4;       ///< carried off unseen: how often the filter believes that it was kidnapped
+  double free_diffusion_m = 1.2;      ///< the same without a step source
+  double map_error_sd_m = 1.5;        ///< by which radio points beside the truth, alike over a few metres of walking
+  double map_error_reach_m = 8.0;     ///< walk over which that error is forgotten
+  Time stamp_lag{600};                ///< by which receivers stamp rows too early; measured on survey walks
+  double jump_rate_per_s = 5e-4;      ///< carried off unseen: how often the filter believes that it was kidnapped
   double path_prior = 0.3;            ///< weight per second of the squared distance from where the survey walked
 };
 
@@ -43,7 +43,7 @@ struct StepInput {
   Time time;
   double length_m;
   double length_sd_m;
-  double heading_rad;    ///< counter-clockwise from east
+  double heading_rad;  ///< counter-clockwise from east
   double heading_sd_rad;
 };
 
@@ -52,7 +52,7 @@ struct SignalInput {
   std::string_view id;  ///< MAC address or other identifier; case and separators do not matter
   Radio radio;
   double rssi_dbm;
-  Time heard;           ///< when it was really heard; a row told twice counts once
+  Time heard;  ///< when it was really heard; a row told twice counts once
 };
 
 enum class Validity : std::uint8_t {
@@ -66,12 +66,12 @@ enum class Validity : std::uint8_t {
 struct Estimate {
   Validity validity = Validity::NoEvidence;
   Time time{};
-  double x_m = 0.0, y_m = 0.0;   ///< east, north
+  double x_m = 0.0, y_m = 0.0;  ///< east, north
   int level = 0;
   Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  ///< of (x, y), m^2
   double level_variance = 0.0;
   double level_probability = 0.0;
-  double known_share = 0.0;      ///< of the rows heard lately, those that the map knows
+  double known_share = 0.0;  ///< of the rows heard lately, those that the map knows
 
   bool is_valid() const { return validity == Validity::Valid; }
 };

@@ -74,7 +74,7 @@ class RadioMap {
   std::optional<Reference> reference;  ///< of the local frame, where the survey knew it
   double cell_m = 2.0;
   Accuracy accuracy;
-  std::vector<Level> levels;           ///< ascending
+  std::vector<Level> levels;  ///< ascending
   std::vector<Cell> cells;
   std::vector<Transmitter> transmitters;
   std::vector<Expectation> expectations;

@@ -56,7 +56,8 @@ class Reader {
   T integer() {
     const std::string_view part = take(sizeof(T));
     T value = 0;
-    for (std::size_t i = 0; i < sizeof(T); ++i) value |= static_cast<T>(T{static_cast<unsigned char>(part[i])} << (8 * i));
+    for (std::size_t i = 0; i < sizeof(T); ++i)
+      value |= static_cast<T>(T{static_cast<unsigned char>(part[i])} << (8 * i));
     return value;
   }
   double real() { return std::bit_cast<double>(integer<std::uint64_t>()); }
@@ -88,11 +89,12 @@ class Reader {
   bool at_end() const { return bytes_.empty(); }
 
   [[noreturn]] void fail(const std::string& found) const {
-    throw Error(ErrorCode::Failed, {.what = "the radio map is garbled",
-                                    .where = file_.string(),
-                                    .expected = "a complete file written by fiona-radiomap",
-                                    .found = found,
-                                    .next = "copy the file again, or learn it again: fiona-radiomap learn DIR -o FILE"});
+    throw Error(ErrorCode::Failed,
+                {.what = "the radio map is garbled",
+                 .where = file_.string(),
+                 .expected = "a complete file written by fiona-radiomap",
+                 .found = found,
+                 .next = "copy the file again, or learn it again: fiona-radiomap learn DIR -o FILE"});
   }
 
  private:
@@ -293,11 +295,12 @@ RadioMap parse(std::string_view bytes, const fs::path& file) {
   if (bytes.size() < kHeaderBytes || header.take(kMagic.size()) != kMagic) header.fail("another kind of file");
   const auto version = header.integer<std::uint32_t>();
   if (version != kRadioMapVersion) {
-    throw Error(ErrorCode::Failed, {.what = "the radio map is of another format version",
-                                    .where = file.string(),
-                                    .expected = "version " + std::to_string(kRadioMapVersion),
-                                    .found = "version " + std::to_string(version),
-                                    .next = "learn it again with this fiona-radiomap: fiona-radiomap learn DIR -o FILE"});
+    throw Error(ErrorCode::Failed,
+                {.what = "the radio map is of another format version",
+                 .where = file.string(),
+                 .expected = "version " + std::to_string(kRadioMapVersion),
+                 .found = "version " + std::to_string(version),
+                 .next = "learn it again with this fiona-radiomap: fiona-radiomap learn DIR -o FILE"});
   }
   const auto length = header.integer<std::uint64_t>();
   const auto expected = header.integer<std::uint64_t>();

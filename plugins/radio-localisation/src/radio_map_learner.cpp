@@ -130,11 +130,12 @@ void RadioMapLearner::make_levels(RadioMap& map, const std::vector<Point>& path)
     const double rows = std::ceil((north - south + 2.0 * options_.reach_m) / options_.cell_m);
     squares += columns * rows;
     if (!(squares <= kMostSquares)) {
-      throw Error(ErrorCode::Failed, {.what = "a level of the survey is too wide for one radio map",
-                                      .where = "level " + std::to_string(number),
-                                      .expected = "at most " + std::to_string(kMostSquares) + " squares on all levels",
-                                      .found = std::to_string(std::lround(std::max(east - west, north - south))) + " m",
-                                      .next = "check the way-points' unit and origin, or learn with larger cells (--cell)"});
+      throw Error(ErrorCode::Failed,
+                  {.what = "a level of the survey is too wide for one radio map",
+                   .where = "level " + std::to_string(number),
+                   .expected = "at most " + std::to_string(kMostSquares) + " squares on all levels",
+                   .found = std::to_string(std::lround(std::max(east - west, north - south))) + " m",
+                   .next = "check the way-points' unit and origin, or learn with larger cells (--cell)"});
     }
     Level level;
     level.level = number;
@@ -171,7 +172,8 @@ void RadioMapLearner::make_cells(RadioMap& map, const std::vector<Point>& path, 
     if (distance[i] > reach) continue;
     level.cell_at[i] = static_cast<std::int32_t>(map.cells.size());
     map.cells.push_back({static_cast<float>(level.west_m + (i % level.columns + 0.5) * options_.cell_m),
-                         static_cast<float>(level.south_m + (i / level.columns + 0.5) * options_.cell_m), static_cast<float>(0.1 * std::min(255.0, std::round(10.0 * distance[i])))});
+                         static_cast<float>(level.south_m + (i / level.columns + 0.5) * options_.cell_m),
+                         static_cast<float>(0.1 * std::min(255.0, std::round(10.0 * distance[i])))});
   }
   level.cell_count = static_cast<std::uint32_t>(map.cells.size()) - level.first_cell;
   if (level.cell_count > kMostCellsOfALevel) {
@@ -195,8 +197,7 @@ std::vector<float> RadioMapLearner::count_sweeps(const RadioMap& map, Radio radi
   return count;
 }
 
-void RadioMapLearner::learn_transmitters(RadioMap& map, const std::vector<WalkUse>& walks,
-                                         const Kernel& kernel) const {
+void RadioMapLearner::learn_transmitters(RadioMap& map, const std::vector<WalkUse>& walks, const Kernel& kernel) const {
   map.transmitters.clear();
   map.expectations.clear();
   const std::vector<float> sweeps[2] = {count_sweeps(map, Radio::WiFi, walks, kernel),

@@ -13,13 +13,13 @@ namespace fiona::radio {
 
 struct LearnerOptions {
   double cell_m = 2.0;
-  double reach_m = 5.0;          ///< cells are made this far from survey walks
-  double kernel_m = 2.5;         ///< standard deviation of the kernel's core
-  double wide_factor = 3.0;      ///< of the kernel's tail, which fills in where the survey is thin
+  double reach_m = 5.0;      ///< cells are made this far from survey walks
+  double kernel_m = 2.5;     ///< standard deviation of the kernel's core
+  double wide_factor = 3.0;  ///< of the kernel's tail, which fills in where the survey is thin
   double wide_weight = 0.05;
-  double doubt_sweeps = 0.15;    ///< sweeps without the transmitter that are assumed everywhere
-  double least_heard = 0.02;     ///< probability below which a cell forgets a transmitter
-  int offset_rounds = 1;         ///< of learning what each walk's phone reads above the others
+  double doubt_sweeps = 0.15;  ///< sweeps without the transmitter that are assumed everywhere
+  double least_heard = 0.02;   ///< probability below which a cell forgets a transmitter
+  int offset_rounds = 1;       ///< of learning what each walk's phone reads above the others
   std::size_t most_samples = 50'000'000;
 };
 

@@ -11,8 +11,8 @@ namespace {
 using WayPoints = std::vector<std::pair<std::int64_t, walk::WayPoint>>;
 
 constexpr std::int64_t kPathStep_ms = 250;
-constexpr std::int64_t kMargin_ms = 1500;         // the surveyor stands at the first and last way-point about so long
-constexpr std::int64_t kStampLag_ms = 600;          // as FilterOptions::stamp_lag
+constexpr std::int64_t kMargin_ms = 1500;   // the surveyor stands at the first and last way-point about so long
+constexpr std::int64_t kStampLag_ms = 600;  // as FilterOptions::stamp_lag
 constexpr std::int64_t kBeaconSweep_ms = 1000;
 
 std::optional<walk::WayPoint> surveyed_position(const WayPoints& points, std::int64_t t_ms) {

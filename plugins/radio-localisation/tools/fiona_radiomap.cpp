@@ -27,10 +27,9 @@ constexpr const char* kUsage =
     "       fiona-radiomap help\n";
 
 [[noreturn]] void usage_error(const std::string& what, const std::string& found) {
-  throw Error(ErrorCode::Usage, {.what = what,
-                                 .expected = "learn DIR -o FILE, or info FILE",
-                                 .found = found,
-                                 .next = "fiona-radiomap help"});
+  throw Error(
+      ErrorCode::Usage,
+      {.what = what, .expected = "learn DIR -o FILE, or info FILE", .found = found, .next = "fiona-radiomap help"});
 }
 
 fiona::radio::Reference parse_reference(const std::string& text) {
@@ -112,7 +111,8 @@ int run(int argc, char** argv) {
   options::variables_map given;
   // A reference may begin with a minus, which must not look like an option: long ones need their `=`.
   options::store(options::command_line_parser(argc, argv).options(named).positional(words).run(), given);
-  const auto line = given.count("words") != 0 ? given["words"].as<std::vector<std::string>>() : std::vector<std::string>{};
+  const auto line =
+      given.count("words") != 0 ? given["words"].as<std::vector<std::string>>() : std::vector<std::string>{};
   if (given.count("help") != 0 || (line.size() == 1 && line[0] == "help")) {
     std::cout << kUsage;
     return 0;

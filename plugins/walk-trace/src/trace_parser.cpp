@@ -20,7 +20,7 @@ namespace {
 constexpr std::size_t kMostShown = 60;
 constexpr std::int64_t kLongestWalk_ms = 86'400'000;  // a day: what reads a walk in steps of time must come to an end
 constexpr std::int64_t kHighestFloor = 1000;
-constexpr double kLargestNumber = 1e8;                // fits in a float and in any sum of squares
+constexpr double kLargestNumber = 1e8;  // fits in a float and in any sum of squares
 
 FieldList split(std::string_view line) {
   FieldList fields;
@@ -144,7 +144,8 @@ EventData TraceParser::beacon(const FieldList& fields) {
 EventData TraceParser::way_point(const FieldList& fields) {
   need(fields, 4, 5, "P, time, x, y and, where the walk changes floors, the floor");
   if (fields.count == 4 && !level_) fail("a way-point does not say its floor", "P, time, x, y, floor", "no floor");
-  const std::int64_t level = fields.count == 5 ? integer_within(fields, 4, "a floor", -kHighestFloor, kHighestFloor) : *level_;
+  const std::int64_t level =
+      fields.count == 5 ? integer_within(fields, 4, "a floor", -kHighestFloor, kHighestFloor) : *level_;
   return WayPoint{number(fields, 2, "x in metres"), number(fields, 3, "y in metres"), static_cast<int>(level)};
 }
 
@@ -172,8 +173,8 @@ std::int64_t TraceParser::integer_within(const FieldList& fields, std::size_t in
                                          std::int64_t least, std::int64_t most) const {
   const std::int64_t value = integer(fields, index, meaning);
   if (value >= least && value <= most) return value;
-  fail("a row is garbled",
-       std::string(meaning) + " from " + std::to_string(least) + " to " + std::to_string(most), fields.text[index]);
+  fail("a row is garbled", std::string(meaning) + " from " + std::to_string(least) + " to " + std::to_string(most),
+       fields.text[index]);
 }
 
 void TraceParser::need(const FieldList& fields, std::size_t least, std::size_t most, const char* expected) const {
