@@ -74,6 +74,11 @@ control::System wired_system() {
 
 /// A console whose host answers by `script`, and what it said.
 class ConsoleTest : public ::testing::Test {
+ private:
+  // The host's thread uses these, so they outlive it.
+  std::mutex mutex_;
+  std::vector<control::Request> seen_;
+
  protected:
   std::vector<control::Request> requests() {
     const std::lock_guard lock(mutex_);
@@ -122,8 +127,6 @@ class ConsoleTest : public ::testing::Test {
   ErrorCode code{};
 
  private:
-  std::mutex mutex_;
-  std::vector<control::Request> seen_;
   std::unique_ptr<Session> session_;
 };
 
@@ -285,14 +288,20 @@ control::Reply imu_sample(std::uint64_t sequence, bool with_files) {
   return reply;
 }
 
-TEST_F(ConsoleTest, WatchPrintsAnyTypeByItsDescriptors) {
-  script = [](const control::Request& request) {
-    return request.has_watch() ? std::vector{imu_sample(1, true), imu_sample(2, false)} : std::vector{done()};
+TEST_F(ConsoleTest, WatchPrintsAnyTypeByItsDescriptorsUntilTheHostEndsIt) {
+  script = [](const control::Request&) {
+    control::Reply end = failure(ErrorCode::NotFound, "walk was unloaded");
+    return std::vector{imu_sample(1, true), imu_sample(2, false), end};
   };
-  session().run(split_line("watch walk.imu every 20ms for 50ms"));
+  EXPECT_EQ(error_of("watch walk.imu every 20ms"), "walk was unloaded");
   EXPECT_DOUBLE_EQ(requests()[0].watch().min_period_ms(), 20);
   EXPECT_TRUE(out.starts_with("walk.imu  1.500 s  ")) << out;
-  EXPECT_TRUE(requests().back().has_watch() || requests().back().has_unwatch());
+}
+
+TEST_F(ConsoleTest, WatchForATimeEndsByItself) {
+  script = [](const control::Request&) { return std::vector<control::Reply>{}; };
+  session().run(split_line("watch walk.imu for 10ms"));
+  EXPECT_TRUE(session().watches().empty());
 }
 
 TEST_F(ConsoleTest, WatchingAFieldThatIsNotThereNamesThoseThatAre) {
