@@ -6,6 +6,7 @@
 #include <boost/dll/shared_library.hpp>
 #include <optional>
 #include <system_error>
+#include <vector>
 
 #include "fiona/describe.hpp"
 #include "fiona/error.hpp"
@@ -48,10 +49,9 @@ boost::dll::shared_library load(const std::string& name, const std::filesystem::
 PluginLibraries::PluginLibraries() = default;
 
 PluginLibraries::~PluginLibraries() {
-  for (auto& [path, library] : libraries_) {
-    // Handed over to the process: closing would run destructors under protobuf's registered descriptors.
-    static_cast<void>(library.release());
-  }
+  // Handed over to the process: closing would run destructors under protobuf's registered descriptors.
+  static auto& of_process = *new std::vector<std::unique_ptr<Library>>;
+  for (auto& [path, library] : libraries_) of_process.push_back(std::move(library));
 }
 
 void PluginLibraries::check_before_opening(const std::string& name, const std::filesystem::path& path,

@@ -44,16 +44,16 @@ class Watch : public std::enable_shared_from_this<Watch> {
  public:
   Watch(asio::io_context& context, int descriptor, std::function<void()> ready)
       : descriptor_(context, descriptor), ready_(std::move(ready)) {}
-  ~Watch() { descriptor_.release(); }
 
   void wait() {
     descriptor_.async_wait(asio::posix::descriptor_base::wait_read,
                            [self = shared_from_this()](const boost::system::error_code& error) { self->on_readable(error); });
   }
+  /// The descriptor's owner may close it as soon as this has returned, so it is not only cancelled but given back.
   void stop() {
     const std::lock_guard lock(mutex_);
     stopped_ = true;
-    descriptor_.cancel();
+    descriptor_.release();
   }
 
  private:

@@ -40,14 +40,20 @@ void add_arguments(const std::string& text, List& list) {
   }
 }
 
-std::filesystem::path make_directory() {
-  std::string name = (std::filesystem::temp_directory_path() / "fiona-test-XXXXXX").string();
-  return ::mkdtemp(name.data());
-}
-
 }  // namespace
 
+TemporaryDirectory::TemporaryDirectory() {
+  std::string name = (std::filesystem::temp_directory_path() / "fiona-test-XXXXXX").string();
+  path = ::mkdtemp(name.data());
+}
+
+TemporaryDirectory::~TemporaryDirectory() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path, ignored);
+}
+
 std::string to_string(Transport transport) { return transport == Transport::Process ? "Process" : "Ipc"; }
+void PrintTo(Transport transport, std::ostream* out) { *out << to_string(transport); }
 
 SeenSample::SeenSample(const google::protobuf::Message& sample) {
   const auto& type = *sample.GetDescriptor();
@@ -57,20 +63,17 @@ SeenSample::SeenSample(const google::protobuf::Message& sample) {
   payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
 }
 
-RunningSystem::RunningSystem(Transport transport) : transport_(transport), directory_(make_directory()) {
-  system_ = std::make_unique<host::System>(host::System::Options{"test", directory_ / "store", directory_, 2},
-                                           [this](const wire::GroupMessage& event) {
-                                             if (!event.has_tapped()) return;
-                                             const auto sample = system_->types().make(event.tapped().type());
-                                             sample->ParseFromString(event.tapped().object());
-                                             const std::lock_guard lock(mutex_);
-                                             seen_[event.tapped().tap()].push_back(SeenSample(*sample));
-                                           });
-}
+RunningSystem::RunningSystem(Transport transport)
+    : transport_(transport),
+      system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2},
+              [this](const wire::GroupMessage& event) { keep(event); }) {}
 
-RunningSystem::~RunningSystem() {
-  system_.reset();
-  std::filesystem::remove_all(directory_);
+void RunningSystem::keep(const wire::GroupMessage& event) {
+  if (!event.has_tapped()) return;
+  const auto sample = system_.types().make(event.tapped().type());
+  sample->ParseFromString(event.tapped().object());
+  const std::lock_guard lock(mutex_);
+  seen_[event.tapped().tap()].push_back(SeenSample(*sample));
 }
 
 void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
@@ -81,7 +84,7 @@ void RunningSystem::load(const std::string& component, const std::string& name, 
   request.set_group(group);
   if (parameters.starts_with("neutral")) request.set_mode("neutral");
   add_arguments(parameters, *request.mutable_parameters());
-  system_->load(request);
+  system_.load(request);
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
@@ -97,44 +100,44 @@ void RunningSystem::wire(const std::string& client, const std::string& provider,
   *request.mutable_client() = port_name(client);
   *request.mutable_provider() = port_name(provider);
   request.set_prescale(every);
-  system_->wire(request);
+  system_.wire(request);
 }
 
 void RunningSystem::unwire(const std::string& client) {
   control::Unwire request;
   *request.mutable_client() = port_name(client);
-  system_->unwire(request);
+  system_.unwire(request);
 }
 
 void RunningSystem::set(const std::string& instance_name, const std::string& parameters) {
   control::Set request;
   request.set_instance(instance_name);
   add_arguments(parameters, *request.mutable_parameters());
-  system_->set(request);
+  system_.set(request);
 }
 
 void RunningSystem::state(const std::string& instance_name, const std::string& mode) {
   control::State request;
   request.set_instance(instance_name);
   request.set_mode(mode);
-  system_->state(request);
+  system_.state(request);
 }
 
 void RunningSystem::unload(const std::string& instance_name) {
   control::Unload request;
   request.set_instance(instance_name);
-  system_->unload(request);
+  system_.unload(request);
 }
 
-std::uint64_t RunningSystem::watch(const std::string& name) { return system_->tap(port_name(name)); }
+std::uint64_t RunningSystem::watch(const std::string& name) { return system_.tap(port_name(name)); }
 
 void RunningSystem::serve_groups(std::chrono::milliseconds most) {
-  const auto children = system_->child_groups();
+  const auto children = system_.child_groups();
   std::vector<pollfd> waits;
   for (auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
   ::poll(waits.data(), waits.size(), static_cast<int>(most.count()));
   for (std::size_t i = 0; i < waits.size(); ++i) {
-    if (waits[i].revents != 0) system_->serve_group(*children[i]);
+    if (waits[i].revents != 0) system_.serve_group(*children[i]);
   }
 }
 
@@ -176,7 +179,7 @@ std::vector<SeenSample> RunningSystem::take(std::uint64_t id) {
 }
 
 control::InstanceStatus RunningSystem::instance(const std::string& name) {
-  const auto snapshot = system_->snapshot();
+  const auto snapshot = system_.snapshot();
   for (const auto& one : snapshot.instances()) {
     if (one.name() == name) return one;
   }

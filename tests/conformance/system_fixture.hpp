@@ -1,11 +1,11 @@
 #pragma once
 
-
 #include <condition_variable>
 #include <filesystem>
 #include <functional>
 #include <map>
 #include <mutex>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -16,6 +16,17 @@ namespace fiona::conformance {
 /// Between which places the wires of a test run.
 enum class Transport { Process, Ipc };
 std::string to_string(Transport transport);
+void PrintTo(Transport transport, std::ostream* out);
+
+/// A directory of its own, removed at the end.
+struct TemporaryDirectory {
+  TemporaryDirectory();
+  ~TemporaryDirectory();
+  TemporaryDirectory(const TemporaryDirectory&) = delete;
+  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
+
+  std::filesystem::path path;
+};
 
 /// A fiona.test.Sample as the test sees it. The test must not link the message itself: the plugin brings it, and
 /// protobuf allows a file once per process.
@@ -38,7 +49,6 @@ class SeenSample {
 class RunningSystem {
  public:
   explicit RunningSystem(Transport transport = Transport::Process);
-  ~RunningSystem();
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
@@ -48,7 +58,7 @@ class RunningSystem {
   void set(const std::string& instance, const std::string& parameters);
   void state(const std::string& instance, const std::string& mode);
   void unload(const std::string& instance);
-  host::System& system() { return *system_; }
+  host::System& system() { return system_; }
 
   /// Watches a port that pushes test samples; `wait_for` looks at what it has put since.
   std::uint64_t watch(const std::string& port);
@@ -66,13 +76,14 @@ class RunningSystem {
  private:
   void load(const std::string& component, const std::string& name, const std::string& group, const std::string& parameters);
   void serve_groups(std::chrono::milliseconds most);
+  void keep(const wire::GroupMessage& event);
 
   const Transport transport_;
-  std::filesystem::path directory_;
+  const TemporaryDirectory directory_;
   std::mutex mutex_;
   std::map<std::uint64_t, std::vector<SeenSample>> seen_;
   std::map<std::uint64_t, std::size_t> passed_;
-  std::unique_ptr<host::System> system_;
+  host::System system_;  ///< last: its threads use the rest until it has ended
 };
 
 }  // namespace fiona::conformance

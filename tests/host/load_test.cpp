@@ -45,6 +45,8 @@ struct Refusal {
   std::string next;
 };
 
+void PrintTo(const Refusal& refusal, std::ostream* out) { *out << refusal.library; }
+
 class Zoo : public testing::TestWithParam<Refusal> {
  protected:
   void expect_refused(const std::string& group) {

@@ -41,7 +41,10 @@ class Made {
       return made;
     });
   }
-  ~Made() { hull.shut_down(std::chrono::seconds(5)); }
+  ~Made() {
+    // A hull leaves a component that it cannot end to its caller; here nothing of it runs any more.
+    if (!hull.shut_down(std::chrono::seconds(5))) delete component;
+  }
   C* operator->() const { return component; }
 
   Hull hull;
