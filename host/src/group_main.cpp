@@ -59,7 +59,9 @@ int run(int argc, char** argv) {
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;
-  return serve(runtime, stream, events);
+  const int code = serve(runtime, stream, events);
+  clock.stop();
+  return code;
 }
 
 }  // namespace

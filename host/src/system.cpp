@@ -50,10 +50,12 @@ System::System(Options options, OnEvent on_event)
 
 System::~System() { end_threads(); }
 
-/// Groups, then threads, then the clock: a strand tells the clock that it is idle after its last job has ended.
+/// Groups, then the clock's thread, which posts, then the pool's; the clock last: a strand tells it that it is idle
+/// after its last job has ended.
 void System::end_threads() {
   groups_.clear();
   if (waits_) waits_->stop();
+  if (clock_) clock_->stop();
   pool_.reset();
   waits_.reset();
 }

@@ -23,13 +23,15 @@ SystemClock::Origin SystemClock::origin() const {
           start_.time_since_epoch().count()};
 }
 
-SystemClock::~SystemClock() {
+SystemClock::~SystemClock() { SystemClock::stop(); }
+
+void SystemClock::stop() {
   {
     const std::lock_guard lock(mutex_);
     stopping_ = true;
   }
   changed_.notify_all();
-  thread_.join();
+  if (thread_.joinable()) thread_.join();
 }
 
 TimePoint SystemClock::now() const { return start_ + Duration(std::chrono::steady_clock::now() - steady_start_); }
@@ -80,7 +82,9 @@ void SystemClock::serve() {
 
 // ---- virtual --------------------------------------------------------------------------------------------------
 
-VirtualClock::~VirtualClock() {
+VirtualClock::~VirtualClock() { VirtualClock::stop(); }
+
+void VirtualClock::stop() {
   {
     const std::lock_guard lock(mutex_);
     stopping_ = true;

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <exception>
+#include <utility>
 
 #include "fiona/clock.hpp"
 #include "fiona/port.hpp"
@@ -139,7 +140,8 @@ bool Strand::call(Job work, Duration deadline) {
   call->changed.wait_for(lock, deadline, [&] { return call->stage >= Call::Stage::Done; });
   if (call->stage == Call::Stage::Waiting) call->stage = Call::Stage::Dropped;
   if (call->stage != Call::Stage::Done) return false;
-  if (call->error) std::rethrow_exception(call->error);
+  // Taken out, so that the caller's thread alone sees the exception's end.
+  if (const auto error = std::exchange(call->error, nullptr)) std::rethrow_exception(error);
   return true;
 }
 

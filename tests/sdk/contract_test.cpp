@@ -233,6 +233,13 @@ class Parameters : public ::testing::Test {
     one.mutable_value()->set_text(value);
     return one;
   }
+  static control::Argument whole(const std::string& name, std::int64_t value, const std::string& typed) {
+    control::Argument one;
+    one.set_name(name);
+    one.mutable_value()->set_integer(value);
+    one.mutable_value()->set_typed(typed);
+    return one;
+  }
   void set(const std::vector<control::Argument>& changes) { made.hull.set_parameters(changes, std::chrono::seconds(1)); }
   ErrorText refusal_of(const std::vector<control::Argument>& changes) {
     try {
@@ -277,6 +284,31 @@ TEST_F(Parameters, ComponentsOwnCheckSeesTheWholeDraftAndMayRefuse) {
   EXPECT_EQ(text.next, "get knob");
   EXPECT_EQ(made->settings().gain(), 0.5);
   EXPECT_EQ(made->settings().label(), "");
+}
+
+TEST_F(Parameters, TextTakesANumberAsItWasTyped) {
+  set({whole("label", 7, "007")});
+  EXPECT_EQ(made->settings().label(), "007");
+}
+
+TEST_F(Parameters, TextTakesAFlagAsItWasTyped) {
+  auto flag = word("label", "");
+  flag.mutable_value()->set_flag(true);
+  flag.mutable_value()->set_typed("true");
+  set({flag});
+  EXPECT_EQ(made->settings().label(), "true");
+}
+
+TEST_F(Parameters, TextDoesNotGuessHowANumberWasTyped) {
+  const auto text = refusal_of({number("label", 7)});
+  EXPECT_EQ(text.expected, "a word or a quoted string");
+  EXPECT_EQ(text.found, "7");
+}
+
+TEST_F(Parameters, TextRefusesAList) {
+  auto list = word("label", "");
+  list.mutable_value()->mutable_list();
+  EXPECT_EQ(refusal_of({list}).expected, "a word or a quoted string");
 }
 
 TEST_F(Parameters, UnknownEnumeratorGetsTheNearest) {

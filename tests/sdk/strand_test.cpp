@@ -239,6 +239,8 @@ TEST_F(Inboxes, ClosedStrandTakesNothing) {
 
 class Strands : public ::testing::Test {
  protected:
+  ~Strands() override { clock.stop(); }
+
   SystemClock clock;
   Pool pool{2};
   std::shared_ptr<Strand> strand = std::make_shared<Strand>("strand", pool, clock);

@@ -42,6 +42,9 @@ class Clock {
   /// A strand has become busy or idle.
   virtual void strand_busy() {}
   virtual void strand_idle() {}
+  /// Ends the clock's own thread: after it nothing is posted any more. Call it before the strands' pool ends; the
+  /// clock itself must outlive the pool, whose threads tell it that their strands are idle.
+  virtual void stop() {}
 };
 
 /// The machine's monotonic time, counted from Unix time at construction.
@@ -63,6 +66,7 @@ class SystemClock final : public Clock {
   TimePoint start() const override { return start_; }
   TimerId schedule(TimePoint at, const std::shared_ptr<Strand>& strand, Job job) override;
   void cancel(TimerId timer) override;
+  void stop() override;
 
  private:
   struct Entry {
@@ -101,6 +105,7 @@ class VirtualClock final : public Clock {
   void stage(std::string_view wire, std::uint64_t sequence, Job delivery) override;
   void strand_busy() override;
   void strand_idle() override;
+  void stop() override;
 
   /// Lets time advance, once for each call, until `hold` was called as often. Starts at zero releases: held.
   void release();
