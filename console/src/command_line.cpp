@@ -86,6 +86,9 @@ CommandLine read_command_line(const std::vector<std::string>& arguments) {
   }
   if (words.empty()) return command;
   command.line = words.size() == 1 ? split_line(words.front()) : ready_words({words.begin(), words.end()});
+  // Known before the line is: its own mistakes are for programs too.
+  for (const WordLine::Item& item : command.line->items)
+    command.manner.json = command.manner.json || (!item.name && item.word.is_plain("--json"));
   return command;
 }
 

@@ -38,14 +38,18 @@ std::string framed(const control::Request& request) {
   return frame + body;
 }
 
-/// A text that was lines, as when an error tells of another one.
-std::string on_one_line(std::string_view text) {
+/// A host's text, inert. Its further lines, as when it quotes another error, are indented more than any line of ours,
+/// so that none can be taken for one.
+std::string quoted_lines(std::string_view text) {
+  text = text.substr(0, text.find_last_not_of("\n ") + 1);
   std::string out;
-  for (std::size_t at = 0; at < text.size(); ++at) {
-    out += text[at] == '\n' ? std::string("; ") : std::string(1, text[at]);
-    while (text[at] == '\n' && at + 1 < text.size() && text[at + 1] == ' ') ++at;
+  while (true) {
+    const std::size_t end = text.find('\n');
+    out += inert(text.substr(0, end));
+    if (end == std::string_view::npos) return out;
+    text.remove_prefix(std::min(text.find_first_not_of("\n ", end), text.size()));
+    out += "\n    ";
   }
-  return out;
 }
 
 ErrorCode code_of(std::uint32_t code) {
@@ -78,11 +82,11 @@ bool FrameReader::next(control::Reply& reply) {
 
 void throw_failure(const control::Failure& failure) {
   // Inert here, not only at the terminal: a newline in a field must not look like a line of ours.
-  ErrorText text{.what = inert(on_one_line(failure.what())),
+  ErrorText text{.what = quoted_lines(failure.what()),
                  .where = inert(failure.where()),
-                 .expected = inert(failure.expected()),
-                 .found = inert(failure.found()),
-                 .next = inert(failure.next())};
+                 .expected = quoted_lines(failure.expected()),
+                 .found = quoted_lines(failure.found()),
+                 .next = quoted_lines(failure.next())};
   for (const std::string& name : failure.near()) text.near.push_back(inert(name));
   throw Error(code_of(failure.code()), std::move(text));
 }

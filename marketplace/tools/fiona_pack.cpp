@@ -28,7 +28,7 @@ options::options_description described() {
       "share", text(), "directory of data files")("output,o", text(), "the package to write")(
       "publish", texts(), "packages to put into a marketplace")("to", text(), "the marketplace directory")(
       "replace", "let other content of the same version take its place: for a build's own marketplace only")(
-      "help,h", "this text");
+      "help,h", "this text")("version", "the version of this program");
   return flags;
 }
 
@@ -77,6 +77,10 @@ int main(int count, char** arguments) {
     options::store(options::parse_command_line(count, arguments, described()), flags);
     if (flags.count("help")) {
       std::cout << described();
+      return 0;
+    }
+    if (flags.count("version")) {
+      std::cout << "fiona-pack " FIONA_VERSION "\n";
       return 0;
     }
     flags.count("publish") ? publish(flags) : pack(flags);

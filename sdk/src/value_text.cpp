@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <google/protobuf/descriptor.h>
+#include <google/protobuf/io/tokenizer.h>
 #include <google/protobuf/text_format.h>
 
 #include <charconv>
@@ -100,9 +101,13 @@ T whole_number(const std::string& name, const FieldDescriptor& field, const Valu
   return static_cast<T>(nearest);
 }
 
+/// What looks like a number or a flag is for a text field the word that was typed: 007 keeps its zeros.
 const std::string& text_of(const std::string& name, const FieldDescriptor& field, const Value& value) {
-  if (value.kind_case() != Value::kText) refuse(name, field, value, "a word or a quoted string");
-  return value.text();
+  if (value.kind_case() == Value::kText) return value.text();
+  const bool is_word = value.kind_case() == Value::kNumber || value.kind_case() == Value::kInteger ||
+                       value.kind_case() == Value::kFlag;
+  if (!is_word || value.typed().empty()) refuse(name, field, value, "a word or a quoted string");
+  return value.typed();
 }
 
 bool flag_of(const std::string& name, const FieldDescriptor& field, const Value& value) {
@@ -117,10 +122,25 @@ int enumerator_of(const std::string& name, const FieldDescriptor& field, const V
   return found->number();
 }
 
-void parse_message(const std::string& name, const FieldDescriptor& field, const Value& value, Message& target) {
-  if (value.kind_case() != Value::kMessage || !google::protobuf::TextFormat::ParseFromString(value.message(), &target)) {
-    refuse(name, field, value, "protobuf text of " + field.message_type()->full_name() + " in braces");
+/// Keeps the first complaint, which otherwise goes to the process's log.
+class FirstComplaint final : public google::protobuf::io::ErrorCollector {
+ public:
+  void AddError(int line, int column, const std::string& text) override {
+    if (text_.empty()) text_ = fmt::format("; at {}:{}: {}", line + 1, column + 1, text);
   }
+  const std::string& text() const { return text_; }
+
+ private:
+  std::string text_;
+};
+
+void parse_message(const std::string& name, const FieldDescriptor& field, const Value& value, Message& target) {
+  FirstComplaint complaint;
+  google::protobuf::TextFormat::Parser parser;
+  parser.RecordErrorsTo(&complaint);
+  if (value.kind_case() == Value::kMessage && parser.ParseFromString(value.message(), &target)) return;
+  refuse(name, field, value,
+         "protobuf text of " + field.message_type()->full_name() + " in braces" + complaint.text());
 }
 
 void set_single(Message& m, const FieldDescriptor& f, const Value& v, const std::string& name) {

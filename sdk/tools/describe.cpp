@@ -2,6 +2,7 @@
 #include <dlfcn.h>
 #include <google/protobuf/text_format.h>
 
+#include <boost/program_options.hpp>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -11,10 +12,13 @@
 
 namespace {
 
+namespace options = boost::program_options;
+
 const fiona::PluginEntry& open_entry(const std::string& library) {
   void* handle = dlopen(std::filesystem::absolute(library).c_str(), RTLD_NOW | RTLD_LOCAL);
   if (!handle) {
-    throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the library does not load", .where = library, .found = dlerror()});
+    throw fiona::Error(fiona::ErrorCode::Failed,
+                       {.what = "the library does not load", .where = library, .found = dlerror()});
   }
   auto* symbol = dlsym(handle, fiona::kPluginEntrySymbol);
   if (!symbol) {
@@ -34,37 +38,56 @@ const fiona::PluginEntry& open_entry(const std::string& library) {
   return *entry;
 }
 
-int run(const std::string& library, const std::string& out) {
+void describe(const std::string& library, const std::string& out) {
   fiona::Plugin plugin;
   open_entry(library).declare(plugin);
   std::string text;
   google::protobuf::TextFormat::PrintToString(fiona::describe(plugin), &text);
   if (out.empty()) {
     std::cout << text;
-    return 0;
+    return;
   }
   std::ofstream file(out, std::ios::trunc);
   file << text;
   file.close();
-  if (file) return 0;
-  throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the interface cannot be written", .where = out});
+  if (!file) throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the interface cannot be written", .where = out});
+}
+
+void run(int argc, char** argv) {
+  std::string library, out;
+  options::options_description shown("usage: fiona-describe LIBRARY [-o FILE]");
+  shown.add_options()("output,o", options::value(&out), "the interface; without it, to standard output")(
+      "help,h", "this text")("version", "the version of this program");
+  options::options_description all;
+  all.add(shown).add_options()("library", options::value(&library)->required());
+  options::positional_options_description places;
+  places.add("library", 1);
+  options::variables_map given;
+  options::store(options::command_line_parser(argc, argv).options(all).positional(places).run(), given);
+  if (given.count("help")) {
+    std::cout << shown;
+  } else if (given.count("version")) {
+    std::cout << "fiona-describe " FIONA_VERSION "\n";
+  } else {
+    options::notify(given);
+    describe(library, out);
+  }
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  const bool named = argc == 4 && std::string(argv[2]) == "-o";
-  if (argc != 2 && !named) {
-    std::cerr << "usage: fiona-describe LIBRARY [-o FILE]\n";
-    return 2;
-  }
   try {
-    return run(argv[1], named ? argv[3] : "");
+    run(argc, argv);
+    return 0;
   } catch (const fiona::Error& error) {
     std::cerr << "error: " << error.what() << "\n";
     return static_cast<int>(error.code());
+  } catch (const options::error& error) {
+    std::cerr << "error: " << error.what() << "\n  next: fiona-describe --help\n";
+    return static_cast<int>(fiona::ErrorCode::Usage);
   } catch (const std::exception& error) {
-    std::cerr << "error: " << argv[1] << ": " << error.what() << "\n";
-    return 1;
+    std::cerr << "error: " << error.what() << "\n";
+    return static_cast<int>(fiona::ErrorCode::Failed);
   }
 }

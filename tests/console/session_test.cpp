@@ -170,7 +170,18 @@ TEST_F(ConsoleTest, ARefusalKeepsItsCodeAndItsWords) {
 
 TEST_F(ConsoleTest, ARefusalCannotForgeLinesOrActOnTheTerminal) {
   script = [](const auto&) { return std::vector{failure(ErrorCode::Failed, "x\nerror: \x1b[2J")}; };
-  EXPECT_EQ(error_of("unload a"), "x; error: \\u{1b}[2J");
+  EXPECT_EQ(error_of("unload a"), "x\n    error: \\u{1b}[2J");
+}
+
+TEST_F(ConsoleTest, ARefusalThatQuotesAnotherErrorKeepsItsLines) {
+  script = [](const auto&) {
+    auto reply = failure(ErrorCode::Failed, "'b' cannot be made: the map is garbled\n  expected: a map\n\n  found: b\n", "b");
+    reply.mutable_failure()->set_next("copy it again\n  or learn it");
+    return std::vector{reply};
+  };
+  EXPECT_EQ(error_of("unload a"),
+            "b: 'b' cannot be made: the map is garbled\n    expected: a map\n    found: b\n"
+            "  next: copy it again\n    or learn it");
 }
 
 TEST_F(ConsoleTest, ASilentHostIsUnreachableAfterTheTimeout) {

@@ -3,11 +3,14 @@
 
 #include <gtest/gtest.h>
 
+#include "command_line.hpp"
 #include "completion.hpp"
 #include "verb_table.hpp"
 
 namespace fiona::console {
 namespace {
+
+using namespace std::chrono_literals;
 
 std::string error_of(const std::string& text) {
   try {
@@ -187,6 +190,37 @@ TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(error_of("market instal a"),
             "column 8: market cannot 'instal'\n  expected: search, info, install\n  did you mean: install\n  next: "
             "help market");
+}
+
+TEST(CommandLine, OptionsBeforeTheLineAreTheProcesss) {
+  const CommandLine command = read_command_line({"--host", "lab", "--timeout=3s", "-q", "ls", "wires"});
+  EXPECT_EQ(command.options.host, "lab");
+  EXPECT_EQ(command.options.timeout, 3s);
+  EXPECT_TRUE(command.manner.quiet);
+  EXPECT_EQ(command.line->items.size(), 2U);
+}
+
+TEST(CommandLine, AskedForJsonAnywhereMistakesOfTheLineAreJsonToo) {
+  EXPECT_TRUE(read_command_line({"lod", "x", "--json"}).manner.json);
+  EXPECT_TRUE(read_command_line({"lod x --json"}).manner.json);
+  EXPECT_TRUE(read_command_line({"lod x", "--json"}).manner.json);
+  EXPECT_FALSE(read_command_line({"set", "a", "b=--json"}).manner.json);
+}
+
+TEST(CommandLine, AnUnknownOptionIsNotUnderstoodAndGetsTheNearest) {
+  try {
+    read_command_line({"--jsn", "ls"});
+    FAIL() << "it was taken";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::Usage);
+    EXPECT_STREQ(error.what(), "there is no option --jsn\n  did you mean: --json\n  next: fiona help");
+  }
+}
+
+TEST(CommandLine, HelpAndVersionNeedNoLine) {
+  EXPECT_TRUE(read_command_line({"--help"}).help);
+  EXPECT_TRUE(read_command_line({"-h"}).help);
+  EXPECT_TRUE(read_command_line({"--version"}).version);
 }
 
 TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"unload", "unwire"})); }

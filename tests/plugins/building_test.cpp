@@ -470,9 +470,8 @@ class RealFiles : public testing::Test {
 
   void SetUp() override {
     const char* data = std::getenv("FIONA_DATA");
-    if (data == nullptr) GTEST_SKIP() << "set FIONA_DATA to the directory that holds osm_indoor/";
-    folder_ = std::filesystem::path(data) / "osm_indoor";
-    if (!std::filesystem::exists(folder_)) GTEST_SKIP() << folder_ << " does not exist";
+    folder_ = std::filesystem::path(data ? data : FIONA_SHARED_DATA) / "osm_indoor";
+    if (!std::filesystem::exists(folder_)) GTEST_SKIP() << "no map at " << folder_ << ": set FIONA_DATA";
   }
 
   /// The files are kept compressed; the reader takes plain .osm.

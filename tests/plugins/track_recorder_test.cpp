@@ -104,7 +104,19 @@ TEST_F(TrackRecorderTest, TheCsvHasALineForEachValidLocation) {
   recorder.advance(200ms);
   put(recorder, at(3, 4.5, -1));
   EXPECT_EQ(content(path("track.csv")),
-            "trace,t_ms,x,y,floor\na7,200,1.250,-2.000,1\na7,600,3.000,4.500,-1\n");
+            "trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy\na7,200,1.250,-2.000,1,,,\na7,600,3.000,4.500,-1,,,\n");
+}
+
+TEST_F(TrackRecorderTest, TheCsvHasTheHorizontalCovarianceWhereTheLocationTellsIt) {
+  Recorder recorder("rec");
+  recorder.set("csv", path("track.csv"));
+  recorder.start();
+  CommLocation location = at(1, 2, 0);
+  for (const double value : {4.0, 0.5, 0.0, 0.5, 9.0, 0.0, 0.0, 0.0, 0.25}) {
+    location.mutable_position()->add_confidence(value);
+  }
+  put(recorder, location);
+  EXPECT_THAT(content(path("track.csv")), HasSubstr("\nwalk,0,1.000,2.000,0,4.0000,0.5000,9.0000\n"));
 }
 
 TEST_F(TrackRecorderTest, LevelsAreRoundedHalvesUp) {
@@ -115,7 +127,7 @@ TEST_F(TrackRecorderTest, LevelsAreRoundedHalvesUp) {
   EXPECT_THAT(
       content(path("track.csv")),
       HasSubstr(
-          "\nwalk,0,0.000,0.000,0\nwalk,0,0.000,0.000,1\nwalk,0,0.000,0.000,0\nwalk,0,0.000,0.000,-1\n"));
+          "\nwalk,0,0.000,0.000,0,,,\nwalk,0,0.000,0.000,1,,,\nwalk,0,0.000,0.000,0,,,\nwalk,0,0.000,0.000,-1,,,\n"));
 }
 
 TEST_F(TrackRecorderTest, OutdoorsTheFloorIsEmpty) {
@@ -123,7 +135,7 @@ TEST_F(TrackRecorderTest, OutdoorsTheFloorIsEmpty) {
   recorder.set("csv", path("track.csv"));
   recorder.start();
   put(recorder, outdoors(1, 2));
-  EXPECT_THAT(content(path("track.csv")), HasSubstr("\nwalk,0,1.000,2.000,\n"));
+  EXPECT_THAT(content(path("track.csv")), HasSubstr("\nwalk,0,1.000,2.000,,,,\n"));
 }
 
 TEST_F(TrackRecorderTest, AnOlderCsvIsOverwritten) {
@@ -131,7 +143,7 @@ TEST_F(TrackRecorderTest, AnOlderCsvIsOverwritten) {
   Recorder recorder("rec");
   recorder.set("csv", path("track.csv"));
   recorder.start();
-  EXPECT_EQ(content(path("track.csv")), "trace,t_ms,x,y,floor\n");
+  EXPECT_EQ(content(path("track.csv")), "trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy\n");
 }
 
 TEST_F(TrackRecorderTest, ACsvInNoDirectoryFailsTheStart) {
@@ -186,6 +198,36 @@ TEST_F(TrackRecorderTest, TheDrawingLiesOverTheFloorPlan) {
   put(recorder, at(10, 5, 0));
   ASSERT_TRUE(stop(recorder));
   EXPECT_THAT(content(path("track.svg")), HasSubstr("aria-label=\"Ground Floor\""));
+}
+
+TEST_F(TrackRecorderTest, AFolderOfFloorPlansLiesUnderTheTrackOnTheLevelsItVisits) {
+  for (const int floor : {1, 2}) {
+    const fs::path folder = directory_ / "site" / ("F" + std::to_string(floor));
+    fs::create_directories(folder);
+    std::ofstream(folder / "floor_info.json") << R"({"map_info":{"width":20,"height":10}})";
+    std::ofstream(folder / "geojson_map.json")
+        << R"({"features":[{"properties":{"name":"Floor )" << floor << R"(","floor_num":)" << floor
+        << R"(},"geometry":{"type":"Polygon","coordinates":[[[0,0],[2,0],[2,1],[0,1]]]}}]})";
+  }
+  Recorder recorder("rec");
+  recorder.set("svg", path("track.svg"));
+  recorder.set("building", path("site"));
+  recorder.start();
+  put(recorder, at(10, 5, 1));
+  ASSERT_TRUE(stop(recorder));
+  EXPECT_THAT(content(path("track.svg")), HasSubstr("aria-label=\"Floor 2\""));
+  EXPECT_THAT(content(path("track.svg")), Not(HasSubstr("Floor 1")));
+}
+
+TEST_F(TrackRecorderTest, AFolderWithoutFloorPlansLeavesTheOldCsvAlone) {
+  std::ofstream(path("track.csv")) << "old\n";
+  fs::create_directories(path("site"));
+  Recorder recorder("rec");
+  recorder.set("csv", path("track.csv"));
+  recorder.set("building", path("site"));
+  const Error error = error_of([&] { recorder.start(); });
+  EXPECT_THAT(error.what(), HasSubstr("this folder holds no floor plan"));
+  EXPECT_EQ(content(path("track.csv")), "old\n");
 }
 
 TEST_F(TrackRecorderTest, ADrawingThatCannotBeWrittenFailsTheStart) {

@@ -311,6 +311,16 @@ TEST_F(Parameters, TextRefusesAList) {
   EXPECT_EQ(refusal_of({list}).expected, "a word or a quoted string");
 }
 
+TEST_F(Parameters, ProtobufTextThatDoesNotParseIsToldWithItsPlace) {
+  auto inner = word("inner", "");
+  inner.mutable_value()->set_message("angel: 1");
+  const auto text = refusal_of({inner});
+  EXPECT_EQ(text.expected,
+            "protobuf text of fiona.sdk_test.Inner in braces; at 1:6: Message type \"fiona.sdk_test.Inner\" has no "
+            "field named \"angel\".");
+  EXPECT_EQ(text.found, "{angel: 1}");
+}
+
 TEST_F(Parameters, UnknownEnumeratorGetsTheNearest) {
   const auto text = refusal_of({word("colour", "GRENE")});
   EXPECT_EQ(text.expected, "one of RED, GREEN");

@@ -56,11 +56,15 @@ void grow(Box& box, Point p) {
 
 constexpr Box kNothing{{1e300, 1e300}, {-1e300, -1e300}};
 
-Box extent(const Plan* plan, std::span<const Track> tracks) {
+/// Of the tracks and of the plan's `levels`.
+Box extent(const Plan* plan, std::span<const Track> tracks, std::span<const Level> levels) {
   Box box = kNothing;
   if (plan != nullptr) {
     for (const Point& p : plan->outline.outer) grow(box, p);
     for (const Room& room : plan->rooms) {
+      const bool shown = std::any_of(levels.begin(), levels.end(),
+                                     [&](const Level& level) { return level.level == room.level; });
+      if (!shown) continue;
       for (const Point& p : room.polygon.outer) grow(box, p);
     }
     for (const Connector& connector : plan->connectors) {
@@ -97,6 +101,18 @@ double nearest_level(const std::vector<Level>& levels, double level) {
     if (std::abs(known.level - level) < std::abs(best - level)) best = known.level;
   }
   return best;
+}
+
+/// Whether a track goes there, or there is none.
+bool visited(std::span<const Track> tracks, const std::vector<Level>& levels, double level) {
+  bool empty = true;
+  for (const Track& track : tracks) {
+    for (const TrackPoint& p : track.points) {
+      empty = false;
+      if (nearest_level(levels, p.level) == level) return true;
+    }
+  }
+  return empty;
 }
 
 std::string marker(const View& view, const Track& track, const TrackPoint& p, bool start) {
@@ -288,18 +304,25 @@ std::string escape_xml(const std::string& text) {
 
 std::string floor_plan_svg(const Building& building, std::span<const Track> tracks,
                            const SvgOptions& options) {
+  return floor_plan_svg(building.plan(), tracks, options);
+}
+
+std::string floor_plan_svg(const Plan& plan, std::span<const Track> tracks, const SvgOptions& options) {
   const std::vector<Track> lines = dressed(tracks);
-  const Plan& plan = building.plan();
-  View view = fitted(extent(&plan, lines), options);
+  const std::vector<Level> levels = drawn_levels(plan);
+  std::vector<Level> shown = levels;
+  if (options.visited_only) {
+    std::erase_if(shown, [&](const Level& level) { return !visited(lines, levels, level.level); });
+  }
+  View view = fitted(extent(&plan, lines, shown), options);
   const double width = view.width_px() + 2 * kMargin_px;
-  const std::string title = options.title.empty() ? building.name() : options.title;
+  const std::string title = options.title.empty() ? plan.name : options.title;
   std::string body = "<text class=\"head\" style=\"font-size:19px\"" + attribute("x", kMargin_px) +
                      attribute("y", 34) + ">" + escape_xml(title) + "</text>\n" +
                      north_arrow(width - kMargin_px - 10, 36, plan.reference.heading_rad);
   view.top_px = 50 + kHeading_px;
   // The upper floor stands above the lower one, as in the house.
-  const std::vector<Level> levels = drawn_levels(plan);
-  for (auto level = levels.rbegin(); level != levels.rend(); ++level) {
+  for (auto level = shown.rbegin(); level != shown.rend(); ++level) {
     body += panel(view, plan, levels, *level, lines);
     view.top_px += view.height_px() + kHeading_px + 8;
   }
@@ -307,14 +330,14 @@ std::string floor_plan_svg(const Building& building, std::span<const Track> trac
   body += scale_bar(view, top);
   top += 28;
   body += legend(lines, kMargin_px, width - kMargin_px, top);
-  const std::string description = "Floor plans of " + building.name() + ", " + std::to_string(levels.size()) +
-                                  (levels.size() == 1 ? " level. " : " levels. ") + names_of(lines);
+  const std::string description = "Floor plans of " + plan.name + ", " + std::to_string(shown.size()) +
+                                  (shown.size() == 1 ? " level. " : " levels. ") + names_of(lines);
   return opening(width, top + 24, title, description) + body + "</svg>\n";
 }
 
 std::string track_svg(std::span<const Track> tracks, const SvgOptions& options) {
   const std::vector<Track> lines = dressed(tracks);
-  View view = fitted(extent(nullptr, lines), options);
+  View view = fitted(extent(nullptr, lines, {}), options);
   const double width = view.width_px() + 2 * kMargin_px;
   const std::string title = options.title.empty() ? "Tracks" : options.title;
   view.top_px = 50;

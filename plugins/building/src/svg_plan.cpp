@@ -93,9 +93,11 @@ std::string label(const View& view, const Room& room) {
   return {};
 }
 
-std::string draw_room(const View& view, const Room& room) {
+/// `edged`: nothing else shows where the room ends.
+std::string draw_room(const View& view, const Room& room, bool edged) {
   const std::string name = room.name.empty() ? (room.ref.empty() ? text(room.id) : room.ref) : room.name;
-  return "<path fill-rule=\"evenodd\" fill=\"" + std::string(fill_of(room)) + "\" d=\"" +
+  return "<path fill-rule=\"evenodd\" fill=\"" + std::string(fill_of(room)) + "\"" +
+         (edged ? " stroke=\"#9aa5b1\" stroke-width=\"0.8\"" : "") + " d=\"" +
          ring_path(view, room.polygon) + "\"><title>" + escape_xml(name) + "</title></path>\n";
 }
 
@@ -179,7 +181,7 @@ std::string draw_plan(const View& view, const Plan& plan, double level) {
   std::string svg;
   if (!plan.outline.outer.empty())
     svg += "<path fill=\"#fafbfc\" d=\"" + ring_path(view, plan.outline) + "\"/>\n";
-  for (const Room* room : rooms_on(plan, level)) svg += draw_room(view, *room);
+  for (const Room* room : rooms_on(plan, level)) svg += draw_room(view, *room, plan.walls.empty());
   for (const Path& path : plan.paths) {
     if (path.points.front().level == level) svg += draw_path(view, path);
   }
@@ -195,7 +197,12 @@ std::string draw_plan(const View& view, const Plan& plan, double level) {
 
 std::string draw_names(const View& view, const Plan& plan, double level) {
   std::string svg;
-  for (const Room* room : rooms_on(plan, level)) svg += label(view, *room);
+  const auto known = std::find_if(plan.levels.begin(), plan.levels.end(),
+                                  [&](const Level& other) { return other.level == level; });
+  for (const Room* room : rooms_on(plan, level)) {
+    // The panel's heading says it already.
+    if (known == plan.levels.end() || room->name != known->name) svg += label(view, *room);
+  }
   return svg;
 }
 

@@ -4,7 +4,10 @@
 #include <google/protobuf/util/message_differencer.h>
 
 #include <chrono>
+#include <filesystem>
+#include <system_error>
 
+#include "fiona/building/floor_folders.hpp"
 #include "fiona/hull.hpp"
 
 namespace fiona::recorder {
@@ -22,6 +25,18 @@ using track_recorder::Parameters;
 bool fits_a_csv_field(const std::string& text) { return text.find_first_of(",\"\r\n") == std::string::npos; }
 
 std::string level_text(const Fix& fix) { return fix.level ? std::to_string(whole_level(*fix.level)) : ""; }
+
+/// xx, xy and yy of the row-wise 3 x 3 matrix; empty fields where the localisation does not tell.
+std::string covariance_text(const localisation::CommPosition& position) {
+  if (position.confidence_size() != 9) return ",,";
+  return fmt::format("{:.4f},{:.4f},{:.4f}", position.confidence(0), position.confidence(1), position.confidence(4));
+}
+
+building::Plan plan_of(const std::filesystem::path& path) {
+  std::error_code error;
+  if (std::filesystem::is_directory(path, error)) return building::read_floor_folders(path);
+  return building::Building::read(path).plan();
+}
 
 }  // namespace
 
@@ -49,10 +64,10 @@ void TrackRecorder::changed() {
 
 void TrackRecorder::on_start() {
   // The building first: where it cannot be read, no file has been overwritten.
-  if (!params_->building().empty()) building_ = building::Building::read(params_->building());
+  if (!params_->building().empty()) plan_ = plan_of(params_->building());
   if (!params_->csv().empty()) {
     csv_.emplace(params_->csv());
-    csv_->add("trace,t_ms,x,y,floor");
+    csv_->add("trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy");
   }
   // An empty plan now tells of a file that cannot be written before the walk, not after it.
   if (!params_->svg().empty()) write_atomically(params_->svg(), drawing());
@@ -77,8 +92,8 @@ void TrackRecorder::on_location(const Received<Location>& location) {
   track_.add(track_point(now));
   comparison_.add_estimate(now);
   if (!csv_) return;
-  csv_->add(fmt::format("{},{},{:.3f},{:.3f},{}", params_->trace(), track_point(now).t_ms, now.x_m, now.y_m,
-                        level_text(now)));
+  csv_->add(fmt::format("{},{},{:.3f},{:.3f},{},{}", params_->trace(), track_point(now).t_ms, now.x_m, now.y_m,
+                        level_text(now), covariance_text(location->position())));
 }
 
 void TrackRecorder::on_truth(const Received<Location>& truth) {
@@ -124,9 +139,8 @@ std::string TrackRecorder::drawing() const {
   std::vector<building::Track> tracks;
   if (!truth_track_.empty()) tracks.push_back({"truth", truth_track_.points(), "#444444", "2 3"});
   if (!track_.empty()) tracks.push_back({"location", track_.points(), "#0072b2", "none"});
-  const building::SvgOptions options{.title = params_->trace()};
-  return building_ ? building::floor_plan_svg(*building_, tracks, options)
-                   : building::track_svg(tracks, options);
+  const building::SvgOptions options{.title = params_->trace(), .visited_only = true};
+  return plan_ ? building::floor_plan_svg(*plan_, tracks, options) : building::track_svg(tracks, options);
 }
 
 std::string TrackRecorder::summary() const {

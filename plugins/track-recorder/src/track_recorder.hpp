@@ -53,7 +53,7 @@ class TrackRecorder final : public Component {
   Timer report_{*this, &TrackRecorder::report};
 
   bool started_ = false;
-  std::optional<building::Building> building_{};
+  std::optional<building::Plan> plan_{};
   std::optional<LineFile> csv_{};
   ThinnedTrack track_{};
   ThinnedTrack truth_track_{};

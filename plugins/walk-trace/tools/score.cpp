@@ -1,8 +1,10 @@
 // fiona-score TRUTH.csv TRACK.csv [--trace NAME]: how far off positions were, as a person following them live saw it.
 //
-// Both files have columns trace,t_ms,x,y,floor (metres, integer floor). A truth point is compared with the last position
+// Both files have columns trace,t_ms,x,y,floor (metres, integer floor); the track may have cov_xx,cov_xy,cov_yy (m^2) as
+// well, and is then told how true they are. A truth point is compared with the last position
 // at or before it, at most five seconds old; without one it counts as not covered.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -23,12 +25,14 @@ using fiona::Error;
 using fiona::ErrorCode;
 
 constexpr std::int64_t kOldest_ms = 5000;
+constexpr double kChiSquare95 = 5.991;  // of two degrees of freedom
 
 struct Point {
   std::int64_t t_ms = 0;
   double x_m = 0;
   double y_m = 0;
   double floor = 0;
+  std::optional<std::array<double, 3>> covariance = {};  ///< xx, xy, yy in m^2
 };
 using Tracks = std::map<std::string, std::vector<Point>>;
 
@@ -36,6 +40,7 @@ std::vector<std::string> split(const std::string& line) {
   std::vector<std::string> cells;
   std::istringstream text(line);
   for (std::string cell; std::getline(text, cell, ',');) cells.push_back(cell);
+  if (line.ends_with(',')) cells.emplace_back();
   return cells;
 }
 
@@ -57,22 +62,31 @@ Tracks read(const std::string& path) {
     throw Error(ErrorCode::NotFound, {.what = "the file cannot be read, or is empty", .where = path});
   }
   const auto header = split(line);
+  const auto place = [&](const char* name) {
+    return static_cast<std::size_t>(std::find(header.begin(), header.end(), name) - header.begin());
+  };
   const auto column = [&](const char* name) {
-    const auto found = std::find(header.begin(), header.end(), name);
-    if (found != header.end()) return static_cast<std::size_t>(found - header.begin());
+    if (const std::size_t found = place(name); found < header.size()) return found;
     throw Error(ErrorCode::Failed, {.what = std::string("there is no column '") + name + "'",
                                     .where = path + ":1",
                                     .expected = "trace,t_ms,x,y,floor",
                                     .found = line});
   };
   const std::size_t trace = column("trace"), t = column("t_ms"), x = column("x"), y = column("y"), floor = column("floor");
+  const std::array<std::size_t, 3> covariance = {place("cov_xx"), place("cov_xy"), place("cov_yy")};
+  const bool has_covariance = *std::max_element(covariance.begin(), covariance.end()) < header.size();
   Tracks tracks;
   for (std::size_t row = 2; std::getline(file, line); ++row) {
     const auto cells = split(line);
     const std::string where = path + ":" + std::to_string(row);
     if (cells.size() < header.size()) throw Error(ErrorCode::Failed, {.what = "the line is cut short", .where = where, .found = line});
-    tracks[cells[trace]].push_back({static_cast<std::int64_t>(number(cells[t], where)), number(cells[x], where),
-                                    number(cells[y], where), number(cells[floor], where)});
+    Point point{static_cast<std::int64_t>(number(cells[t], where)), number(cells[x], where), number(cells[y], where),
+                number(cells[floor], where)};
+    if (has_covariance && !cells[covariance[0]].empty()) {
+      point.covariance.emplace();
+      for (std::size_t i = 0; i < 3; ++i) (*point.covariance)[i] = number(cells[covariance[i]], where);
+    }
+    tracks[cells[trace]].push_back(point);
   }
   for (auto& [name, points] : tracks) {
     std::stable_sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.t_ms < b.t_ms; });
@@ -94,36 +108,66 @@ double percentile(const std::vector<double>& sorted, double part) {
   return sorted[low] + (place - static_cast<double>(low)) * (sorted[high] - sorted[low]);
 }
 
-int score(const std::string& truth_file, const std::string& track_file, const std::string& only) {
-  const Tracks truth = read(truth_file);
-  const Tracks tracks = read(track_file);
-  std::vector<double> errors;
-  std::size_t points = 0, right_floor = 0;
+/// Errors of the shown positions, and how they lie in their own 95 % regions.
+struct Score {
+  std::vector<double> errors_m = {};
+  std::vector<double> radii_m = {};  ///< of circles as large as the 95 % regions
+  std::size_t points = 0, right_floor = 0, inside = 0;
+
+  void add(const Point& truth, const Point& shown) {
+    const double x = shown.x_m - truth.x_m, y = shown.y_m - truth.y_m;
+    errors_m.push_back(std::hypot(x, y));
+    if (std::lround(shown.floor) == std::lround(truth.floor)) ++right_floor;
+    if (!shown.covariance) return;
+    const auto [xx, xy, yy] = *shown.covariance;
+    const double determinant = xx * yy - xy * xy;
+    if (!(xx > 0.0 && determinant > 0.0)) return;
+    radii_m.push_back(std::sqrt(kChiSquare95 * std::sqrt(determinant)));
+    if ((yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant <= kChiSquare95) ++inside;
+  }
+};
+
+Score compare(const Tracks& truth, const Tracks& tracks, const std::string& only) {
+  Score score;
   for (const auto& [name, expected] : truth) {
     if (!only.empty() && name != only) continue;
     const auto track = tracks.find(name);
     for (const Point& p : expected) {
-      ++points;
-      const auto shown = track == tracks.end() ? std::nullopt : shown_at(track->second, p.t_ms);
-      if (!shown) continue;
-      errors.push_back(std::hypot(shown->x_m - p.x_m, shown->y_m - p.y_m));
-      if (std::lround(shown->floor) == std::lround(p.floor)) ++right_floor;
+      ++score.points;
+      if (track == tracks.end()) continue;
+      if (const auto shown = shown_at(track->second, p.t_ms)) score.add(p, *shown);
     }
   }
-  if (errors.empty()) {
-    throw Error(ErrorCode::Failed,
-                {.what = points == 0 ? "there is no truth for this walk" : "not one position was given",
-                 .where = points == 0 ? truth_file : track_file,
-                 .next = points == 0 ? "name a test walk: fiona-walks DIR lists them"
-                                     : "see the log: a radio map of another building, or a walk without radio, gives none"});
-  }
+  return score;
+}
+
+void print(Score score) {
   double sum = 0;
-  for (const double e : errors) sum += e;
-  std::sort(errors.begin(), errors.end());
-  const auto count = static_cast<double>(errors.size());
+  for (const double e : score.errors_m) sum += e;
+  std::sort(score.errors_m.begin(), score.errors_m.end());
+  std::sort(score.radii_m.begin(), score.radii_m.end());
+  const auto count = static_cast<double>(score.errors_m.size());
+  const double median = percentile(score.errors_m, 0.5);
   std::printf("error: mean %.2f m, median %.2f m, p90 %.2f m; right floor %.1f %%; %zu of %zu points covered\n", sum / count,
-              percentile(errors, 0.5), percentile(errors, 0.9), 100.0 * static_cast<double>(right_floor) / count,
-              errors.size(), points);
+              median, percentile(score.errors_m, 0.9), 100.0 * static_cast<double>(score.right_floor) / count,
+              score.errors_m.size(), score.points);
+  if (score.radii_m.empty()) return;
+  const double radius = percentile(score.radii_m, 0.5);
+  std::printf("95 %% region: holds %.1f %% of %zu truths; its median radius is %.2f m, %.2f times the median error\n",
+              100.0 * static_cast<double>(score.inside) / static_cast<double>(score.radii_m.size()),
+              score.radii_m.size(), radius, median > 0.0 ? radius / median : 0.0);
+}
+
+int run(const std::string& truth_file, const std::string& track_file, const std::string& only) {
+  const Score score = compare(read(truth_file), read(track_file), only);
+  if (score.errors_m.empty()) {
+    throw Error(ErrorCode::Failed,
+                {.what = score.points == 0 ? "there is no truth for this walk" : "not one position was given",
+                 .where = score.points == 0 ? truth_file : track_file,
+                 .next = score.points == 0 ? "name a test walk: fiona-walks DIR lists them"
+                                           : "see the log: a radio map of another building, or a walk without radio, gives none"});
+  }
+  print(score);
   return 0;
 }
 
@@ -136,7 +180,7 @@ int main(int argc, char** argv) {
     return 2;
   }
   try {
-    return score(argv[1], argv[2], one ? argv[4] : "");
+    return run(argv[1], argv[2], one ? argv[4] : "");
   } catch (const Error& error) {
     std::cerr << "error: " << error.what() << "\n";
     return static_cast<int>(error.code());

@@ -28,12 +28,14 @@ struct Track {
 struct SvgOptions {
   std::string title{};        ///< empty: the name of the building
   double pixels_per_m = 0.0;  ///< 0: so that the drawing is about 1100 px wide
+  bool visited_only = false;  ///< leave out levels where no track goes; without any track, all are drawn
 };
 
 /// Floor plans, one panel for each level, with the tracks over them, a legend, a scale bar and a north arrow.
 /// Every name is escaped; title, desc and the names of the rooms are there for screen readers. Colours or
 /// dash patterns that are not of the form above throw fiona::Error (Usage): text from outside must not become
 /// markup.
+std::string floor_plan_svg(const Plan& plan, std::span<const Track> tracks, const SvgOptions& options = {});
 std::string floor_plan_svg(const Building& building, std::span<const Track> tracks,
                            const SvgOptions& options = {});
 
