@@ -34,9 +34,10 @@ Step parse_step(const std::string& text, const std::string& path) {
   const std::size_t bracket = text.find('[');
   if (bracket == std::string::npos) return {text, -1};
   int index = -1;
+  const char* begin = text.data() + bracket + 1;
   const char* end = text.data() + text.size() - 1;
-  const auto parsed = std::from_chars(text.data() + bracket + 1, end, index);
-  if (text.back() != ']' || parsed.ptr != end || index < 0) {
+  const bool closed = text.back() == ']' && begin < end;
+  if (!closed || std::from_chars(begin, end, index).ptr != end || index < 0) {
     throw Error(ErrorCode::Usage, {.what = "'" + text + "' is no element", .where = path, .expected = "field[0], field[1], …"});
   }
   return {text.substr(0, bracket), index};
@@ -110,6 +111,12 @@ std::optional<double> number_at(const Place& p) {
   }
 }
 
+/// A word, or a number or flag as it was typed; none if the value is neither.
+std::optional<std::string> text_of(const Value& value) {
+  if (value.kind_case() == Value::kText) return value.text();
+  return value.typed().empty() ? std::nullopt : std::optional(value.typed());
+}
+
 [[noreturn]] void refuse(const Place& place, const std::string& expected) {
   throw Error(ErrorCode::Usage, {.what = "'" + place.field->name() + "' does not compare with this value", .expected = expected});
 }
@@ -145,9 +152,10 @@ std::pair<bool, std::string> compare_field(const Message& object, const std::str
       return {holds(comparison, flag, value.flag()), flag ? "true" : "false"};
     }
     case FieldDescriptor::CPPTYPE_STRING: {
-      if (value.kind_case() != Value::kText) refuse(*place, "a word or a quoted string");
+      const auto typed = text_of(value);
+      if (!typed) refuse(*place, "a word or a quoted string");
       const std::string text = reflect.GetString(*place->message, place->field);
-      return {holds(comparison, text, value.text()), text};
+      return {holds(comparison, text, *typed), text};
     }
     case FieldDescriptor::CPPTYPE_ENUM: {
       if (value.kind_case() != Value::kText) refuse(*place, "the name of an enumerator");

@@ -61,11 +61,17 @@ void ChildGroup::note_end() {
 std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::chrono::seconds deadline) {
   const auto end = std::chrono::steady_clock::now() + deadline;
   wire::GroupMessage message;
+  std::optional<wire::GroupMessage> found;
   while (true) {
+    // To the end of what has been read, though the answer be found: nobody polls for bytes that are here already.
     while (stream_->next(message)) {
-      if (message.id() == id && (id != 0 || message.has_ready())) return message;
-      if (message.id() == 0) on_event_(message);
+      if (message.id() == id && (id != 0 || message.has_ready())) {
+        found = message;
+      } else if (message.id() == 0) {
+        on_event_(message);
+      }
     }
+    if (found) return found;
     if (!stream_->wait_readable(end)) return std::nullopt;
     if (!stream_->receive()) {
       note_end();

@@ -2,6 +2,8 @@
 // comes over that socket, and ends when the socket closes.
 #include <poll.h>
 
+#include <google/protobuf/stubs/logging.h>
+
 #include <iostream>
 #include <string>
 
@@ -67,6 +69,8 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  // What a peer garbles is counted where it is refused; the library would write a line for each message.
+  google::protobuf::SetLogHandler(nullptr);
   try {
     return run(argc, argv);
   } catch (const std::exception& error) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/push.hpp"
 
@@ -14,6 +15,8 @@ namespace {
 constexpr std::size_t kLengthBytes = 4;
 /// The largest message that is read from a peer (architecture 7.5).
 constexpr std::int64_t kMaxMessage = 64LL * 1024 * 1024;
+/// What a message counts beside its object's bytes.
+constexpr std::size_t kFrameCost = 64;
 /// Messages read before the pool thread serves someone else.
 constexpr int kReadsPerTurn = 64;
 
@@ -187,6 +190,9 @@ void CreditQueue::credit(std::size_t bytes, const SendNow& send) {
 class RemoteWire::RemoteReply final : public ReplySink {
  public:
   RemoteReply(std::weak_ptr<RemoteWire> wire, std::uint64_t id) : wire_(std::move(wire)), id_(id) {}
+  ~RemoteReply() override {
+    if (const auto wire = wire_.lock()) wire->forget(id_);
+  }
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
     if (answered_.exchange(true) || abandoned()) return;
@@ -202,6 +208,22 @@ class RemoteWire::RemoteReply final : public ReplySink {
     if (!wire->cut_) wire->send_frame(frame, object.get());
   }
 
+  Outcome event(Envelope event) override {
+    const auto wire = wire_.lock();
+    if (answered_ || abandoned() || !wire) return Outcome::Disconnected;
+    CreditQueue::Item item;
+    item.frame = frame_for(wire->wire_);
+    auto& fired = *item.frame.mutable_fired();
+    fired.set_id(id_);
+    fired.set_sequence(event.sequence);
+    fired.set_origin_ns(event.origin.time_since_epoch().count());
+    item.object = std::move(event.object);
+    item.bytes = event.bytes + kFrameCost;
+    const std::lock_guard lock(wire->mutex_);
+    if (wire->cut_) return Outcome::Disconnected;
+    return wire->credit_.offer(std::move(item), false, wire->sender()) ? Outcome::Ok : Outcome::Rejected;
+  }
+
  private:
   const std::weak_ptr<RemoteWire> wire_;
   const std::uint64_t id_;
@@ -215,7 +237,8 @@ RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, P
       port_(port),
       object_rules_(port.service().object()),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
-                                            : std::nullopt) {}
+                                            : std::nullopt),
+      admitted_(port.direction() == PortDirection::Provides) {}
 
 void RemoteWire::open(const std::function<std::uint64_t()>& attach) {
   {
@@ -248,13 +271,14 @@ Outcome RemoteWire::deliver_locked(Parcel parcel) {
   CreditQueue::Item item;
   item.frame.set_wire(wire_);
   item.object = std::move(parcel.envelope.object);
-  item.bytes = parcel.envelope.bytes + 64;
+  item.bytes = parcel.envelope.bytes + kFrameCost;
   const auto origin_ns = parcel.envelope.origin.time_since_epoch().count();
   if (parcel.reply) {
     const std::uint64_t id = next_id_++;
     auto& request = *item.frame.mutable_request();
     request.set_id(id);
     request.set_origin_ns(origin_ns);
+    request.set_continuous(parcel.continuous);
     parcel.reply->set_on_abandon([weak = weak_from_this(), id] {
       if (const auto wire = weak.lock()) wire->cancel(id);
     });
@@ -274,18 +298,60 @@ Outcome RemoteWire::deliver_locked(Parcel parcel) {
 /// The client gave up: the provider is told, so that it need not go on.
 void RemoteWire::cancel(std::uint64_t id) {
   std::shared_ptr<ReplySink> given_up;  // let go outside the lock
-  const std::lock_guard lock(mutex_);
-  const auto open = open_.find(id);
-  if (open == open_.end()) return;
-  given_up = std::move(open->second);
-  open_.erase(open);
-  if (cut_) return;
-  wire::Frame frame = frame_for(wire_);
-  frame.mutable_cancel()->set_id(id);
-  send_frame(frame, nullptr);
+  {
+    const std::lock_guard lock(mutex_);
+    const auto open = open_.find(id);
+    if (open == open_.end()) return;
+    given_up = std::move(open->second);
+    open_.erase(open);
+    if (cut_) return;
+    wire::Frame frame = frame_for(wire_);
+    frame.mutable_cancel()->set_id(id);
+    send_frame(frame, nullptr);
+  }
+  if (const auto notice = take_drained()) notice();
 }
 
 void RemoteWire::on_frame(const wire::Frame& frame, std::string_view object) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!admitted_) {
+      kept_.emplace_back(frame, object);
+      return;
+    }
+  }
+  handle_frame(frame, object);
+}
+
+void RemoteWire::admit() {
+  // What comes meanwhile is kept behind what is handled here, so that the order stays.
+  while (true) {
+    std::vector<std::pair<wire::Frame, std::string>> kept;
+    {
+      const std::lock_guard lock(mutex_);
+      kept.swap(kept_);
+      admitted_ = kept.empty();
+      if (admitted_) return;
+    }
+    for (const auto& [frame, object] : kept) handle_frame(frame, object);
+  }
+}
+
+void RemoteWire::drain(std::function<void()> drained) {
+  {
+    const std::lock_guard lock(mutex_);
+    drained_ = std::move(drained);
+  }
+  if (const auto notice = take_drained()) notice();
+}
+
+/// What is to be called, outside the lock, because nothing is open any more.
+std::function<void()> RemoteWire::take_drained() {
+  const std::lock_guard lock(mutex_);
+  return open_.empty() ? std::exchange(drained_, nullptr) : nullptr;
+}
+
+void RemoteWire::handle_frame(const wire::Frame& frame, std::string_view object) {
   switch (frame.what_case()) {
     case wire::Frame::kObject:
     case wire::Frame::kRequest: return on_object(frame, object);
@@ -295,16 +361,24 @@ void RemoteWire::on_frame(const wire::Frame& frame, std::string_view object) {
       if (!cut_) credit_.credit(frame.credit().bytes(), sender());
       return;
     }
+    case wire::Frame::kFired: return on_fired(frame.fired(), object);
     case wire::Frame::kCancel: {
+      std::shared_ptr<ReplySink> given_up;  // let go outside the lock
       const std::lock_guard lock(mutex_);
       const auto served = served_.find(frame.cancel().id());
       if (served == served_.end()) return;
-      if (const auto reply = served->second.lock()) reply->abandon();
+      given_up = served->second.lock();
       served_.erase(served);
+      if (given_up) given_up->abandon();
       return;
     }
     default: return;
   }
+}
+
+void RemoteWire::forget(std::uint64_t id) {
+  const std::lock_guard lock(mutex_);
+  served_.erase(id);
 }
 
 std::shared_ptr<Object> RemoteWire::parse(const google::protobuf::Descriptor& type, std::string_view object) const {
@@ -318,15 +392,18 @@ void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
   Inbox* inbox = nullptr;
   if (auto* provided = dynamic_cast<ProvidedPort*>(&port_)) inbox = provided->inbox();
   if (auto* required = dynamic_cast<RequiredPort*>(&port_)) inbox = required->inbox();
+  const Pattern pattern = port_.service().pattern();
   const bool request = frame.has_request();
-  if (!inbox || request != (port_.service().pattern() == QUERY)) return;
+  const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
+  if (!inbox || !fits) return;
   auto parsed = parse(port_.service().object(), object);
   auto refusal = parsed ? object_rules_.first_violation(*parsed) : "the object does not parse";
+  Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;
-    give_credit(object.size() + 64);
+    give_credit(object.size() + kFrameCost);
     if (request) {
       reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
       served_[frame.request().id()] = reply;
@@ -335,12 +412,38 @@ void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
       const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
       Envelope envelope{std::move(parsed), request ? frame.request().id() : frame.object().sequence(),
                         TimePoint(Duration(origin_ns)), object.size()};
-      if (inbox->push({std::move(envelope), reply}) == Outcome::Ok) return;
-      refusal = "the provider's queue is full";
+      outcome = inbox->push({std::move(envelope), reply, frame.request().continuous(), 0});
+      if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
   }
-  port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
-  if (reply) reply->answer(Outcome::Rejected, *refusal, nullptr);
+  if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+  // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
+  if (reply && (outcome != Outcome::Ok || pattern == SEND)) reply->answer(outcome, refusal.value_or(""), nullptr);
+}
+
+void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
+  std::shared_ptr<ReplySink> activation;
+  {
+    const std::lock_guard lock(mutex_);
+    if (cut_ || port_.service().pattern() != EVENT) return;
+    give_credit(object.size() + kFrameCost);
+    const auto open = open_.find(fired.id());
+    if (open == open_.end()) return;
+    activation = open->second;
+  }
+  if (fired.sequence() == 0) {
+    activation->event({});
+    return;
+  }
+  auto parsed = parse(*port_.service().answer(), object);
+  const auto violation = parsed ? answer_rules_->first_violation(*parsed) : "it does not parse";
+  if (violation) {
+    port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+    return;  // the client sees the gap in the sequence
+  }
+  const Outcome outcome = activation->event(
+      Envelope{std::move(parsed), fired.sequence(), TimePoint(Duration(fired.origin_ns())), object.size()});
+  if (outcome == Outcome::Rejected) port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
 }
 
 /// Credit goes back in quarters of the window, so that a stream of small messages does not double its traffic.
@@ -364,7 +467,7 @@ void RemoteWire::on_answer(const wire::Answer& answer, std::string_view object) 
   auto outcome = static_cast<Outcome>(std::min<std::uint32_t>(answer.outcome(), static_cast<std::uint32_t>(Outcome::Rejected)));
   std::string reason = answer.reason();
   std::shared_ptr<Object> parsed;
-  if (outcome == Outcome::Ok) {
+  if (outcome == Outcome::Ok && answer_rules_) {
     parsed = parse(*port_.service().answer(), object);
     const auto violation = parsed ? answer_rules_->first_violation(*parsed) : "it does not parse";
     if (violation) {
@@ -374,6 +477,7 @@ void RemoteWire::on_answer(const wire::Answer& answer, std::string_view object) 
     }
   }
   reply->answer(outcome, std::move(reason), std::move(parsed));
+  if (const auto notice = take_drained()) notice();
 }
 
 void RemoteWire::cut(const std::string& reason) {
@@ -382,6 +486,8 @@ void RemoteWire::cut(const std::string& reason) {
   {
     const std::lock_guard lock(mutex_);
     cut_ = true;
+    drained_ = nullptr;
+    kept_.clear();
     open.swap(open_);
     for (auto& [id, weak] : served_) {
       if (auto reply = weak.lock()) served.push_back(std::move(reply));
@@ -447,23 +553,46 @@ LinkSocket& Links::connect(const std::string& endpoint) {
   return *peer.link;
 }
 
-void Links::require(std::uint64_t wire, const std::string& token, RequiredPort& client, const std::string& provider_name,
-                    const std::string& endpoint) {
-  LinkSocket* link = nullptr;
-  {
-    const std::lock_guard lock(mutex_);
-    link = &connect(endpoint);
-    requirements_[wire] = Requirement{&client, endpoint, provider_name, std::make_shared<RemoteWire>(*link, "", wire, client)};
-  }
+void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPort& client,
+                    const std::string& provider_name, const std::string& endpoint,
+                    const std::function<void()>& switch_over) {
+  std::unique_lock lock(mutex_);
+  LinkSocket& link = connect(endpoint);
+  const auto wire = std::make_shared<RemoteWire>(link, "", wire_id, client);
+  requirements_[wire_id] = Requirement{&client, endpoint, provider_name, wire, std::nullopt, false};
+  lock.unlock();
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
-  if (client.connection() != Connection::Connected) {
-    client.set_connection(Connection::Waiting, "opening the wire to " + provider_name);
-  }
-  wire::Frame frame = frame_for(wire);
+  const bool first = client.connection() != Connection::Connected;
+  if (first) client.set_connection(Connection::Waiting, "opening the wire to " + provider_name);
+  wire::Frame frame = frame_for(wire_id);
   frame.mutable_open()->set_version(wire::VERSION_1);
-  frame.mutable_open()->set_wire(wire);
+  frame.mutable_open()->set_wire(wire_id);
   frame.mutable_open()->set_token(token);
-  link->send("", frame, nullptr);
+  link.send("", frame, nullptr);
+
+  lock.lock();
+  const auto has_answer = [&] {
+    const auto found = requirements_.find(wire_id);
+    return found == requirements_.end() || found->second.refusal;
+  };
+  answered_.wait_for(lock, kDefaultDeadline, has_answer);
+  const auto found = requirements_.find(wire_id);
+  const std::string refusal = found == requirements_.end() ? "its process is gone"
+                                                           : found->second.refusal.value_or("its process does not answer");
+  if (refusal.empty()) {
+    lock.unlock();
+    if (switch_over) switch_over();
+    client.set_target(wire);
+    client.set_connection(Connection::Connected, provider_name);
+    return wire->admit();
+  }
+  if (found != requirements_.end()) requirements_.erase(found);
+  lock.unlock();
+  wire->cut(refusal);
+  if (first) client.set_connection(Connection::Unwired, refusal);
+  throw Error(ErrorCode::Unreachable, {.what = "the wire to " + provider_name + " did not open: " + refusal,
+                                       .where = client.full_name(),
+                                       .next = "ls hosts"});
 }
 
 void Links::refuse(const std::string& peer, std::uint64_t wire, const std::string& reason) {
@@ -496,61 +625,105 @@ void Links::on_server_frame(const std::string& peer, const wire::Frame& frame, s
     if (grant == grants_.end() || !grant->second.wire || grant->second.wire->peer() != peer) return;
     wire = grant->second.wire;
   }
-  if (frame.has_closed()) return cut(frame.wire(), frame.closed().reason(), false);
+  if (frame.has_closed()) return cut(frame.wire(), frame.closed().reason());
   wire->on_frame(frame, object);
 }
 
 void Links::on_client_frame(const wire::Frame& frame, std::string_view object) {
   std::shared_ptr<RemoteWire> wire;
   RequiredPort* client = nullptr;
-  std::string provider_name;
+  bool retired = false;
   {
     const std::lock_guard lock(mutex_);
     const auto requirement = requirements_.find(frame.wire());
     if (requirement == requirements_.end()) return;
     wire = requirement->second.wire;
     client = requirement->second.client;
-    provider_name = requirement->second.provider_name;
+    retired = requirement->second.retired;
   }
-  if (frame.has_opened()) {
-    client->set_target(wire);
-    return client->set_connection(Connection::Connected, provider_name);
-  }
-  if (frame.has_refused() || frame.has_closed()) {
-    const std::string reason = frame.has_refused() ? frame.refused().reason() : frame.closed().reason();
-    wire->cut(reason);
+  if (frame.has_opened()) return note_answer(frame.wire(), "");
+  if (frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason());
+  if (frame.has_closed()) {
+    wire->cut(frame.closed().reason());
+    if (retired) return;
     client->set_target(nullptr);
-    client->set_connection(Connection::Lost, reason);
-    return on_lost_(frame.wire(), reason);
+    client->set_connection(Connection::Lost, frame.closed().reason());
+    return on_lost_(frame.wire(), frame.closed().reason());
   }
   wire->on_frame(frame, object);
 }
 
-void Links::cut(std::uint64_t wire_id, const std::string& reason, bool keep_client) {
-  wire::Frame frame = frame_for(wire_id);
-  frame.mutable_closed()->set_reason(reason);
+void Links::note_answer(std::uint64_t wire_id, const std::string& refusal) {
+  const std::lock_guard lock(mutex_);
+  const auto found = requirements_.find(wire_id);
+  if (found == requirements_.end() || found->second.refusal) return;
+  found->second.refusal = refusal;
+  answered_.notify_all();
+}
+
+void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   std::unique_lock lock(mutex_);
   if (const auto found = grants_.find(wire_id); found != grants_.end()) {
     const Grant grant = std::move(found->second);
     grants_.erase(found);
     lock.unlock();
-    auto* push = dynamic_cast<detail::PushProvider*>(grant.provider);
-    if (push && grant.sink) push->detach(*grant.sink);
-    if (!grant.wire) return;
-    grant.wire->cut(reason);
-    return server_->send(grant.wire->peer(), frame, nullptr);
+    return end(wire_id, grant, reason);
   }
   const auto found = requirements_.find(wire_id);
   if (found == requirements_.end()) return;
   const Requirement requirement = std::move(found->second);
   requirements_.erase(found);
-  LinkSocket& link = *peers_.at(requirement.endpoint).link;
   lock.unlock();
-  requirement.wire->cut(reason);
-  link.send("", frame, nullptr);
-  if (keep_client) return;
+  end(wire_id, requirement, reason);
+  if (requirement.retired) return;
   requirement.client->set_target(nullptr);
   requirement.client->set_connection(Connection::Unwired, reason);
+}
+
+void Links::end(std::uint64_t wire_id, const Grant& grant, const std::string& reason) {
+  auto* push = dynamic_cast<detail::PushProvider*>(grant.provider);
+  if (push && grant.sink) push->detach(*grant.sink);
+  if (!grant.wire) return;
+  grant.wire->cut(reason);
+  wire::Frame frame = frame_for(wire_id);
+  frame.mutable_closed()->set_reason(reason);
+  server_->send(grant.wire->peer(), frame, nullptr);
+}
+
+void Links::end(std::uint64_t wire_id, const Requirement& requirement, const std::string& reason) {
+  requirement.wire->cut(reason);
+  wire::Frame frame = frame_for(wire_id);
+  frame.mutable_closed()->set_reason(reason);
+  const std::lock_guard lock(mutex_);
+  const auto peer = peers_.find(requirement.endpoint);
+  if (peer != peers_.end()) peer->second.link->send("", frame, nullptr);
+}
+
+void Links::retire(std::uint64_t wire_id) {
+  std::shared_ptr<RemoteWire> wire;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = requirements_.find(wire_id);
+    if (found == requirements_.end()) return;
+    found->second.retired = true;
+    wire = found->second.wire;
+  }
+  if (is_push(wire->port())) return cut(wire_id, "another provider has taken its place");
+  wire->drain([this, wire_id] { cut(wire_id, "another provider has taken its place"); });
+}
+
+void Links::release(const Hull& hull) {
+  std::vector<std::uint64_t> left;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [id, grant] : grants_) {
+      if (&grant.provider->hull() == &hull) left.push_back(id);
+    }
+    for (const auto& [id, requirement] : requirements_) {
+      if (&requirement.client->hull() == &hull) left.push_back(id);
+    }
+  }
+  for (const std::uint64_t id : left) cut(id, "'" + hull.name() + "' has ended");
 }
 
 void Links::peer_lost(const std::string& endpoint, const std::string& reason) {
@@ -571,14 +744,18 @@ void Links::peer_lost(const std::string& endpoint, const std::string& reason) {
       peers_.erase(peer);
     }
   }
+  answered_.notify_all();
   for (auto& [wire, requirement] : lost) {
     requirement.wire->cut(reason);
+    if (requirement.retired) continue;
     requirement.client->set_target(nullptr);
     requirement.client->set_connection(Connection::Lost, reason);
   }
   if (link) link->stop();
   // A RemoteWire may still be referenced by a sink list for a moment; it is cut, and no longer touches the link.
-  for (auto& [wire, requirement] : lost) on_lost_(wire, reason);
+  for (auto& [wire, requirement] : lost) {
+    if (!requirement.retired) on_lost_(wire, reason);
+  }
 }
 
 }  // namespace fiona::host

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <condition_variable>
 #include <deque>
 #include <functional>
 #include <map>
@@ -89,23 +90,33 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
 
   std::uint64_t wire() const { return wire_; }
   const std::string& peer() const { return peer_; }
+  const Port& port() const { return port_; }
 
   /// Subscribes by `attach`, which returns the sequence number after which messages come, and tells the peer before
   /// the first of them leaves.
   void open(const std::function<std::uint64_t()>& attach);
   /// [any thread] Towards the peer.
   Outcome deliver(Parcel parcel) override;
-  /// [any thread] From the peer.
+  /// [any thread] From the peer. On a client's side nothing gets through before `admit`: it is kept, which the credit
+  /// bounds.
   void on_frame(const wire::Frame& frame, std::string_view object);
+  void admit();
+  /// [any thread] Another wire has taken the place of this one of a client: open requests end on it, and `drained` is
+  /// called once there are none.
+  void drain(std::function<void()> drained);
   /// [any thread] After it returned nothing more reaches the port. Open requests end with Disconnected.
   void cut(const std::string& reason);
 
  private:
   class RemoteReply;
   Outcome deliver_locked(Parcel parcel);
+  void handle_frame(const wire::Frame& frame, std::string_view object);
+  std::function<void()> take_drained();
   void cancel(std::uint64_t id);
   void on_object(const wire::Frame& frame, std::string_view object);
   void on_answer(const wire::Answer& answer, std::string_view object);
+  void on_fired(const wire::Fired& fired, std::string_view object);
+  void forget(std::uint64_t id);
   void give_credit(std::size_t bytes);
   std::shared_ptr<Object> parse(const google::protobuf::Descriptor& type, std::string_view object) const;
   void send_frame(const wire::Frame& frame, const Object* object) { link_.send(peer_, frame, object); }
@@ -120,6 +131,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::mutex mutex_;
   bool cut_ = false;
   bool opening_ = false;
+  bool admitted_;
+  std::vector<std::pair<wire::Frame, std::string>> kept_;  ///< what came before `admit`
+  std::function<void()> drained_;
   std::vector<Parcel> early_;  ///< put while the peer is being told that the wire is open
   CreditQueue credit_;
   std::size_t owed_credit_ = 0;
@@ -142,11 +156,17 @@ class Links {
   void stop();
   /// Lets a peer open `wire` to `provider` if it brings `token`.
   void provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale);
-  /// Opens `wire` from `client` to the process that listens at `endpoint`.
+  /// [control thread] Opens `wire` from `client` to the process that listens at `endpoint`; then calls `switch_over`,
+  /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
+  /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
   void require(std::uint64_t wire, const std::string& token, RequiredPort& client, const std::string& provider_name,
-               const std::string& endpoint);
-  /// Ends a wire on this side and tells the peer. `keep_client`: another wire has already taken its place.
-  void cut(std::uint64_t wire, const std::string& reason, bool keep_client);
+               const std::string& endpoint, const std::function<void()>& switch_over);
+  /// Ends a wire on this side and tells the peer.
+  void cut(std::uint64_t wire, const std::string& reason);
+  /// Another wire has taken this one's place at its client: it goes once its open requests have ended.
+  void retire(std::uint64_t wire);
+  /// The ports of `hull` are going: so does what is left of their wires.
+  void release(const Hull& hull);
   /// The process behind `endpoint` is gone: its wires are lost.
   void peer_lost(const std::string& endpoint, const std::string& reason);
 
@@ -163,6 +183,8 @@ class Links {
     std::string endpoint;
     std::string provider_name;
     std::shared_ptr<RemoteWire> wire;
+    std::optional<std::string> refusal;  ///< once the peer has answered; empty: open
+    bool retired = false;
   };
   struct Peer {
     std::unique_ptr<LinkSocket> link;
@@ -172,6 +194,9 @@ class Links {
   void on_client_frame(const wire::Frame& frame, std::string_view object);
   void open_for(const std::string& peer, const wire::Frame& frame);
   void refuse(const std::string& peer, std::uint64_t wire, const std::string& reason);
+  void note_answer(std::uint64_t wire, const std::string& refusal);
+  void end(std::uint64_t wire, const Grant& grant, const std::string& reason);
+  void end(std::uint64_t wire, const Requirement& requirement, const std::string& reason);
   LinkSocket& connect(const std::string& endpoint);
 
   Pool& pool_;
@@ -179,6 +204,7 @@ class Links {
   const std::string endpoint_;
   const OnLost on_lost_;
   std::mutex mutex_;
+  std::condition_variable answered_;  ///< a requirement has its answer
   std::map<std::uint64_t, Grant> grants_;
   std::map<std::uint64_t, Requirement> requirements_;
   std::map<std::string, Peer> peers_;

@@ -3,6 +3,8 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <google/protobuf/stubs/logging.h>
+
 #include <boost/program_options.hpp>
 #include <iostream>
 #include <string>
@@ -82,6 +84,8 @@ int serve(const Flags& flags) {
 int main(int argc, char** argv) {
   options::options_description description("fiona-host: holds a running system");
   Flags flags;
+  // What a peer garbles is counted where it is refused; the library would write a line for each message.
+  google::protobuf::SetLogHandler(nullptr);
   try {
     flags = parse(argc, argv, description);
     if (flags.help) return std::cout << description, 0;

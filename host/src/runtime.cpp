@@ -160,7 +160,8 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
-      return links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint());
+      return links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint(),
+                            [&] { retire(wire.replaces()); });
     }
     case Request::kCut: return cut(request.cut());
     case Request::kStatus: return status(*reply.mutable_status());
@@ -210,6 +211,7 @@ void Runtime::create(const wire::Create& request) {
 void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
   std::erase_if(taps_, [&](const auto& entry) { return &entry.second->port().hull() == instance.hull.get(); });
+  links_.release(*instance.hull);
   const bool clean = instance.hull->shut_down(kLifeCycleDeadline);
   if (!clean) {
     reply.mutable_done()->set_note("'" + request.instance() +
@@ -244,24 +246,30 @@ void Runtime::wire_local(const wire::WireLocal& request) {
   Inbox& inbox = push ? *client.inbox() : *provider.inbox();
   const std::string name = client.full_name() + "<" + provider.full_name();
   auto local = std::make_shared<LocalWire>(name, inbox, push ? request.prescale() : 1);
+  retire(request.replaces());
+  if (!push) client.set_target(local);
   client.set_connection(Connection::Connected, provider.full_name());
-  if (push) {
-    push->attach(local);
-  } else {
-    client.set_target(local);
-  }
+  if (push) push->attach(local);
   wires_[request.wire()] = Wire{std::move(local), push, &client};
 }
 
 void Runtime::cut(const wire::Cut& request) {
   const auto found = wires_.find(request.wire());
-  if (found == wires_.end()) return links_.cut(request.wire(), request.reason(), !request.last());
-  const Wire wire = std::move(found->second);
+  if (found == wires_.end()) return links_.cut(request.wire(), request.reason());
+  RequiredPort& client = *found->second.client;
+  client.set_target(nullptr);
+  retire(request.wire());
+  client.set_connection(Connection::Unwired, request.reason());
+}
+
+/// Lets go of a wire whose client goes on with another one, or with none. Open requests of a local wire have reached
+/// the provider and end there.
+void Runtime::retire(std::uint64_t id) {
+  const auto found = wires_.find(id);
+  if (found == wires_.end()) return links_.retire(id);
+  if (found->second.provider) found->second.provider->detach(*found->second.local);
+  found->second.local->cut();
   wires_.erase(found);
-  if (wire.provider) wire.provider->detach(*wire.local);
-  if (request.last()) wire.client->set_target(nullptr);
-  wire.local->cut();
-  if (request.last()) wire.client->set_connection(Connection::Unwired, request.reason());
 }
 
 void Runtime::tap(const wire::Tap& request) {

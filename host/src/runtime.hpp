@@ -41,6 +41,7 @@ class Runtime final : private HullEvents {
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
   void wire_local(const wire::WireLocal& request);
   void cut(const wire::Cut& request);
+  void retire(std::uint64_t wire);
   void tap(const wire::Tap& request);
   void untap(std::uint64_t tap);
   void status(wire::GroupStatusReply& reply) const;

@@ -31,6 +31,13 @@ std::string service_text(const google::protobuf::ServiceDescriptor* service, con
   return fmt::format("{} ({}, {}{})", service->name(), to_string(info.pattern()), info.object().name(), answer);
 }
 
+wire::GroupRequest cut_of(std::uint64_t wire, const std::string& reason) {
+  wire::GroupRequest request;
+  request.mutable_cut()->set_wire(wire);
+  request.mutable_cut()->set_reason(reason);
+  return request;
+}
+
 /// A name that can be typed and has no meaning of its own.
 void require_name(const std::string& name, std::string_view kind) {
   const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
@@ -247,7 +254,7 @@ std::string System::unload(const control::Unload& request) {
     client.set_instance(it->first.first);
     client.set_port(it->first.second);
     if (is_provider && it->first.first != request.instance()) dependents.push_back(text_of(client));
-    disconnect(client, it->second, true, request.instance() + " was unloaded");
+    disconnect(client, it->second, request.instance() + " was unloaded");
     it = wires_.erase(it);
   }
   std::string note = "unloaded " + request.instance();
@@ -357,7 +364,10 @@ void System::check_contract(const control::PortName& client, const control::Port
                                        : "these provide " + name + ": " + fitting});
 }
 
-System::Wire System::connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale) {
+/// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
+/// all is as before.
+System::Wire System::connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
+                             std::uint64_t replaces) {
   Group& client_group = group(instance(client.instance()).group);
   Group& provider_group = group(instance(provider.instance()).group);
   Wire wire{next_wire_++, provider, prescale, &client_group == &provider_group, {}};
@@ -368,6 +378,7 @@ System::Wire System::connect(const control::PortName& client, const control::Por
     *local.mutable_client() = client;
     *local.mutable_provider() = provider;
     local.set_prescale(prescale);
+    local.set_replaces(replaces);
     client_group.request(std::move(request));
     return wire;
   }
@@ -384,21 +395,22 @@ System::Wire System::connect(const control::PortName& client, const control::Por
   *require.mutable_client() = client;
   *require.mutable_provider() = provider;
   require.set_endpoint(provider_group.endpoint());
-  client_group.request(std::move(request));
+  require.set_replaces(replaces);
+  try {
+    client_group.request(std::move(request));
+  } catch (...) {
+    if (provider_group.alive()) provider_group.request(cut_of(wire.id, "the wire did not open"));
+    throw;
+  }
   return wire;
 }
 
-void System::disconnect(const control::PortName& client, const Wire& wire, bool last, const std::string& reason) {
-  wire::GroupRequest request;
-  auto& cut = *request.mutable_cut();
-  cut.set_wire(wire.id);
-  cut.set_last(last);
-  cut.set_reason(reason);
-  // The client first: told by its host it knows whether another wire follows; told by the provider it would be lost.
+void System::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
+  // The client first: told by its host it is unwired; told by the provider it would be lost.
   for (const auto& name : {client.instance(), wire.provider.instance()}) {
     const auto found = instances_.find(name);
     if (found == instances_.end() || !found->second.lost.empty()) continue;
-    group(found->second.group).request(request);
+    group(found->second.group).request(cut_of(wire.id, reason));
     if (wire.local) return;
   }
 }
@@ -411,10 +423,7 @@ std::string System::wire(const control::Wire& request) {
   const bool unchanged = old != wires_.end() && old->second.lost.empty() && old->second.prescale == prescale &&
                          text_of(old->second.provider) == text_of(request.provider());
   if (unchanged) return "wired so already";
-  // Make before break: the old wire stays if the new one cannot be made.
-  const Wire made = connect(request.client(), request.provider(), prescale);
-  if (old != wires_.end()) disconnect(request.client(), old->second, false, "rewired to " + text_of(request.provider()));
-  wires_[key] = made;
+  wires_[key] = connect(request.client(), request.provider(), prescale, old == wires_.end() ? 0 : old->second.id);
   return text_of(request.client()) + " to " + text_of(request.provider());
 }
 
@@ -424,7 +433,7 @@ std::string System::unwire(const control::Unwire& request) {
   if (found == wires_.end()) {
     throw Error(ErrorCode::NotFound, {.what = text_of(request.client()) + " has no wire", .where = text_of(request.client()), .next = "ls wires"});
   }
-  disconnect(request.client(), found->second, true, "unwired");
+  disconnect(request.client(), found->second, "unwired");
   wires_.erase(found);
   return text_of(request.client()) + " unwired";
 }
@@ -514,11 +523,7 @@ void System::lose(ChildGroup& gone) {
     if (client_gone || provider_gone) wire.lost = reason;
     if (!client_gone || provider_gone) continue;
     // The provider lives on and must not go on sending to nobody.
-    wire::GroupRequest request;
-    request.mutable_cut()->set_wire(wire.id);
-    request.mutable_cut()->set_last(true);
-    request.mutable_cut()->set_reason(reason);
-    group(instances_.at(wire.provider.instance()).group).request(std::move(request));
+    group(instances_.at(wire.provider.instance()).group).request(cut_of(wire.id, reason));
   }
 }
 

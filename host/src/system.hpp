@@ -98,8 +98,9 @@ class System {
   PortRef port(const control::PortName& name, Direction direction);
   void check_contract(const control::PortName& client, const control::PortName& provider);
   std::string providers_of(const std::string& service) const;
-  Wire connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale);
-  void disconnect(const control::PortName& client, const Wire& wire, bool last, const std::string& reason);
+  Wire connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
+               std::uint64_t replaces);
+  void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
   void set_host(const control::Set& request);
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();

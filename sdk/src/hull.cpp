@@ -140,6 +140,19 @@ void Hull::leave_main_mode() {
   active_.store(false, std::memory_order_release);
   for (Task* task : tasks_) task->stop();
   for (Timer* timer : timers_) timer->cancel();
+  for (Port* port : ports_) port->on_inactive();
+}
+
+void Hull::cancel_calls(bool on, std::optional<Pattern> pattern) {
+  for (const Pattern one : {SEND, QUERY, PUSH_NEWEST, PUSH_TIMED, EVENT}) {
+    if (pattern && one != *pattern) continue;
+    on ? void(cancelled_.insert(one)) : void(cancelled_.erase(one));
+  }
+  if (!on) return;
+  for (Port* port : ports_) {
+    auto* client = dynamic_cast<RequiredPort*>(port);
+    if (client && client->calls_are_cancelled()) client->calls_.finish_all(Outcome::Cancelled);
+  }
 }
 
 void Hull::fail(const std::string& reason) {

@@ -76,6 +76,10 @@ bool Inbox::is_push() const {
 }
 
 Outcome Inbox::push(Parcel parcel) {
+  // An acknowledged send: the wire passes on what is returned here, and nothing is left to answer later.
+  if (port_.service().pattern() == SEND && std::exchange(parcel.reply, nullptr) && !port_.hull().is_active()) {
+    return Outcome::NotActive;
+  }
   std::unique_lock lock(strand_.mutex_);
   if (strand_.closed_) return Outcome::Disconnected;
   if (delivery_ == Delivery::Each) return push_each(lock, std::move(parcel));
@@ -177,7 +181,7 @@ void Inbox::clear(Outcome outcome) {
     for (const Parcel& parcel : dropped) bytes_.fetch_sub(cost(parcel), std::memory_order_relaxed);
   }
   for (const Parcel& parcel : dropped) {
-    if (parcel.reply) parcel.reply->answer(outcome, {}, nullptr);
+    if (parcel.is_request()) parcel.reply->answer(outcome, {}, nullptr);
   }
 }
 
@@ -211,7 +215,7 @@ void Inbox::handle() {
   if (current_->reply && current_->reply->abandoned()) return finish_parcel();
   if (!hull.is_active()) {
     port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
-    if (current_->reply) current_->reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
+    if (current_->is_request()) current_->reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
     return finish_parcel();
   }
   port_.counters().count(current_->envelope.origin);
@@ -230,6 +234,24 @@ void Inbox::finish_parcel() {
 }
 
 // ---- required port and local wire -----------------------------------------------------------------------------
+
+RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+    : Port(owner, name, PortDirection::Requires, service, options), calls_(hull().clock(), hull().shared_strand()) {}
+
+void RequiredPort::cancel_calls(bool on) {
+  cancelled_ = on;
+  if (on) calls_.finish_all(Outcome::Cancelled);
+}
+
+bool RequiredPort::calls_are_cancelled() const { return cancelled_ || hull().calls_are_cancelled(service().pattern()); }
+
+std::optional<Outcome> RequiredPort::obstacle() const {
+  if (calls_are_cancelled()) return Outcome::Cancelled;
+  if (!hull().is_active()) return Outcome::NotActive;
+  if (connection() == Connection::Unwired) return Outcome::Unwired;
+  if (connection() == Connection::Lost) return Outcome::Disconnected;
+  return std::nullopt;
+}
 
 void RequiredPort::set_connection(Connection connection, std::string reason) {
   {
@@ -273,7 +295,10 @@ Outcome LocalWire::deliver(Parcel parcel) {
 Outcome LocalWire::hand_over(Parcel parcel) {
   if (!inbox_) return Outcome::Disconnected;
   if (puts_++ % prescale_ != 0) return Outcome::Ok;
-  return inbox_->push(std::move(parcel));
+  const auto receipt = inbox_->port().service().pattern() == SEND ? parcel.reply : nullptr;
+  const Outcome outcome = inbox_->push(std::move(parcel));
+  if (receipt) receipt->answer(outcome, {}, nullptr);
+  return outcome;
 }
 
 void LocalWire::cut() {

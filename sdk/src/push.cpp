@@ -61,41 +61,23 @@ PushClient::PushClient(Component& owner, std::string_view name, const ServiceInf
 void PushClient::on_connection(Connection connection) {
   if (connection == Connection::Connected) return inbox_.mark_stale();
   inbox_.clear(Outcome::Disconnected);
-  if (connection == Connection::Waiting) return;
-  for (const auto& wait : std::exchange(waits_, {})) finish(wait, Outcome::Disconnected);
+  if (connection != Connection::Waiting) calls().finish_all(Outcome::Disconnected, connection_reason());
 }
 
-bool PushClient::NextAwaiter::await_suspend(std::coroutine_handle<> caller) {
-  wait = std::make_shared<NextWait>();
-  wait->caller = caller;
-  const Connection connection = port.connection();
-  if (connection == Connection::Unwired || connection == Connection::Lost) {
-    wait->outcome = connection == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected;
-    return false;
+Async<Result<Envelope>> PushClient::next(Duration within) {
+  const auto call = std::make_shared<NextCall>();
+  if (const auto refusal = obstacle()) {
+    calls().finish(call, *refusal, connection_reason());
+  } else {
+    inbox_.on_next([this, call](const Envelope& envelope) {
+      call->envelope = envelope;
+      calls().finish(call, Outcome::Ok);
+    });
   }
-  port.waits_.push_back(wait);
-  port.inbox_.on_next([&client = port, pending = wait](const Envelope& envelope) {
-    pending->envelope = envelope;
-    client.finish(pending, Outcome::Ok);
-  });
-  Hull& hull = port.hull();
-  wait->deadline = hull.clock().schedule(hull.clock().now() + deadline, hull.shared_strand(),
-                                         [&client = port, pending = wait] { client.finish(pending, Outcome::Timeout); });
-  return true;
-}
-
-Result<Envelope> PushClient::NextAwaiter::await_resume() {
-  if (wait->outcome == Outcome::Ok) return std::move(*wait->envelope);
-  return wait->outcome;
-}
-
-void PushClient::finish(const std::shared_ptr<NextWait>& wait, Outcome outcome) {
-  if (wait->ended) return;
-  wait->ended = true;
-  wait->outcome = outcome;
-  hull().clock().cancel(wait->deadline);
-  std::erase(waits_, wait);
-  wait->caller.resume();
+  CallAwaiter ended(calls(), call, within);
+  const Outcome outcome = co_await ended;
+  if (outcome != Outcome::Ok) co_return Result<Envelope>(outcome, call->reason);
+  co_return std::move(*call->envelope);
 }
 
 }  // namespace fiona::detail

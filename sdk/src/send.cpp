@@ -9,7 +9,7 @@ void SendClient::set_target(std::shared_ptr<Sink> target) {
   target_ = std::move(target);
 }
 
-Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
+Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt) {
   if (rules_.first_violation(*object)) {
     counters().refused.fetch_add(1, std::memory_order_relaxed);
     return Outcome::Rejected;
@@ -23,9 +23,54 @@ Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
   Envelope envelope{std::move(object), ++sequence_, hull().clock().now(), 0};
   envelope.bytes = envelope.object->ByteSizeLong();
   counters().count(envelope.origin);
-  const Outcome outcome = target->deliver(Parcel{std::move(envelope), nullptr});
+  const Outcome outcome = target->deliver(Parcel{std::move(envelope), std::move(receipt)});
   if (outcome != Outcome::Ok) counters().dropped.fetch_add(1, std::memory_order_relaxed);
   return outcome;
+}
+
+Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
+  if (!hull().is_active()) return Outcome::NotActive;
+  return put_to_target(std::move(object), nullptr);
+}
+
+/// Tells the client's strand how the provider's hull answered.
+class SendClient::Receipt final : public ReplySink {
+ public:
+  Receipt(SendClient& client, std::shared_ptr<Call> call)
+      : client_(client), call_(std::move(call)), strand_(client.hull().shared_strand()) {}
+
+  void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object>) override {
+    if (answered_.exchange(true)) return;
+    strand_->post([this_client = &client_, call = call_, outcome, reason = std::move(reason)]() mutable {
+      this_client->calls().finish(call, outcome, std::move(reason));
+    });
+  }
+
+ private:
+  SendClient& client_;  ///< touched on its strand only, which is closed before it goes
+  const std::shared_ptr<Call> call_;
+  const std::shared_ptr<Strand> strand_;
+  std::atomic<bool> answered_{false};
+};
+
+Async<Result<Acknowledged>> SendClient::send_and_wait(std::shared_ptr<const Object> object, Duration within) {
+  const auto call = std::make_shared<Call>();
+  if (const auto refusal = obstacle()) {
+    calls().finish(call, *refusal, connection_reason());
+  } else {
+    const Outcome put = put_to_target(std::move(object), std::make_shared<Receipt>(*this, call));
+    if (put != Outcome::Ok) calls().finish(call, put);
+  }
+  CallAwaiter ended(calls(), call, within);
+  const Outcome outcome = co_await ended;
+  if (outcome != Outcome::Ok) co_return Result<Acknowledged>(outcome, call->reason);
+  co_return Acknowledged{};
+}
+
+void SendClient::on_connection(Connection connection) {
+  if (connection == Connection::Unwired || connection == Connection::Lost) {
+    calls().finish_all(Outcome::Disconnected, connection_reason());
+  }
 }
 
 }  // namespace fiona::detail

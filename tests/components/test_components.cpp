@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -31,10 +32,21 @@ class Source final : public Component {
     ++number_;
     newest_.put(sample());
     last_.put(sample());
+    bell_.put(sample());
     orders_.send(sample());
     next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
   }
   void produce() { timed_.put(sample()); }
+  std::optional<Crossing> ring(Threshold& threshold, const Sample& now) {
+    threshold.set_seen(threshold.seen() + 1);
+    if (threshold.throw_at() == now.number()) throw std::runtime_error("asked to throw");
+    if (threshold.every() == 0 || threshold.seen() % threshold.every() != 0) return std::nullopt;
+    Crossing crossing;
+    crossing.set_number(now.number());
+    crossing.set_seen(threshold.seen());
+    crossing.set_payload(threshold.payload());
+    return crossing;
+  }
   Sample sample() const {
     Sample one;
     one.set_number(number_);
@@ -48,12 +60,13 @@ class Source final : public Component {
   Provides<SampleNewest> newest_{*this, "newest"};
   Provides<SampleLast> last_{*this, "last"};
   Provides<SampleTimed> timed_{*this, "timed", &Source::produce};
+  Provides<Bell> bell_{*this, "bell", &Source::ring};
   Requires<Order> orders_{*this, "orders", {.optional = true}};
   Timer next_{*this, &Source::put_next};
 };
 
 /// Receives, and tells in a push service of its own what it has seen, so that a test can watch it from anywhere:
-/// `number` counts the messages, `value` is the sum of their numbers.
+/// `number` counts the messages, `value` is the sum of their numbers, `payload` the size of the newest one's payload.
 class Sink final : public Component {
  public:
   using Component::Component;
@@ -63,6 +76,7 @@ class Sink final : public Component {
     if (params_->work_ms() > 0) std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->work_ms()));
     ++seen_;
     sum_ += static_cast<double>(sample->number());
+    payload_ = sample->payload().size();
     report();
   }
   void on_order(const Sample& sample) {
@@ -82,11 +96,13 @@ class Sink final : public Component {
     Sample one;
     one.set_number(seen_);
     one.set_value(sum_);
+    one.set_payload(std::to_string(payload_));
     report_.put(std::move(one));
   }
 
   std::uint64_t seen_ = 0;
   double sum_ = 0;
+  std::size_t payload_ = 0;
   Params<SinkParams> params_{*this};
   Requires<SampleNewest> each_{*this, "each", &Sink::on_sample, {.optional = true}};
   Requires<SampleNewest> newest_{*this, "newest", &Sink::on_sample, {.optional = true, .delivery = Delivery::Newest}};
@@ -165,6 +181,104 @@ class Asker final : public Component {
   Timer next_{*this, &Asker::ask_next};
 };
 
+/// Makes the call that its parameters name, once for each change of `go`, and reports its outcome: `number` is `go`,
+/// `value` the outcome, `payload` what came with it. Events of the port with a handler are reported on `rings`.
+class Caller final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_change() {
+    cancel_all(params_->cancel());
+    if (params_->go() == std::exchange(gone_, params_->go())) return;
+    hull().spawn(make(gone_), [] {});
+  }
+  void cancel_all(const std::string& which) {
+    samples_.cancel_calls(which == "port");
+    echo_.cancel_calls(which == "port");
+    bell_.cancel_calls(which == "port");
+    cancel_calls(which == "instance");
+    if (which != "pattern") return;
+    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT}) cancel_calls(true, pattern);
+  }
+  void report(std::uint64_t number, Outcome outcome, std::string text) {
+    Sample one;
+    one.set_number(number);
+    one.set_value(static_cast<double>(outcome));
+    one.set_payload(std::move(text));
+    outcome_.put(std::move(one));
+  }
+  Async<> make(std::uint64_t number) {
+    const std::string call = params_->call();
+    const auto within = std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->deadline_ms()));
+    Sample sample;
+    sample.set_number(number);
+    Question question;
+    question.set_number(number);
+    question.set_manner(params_->manner());
+    if (call == "wait_update") {
+      const auto next = co_await samples_.wait_update(within);
+      report(number, next.outcome(), next ? std::to_string((*next)->number()) : next.reason());
+    } else if (call == "latest") {
+      const auto latest = samples_.latest();
+      report(number, latest.outcome(), latest ? std::to_string((*latest)->number()) : latest.reason());
+    } else if (call == "query") {
+      const auto answer = co_await echo_.query(std::move(question), within);
+      report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "request") {
+      const auto id = echo_.request(std::move(question));
+      if (id) request_ = *id;
+      report(number, id.outcome(), id.reason());
+    } else if (call == "receive") {
+      const auto answer = co_await echo_.receive(request_, within);
+      report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "activate" || call == "activate_handled") {
+      Threshold threshold;
+      threshold.set_every(params_->every());
+      threshold.set_throw_at(params_->throw_at());
+      auto& port = call == "activate" ? bell_ : handled_bell_;
+      const auto mode = params_->single() ? EventMode::Single : EventMode::Continuous;
+      const auto id = co_await port.activate(mode, std::move(threshold), within);
+      if (id) activation_ = *id;
+      report(number, id.outcome(), id.reason());
+    } else if (call == "event") {
+      const auto event = co_await bell_.wait(activation_, within);
+      report(number, event.outcome(),
+             event ? std::to_string((*event)->number()) + " of " + std::to_string((*event)->seen()) : event.reason());
+    } else if (call == "deactivate") {
+      report(number, bell_.deactivate(activation_), "");
+    } else if (call == "send") {
+      report(number, orders_.send(std::move(sample)), "");
+    } else if (call == "send_acknowledged") {
+      const auto receipt = co_await orders_.send_acknowledged(std::move(sample), within);
+      report(number, receipt.outcome(), receipt.reason());
+    } else {
+      report(number, Outcome::WrongId, "no such call: " + call);
+    }
+  }
+  void on_ring(const Fired<Crossing>& crossing) {
+    ++rings_;
+    Sample one;
+    one.set_number(rings_);
+    one.set_value(static_cast<double>(crossing->number()));
+    ring_report_.put(std::move(one));
+  }
+
+  std::uint64_t gone_ = 0;
+  std::uint64_t rings_ = 0;
+  QueryId request_{};
+  ActivationId activation_{};
+  Params<CallerParams> params_{*this, nullptr, &Caller::on_change};
+  Requires<SampleNewest> samples_{*this, "samples", {.optional = true}};
+  Requires<Echo> echo_{*this, "echo", {.optional = true}};
+  Requires<Echo> failing_echo_{*this, "failing_echo", {.optional = true, .at_rewire = AtRewire::Fail}};
+  Requires<Bell> bell_{*this, "bell", {.optional = true}};
+  Requires<Bell> handled_bell_{*this, "handled_bell", &Caller::on_ring, {.optional = true}};
+  Requires<Order> orders_{*this, "orders", {.optional = true}};
+  Provides<SampleNewest> outcome_{*this, "outcome"};
+  Provides<SampleNewest> ring_report_{*this, "rings"};
+};
+
 /// Puts samples at a pace, stamped at the last moment: the sending half of a latency benchmark.
 class Pacer final : public Component {
  public:
@@ -220,6 +334,7 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Sink>("sink", "counts what it receives");
   plugin.add<fiona::test::Answerer>("answerer", "answers in the manner asked for");
   plugin.add<fiona::test::Asker>("asker", "asks, and reports the outcome");
+  plugin.add<fiona::test::Caller>("caller", "makes one call at a time, and reports the outcome");
   plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
   plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
 }

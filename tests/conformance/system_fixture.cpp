@@ -34,6 +34,8 @@ void add_arguments(const std::string& text, List& list) {
       } else {
         argument.mutable_value()->set_number(number);
       }
+    } else if (value == "true" || value == "false") {
+      argument.mutable_value()->set_flag(value == "true");
     } else {
       argument.mutable_value()->set_text(value);
     }

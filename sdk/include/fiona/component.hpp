@@ -1,10 +1,12 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 
 #include "fiona/error.hpp"
+#include "fiona/event.hpp"
 #include "fiona/params.hpp"
 #include "fiona/push.hpp"
 #include "fiona/query.hpp"
@@ -57,6 +59,9 @@ class Component {
   std::filesystem::path resource(std::string_view relative) const;
   /// [any thread] Ends the run of the whole system: a headless `fiona run` exits with `exit_code`.
   void end_run(int exit_code, std::string reason);
+  /// [strand] While on, every call of this component that waits or is made, of all its ports or of those of one
+  /// pattern, ends with Cancelled.
+  void cancel_calls(bool on = true, std::optional<Pattern> pattern = std::nullopt);
   /// [any thread] One line for the host's log, under the instance's name.
   void log(LogLevel level, std::string_view text) const;
 

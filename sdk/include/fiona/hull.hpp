@@ -89,6 +89,10 @@ class Hull {
   /// [strand] Starts `work`. True if it has ended at once; else `then` runs on the strand when it has. The hull owns
   /// it, and destroys it with the instance if it never ends. What it throws fails the instance.
   bool spawn(Async<> work, Job then);
+  /// [strand] While on, the calls of all ports, or of those of a pattern, end with Cancelled.
+  void cancel_calls(bool on, std::optional<Pattern> pattern = std::nullopt);
+  bool calls_are_cancelled(Pattern pattern) const { return cancelled_.contains(pattern); }
+
   /// [strand] Runs `work`, and fails the instance with what it throws.
   void guarded(const std::function<void()>& work);
 
@@ -114,6 +118,7 @@ class Hull {
   std::set<Timer*> timers_;
   detail::ParamsBase* params_ = nullptr;
   std::list<Async<>> spawned_;  ///< strand only
+  std::set<Pattern> cancelled_;  ///< strand only
   std::unique_ptr<Component> component_;
   bool started_ = false;
 

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "fiona/async.hpp"
+#include "fiona/call.hpp"
 #include "fiona/message.hpp"
 #include "fiona/result.hpp"
 #include "fiona/service.hpp"
@@ -30,11 +31,16 @@ std::string_view to_string(Connection connection);
 /// How a push subscription receives: the newest value only, or each one in order through a bounded queue.
 enum class Delivery { Newest, Each };
 
+/// What becomes of the open requests of a query client whose port is rewired: they end on the old provider, are put to
+/// the new one (only where the service is idempotent), or end with Disconnected.
+enum class AtRewire { Finish, Redirect, Fail };
+
 /// What an author may say of a port beyond its service.
 struct PortOptions {
   bool optional = false;  ///< the component can do without: no white spot, no complaint
   std::string_view doc = {};
   Delivery delivery = Delivery::Each;
+  AtRewire at_rewire = AtRewire::Finish;
 };
 
 /// Counters of a port, written on its strand or link, read by anyone.
@@ -61,6 +67,8 @@ class ReplySink {
   virtual ~ReplySink() = default;
   /// [any thread] Ends the request; only the first call counts.
   virtual void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) = 0;
+  /// [any thread] Of an activation that goes on: one event; without an object, that the provider has taken it.
+  virtual Outcome event(Envelope /*event*/) { return Outcome::WrongId; }
   /// [any thread] The client gave up or is gone: nobody reads the answer.
   bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
   void abandon() {
@@ -78,6 +86,11 @@ class ReplySink {
 struct Parcel {
   Envelope envelope;
   std::shared_ptr<ReplySink> reply;
+  bool continuous = false;       ///< of an activation: each event, not the first only
+  std::uint64_t activation = 0;  ///< of an event: which activation of the client's it is for
+
+  /// Whether somebody waits for an answer to it.
+  bool is_request() const { return reply && activation == 0; }
 };
 
 /// The far end of a wire as the near end sees it: an inbox of the same process, or a link to another.
@@ -108,6 +121,8 @@ class Port {
   std::string full_name() const;
   PortCounters& counters() { return counters_; }
 
+  /// [strand] The instance has left its main modes.
+  virtual void on_inactive() {}
   /// [strand] The instance shuts down: end what waits, let go of sinks.
   virtual void close() {}
 
@@ -202,14 +217,19 @@ class ProvidedPort : public Port {
 /// A port that requires: it has one wire.
 class RequiredPort : public Port {
  public:
-  RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-      : Port(owner, name, PortDirection::Requires, service, options) {}
+  RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
 
   /// The inbox of a push client; null for send and query.
   virtual Inbox* inbox() { return nullptr; }
   /// [any thread] Where a send or query client's messages go from now on; null: nowhere.
   virtual void set_target(std::shared_ptr<Sink> /*target*/) {}
   void close() override { on_connection(Connection::Unwired); }
+  void on_inactive() override { calls_.finish_all(Outcome::NotActive); }
+
+  /// [strand] While on, every call of this port that waits or is made ends with Cancelled. The same for all ports:
+  /// `Component::cancel_calls`.
+  void cancel_calls(bool on = true);
+  bool calls_are_cancelled() const;
 
   /// [any thread]
   Connection connection() const { return connection_.load(); }
@@ -222,8 +242,14 @@ class RequiredPort : public Port {
  protected:
   /// [strand] The connection has changed.
   virtual void on_connection(Connection) {}
+  /// [strand] Why a call cannot be made now, if so.
+  std::optional<Outcome> obstacle() const;
+  detail::Calls& calls() { return calls_; }
 
  private:
+  friend class Hull;
+  detail::Calls calls_;
+  bool cancelled_ = false;  ///< strand only
   std::atomic<Connection> connection_{Connection::Unwired};
   std::atomic<std::int64_t> since_ns_{0};
   mutable std::mutex reason_mutex_;

@@ -41,15 +41,6 @@ class PushProvider : public ProvidedPort {
   const ObjectRules rules_;
 };
 
-/// One `wait_update` under way.
-struct NextWait {
-  std::coroutine_handle<> caller;
-  Outcome outcome = Outcome::NoData;
-  std::optional<Envelope> envelope;
-  TimerId deadline = 0;
-  bool ended = false;
-};
-
 /// The client's side of both push patterns, without the object's type.
 class PushClient : public RequiredPort {
  public:
@@ -61,22 +52,14 @@ class PushClient : public RequiredPort {
   std::optional<Inbox::Newest> newest() { return inbox_.newest(); }
   void on_connection(Connection connection) override;
 
-  /// Awaits the next message: suspends until one arrives, the wire goes, or the deadline passes.
-  struct NextAwaiter {
-    NextAwaiter(PushClient& client, Duration within) : port(client), deadline(within) {}
-    PushClient& port;
-    Duration deadline;
-    std::shared_ptr<NextWait> wait;
-    bool await_ready() const { return false; }
-    bool await_suspend(std::coroutine_handle<> caller);
-    Result<Envelope> await_resume();
+  struct NextCall : Call {
+    std::optional<Envelope> envelope;
   };
+  /// [strand] The next message that comes, or what comes instead.
+  Async<Result<Envelope>> next(Duration within);
 
  private:
-  void finish(const std::shared_ptr<NextWait>& wait, Outcome outcome);
-
   Inbox inbox_;
-  std::vector<std::shared_ptr<NextWait>> waits_;  ///< strand only
 };
 
 /// What a push handler may look like: `void f(const T&)`, `void f(const Received<T>&)`, or the same as Async<>.
@@ -158,12 +141,12 @@ class Requires<S> : public detail::PushClient {
   Requires(C& owner, std::string_view name, R (C::*handler)(A), PortOptions options = {})
       : PushClient(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
 
-  /// [strand] The newest value since it was wired, however often it is asked. Fails with NoData, Unwired or
-  /// Disconnected: an old value never passes for a fresh one. Only for a port without handler.
+  /// [strand] The newest value since it was wired, however often it is asked. Fails with NoData, Unwired, Disconnected
+  /// or NotActive: an old value never passes for a fresh one. Only for a port without handler.
   Result<Received<ObjectType>> latest() {
     const auto slot = newest();
-    if (connection() == Connection::Unwired) return Outcome::Unwired;
-    if (connection() == Connection::Lost) return Outcome::Disconnected;
+    const auto outcome = obstacle();
+    if (outcome && *outcome != Outcome::Cancelled) return *outcome;  // it does not wait: there is nothing to cancel
     if (!slot) return Outcome::NoData;
     auto value = detail::received<ObjectType>(slot->envelope);
     value.stale = slot->stale;
@@ -172,8 +155,7 @@ class Requires<S> : public detail::PushClient {
 
   /// [strand] The next value that arrives: `auto next = co_await port.wait_update(1s);`
   Async<Result<Received<ObjectType>>> wait_update(Duration deadline) {
-    NextAwaiter awaiter(*this, deadline);
-    const Result<Envelope> envelope = co_await awaiter;
+    const Result<Envelope> envelope = co_await next(deadline);
     if (!envelope) co_return Result<Received<ObjectType>>(envelope.outcome(), envelope.reason());
     co_return detail::received<ObjectType>(*envelope);
   }

@@ -1,10 +1,10 @@
 #pragma once
 
 #include <coroutine>
+#include <map>
 #include <memory>
 #include <string>
 #include <string_view>
-#include <unordered_map>
 
 #include "fiona/error.hpp"
 #include "fiona/port.hpp"
@@ -13,15 +13,17 @@
 
 namespace fiona {
 
-/// The deadline of a call that names none (architecture 7).
-inline constexpr Duration kDefaultDeadline = std::chrono::seconds(2);
+/// Names an open request of one client port.
+enum class QueryId : std::uint64_t {};
 
 namespace detail {
 
 class QueryClient : public RequiredPort {
  public:
-  QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-      : RequiredPort(owner, name, service, options), request_rules_(service.object()), answer_rules_(*service.answer()) {}
+  /// Requests that may be open at once; answers that nobody receives count.
+  static constexpr std::size_t kMaxOpen = 4096;
+
+  QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
   ~QueryClient() override;
   void set_target(std::shared_ptr<Sink> target) override;
 
@@ -31,36 +33,34 @@ class QueryClient : public RequiredPort {
     std::string reason;
     std::shared_ptr<const Object> object;
   };
+  Result<QueryId> ask(std::shared_ptr<const Object> request, Duration within);
+  Async<Answer> answer_to(QueryId id, Duration within);
+  Async<Answer> ask_and_wait(std::shared_ptr<const Object> request, Duration within);
+  bool give_up(QueryId id);
 
-  /// With a constructor, and always a named variable: g++ 12 destroys an aggregate that is awaited as a temporary twice.
-  struct Awaiter {
-    Awaiter(QueryClient& client, std::shared_ptr<const Object> asked, Duration within)
-        : port(client), request(std::move(asked)), deadline(within) {}
-    QueryClient& port;
-    std::shared_ptr<const Object> request;
-    Duration deadline;
-    Answer answer;
-    bool await_ready() const { return false; }
-    bool await_suspend(std::coroutine_handle<> caller);
-    Answer await_resume() { return std::move(answer); }
-  };
   void on_connection(Connection connection) override;
 
  private:
   class Reply;
   struct Open {
-    Awaiter* awaiter;
-    std::coroutine_handle<> caller;
+    std::shared_ptr<const Object> request;
     std::shared_ptr<Reply> reply;
-    TimerId deadline;
+    std::optional<Answer> answer;
+    std::shared_ptr<Call> call;  ///< of who waits for it
+    TimerId deadline = 0;
   };
-  Outcome start(std::uint64_t id, Awaiter& awaiter, std::coroutine_handle<> caller);
-  void finish(std::uint64_t id, Answer answer);
+  Outcome put_to_target(QueryId id, Open& open);
+  void on_answer(QueryId id, const Reply& from, Answer answer);
+  void end(QueryId id, Answer answer);
+  void end_all(Outcome outcome);
+  void redirect();
 
+  const AtRewire at_rewire_;
   std::mutex target_mutex_;
   std::shared_ptr<Sink> target_;
-  std::unordered_map<std::uint64_t, Open> open_;  ///< strand only
+  std::map<QueryId, Open> open_;  ///< strand only
   std::uint64_t next_id_ = 1;
+  bool was_connected_ = false;
   const ObjectRules request_rules_;
   const ObjectRules answer_rules_;
 };
@@ -178,10 +178,25 @@ class Requires<S> : public detail::QueryClient {
   /// [strand] Exactly one outcome: the answer, or why there is none, within the deadline. Many may be open at once;
   /// answers come in any order. The answer is shared with the provider and immutable.
   Async<Result<AnswerPtr>> query(RequestType request, Duration deadline = kDefaultDeadline) {
-    Awaiter awaiter(*this, std::make_shared<const RequestType>(std::move(request)), deadline);
-    Answer answer = co_await awaiter;
-    if (answer.outcome != Outcome::Ok) co_return Result<AnswerPtr>(answer.outcome, std::move(answer.reason));
-    co_return std::static_pointer_cast<const AnswerType>(answer.object);
+    co_return result(co_await ask_and_wait(std::make_shared<const RequestType>(std::move(request)), deadline));
+  }
+
+  /// [strand] The same in two steps. The id stays valid, until it is received or discarded, through a wait that times out
+  /// or is cancelled; a second wait for it ends the first with Cancelled. Not answered by `deadline`, the request ends
+  /// with Timeout, which is then what is received.
+  Result<QueryId> request(RequestType request, Duration deadline = kDefaultDeadline) {
+    return ask(std::make_shared<const RequestType>(std::move(request)), deadline);
+  }
+  Async<Result<AnswerPtr>> receive(QueryId id, Duration deadline = kDefaultDeadline) {
+    co_return result(co_await answer_to(id, deadline));
+  }
+  /// [strand] Gives the request up and tells the provider; WrongId if it is not open.
+  Outcome discard(QueryId id) { return give_up(id) ? Outcome::Ok : Outcome::WrongId; }
+
+ private:
+  static Result<AnswerPtr> result(Answer answer) {
+    if (answer.outcome != Outcome::Ok) return {answer.outcome, std::move(answer.reason)};
+    return std::static_pointer_cast<const AnswerType>(answer.object);
   }
 };
 

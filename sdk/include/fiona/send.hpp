@@ -9,6 +9,10 @@
 #include "fiona/rules.hpp"
 
 namespace fiona {
+
+/// What an acknowledged send results in, if it does not fail.
+struct Acknowledged {};
+
 namespace detail {
 
 class SendClient : public RequiredPort {
@@ -19,8 +23,13 @@ class SendClient : public RequiredPort {
 
  protected:
   Outcome send_object(std::shared_ptr<const Object> object);
+  Async<Result<Acknowledged>> send_and_wait(std::shared_ptr<const Object> object, Duration within);
+  void on_connection(Connection connection) override;
 
  private:
+  class Receipt;
+  Outcome put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt);
+
   std::mutex target_mutex_;
   std::shared_ptr<Sink> target_;
   std::uint64_t sequence_ = 0;
@@ -52,7 +61,7 @@ class Provides<S> : public detail::SendProvider {
       : SendProvider(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
 };
 
-/// Sends, one way: Ok means that the provider's bounded queue has it; a full queue is an outcome, not a wait.
+/// Sends, one way. A full queue is an outcome, not a wait.
 template <SendService S>
 class Requires<S> : public detail::SendClient {
  public:
@@ -62,8 +71,13 @@ class Requires<S> : public detail::SendClient {
   Requires(C& owner, std::string_view name, PortOptions options = {})
       : SendClient(owner, name, S::info(), options) {}
 
-  /// [strand]
+  /// [strand] Ok: the wire's bounded queue has it, and the provider gets it unless it dies first.
   Outcome send(ObjectType object) { return send_object(std::make_shared<const ObjectType>(std::move(object))); }
+  /// [strand] Ends when the provider's hull has it, or with the reason why it has not (Rejected: its queue is full).
+  /// After Timeout and Disconnected the provider may have it all the same.
+  Async<Result<Acknowledged>> send_acknowledged(ObjectType object, Duration deadline = kDefaultDeadline) {
+    return send_and_wait(std::make_shared<const ObjectType>(std::move(object)), deadline);
+  }
 };
 
 }  // namespace fiona

@@ -25,9 +25,9 @@ class ServiceInfo {
   Pattern pattern() const { return contract_.pattern(); }
   const ServiceContract& contract() const { return contract_; }
 
-  /// What travels from client to provider (send, query), else what is pushed.
+  /// What travels from client to provider (send, query; of an event the activation), else what is pushed.
   const google::protobuf::Descriptor& object() const { return *object_; }
-  /// What a query answers; null for other patterns.
+  /// What comes back: a query's answer, an event's result; null for other patterns.
   const google::protobuf::Descriptor* answer() const { return answer_; }
 
   /// Silence longer than this means that a push provider is lost (architecture 7): `lease_ms`, else three periods,
@@ -87,5 +87,7 @@ template <class S>
 concept SendService = Service<S> && S::kPattern == SEND;
 template <class S>
 concept QueryService = Service<S> && S::kPattern == QUERY;
+template <class S>
+concept EventService = Service<S> && S::kPattern == EVENT;
 
 }  // namespace fiona

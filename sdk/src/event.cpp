@@ -1,0 +1,338 @@
+#include "fiona/event.hpp"
+
+#include <utility>
+#include <vector>
+
+#include "fiona/hull.hpp"
+
+namespace fiona::detail {
+
+// ---- provider -------------------------------------------------------------------------------------------------
+
+EventProvider::EventProvider(Component& owner, std::string_view name, const ServiceInfo& service,
+                             const PortOptions& options, Test test)
+    : ProvidedPort(owner, name, service, options),
+      test_(std::move(test)),
+      event_rules_(*service.answer()),
+      inbox_(*this, Delivery::Each, [this](const Parcel& parcel) -> std::optional<Async<>> {
+        add(parcel);
+        return std::nullopt;
+      }) {}
+
+void EventProvider::close() {
+  ProvidedPort::close();
+  for (auto& [order, activation] : std::exchange(activations_, {})) {
+    activation.client->answer(Outcome::Disconnected, "the provider has ended", nullptr);
+  }
+}
+
+std::size_t EventProvider::activations() {
+  drop_abandoned();
+  return activations_.size();
+}
+
+void EventProvider::drop_abandoned() {
+  std::erase_if(activations_, [](const auto& entry) { return entry.second.client->abandoned(); });
+}
+
+void EventProvider::add(const Parcel& parcel) {
+  drop_abandoned();
+  if (activations_.size() >= kMaxActivations) {
+    return parcel.reply->answer(Outcome::Rejected, "the port has all the activations that it can hold", nullptr);
+  }
+  Activation activation{std::unique_ptr<Object>(parcel.envelope.object->New()), parcel.reply, parcel.continuous, 0};
+  activation.parameters->CopyFrom(*parcel.envelope.object);
+  activations_.emplace(next_++, std::move(activation));
+  parcel.reply->event({});
+}
+
+void EventProvider::put_state(const Object& state) {
+  drop_abandoned();
+  const TimePoint now = hull().clock().now();
+  counters().count(now);
+  for (auto it = activations_.begin(); it != activations_.end();) {
+    Activation& activation = it->second;
+    bool goes_on = true;
+    try {
+      auto event = test_(*activation.parameters, state);
+      if (event) goes_on = fire(activation, std::move(event), now);
+    } catch (const std::exception& error) {
+      const std::string reason = std::string("the test of the activation failed: ") + error.what();
+      hull().events().logged(hull().name(), LogLevel::Warning, full_name() + ": " + reason);
+      activation.client->answer(Outcome::Rejected, reason, nullptr);
+      goes_on = false;
+    }
+    it = goes_on ? std::next(it) : activations_.erase(it);
+  }
+}
+
+/// False when the activation is over.
+bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> event, TimePoint origin) {
+  if (const auto violation = event_rules_.first_violation(*event)) {
+    throw Error(ErrorCode::Failed, "its event was refused: " + *violation);
+  }
+  const std::size_t bytes = event->ByteSizeLong();
+  const Outcome outcome = activation.client->event(Envelope{std::move(event), ++activation.fired, origin, bytes});
+  if (outcome != Outcome::Ok) counters().dropped.fetch_add(1, std::memory_order_relaxed);
+  return activation.continuous;
+}
+
+// ---- client ---------------------------------------------------------------------------------------------------
+
+/// What the provider answers on, for one activation at one provider. Events go through the client's inbox, which is
+/// bounded; acknowledgement and end, of which there is one each, through its strand.
+class EventClient::Channel final : public ReplySink, public std::enable_shared_from_this<Channel> {
+ public:
+  Channel(EventClient& client, ActivationId id)
+      : client_(client), id_(id), strand_(client.hull().shared_strand()), wire_(client.full_name() + "/event") {}
+
+  void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object>) override {
+    if (ended_.exchange(true) || abandoned()) return;
+    staged([self = shared_from_this(), outcome, reason = std::move(reason)] {
+      self->strand_->post([self, outcome, reason] { self->client_.on_end(self->id_, *self, outcome, reason); });
+    });
+  }
+
+  Outcome event(Envelope event) override {
+    if (ended_ || abandoned()) return Outcome::Disconnected;
+    if (!event.object) {
+      staged([self = shared_from_this()] {
+        self->strand_->post([self] { self->client_.on_acknowledged(self->id_, *self); });
+      });
+      return Outcome::Ok;
+    }
+    Parcel parcel{std::move(event), shared_from_this(), false, static_cast<std::uint64_t>(id_)};
+    if (!strand_->clock().staging()) return deliver(std::move(parcel));
+    staged([self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
+    return Outcome::Ok;
+  }
+
+  /// [strand of the client, before it goes] Nothing reaches it any more.
+  void detach() {
+    const std::lock_guard lock(mutex_);
+    detached_ = true;
+  }
+
+ private:
+  Outcome deliver(Parcel parcel) {
+    const std::lock_guard lock(mutex_);
+    if (detached_) return Outcome::Disconnected;
+    return client_.inbox_.push(std::move(parcel));
+  }
+  void staged(Job job) {
+    Clock& clock = strand_->clock();
+    if (!clock.staging()) return job();
+    // In this order at the client: those of an activation as they came, activations by their age.
+    clock.stage(wire_, static_cast<std::uint64_t>(id_) << 32 | ++staged_, std::move(job));
+  }
+
+  EventClient& client_;
+  const ActivationId id_;
+  const std::shared_ptr<Strand> strand_;
+  const std::string wire_;
+  std::atomic<bool> ended_{false};
+  std::atomic<std::uint32_t> staged_{0};
+  std::mutex mutex_;
+  bool detached_ = false;
+};
+
+EventClient::EventClient(Component& owner, std::string_view name, const ServiceInfo& service,
+                         const PortOptions& options, Handler handler)
+    : RequiredPort(owner, name, service, options),
+      handler_(std::move(handler)),
+      parameter_rules_(service.object()),
+      event_rules_(*service.answer()),
+      inbox_(*this, Delivery::Each, [this](const Parcel& parcel) { return on_event(parcel); }) {}
+
+EventClient::~EventClient() {
+  for (auto& [id, activation] : activations_) {
+    if (!activation.channel) continue;
+    activation.channel->detach();
+    activation.channel->abandon();
+  }
+}
+
+void EventClient::set_target(std::shared_ptr<Sink> target) {
+  const std::lock_guard lock(target_mutex_);
+  target_ = std::move(target);
+}
+
+/// Makes the activation at the provider of this moment and gives it up at the one before.
+Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
+  std::shared_ptr<Sink> target;
+  {
+    const std::lock_guard lock(target_mutex_);
+    target = target_;
+  }
+  if (!target) return Outcome::Disconnected;
+  const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id));
+  activation.last_sequence = 0;
+  Envelope envelope{activation.parameters, static_cast<std::uint64_t>(id), hull().clock().now(),
+                    activation.parameters->ByteSizeLong()};
+  const Outcome outcome = target->deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0});
+  if (before) {
+    before->detach();
+    before->abandon();
+  }
+  return outcome;
+}
+
+Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const Object> parameters, bool continuous,
+                                                         Duration within) {
+  const auto call = std::make_shared<Call>();
+  const ActivationId id{next_id_++};
+  if (const auto refusal = obstacle()) {
+    calls().finish(call, *refusal, connection_reason());
+  } else if (activations_.size() >= EventProvider::kMaxActivations) {
+    calls().finish(call, Outcome::Rejected, "the port has all the activations that it can hold");
+  } else if (const auto violation = parameter_rules_.first_violation(*parameters)) {
+    counters().refused.fetch_add(1, std::memory_order_relaxed);
+    calls().finish(call, Outcome::Rejected, "the activation was refused: " + *violation);
+  } else {
+    // Entered first: on another thread the acknowledgement may be on its way before `deliver` returns.
+    Activation& made = activations_[id];
+    made.parameters = std::move(parameters);
+    made.continuous = continuous;
+    made.acknowledgement = call;
+    const Outcome outcome = put_to_target(id, made);
+    if (outcome != Outcome::Ok) calls().finish(call, outcome);
+  }
+  CallAwaiter ended(calls(), call, within);
+  const Outcome outcome = co_await ended;
+  if (outcome == Outcome::Ok) co_return id;
+  give_up(id);
+  co_return Result<ActivationId>(outcome, call->reason);
+}
+
+Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within) {
+  const auto call = std::make_shared<EventCall>();
+  const auto found = activations_.find(id);
+  if (found == activations_.end() || handler_) {
+    calls().finish(call, Outcome::WrongId, handler_ ? "the port has a handler: events go there" : "");
+  } else if (!found->second.events.empty()) {
+    Activation& activation = found->second;
+    call->event = std::move(activation.events.front());
+    activation.events.pop_front();
+    kept_bytes_ -= call->event.bytes;
+    if (activation.fired) activations_.erase(found);
+    calls().finish(call, Outcome::Ok);
+  } else if (const auto refusal = obstacle()) {
+    calls().finish(call, *refusal, connection_reason());
+  } else {
+    if (const auto earlier = std::exchange(found->second.wait, call)) calls().finish(earlier, Outcome::Cancelled);
+  }
+  CallAwaiter ended(calls(), call, within);
+  const Outcome outcome = co_await ended;
+  const auto open = activations_.find(id);
+  if (open != activations_.end() && open->second.wait == call) open->second.wait = nullptr;
+  if (outcome != Outcome::Ok) co_return Result<Envelope>(outcome, call->reason);
+  co_return std::move(call->event);
+}
+
+bool EventClient::give_up(ActivationId id) {
+  if (!activations_.contains(id)) return false;
+  end(id, Outcome::WrongId, {});
+  return true;
+}
+
+/// The activation is over: the provider is told, and whoever waits for it.
+void EventClient::end(ActivationId id, Outcome outcome, const std::string& reason) {
+  const auto found = activations_.find(id);
+  if (found == activations_.end()) return;
+  const Activation over = std::move(found->second);
+  activations_.erase(found);
+  for (const Envelope& event : over.events) kept_bytes_ -= event.bytes;
+  if (over.channel) {
+    over.channel->detach();
+    over.channel->abandon();
+  }
+  if (over.acknowledgement) calls().finish(over.acknowledgement, outcome, reason);
+  if (over.wait) calls().finish(over.wait, outcome, reason);
+}
+
+void EventClient::on_acknowledged(ActivationId id, const Channel& from) {
+  const auto found = activations_.find(id);
+  if (found == activations_.end() || found->second.channel.get() != &from) return;
+  if (const auto call = std::exchange(found->second.acknowledgement, nullptr)) calls().finish(call, Outcome::Ok);
+}
+
+void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, const std::string& reason) {
+  const auto found = activations_.find(id);
+  if (found == activations_.end() || found->second.channel.get() != &from) return;
+  const bool refused = outcome != Outcome::Disconnected;
+  if (refused || found->second.acknowledgement) {
+    if (refused && !found->second.acknowledgement && !found->second.wait) {
+      hull().events().logged(hull().name(), LogLevel::Warning,
+                             full_name() + ": an activation has ended: " + std::string(to_string(outcome)) +
+                                 (reason.empty() ? "" : ", " + reason));
+    }
+    return end(id, outcome, reason);
+  }
+  // The provider has gone: the activation stays and is made again at the next one.
+  found->second.channel->detach();
+  if (const auto wait = std::exchange(found->second.wait, nullptr)) calls().finish(wait, outcome, reason);
+}
+
+std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
+  const ActivationId id{parcel.activation};
+  const auto found = activations_.find(id);
+  if (found == activations_.end() || found->second.channel != parcel.reply || found->second.fired) return std::nullopt;
+  Activation& activation = found->second;
+  const Envelope& event = parcel.envelope;
+  if (event.sequence > activation.last_sequence + 1) {
+    counters().dropped.fetch_add(event.sequence - activation.last_sequence - 1, std::memory_order_relaxed);
+  }
+  activation.last_sequence = event.sequence;
+  const bool over = !activation.continuous;
+  if (over) activation.channel->abandon();
+  if (handler_) {
+    if (over) activations_.erase(found);
+    return handler_(id, event);
+  }
+  activation.fired = over;
+  if (!activation.wait) {
+    keep(activation, event);
+    return std::nullopt;
+  }
+  const auto wait = std::exchange(activation.wait, nullptr);
+  wait->event = event;
+  if (over) activations_.erase(found);
+  calls().finish(wait, Outcome::Ok);
+  return std::nullopt;
+}
+
+/// Until somebody waits for it. When too much is kept the oldest of this activation goes, counted.
+void EventClient::keep(Activation& activation, const Envelope& event) {
+  activation.events.push_back(event);
+  kept_bytes_ += event.bytes;
+  while (kept_bytes_ > kMaxBytes && activation.events.size() > 1) {
+    kept_bytes_ -= activation.events.front().bytes;
+    activation.events.pop_front();
+    counters().dropped.fetch_add(1, std::memory_order_relaxed);
+  }
+}
+
+void EventClient::on_connection(Connection connection) {
+  if (connection == Connection::Connected) {
+    std::vector<ActivationId> ids;
+    for (const auto& [id, activation] : activations_) {
+      if (!activation.fired) ids.push_back(id);
+    }
+    for (const ActivationId id : ids) {
+      const auto found = activations_.find(id);
+      if (found == activations_.end()) continue;
+      const Outcome outcome = put_to_target(id, found->second);
+      if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) end(id, outcome, "the new provider refused it");
+    }
+    return;
+  }
+  if (connection == Connection::Waiting) return;
+  for (auto& [id, activation] : activations_) {
+    if (!activation.channel) continue;
+    activation.channel->detach();
+    activation.channel->abandon();
+  }
+  calls().finish_all(Outcome::Disconnected, connection_reason());
+}
+
+}  // namespace fiona::detail
