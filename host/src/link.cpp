@@ -267,6 +267,14 @@ Outcome RemoteWire::deliver(Parcel parcel) {
   return deliver_locked(std::move(parcel));
 }
 
+void RemoteWire::lease(bool held, const std::string& reason) {
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_lease()->set_held(held);
+  frame.mutable_lease()->set_reason(reason);
+  const std::lock_guard lock(mutex_);
+  if (!cut_) send_frame(frame, nullptr);
+}
+
 Outcome RemoteWire::deliver_locked(Parcel parcel) {
   CreditQueue::Item item;
   item.frame.set_wire(wire_);
@@ -359,6 +367,12 @@ void RemoteWire::handle_frame(const wire::Frame& frame, std::string_view object)
     case wire::Frame::kCredit: {
       const std::lock_guard lock(mutex_);
       if (!cut_) credit_.credit(frame.credit().bytes(), sender());
+      return;
+    }
+    case wire::Frame::kLease: {
+      auto* client = dynamic_cast<RequiredPort*>(&port_);
+      const std::lock_guard lock(mutex_);
+      if (client && !cut_) client->set_lease(frame.lease().held(), frame.lease().reason());
       return;
     }
     case wire::Frame::kFired: return on_fired(frame.fired(), object);
@@ -510,6 +524,7 @@ class PrescaledSink final : public Sink {
     if (puts_.fetch_add(1, std::memory_order_relaxed) % prescale_ != 0) return Outcome::Ok;
     return inner_->deliver(std::move(parcel));
   }
+  void lease(bool held, const std::string& reason) override { inner_->lease(held, reason); }
 
  private:
   const std::shared_ptr<Sink> inner_;

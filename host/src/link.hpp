@@ -97,6 +97,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void open(const std::function<std::uint64_t()>& attach);
   /// [any thread] Towards the peer.
   Outcome deliver(Parcel parcel) override;
+  void lease(bool held, const std::string& reason) override;
   /// [any thread] From the peer. On a client's side nothing gets through before `admit`: it is kept, which the credit
   /// bounds.
   void on_frame(const wire::Frame& frame, std::string_view object);

@@ -121,6 +121,7 @@ void Hull::enter(std::string_view to) {
   active_.store(to != kModeNeutral, std::memory_order_release);
   if (to != kModeNeutral) {
     for (Task* task : tasks_) task->start();
+    for (Port* port : ports_) port->on_active();
   }
   guarded([this, to] { component_->on_mode(to); });
   if (mode() == to) events().mode_changed(name_, std::string(to), {});

@@ -171,6 +171,12 @@ void Inbox::mark_stale() {
   if (slot_) slot_->stale = true;
 }
 
+void Inbox::empty_slot() {
+  const std::lock_guard lock(strand_.mutex_);
+  slot_.reset();
+  slot_read_ = true;
+}
+
 void Inbox::clear(Outcome outcome) {
   std::deque<Parcel> dropped;
   {
@@ -254,10 +260,22 @@ std::optional<Outcome> RequiredPort::obstacle() const {
 }
 
 void RequiredPort::set_connection(Connection connection, std::string reason) {
-  {
-    const std::lock_guard lock(reason_mutex_);
-    reason_ = std::move(reason);
-  }
+  const std::lock_guard lock(reason_mutex_);
+  before_silence_.reset();
+  enter(connection, std::move(reason));
+}
+
+void RequiredPort::set_lease(bool held, const std::string& reason) {
+  const std::lock_guard lock(reason_mutex_);
+  if (held && before_silence_) return enter(Connection::Connected, *std::exchange(before_silence_, std::nullopt));
+  if (held || connection() != Connection::Connected) return;
+  before_silence_ = reason_;
+  enter(Connection::Lost, reason_ + " " + reason);
+}
+
+/// Called with the mutex held.
+void RequiredPort::enter(Connection connection, std::string reason) {
+  reason_ = std::move(reason);
   connection_.store(connection);
   since_ns_.store(hull().clock().now().time_since_epoch().count());
   hull().strand().post([this, connection] { on_connection(connection); });
@@ -299,6 +317,21 @@ Outcome LocalWire::hand_over(Parcel parcel) {
   const Outcome outcome = inbox_->push(std::move(parcel));
   if (receipt) receipt->answer(outcome, {}, nullptr);
   return outcome;
+}
+
+void LocalWire::lease(bool held, const std::string& reason) {
+  const auto tell = [self = shared_from_this(), held, reason] {
+    const std::lock_guard lock(self->mutex_);
+    auto* client = self->inbox_ ? dynamic_cast<RequiredPort*>(&self->inbox_->port()) : nullptr;
+    if (client) client->set_lease(held, reason);
+  };
+  if (!clock_.staging()) return tell();
+  std::uint64_t sequence = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    sequence = ++staged_;
+  }
+  clock_.stage(name_, sequence, tell);
 }
 
 void LocalWire::cut() {

@@ -11,7 +11,11 @@ std::uint64_t PushProvider::attach(std::shared_ptr<Sink> sink) {
   auto sinks = std::make_shared<Sinks>(*sinks_);
   sinks->push_back(sink);
   sinks_ = std::move(sinks);
-  if (last_ && service().contract().last_value()) sink->deliver(Parcel{*last_, nullptr});
+  if (silence_) {
+    sink->lease(false, *silence_);  // and no old value as if it were fresh
+  } else if (last_ && service().contract().last_value()) {
+    sink->deliver(Parcel{*last_, nullptr});
+  }
   return sequence_;
 }
 
@@ -25,6 +29,45 @@ void PushProvider::detach(const Sink& sink) {
 std::size_t PushProvider::subscribers() const {
   const std::lock_guard lock(mutex_);
   return sinks_->size();
+}
+
+void PushProvider::on_active() {
+  if (lease_ == Duration::zero()) return;
+  renewed_ = hull().clock().now();
+  watch_lease();
+}
+
+void PushProvider::on_inactive() {
+  if (lease_ == Duration::zero()) return;
+  hull().clock().cancel(lease_timer_);
+  tell_lease("is not active");
+}
+
+void PushProvider::watch_lease() {
+  hull().clock().cancel(lease_timer_);
+  lease_timer_ = hull().clock().schedule(renewed_ + lease_, hull().shared_strand(), [this] {
+    if (!hull().is_active()) return;
+    if (hull().clock().now() < renewed_ + lease_) return watch_lease();
+    tell_lease("has been silent for " + std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(lease_).count()) + " ms");
+  });
+}
+
+void PushProvider::renew() {
+  if (lease_ == Duration::zero() || !hull().is_active()) return;
+  renewed_ = hull().clock().now();
+  {
+    const std::lock_guard lock(mutex_);
+    if (!silence_) return;
+  }
+  tell_lease(std::nullopt);
+  watch_lease();
+}
+
+void PushProvider::tell_lease(std::optional<std::string> silence) {
+  const std::lock_guard lock(mutex_);
+  if (silence_ == silence) return;
+  silence_ = std::move(silence);
+  for (const auto& sink : *sinks_) sink->lease(!silence_, silence_.value_or(""));
 }
 
 void PushProvider::close() {
@@ -50,6 +93,7 @@ Outcome PushProvider::put_object(std::shared_ptr<const Object> object, TimePoint
     if (service().contract().last_value()) last_ = envelope;
   }
   counters().count(origin);
+  renew();
   for (const auto& sink : *sinks) sink->deliver(Parcel{envelope, nullptr});
   return Outcome::Ok;
 }
@@ -60,7 +104,7 @@ PushClient::PushClient(Component& owner, std::string_view name, const ServiceInf
 
 void PushClient::on_connection(Connection connection) {
   if (connection == Connection::Connected) return inbox_.mark_stale();
-  inbox_.clear(Outcome::Disconnected);
+  inbox_.empty_slot();
   if (connection != Connection::Waiting) calls().finish_all(Outcome::Disconnected, connection_reason());
 }
 

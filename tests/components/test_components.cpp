@@ -32,11 +32,15 @@ class Source final : public Component {
     ++number_;
     newest_.put(sample());
     last_.put(sample());
+    leased_.put(sample());
     bell_.put(sample());
     orders_.send(sample());
     next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
   }
   void produce() { timed_.put(sample()); }
+  void vouch() {
+    if (params_->vouch()) leased_.still_valid();
+  }
   std::optional<Crossing> ring(Threshold& threshold, const Sample& now) {
     threshold.set_seen(threshold.seen() + 1);
     if (threshold.throw_at() == now.number()) throw std::runtime_error("asked to throw");
@@ -60,7 +64,9 @@ class Source final : public Component {
   Provides<SampleNewest> newest_{*this, "newest"};
   Provides<SampleLast> last_{*this, "last"};
   Provides<SampleTimed> timed_{*this, "timed", &Source::produce};
+  Provides<SampleLeased> leased_{*this, "leased"};
   Provides<Bell> bell_{*this, "bell", &Source::ring};
+  Task voucher_{*this, "voucher", 30ms, &Source::vouch};
   Requires<Order> orders_{*this, "orders", {.optional = true}};
   Timer next_{*this, &Source::put_next};
 };
@@ -108,6 +114,7 @@ class Sink final : public Component {
   Requires<SampleNewest> newest_{*this, "newest", &Sink::on_sample, {.optional = true, .delivery = Delivery::Newest}};
   Requires<SampleTimed> timed_{*this, "timed", &Sink::on_sample, {.optional = true}};
   Requires<SampleLast> last_{*this, "last", &Sink::on_sample, {.optional = true}};
+  Requires<SampleLeased> leased_{*this, "leased", &Sink::on_sample, {.optional = true}};
   Requires<SampleNewest> latest_{*this, "latest", {.optional = true}};
   Provides<Order> orders_{*this, "orders", &Sink::on_order};
   Provides<SampleLast> report_{*this, "report"};

@@ -102,6 +102,49 @@ TEST_P(Patterns, LatestKeepsTheOldValueMarkedStaleUntilTheNewProviderSpeaks) {
   system.wait_for(report, [](const auto& s) { return s.number() == 5 && s.value() == 1; });
 }
 
+TEST_P(Patterns, ProviderThatIsSilentForLongerThanItsLeaseIsLostAndFoundAtItsNextPut) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "period_ms=1 count=5");
+  system.wire("sink.leased", "source.leased");
+  system.eventually("lost", [&] { return system.port("sink.leased").connection() == control::LOST; });
+  EXPECT_EQ(system.port("sink.leased").reason(), "source.leased has been silent for 100 ms");
+  system.set("source", "count=0");
+  system.state("source", "neutral");
+  system.state("source", "active");
+  system.eventually("found", [&] { return system.port("sink.leased").connection() == control::CONNECTED; });
+}
+
+TEST_P(Patterns, LeaseIsRenewedByStillValidAndNotByTheHull) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "period_ms=1 count=5 vouch=true");
+  system.wire("sink.leased", "source.leased");
+  system.load_provider("source", "clockwork", "period_ms=10 count=60");
+  system.eventually("600 ms have passed", [&] { return system.port("clockwork.newest").messages() == 60; });
+  EXPECT_EQ(system.port("sink.leased").connection(), control::CONNECTED) << system.port("sink.leased").reason();
+  EXPECT_LE(system.port("sink.leased").messages(), 5U) << "still_valid() repeats nothing";
+  system.set("source", "vouch=false");
+  system.eventually("lost", [&] { return system.port("sink.leased").connection() == control::LOST; });
+}
+
+TEST_P(Patterns, ProviderThatLeavesItsModeIsLostToItsSubscribersAtOnce) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source");
+  system.wire("sink.leased", "source.leased");
+  system.state("source", "neutral");
+  system.eventually("lost", [&] { return system.port("sink.leased").connection() == control::LOST; });
+  EXPECT_EQ(system.port("sink.leased").reason(), "source.leased is not active");
+}
+
+TEST_P(Patterns, LateSubscriberToASilentProviderIsToldSo) {
+  system.load_provider("source", "source", "period_ms=1 count=5");
+  system.load_client("sink", "first");
+  system.wire("first.leased", "source.leased");
+  system.eventually("lost", [&] { return system.port("first.leased").connection() == control::LOST; });
+  system.load_client("sink", "late");
+  system.wire("late.leased", "source.leased");
+  system.eventually("lost", [&] { return system.port("late.leased").connection() == control::LOST; });
+}
+
 TEST_P(Patterns, QueryGetsItsAnswer) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "count=20 period_ms=1 payload=1000");

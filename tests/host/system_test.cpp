@@ -189,7 +189,7 @@ TEST_F(Parameters, UnknownNameGetsTheNearest) {
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->code(), ErrorCode::NotFound);
   EXPECT_EQ(error->text().what, "there is no parameter 'periodms'");
-  EXPECT_EQ(error->text().expected, "one of period_ms, count, payload, fail_with");
+  EXPECT_EQ(error->text().expected, "one of period_ms, count, payload, fail_with, vouch");
   EXPECT_THAT(error->text().near, ElementsAre("period_ms"));
   EXPECT_EQ(value("count"), "3");
 }

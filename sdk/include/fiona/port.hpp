@@ -99,6 +99,8 @@ class Sink {
   virtual ~Sink() = default;
   /// [any thread] Takes the message or says why not. Never waits, never runs a handler on the caller's stack.
   virtual Outcome deliver(Parcel parcel) = 0;
+  /// [any thread] Whether a push provider speaks, or has been silent for longer than its lease.
+  virtual void lease(bool /*held*/, const std::string& /*reason*/) {}
 };
 
 /// A named member of a component that provides or requires one service. Declared by constructing it; it registers
@@ -121,7 +123,8 @@ class Port {
   std::string full_name() const;
   PortCounters& counters() { return counters_; }
 
-  /// [strand] The instance has left its main modes.
+  /// [strand] The instance has entered a main mode, or left all of them.
+  virtual void on_active() {}
   virtual void on_inactive() {}
   /// [strand] The instance shuts down: end what waits, let go of sinks.
   virtual void close() {}
@@ -163,6 +166,8 @@ class Inbox {
   void on_next(std::function<void(const Envelope&)> waiter);
   /// [any thread] What is in the slot is from a provider that has been replaced.
   void mark_stale();
+  /// [any thread] Empties the slot. What waits for a handler has arrived, and still reaches it.
+  void empty_slot();
   /// [any thread] Empties queue and slot; requests are answered with `outcome`.
   void clear(Outcome outcome);
 
@@ -236,6 +241,8 @@ class RequiredPort : public Port {
   /// [any thread] Called by the host's wiring. Leaving Connected ends waits as patterns.md's table says.
   void set_connection(Connection connection, std::string reason);
   std::string connection_reason() const;
+  /// [any thread] The provider at the other end of a connected wire is silent, or speaks again: Lost, or Connected.
+  void set_lease(bool held, const std::string& reason);
   /// [any thread] When it entered its connection state, on the instance's clock.
   TimePoint connection_since() const { return TimePoint(Duration(since_ns_.load())); }
 
@@ -252,8 +259,11 @@ class RequiredPort : public Port {
   bool cancelled_ = false;  ///< strand only
   std::atomic<Connection> connection_{Connection::Unwired};
   std::atomic<std::int64_t> since_ns_{0};
+  void enter(Connection connection, std::string reason);
+
   mutable std::mutex reason_mutex_;
   std::string reason_ = "not wired";
+  std::optional<std::string> before_silence_;  ///< the reason while connected, of a port that is lost to silence
 };
 
 /// A wire within one process: hands parcels to the inbox at its end, every `prescale`-th of a push.
@@ -261,6 +271,7 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
  public:
   LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale);
   Outcome deliver(Parcel parcel) override;
+  void lease(bool held, const std::string& reason) override;
   /// [any thread] After it returned nothing more reaches the inbox.
   void cut();
   const std::string& name() const { return name_; }

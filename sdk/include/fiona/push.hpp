@@ -17,7 +17,7 @@ namespace detail {
 class PushProvider : public ProvidedPort {
  public:
   PushProvider(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-      : ProvidedPort(owner, name, service, options), rules_(service.object()) {}
+      : ProvidedPort(owner, name, service, options), rules_(service.object()), lease_(service.lease()) {}
 
   /// [any thread] Adds a subscriber; a service with `last_value` gives it the newest value at once. Returns the
   /// sequence number after which it receives.
@@ -26,9 +26,13 @@ class PushProvider : public ProvidedPort {
   void detach(const Sink& sink);
   /// [any thread] How many subscribers there are now.
   std::size_t subscribers() const;
+  void on_active() override;
+  void on_inactive() override;
   void close() override;
 
  protected:
+  /// [strand] The provider speaks: its lease begins anew.
+  void renew();
   /// [strand] Ok, or Rejected when a field breaks its declared rule (counted; the first is told to the log).
   Outcome put_object(std::shared_ptr<const Object> object, TimePoint origin);
 
@@ -38,7 +42,14 @@ class PushProvider : public ProvidedPort {
   std::shared_ptr<const Sinks> sinks_ = std::make_shared<Sinks>();
   std::uint64_t sequence_ = 0;
   std::optional<Envelope> last_;
+  std::optional<std::string> silence_;  ///< why its clients are told that it is silent; guarded by the mutex
   const ObjectRules rules_;
+
+  void watch_lease();
+  void tell_lease(std::optional<std::string> silence);
+  const Duration lease_;
+  TimePoint renewed_{};     ///< strand only, as is the rest
+  TimerId lease_timer_ = 0;
 };
 
 /// The client's side of both push patterns, without the object's type.
@@ -116,6 +127,9 @@ class Provides<S> : public detail::PushProvider {
   Outcome put(std::shared_ptr<const ObjectType> object, TimePoint origin) {
     return put_object(std::move(object), origin);
   }
+  /// [strand] Nothing has changed, and the source of what was put last has been looked at: its lease begins anew. For a
+  /// service that speaks only on change; call it in the task that reads the sensor, and nowhere else.
+  void still_valid() { renew(); }
   Outcome put(ObjectType object) { return put(std::make_shared<const ObjectType>(std::move(object))); }
   Outcome put(ObjectType object, TimePoint origin) {
     return put(std::make_shared<const ObjectType>(std::move(object)), origin);
