@@ -39,6 +39,23 @@ Candidates ports(const Asked& asked) {
   return found;
 }
 
+/// What `call` and `send` can use: by pattern, and triggers.
+Candidates callees(const Asked& asked) {
+  Candidates found;
+  const auto* system = asked.names.system();
+  const bool send = asked.line.verb.text == "send";
+  for (int i = 0; system != nullptr && i < system->instances_size(); ++i) {
+    const auto& instance = system->instances(i);
+    for (const auto& port : instance.ports()) {
+      if (port.pattern() == (send ? fiona::SEND : fiona::QUERY)) found.push_back(instance.name() + "." + port.name());
+    }
+    for (const auto& trigger : instance.triggers()) {
+      if (!send) found.push_back(instance.name() + "." + trigger.name());
+    }
+  }
+  return found;
+}
+
 const control::InstanceStatus* named_instance(const Asked& asked) {
   const auto* system = asked.names.system();
   if (system == nullptr || asked.line.positional.empty()) return nullptr;
@@ -47,7 +64,7 @@ const control::InstanceStatus* named_instance(const Asked& asked) {
 
 Candidates modes(const Asked& asked) {
   const auto* instance = named_instance(asked);
-  Candidates found{"neutral"};
+  Candidates found{"neutral", "deactivated"};
   if (instance != nullptr)
     found.insert(found.end(), instance->modes().begin(), instance->modes().end());
   else
@@ -116,6 +133,7 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"INSTANCE", instances},
       {"INSTANCE.PORT", ports},
       {"INSTANCE.PORT.FIELD", ports},
+      {"INSTANCE.NAME", callees},
       {"MODE", modes},
       {"PARAM", parameters},
       {"GROUP", groups},

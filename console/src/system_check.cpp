@@ -56,6 +56,7 @@ class Checker {
         {"load", &Checker::take_load},     {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
         {"unwire", &Checker::take_unwire}, {"set", &Checker::take_set},       {"state", &Checker::take_mode},
         {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},   {"get", &Checker::take_instance},
+        {"call", &Checker::take_call},     {"send", &Checker::take_call},
         {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
         {"market", &Checker::take_market}, {"run", &Checker::take_run}};
     if (const auto found = kChecks.find(line.verb.text); found != kChecks.end()) (this->*found->second)(line);
@@ -219,9 +220,9 @@ class Checker {
 
   void check_mode(const Line& line, const Word& mode, const Instance& instance) const {
     if (instance.known.component == nullptr) return;
-    std::vector<std::string> known{"neutral"};
-    known.insert(known.end(), instance.known.component->modes().begin(), instance.known.component->modes().end());
-    if (known.size() == 1) known.emplace_back("active");
+    std::vector<std::string> known{"neutral", "deactivated"};
+    for (const auto& one : instance.known.component->modes()) known.push_back(one.name());
+    if (instance.known.component->modes().empty()) known.emplace_back("active");
     if (line.verb.text == "wait") known.insert(known.end(), {"init", "failed", "shutdown"});
     if (std::find(known.begin(), known.end(), mode.text) != known.end()) return;
     throw line.error(mode,
@@ -263,6 +264,13 @@ class Checker {
     const Instance& instance = instance_of(line, line.positional[0]);
     if (const Word* within = line.clause("for")) duration_ms(*within, line.words);
     if (line.positional.size() > 1) check_mode(line, line.positional[1], instance);
+  }
+  void take_call(const Line& line) {
+    const control::PortName target = port_name(line.positional[0], line.words);
+    Word instance = line.positional[0];
+    instance.text = target.instance();
+    instance_of(line, instance);
+    if (const Word* within = line.clause("for")) duration_ms(*within, line.words);
   }
   void take_instance(const Line& line) {
     if (line.positional[0].text != "host") instance_of(line, line.positional[0]);

@@ -38,8 +38,15 @@ std::vector<Verb> operating_verbs() {
        Access::Operate, verbs::set},
       {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe,
        verbs::get},
-      {"state", forms({"state INSTANCE [MODE]"}), "shows the mode, or changes it and waits until it is reached", "",
+      {"state", forms({"state INSTANCE [MODE] [for T]"}), "shows the mode, or changes it and waits until it is reached",
+       "A mode is left when the work that it leaves has ended; `for`, or 10 s, is how long that may take. deactivated is "
+       "neutral, and cancels what waits.",
        Access::Operate, verbs::state},
+      {"call", forms({"call INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "uses a query port or a trigger by hand, and shows the answer",
+       "Of a required port: the provider at its wire's end. `for`, or 2 s, is how long it may take.", Access::Operate,
+       verbs::call},
+      {"send", forms({"send INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
+       "Waits until the provider's hull has it.", Access::Operate, verbs::call},
   };
 }
 

@@ -139,7 +139,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     case Request::kWire: return done(system_.wire(request.wire()));
     case Request::kUnwire: return done(system_.unwire(request.unwire()));
     case Request::kSet: return done(system_.set(request.set()));
-    case Request::kState: return done(system_.state(request.state()));
+    case Request::kState: system_.state(client, request.id(), request.state(), answer_to(client)); return false;
     case Request::kSnapshot: *reply.mutable_system() = system_.snapshot(); return true;
     case Request::kDescribe: *reply.mutable_description() = system_.types().describe(request.describe().name()); return true;
     case Request::kWatch: start_watch(client, request); return false;
@@ -148,6 +148,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     case Request::kExpect: start_expect(client, request); return false;
     case Request::kSleep: system_.waits().sleep(client, request.id(), request.sleep(), answer_to(client)); return false;
     case Request::kRun: system_.waits().run(client, request.id(), answer_to(client)); return false;
+    case Request::kCall: system_.call(client, request.id(), request.call(), answer_to(client)); return false;
     case Request::kQuit: exit_code_ = request.quit().exit_code(); return done("");
     case Request::WHAT_NOT_SET: break;
   }

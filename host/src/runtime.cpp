@@ -79,18 +79,24 @@ class Runtime::TapSink final : public Sink {
   const OnEvent& on_event_;
 };
 
+control::Failure failure_of(const Error& error) {
+  control::Failure failure;
+  failure.set_code(static_cast<std::uint32_t>(error.code()));
+  failure.set_what(error.text().what);
+  failure.set_where(error.text().where);
+  failure.set_expected(error.text().expected);
+  failure.set_found(error.text().found);
+  failure.set_next(error.text().next);
+  for (const auto& name : error.text().near) failure.add_near(name);
+  return failure;
+}
+
 control::Failure failure_of_exception() {
   control::Failure failure;
   try {
     throw;
   } catch (const Error& error) {
-    failure.set_code(static_cast<std::uint32_t>(error.code()));
-    failure.set_what(error.text().what);
-    failure.set_where(error.text().where);
-    failure.set_expected(error.text().expected);
-    failure.set_found(error.text().found);
-    failure.set_next(error.text().next);
-    for (const auto& name : error.text().near) failure.add_near(name);
+    return failure_of(error);
   } catch (const std::exception& error) {
     failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
     failure.set_what(error.what());
@@ -151,8 +157,7 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       const std::vector<control::Argument> changes(arguments.begin(), arguments.end());
       return find(request.set_parameters().instance()).hull->set_parameters(changes, kDefaultDeadline);
     }
-    case Request::kSetMode:
-      return find(request.set_mode().instance()).hull->set_mode(request.set_mode().mode(), kLifeCycleDeadline);
+    case Request::kSetMode: return set_mode(request.set_mode());
     case Request::kWireLocal: return wire_local(request.wire_local());
     case Request::kWireProvide: {
       const auto& wire = request.wire_provide();
@@ -167,6 +172,7 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kStatus: return status(*reply.mutable_status());
     case Request::kTap: return tap(request.tap());
     case Request::kUntap: return untap(request.untap().tap());
+    case Request::kCall: return call(request.call());
     case Request::WHAT_NOT_SET: throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
   }
 }
@@ -206,6 +212,18 @@ void Runtime::create(const wire::Create& request) {
     throw Error(error.code(), without_instance(error.text(), request.instance()));
   }
   instances_.emplace(request.instance(), std::move(instance));
+}
+
+void Runtime::set_mode(const wire::SetMode& request) {
+  const auto done = [this, change = request.change()](const std::optional<Error>& error) {
+    wire::GroupMessage message;
+    message.mutable_mode_set()->set_change(change);
+    if (error) *message.mutable_mode_set()->mutable_failure() = failure_of(*error);
+    emit(std::move(message));
+  };
+  const std::chrono::duration<double, std::milli> asked(request.within_ms());
+  const Duration within = asked.count() > 0 ? std::chrono::duration_cast<Duration>(asked) : kLifeCycleDeadline;
+  find(request.instance()).hull->change_mode(request.mode(), within, done);
 }
 
 void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
@@ -272,6 +290,78 @@ void Runtime::retire(std::uint64_t id) {
   wires_.erase(found);
 }
 
+/// Tells the host, once, how a call by hand has ended.
+class Runtime::CallReply final : public ReplySink {
+ public:
+  CallReply(std::uint64_t run, const OnEvent& on_event) : run_(run), on_event_(on_event) {}
+
+  void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
+    if (ended_.exchange(true)) return;
+    wire::GroupMessage message;
+    auto& ended = *message.mutable_call_ended();
+    ended.set_run(run_);
+    ended.set_outcome(static_cast<std::uint32_t>(outcome));
+    ended.set_reason(std::move(reason));
+    if (object) ended.set_type(object->GetDescriptor()->full_name());
+    if (object) object->SerializeToString(ended.mutable_object());
+    on_event_(std::move(message));
+  }
+
+ private:
+  const std::uint64_t run_;
+  const OnEvent& on_event_;
+  std::atomic<bool> ended_{false};
+};
+
+namespace {
+
+std::shared_ptr<Object> object_from(const google::protobuf::Descriptor& type,
+                                    const google::protobuf::RepeatedPtrField<control::Argument>& arguments) {
+  std::shared_ptr<Object> object(google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type)->New());
+  set_fields(*object, std::vector<control::Argument>(arguments.begin(), arguments.end()));
+  return object;
+}
+
+}  // namespace
+
+void Runtime::call(const wire::Call& request) {
+  Hull& hull = *find(request.target().instance()).hull;
+  auto reply = std::make_shared<CallReply>(request.run(), on_event_);
+  if (auto* trigger = hull.find_trigger(request.target().port())) {
+    trigger->call(object_from(trigger->argument(), request.arguments()), reply);
+  } else {
+    call_port(hull, request, reply);
+  }
+  const auto within = std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(request.within_ms()));
+  clock_.schedule(clock_.now() + within, hull.shared_strand(), [reply] {
+    reply->answer(Outcome::Timeout, {}, nullptr);
+    reply->abandon();
+  });
+}
+
+void Runtime::call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply) {
+  Port* port = hull.find_port(request.target().port());
+  if (!port) {
+    std::vector<std::string> known;
+    for (const auto* one : hull.triggers()) known.push_back(one->name());
+    for (const auto* one : hull.ports()) known.push_back(one->name());
+    throw Error(ErrorCode::NotFound, {.what = "'" + hull.name() + "' has no port or trigger '" + request.target().port() + "'",
+                                      .next = "show " + hull.name(),
+                                      .near = nearest_names(request.target().port(), known)});
+  }
+  auto* provided = dynamic_cast<ProvidedPort*>(port);
+  const Pattern pattern = port->service().pattern();
+  if (!provided || (pattern != QUERY && pattern != SEND)) {
+    throw Error(ErrorCode::Usage, {.what = port->full_name() + " speaks " + std::string(to_string(pattern)) + ": it cannot be called",
+                                   .expected = "a query or send port, or a trigger",
+                                   .next = "watch " + port->full_name()});
+  }
+  auto object = object_from(port->service().object(), request.arguments());
+  const std::size_t bytes = object->ByteSizeLong();
+  const Outcome outcome = provided->inbox()->push({Envelope{std::move(object), request.run(), clock_.now(), bytes}, reply});
+  if (outcome != Outcome::Ok || pattern == SEND) reply->answer(outcome, {}, nullptr);
+}
+
 void Runtime::tap(const wire::Tap& request) {
   auto* port = dynamic_cast<detail::PushProvider*>(&provided(request.port()));
   if (!port) {
@@ -301,6 +391,7 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
   status.set_pattern(port.service().pattern());
   status.set_optional(port.optional());
   status.set_doc(port.doc());
+  status.set_activity(port.activity());
   status.set_messages(counters.messages);
   status.set_superseded(counters.superseded);
   status.set_dropped(counters.dropped);
@@ -331,6 +422,11 @@ void Runtime::status(wire::GroupStatusReply& reply) const {
     status.set_mode(hull.mode());
     for (const auto& mode : hull.main_modes()) status.add_modes(mode);
     status.set_reason(hull.reason());
+    if (const auto pending = hull.pending_change()) {
+      status.mutable_pending()->set_to(pending->to);
+      status.mutable_pending()->set_blocked_by(pending->blocked_by);
+      status.mutable_pending()->set_blocked_s(to_seconds(now - pending->since));
+    }
     status.set_doc(instance->doc);
     status.set_mode_at_load(instance->made_from.mode());
     for (Port* port : hull.ports()) fill_port(*status.add_ports(), *port, now);
@@ -338,12 +434,14 @@ void Runtime::status(wire::GroupStatusReply& reply) const {
       for (auto& one : hull.parameters()->status()) *status.add_parameters() = std::move(one);
       for (auto& one : hull.parameters()->differences()) *status.add_set_parameters() = std::move(one);
     }
+    for (const auto* trigger : hull.triggers()) *status.add_triggers() = interface_of(*trigger);
     for (const Task* task : hull.tasks()) {
       auto& one = *status.add_tasks();
       one.set_name(task->name());
       one.set_period_ms(1e3 * to_seconds(task->period()));
       one.set_runs(task->runs());
       one.set_overruns(task->overruns());
+      one.set_activity(task->activity());
     }
     status.set_handler_ms(1e3 * to_seconds(hull.strand().busy_time()));
     status.set_queue_depth(hull.strand().queue_depth());

@@ -35,13 +35,17 @@ class Runtime final : private HullEvents {
   struct Instance;
   struct Wire;
   class TapSink;
+  class CallReply;
 
   void dispatch(const wire::GroupRequest& request, wire::GroupMessage& reply);
   void create(const wire::Create& request);
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
+  void set_mode(const wire::SetMode& request);
   void wire_local(const wire::WireLocal& request);
   void cut(const wire::Cut& request);
   void retire(std::uint64_t wire);
+  void call(const wire::Call& request);
+  void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
   void tap(const wire::Tap& request);
   void untap(std::uint64_t tap);
   void status(wire::GroupStatusReply& reply) const;
@@ -65,6 +69,7 @@ class Runtime final : private HullEvents {
   Links links_;
 };
 
+control::Failure failure_of(const Error& error);
 /// The exception being handled, as a Failure. Call inside a catch block.
 control::Failure failure_of_exception();
 /// The other way round. [[noreturn]]

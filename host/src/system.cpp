@@ -10,11 +10,15 @@
 #include "fiona/contract.hpp"
 #include "fiona/error.hpp"
 #include "fiona/push.hpp"
+#include "fiona/query.hpp"
 
 namespace fiona::host {
 namespace {
 
 constexpr std::string_view kMain = "main";
+/// Of a change of mode that names none; and how much longer than the instance itself the host waits for an end.
+constexpr double kModeDeadline_ms = 10'000;
+constexpr double kGrace_ms = 1'000;
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 
@@ -269,13 +273,82 @@ std::string System::unload(const control::Unload& request) {
   return note;
 }
 
-std::string System::state(const control::State& request) {
-  const Instance& target = instance(request.instance());
-  wire::GroupRequest change;
-  change.mutable_set_mode()->set_instance(request.instance());
-  change.mutable_set_mode()->set_mode(request.mode());
-  group(target.group).request(std::move(change));
-  return request.instance() + " is " + request.mode();
+void System::state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer) {
+  const std::string name = request.instance();
+  Group& target = group(instance(name).group);
+  const std::uint64_t change = next_work_++;
+  const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
+  const auto begin = [&] {
+    wire::GroupRequest set;
+    set.mutable_set_mode()->set_instance(name);
+    set.mutable_set_mode()->set_mode(request.mode());
+    set.mutable_set_mode()->set_change(change);
+    set.mutable_set_mode()->set_within_ms(within_ms);
+    target.request(std::move(set));
+  };
+  const auto end_of = [change, done = name + " is " + request.mode()](const wire::GroupMessage& event) {
+    std::optional<control::Reply> reply;
+    if (!event.has_mode_set() || event.mode_set().change() != change) return reply;
+    reply.emplace().mutable_done()->set_note(done);
+    if (event.mode_set().has_failure()) *reply->mutable_failure() = event.mode_set().failure();
+    return reply;
+  };
+  // The instance itself withdraws a change that is blocked; this is for one that hangs.
+  const auto expired = failure_reply(
+      ErrorCode::Unreachable, {.what = "'" + name + "' did not change its mode in time: a handler still runs, or it has ended",
+                               .where = name,
+                               .next = "show " + name});
+  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
+}
+
+/// What a call by hand reaches: the port or trigger that is named, of a required port the provider at its wire's end.
+control::PortName System::callee(const control::PortName& name) {
+  const Instance& owner = instance(name.instance());
+  const auto& component = component_of(owner.package.interface, owner.package.component);
+  for (const auto& one : component.ports()) {
+    if (one.name() != name.port() || one.direction() != REQUIRES) continue;
+    const auto wire = wires_.find({name.instance(), name.port()});
+    if (wire != wires_.end()) return wire->second.provider;
+    throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: there is nobody to call", .next = "spots"});
+  }
+  return name;
+}
+
+void System::call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer) {
+  const control::PortName name = callee(request.target());
+  Group& target = group(instance(name.instance()).group);
+  const std::uint64_t run = next_work_++;
+  const double within_ms = request.within_ms() > 0 ? request.within_ms() : 1e3 * to_seconds(kDefaultDeadline);
+  const TimePoint begun = clock_->now();
+  const auto begin = [&] {
+    wire::GroupRequest call;
+    call.mutable_call()->set_run(run);
+    *call.mutable_call()->mutable_target() = name;
+    *call.mutable_call()->mutable_arguments() = request.arguments();
+    call.mutable_call()->set_within_ms(within_ms);
+    target.request(std::move(call));
+  };
+  const auto end_of = [this, run, begun](const wire::GroupMessage& event) {
+    std::optional<control::Reply> reply;
+    if (!event.has_call_ended() || event.call_ended().run() != run) return reply;
+    auto& called = *reply.emplace().mutable_called();
+    called.set_run(run);
+    called.set_outcome(std::string(to_string(static_cast<Outcome>(event.call_ended().outcome()))));
+    called.set_reason(event.call_ended().reason());
+    called.set_after_ms(1e3 * to_seconds(clock_->now() - begun));
+    if (event.call_ended().type().empty()) return reply;
+    called.mutable_result()->set_type(event.call_ended().type());
+    called.mutable_result()->set_object(event.call_ended().object());
+    if (const auto object = types_.make(event.call_ended().type())) {
+      *called.mutable_result()->mutable_files() = Types::files_of(*object->GetDescriptor()->file());
+    }
+    return reply;
+  };
+  control::Reply expired;
+  expired.mutable_called()->set_run(run);
+  expired.mutable_called()->set_outcome(std::string(to_string(Outcome::Timeout)));
+  expired.mutable_called()->set_reason("the instance does not answer");
+  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
 }
 
 std::string System::set(const control::Set& request) {

@@ -38,7 +38,10 @@ class System {
   std::string wire(const control::Wire& request);
   std::string unwire(const control::Unwire& request);
   std::string set(const control::Set& request);
-  std::string state(const control::State& request);
+  /// Answered when the change of mode has been made, or why not; throws Error if it cannot be.
+  void state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer);
+  /// Uses a query or send port, or a trigger; answered with how it ended.
+  void call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer);
 
   control::System snapshot();
   const Types& types() const { return types_; }
@@ -101,6 +104,7 @@ class System {
   Wire connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
                std::uint64_t replaces);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
+  control::PortName callee(const control::PortName& name);
   void set_host(const control::Set& request);
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();
@@ -123,6 +127,7 @@ class System {
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   std::uint64_t next_wire_ = 1;
   std::uint64_t next_tap_ = 1;
+  std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;
 };
 

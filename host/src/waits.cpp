@@ -19,6 +19,7 @@ struct Waits::Wait {
   bool ended = false;
   bool is_run = false;
   std::optional<control::WaitMode> mode;
+  EndOf end_of;
   std::optional<control::Expect> expect;
   std::uint64_t tap = 0;
   std::string seen;  ///< the last value that did not meet the expectation
@@ -28,20 +29,15 @@ namespace {
 
 Duration from_ms(double ms) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms)); }
 
-control::Reply failure(ErrorCode code, std::string what, std::string where, std::string found, std::string next) {
-  control::Reply reply;
-  auto& failure = *reply.mutable_failure();
-  failure.set_code(static_cast<std::uint32_t>(code));
-  failure.set_what(std::move(what));
-  failure.set_where(std::move(where));
-  failure.set_found(std::move(found));
-  failure.set_next(std::move(next));
-  return reply;
-}
-
 std::string name_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 
 }  // namespace
+
+control::Reply failure_reply(ErrorCode code, ErrorText text) {
+  control::Reply reply;
+  *reply.mutable_failure() = failure_of(Error(code, std::move(text)));
+  return reply;
+}
 
 Waits::Waits(Clock& clock, Executor& executor)
     : clock_(clock),
@@ -78,9 +74,10 @@ void Waits::wait_mode(std::uint64_t owner, std::uint64_t id, const control::Wait
     waits_.push_back(wait);
   }
   time_out_after(wait, request.within_ms(), [request] {
-    return failure(ErrorCode::Unreachable,
-                   fmt::format("'{}' did not reach mode {} within {} ms", request.instance(), request.mode(), request.within_ms()),
-                   request.instance(), "", "show " + request.instance());
+    return failure_reply(ErrorCode::Unreachable, {.what = fmt::format("'{}' did not reach mode {} within {} ms", request.instance(),
+                                                                      request.mode(), request.within_ms()),
+                                                  .where = request.instance(),
+                                                  .next = "show " + request.instance()});
   });
   if (virtual_) virtual_->release();
 }
@@ -97,10 +94,12 @@ void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect&
   time_out_after(wait, within_ms, [request, within_ms, weak = std::weak_ptr(wait)] {
     const auto expired = weak.lock();
     const std::string seen = expired ? expired->seen : "";
-    return failure(ErrorCode::Failed,
-                   fmt::format("{}.{} was not as expected within {} ms", name_of(request.port()), request.field(), within_ms),
-                   name_of(request.port()), seen.empty() ? "no message at all" : "last seen: " + seen,
-                   "watch " + name_of(request.port()));
+    const std::string port = name_of(request.port());
+    return failure_reply(ErrorCode::Failed,
+                         {.what = fmt::format("{}.{} was not as expected within {} ms", port, request.field(), within_ms),
+                          .where = port,
+                          .found = seen.empty() ? "no message at all" : "last seen: " + seen,
+                          .next = "watch " + port});
   });
   if (virtual_) virtual_->release();
 }
@@ -127,6 +126,24 @@ void Waits::run(std::uint64_t owner, std::uint64_t id, Answer answer) {
     waits_.push_back(wait);
   }
   if (virtual_) virtual_->release();
+}
+
+void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const std::function<void()>& begin,
+                 EndOf end_of, control::Reply expired, Answer answer) {
+  auto wait = add(owner, id, std::move(answer));
+  wait->end_of = std::move(end_of);
+  {
+    const std::lock_guard lock(mutex_);
+    waits_.push_back(wait);
+  }
+  time_out_after(wait, within_ms, [expired = std::move(expired)] { return expired; });
+  if (virtual_) virtual_->release();
+  try {
+    begin();
+  } catch (...) {
+    finish(wait, std::nullopt);
+    throw;
+  }
 }
 
 /// Whoever ends a wait first holds the clock, on the thread where it happened: before time can go on.
@@ -157,8 +174,10 @@ std::optional<control::Reply> Waits::reply_to_mode(const Wait& wait, const wire:
     return reply;
   }
   if (changed.mode() != kModeFailed) return std::nullopt;
-  return failure(ErrorCode::ComponentFailed, "'" + changed.instance() + "' failed while it was waited for", changed.instance(),
-                 changed.reason(), "show " + changed.instance());
+  return failure_reply(ErrorCode::ComponentFailed, {.what = "'" + changed.instance() + "' failed while it was waited for",
+                                                    .where = changed.instance(),
+                                                    .found = changed.reason(),
+                                                    .next = "show " + changed.instance()});
 }
 
 std::optional<control::Reply> Waits::reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const {
@@ -184,6 +203,7 @@ void Waits::on_event(const wire::GroupMessage& event, const Types& types) {
     const std::lock_guard lock(mutex_);
     for (const auto& wait : waits_) {
       std::optional<control::Reply> reply;
+      if (wait->end_of) reply = wait->end_of(event);
       if (event.has_mode_changed()) reply = reply_to_mode(*wait, event.mode_changed());
       if (event.has_tapped()) reply = reply_to_value(*wait, event.tapped(), types);
       if (reply) ended.emplace_back(wait, std::move(*reply));

@@ -31,6 +31,10 @@ class Waits {
   void expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap, Answer answer);
   void sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer);
   void run(std::uint64_t owner, std::uint64_t id, Answer answer);
+  /// What `begin` starts, and an event ends: the first that `end_of` makes a reply of; after `within_ms`, `expired`.
+  using EndOf = std::function<std::optional<control::Reply>(const wire::GroupMessage& event)>;
+  void work(std::uint64_t owner, std::uint64_t id, double within_ms, const std::function<void()>& begin, EndOf end_of,
+            control::Reply expired, Answer answer);
 
   /// [any thread] Something has happened.
   void on_event(const wire::GroupMessage& event, const Types& types);
@@ -56,6 +60,9 @@ class Waits {
   std::mutex mutex_;
   std::list<WaitPtr> waits_;
 };
+
+/// A refusal as a reply.
+control::Reply failure_reply(ErrorCode code, ErrorText text);
 
 /// Compares the field at `path` ("position.x", "waypoints[0].x") of `object` with `value`: true or false and the
 /// field's text. Throws Error NotFound for a field that is not there, Usage for kinds that do not compare.

@@ -49,6 +49,16 @@ class SilentEvents final : public HullEvents {
 
 }  // namespace
 
+TriggerInterface interface_of(const detail::TriggerBase& trigger) {
+  TriggerInterface interface;
+  interface.set_name(trigger.name());
+  interface.set_argument(trigger.argument().full_name());
+  interface.set_result(trigger.result().full_name());
+  interface.set_doc(trigger.doc());
+  interface.set_activity(trigger.activity());
+  return interface;
+}
+
 ComponentInterface interface_of(const Hull& hull, std::string_view component, std::string_view doc) {
   ComponentInterface interface;
   interface.set_name(std::string(component));
@@ -60,14 +70,21 @@ ComponentInterface interface_of(const Hull& hull, std::string_view component, st
     one.set_service(port->service().name());
     one.set_optional(port->optional());
     one.set_doc(port->doc());
+    one.set_activity(port->activity());
   }
   if (hull.parameters()) interface.set_parameters(hull.parameters()->snapshot()->GetDescriptor()->full_name());
-  for (const auto& mode : hull.main_modes()) interface.add_modes(mode);
+  for (const auto& mode : hull.modes()) {
+    auto& one = *interface.add_modes();
+    one.set_name(mode.name);
+    one.mutable_activities()->Add(mode.activities.begin(), mode.activities.end());
+  }
   for (const Task* task : hull.tasks()) {
     auto& one = *interface.add_tasks();
     one.set_name(task->name());
     one.set_period_ms(std::chrono::duration<double, std::milli>(task->period()).count());
+    one.set_activity(task->activity());
   }
+  for (const auto* trigger : hull.triggers()) *interface.add_triggers() = interface_of(*trigger);
   return interface;
 }
 
@@ -84,6 +101,10 @@ Interface describe(const Plugin& plugin) {
     *interface.add_components() = interface_of(hull, entry.name, entry.doc);
     for (const Port* port : hull.ports()) {
       add_files(*port->service().descriptor().file(), seen, *interface.mutable_descriptors());
+    }
+    for (const auto* trigger : hull.triggers()) {
+      add_files(*trigger->argument().file(), seen, *interface.mutable_descriptors());
+      add_files(*trigger->result().file(), seen, *interface.mutable_descriptors());
     }
     if (hull.parameters()) {
       add_files(*hull.parameters()->snapshot()->GetDescriptor()->file(), seen, *interface.mutable_descriptors());

@@ -30,15 +30,31 @@ Hull::Hull(std::string name, Surroundings surroundings)
 
 Hull::~Hull() { strand_->close(); }
 
-void Hull::create(const Factory& factory) { component_ = factory(*this); }
+void Hull::create(const Factory& factory) {
+  component_ = factory(*this);
+  check_activities();
+}
 
 void Hull::add(Port& port) {
-  if (find_port(port.name())) {
-    throw Error(ErrorCode::Usage, {.what = "two ports are named '" + port.name() + "'",
-                                   .where = name_,
-                                   .next = "give each port of a component a name of its own"});
-  }
+  require_free_name(port.name());
   ports_.push_back(&port);
+}
+
+void Hull::add(detail::TriggerBase& trigger) {
+  require_free_name(trigger.name());
+  triggers_.push_back(&trigger);
+}
+
+void Hull::require_free_name(std::string_view name) const {
+  if (!find_port(name) && !find_trigger(name)) return;
+  throw Error(ErrorCode::Usage, {.what = "two ports or triggers are named '" + std::string(name) + "'",
+                                 .where = name_,
+                                 .next = "give each port and trigger of a component a name of its own"});
+}
+
+detail::TriggerBase* Hull::find_trigger(std::string_view name) const {
+  const auto found = std::find_if(triggers_.begin(), triggers_.end(), [name](auto* one) { return one->name() == name; });
+  return found == triggers_.end() ? nullptr : *found;
 }
 
 Port* Hull::find_port(std::string_view name) const {
@@ -68,63 +84,11 @@ void Hull::set_parameters(std::span<const control::Argument> changes, Duration d
   }
 }
 
-void Hull::check_transition(std::string_view to) const {
-  const std::string from = mode();
-  std::vector<std::string> modes = main_modes();
-  modes.emplace_back(kModeNeutral);
-  const bool known = std::find(modes.begin(), modes.end(), to) != modes.end();
-  const bool alive = from != kModeFailed && from != kModeShutdown;
-  if (known && alive) return;
-  std::string expected;
-  for (const auto& mode : modes) expected += (expected.empty() ? "" : ", ") + mode;
-  throw Error(known ? ErrorCode::NotAllowed : ErrorCode::Usage,
-              {.what = "'" + name_ + "' cannot go from " + from + " to " + std::string(to),
-               .where = name_,
-               .expected = known ? "an instance that is alive" : "one of " + expected,
-               .found = known ? from + (reason().empty() ? "" : ": " + reason()) : std::string(to),
-               .next = known ? "unload " + name_ + ", then load it again" : "state " + name_ + " " + modes.front(),
-               .near = nearest_names(to, modes)});
-}
-
-void Hull::set_mode(std::string_view mode, Duration deadline) {
-  check_transition(mode);
-  if (!strand_->call([this, to = std::string(mode)] { enter(to); }, deadline)) {
-    throw Error(ErrorCode::Unreachable,
-                {.what = "'" + name_ + "' did not change its mode in time: a handler still runs, or it has ended",
-                 .where = name_,
-                 .next = "show " + name_});
-  }
-  if (this->mode() == kModeFailed) throw_failure();
-}
-
-void Hull::throw_failure() const {
+Error Hull::failure() const {
   const std::lock_guard lock(mutex_);
   ErrorText text = refusal_.value_or(ErrorText{.what = reason_, .where = name_, .next = "show " + name_});
   text.what = "'" + name_ + "' failed: " + text.what;
-  throw Error(ErrorCode::ComponentFailed, std::move(text));
-}
-
-void Hull::enter(std::string_view to) {
-  const std::string from = mode();
-  if (from == to || from == kModeFailed || from == kModeShutdown) return;
-  if (from == kModeInit) {
-    guarded([this] { start_component(); });
-    if (mode() == kModeFailed) return;
-    started_ = true;
-  } else if (from != kModeNeutral) {
-    leave_main_mode();
-  }
-  {
-    const std::lock_guard lock(mutex_);
-    mode_ = to;
-  }
-  active_.store(to != kModeNeutral, std::memory_order_release);
-  if (to != kModeNeutral) {
-    for (Task* task : tasks_) task->start();
-    for (Port* port : ports_) port->on_active();
-  }
-  guarded([this, to] { component_->on_mode(to); });
-  if (mode() == to) events().mode_changed(name_, std::string(to), {});
+  return Error(ErrorCode::ComponentFailed, std::move(text));
 }
 
 void Hull::start_component() {
@@ -135,13 +99,6 @@ void Hull::start_component() {
     refusal_ = error.text();
     throw;
   }
-}
-
-void Hull::leave_main_mode() {
-  active_.store(false, std::memory_order_release);
-  for (Task* task : tasks_) task->stop();
-  for (Timer* timer : timers_) timer->cancel();
-  for (Port* port : ports_) port->on_inactive();
 }
 
 void Hull::cancel_calls(bool on, std::optional<Pattern> pattern) {
@@ -165,13 +122,14 @@ void Hull::fail(const std::string& reason) {
   }
   active_.store(false, std::memory_order_release);
   // Tasks and timers find the instance not active and fall silent; they are cancelled on the strand.
-  strand_->post([this] { leave_main_mode(); });
+  strand_->post([this] { leave_activities(kModeFailed); });
   events().mode_changed(name_, std::string(kModeFailed), reason);
 }
 
 bool Hull::shut_down(Duration deadline) {
   const auto end = [this] {
-    leave_main_mode();
+    leave_activities(kModeShutdown);
+    drop_changes();
     for (Port* port : ports_) port->close();
     if (started_) guarded([this] { component_->on_stop(); });
     {
@@ -183,6 +141,7 @@ bool Hull::shut_down(Duration deadline) {
     component_.reset();
     ports_.clear();
     tasks_.clear();
+    triggers_.clear();
     timers_.clear();
     params_ = nullptr;
   };

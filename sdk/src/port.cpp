@@ -55,8 +55,16 @@ Port::Port(Component& owner, std::string_view name, PortDirection direction, con
       direction_(direction),
       service_(service),
       optional_(options.optional),
-      doc_(options.doc) {
+      doc_(options.doc),
+      activity_(options.activity) {
   hull_.add(*this);
+}
+
+bool Port::is_active() const { return served_.load(std::memory_order_acquire) && hull_.is_active(); }
+
+void Port::set_served(bool served) {
+  if (served_.exchange(served) == served) return;
+  served ? on_active() : on_inactive();
 }
 
 std::string Port::full_name() const { return hull_.name() + "." + name_; }
@@ -77,7 +85,7 @@ bool Inbox::is_push() const {
 
 Outcome Inbox::push(Parcel parcel) {
   // An acknowledged send: the wire passes on what is returned here, and nothing is left to answer later.
-  if (port_.service().pattern() == SEND && std::exchange(parcel.reply, nullptr) && !port_.hull().is_active()) {
+  if (port_.service().pattern() == SEND && std::exchange(parcel.reply, nullptr) && !port_.is_active()) {
     return Outcome::NotActive;
   }
   std::unique_lock lock(strand_.mutex_);
@@ -99,7 +107,7 @@ Outcome Inbox::push_each(std::unique_lock<std::mutex>& lock, Parcel parcel) {
 
 void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
   if (!handler_) {
-    if (!port_.hull().is_active()) {
+    if (!port_.is_active()) {
       port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
       return;
     }
@@ -219,7 +227,7 @@ void Inbox::drain(std::size_t limit) {
 void Inbox::handle() {
   Hull& hull = port_.hull();
   if (current_->reply && current_->reply->abandoned()) return finish_parcel();
-  if (!hull.is_active()) {
+  if (!port_.is_active() || hull.is_leaving(port_.activity())) {
     port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
     if (current_->is_request()) current_->reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
     return finish_parcel();
@@ -228,6 +236,9 @@ void Inbox::handle() {
   std::optional<Async<>> coroutine;
   hull.guarded([&] { coroutine = handler_(*current_); });
   if (!coroutine) return finish_parcel();
+  if (auto hold = hull.acquire(port_.activity(), "the handler of '" + port_.name() + "'")) {
+    hold_ = std::make_shared<ActivityHold>(std::move(*hold));
+  }
   hull.spawn(std::move(*coroutine), [this] {
     finish_parcel();
     drain(kBatch);
@@ -237,6 +248,7 @@ void Inbox::handle() {
 void Inbox::finish_parcel() {
   bytes_.fetch_sub(cost(*current_), std::memory_order_relaxed);
   current_.reset();
+  hold_.reset();
 }
 
 // ---- required port and local wire -----------------------------------------------------------------------------
@@ -253,7 +265,7 @@ bool RequiredPort::calls_are_cancelled() const { return cancelled_ || hull().cal
 
 std::optional<Outcome> RequiredPort::obstacle() const {
   if (calls_are_cancelled()) return Outcome::Cancelled;
-  if (!hull().is_active()) return Outcome::NotActive;
+  if (!is_active()) return Outcome::NotActive;
   if (connection() == Connection::Unwired) return Outcome::Unwired;
   if (connection() == Connection::Lost) return Outcome::Disconnected;
   return std::nullopt;

@@ -46,14 +46,14 @@ void PushProvider::on_inactive() {
 void PushProvider::watch_lease() {
   hull().clock().cancel(lease_timer_);
   lease_timer_ = hull().clock().schedule(renewed_ + lease_, hull().shared_strand(), [this] {
-    if (!hull().is_active()) return;
+    if (!is_active()) return;
     if (hull().clock().now() < renewed_ + lease_) return watch_lease();
     tell_lease("has been silent for " + std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(lease_).count()) + " ms");
   });
 }
 
 void PushProvider::renew() {
-  if (lease_ == Duration::zero() || !hull().is_active()) return;
+  if (lease_ == Duration::zero() || !is_active()) return;
   renewed_ = hull().clock().now();
   {
     const std::lock_guard lock(mutex_);

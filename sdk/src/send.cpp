@@ -29,7 +29,7 @@ Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::sha
 }
 
 Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
-  if (!hull().is_active()) return Outcome::NotActive;
+  if (!is_active()) return Outcome::NotActive;
   return put_to_target(std::move(object), nullptr);
 }
 

@@ -4,8 +4,8 @@
 
 namespace fiona {
 
-Task::Task(Component& owner, std::string_view name, Duration period, std::function<void()> work)
-    : hull_(owner.hull()), name_(name), period_(period), work_(std::move(work)) {
+Task::Task(Component& owner, std::string_view name, Duration period, Work work, std::string_view activity)
+    : hull_(owner.hull()), name_(name), period_(period), work_(std::move(work)), activity_(activity) {
   if (period_ <= Duration::zero()) {
     throw Error(ErrorCode::Usage, {.what = "task '" + name_ + "' has no period",
                                    .expected = "a period above zero",
@@ -15,6 +15,7 @@ Task::Task(Component& owner, std::string_view name, Duration period, std::functi
 }
 
 void Task::start() {
+  if (running_) return;
   running_ = true;
   ++start_count_;
   due_ = hull_.clock().now() + period_;
@@ -33,17 +34,37 @@ void Task::arm() {
 
 void Task::fire(std::uint64_t start_count) {
   if (!running_ || start_count != start_count_) return;
-  runs_.fetch_add(1, std::memory_order_relaxed);
-  hull_.guarded(work_);
+  if (busy_) {
+    overruns_.fetch_add(1, std::memory_order_relaxed);
+  } else if (!hull_.is_leaving(activity_)) {
+    run();
+  }
   if (!running_ || start_count != start_count_) return;
+  next_due();
+  arm();
+}
+
+void Task::run() {
+  runs_.fetch_add(1, std::memory_order_relaxed);
+  std::optional<Async<>> coroutine;
+  hull_.guarded([&] { coroutine = work_(); });
+  if (!coroutine) return;
+  busy_ = true;
+  if (auto hold = hull_.acquire(activity_, "task '" + name_ + "'")) hold_ = std::make_shared<ActivityHold>(std::move(*hold));
+  hull_.spawn(std::move(*coroutine), [this] {
+    busy_ = false;
+    hold_.reset();
+  });
+}
+
+/// The next time on the grid that has not passed.
+void Task::next_due() {
   due_ += period_;
   const TimePoint now = hull_.clock().now();
-  if (due_ < now) {
-    const auto missed = (now - due_) / period_ + 1;
-    overruns_.fetch_add(static_cast<std::uint64_t>(missed), std::memory_order_relaxed);
-    due_ += missed * period_;
-  }
-  arm();
+  if (due_ >= now) return;
+  const auto missed = (now - due_) / period_ + 1;
+  overruns_.fetch_add(static_cast<std::uint64_t>(missed), std::memory_order_relaxed);
+  due_ += missed * period_;
 }
 
 Timer::Timer(Component& owner, std::function<void()> work) : hull_(owner.hull()), work_(std::move(work)) {

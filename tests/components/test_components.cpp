@@ -286,6 +286,54 @@ class Caller final : public Component {
   Provides<SampleNewest> ring_report_{*this, "rings"};
 };
 
+/// Has three main modes: `drive` and `park` share the activity `look`; `rest` has none.
+class Mover final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void look() { looks_.put(numbered(++looked_)); }
+  Async<> steer() {
+    if (params_->work_ms() > 0) {
+      const auto most = std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->work_ms()));
+      const auto order = co_await orders_in_.wait_update(most);
+      outcome_.put(numbered(static_cast<std::uint64_t>(order.outcome())));
+    }
+    steers_.put(numbered(++steered_));
+  }
+  TurnResult turn(const TurnRequest& request) {
+    if (request.manner() == "error") throw Error(ErrorCode::Failed, "the wheel is stuck");
+    if (request.manner() == "throw") throw std::runtime_error("the wheel came off");
+    heading_ += request.degrees();
+    TurnResult result;
+    result.set_heading(heading_);
+    return result;
+  }
+  Async<TurnResult> turn_later(const TurnRequest& request) {
+    co_await orders_in_.wait_update(50ms);
+    co_return turn(request);
+  }
+  static Sample numbered(std::uint64_t number) {
+    Sample one;
+    one.set_number(number);
+    return one;
+  }
+
+  std::uint64_t looked_ = 0;
+  std::uint64_t steered_ = 0;
+  int heading_ = 0;
+  Modes modes_{*this, {{"drive", {"look", "steer"}}, {"park", {"look"}}, {"rest", {}}}};
+  Params<MoverParams> params_{*this};
+  Provides<SampleNewest> looks_{*this, "looks"};
+  Provides<SampleNewest> steers_{*this, "steers"};
+  Provides<SampleNewest> outcome_{*this, "outcome"};
+  Requires<SampleNewest> orders_in_{*this, "orders", {.optional = true, .activity = "steer"}};
+  Trigger<TurnRequest, TurnResult> turn_{*this, "turn", &Mover::turn, {.doc = "turns on the spot", .activity = "steer"}};
+  Trigger<TurnRequest, TurnResult> turn_later_{*this, "turn_later", &Mover::turn_later, {.activity = "steer"}};
+  Task look_{*this, "look", 5ms, &Mover::look, "look"};
+  Task steer_{*this, "steer", 5ms, &Mover::steer, "steer"};
+};
+
 /// Puts samples at a pace, stamped at the last moment: the sending half of a latency benchmark.
 class Pacer final : public Component {
  public:
@@ -342,6 +390,7 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Answerer>("answerer", "answers in the manner asked for");
   plugin.add<fiona::test::Asker>("asker", "asks, and reports the outcome");
   plugin.add<fiona::test::Caller>("caller", "makes one call at a time, and reports the outcome");
+  plugin.add<fiona::test::Mover>("mover", "has modes that share activities");
   plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
   plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
 }

@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "fiona/error.hpp"
+#include "runtime.hpp"
 
 namespace fiona::conformance {
 namespace {
@@ -118,11 +119,38 @@ void RunningSystem::set(const std::string& instance_name, const std::string& par
   system_.set(request);
 }
 
-void RunningSystem::state(const std::string& instance_name, const std::string& mode) {
+std::shared_ptr<LaterAnswer> RunningSystem::begin_state(const std::string& instance_name, const std::string& mode,
+                                                       double within_ms) {
   control::State request;
+  request.set_within_ms(within_ms);
   request.set_instance(instance_name);
   request.set_mode(mode);
-  system_.state(request);
+  auto answer = std::make_shared<LaterAnswer>();
+  system_.state(1, 1, request, [answer](control::Reply reply) {
+    answer->reply = std::move(reply);
+    answer->ended = true;
+  });
+  return answer;
+}
+
+void RunningSystem::state(const std::string& instance_name, const std::string& mode) {
+  const auto answer = begin_state(instance_name, mode);
+  eventually("the change to " + mode, [&] { return answer->ended.load(); }, std::chrono::seconds(15));
+  if (answer->reply.has_failure()) host::throw_failure(answer->reply.failure());
+}
+
+control::Called RunningSystem::call(const std::string& target, const std::string& arguments, double within_ms) {
+  control::Call request;
+  *request.mutable_target() = port_name(target);
+  add_arguments(arguments, *request.mutable_arguments());
+  request.set_within_ms(within_ms);
+  auto answer = std::make_shared<LaterAnswer>();
+  system_.call(1, 1, request, [answer](control::Reply reply) {
+    answer->reply = std::move(reply);
+    answer->ended = true;
+  });
+  eventually("the end of the call", [&] { return answer->ended.load(); });
+  return answer->reply.called();
 }
 
 void RunningSystem::unload(const std::string& instance_name) {

@@ -1,9 +1,11 @@
 #pragma once
 
+#include <atomic>
 #include <condition_variable>
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <ostream>
 #include <string>
@@ -44,6 +46,12 @@ class SeenSample {
   std::string payload_;
 };
 
+/// How a change of mode, or a call, ended, once it has.
+struct LaterAnswer {
+  std::atomic<bool> ended{false};
+  control::Reply reply;  ///< to be read once it has ended
+};
+
 /// A running system in the test's process, with the test's components loaded as plugins. The provider's side lives in
 /// `main`; the client's side in `main` too, or behind ipc in a group.
 class RunningSystem {
@@ -57,6 +65,10 @@ class RunningSystem {
   void unwire(const std::string& client);
   void set(const std::string& instance, const std::string& parameters);
   void state(const std::string& instance, const std::string& mode);
+  /// Asks for a change of mode; the answer comes later.
+  std::shared_ptr<LaterAnswer> begin_state(const std::string& instance, const std::string& mode, double within_ms = 0);
+  /// Calls a port or trigger by hand and waits for the end.
+  control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
 

@@ -88,7 +88,7 @@ TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
 TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
   // Words that only the person knows: numbers, times, new names.
   const std::set<std::string> free{"",     "N",    "T",     "VALUE",    "CODE",
-                                   "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE"};
+                                   "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE", "FIELD=VALUE"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
     const std::string placeholder = slot.placeholder();
@@ -241,7 +241,7 @@ TEST(Completion, KnowsParametersAndTheirValues) {
   EXPECT_EQ(candidates("set walk direction="), (Texts{"direction=down", "direction=up"}));
 }
 
-TEST(Completion, KnowsModes) { EXPECT_EQ(candidates("state walk "), (Texts{"active", "neutral"})); }
+TEST(Completion, KnowsModes) { EXPECT_EQ(candidates("state walk "), (Texts{"active", "deactivated", "for", "neutral"})); }
 
 TEST(Completion, KnowsPluginsFilesAndOptions) {
   EXPECT_EQ(candidates("load tr"), Texts{"trace-player"});

@@ -220,7 +220,7 @@ TEST(Modes, UnknownModeIsToldWhichThereAre) {
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->code(), ErrorCode::Usage);
   EXPECT_EQ(error->text().what, "'source' cannot go from active to activ");
-  EXPECT_EQ(error->text().expected, "one of active, neutral");
+  EXPECT_EQ(error->text().expected, "one of active, neutral, deactivated");
   EXPECT_THAT(error->text().near, ElementsAre("active"));
 }
 

@@ -7,6 +7,6 @@ file(WRITE ${OUT} "abi: \"${ABI}\"
 components {
   name: \"${COMPONENT}\"
   ports { name: \"${PORT}\" direction: PROVIDES service: \"fiona.localisation.StepProvider\" }
-  modes: \"active\"
+  modes { name: \"active\" }
 }
 ")

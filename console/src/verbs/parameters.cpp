@@ -67,13 +67,14 @@ void state(Session& session, const Line& line) {
         {{"instance", instance.name()}, {"mode", instance.mode()}, {"modes", modes}, {"reason", instance.reason()}});
     std::string text = fmt::format("{} is {}", instance.name(), instance.mode());
     if (!instance.reason().empty()) text += ": " + instance.reason();
-    if (!modes.empty()) text += fmt::format("  (it knows neutral, {})", fmt::join(modes, ", "));
+    if (!modes.empty()) text += fmt::format("  (it knows neutral, deactivated, {})", fmt::join(modes, ", "));
     return session.out.text(text);
   }
   control::Request request;
   request.mutable_state()->set_instance(line.positional[0].text);
   request.mutable_state()->set_mode(line.positional[1].text);
-  const control::Reply reply = session.call(std::move(request));
+  if (const Word* within = line.clause("for")) request.mutable_state()->set_within_ms(duration_ms(*within, line.words));
+  const control::Reply reply = session.host().call_waiting(std::move(request));
   session.out.done(reply.done().note().empty()
                        ? fmt::format("{} is {}", line.positional[0].text, line.positional[1].text)
                        : reply.done().note());

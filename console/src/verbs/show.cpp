@@ -37,12 +37,19 @@ void show_ports(Session& session, const control::InstanceStatus& instance) {
   session.out.table(table, "it has no ports");
 }
 
+std::string mode_text(const control::InstanceStatus& instance) {
+  if (!instance.has_pending()) return instance.mode();
+  const auto& pending = instance.pending();
+  return fmt::format("{}, to {}: blocked by {} for {:.1f} s", instance.mode(), pending.to(), pending.blocked_by(),
+                     pending.blocked_s());
+}
+
 void show_instance(Session& session, const control::InstanceStatus& instance) {
   Table facts({"fact", "value"});
   facts.add({"instance", instance.name()});
   facts.add({"plugin", fmt::format("{} {}", instance.plugin(), instance.version())});
   facts.add({"component", instance.component()});
-  facts.add({"mode", instance.mode()});
+  facts.add({"mode", mode_text(instance)});
   if (!instance.reason().empty()) facts.add({"reason", instance.reason()});
   facts.add({"modes", fmt::format("{}", fmt::join(instance.modes(), ", "))});
   facts.add({"group", instance.group()});
@@ -58,14 +65,20 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
                     parameter.doc()});
   if (!parameters.empty()) session.out.text("");
   session.out.table(parameters, "");
-  Table tasks({"task", "period", "runs", "overruns"});
+  Table tasks({"task", "activity", "period", "runs", "overruns"});
   for (const auto& task : instance.tasks())
     tasks.add({task.name(),
+               task.activity(),
                {fmt::format("{:g} ms", task.period_ms()), task.period_ms()},
                {fmt::format("{}", task.runs()), task.runs()},
                {fmt::format("{}", task.overruns()), task.overruns()}});
   if (!tasks.empty()) session.out.text("");
   session.out.table(tasks, "");
+  Table triggers({"trigger", "activity", "argument", "result", "doc"});
+  for (const auto& trigger : instance.triggers())
+    triggers.add({trigger.name(), trigger.activity(), short_name(trigger.argument()), short_name(trigger.result()), trigger.doc()});
+  if (!triggers.empty()) session.out.text("");
+  session.out.table(triggers, "");
 }
 
 void show_port(Session& session, const control::InstanceStatus& instance, const control::PortStatus& port) {
@@ -75,6 +88,7 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
   facts.add({"direction", required ? (port.optional() ? "requires, optional" : "requires") : "provides"});
   facts.add({"service", port.service()});
   facts.add({"pattern", pattern_text(port.pattern())});
+  if (!port.activity().empty()) facts.add({"activity", port.activity()});
   if (required) facts.add({"connection", fmt::format("{}, for {:.1f} s", connection_text(port), port.since_s())});
   if (required && !port.peer().instance().empty()) facts.add({"wired to", text_of(port.peer())});
   if (required && port.prescale() > 1) facts.add({"every", {fmt::format("{}", port.prescale()), port.prescale()}});

@@ -12,6 +12,7 @@ void unwire(Session& session, const Line& line);
 void set(Session& session, const Line& line);
 void get(Session& session, const Line& line);
 void state(Session& session, const Line& line);
+void call(Session& session, const Line& line);
 void ls(Session& session, const Line& line);
 void show(Session& session, const Line& line);
 void spots(Session& session, const Line& line);

@@ -7,12 +7,14 @@
 
 #include "fiona/error.hpp"
 #include "fiona/event.hpp"
+#include "fiona/modes.hpp"
 #include "fiona/params.hpp"
 #include "fiona/push.hpp"
 #include "fiona/query.hpp"
 #include "fiona/send.hpp"
 #include "fiona/task.hpp"
 #include "fiona/time.hpp"
+#include "fiona/trigger.hpp"
 
 namespace fiona {
 

@@ -1,8 +1,10 @@
 #pragma once
 
+#include <deque>
 #include <filesystem>
 #include <functional>
 #include <list>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -27,11 +29,25 @@ class HullEvents {
   virtual void logged(const std::string& instance, LogLevel level, std::string_view text) = 0;
 };
 
-inline constexpr std::string_view kModeInit = "init";
-inline constexpr std::string_view kModeNeutral = "neutral";
-inline constexpr std::string_view kModeActive = "active";
-inline constexpr std::string_view kModeFailed = "failed";
-inline constexpr std::string_view kModeShutdown = "shutdown";
+class Hull;
+
+/// Running work that holds an activity; while one lives no change of mode leaves it. [strand]
+class ActivityHold {
+ public:
+  ActivityHold(Hull& hull, std::string activity) : hull_(&hull), activity_(std::move(activity)) {}
+  ActivityHold(ActivityHold&& other) noexcept
+      : hull_(std::exchange(other.hull_, nullptr)), activity_(std::move(other.activity_)) {}
+  ActivityHold& operator=(ActivityHold&& other) noexcept {
+    std::swap(hull_, other.hull_);
+    std::swap(activity_, other.activity_);
+    return *this;
+  }
+  ~ActivityHold();
+
+ private:
+  Hull* hull_;
+  std::string activity_;
+};
 
 /// The component hull (document 2.1.1): between a component's inside and the system. Hosts and test benches use it;
 /// component authors meet it only through `Component`, ports, tasks and parameters.
@@ -55,9 +71,13 @@ class Hull {
   /// [any thread but the strand] Sets parameters; throws Error as ParamsBase::apply does, Unreachable when the
   /// strand did not take it within `deadline`.
   void set_parameters(std::span<const control::Argument> changes, Duration deadline);
-  /// [any thread but the strand] init -> `mode` (on_start, then on_mode), or from one mode of life to another.
-  /// Illegal transitions throw Error naming what is allowed; a component that refuses is `failed`, thrown as
-  /// ComponentFailed.
+  /// [any thread] init -> `mode` (on_start, then on_mode), or from one mode of life to another, once what the old mode
+  /// leaves is free. Requests queue in their order. Illegal transitions throw Error naming what is allowed. `done` is
+  /// called once, on the strand: with ComponentFailed if the component refused; with Unreachable, naming what blocked it,
+  /// if the change was not made by the deadline and was withdrawn. It is not called once the strand has been closed.
+  using ModeDone = std::function<void(const std::optional<Error>&)>;
+  void change_mode(std::string_view mode, Duration deadline, ModeDone done);
+  /// [any thread but the strand] The same, waiting for it at most for `deadline` of the machine's own time.
   void set_mode(std::string_view mode, Duration deadline);
   /// [any thread but the strand] Closes the ports, cancels tasks, runs on_stop, drains; then the component is
   /// destroyed. False if the strand did not come free within `deadline`: the component is then leaked on purpose,
@@ -71,7 +91,17 @@ class Hull {
   std::string mode() const;
   std::string reason() const;
   bool is_active() const { return active_.load(std::memory_order_acquire); }
-  std::vector<std::string> main_modes() const { return {std::string(kModeActive)}; }
+  std::vector<std::string> main_modes() const;
+  const std::vector<MainMode>& modes() const { return modes_; }
+  /// [any thread] Whether `mode` is a main mode that has the activity; empty: any main mode.
+  bool serves(std::string_view mode, std::string_view activity) const;
+  struct PendingChange {
+    std::string to;
+    std::string blocked_by;
+    TimePoint since;  ///< when that began to run
+  };
+  /// [any thread] The change of mode that waits for an activity to come free.
+  std::optional<PendingChange> pending_change() const;
 
   Clock& clock() const { return surroundings_.clock; }
   Strand& strand() const { return *strand_; }
@@ -83,15 +113,23 @@ class Hull {
   const std::vector<Port*>& ports() const { return ports_; }
   const std::vector<Task*>& tasks() const { return tasks_; }
   detail::ParamsBase* parameters() const { return params_; }
+  const std::vector<detail::TriggerBase*>& triggers() const { return triggers_; }
   /// Null when there is none.
   Port* find_port(std::string_view name) const;
+  detail::TriggerBase* find_trigger(std::string_view name) const;
 
   /// [strand] Starts `work`. True if it has ended at once; else `then` runs on the strand when it has. The hull owns
   /// it, and destroys it with the instance if it never ends. What it throws fails the instance.
   bool spawn(Async<> work, Job then);
   /// [strand] While on, the calls of all ports, or of those of a pattern, end with Cancelled.
   void cancel_calls(bool on, std::optional<Pattern> pattern = std::nullopt);
-  bool calls_are_cancelled(Pattern pattern) const { return cancelled_.contains(pattern); }
+  bool calls_are_cancelled(Pattern pattern) const { return deactivated_ || cancelled_.contains(pattern); }
+
+  /// [strand] Whether a change waits that leaves this activity: nothing new begins in it.
+  bool is_leaving(std::string_view activity) const;
+  /// [strand] Holds an activity of the present mode; none if the mode has it not, or is about to be left. `by` is shown
+  /// to whoever waits.
+  std::optional<ActivityHold> acquire(std::string_view activity, std::string_view by);
 
   /// [strand] Runs `work`, and fails the instance with what it throws.
   void guarded(const std::function<void()>& work);
@@ -101,12 +139,31 @@ class Hull {
   friend class Task;
   friend class Timer;
   friend class detail::ParamsBase;
+  friend class detail::TriggerBase;
+  friend class ActivityHold;
+  friend class Modes;
+  struct ModeChange;
+  struct Held {
+    std::size_t count = 0;
+    std::string by;
+    TimePoint since;
+  };
 
   void add(Port& port);
+  void add(detail::TriggerBase& trigger);
+  void require_free_name(std::string_view name) const;
+  void declare(std::vector<MainMode> modes);
+  void check_activities() const;
+  void cancel_for_deactivation();
+  void advance_changes();
+  void drop_changes();
+  void withdraw(const std::shared_ptr<ModeChange>& change);
+  std::optional<PendingChange> blocked_by(const std::string& to) const;
+  void release(const std::string& activity);
   void enter(std::string_view mode);
   void start_component();
-  [[noreturn]] void throw_failure() const;
-  void leave_main_mode();
+  Error failure() const;
+  void leave_activities(std::string_view to);
   void check_transition(std::string_view to) const;
   Async<> watched(Async<> work, std::list<Async<>>::iterator* self, Job then);
 
@@ -115,18 +172,28 @@ class Hull {
   std::shared_ptr<Strand> strand_;
   std::vector<Port*> ports_;
   std::vector<Task*> tasks_;
+  std::vector<detail::TriggerBase*> triggers_;
   std::set<Timer*> timers_;
   detail::ParamsBase* params_ = nullptr;
   std::list<Async<>> spawned_;  ///< strand only
-  std::set<Pattern> cancelled_;  ///< strand only
+  std::set<Pattern> cancelled_;  ///< strand only, as are the next three
+  bool deactivated_ = false;
+  std::deque<std::shared_ptr<ModeChange>> changes_;
+  std::map<std::string, Held, std::less<>> held_;
+  std::vector<MainMode> modes_{{std::string(kModeActive), {}}};  ///< fixed once the component has been made
   std::unique_ptr<Component> component_;
   bool started_ = false;
 
   mutable std::mutex mutex_;
   std::string mode_{kModeInit};
   std::string reason_;
+  std::optional<PendingChange> pending_;
   std::optional<ErrorText> refusal_;  ///< what on_start threw, kept whole for whoever asked for the mode
   std::atomic<bool> active_{false};
 };
+
+inline ActivityHold::~ActivityHold() {
+  if (hull_) hull_->release(activity_);
+}
 
 }  // namespace fiona

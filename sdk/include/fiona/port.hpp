@@ -19,6 +19,7 @@
 
 namespace fiona {
 
+class ActivityHold;
 class Component;
 class Hull;
 
@@ -41,6 +42,7 @@ struct PortOptions {
   std::string_view doc = {};
   Delivery delivery = Delivery::Each;
   AtRewire at_rewire = AtRewire::Finish;
+  std::string_view activity = {};  ///< the port works in the main modes that have it; empty: in all
 };
 
 /// Counters of a port, written on its strand or link, read by anyone.
@@ -118,16 +120,23 @@ class Port {
   const ServiceInfo& service() const { return service_; }
   bool optional() const { return optional_; }
   const std::string& doc() const { return doc_; }
+  const std::string& activity() const { return activity_; }
   Hull& hull() const { return hull_; }
+  /// [any thread] Whether the instance's mode serves this port.
+  bool is_active() const;
+  /// [strand] Told by the hull when the mode changes.
+  void set_served(bool served);
   /// `instance.port`
   std::string full_name() const;
   PortCounters& counters() { return counters_; }
 
-  /// [strand] The instance has entered a main mode, or left all of them.
-  virtual void on_active() {}
-  virtual void on_inactive() {}
   /// [strand] The instance shuts down: end what waits, let go of sinks.
   virtual void close() {}
+
+ protected:
+  /// [strand] The instance has entered a mode that serves the port, or left it.
+  virtual void on_active() {}
+  virtual void on_inactive() {}
 
  private:
   Hull& hull_;
@@ -136,6 +145,8 @@ class Port {
   const ServiceInfo& service_;
   const bool optional_;
   const std::string doc_;
+  const std::string activity_;
+  std::atomic<bool> served_{false};
   PortCounters counters_;
 };
 
@@ -205,6 +216,7 @@ class Inbox {
   // strand only
   std::deque<Parcel> batch_;
   std::optional<Parcel> current_;  ///< what the handler, perhaps a coroutine, refers to
+  std::shared_ptr<ActivityHold> hold_;  ///< of a coroutine
 };
 
 /// A port that provides: messages leave through sinks (push) or enter through an inbox (send, query).
@@ -229,7 +241,6 @@ class RequiredPort : public Port {
   /// [any thread] Where a send or query client's messages go from now on; null: nowhere.
   virtual void set_target(std::shared_ptr<Sink> /*target*/) {}
   void close() override { on_connection(Connection::Unwired); }
-  void on_inactive() override { calls_.finish_all(Outcome::NotActive); }
 
   /// [strand] While on, every call of this port that waits or is made ends with Cancelled. The same for all ports:
   /// `Component::cancel_calls`.
@@ -249,6 +260,7 @@ class RequiredPort : public Port {
  protected:
   /// [strand] The connection has changed.
   virtual void on_connection(Connection) {}
+  void on_inactive() override { calls_.finish_all(Outcome::NotActive); }
   /// [strand] Why a call cannot be made now, if so.
   std::optional<Outcome> obstacle() const;
   detail::Calls& calls() { return calls_; }

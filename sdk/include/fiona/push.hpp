@@ -26,11 +26,11 @@ class PushProvider : public ProvidedPort {
   void detach(const Sink& sink);
   /// [any thread] How many subscribers there are now.
   std::size_t subscribers() const;
-  void on_active() override;
-  void on_inactive() override;
   void close() override;
 
  protected:
+  void on_active() override;
+  void on_inactive() override;
   /// [strand] The provider speaks: its lease begins anew.
   void renew();
   /// [strand] Ok, or Rejected when a field breaks its declared rule (counted; the first is told to the log).

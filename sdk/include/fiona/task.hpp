@@ -3,48 +3,65 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 
+#include "fiona/async.hpp"
 #include "fiona/clock.hpp"
 #include "fiona/time.hpp"
 
 namespace fiona {
 
+class ActivityHold;
 class Component;
 class Hull;
 
 /// Work that the hull starts on the strand once a period while the instance is in a main mode:
 /// `fiona::Task ticker_{*this, "ticker", 100ms, &Self::tick};`
 ///
-/// Runs keep to the grid of periods; a period that passes while the work still runs or the strand is busy is an
-/// overrun: counted, not made up for.
+/// The work may be a coroutine (`fiona::Async<> tick()`). Runs keep to the grid of periods; a period that passes while
+/// the work still runs or the strand is busy is an overrun: counted, not made up for. A task that names an activity runs
+/// in the main modes that have it; a coroutine of it holds that activity while it runs.
 class Task {
  public:
+  using Work = std::function<std::optional<Async<>>()>;
   template <class C>
-  Task(C& owner, std::string_view name, Duration period, void (C::*work)())
-      : Task(static_cast<Component&>(owner), name, period, [&owner, work] { (owner.*work)(); }) {}
-  Task(Component& owner, std::string_view name, Duration period, std::function<void()> work);
+  Task(C& owner, std::string_view name, Duration period, void (C::*work)(), std::string_view activity = {})
+      : Task(static_cast<Component&>(owner), name, period,
+             Work([&owner, work] { return (owner.*work)(), std::nullopt; }), activity) {}
+  template <class C>
+  Task(C& owner, std::string_view name, Duration period, Async<> (C::*work)(), std::string_view activity = {})
+      : Task(static_cast<Component&>(owner), name, period,
+             Work([&owner, work] { return std::optional((owner.*work)()); }), activity) {}
+  Task(Component& owner, std::string_view name, Duration period, Work work, std::string_view activity = {});
   Task(const Task&) = delete;
   Task& operator=(const Task&) = delete;
 
   const std::string& name() const { return name_; }
   Duration period() const { return period_; }
+  const std::string& activity() const { return activity_; }
   std::uint64_t runs() const { return runs_.load(std::memory_order_relaxed); }
   std::uint64_t overruns() const { return overruns_.load(std::memory_order_relaxed); }
 
-  /// [strand] Called by the hull when the instance enters or leaves its main modes.
+  /// [strand] Called by the hull when the instance enters or leaves a mode that has the activity; again is no harm.
   void start();
   void stop();
 
  private:
   void arm();
   void fire(std::uint64_t start_count);
+  void run();
+  void next_due();
 
   Hull& hull_;
   const std::string name_;
   const Duration period_;
-  const std::function<void()> work_;
+  const Work work_;
+  const std::string activity_;
+  std::shared_ptr<ActivityHold> hold_;  ///< while a coroutine runs
+  bool busy_ = false;
   TimePoint due_{};
   TimerId timer_ = 0;
   std::uint64_t start_count_ = 0;

@@ -1,0 +1,46 @@
+// call, send: what uses one port or trigger by hand.
+#include <fmt/format.h>
+
+#include "../types.hpp"
+#include "verbs.hpp"
+
+namespace fiona::console::verbs {
+namespace {
+
+void tell_result(Session& session, const std::string& target, const control::Called& called) {
+  nlohmann::json facts{{"call", target}, {"run", called.run()}, {"outcome", called.outcome()}, {"after_ms", called.after_ms()}};
+  std::string text = fmt::format("{} ended after {:.0f} ms", target, called.after_ms());
+  if (!called.result().type().empty()) {
+    const TypeSet types(called.result().files());
+    const auto object = types.make(called.result().type());
+    if (!object || !object->ParseFromString(called.result().object())) {
+      throw Error(ErrorCode::Failed, {.what = fmt::format("the answer of {} is not readable here", target),
+                                      .found = called.result().type()});
+    }
+    facts["result"] = object_json(*object);
+    for (const FieldText& field : field_texts(*object, {})) {
+      text += fmt::format("\n  {}={}{}", field.path, field.text, field.unit.empty() ? "" : " " + field.unit);
+    }
+  }
+  session.out.object(facts);
+  session.out.text(text);
+}
+
+}  // namespace
+
+void call(Session& session, const Line& line) {
+  const std::string& target = line.positional[0].text;
+  control::Request request;
+  control::Call& call = *request.mutable_call();
+  *call.mutable_target() = port_name(line.positional[0], line.words);
+  for (control::Argument& argument : line.control_arguments()) *call.add_arguments() = std::move(argument);
+  if (const Word* within = line.clause("for")) call.set_within_ms(duration_ms(*within, line.words));
+  const control::Called called = session.host().call_waiting(std::move(request)).called();
+  if (called.outcome() == "ok") return tell_result(session, target, called);
+  throw Error(called.outcome() == "timeout" ? ErrorCode::Unreachable : ErrorCode::Failed,
+              {.what = fmt::format("{}: {}{}", target, called.outcome(), called.reason().empty() ? "" : ", " + called.reason()),
+               .where = target,
+               .next = "show " + call.target().instance()});
+}
+
+}  // namespace fiona::console::verbs

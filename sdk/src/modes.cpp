@@ -1,0 +1,224 @@
+#include "fiona/modes.hpp"
+
+#include <algorithm>
+#include <future>
+#include <set>
+
+#include "fiona/component.hpp"
+#include "fiona/hull.hpp"
+
+namespace fiona {
+
+Modes::Modes(Component& owner, std::initializer_list<MainMode> modes) {
+  std::set<std::string> taken;
+  for (const auto reserved : {kModeInit, kModeNeutral, kModeDeactivated, kModeFailed, kModeShutdown}) taken.emplace(reserved);
+  for (const MainMode& mode : modes) {
+    if (!mode.name.empty() && taken.insert(mode.name).second) continue;
+    throw Error(ErrorCode::Usage, {.what = "'" + mode.name + "' cannot be a main mode: the name is reserved or given twice",
+                                   .where = owner.name(),
+                                   .expected = "names of their own, other than init, neutral, deactivated, failed, shutdown"});
+  }
+  if (modes.size() == 0) {
+    throw Error(ErrorCode::Usage, {.what = "no main mode is named", .where = owner.name(),
+                                   .next = "name one, or leave Modes out: a component without has 'active'"});
+  }
+  owner.hull().declare(modes);
+}
+
+// ---- the machine ----------------------------------------------------------------------------------------------
+
+void Hull::declare(std::vector<MainMode> modes) { modes_ = std::move(modes); }
+
+std::vector<std::string> Hull::main_modes() const {
+  std::vector<std::string> names;
+  for (const auto& mode : modes_) names.push_back(mode.name);
+  return names;
+}
+
+bool Hull::serves(std::string_view mode, std::string_view activity) const {
+  const auto found = std::find_if(modes_.begin(), modes_.end(), [&](const MainMode& one) { return one.name == mode; });
+  if (found == modes_.end()) return false;
+  return activity.empty() || std::find(found->activities.begin(), found->activities.end(), activity) != found->activities.end();
+}
+
+void Hull::check_activities() const {
+  std::set<std::string> known{""};
+  for (const auto& mode : modes_) known.insert(mode.activities.begin(), mode.activities.end());
+  const auto require = [&](const std::string& user, const std::string& activity) {
+    if (known.contains(activity)) return;
+    throw Error(ErrorCode::Usage, {.what = "'" + user + "' names the activity '" + activity + "', which no main mode has",
+                                   .where = name_,
+                                   .near = nearest_names(activity, std::vector<std::string>(known.begin(), known.end()))});
+  };
+  for (const Port* port : ports_) require(port->name(), port->activity());
+  for (const Task* task : tasks_) require(task->name(), task->activity());
+  for (const auto* trigger : triggers_) require(trigger->name(), trigger->activity());
+}
+
+/// A change of mode that was asked for.
+struct Hull::ModeChange {
+  std::string to;
+  ModeDone done;
+  TimerId deadline = 0;
+};
+
+std::optional<Hull::PendingChange> Hull::pending_change() const {
+  const std::lock_guard lock(mutex_);
+  return pending_;
+}
+
+void Hull::check_transition(std::string_view to) const {
+  const std::string from = mode();
+  std::vector<std::string> modes = main_modes();
+  modes.emplace_back(kModeNeutral);
+  modes.emplace_back(kModeDeactivated);
+  const bool known = std::find(modes.begin(), modes.end(), to) != modes.end();
+  const bool alive = from != kModeFailed && from != kModeShutdown;
+  if (known && alive) return;
+  std::string expected;
+  for (const auto& mode : modes) expected += (expected.empty() ? "" : ", ") + mode;
+  throw Error(known ? ErrorCode::NotAllowed : ErrorCode::Usage,
+              {.what = "'" + name_ + "' cannot go from " + from + " to " + std::string(to),
+               .where = name_,
+               .expected = known ? "an instance that is alive" : "one of " + expected,
+               .found = known ? from + (reason().empty() ? "" : ": " + reason()) : std::string(to),
+               .next = known ? "unload " + name_ + ", then load it again" : "state " + name_ + " " + modes.front(),
+               .near = nearest_names(to, modes)});
+}
+
+void Hull::change_mode(std::string_view mode, Duration deadline, ModeDone done) {
+  check_transition(mode);
+  const auto change = std::make_shared<ModeChange>(ModeChange{std::string(mode), std::move(done), 0});
+  strand_->post([this, change, deadline] {
+    changes_.push_back(change);
+    change->deadline = clock().schedule(clock().now() + deadline, strand_, [this, change] { withdraw(change); });
+    if (change->to == kModeDeactivated) cancel_for_deactivation();
+    advance_changes();
+  });
+}
+
+void Hull::set_mode(std::string_view mode, Duration deadline) {
+  const auto end = std::make_shared<std::promise<std::optional<Error>>>();
+  auto ended = end->get_future();
+  change_mode(mode, deadline, [end](const std::optional<Error>& error) { end->set_value(error); });
+  surroundings_.executor.help();
+  if (ended.wait_for(deadline) != std::future_status::ready) {
+    throw Error(ErrorCode::Unreachable,
+                {.what = "'" + name_ + "' did not change its mode in time: a handler still runs, or it has ended",
+                 .where = name_,
+                 .next = "show " + name_});
+  }
+  if (const auto error = ended.get()) throw *error;
+}
+
+/// Its time is up: what blocks it goes on, and so does the next in the queue.
+void Hull::withdraw(const std::shared_ptr<ModeChange>& change) {
+  if (std::erase(changes_, change) == 0) return;
+  const auto pending = pending_change();
+  const auto to_deactivated = [](const auto& other) { return other->to == kModeDeactivated; };
+  deactivated_ = mode() == kModeDeactivated || std::any_of(changes_.begin(), changes_.end(), to_deactivated);
+  const std::string by = pending ? ": blocked by " + pending->blocked_by : "";
+  advance_changes();
+  change->done(Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' did not change its mode to " + change->to + " in time" + by,
+                                              .where = name_,
+                                              .next = "state " + name_ + " deactivated, which cancels what waits"}));
+}
+
+/// The instance shuts down, which waits for nobody.
+void Hull::drop_changes() {
+  for (const auto& change : std::exchange(changes_, {})) {
+    clock().cancel(change->deadline);
+    change->done(Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' was unloaded", .where = name_}));
+  }
+}
+
+/// Neutral waits for what runs; deactivated ends its waits first, so that it comes to an end.
+void Hull::cancel_for_deactivation() {
+  deactivated_ = true;
+  for (Port* port : ports_) {
+    if (auto* client = dynamic_cast<RequiredPort*>(port)) client->calls_.finish_all(Outcome::Cancelled);
+  }
+}
+
+void Hull::advance_changes() {
+  while (!changes_.empty()) {
+    const auto change = changes_.front();
+    auto blocked = blocked_by(change->to);
+    {
+      const std::lock_guard lock(mutex_);
+      pending_ = blocked;
+    }
+    if (blocked) return;
+    changes_.pop_front();
+    clock().cancel(change->deadline);
+    enter(change->to);
+    change->done(mode() == kModeFailed ? std::optional(failure()) : std::nullopt);
+  }
+  const std::lock_guard lock(mutex_);
+  pending_.reset();
+}
+
+std::optional<Hull::PendingChange> Hull::blocked_by(const std::string& to) const {
+  for (const auto& [activity, held] : held_) {
+    if (!serves(to, activity)) return PendingChange{to, held.by, held.since};
+  }
+  return std::nullopt;
+}
+
+bool Hull::is_leaving(std::string_view activity) const {
+  return !changes_.empty() && !serves(changes_.front()->to, activity);
+}
+
+std::optional<ActivityHold> Hull::acquire(std::string_view activity, std::string_view by) {
+  if (!serves(mode(), activity) || is_leaving(activity)) return std::nullopt;
+  auto found = held_.find(activity);
+  if (found == held_.end()) found = held_.emplace(activity, Held{0, std::string(by), clock().now()}).first;
+  ++found->second.count;
+  return ActivityHold(*this, std::string(activity));
+}
+
+void Hull::release(const std::string& activity) {
+  const auto found = held_.find(activity);
+  if (found == held_.end() || --found->second.count > 0) return;
+  held_.erase(found);
+  if (!changes_.empty()) strand_->post([this] { advance_changes(); });
+}
+
+void Hull::enter(std::string_view to) {
+  const std::string from = mode();
+  if (from == to || from == kModeFailed || from == kModeShutdown) return;
+  if (from == kModeInit) {
+    guarded([this] { start_component(); });
+    if (mode() == kModeFailed) return;
+    started_ = true;
+  }
+  if (to != kModeDeactivated) deactivated_ = false;
+  leave_activities(to);
+  {
+    const std::lock_guard lock(mutex_);
+    mode_ = to;
+  }
+  active_.store(serves(to, ""), std::memory_order_release);
+  for (Task* task : tasks_) {
+    if (serves(to, task->activity())) task->start();
+  }
+  for (Port* port : ports_) port->set_served(serves(to, port->activity()));
+  guarded([this, to] { component_->on_mode(to); });
+  if (mode() == to) events().mode_changed(name_, std::string(to), {});
+}
+
+/// Ends what works in this mode and not in `to`.
+void Hull::leave_activities(std::string_view to) {
+  if (!serves(to, "")) {
+    active_.store(false, std::memory_order_release);
+    for (Timer* timer : timers_) timer->cancel();
+  }
+  for (Task* task : tasks_) {
+    if (!serves(to, task->activity())) task->stop();
+  }
+  for (Port* port : ports_) {
+    if (!serves(to, port->activity())) port->set_served(false);
+  }
+}
+
+}  // namespace fiona

@@ -1,0 +1,62 @@
+#include "fiona/trigger.hpp"
+
+#include "fiona/hull.hpp"
+
+namespace fiona::detail {
+
+TriggerBase::TriggerBase(Component& owner, std::string_view name, const google::protobuf::Descriptor& argument,
+                         const google::protobuf::Descriptor& result, const TriggerOptions& options, Handler handler)
+    : hull_(owner.hull()),
+      name_(name),
+      doc_(options.doc),
+      activity_(options.activity),
+      argument_(argument),
+      result_(result),
+      rules_(argument),
+      handler_(std::move(handler)) {
+  hull_.add(*this);
+}
+
+/// Passes the outcome on, and counts the call as ended.
+class TriggerBase::Counted final : public ReplySink {
+ public:
+  Counted(std::shared_ptr<ReplySink> reply, std::shared_ptr<std::atomic<int>> calls)
+      : reply_(std::move(reply)), calls_(std::move(calls)) {}
+  ~Counted() override { --*calls_; }
+  void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
+    reply_->answer(outcome, std::move(reason), std::move(object));
+  }
+
+ private:
+  const std::shared_ptr<ReplySink> reply_;
+  const std::shared_ptr<std::atomic<int>> calls_;
+};
+
+void TriggerBase::call(std::shared_ptr<const Object> argument, std::shared_ptr<ReplySink> reply) {
+  if (++*calls_ > kMaxCalls) {
+    --*calls_;
+    return reply->answer(Outcome::Rejected, "too many calls of '" + name_ + "' are under way", nullptr);
+  }
+  auto counted = std::make_shared<Counted>(reply, calls_);
+  const bool taken = hull_.strand().post([this, argument = std::move(argument), counted] { run(argument, counted); });
+  if (!taken) reply->answer(Outcome::Disconnected, "the instance has ended", nullptr);
+}
+
+void TriggerBase::run(const std::shared_ptr<const Object>& argument, std::shared_ptr<ReplySink> reply) {
+  if (const auto violation = rules_.first_violation(*argument)) {
+    return reply->answer(Outcome::Rejected, "the argument was refused: " + *violation, nullptr);
+  }
+  const std::string mode = hull_.mode();
+  if (!hull_.serves(mode, activity_) || hull_.is_leaving(activity_)) {
+    return reply->answer(Outcome::NotActive, "mode " + mode, nullptr);
+  }
+  std::optional<Async<>> coroutine;
+  hull_.guarded([&] { coroutine = handler_(*argument, std::move(reply)); });
+  if (!coroutine) return;
+  auto hold = hull_.acquire(activity_, "trigger '" + name_ + "'");
+  auto held = hold ? std::make_shared<ActivityHold>(std::move(*hold)) : nullptr;
+  // The coroutine refers to the argument, which lives as long as this.
+  hull_.spawn(std::move(*coroutine), [argument, held = std::move(held)] {});
+}
+
+}  // namespace fiona::detail

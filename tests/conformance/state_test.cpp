@@ -1,0 +1,245 @@
+// Modes and activities (docs/patterns.md, State). They are the same whichever process the component is in.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "fiona/error.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+class State : public testing::TestWithParam<Transport> {
+ protected:
+  void SetUp() override { system.load_client("mover", "mover"); }
+
+  std::uint64_t count(const std::string& port) { return system.port("mover." + port).messages(); }
+  void expect_runs(const std::string& port) {
+    const auto before = count(port);
+    system.eventually(port + " runs", [&] { return count(port) > before + 2; });
+  }
+  /// `other` runs meanwhile, which shows that time has passed.
+  void expect_stands(const std::string& port, const std::string& other) {
+    const auto before = count(port);
+    expect_runs(other);
+    expect_runs(other);
+    EXPECT_EQ(count(port), before) << port;
+  }
+  /// Keeps the steering task waiting, with its activity held.
+  void hold_steering() {
+    system.load_provider("source", "source", "neutral");
+    system.wire("mover.orders", "source.newest");
+    system.set("mover", "work_ms=60000");
+    const auto runs = [&] { return system.instance("mover").tasks(1).overruns(); };
+    system.eventually("steering waits", [&] { return runs() > 2; });
+  }
+  std::string refusal_of(const std::string& mode) {
+    try {
+      system.state("mover", mode);
+    } catch (const Error& error) {
+      return error.text().what;
+    }
+    return "";
+  }
+
+  RunningSystem system{GetParam()};
+};
+
+TEST_P(State, LoadEntersTheFirstMainMode) {
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+  const auto instance = system.instance("mover");
+  EXPECT_THAT(std::vector<std::string>(instance.modes().begin(), instance.modes().end()), ElementsAre("drive", "park", "rest"));
+}
+
+TEST_P(State, EachMainModeRunsItsActivitiesAndNoOthers) {
+  expect_runs("looks");
+  expect_runs("steers");
+  system.state("mover", "park");
+  expect_stands("steers", "looks");
+  system.state("mover", "rest");
+  const auto looked = count("looks");
+  system.state("mover", "drive");
+  EXPECT_LE(count("looks"), looked + 1);
+  expect_runs("steers");
+}
+
+TEST_P(State, PortOfAnActivityIsNotActiveOutsideOfIt) {
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("mover.orders", "source.newest");
+  system.eventually("orders", [&] { return count("orders") > 3; });
+  system.state("mover", "park");
+  const auto before = count("orders");
+  expect_runs("looks");
+  EXPECT_EQ(count("orders"), before);
+}
+
+TEST_P(State, ChangeWaitsForTheActivityThatItLeavesAndSaysWhatBlocksIt) {
+  hold_steering();
+  const auto change = system.begin_state("mover", "park");
+  system.eventually("pending", [&] { return system.instance("mover").has_pending(); });
+  const auto pending = system.instance("mover").pending();
+  EXPECT_EQ(pending.to(), "park");
+  EXPECT_EQ(pending.blocked_by(), "task 'steer'");
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+  expect_runs("looks");  // common to both modes: it goes on
+  EXPECT_FALSE(change->ended);
+  system.state("source", "active");  // what the task waits for
+  system.eventually("the change", [&] { return change->ended.load(); });
+  EXPECT_EQ(change->reply.done().note(), "mover is park");
+  EXPECT_EQ(system.instance("mover").mode(), "park");
+}
+
+TEST_P(State, RequestsQueueInOrderAndEachIsAnswered) {
+  hold_steering();
+  const auto first = system.begin_state("mover", "park");
+  const auto second = system.begin_state("mover", "rest");
+  system.state("source", "active");
+  system.eventually("both", [&] { return first->ended && second->ended; });
+  EXPECT_EQ(first->reply.done().note(), "mover is park");
+  EXPECT_EQ(second->reply.done().note(), "mover is rest");
+  EXPECT_EQ(system.instance("mover").mode(), "rest");
+}
+
+TEST_P(State, ChangeThatIsBlockedForTooLongIsWithdrawnAndNamesWhatBlockedIt) {
+  hold_steering();
+  const auto change = system.begin_state("mover", "park", 50);
+  system.eventually("the answer", [&] { return change->ended.load(); });
+  EXPECT_EQ(change->reply.failure().what(), "'mover' did not change its mode to park in time: blocked by task 'steer'");
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+  EXPECT_FALSE(system.instance("mover").has_pending());
+}
+
+TEST_P(State, ChangeThatDoesNotLeaveTheHeldActivityIsMadeAtOnce) {
+  system.state("mover", "park");
+  system.state("mover", "drive");
+  hold_steering();
+  EXPECT_EQ(refusal_of("drive"), "");
+}
+
+TEST_P(State, DeactivatedCancelsWhatWaitsAndIsThenNeutral) {
+  hold_steering();
+  const auto outcome = system.watch("mover.outcome");
+  system.state("mover", "deactivated");
+  const auto ended = system.wait_for(outcome, [](const auto&) { return true; });
+  EXPECT_EQ(static_cast<Outcome>(ended.number()), Outcome::Cancelled);
+  EXPECT_EQ(system.instance("mover").mode(), "deactivated");
+  system.set("mover", "work_ms=0");
+  system.state("mover", "drive");
+  expect_runs("steers");
+}
+
+TEST_P(State, UnloadDoesNotWaitForAnActivity) {
+  hold_steering();
+  const auto start = std::chrono::steady_clock::now();
+  system.unload("mover");
+  EXPECT_LT(std::chrono::steady_clock::now() - start, 5s);
+}
+
+TEST_P(State, EveryPairOfModesOfALivingInstanceIsAllowed) {
+  const std::vector<std::string> modes{"drive", "park", "rest", "neutral", "deactivated"};
+  for (const auto& from : modes) {
+    for (const auto& to : modes) {
+      system.state("mover", from);
+      system.state("mover", to);
+      EXPECT_EQ(system.instance("mover").mode(), to) << "from " << from;
+    }
+  }
+}
+
+TEST_P(State, ModesThatNobodyMayAskForAreRefused) {
+  for (const std::string mode : {"init", "failed", "shutdown", "drift"}) {
+    EXPECT_THAT(refusal_of(mode), HasSubstr("cannot go from drive to " + mode));
+  }
+}
+
+// ---- triggers (docs/patterns.md, Parameters) ------------------------------------------------------------------
+
+class Triggers : public State {
+ protected:
+  int heading_of(const control::Called& called) {
+    const auto result = system.system().types().make(called.result().type());
+    result->ParseFromString(called.result().object());
+    return result->GetReflection()->GetInt32(*result, result->GetDescriptor()->FindFieldByName("heading"));
+  }
+};
+
+TEST_P(Triggers, RunsOnTheStrandAndTheCallerGetsARunIdAndTheResult) {
+  const auto first = system.call("mover.turn", "degrees=30");
+  const auto second = system.call("mover.turn", "degrees=12");
+  EXPECT_EQ(first.outcome(), "ok") << first.reason();
+  EXPECT_EQ(heading_of(first), 30);
+  EXPECT_EQ(heading_of(second), 42);
+  EXPECT_NE(first.run(), second.run());
+}
+
+TEST_P(Triggers, CoroutineAnswersLaterAndHoldsItsActivity) {
+  system.load_provider("source", "source", "neutral");
+  system.wire("mover.orders", "source.newest");
+  EXPECT_EQ(heading_of(system.call("mover.turn_later", "degrees=7")), 7);
+}
+
+TEST_P(Triggers, ErrorRejectsTheCallWithItsTextAndTheInstanceGoesOn) {
+  const auto called = system.call("mover.turn", "manner=error");
+  EXPECT_EQ(called.outcome(), "rejected");
+  EXPECT_EQ(called.reason(), "the wheel is stuck");
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+}
+
+TEST_P(Triggers, ExceptionFailsTheInstanceAndEndsTheCall) {
+  const auto called = system.call("mover.turn", "manner=throw");
+  EXPECT_EQ(called.outcome(), "rejected");
+  EXPECT_EQ(system.instance("mover").reason(), "the wheel came off");
+}
+
+TEST_P(Triggers, OutsideOfItsActivityIsNotActive) {
+  system.state("mover", "park");
+  const auto called = system.call("mover.turn", "degrees=1");
+  EXPECT_EQ(called.outcome(), "not_active");
+  EXPECT_EQ(called.reason(), "mode park");
+}
+
+TEST_P(Triggers, ArgumentOutsideItsRangeIsRefusedWithTheRule) {
+  try {
+    system.call("mover.turn", "degrees=200");
+    FAIL() << "it was taken";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.text().what, HasSubstr("degrees is 200, above 180"));
+  }
+}
+
+TEST_P(Triggers, UnknownNameGetsTheNearest) {
+  try {
+    system.call("mover.trun");
+    FAIL() << "it was taken";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "'mover' has no port or trigger 'trun'");
+    EXPECT_EQ(error.text().near.front(), "turn");
+  }
+}
+
+TEST_P(Triggers, QueryPortIsCalledByHandAndARequiredOneThroughItsWire) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "neutral");
+  system.wire("asker.echo", "answerer.echo");
+  EXPECT_EQ(system.call("answerer.echo", "number=5").outcome(), "ok");
+  EXPECT_EQ(system.call("asker.echo", "number=5").outcome(), "ok");
+  EXPECT_EQ(system.call("answerer.echo", "manner=never", 50).outcome(), "timeout");
+}
+
+TEST_P(Triggers, SendPortIsCalledByHand) {
+  system.load_client("sink", "sink");
+  EXPECT_EQ(system.call("sink.orders", "number=5").outcome(), "ok");
+  system.eventually("handled", [&] { return system.port("sink.orders").messages() == 1; });
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Triggers, testing::Values(Transport::Process, Transport::Ipc),
+                         [](const auto& one) { return to_string(one.param); });
+
+INSTANTIATE_TEST_SUITE_P(Over, State, testing::Values(Transport::Process, Transport::Ipc),
+                         [](const auto& one) { return to_string(one.param); });
+
+}  // namespace
+}  // namespace fiona::conformance
