@@ -25,6 +25,10 @@ bool is_push(const Port& port) {
   return pattern == PUSH_NEWEST || pattern == PUSH_TIMED;
 }
 
+const Object& prototype_of(const google::protobuf::Descriptor& type) {
+  return *google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type);
+}
+
 wire::Frame frame_for(std::uint64_t wire) {
   wire::Frame frame;
   frame.set_wire(wire);
@@ -236,8 +240,10 @@ RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, P
       wire_(wire),
       port_(port),
       object_rules_(port.service().object()),
+      objects_(prototype_of(port.service().object())),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
                                             : std::nullopt),
+      answers_(prototype_of(port.service().answer() ? *port.service().answer() : port.service().object())),
       admitted_(port.direction() == PortDirection::Provides) {}
 
 void RemoteWire::open(const std::function<std::uint64_t()>& attach) {
@@ -395,9 +401,8 @@ void RemoteWire::forget(std::uint64_t id) {
   served_.erase(id);
 }
 
-std::shared_ptr<Object> RemoteWire::parse(const google::protobuf::Descriptor& type, std::string_view object) const {
-  const Object* prototype = google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type);
-  std::shared_ptr<Object> parsed(prototype->New());
+std::shared_ptr<Object> RemoteWire::parse(ObjectPool& pool, std::string_view object) {
+  auto parsed = pool.acquire();
   if (!parsed->ParseFromArray(object.data(), static_cast<int>(object.size()))) return nullptr;
   return parsed;
 }
@@ -410,7 +415,7 @@ void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
   const bool request = frame.has_request();
   const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
   if (!inbox || !fits) return;
-  auto parsed = parse(port_.service().object(), object);
+  auto parsed = parse(objects_, object);
   auto refusal = parsed ? object_rules_.first_violation(*parsed) : "the object does not parse";
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
@@ -449,7 +454,7 @@ void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
     activation->event({});
     return;
   }
-  auto parsed = parse(*port_.service().answer(), object);
+  auto parsed = parse(answers_, object);
   const auto violation = parsed ? answer_rules_->first_violation(*parsed) : "it does not parse";
   if (violation) {
     port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
@@ -482,7 +487,7 @@ void RemoteWire::on_answer(const wire::Answer& answer, std::string_view object) 
   std::string reason = answer.reason();
   std::shared_ptr<Object> parsed;
   if (outcome == Outcome::Ok && answer_rules_) {
-    parsed = parse(*port_.service().answer(), object);
+    parsed = parse(answers_, object);
     const auto violation = parsed ? answer_rules_->first_violation(*parsed) : "it does not parse";
     if (violation) {
       outcome = Outcome::Rejected;

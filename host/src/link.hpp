@@ -119,7 +119,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void on_fired(const wire::Fired& fired, std::string_view object);
   void forget(std::uint64_t id);
   void give_credit(std::size_t bytes);
-  std::shared_ptr<Object> parse(const google::protobuf::Descriptor& type, std::string_view object) const;
+  static std::shared_ptr<Object> parse(ObjectPool& pool, std::string_view object);
   void send_frame(const wire::Frame& frame, const Object* object) { link_.send(peer_, frame, object); }
   CreditQueue::SendNow sender();
 
@@ -128,7 +128,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   const std::uint64_t wire_;
   Port& port_;
   const ObjectRules object_rules_;
+  ObjectPool objects_;
   const std::optional<ObjectRules> answer_rules_;
+  ObjectPool answers_;
   std::mutex mutex_;
   bool cut_ = false;
   bool opening_ = false;

@@ -3,6 +3,7 @@
 #include "fiona/pool.hpp"
 
 #include <algorithm>
+#include <boost/asio/defer.hpp>
 #include <boost/asio/executor_work_guard.hpp>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/posix/stream_descriptor.hpp>
@@ -33,8 +34,17 @@ Pool::~Pool() {
   for (auto& thread : threads_->threads) thread.join();
 }
 
+namespace {
+
+/// Whether this thread is in the callback of a watched descriptor.
+thread_local bool receiving = false;
+
+}  // namespace
+
 void Pool::submit(std::shared_ptr<Runnable> runnable) {
-  asio::post(threads_->context, [runnable = std::move(runnable)] { runnable->run(); });
+  auto run = [runnable = std::move(runnable)] { runnable->run(); };
+  // What a received message causes runs next on the thread that received it: to wake another costs as much as the work.
+  receiving ? asio::defer(threads_->context, std::move(run)) : asio::post(threads_->context, std::move(run));
 }
 
 namespace {
@@ -60,7 +70,9 @@ class Watch : public std::enable_shared_from_this<Watch> {
   void on_readable(const boost::system::error_code& error) {
     const std::lock_guard lock(mutex_);
     if (stopped_ || error) return;
+    receiving = true;
     ready_();
+    receiving = false;
     wait();
   }
 

@@ -40,42 +40,57 @@ Received<T> received(const Envelope& envelope) {
 
 }  // namespace detail
 
-/// Messages that are used again: a fresh 1 MiB costs more in page faults than in copying. Holds at most `kKept` idle
-/// messages. [any thread]
-template <class T>
-class MessagePool {
+/// Messages of one type that are used again: a fresh 1 MiB costs more in page faults than in copying. Holds at most
+/// `kKept` idle messages. [any thread]
+class ObjectPool {
  public:
+  /// Makes messages like `prototype`, which must outlive the pool and what it has given out.
+  explicit ObjectPool(const Object& prototype) : shelf_(std::make_shared<Shelf>(prototype)) {}
+
   /// A cleared message that returns to the pool when its last owner lets go, even after the pool itself is gone.
-  std::shared_ptr<T> acquire() {
-    std::unique_ptr<T> message = shelf_->take();
-    if (!message) message = std::make_unique<T>();
-    T* raw = message.release();
-    return std::shared_ptr<T>(raw, [shelf = shelf_](T* used) { shelf->put_back(std::unique_ptr<T>(used)); });
+  std::shared_ptr<Object> acquire() {
+    return {shelf_->take().release(), [shelf = shelf_](Object* used) { shelf->put_back(std::unique_ptr<Object>(used)); }};
   }
 
  private:
-  static constexpr std::size_t kKept = 16;
+  static constexpr std::size_t kKept = 4;
 
   class Shelf {
    public:
-    std::unique_ptr<T> take() {
-      const std::lock_guard lock(mutex_);
-      if (idle_.empty()) return nullptr;
-      auto message = std::move(idle_.back());
-      idle_.pop_back();
-      return message;
+    explicit Shelf(const Object& prototype) : prototype_(prototype) {}
+    std::unique_ptr<Object> take() {
+      {
+        const std::lock_guard lock(mutex_);
+        if (!idle_.empty()) {
+          auto message = std::move(idle_.back());
+          idle_.pop_back();
+          return message;
+        }
+      }
+      return std::unique_ptr<Object>(prototype_.New());
     }
-    void put_back(std::unique_ptr<T> message) {
+    void put_back(std::unique_ptr<Object> message) {
       message->Clear();
       const std::lock_guard lock(mutex_);
       if (idle_.size() < kKept) idle_.push_back(std::move(message));
     }
 
    private:
+    const Object& prototype_;
     std::mutex mutex_;
-    std::vector<std::unique_ptr<T>> idle_;
+    std::vector<std::unique_ptr<Object>> idle_;
   };
-  std::shared_ptr<Shelf> shelf_ = std::make_shared<Shelf>();
+  std::shared_ptr<Shelf> shelf_;
+};
+
+/// The same, of a type that is known.
+template <class T>
+class MessagePool {
+ public:
+  std::shared_ptr<T> acquire() { return std::static_pointer_cast<T>(pool_.acquire()); }
+
+ private:
+  ObjectPool pool_{T::default_instance()};
 };
 
 }  // namespace fiona
