@@ -212,7 +212,7 @@ Shape::Shape(std::string_view form) : text_(form) {
       options_.push_back({word.text, has_value ? take_slot() : Slot{{}, false, false}});
     } else if (is_keyword(word.text)) {
       clauses_.push_back({word.text, take_slot()});
-    } else if (word.text == "PARAM=VALUE") {
+    } else if (word.text == "PARAM=VALUE" || word.text == "FIELD=VALUE") {
       takes_arguments_ = true;
       needs_arguments_ = !word.optional;
     } else {

@@ -35,12 +35,13 @@ void call(Session& session, const Line& line) {
   *call.mutable_target() = port_name(line.positional[0], line.words);
   for (control::Argument& argument : line.control_arguments()) *call.add_arguments() = std::move(argument);
   if (const Word* within = line.clause("for")) call.set_within_ms(duration_ms(*within, line.words));
+  const std::string instance = call.target().instance();
   const control::Called called = session.host().call_waiting(std::move(request)).called();
   if (called.outcome() == "ok") return tell_result(session, target, called);
   throw Error(called.outcome() == "timeout" ? ErrorCode::Unreachable : ErrorCode::Failed,
               {.what = fmt::format("{}: {}{}", target, called.outcome(), called.reason().empty() ? "" : ", " + called.reason()),
                .where = target,
-               .next = "show " + call.target().instance()});
+               .next = "show " + instance});
 }
 
 }  // namespace fiona::console::verbs
