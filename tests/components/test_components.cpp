@@ -229,8 +229,9 @@ class Caller final : public Component {
     } else if (call == "latest") {
       const auto latest = samples_.latest();
       report(number, latest.outcome(), latest ? std::to_string((*latest)->number()) : latest.reason());
-    } else if (call == "query") {
-      const auto answer = co_await echo_.query(std::move(question), within);
+    } else if (call == "query" || call == "query_or_fail") {
+      auto& port = call == "query" ? echo_ : failing_echo_;
+      const auto answer = co_await port.query(std::move(question), within);
       report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
     } else if (call == "request") {
       const auto id = echo_.request(std::move(question));

@@ -160,6 +160,15 @@ TEST_P(Calls, OpenQueryFinishesOnTheOldProviderWhenItIsRewired) {
   EXPECT_EQ(system.port("second.echo").messages(), 1U);
 }
 
+TEST_P(Calls, OpenQueryOfAPortThatSaysSoEndsDisconnectedWhenItIsRewired) {
+  system.wire("caller.failing_echo", "answerer.echo");
+  system.load_provider("answerer", "second");
+  begin("query_or_fail", "manner=never");
+  system.wire("caller.failing_echo", "second.echo");
+  EXPECT_EQ(outcome(), Outcome::Disconnected);
+  EXPECT_EQ(outcome_of("query_or_fail", "manner=promptly"), Outcome::Ok);
+}
+
 TEST_P(Calls, RewireToAProviderInAnotherModeKeepsTheWireAndTellsNotActive) {
   wire_all();
   system.load_provider("answerer", "second", "neutral");
