@@ -474,10 +474,11 @@ class RealFiles : public testing::Test {
     if (!std::filesystem::exists(folder_)) GTEST_SKIP() << "no map at " << folder_ << ": set FIONA_DATA";
   }
 
-  /// The files are kept compressed; the reader takes plain .osm.
+  /// The files are kept compressed; the reader takes plain .osm. Tests run side by side, so each unpacks its own.
   Building read(const std::string& name, const std::string& unpack) const {
     const std::filesystem::path packed = folder_ / name;
-    const std::filesystem::path plain = std::filesystem::path(testing::TempDir()) / (name + ".osm");
+    const std::string test = testing::UnitTest::GetInstance()->current_test_info()->name();
+    const std::filesystem::path plain = std::filesystem::path(testing::TempDir()) / (test + ".osm");
     const std::string command = unpack + " -dc '" + packed.string() + "' > '" + plain.string() + "'";
     if (std::system(command.c_str()) != 0) throw std::runtime_error("cannot unpack " + packed.string());
     return Building::read(plain);
