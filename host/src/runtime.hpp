@@ -10,7 +10,7 @@
 #include "fiona/hull.hpp"
 #include "fiona/pool.hpp"
 #include "fiona/wire.pb.h"
-#include "link.hpp"
+#include "links.hpp"
 #include "plugin_library.hpp"
 
 namespace fiona::host {

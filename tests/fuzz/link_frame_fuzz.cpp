@@ -17,7 +17,7 @@
 #include "fiona/navigation.fiona.hpp"
 #include "fiona/rules.hpp"
 #include "fiona/testing/bench.hpp"
-#include "link.hpp"
+#include "links.hpp"
 
 namespace {
 
