@@ -139,6 +139,7 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"GROUP", groups},
       {"THING", things},
       {"VERB", verb_names},
+      {"LINE", verb_names},
       {"OP", operators},
       {"PLUGIN", [](const Asked& asked) { return asked.names.plugins(); }},
       {"PACKAGE", [](const Asked& asked) { return asked.names.packages(); }},
@@ -229,6 +230,9 @@ Completion complete(std::string_view typed, Names& names) {
     return completion;  // inside a quote: nothing is known
   }
   Candidates found;
+  if (const Verb* outer = before.empty() ? nullptr : find_verb(before.items.front().word.text); outer && outer->takes_line) {
+    before.items.erase(before.items.begin());
+  }
   if (before.empty()) {
     for (const Verb& verb : verb_rows()) found.push_back(verb.name);
   } else if (const Verb* verb = find_verb(before.items.front().word.text)) {

@@ -42,6 +42,7 @@ class Checker {
 
   CheckResult finish() {
     for (const auto& [name, instance] : instances_) add_spots(name, instance);
+    if (begun_) result_.errors.push_back(begun_->error(begun_->verb, {.what = "this transaction is not committed", .next = "commit"}));
     result_.instances = instances_.size();
     return std::move(result_);
   }
@@ -54,7 +55,9 @@ class Checker {
   void take(const Line& line) {
     static const std::map<std::string, void (Checker::*)(const Line&)> kChecks{
         {"load", &Checker::take_load},     {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
-        {"unwire", &Checker::take_unwire}, {"set", &Checker::take_set},       {"state", &Checker::take_mode},
+        {"unwire", &Checker::take_unwire}, {"swap", &Checker::take_swap},
+        {"begin", &Checker::take_begin},   {"commit", &Checker::take_commit}, {"abort", &Checker::take_commit},
+        {"set", &Checker::take_set},       {"state", &Checker::take_mode},
         {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},   {"get", &Checker::take_instance},
         {"call", &Checker::take_call},     {"send", &Checker::take_call},
         {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
@@ -240,6 +243,18 @@ class Checker {
     port_of(line, line.positional[0]);
     wired_.erase(line.positional[0].text);
   }
+  void take_swap(const Line& line) {
+    instance_of(line, line.positional[0]);
+    instance_of(line, *line.clause("for"));
+  }
+  void take_begin(const Line& line) {
+    if (begun_) throw line.error(line.verb, {.what = "a transaction has begun already", .next = "commit, or abort"});
+    begun_ = line;
+  }
+  void take_commit(const Line& line) {
+    if (!begun_) throw line.error(line.verb, {.what = "no transaction has begun", .next = "begin"});
+    begun_.reset();
+  }
   void take_set(const Line& line) {
     if (line.positional[0].text == "host") return check_host(line);
     check_parameters(line, instance_of(line, line.positional[0]));
@@ -335,6 +350,7 @@ class Checker {
   std::set<std::string> wired_;
   std::set<std::string> offered_;  // by `market install` lines above
   std::set<std::string> sourcing_;
+  std::optional<Line> begun_;
 };
 
 }  // namespace

@@ -16,6 +16,8 @@ namespace {
 constexpr std::size_t kMaxClients = 64;
 /// Events that may wait for the control thread; watched values beyond it are dropped.
 constexpr std::size_t kEventBound = 10'000;
+std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
+
 /// Unsent bytes above which a slow watcher loses samples, counted.
 constexpr std::size_t kSlowWatcher = 1024 * 1024;
 
@@ -26,13 +28,32 @@ struct ControlServer::Client {
   os::MessageStream stream;
 };
 
-ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options)
+ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore)
     : listener_(socket),
       system_(std::move(options), [this](const wire::GroupMessage& event) {
         events_.push(event, event.has_tapped() ? kEventBound : SIZE_MAX);
-      }) {}
+      }),
+      restored_(restore ? Journal::read(journal_of(socket)) : std::vector<control::Change>()),
+      engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }) {
+  if (restore) begin_restoring();
+}
 
 ControlServer::~ControlServer() = default;
+
+/// The system as a journal tells of it is made before the host says that it is there; one that cannot be is an error.
+void ControlServer::begin_restoring() {
+  control::Transact request;
+  request.set_whole(true);
+  request.mutable_changes()->Add(restored_.begin(), restored_.end());
+  std::optional<control::Reply> answered;
+  engine_.transact("restore", request, [&answered](const control::Reply& reply) { answered = reply; });
+  while (!answered) {
+    pollfd wait{work_.descriptor(), POLLIN, 0};
+    ::poll(&wait, 1, -1);
+    for (const auto& work : work_.take()) work();
+  }
+  if (answered->has_failure()) throw_failure(answered->failure());
+}
 
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
@@ -47,7 +68,8 @@ void ControlServer::poll_once(int lifeline, int signals) {
                             {events_.descriptor(), POLLIN, 0},
                             {outgoing_.descriptor(), POLLIN, 0},
                             {lifeline, POLLIN, 0},
-                            {signals, POLLIN, 0}};
+                            {signals, POLLIN, 0},
+                            {work_.descriptor(), POLLIN, 0}};
   const std::size_t fixed = waits.size();
   std::vector<std::uint64_t> ids;
   for (const auto& [id, client] : clients_) {
@@ -64,6 +86,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
     return;
   }
   for (const auto& event : events_.take()) on_event(event);
+  for (const auto& work : work_.take()) work();
   for (auto& [client, reply] : outgoing_.take()) send(client, reply);
   for (std::size_t i = 0; i < children.size(); ++i) {
     if (waits[fixed + ids.size() + i].revents != 0) system_.serve_group(*children[i]);
@@ -115,6 +138,13 @@ Waits::Answer ControlServer::answer_to(std::uint64_t client) {
   return [this, client](control::Reply reply) { outgoing_.push({client, std::move(reply)}); };
 }
 
+Waits::Answer ControlServer::numbered(std::uint64_t client, std::uint64_t request) {
+  return [this, client, request](control::Reply reply) {
+    reply.set_id(request);
+    outgoing_.push({client, std::move(reply)});
+  };
+}
+
 void ControlServer::perform(std::uint64_t client, const control::Request& request) {
   control::Reply reply;
   bool answered = true;
@@ -134,12 +164,9 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     return true;
   };
   switch (request.what_case()) {
-    case Request::kLoad: return done(system_.load(request.load()));
-    case Request::kUnload: return done(system_.unload(request.unload()));
-    case Request::kWire: return done(system_.wire(request.wire()));
-    case Request::kUnwire: return done(system_.unwire(request.unwire()));
-    case Request::kSet: return done(system_.set(request.set()));
-    case Request::kState: system_.state(client, request.id(), request.state(), answer_to(client)); return false;
+    case Request::kTransact: engine_.transact(request.author(), request.transact(), numbered(client, request.id())); return false;
+    case Request::kUndo: engine_.undo(request.author(), request.undo(), numbered(client, request.id())); return false;
+    case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
     case Request::kSnapshot: *reply.mutable_system() = system_.snapshot(); return true;
     case Request::kDescribe: *reply.mutable_description() = system_.types().describe(request.describe().name()); return true;
     case Request::kWatch: start_watch(client, request); return false;

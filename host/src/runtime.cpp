@@ -37,6 +37,25 @@ ErrorText without_instance(ErrorText text, const std::string& instance) {
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 
+/// How long a port has neither the old wire nor the new one, on the machine's clock, and what it loses meanwhile.
+class SwitchCost {
+ public:
+  explicit SwitchCost(Port& client) : client_(client) {}
+  void begin() {
+    dropped_ = client_.counters().dropped;
+    since_ = std::chrono::steady_clock::now();
+  }
+  void end(wire::Switched& switched) const {
+    switched.set_gap_ns(std::chrono::nanoseconds(std::chrono::steady_clock::now() - since_).count());
+    switched.set_lost(client_.counters().dropped - dropped_);
+  }
+
+ private:
+  Port& client_;
+  std::uint64_t dropped_ = 0;
+  std::chrono::steady_clock::time_point since_{};
+};
+
 control::Connection to_proto(Connection connection) { return static_cast<control::Connection>(connection); }
 
 }  // namespace
@@ -158,15 +177,24 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       return find(request.set_parameters().instance()).hull->set_parameters(changes, kDefaultDeadline);
     }
     case Request::kSetMode: return set_mode(request.set_mode());
-    case Request::kWireLocal: return wire_local(request.wire_local());
+    case Request::kWireLocal: return wire_local(request.wire_local(), *reply.mutable_switched());
     case Request::kWireProvide: {
       const auto& wire = request.wire_provide();
       return links_.provide(wire.wire(), wire.token(), provided(wire.provider()), wire.prescale());
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
-      return links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint(),
-                            [&] { retire(wire.replaces()); });
+      SwitchCost cost(required(wire.client()));
+      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint(), [&] {
+        cost.begin();
+        retire(wire.replaces());
+      });
+      return cost.end(*reply.mutable_switched());
+    }
+    case Request::kAwait: {
+      const bool waits = !request.await().reason().empty();
+      return required(request.await().client())
+          .set_connection(waits ? Connection::Waiting : Connection::Unwired, waits ? request.await().reason() : "unwired");
     }
     case Request::kCut: return cut(request.cut());
     case Request::kStatus: return status(*reply.mutable_status());
@@ -257,18 +285,21 @@ RequiredPort& Runtime::required(const control::PortName& name) {
   throw Error(ErrorCode::NotFound, text_of(name) + " is no required port");
 }
 
-void Runtime::wire_local(const wire::WireLocal& request) {
+void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switched) {
   ProvidedPort& provider = provided(request.provider());
   RequiredPort& client = required(request.client());
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
   Inbox& inbox = push ? *client.inbox() : *provider.inbox();
   const std::string name = client.full_name() + "<" + provider.full_name();
   auto local = std::make_shared<LocalWire>(name, inbox, push ? request.prescale() : 1);
+  SwitchCost cost(client);
+  cost.begin();
   retire(request.replaces());
   if (!push) client.set_target(local);
   client.set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
   wires_[request.wire()] = Wire{std::move(local), push, &client};
+  cost.end(switched);
 }
 
 void Runtime::cut(const wire::Cut& request) {

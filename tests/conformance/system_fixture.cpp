@@ -81,13 +81,14 @@ void RunningSystem::keep(const wire::GroupMessage& event) {
 
 void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
                          const std::string& parameters) {
-  control::Load request;
+  control::Change change;
+  control::Load& request = *change.mutable_load();
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
   request.set_instance(name);
   request.set_group(group);
   if (parameters.starts_with("neutral")) request.set_mode("neutral");
   add_arguments(parameters, *request.mutable_parameters());
-  system_.load(request);
+  system_.perform(change);
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
@@ -99,24 +100,27 @@ void RunningSystem::load_client(const std::string& component, const std::string&
 }
 
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
-  control::Wire request;
+  control::Change change;
+  control::Wire& request = *change.mutable_wire();
   *request.mutable_client() = port_name(client);
   *request.mutable_provider() = port_name(provider);
   request.set_prescale(every);
-  system_.wire(request);
+  system_.perform(change);
 }
 
 void RunningSystem::unwire(const std::string& client) {
-  control::Unwire request;
+  control::Change change;
+  control::Unwire& request = *change.mutable_unwire();
   *request.mutable_client() = port_name(client);
-  system_.unwire(request);
+  system_.perform(change);
 }
 
 void RunningSystem::set(const std::string& instance_name, const std::string& parameters) {
-  control::Set request;
+  control::Change change;
+  control::Set& request = *change.mutable_set();
   request.set_instance(instance_name);
   add_arguments(parameters, *request.mutable_parameters());
-  system_.set(request);
+  system_.perform(change);
 }
 
 std::shared_ptr<LaterAnswer> RunningSystem::begin_state(const std::string& instance_name, const std::string& mode,
@@ -154,9 +158,10 @@ control::Called RunningSystem::call(const std::string& target, const std::string
 }
 
 void RunningSystem::unload(const std::string& instance_name) {
-  control::Unload request;
+  control::Change change;
+  control::Unload& request = *change.mutable_unload();
   request.set_instance(instance_name);
-  system_.unload(request);
+  system_.perform(change);
 }
 
 std::uint64_t RunningSystem::watch(const std::string& name) { return system_.tap(port_name(name)); }

@@ -223,7 +223,12 @@ TEST(CommandLine, HelpAndVersionNeedNoLine) {
   EXPECT_TRUE(read_command_line({"--version"}).version);
 }
 
-TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"unload", "unwire"})); }
+TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"undo", "unload", "unwire"})); }
+
+TEST(Completion, GoesOnInTheLineThatIsPlanned) {
+  EXPECT_EQ(candidates("plan un"), (Texts{"undo", "unload", "unwire"}));
+  EXPECT_EQ(candidates("plan unload w"), Texts{"walk"});
+}
 
 TEST(Completion, KnowsLivingInstances) { EXPECT_EQ(candidates("unload w"), Texts{"walk"}); }
 
