@@ -11,6 +11,7 @@
 #include "fiona/error.hpp"
 #include "fiona/push.hpp"
 #include "fiona/query.hpp"
+#include "link_keys.hpp"
 
 namespace fiona::host {
 namespace {
@@ -195,6 +196,7 @@ Group& System::group(const std::string& name) {
     throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process: groups need the system clock",
                                         .next = "load without 'in " + wanted + "', or: set host clock=system"});
   }
+  require_descriptors_for_group(child_groups().size());
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
   auto made = std::make_unique<ChildGroup>(wanted, endpoint, *clock, [this](wire::GroupMessage event) { deliver(event); });
   return *(groups_[wanted] = std::move(made));
@@ -461,6 +463,7 @@ System::Wire System::connect(const control::PortName& client, const control::Por
   provide.set_token(token);
   *provide.mutable_provider() = provider;
   provide.set_prescale(prescale);
+  provide.set_peer(client_group.link_name());
   provider_group.request(request);
   auto& require = *request.mutable_wire_require();
   require.set_wire(wire.id);
@@ -469,6 +472,8 @@ System::Wire System::connect(const control::PortName& client, const control::Por
   *require.mutable_provider() = provider;
   require.set_endpoint(provider_group.endpoint());
   require.set_replaces(replaces);
+  require.set_name(client_group.link_name());
+  require.set_key(link_key(provider_group.link_key(), client_group.link_name()));
   try {
     client_group.request(std::move(request));
   } catch (...) {
@@ -578,8 +583,12 @@ void System::serve_group(ChildGroup& group) {
 void System::lose(ChildGroup& gone) {
   if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
+  wire::PeerLost lost;
+  lost.set_endpoint(gone.endpoint());
+  lost.set_name(gone.link_name());
+  lost.set_reason(reason);
   for (auto& [name, one] : groups_) {
-    if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
+    if (one.get() != &gone && one->alive()) one->peer_lost(lost);
   }
   for (auto& [name, one] : instances_) {
     if (one.group != gone.name() || !one.lost.empty()) continue;
@@ -594,9 +603,6 @@ void System::lose(ChildGroup& gone) {
     const bool client_gone = instances_.at(client.first).group == gone.name();
     const bool provider_gone = instances_.at(wire.provider.instance()).group == gone.name();
     if (client_gone || provider_gone) wire.lost = reason;
-    if (!client_gone || provider_gone) continue;
-    // The provider lives on and must not go on sending to nobody.
-    group(instances_.at(wire.provider.instance()).group).request(cut_of(wire.id, reason));
   }
 }
 
@@ -646,13 +652,14 @@ void System::complete_status(control::InstanceStatus& status) const {
 }
 
 /// The instances of a group; none when the process turns out to be gone, which is then noted.
-std::vector<control::InstanceStatus> System::status_of_group(Group& target) {
+std::vector<control::InstanceStatus> System::status_of_group(Group& target, control::LinkStatus& links) {
   std::vector<control::InstanceStatus> found;
   if (!target.alive()) return found;
   wire::GroupRequest request;
   request.mutable_status();
   try {
     const auto reply = target.request(std::move(request));
+    links = reply.status().links();
     std::copy_if(reply.status().instances().begin(), reply.status().instances().end(), std::back_inserter(found),
                  [this](const auto& one) { return instances_.contains(one.name()); });
   } catch (const Error&) {
@@ -676,7 +683,7 @@ control::System System::snapshot() {
     auto& status = *all.add_groups();
     status.set_name(name);
     status.set_process(one->process());
-    for (auto& in_group : status_of_group(*one)) ordered[instances_.at(in_group.name()).order] = std::move(in_group);
+    for (auto& in_group : status_of_group(*one, *status.mutable_links())) ordered[instances_.at(in_group.name()).order] = std::move(in_group);
     status.set_alive(one->alive());
   }
   for (const auto& [name, one] : instances_) {

@@ -95,7 +95,7 @@ class System {
   Group& group(const std::string& name);
   void retire_if_empty(const Group& target);
   void lose(ChildGroup& gone);
-  std::vector<control::InstanceStatus> status_of_group(Group& target);
+  std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
   Instance& instance(const std::string& name);
   std::vector<std::string> instance_names() const;
   PortRef port(const control::PortName& name, Direction direction);
