@@ -136,12 +136,13 @@ void throw_failure(const control::Failure& failure) {
                .near = {failure.near().begin(), failure.near().end()}});
 }
 
-Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, OnEvent on_event)
+Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key,
+                 OnEvent on_event)
     : pool_(pool),
       clock_(clock),
       on_event_(std::move(on_event)),
       libraries_(libraries),
-      links_(pool, std::move(endpoint), [this](std::uint64_t wire, const std::string& reason) {
+      links_(pool, std::move(endpoint), std::move(link_key), [this](std::uint64_t wire, const std::string& reason) {
         wire::GroupMessage message;
         message.mutable_wire_lost()->set_wire(wire);
         message.mutable_wire_lost()->set_reason(reason);
@@ -180,12 +181,12 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kWireLocal: return wire_local(request.wire_local(), *reply.mutable_switched());
     case Request::kWireProvide: {
       const auto& wire = request.wire_provide();
-      return links_.provide(wire.wire(), wire.token(), provided(wire.provider()), wire.prescale());
+      return links_.provide(wire.wire(), wire.token(), wire.peer(), provided(wire.provider()), wire.prescale());
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
       SwitchCost cost(required(wire.client()));
-      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint(), [&] {
+      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), {wire.endpoint(), wire.name(), wire.key()}, [&] {
         cost.begin();
         retire(wire.replaces());
       });
@@ -201,6 +202,11 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kTap: return tap(request.tap());
     case Request::kUntap: return untap(request.untap().tap());
     case Request::kCall: return call(request.call());
+    case Request::kPeerLost: {
+      const auto& gone = request.peer_lost();
+      return links_.peer_lost(gone.endpoint(), gone.name(), gone.reason());
+    }
+    case Request::kWelcome: throw Error(ErrorCode::Usage, "the group has its key already");
     case Request::WHAT_NOT_SET: throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
   }
 }
@@ -441,7 +447,8 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
 
 }  // namespace
 
-void Runtime::status(wire::GroupStatusReply& reply) const {
+void Runtime::status(wire::GroupStatusReply& reply) {
+  *reply.mutable_links() = links_.status();
   const TimePoint now = clock_.now();
   for (const auto& [name, instance] : instances_) {
     const Hull& hull = *instance->hull;

@@ -22,14 +22,13 @@ class Runtime final : private HullEvents {
   /// [any thread] An event; called on whichever thread saw it, and must not wait.
   using OnEvent = std::function<void(wire::GroupMessage)>;
 
-  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, OnEvent on_event);
+  /// `link_key`: what other processes must prove to know, before anything they send is looked at.
+  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key, OnEvent on_event);
   ~Runtime() override;
 
   /// [control thread] Does what is asked. What cannot be done is in the message, as a Failure.
   wire::GroupMessage handle(const wire::GroupRequest& request);
   const std::string& endpoint() const { return links_.endpoint(); }
-  /// [control thread] A process of the system has ended.
-  void peer_lost(const std::string& endpoint, const std::string& reason) { links_.peer_lost(endpoint, reason); }
 
  private:
   struct Instance;
@@ -48,7 +47,7 @@ class Runtime final : private HullEvents {
   void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
   void tap(const wire::Tap& request);
   void untap(std::uint64_t tap);
-  void status(wire::GroupStatusReply& reply) const;
+  void status(wire::GroupStatusReply& reply);
 
   Instance& find(const std::string& name);
   ProvidedPort& provided(const control::PortName& name);

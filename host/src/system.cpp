@@ -6,6 +6,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
+#include "link_keys.hpp"
 
 namespace fiona::host {
 namespace {
@@ -72,6 +73,7 @@ Group& System::group(const std::string& name) {
     throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process: groups need the system clock",
                                         .next = "load without 'in " + wanted + "', or: set host clock=system"});
   }
+  require_descriptors_for_group(child_groups().size());
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
   auto made = std::make_unique<ChildGroup>(wanted, endpoint, *clock, [this](wire::GroupMessage event) { deliver(event); });
   return *(groups_[wanted] = std::move(made));
@@ -307,6 +309,7 @@ System::Wire System::connect(const control::PortName& client, const Model& model
   provide.set_token(token);
   *provide.mutable_provider() = wanted.provider;
   provide.set_prescale(wanted.prescale);
+  provide.set_peer(client_group.link_name());
   provider_group.request(request);
   auto& require = *request.mutable_wire_require();
   require.set_wire(wire.id);
@@ -315,6 +318,8 @@ System::Wire System::connect(const control::PortName& client, const Model& model
   *require.mutable_provider() = wanted.provider;
   require.set_endpoint(provider_group.endpoint());
   require.set_replaces(replaces);
+  require.set_name(client_group.link_name());
+  require.set_key(link_key(provider_group.link_key(), client_group.link_name()));
   try {
     note_cost(client_group.request(std::move(request)));
   } catch (...) {
@@ -466,8 +471,12 @@ void System::serve_group(ChildGroup& group) {
 void System::lose(ChildGroup& gone) {
   if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
+  wire::PeerLost lost;
+  lost.set_endpoint(gone.endpoint());
+  lost.set_name(gone.link_name());
+  lost.set_reason(reason);
   for (auto& [name, one] : groups_) {
-    if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
+    if (one.get() != &gone && one->alive()) one->peer_lost(lost);
   }
   for (const std::string& name : model_.names()) {
     if (model_.instance(name).group != gone.name() || !lost_.emplace(name, reason).second) continue;
@@ -481,11 +490,7 @@ void System::lose(ChildGroup& gone) {
     const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
     const bool client_gone = model_.instance(key.first).group == gone.name();
     const bool provider_gone = model_.find(provider) && model_.instance(provider).group == gone.name();
-    if (wire.id == 0 || (!client_gone && !provider_gone)) continue;
-    wire.reason = reason;
-    if (provider_gone || lost_.contains(provider)) continue;
-    // The provider lives on and must not go on sending to nobody.
-    group(model_.instance(provider).group).request(cut_of(wire.id, reason));
+    if (wire.id != 0 && (client_gone || provider_gone)) wire.reason = reason;
   }
 }
 
@@ -532,13 +537,14 @@ void System::complete_status(control::InstanceStatus& status) const {
 }
 
 /// The instances of a group; none when the process turns out to be gone, which is then noted.
-std::vector<control::InstanceStatus> System::status_of_group(Group& target) {
+std::vector<control::InstanceStatus> System::status_of_group(Group& target, control::LinkStatus& links) {
   std::vector<control::InstanceStatus> found;
   if (!target.alive()) return found;
   wire::GroupRequest request;
   request.mutable_status();
   try {
     const auto reply = target.request(std::move(request));
+    links = reply.status().links();
     std::copy_if(reply.status().instances().begin(), reply.status().instances().end(), std::back_inserter(found),
                  [this](const auto& one) { return model_.find(one.name()) != nullptr; });
   } catch (const Error&) {
@@ -562,7 +568,7 @@ control::System System::snapshot() {
     auto& status = *all.add_groups();
     status.set_name(name);
     status.set_process(one->process());
-    for (auto& in_group : status_of_group(*one)) ordered[model_.instance(in_group.name()).order] = std::move(in_group);
+    for (auto& in_group : status_of_group(*one, *status.mutable_links())) ordered[model_.instance(in_group.name()).order] = std::move(in_group);
     status.set_alive(one->alive());
   }
   for (const auto& [name, reason] : lost_) ordered[model_.instance(name).order] = status_of_lost(name);

@@ -82,7 +82,7 @@ class System {
   Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
   void lose(ChildGroup& gone);
-  std::vector<control::InstanceStatus> status_of_group(Group& target);
+  std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
   Wire connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
   void await_provider(const control::PortName& client, const std::string& reason, const Model& model);

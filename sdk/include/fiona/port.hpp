@@ -103,6 +103,10 @@ class Sink {
   virtual Outcome deliver(Parcel parcel) = 0;
   /// [any thread] Whether a push provider speaks, or has been silent for longer than its lease.
   virtual void lease(bool /*held*/, const std::string& /*reason*/) {}
+  /// [any thread] It subscribes to a push provider now, and is given what comes after this sequence number.
+  virtual void attached(std::uint64_t /*sequence*/) {}
+  /// [any thread] How many subscribers it stands for.
+  virtual std::size_t subscribers() const { return 1; }
 };
 
 /// A named member of a component that provides or requires one service. Declared by constructing it; it registers
