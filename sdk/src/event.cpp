@@ -88,7 +88,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object>) override {
     if (ended_.exchange(true) || abandoned()) return;
-    staged([self = shared_from_this(), outcome, reason = std::move(reason)] {
+    staged(nullptr, to_string(outcome), [self = shared_from_this(), outcome, reason = std::move(reason)] {
       self->strand_->post([self, outcome, reason] { self->client_.on_end(self->id_, *self, outcome, reason); });
     });
   }
@@ -96,14 +96,15 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
   Outcome event(Envelope event) override {
     if (ended_ || abandoned()) return Outcome::Disconnected;
     if (!event.object) {
-      staged([self = shared_from_this()] {
+      staged(nullptr, kTaken, [self = shared_from_this()] {
         self->strand_->post([self] { self->client_.on_acknowledged(self->id_, *self); });
       });
       return Outcome::Ok;
     }
     Parcel parcel{std::move(event), shared_from_this(), false, static_cast<std::uint64_t>(id_)};
     if (!strand_->clock().staging()) return deliver(std::move(parcel));
-    staged([self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
+    const Object* object = parcel.envelope.object.get();
+    staged(object, {}, [self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
     return Outcome::Ok;
   }
 
@@ -119,11 +120,11 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
     if (detached_) return Outcome::Disconnected;
     return client_.inbox_.push(std::move(parcel));
   }
-  void staged(Job job) {
+  void staged(const Object* object, std::string_view word, Job job) {
     Clock& clock = strand_->clock();
     if (!clock.staging()) return job();
     // In this order at the client: those of an activation as they came, activations by their age.
-    clock.stage(wire_, static_cast<std::uint64_t>(id_) << 32 | ++staged_, std::move(job));
+    clock.stage({wire_, static_cast<std::uint64_t>(id_) << 32 | ++staged_, object, word, std::move(job)});
   }
 
   EventClient& client_;

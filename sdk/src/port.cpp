@@ -159,8 +159,7 @@ void Inbox::notify_waiters(const Envelope& envelope) {
   }
   if (strand_.scheduled_) return;
   strand_.scheduled_ = true;
-  strand_.clock_.strand_busy();
-  strand_.executor_.submit(strand_.shared_from_this());
+  if (strand_.clock_.strand_busy(strand_)) strand_.start();
 }
 
 std::optional<Inbox::Newest> Inbox::newest() {
@@ -302,18 +301,14 @@ LocalWire::LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale)
     : name_(std::move(name)), prescale_(prescale == 0 ? 1 : prescale), inbox_(&inbox), clock_(inbox.port().hull().clock()) {}
 
 Outcome LocalWire::deliver(Parcel parcel) {
-  if (!clock_.staging()) {
-    const std::lock_guard lock(mutex_);
-    return hand_over(std::move(parcel));
-  }
-  std::uint64_t sequence = 0;
-  {
-    const std::lock_guard lock(mutex_);
-    if (!inbox_) return Outcome::Disconnected;
-    sequence = ++staged_;
-  }
-  clock_.stage(name_, sequence, [self = shared_from_this(), parcel = std::move(parcel)]() mutable {
-    const std::lock_guard lock(self->mutex_);
+  std::unique_lock lock(mutex_);
+  if (!inbox_) return Outcome::Disconnected;
+  if (puts_++ % prescale_ != 0) return Outcome::Ok;
+  if (!clock_.staging()) return hand_over(std::move(parcel));
+  if (parcel.is_request()) give_up_in_turn(parcel.reply);
+  const Object* object = parcel.envelope.object.get();
+  stage(lock, object, {}, [self = shared_from_this(), parcel = std::move(parcel)]() mutable {
+    const std::lock_guard inner(self->mutex_);
     const auto reply = parcel.reply;
     const Outcome outcome = self->hand_over(std::move(parcel));
     if (reply && outcome != Outcome::Ok) reply->answer(outcome, {}, nullptr);
@@ -321,10 +316,26 @@ Outcome LocalWire::deliver(Parcel parcel) {
   return Outcome::Ok;
 }
 
+/// Lets go of the lock first: the clock may deliver at once.
+void LocalWire::stage(std::unique_lock<std::mutex>& lock, const Object* object, std::string_view word, Job deliver) {
+  const std::uint64_t sequence = ++staged_;
+  lock.unlock();
+  clock_.stage({name_, sequence, object, word, std::move(deliver)});
+}
+
+/// That the client has given up reaches the provider as a message does: behind what it sent before, and in its turn.
+void LocalWire::give_up_in_turn(const std::shared_ptr<ReplySink>& reply) {
+  reply->set_on_abandon(
+      [self = shared_from_this(), weak = std::weak_ptr(reply)] {
+        std::unique_lock lock(self->mutex_);
+        self->stage(lock, nullptr, kGivenUp, [self, reply = weak.lock()] { reply->note_abandoned(); });
+      },
+      true);
+}
+
 /// Called with the mutex held, so that after `cut` nothing is under way.
 Outcome LocalWire::hand_over(Parcel parcel) {
   if (!inbox_) return Outcome::Disconnected;
-  if (puts_++ % prescale_ != 0) return Outcome::Ok;
   const auto receipt = inbox_->port().service().pattern() == SEND ? parcel.reply : nullptr;
   const Outcome outcome = inbox_->push(std::move(parcel));
   if (receipt) receipt->answer(outcome, {}, nullptr);
@@ -338,12 +349,8 @@ void LocalWire::lease(bool held, const std::string& reason) {
     if (client) client->set_lease(held, reason);
   };
   if (!clock_.staging()) return tell();
-  std::uint64_t sequence = 0;
-  {
-    const std::lock_guard lock(mutex_);
-    sequence = ++staged_;
-  }
-  clock_.stage(name_, sequence, tell);
+  std::unique_lock lock(mutex_);
+  stage(lock, nullptr, held ? kSpeaks : kSilent, tell);
 }
 
 void LocalWire::cut() {

@@ -74,15 +74,30 @@ class ReplySink {
   /// [any thread] The client gave up or is gone: nobody reads the answer.
   bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
   void abandon() {
-    if (!abandoned_.exchange(true) && on_abandon_) on_abandon_();
+    if (given_up_.exchange(true)) return;
+    if (!in_turn_) note_abandoned();
+    if (on_abandon_) on_abandon_();
   }
-  /// [before the request leaves] What tells a far provider that nobody waits any more.
-  void set_on_abandon(std::function<void()> notice) { on_abandon_ = std::move(notice); }
+  void note_abandoned() { abandoned_.store(true, std::memory_order_release); }
+  /// [before the request leaves] What tells the provider that nobody waits any more; `in_turn`: and calls
+  /// `note_abandoned` when its turn has come.
+  void set_on_abandon(std::function<void()> notice, bool in_turn = false) {
+    on_abandon_ = std::move(notice);
+    in_turn_ = in_turn;
+  }
 
  private:
+  std::atomic<bool> given_up_{false};
   std::atomic<bool> abandoned_{false};
   std::function<void()> on_abandon_;
+  bool in_turn_ = false;
 };
+
+/// What a delivery log says of a delivery that has no object.
+inline constexpr std::string_view kGivenUp = "given_up";
+inline constexpr std::string_view kSpeaks = "speaks";
+inline constexpr std::string_view kSilent = "silent";
+inline constexpr std::string_view kTaken = "taken";
 
 /// A message on its way into an inbox: with `reply`, a request.
 struct Parcel {
@@ -294,6 +309,8 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
 
  private:
   Outcome hand_over(Parcel parcel);
+  void stage(std::unique_lock<std::mutex>& lock, const Object* object, std::string_view word, Job deliver);
+  void give_up_in_turn(const std::shared_ptr<ReplySink>& reply);
 
   const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
   const std::uint32_t prescale_;

@@ -52,6 +52,7 @@ class QueryClient : public RequiredPort {
   Outcome put_to_target(QueryId id, Open& open);
   void on_answer(QueryId id, const Reply& from, Answer answer);
   void end(QueryId id, Answer answer);
+  void end_unanswered(QueryId id, Answer answer);
   void end_all(Outcome outcome);
   void redirect();
 
