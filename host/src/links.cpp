@@ -105,8 +105,9 @@ void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPor
                                                            : found->second.refusal.value_or("its process does not answer");
   if (refusal.empty()) {
     lock.unlock();
-    if (switch_over) switch_over();
+    // The new one first: a request that is being made has somewhere to go at every moment.
     client.set_target(wire);
+    if (switch_over) switch_over();
     client.set_connection(Connection::Connected, provider_name);
     return wire->admit();
   }

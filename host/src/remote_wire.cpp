@@ -103,7 +103,7 @@ RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::s
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
                                             : std::nullopt),
       answers_(prototype_of(port.service().answer() ? *port.service().answer() : port.service().object())),
-      admitted_(port.direction() == PortDirection::Provides) {}
+      admitted_(port.direction() == PortDirection::Provides || !is_push(port)) {}
 
 RemoteWire::~RemoteWire() = default;
 
@@ -136,7 +136,7 @@ Outcome RemoteWire::deliver(Parcel parcel) {
     return Outcome::Ok;
   }
   const std::lock_guard lock(mutex_);
-  if (cut_) return Outcome::Disconnected;
+  if (cut_ || drains_) return Outcome::Disconnected;
   return deliver_locked(std::move(parcel));
 }
 
@@ -211,8 +211,7 @@ void RemoteWire::on_object(const wire::Frame& frame, const ParsedObject& object)
   if (!keep(frame, object)) handle_object(frame, object);
 }
 
-/// Keeps what comes before `admit`. A push loses its oldest beyond what a lane holds, as it would in any other queue;
-/// answers do not come yet.
+/// Keeps what a push puts before `admit`; it loses its oldest beyond what a lane holds, as it would in any other queue.
 bool RemoteWire::keep(const wire::Frame& frame, const ParsedObject& object) {
   const std::lock_guard lock(mutex_);
   if (admitted_) return false;
@@ -247,6 +246,7 @@ void RemoteWire::admit() {
 void RemoteWire::drain(std::function<void()> drained) {
   {
     const std::lock_guard lock(mutex_);
+    drains_ = true;
     drained_ = std::move(drained);
   }
   if (const auto notice = take_drained()) notice();

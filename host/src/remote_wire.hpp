@@ -91,6 +91,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   ObjectPool answers_;
   std::mutex mutex_;
   bool cut_ = false;
+  bool drains_ = false;  ///< takes no more: another wire has its place
   std::uint32_t prescale_ = 1;
   bool admitted_;
   std::deque<Kept> kept_;  ///< what came before `admit`

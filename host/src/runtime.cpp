@@ -152,6 +152,9 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
 Runtime::~Runtime() {
   links_.stop();
   for (auto& [id, wire] : wires_) wire.local->cut();
+  for (const auto& retired : retired_) {
+    if (const auto wire = retired.lock()) wire->cut();
+  }
   for (auto& [name, instance] : instances_) instance->hull->shut_down(kLifeCycleDeadline);
 }
 
@@ -264,6 +267,9 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
   std::erase_if(taps_, [&](const auto& entry) { return &entry.second->port().hull() == instance.hull.get(); });
   links_.release(*instance.hull);
+  for (const auto& retired : retired_) {
+    if (const auto wire = retired.lock()) wire->cut_from(*instance.hull);
+  }
   const bool clean = instance.hull->shut_down(kLifeCycleDeadline);
   if (!clean) {
     reply.mutable_done()->set_note("'" + request.instance() +
@@ -300,8 +306,9 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
   auto local = std::make_shared<LocalWire>(name, inbox, push ? request.prescale() : 1);
   SwitchCost cost(client);
   cost.begin();
-  retire(request.replaces());
+  // The new one first: a request that is being made has somewhere to go at every moment.
   if (!push) client.set_target(local);
+  retire(request.replaces());
   client.set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
   wires_[request.wire()] = Wire{std::move(local), push, &client};
@@ -313,17 +320,23 @@ void Runtime::cut(const wire::Cut& request) {
   if (found == wires_.end()) return links_.cut(request.wire(), request.reason());
   RequiredPort& client = *found->second.client;
   client.set_target(nullptr);
+  found->second.local->cut();
   retire(request.wire());
   client.set_connection(Connection::Unwired, request.reason());
 }
 
-/// Lets go of a wire whose client goes on with another one, or with none. Open requests of a local wire have reached
-/// the provider and end there.
+/// Lets go of a wire whose client goes on with another one, or with none. What is on its way over a local wire still
+/// reaches the provider and ends there; a push has its cut here.
 void Runtime::retire(std::uint64_t id) {
   const auto found = wires_.find(id);
   if (found == wires_.end()) return links_.retire(id);
-  if (found->second.provider) found->second.provider->detach(*found->second.local);
-  found->second.local->cut();
+  if (found->second.provider) {
+    found->second.provider->detach(*found->second.local);
+    found->second.local->cut();
+  } else {
+    std::erase_if(retired_, [](const auto& wire) { return wire.expired(); });
+    retired_.push_back(found->second.local);
+  }
   wires_.erase(found);
 }
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "fiona/clock.hpp"
 #include "fiona/hull.hpp"
@@ -64,6 +65,7 @@ class Runtime final : private HullEvents {
   PluginLibraries& libraries_;
   std::map<std::string, std::unique_ptr<Instance>> instances_;
   std::map<std::uint64_t, Wire> wires_;
+  std::vector<std::weak_ptr<LocalWire>> retired_;  ///< of requests that were on their way at a rewire
   std::map<std::uint64_t, std::shared_ptr<TapSink>> taps_;
   Links links_;
 };

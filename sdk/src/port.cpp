@@ -252,6 +252,30 @@ void Inbox::finish_parcel() {
 
 // ---- required port and local wire -----------------------------------------------------------------------------
 
+namespace detail {
+
+void Target::set(std::shared_ptr<Sink> sink) {
+  const std::lock_guard lock(mutex_);
+  sink_ = std::move(sink);
+}
+
+std::shared_ptr<Sink> Target::get() {
+  const std::lock_guard lock(mutex_);
+  return sink_;
+}
+
+std::optional<Outcome> Target::deliver(const Parcel& parcel) {
+  for (auto sink = get(); sink;) {
+    const Outcome outcome = sink->deliver(parcel);
+    auto present = get();
+    if (outcome != Outcome::Disconnected || present == sink) return outcome;
+    sink = std::move(present);
+  }
+  return std::nullopt;
+}
+
+}  // namespace detail
+
 RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
     : Port(owner, name, PortDirection::Requires, service, options), calls_(hull().clock(), hull().shared_strand()) {}
 
@@ -356,6 +380,11 @@ void LocalWire::lease(bool held, const std::string& reason) {
 void LocalWire::cut() {
   const std::lock_guard lock(mutex_);
   inbox_ = nullptr;
+}
+
+void LocalWire::cut_from(const Hull& hull) {
+  const std::lock_guard lock(mutex_);
+  if (inbox_ && &inbox_->port().hull() == &hull) inbox_ = nullptr;
 }
 
 }  // namespace fiona

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <map>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -335,6 +336,99 @@ class Mover final : public Component {
   Task steer_{*this, "steer", 5ms, &Mover::steer, "steer"};
 };
 
+/// Ticks and answers, so that whoever hears it can tell which ticker it was and whether anything is missing.
+class Ticker final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) next_.at(now());
+  }
+
+ private:
+  void tick() {
+    Sample sample;
+    sample.set_number(++ticked_);
+    sample.set_value(static_cast<double>(params_->source()));
+    samples_.put(std::move(sample));
+    next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+  }
+  void on_question(const Question& question, fiona::Reply<Reply> reply) {
+    ++answered_;
+    Reply answer;
+    answer.set_number(question.number());
+    reply.answer(std::move(answer));
+  }
+  TickerReport report(const Question&) {
+    TickerReport report;
+    report.set_ticked(ticked_);
+    report.set_answered(answered_);
+    return report;
+  }
+
+  std::uint64_t ticked_ = 0;
+  std::uint64_t answered_ = 0;
+  Params<TickerParams> params_{*this};
+  Provides<SampleNewest> samples_{*this, "samples"};
+  Provides<Echo> echo_{*this, "echo", &Ticker::on_question};
+  Trigger<Question, TickerReport> report_{*this, "report", &Ticker::report};
+  Timer next_{*this, &Ticker::tick};
+};
+
+/// Hears and asks whoever it is wired to, and can say exactly what came of it.
+class Witness final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_change() {
+    if (params_->asks()) next_.at(now());
+  }
+  void on_sample(const Sample& sample) {
+    const std::int64_t heard_ns = steady_ns();
+    if (heard_ns_ > 0) testimony_.set_longest_gap_ms(std::max(testimony_.longest_gap_ms(), static_cast<double>(heard_ns - heard_ns_) / 1e6));
+    heard_ns_ = heard_ns;
+    const auto source = static_cast<std::uint64_t>(sample.value());
+    std::uint64_t& newest = newest_[source];
+    if (sample.number() <= newest) testimony_.set_backward(testimony_.backward() + 1);
+    newest = std::max(newest, sample.number());
+    Run* run = testimony_.runs_size() == 0 ? nullptr : testimony_.mutable_runs(testimony_.runs_size() - 1);
+    if (!run || run->source() != source || sample.number() != run->first() + run->count()) {
+      run = testimony_.add_runs();
+      run->set_source(source);
+      run->set_first(sample.number());
+    }
+    run->set_count(run->count() + 1);
+  }
+  void ask_next() {
+    if (!params_->asks()) return;
+    hull().spawn(ask(), [] {});
+    next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+  }
+  Async<> ask() {
+    const std::uint64_t number = testimony_.asked() + 1;
+    testimony_.set_asked(number);
+    testimony_.set_open(testimony_.open() + 1);
+    Question question;
+    question.set_number(number);
+    const auto answer = co_await echo_.query(std::move(question), 2s);
+    const int outcome = static_cast<int>(answer.outcome());
+    while (testimony_.outcomes_size() <= outcome) testimony_.add_outcomes(0);
+    testimony_.set_outcomes(outcome, testimony_.outcomes(outcome) + 1);
+    if (answer && (*answer)->number() != number) testimony_.set_wrong(testimony_.wrong() + 1);
+    testimony_.set_open(testimony_.open() - 1);
+  }
+  Testimony testify(const Question&) { return testimony_; }
+
+  Testimony testimony_;
+  std::int64_t heard_ns_ = 0;
+  std::map<std::uint64_t, std::uint64_t> newest_;
+  Params<WitnessParams> params_{*this, nullptr, &Witness::on_change};
+  Requires<SampleNewest> samples_{*this, "samples", &Witness::on_sample};
+  Requires<Echo> echo_{*this, "echo"};
+  Trigger<Question, Testimony> testify_{*this, "testify", &Witness::testify};
+  Timer next_{*this, &Witness::ask_next};
+};
+
 /// Puts samples at a pace, stamped at the last moment: the sending half of a latency benchmark.
 class Pacer final : public Component {
  public:
@@ -392,6 +486,8 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Asker>("asker", "asks, and reports the outcome");
   plugin.add<fiona::test::Caller>("caller", "makes one call at a time, and reports the outcome");
   plugin.add<fiona::test::Mover>("mover", "has modes that share activities");
+  plugin.add<fiona::test::Ticker>("ticker", "ticks and answers");
+  plugin.add<fiona::test::Witness>("witness", "tells exactly what it heard and was answered");
   plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
   plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
 }

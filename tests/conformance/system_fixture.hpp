@@ -71,6 +71,8 @@ class RunningSystem {
   control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
+  /// Passes on what the groups have said, waiting for it so long at most.
+  void serve_groups(std::chrono::milliseconds most);
 
   /// Watches a port that pushes test samples; `wait_for` looks at what it has put since.
   std::uint64_t watch(const std::string& port);
@@ -87,7 +89,6 @@ class RunningSystem {
 
  private:
   void load(const std::string& component, const std::string& name, const std::string& group, const std::string& parameters);
-  void serve_groups(std::chrono::milliseconds most);
   void keep(const wire::GroupMessage& event);
 
   const Transport transport_;

@@ -124,6 +124,25 @@ class Sink {
   virtual std::size_t subscribers() const { return 1; }
 };
 
+namespace detail {
+
+/// Where the messages of a send, query or event client go. [any thread]
+class Target {
+ public:
+  void set(std::shared_ptr<Sink> sink);
+  /// Hands the message over; none: there is nowhere to go. What meets a wire that another has just replaced goes to
+  /// that other one.
+  std::optional<Outcome> deliver(const Parcel& parcel);
+
+ private:
+  std::shared_ptr<Sink> get();
+
+  std::mutex mutex_;
+  std::shared_ptr<Sink> sink_;
+};
+
+}  // namespace detail
+
 /// A named member of a component that provides or requires one service. Declared by constructing it; it registers
 /// with its owner, and lives exactly as long.
 class Port {
@@ -305,6 +324,8 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void lease(bool held, const std::string& reason) override;
   /// [any thread] After it returned nothing more reaches the inbox.
   void cut();
+  /// [any thread] Cuts it if it ends at a port of this hull.
+  void cut_from(const Hull& hull);
   const std::string& name() const { return name_; }
 
  private:
