@@ -467,11 +467,11 @@ class Prober final : public Component {
  private:
   Async<> ask() {
     std::vector<std::int64_t> times_ns;
-    Question question;
-    question.mutable_payload()->assign(params_->payload(), 'x');
     for (std::uint64_t i = 0; i < params_->count(); ++i) {
       const auto begun_ns = steady_ns();
-      const auto answer = co_await echo_.query(question, 5s);
+      Question question;
+      question.mutable_payload()->assign(params_->payload(), 'x');
+      const auto answer = co_await echo_.query(std::move(question), 5s);
       if (!answer) throw std::runtime_error("a question was not answered");
       times_ns.push_back(steady_ns() - begun_ns);
     }
