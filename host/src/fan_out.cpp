@@ -42,16 +42,17 @@ Outcome FanOut::deliver(Parcel parcel) {
 
 /// Called with the mutex held, so that the order stays.
 Outcome FanOut::send(const Parcel& parcel, std::vector<std::uint64_t>& wires) {
-  wire::Frame frame;
-  frame.set_wire(wires.front());
+  frame_.set_wire(wires.front());
+  frame_.clear_also();
+  frame_.clear_size();
   LinkSocket::Wires also;
   if (wires.size() > 1) {
-    frame.mutable_also()->Add(wires.begin() + 1, wires.end());
+    frame_.mutable_also()->Add(wires.begin() + 1, wires.end());
     also = std::make_shared<const std::vector<std::uint64_t>>(wires.begin() + 1, wires.end());
   }
-  frame.mutable_object()->set_sequence(parcel.envelope.sequence);
-  frame.mutable_object()->set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
-  const auto sent = link_.send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::DropOldest, std::move(also));
+  frame_.mutable_object()->set_sequence(parcel.envelope.sequence);
+  frame_.mutable_object()->set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
+  const auto sent = link_.send(lane_, frame_, parcel.envelope.object, LinkSocket::Rule::DropOldest, std::move(also));
   auto& counters = provider_.counters();
   if (sent.lost > 0) counters.dropped.fetch_add(sent.lost, std::memory_order_relaxed);
   if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;

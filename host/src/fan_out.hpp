@@ -43,7 +43,8 @@ class FanOut final : public Sink {
   detail::PushProvider& provider_;
   mutable std::mutex mutex_;
   std::map<std::uint64_t, Member> members_;
-  std::vector<std::uint64_t> takers_;  ///< used again for each message
+  std::vector<std::uint64_t> takers_;  ///< used again for each message, as is the frame
+  wire::Frame frame_;
 };
 
 }  // namespace fiona::host

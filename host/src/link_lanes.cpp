@@ -108,32 +108,32 @@ Block joined(std::vector<Block>& records) {
 }  // namespace
 
 /// The record of the lane's first item, behind what the wires have lost right before it.
-void PeerLanes::begin(Lane& lane, std::vector<Block>& records) {
+void PeerLanes::begin(Lane& lane) {
   for (const auto& [wire, messages] : std::exchange(lane.lost_, {})) {
     wire::Frame frame;
     frame.set_wire(wire);
     frame.mutable_lost()->set_messages(messages);
-    records.push_back(make_record(frame, nullptr, 0));
+    records_.push_back(make_record(frame, nullptr, 0));
   }
   Item& item = lane.queue_.front();
   lane.waiting_ -= item.cost;
   lane.in_flight_ += item.cost;
-  records.push_back(std::move(item.record));
+  records_.push_back(std::move(item.record));
 }
 
 void PeerLanes::take_chunk(Outgoing& out) {
   Lane& lane = *large_.front();
   Item& item = lane.queue_.front();
-  std::vector<Block> records;
+  records_.clear();
   if (item.next_chunk == 0) {
-    begin(lane, records);
+    begin(lane);
   } else {
     wire::Frame frame;
     frame.set_wire(item.wire);
     frame.mutable_more();
-    records.push_back(make_record(frame, nullptr, 0));
+    records_.push_back(make_record(frame, nullptr, 0));
   }
-  out.records = joined(records);
+  out.records = joined(records_);
   out.payload = item.payload;
   out.chunk = item.next_chunk++;
   if (item.next_chunk == item.payload->chunks().size()) lane.queue_.pop_front();
@@ -144,18 +144,18 @@ void PeerLanes::take_chunk(Outgoing& out) {
 
 /// Up to a chunk: many small messages cost one.
 void PeerLanes::take_small(Outgoing& out) {
-  std::vector<Block> records;
+  records_.clear();
   std::size_t bytes = 0;
-  while (!small_.empty() && (records.empty() || bytes + small_.front()->queue_.front().record.size() <= kChunkBytes)) {
+  while (!small_.empty() && (records_.empty() || bytes + small_.front()->queue_.front().record.size() <= kChunkBytes)) {
     Lane& lane = *small_.front();
     bytes += lane.queue_.front().record.size();
-    begin(lane, records);
+    begin(lane);
     lane.queue_.pop_front();
     small_.pop_front();
     lane.turns_ = nullptr;
     update(lane);
   }
-  out.records = joined(records);
+  out.records = joined(records_);
 }
 
 }  // namespace fiona::host

@@ -67,11 +67,12 @@ class PeerLanes {
   void update(Lane& lane);
   void take_chunk(Outgoing& out);
   void take_small(Outgoing& out);
-  static void begin(Lane& lane, std::vector<Block>& records);
+  void begin(Lane& lane);
 
   std::unordered_map<std::uint64_t, std::shared_ptr<Lane>> lanes_;
   Turns small_;  ///< lanes whose first item may go and fits into a record
   Turns large_;  ///< lanes whose first item may go and does not
+  std::vector<Block> records_;  ///< used again for each message
   bool small_is_next_ = true;
   std::uint64_t next_lane_ = 1;
 };

@@ -232,7 +232,7 @@ bool FrameReader::go_on(const wire::Frame& frame, std::string_view inside, zmq::
 bool FrameReader::add(Assembly& assembly, std::string_view inside, zmq::message_t* beside) {
   zmq::message_t piece = beside ? std::move(*beside) : zmq::message_t(inside.data(), inside.size());
   // Whole chunks and a rest: a peer that sent it byte by byte would make each byte cost a message.
-  if (piece.size() != std::min<std::size_t>(kChunkBytes, assembly.frame.size() - assembly.received)) return false;
+  if (piece.size() != std::min<std::size_t>(chunk_, assembly.frame.size() - assembly.received)) return false;
   assembly.received += piece.size();
   assembly.pieces.push_back(std::move(piece));
   return true;

@@ -87,6 +87,9 @@ class FrameReader {
     virtual void on_frame(const wire::Frame& frame, const ObjectBytes& object) = 0;
   };
 
+  /// Chunks are of this size, but for the last of each object.
+  explicit FrameReader(std::size_t chunk = kChunkBytes) : chunk_(chunk) {}
+
   /// One message's parts. False: it is garbled; what was whole before the fault has been passed on.
   bool read(std::vector<zmq::message_t>& parts, Receiver& receiver);
   /// Objects of which a part is still to come.
@@ -103,6 +106,7 @@ class FrameReader {
   bool go_on(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
   bool add(Assembly& assembly, std::string_view inside, zmq::message_t* beside);
 
+  const std::size_t chunk_;
   wire::Frame frame_;  ///< used again for each record
   std::unordered_map<std::uint64_t, Assembly> assemblies_;  ///< by the wire that the object's first frame names
 };

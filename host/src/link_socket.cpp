@@ -9,14 +9,13 @@ namespace {
 
 /// Messages read before the pool thread serves someone else.
 constexpr int kReadsPerTurn = 64;
-/// What ZeroMQ may hold for one peer: chunks by their bytes, small messages by their number too, so that those that
-/// come while it is busy are sent together.
-constexpr std::size_t kMostInside_bytes = 2 * kChunkBytes;
+/// ZeroMQ is given more for a peer while it holds one chunk at most, so never holds more than two; and while it holds
+/// fewer messages than this, so that small ones that come while it is busy are sent together.
 constexpr std::size_t kMostInside_messages = 8;
 /// ZeroMQ's own bound, for answers to peers that have proved nothing and do not read.
 constexpr int kSendMark = 64;
 /// The room that a chunk's message has for the frames beside it.
-constexpr std::int64_t kFrameRoom = 64 * 1024;
+constexpr std::size_t kFrameRoom = 64 * 1024;
 /// Lanes whose credit is paid back together.
 constexpr std::size_t kLanesOwed = 16;
 
@@ -49,7 +48,7 @@ struct LinkSocket::Turn final : Runnable {
 /// What of a peer's is inside ZeroMQ. ZeroMQ tells from its own thread what it has let go of.
 struct LinkSocket::Gate {
   Gate(Pool& p, std::shared_ptr<Turn> t) : pool(p), turn(std::move(t)) {}
-  bool has_room() const { return messages < kMostInside_messages && bytes + kChunkBytes <= kMostInside_bytes; }
+  bool has_room() const { return messages < kMostInside_messages && bytes <= kChunkBytes + kFrameRoom; }
   /// Whether more may go in; if not, the turn comes when something has left.
   bool enter_or_wait() {
     if (has_room()) return true;
@@ -108,7 +107,7 @@ LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type typ
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::sndhwm, kSendMark);
   socket_.set(zmq::sockopt::rcvhwm, 0);  // bounded by the sender's credit, which counts bytes
-  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(kChunkBytes) + kFrameRoom);
+  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(kChunkBytes + kFrameRoom));
 }
 
 LinkSocket::~LinkSocket() { stop(); }

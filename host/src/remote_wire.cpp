@@ -20,6 +20,11 @@ const Object& prototype_of(const google::protobuf::Descriptor& type) {
   return *google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type);
 }
 
+Inbox* inbox_of(Port& port) {
+  if (auto* provided = dynamic_cast<ProvidedPort*>(&port)) return provided->inbox();
+  return dynamic_cast<RequiredPort&>(port).inbox();
+}
+
 }  // namespace
 
 bool is_push(const Port& port) {
@@ -98,6 +103,7 @@ RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::s
       port_(port),
       fan_out_(std::move(fan_out)),
       lane_(fan_out_ ? fan_out_->lane() : link_.open_lane(peer_)),
+      inbox_(inbox_of(port)),
       object_rules_(port.service().object()),
       objects_(prototype_of(port.service().object())),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
@@ -294,13 +300,10 @@ void RemoteWire::forget(std::uint64_t id) {
 }
 
 void RemoteWire::handle_object(const wire::Frame& frame, const ParsedObject& object) {
-  Inbox* inbox = nullptr;
-  if (auto* provided = dynamic_cast<ProvidedPort*>(&port_)) inbox = provided->inbox();
-  if (auto* required = dynamic_cast<RequiredPort*>(&port_)) inbox = required->inbox();
   const Pattern pattern = port_.service().pattern();
   const bool request = frame.has_request();
   const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
-  if (!inbox || !fits) return;
+  if (!inbox_ || !fits) return;
   std::string refusal = object.refusal.value_or("");
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
@@ -315,7 +318,7 @@ void RemoteWire::handle_object(const wire::Frame& frame, const ParsedObject& obj
       const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
       Envelope envelope{object.object, request ? frame.request().id() : frame.object().sequence(),
                         TimePoint(Duration(origin_ns)), object.bytes};
-      outcome = inbox->push({std::move(envelope), reply, frame.request().continuous(), 0});
+      outcome = inbox_->push({std::move(envelope), reply, frame.request().continuous(), 0});
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
   }

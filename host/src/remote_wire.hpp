@@ -85,6 +85,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   Port& port_;
   const std::shared_ptr<FanOut> fan_out_;
   const LinkSocket::Lane lane_;
+  Inbox* const inbox_;  ///< where the peer's objects go; null: none come
   const ObjectRules object_rules_;
   ObjectPool objects_;
   const std::optional<ObjectRules> answer_rules_;

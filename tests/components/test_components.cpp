@@ -1,7 +1,9 @@
 // Components that the conformance tests load as any system would: from a library, through the host.
 #include <fiona/plugin.hpp>
+#include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <map>
 #include <optional>
@@ -77,6 +79,11 @@ class Source final : public Component {
 class Sink final : public Component {
  public:
   using Component::Component;
+  void on_start() override {
+    if (!params_->leave_child() || ::fork() != 0) return;
+    ::sleep(1);
+    ::_exit(0);
+  }
 
  private:
   void on_sample(const Received<Sample>& sample) {
@@ -477,6 +484,103 @@ class Stopwatch final : public Component {
   Provides<SampleLast> report_{*this, "report"};
 };
 
+/// Puts as fast as its counters follow: at most `window` messages ahead of the slowest of them, so that none is lost.
+class Flooder final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) put_more();
+  }
+
+ private:
+  void put_more() {
+    const auto slowest = *std::min_element(seen_.begin(), seen_.begin() + params_->counters());
+    while (number_ < params_->count() && number_ < slowest + params_->window()) {
+      auto sample = samples_.make();
+      sample->set_number(++number_);
+      sample->mutable_payload()->assign(params_->payload(), 'x');
+      samples_.put(std::move(sample));
+    }
+  }
+  void on_progress(const Sample& progress) {
+    seen_.at(static_cast<std::size_t>(progress.value())) = progress.number();
+    put_more();
+  }
+
+  std::uint64_t number_ = 0;
+  std::array<std::uint64_t, 8> seen_{};
+  Params<FloodParams> params_{*this};
+  Provides<SampleNewest> samples_{*this, "samples"};
+  Requires<SampleNewest> progress0_{*this, "progress0", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress1_{*this, "progress1", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress2_{*this, "progress2", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress3_{*this, "progress3", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress4_{*this, "progress4", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress5_{*this, "progress5", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress6_{*this, "progress6", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress7_{*this, "progress7", &Flooder::on_progress, {.optional = true}};
+};
+
+/// Counts for a flooder; at the last message reports in `value` the nanoseconds that each took.
+class Counter final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_sample(const Sample&) {
+    if (++number_ == 1) begun_ns_ = steady_ns();
+    if (number_ % std::max<std::uint64_t>(1, params_->window() / 4) == 0) {
+      Sample progress;
+      progress.set_number(number_);
+      progress.set_value(params_->index());
+      progress_.put(std::move(progress));
+    }
+    if (number_ != params_->count()) return;
+    Sample report;
+    report.set_number(number_);
+    report.set_value(static_cast<double>(steady_ns() - begun_ns_) / static_cast<double>(number_ - 1));
+    report_.put(std::move(report));
+  }
+
+  std::uint64_t number_ = 0;
+  std::int64_t begun_ns_ = 0;
+  Params<FloodParams> params_{*this};
+  Requires<SampleNewest> samples_{*this, "samples", &Counter::on_sample};
+  Provides<SampleNewest> progress_{*this, "progress"};
+  Provides<SampleLast> report_{*this, "report"};
+};
+
+/// Asks `count` questions, each when the one before is answered; reports the median round trip in `value`.
+class Prober final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) hull().spawn(ask(), [] {});
+  }
+
+ private:
+  Async<> ask() {
+    std::vector<std::int64_t> times_ns;
+    for (std::uint64_t i = 0; i < params_->count(); ++i) {
+      const auto begun_ns = steady_ns();
+      Question question;
+      question.mutable_payload()->assign(params_->payload(), 'x');
+      const auto answer = co_await echo_.query(std::move(question), 5s);
+      if (!answer) throw std::runtime_error("a question was not answered");
+      times_ns.push_back(steady_ns() - begun_ns);
+    }
+    std::sort(times_ns.begin(), times_ns.end());
+    Sample report;
+    report.set_number(times_ns.size());
+    report.set_value(static_cast<double>(times_ns[times_ns.size() / 2]));
+    report_.put(std::move(report));
+  }
+
+  Params<FloodParams> params_{*this};
+  Requires<Echo> echo_{*this, "echo"};
+  Provides<SampleLast> report_{*this, "report"};
+};
+
 }  // namespace fiona::test
 
 FIONA_PLUGIN(plugin) {
@@ -490,4 +594,7 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Witness>("witness", "tells exactly what it heard and was answered");
   plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
   plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
+  plugin.add<fiona::test::Flooder>("flooder", "puts as fast as its counters follow");
+  plugin.add<fiona::test::Counter>("counter", "counts what a flooder puts");
+  plugin.add<fiona::test::Prober>("prober", "measures how long an answer takes");
 }

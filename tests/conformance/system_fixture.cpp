@@ -99,6 +99,11 @@ void RunningSystem::load_client(const std::string& component, const std::string&
   load(component, name, transport_ == Transport::Ipc ? "far" : "", parameters);
 }
 
+void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
+                            const std::string& parameters) {
+  load(component, name, group, parameters);
+}
+
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
   control::Change change;
   control::Wire& request = *change.mutable_wire();
@@ -219,6 +224,14 @@ control::InstanceStatus RunningSystem::instance(const std::string& name) {
     if (one.name() == name) return one;
   }
   throw Error(ErrorCode::NotFound, "no instance " + name);
+}
+
+control::GroupStatus RunningSystem::group(const std::string& name) {
+  const auto snapshot = system_.snapshot();
+  for (const auto& one : snapshot.groups()) {
+    if (one.name() == name) return one;
+  }
+  throw Error(ErrorCode::NotFound, "no group " + name);
 }
 
 control::PortStatus RunningSystem::port(const std::string& name) {

@@ -61,6 +61,9 @@ class RunningSystem {
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
   void load_client(const std::string& component, const std::string& name, const std::string& parameters = "");
+  /// Into a group of this name.
+  void load_in(const std::string& group, const std::string& component, const std::string& name,
+               const std::string& parameters = "");
   void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
   void unwire(const std::string& client);
   void set(const std::string& instance, const std::string& parameters);
@@ -83,6 +86,7 @@ class RunningSystem {
   std::vector<SeenSample> take(std::uint64_t watch);
   control::PortStatus port(const std::string& name);
   control::InstanceStatus instance(const std::string& name);
+  control::GroupStatus group(const std::string& name);
   /// Polls `fits` until it holds; fails the test after `deadline`.
   void eventually(const std::string& what, const std::function<bool()>& fits,
                   std::chrono::milliseconds deadline = std::chrono::seconds(10));
