@@ -12,6 +12,7 @@
 #include "fiona/wire.pb.h"
 #include "links.hpp"
 #include "plugin_library.hpp"
+#include "taps.hpp"
 
 namespace fiona::host {
 
@@ -34,7 +35,6 @@ class Runtime final : private HullEvents {
  private:
   struct Instance;
   struct Wire;
-  class TapSink;
   class CallReply;
 
   void dispatch(const wire::GroupRequest& request, wire::GroupMessage& reply);
@@ -46,8 +46,6 @@ class Runtime final : private HullEvents {
   void retire(std::uint64_t wire);
   void call(const wire::Call& request);
   void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
-  void tap(const wire::Tap& request);
-  void untap(std::uint64_t tap);
   void status(wire::GroupStatusReply& reply) const;
 
   Instance& find(const std::string& name);
@@ -65,7 +63,7 @@ class Runtime final : private HullEvents {
   PluginLibraries& libraries_;
   std::map<std::string, std::unique_ptr<Instance>> instances_;
   std::map<std::uint64_t, Wire> wires_;
-  std::map<std::uint64_t, std::shared_ptr<TapSink>> taps_;
+  Taps taps_;
   Links links_;
 };
 

@@ -9,6 +9,7 @@
 
 #include "fiona/contract.hpp"
 #include "fiona/error.hpp"
+#include "fiona/hull_probes.hpp"
 #include "fiona/push.hpp"
 #include "fiona/query.hpp"
 
@@ -519,7 +520,17 @@ void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
 
 // ---- watching -------------------------------------------------------------------------------------------------
 
-std::uint64_t System::tap(const control::PortName& name) {
+/// Of an instance that has not gone with its process.
+Group& System::group_alive(const control::PortName& name) {
+  const Instance& owner = instance(name.instance());
+  if (owner.lost.empty()) return group(owner.group);
+  throw Error(ErrorCode::Unreachable, {.what = "'" + name.instance() + "' is lost: " + owner.lost,
+                                       .where = text_of(name),
+                                       .next = "unload " + name.instance() + ", then load it again"});
+}
+
+void System::tap(std::uint64_t id, const control::Watch& request) {
+  const control::PortName& name = request.port();
   control::PortName target = name;
   const auto wire = wires_.find({name.instance(), name.port()});
   if (wire != wires_.end()) target = wire->second.provider;
@@ -531,19 +542,49 @@ std::uint64_t System::tap(const control::PortName& name) {
   if (unwired) {
     throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: nothing comes to it", .next = "spots"});
   }
-  port(target, PROVIDES);
-  wire::GroupRequest request;
-  const std::uint64_t id = next_tap_++;
-  request.mutable_tap()->set_tap(id);
-  *request.mutable_tap()->mutable_port() = target;
+  Group& target_group = group_alive(target);
+  wire::GroupRequest tap;
+  tap.mutable_tap()->set_tap(id);
+  *tap.mutable_tap()->mutable_watch() = request;
+  *tap.mutable_tap()->mutable_watch()->mutable_port() = target;
   taps_.emplace(id, owner.group);
   try {
-    group(owner.group).request(std::move(request));
+    target_group.request(std::move(tap));
   } catch (...) {
     taps_.erase(id);
     throw;
   }
-  return id;
+}
+
+wire::Tapped System::read(const control::PortName& name) {
+  wire::GroupRequest request;
+  *request.mutable_read()->mutable_probe() = name;
+  return group_alive(name).request(std::move(request)).tapped();
+}
+
+control::Expect System::expected(control::Expect request) {
+  control::PortName& name = *request.mutable_port();
+  const Instance& owner = instance(name.instance());
+  const auto& component = component_of(owner.package.interface, owner.package.component);
+  const auto probes = hull_probes();
+  const auto has = [&](HullProbe::Of of) {
+    return std::any_of(probes.begin(), probes.end(), [&](const auto& one) { return one.of == of && one.name == request.field(); });
+  };
+  const auto named = [&name](const auto& one) { return one.name() == name.port(); };
+  const auto port = std::find_if(component.ports().begin(), component.ports().end(), named);
+  const bool is_task = std::any_of(component.tasks().begin(), component.tasks().end(), named);
+  const auto* service = port == component.ports().end() ? nullptr : types_.service(owner.package.name, port->service());
+  const bool is_field = service && ServiceInfo(*service).object().FindFieldByName(request.field());
+  if (service && request.field().empty()) {
+    throw Error(ErrorCode::Usage, {.what = text_of(name) + " is a port: '" + text_of(name) + "' names no field of its object",
+                                   .expected = "INSTANCE.PORT.FIELD",
+                                   .next = "show " + text_of(name)});
+  }
+  if ((service && has(HullProbe::Of::Port) && !is_field) || (is_task && has(HullProbe::Of::Task))) {
+    name.set_port(name.port() + "." + request.field());
+    request.clear_field();
+  }
+  return request;
 }
 
 void System::untap(std::uint64_t id) {
@@ -590,6 +631,14 @@ void System::lose(ChildGroup& gone) {
     event.mutable_mode_changed()->set_reason(reason);
     deliver(event);
   }
+  for (const auto& [tap, group] : taps_) {
+    if (group != gone.name()) continue;
+    wire::GroupMessage event;
+    event.mutable_tap_ended()->set_tap(tap);
+    *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
+    deliver(event);
+  }
+  std::erase_if(taps_, [&gone](const auto& tap) { return tap.second == gone.name(); });
   for (auto& [client, wire] : wires_) {
     const bool client_gone = instances_.at(client.first).group == gone.name();
     const bool provider_gone = instances_.at(wire.provider.instance()).group == gone.name();
