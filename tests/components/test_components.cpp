@@ -339,10 +339,16 @@ class Mover final : public Component {
 class Gauge final : public Component {
  public:
   using Component::Component;
+  void on_start() override { show(); }
 
  private:
   void on_change() {
     if (!params_->fail_with().empty()) return fail_.at(now());
+    show();
+    if (params_->go() == std::exchange(gone_, params_->go())) return;
+    for (std::uint32_t i = 1; i <= params_->burst(); ++i) count_.set(i);
+  }
+  void show() {
     level_.set(params_->level());
     word_.set(params_->word());
     open_.set(params_->level() > 0);
@@ -350,8 +356,6 @@ class Gauge final : public Component {
     report.set_value(params_->level());
     report.set_payload(params_->word());
     report_.set(std::move(report));
-    if (params_->go() == std::exchange(gone_, params_->go())) return;
-    for (std::uint32_t i = 1; i <= params_->burst(); ++i) count_.set(i);
   }
   void fail() { throw std::runtime_error(params_->fail_with()); }
 

@@ -325,9 +325,9 @@ TEST(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {
   for (const auto& group : groups) {
     if (group.name() == "far") ::kill(group.process(), SIGKILL);
   }
-  EXPECT_THAT(system.end_of(watch).what(), HasSubstr("group 'far' ended"));
+  EXPECT_THAT(system.end_of(watch).what(), HasSubstr("group 'far' killed by signal 9"));
   EXPECT_THAT([&] { system.watch("gauge.level"); },
-              testing::ThrowsMessage<Error>(HasSubstr("'gauge' is lost: group 'far' ended")));
+              testing::ThrowsMessage<Error>(HasSubstr("'gauge' is lost: group 'far' killed by signal 9")));
 }
 
 }  // namespace
