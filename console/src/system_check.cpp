@@ -12,6 +12,7 @@
 #include "script.hpp"
 #include "system_view.hpp"
 #include "verb_table.hpp"
+#include "watch_list.hpp"
 
 namespace fiona::console {
 namespace {
@@ -292,20 +293,31 @@ class Checker {
   }
   void take_watch(const Line& line) {
     if (line.positional[0].text == "stop") return;
-    port_of(line, line.positional[0]);
-    for (const char* keyword : {"every", "for"}) {
-      if (const Word* time = line.clause(keyword)) duration_ms(*time, line.words);
-    }
+    const WatchRequest request = watch_request(line);
+    check_watched(line, line.positional[0], request.port.port());
+  }
+  /// A port or probe of an instance, where the plugin's interface is known.
+  void check_watched(const Line& line, const Word& word, const std::string& name) {
+    const Instance& instance = instance_of(line, word);
+    if (instance.known.component == nullptr) return;
+    std::vector<std::string> known;
+    for (const auto& port : instance.known.component->ports()) known.push_back(port.name());
+    for (const ProbeInfo& probe : probes_of(*instance.known.component)) known.push_back(probe.name);
+    if (std::find(known.begin(), known.end(), name) != known.end()) return;
+    throw line.error(word,
+                     {.what = fmt::format("{} has no port or probe '{}'", word.text.substr(0, word.text.find('.')), name),
+                      .near = nearest_names(name, known)},
+                     ErrorCode::NotFound);
   }
   void take_expect(const Line& line) {
     Word port = line.positional[0];
     const std::size_t first = port.text.find('.');
     const std::size_t second = first == std::string::npos ? first : port.text.find('.', first + 1);
-    if (second == std::string::npos)
-      throw line.error(port,
-                       {.what = fmt::format("'{}' names no field", port.text), .expected = "instance.port.field"});
-    port.text.resize(second);
-    port_of(line, port);
+    if (first == std::string::npos)
+      throw line.error(port, {.what = fmt::format("'{}' names no field and no probe", port.text),
+                              .expected = "instance.port.field, instance.probe"});
+    if (second != std::string::npos) port.text.resize(second);
+    check_watched(line, line.positional[0], port.text.substr(first + 1));
     if (const Word* within = line.clause("for")) duration_ms(*within, line.words);
   }
   void take_sleep(const Line& line) { duration_ms(line.positional[0], line.words); }

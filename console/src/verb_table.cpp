@@ -5,6 +5,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <fiona/hull_probes.hpp>
+
 #include "verbs/verbs.hpp"
 
 namespace fiona::console {
@@ -74,22 +76,39 @@ std::vector<Verb> operating_verbs() {
   };
 }
 
+/// "Each instance has the probes mode, …; each port …".
+std::string hull_probe_text() {
+  const auto names = [](HullProbe::Of of) {
+    std::string text;
+    for (const HullProbe& one : hull_probes()) {
+      if (one.of == of) text += (text.empty() ? "" : ", ") + std::string(one.name);
+    }
+    return text;
+  };
+  return fmt::format("Each instance has the probes {}; each port {}; each task {}: radio.mode, radio.wifi.rate.\n",
+                     names(HullProbe::Of::Instance), names(HullProbe::Of::Port), names(HullProbe::Of::Task));
+}
+
 std::vector<Verb> seeing_verbs() {
   return {
       {"ls", forms({"ls [instances|plugins|wires|services|hosts]"}), "lists what runs, is installed or connected",
        "health says ok, waiting, lost or failed; wires is connected/required.", Access::Observe, verbs::ls},
       {"show", forms({"show THING"}), "everything about an instance, port, plugin, service or object",
-       "THING: walk, walk.imu, trace-player, LocationProvider, CommLocation. Without a host, what is installed and "
+       "THING: walk, walk.imu, walk.imu.rate, trace-player, LocationProvider, CommLocation. Without a host, what is installed and "
        "what the platform knows.",
        Access::Observe, verbs::show},
       {"spots", forms({"spots"}), "white spots: required ports that nobody serves, provided ones that nobody uses",
        "Who could serve: running instances, installed plugins, packages of the marketplace, each with the line to "
        "type.",
        Access::Observe, verbs::spots},
-      {"watch", forms({"watch INSTANCE.PORT [FIELD …] [every T] [for T]", "watch stop [INSTANCE.PORT]"}),
-       "prints what goes through a port",
-       "Any type. `every` is the shortest time between two lines, on the system's clock and on yours; `for` ends it, "
-       "on yours.\n"
+      {"watch", forms({"watch INSTANCE.PORT|INSTANCE.PROBE [FIELD …] [every N|T] [when CONDITION …] [for T]",
+              "watch stop [INSTANCE.PORT|INSTANCE.PROBE]"}),
+       "prints what goes through a port, or what a probe says",
+       "Any type. `every 5` prints each fifth; `every 1s` is the shortest time between two lines, on the system's clock "
+       "and on yours; `for` ends it, on yours.\n"
+       "With `when` only what makes the condition true: [FIELD] above V, below V, is V, changes, older than T. It has to "
+       "become false before it is told again.\n" +
+           hull_probe_text() +
        "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, Ctrl-C "
        "does.",
        Access::Observe, verbs::watch},
@@ -124,8 +143,8 @@ std::vector<Verb> waiting_verbs() {
   return {
       {"wait", forms({"wait INSTANCE MODE [for T]"}), "waits until an instance is in a mode",
        "Time is the system's clock; without `for`, 2 s (or --timeout).", Access::Observe, verbs::wait, false},
-      {"expect", forms({"expect INSTANCE.PORT.FIELD OP VALUE [for T]"}),
-       "waits until a field of a message fulfils a condition, and fails otherwise",
+      {"expect", forms({"expect INSTANCE.PORT.FIELD|INSTANCE.PROBE OP VALUE [for T]"}),
+       "waits until a field of a message, or a probe, fulfils a condition, and fails otherwise",
        "OP: == != < <= > >=. Without `for` the next message decides. In a shell, quote < and >.", Access::Observe,
        verbs::expect, false},
       {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe,

@@ -29,13 +29,13 @@ class ControlServer {
 
  private:
   struct Client;
-  struct WatchedPort {
+  struct Watched {
     std::uint64_t client = 0;
     std::uint64_t request = 0;
-    double min_period_ms = 0;
-    double last_ms = -1e18;
+    std::uint64_t number = 0;   ///< of the last sample that was sent, as is the next
     std::uint64_t skipped = 0;
     bool described = false;
+    std::optional<wire::Tapped> held;  ///< the newest, of a client that is slow
   };
   struct Outgoing {
     std::uint64_t client = 0;
@@ -58,6 +58,10 @@ class ControlServer {
   void send(std::uint64_t client, const control::Reply& reply);
   void on_event(const wire::GroupMessage& event);
   void on_tapped(const wire::Tapped& tapped);
+  void on_tap_ended(const wire::TapEnded& ended);
+  void send_held();
+  void send_sample(Watched& watch, Client& client, const wire::Tapped& tapped);
+  control::Sample sample_of(const wire::Tapped& tapped, bool described);
   void poll_once(int lifeline, int signals);
 
   // Mailboxes outlive the system, whose threads post to them until it is gone.
@@ -69,7 +73,7 @@ class ControlServer {
   const std::vector<control::Change> restored_;  ///< read before the journal begins anew
   Engine engine_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
-  std::map<std::uint64_t, WatchedPort> watches_;  ///< by tap
+  std::map<std::uint64_t, Watched> watches_;  ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
   std::uint64_t next_client_ = 1;
   std::optional<int> exit_code_;

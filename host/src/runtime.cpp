@@ -73,31 +73,6 @@ struct Runtime::Wire {
   RequiredPort* client = nullptr;              ///< of a local wire
 };
 
-/// Copies what a push port puts to whoever watches, as bytes.
-class Runtime::TapSink final : public Sink {
- public:
-  TapSink(std::uint64_t id, detail::PushProvider& port, const OnEvent& on_event)
-      : id_(id), port_(port), on_event_(on_event) {}
-
-  Outcome deliver(Parcel parcel) override {
-    wire::GroupMessage message;
-    auto& tapped = *message.mutable_tapped();
-    tapped.set_tap(id_);
-    tapped.set_type(parcel.envelope.object->GetDescriptor()->full_name());
-    parcel.envelope.object->SerializeToString(tapped.mutable_object());
-    tapped.set_sequence(parcel.envelope.sequence);
-    tapped.set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
-    on_event_(std::move(message));
-    return Outcome::Ok;
-  }
-  detail::PushProvider& port() const { return port_; }
-
- private:
-  const std::uint64_t id_;
-  detail::PushProvider& port_;
-  const OnEvent& on_event_;
-};
-
 control::Failure failure_of(const Error& error) {
   control::Failure failure;
   failure.set_code(static_cast<std::uint32_t>(error.code()));
@@ -142,6 +117,7 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
       clock_(clock),
       on_event_(std::move(on_event)),
       libraries_(libraries),
+      taps_(on_event_),
       links_(pool, std::move(endpoint), std::move(link_key), [this](std::uint64_t wire, const std::string& reason) {
         wire::GroupMessage message;
         message.mutable_wire_lost()->set_wire(wire);
@@ -202,8 +178,13 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     }
     case Request::kCut: return cut(request.cut());
     case Request::kStatus: return status(*reply.mutable_status());
-    case Request::kTap: return tap(request.tap());
-    case Request::kUntap: return untap(request.untap().tap());
+    case Request::kTap: return taps_.tap(request.tap(), *find(request.tap().watch().port().instance()).hull);
+    case Request::kUntap: return taps_.untap(request.untap().tap());
+    case Request::kRead: {
+      const auto& probe = request.read().probe();
+      *reply.mutable_tapped() = read_probe(*find(probe.instance()).hull, probe.port());
+      return;
+    }
     case Request::kCall: return call(request.call());
     case Request::kPeerLost: {
       const auto& gone = request.peer_lost();
@@ -265,7 +246,7 @@ void Runtime::set_mode(const wire::SetMode& request) {
 
 void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
-  std::erase_if(taps_, [&](const auto& entry) { return &entry.second->port().hull() == instance.hull.get(); });
+  taps_.release(*instance.hull);
   links_.release(*instance.hull);
   for (const auto& retired : retired_) {
     if (const auto wire = retired.lock()) wire->cut_from(*instance.hull);
@@ -412,25 +393,6 @@ void Runtime::call_port(const Hull& hull, const wire::Call& request, const std::
   if (outcome != Outcome::Ok || pattern == SEND) reply->answer(outcome, {}, nullptr);
 }
 
-void Runtime::tap(const wire::Tap& request) {
-  auto* port = dynamic_cast<detail::PushProvider*>(&provided(request.port()));
-  if (!port) {
-    throw Error(ErrorCode::Usage, {.what = text_of(request.port()) + " does not push: there is nothing to watch",
-                                   .where = text_of(request.port()),
-                                   .expected = "a port of a push service"});
-  }
-  auto sink = std::make_shared<TapSink>(request.tap(), *port, on_event_);
-  taps_[request.tap()] = sink;
-  port->attach(sink);
-}
-
-void Runtime::untap(std::uint64_t id) {
-  const auto found = taps_.find(id);
-  if (found == taps_.end()) return;
-  found->second->port().detach(*found->second);
-  taps_.erase(found);
-}
-
 namespace {
 
 void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
@@ -446,11 +408,9 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
   status.set_superseded(counters.superseded);
   status.set_dropped(counters.dropped);
   status.set_refused(counters.refused);
-  const std::int64_t newest_ns = counters.newest_ns;
-  const double age_ms = std::max(0.0, 1e3 * to_seconds(now.time_since_epoch() - Duration(newest_ns)));
-  status.set_age_ms(newest_ns < 0 ? -1 : age_ms);
-  // A rate from long ago is no rate.
-  status.set_rate_hz(newest_ns < 0 || age_ms > 3000 ? 0.0F : counters.rate_hz.load());
+  const auto age = counters.age(now);
+  status.set_age_ms(age ? 1e3 * to_seconds(*age) : -1);
+  status.set_rate_hz(counters.rate_now_hz(now));
   if (auto* required = dynamic_cast<RequiredPort*>(&port)) {
     status.set_connection(to_proto(required->connection()));
     status.set_reason(required->connection_reason());
@@ -486,6 +446,7 @@ void Runtime::status(wire::GroupStatusReply& reply) {
       for (auto& one : hull.parameters()->differences()) *status.add_set_parameters() = std::move(one);
     }
     for (const auto* trigger : hull.triggers()) *status.add_triggers() = interface_of(*trigger);
+    fill_probes(status, hull, now);
     for (const Task* task : hull.tasks()) {
       auto& one = *status.add_tasks();
       one.set_name(task->name());

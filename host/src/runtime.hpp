@@ -13,6 +13,7 @@
 #include "fiona/wire.pb.h"
 #include "links.hpp"
 #include "plugin_library.hpp"
+#include "taps.hpp"
 
 namespace fiona::host {
 
@@ -34,7 +35,6 @@ class Runtime final : private HullEvents {
  private:
   struct Instance;
   struct Wire;
-  class TapSink;
   class CallReply;
 
   void dispatch(const wire::GroupRequest& request, wire::GroupMessage& reply);
@@ -46,8 +46,6 @@ class Runtime final : private HullEvents {
   void retire(std::uint64_t wire);
   void call(const wire::Call& request);
   void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
-  void tap(const wire::Tap& request);
-  void untap(std::uint64_t tap);
   void status(wire::GroupStatusReply& reply);
 
   Instance& find(const std::string& name);
@@ -66,7 +64,7 @@ class Runtime final : private HullEvents {
   std::map<std::string, std::unique_ptr<Instance>> instances_;
   std::map<std::uint64_t, Wire> wires_;
   std::vector<std::weak_ptr<LocalWire>> retired_;  ///< of requests that were on their way at a rewire
-  std::map<std::uint64_t, std::shared_ptr<TapSink>> taps_;
+  Taps taps_;
   Links links_;
 };
 

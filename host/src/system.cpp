@@ -6,6 +6,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
+#include "fiona/hull_probes.hpp"
 #include "link_keys.hpp"
 
 namespace fiona::host {
@@ -83,7 +84,7 @@ Group& System::group_of(const std::string& name, const Model& model) {
   const Model::Instance& one = model.instance(name);
   const auto lost = lost_.find(name);
   if (lost == lost_.end()) return group(one.group);
-  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is gone: " + lost->second,
+  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second,
                                        .where = name,
                                        .next = "unload " + name + ", then load it again"});
 }
@@ -417,7 +418,8 @@ void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
 
 // ---- watching -------------------------------------------------------------------------------------------------
 
-std::uint64_t System::tap(const control::PortName& name) {
+void System::tap(std::uint64_t id, const control::Watch& request) {
+  const control::PortName& name = request.port();
   control::PortName target = name;
   const auto* wire = model_.wire_of(name);
   if (wire && model_.find(wire->provider.instance())) target = wire->provider;
@@ -428,15 +430,49 @@ std::uint64_t System::tap(const control::PortName& name) {
   if (unwired) {
     throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: nothing comes to it", .next = "spots"});
   }
-  model_.port(target, PROVIDES);
+  Group& target_group = group_of(target.instance(), model_);
+  wire::GroupRequest tap;
+  tap.mutable_tap()->set_tap(id);
+  *tap.mutable_tap()->mutable_watch() = request;
+  *tap.mutable_tap()->mutable_watch()->mutable_port() = target;
+  taps_.emplace(id, target_group.name());
+  try {
+    target_group.request(std::move(tap));
+  } catch (...) {
+    taps_.erase(id);
+    throw;
+  }
+}
+
+wire::Tapped System::read(const control::PortName& name) {
   wire::GroupRequest request;
-  const std::uint64_t id = next_tap_++;
-  request.mutable_tap()->set_tap(id);
-  *request.mutable_tap()->mutable_port() = target;
-  Group& owner = group_of(target.instance(), model_);
-  owner.request(std::move(request));
-  taps_.emplace(id, owner.name());
-  return id;
+  *request.mutable_read()->mutable_probe() = name;
+  return group_of(name.instance(), model_).request(std::move(request)).tapped();
+}
+
+control::Expect System::expected(control::Expect request) {
+  control::PortName& name = *request.mutable_port();
+  const Model::Instance& owner = model_.instance(name.instance());
+  const auto& component = owner.interface();
+  const auto probes = hull_probes();
+  const auto has = [&](HullProbe::Of of) {
+    return std::any_of(probes.begin(), probes.end(), [&](const auto& one) { return one.of == of && one.name == request.field(); });
+  };
+  const auto named = [&name](const auto& one) { return one.name() == name.port(); };
+  const auto port = std::find_if(component.ports().begin(), component.ports().end(), named);
+  const bool is_task = std::any_of(component.tasks().begin(), component.tasks().end(), named);
+  const auto* service = port == component.ports().end() ? nullptr : Types::service(*owner.package->types, port->service());
+  const bool is_field = service && ServiceInfo(*service).object().FindFieldByName(request.field());
+  if (service && request.field().empty()) {
+    throw Error(ErrorCode::Usage, {.what = text_of(name) + " is a port: '" + text_of(name) + "' names no field of its object",
+                                   .expected = "INSTANCE.PORT.FIELD",
+                                   .next = "show " + text_of(name)});
+  }
+  if ((service && has(HullProbe::Of::Port) && !is_field) || (is_task && has(HullProbe::Of::Task))) {
+    name.set_port(name.port() + "." + request.field());
+    request.clear_field();
+  }
+  return request;
 }
 
 void System::untap(std::uint64_t id) {
@@ -486,6 +522,14 @@ void System::lose(ChildGroup& gone) {
     event.mutable_mode_changed()->set_reason(reason);
     deliver(event);
   }
+  for (const auto& [tap, group] : taps_) {
+    if (group != gone.name()) continue;
+    wire::GroupMessage event;
+    event.mutable_tap_ended()->set_tap(tap);
+    *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
+    deliver(event);
+  }
+  std::erase_if(taps_, [&gone](const auto& tap) { return tap.second == gone.name(); });
   for (auto& [key, wire] : wires_) {
     const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
     const bool client_gone = model_.instance(key.first).group == gone.name();

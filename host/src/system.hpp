@@ -49,9 +49,15 @@ class System {
   const Types& types() const { return types_; }
   Waits& waits() { return *waits_; }
 
-  /// Starts to deliver what a push port puts, as Tapped events; a required port stands for its provider's.
-  std::uint64_t tap(const control::PortName& port);
+  /// Starts to deliver what a push port or a probe says, as Tapped events with this number of `new_tap`, until `untap`
+  /// or TapEnded; a required port stands for its provider's.
+  void tap(std::uint64_t tap, const control::Watch& request);
+  std::uint64_t new_tap() { return next_tap_++; }
   void untap(std::uint64_t tap);
+  /// The value of now of a probe; its type is empty while it has none.
+  wire::Tapped read(const control::PortName& probe);
+  /// What INSTANCE.NAME.FIELD names, which may be a probe of the hull: `nav.location.rate`.
+  control::Expect expected(control::Expect request);
   bool has_instance(const std::string& name) const { return model_.find(name) != nullptr; }
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);

@@ -48,6 +48,17 @@ void PortCounters::count(TimePoint origin) {
   window_messages_ = 0;
 }
 
+std::optional<Duration> PortCounters::age(TimePoint now) const {
+  const std::int64_t newest = newest_ns.load(std::memory_order_relaxed);
+  if (newest < 0) return std::nullopt;
+  return std::max(Duration::zero(), now.time_since_epoch() - Duration(newest));
+}
+
+double PortCounters::rate_now_hz(TimePoint now) const {
+  const auto newest = age(now);
+  return !newest || *newest > std::chrono::seconds(3) ? 0.0 : static_cast<double>(rate_hz.load(std::memory_order_relaxed));
+}
+
 Port::Port(Component& owner, std::string_view name, PortDirection direction, const ServiceInfo& service,
            const PortOptions& options)
     : hull_(owner.hull()),
@@ -204,7 +215,13 @@ bool Inbox::refill() {
     batch_.push_back(std::move(queue_.front()));
     queue_.pop_front();
   }
+  batched_.store(batch_.size(), std::memory_order_relaxed);
   return !batch_.empty();
+}
+
+std::size_t Inbox::depth() const {
+  const std::lock_guard lock(strand_.mutex_);
+  return queue_.size() + batched_.load(std::memory_order_relaxed);
 }
 
 void Inbox::drain(std::size_t limit) {
@@ -217,6 +234,7 @@ void Inbox::drain(std::size_t limit) {
     }
     current_ = std::move(batch_.front());
     batch_.pop_front();
+    batched_.store(batch_.size(), std::memory_order_relaxed);
     handle();
     if (strand_.closed_) return;
   }

@@ -436,6 +436,41 @@ class Witness final : public Component {
   Timer next_{*this, &Witness::ask_next};
 };
 
+/// Shows what its parameters say, in probes of every kind; `silent` is never set.
+class Gauge final : public Component {
+ public:
+  using Component::Component;
+  void on_start() override { show(); }
+
+ private:
+  void on_change() {
+    if (!params_->fail_with().empty()) return fail_.at(now());
+    show();
+    if (params_->go() == std::exchange(gone_, params_->go())) return;
+    for (std::uint32_t i = 1; i <= params_->burst(); ++i) count_.set(i);
+  }
+  void show() {
+    level_.set(params_->level());
+    word_.set(params_->word());
+    open_.set(params_->level() > 0);
+    Sample report;
+    report.set_value(params_->level());
+    report.set_payload(params_->word());
+    report_.set(std::move(report));
+  }
+  void fail() { throw std::runtime_error(params_->fail_with()); }
+
+  std::uint32_t gone_ = 0;
+  Params<GaugeParams> params_{*this, nullptr, &Gauge::on_change};
+  Probe<double> level_{*this, "level", {.unit = "m", .doc = "how high it stands"}};
+  Probe<std::uint32_t> count_{*this, "count", {.doc = "of the last burst"}};
+  Probe<bool> open_{*this, "open", {.doc = "the level is above zero"}};
+  Probe<std::string> word_{*this, "word"};
+  Probe<Sample> report_{*this, "report", {.doc = "level and word in one object"}};
+  Probe<double> silent_{*this, "silent", {.unit = "s"}};
+  Timer fail_{*this, &Gauge::fail};
+};
+
 /// Puts samples at a pace, stamped at the last moment: the sending half of a latency benchmark.
 class Pacer final : public Component {
  public:
@@ -592,6 +627,7 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Mover>("mover", "has modes that share activities");
   plugin.add<fiona::test::Ticker>("ticker", "ticks and answers");
   plugin.add<fiona::test::Witness>("witness", "tells exactly what it heard and was answered");
+  plugin.add<fiona::test::Gauge>("gauge", "shows its parameters in probes");
   plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
   plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
   plugin.add<fiona::test::Flooder>("flooder", "puts as fast as its counters follow");

@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "fiona/error.hpp"
+#include "fiona/probe.pb.h"
 #include "runtime.hpp"
 
 namespace fiona::conformance {
@@ -58,12 +59,22 @@ TemporaryDirectory::~TemporaryDirectory() {
 std::string to_string(Transport transport) { return transport == Transport::Process ? "Process" : "Ipc"; }
 void PrintTo(Transport transport, std::ostream* out) { *out << to_string(transport); }
 
-SeenSample::SeenSample(const google::protobuf::Message& sample) {
-  const auto& type = *sample.GetDescriptor();
-  const auto& reflect = *sample.GetReflection();
-  number_ = reflect.GetUInt64(sample, type.FindFieldByName("number"));
-  value_ = reflect.GetDouble(sample, type.FindFieldByName("value"));
-  payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
+SeenSample::SeenSample(const google::protobuf::Message& sample) : has_value(true) {
+  if (const auto* number = dynamic_cast<const probe::Number*>(&sample)) {
+    value_ = number->value();
+  } else if (const auto* integer = dynamic_cast<const probe::Integer*>(&sample)) {
+    value_ = static_cast<double>(integer->value());
+  } else if (const auto* flag = dynamic_cast<const probe::Flag*>(&sample)) {
+    value_ = flag->value() ? 1 : 0;
+  } else if (const auto* text = dynamic_cast<const probe::Text*>(&sample)) {
+    payload_ = text->value();
+  } else {
+    const auto& type = *sample.GetDescriptor();
+    const auto& reflect = *sample.GetReflection();
+    number_ = reflect.GetUInt64(sample, type.FindFieldByName("number"));
+    value_ = reflect.GetDouble(sample, type.FindFieldByName("value"));
+    payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
+  }
 }
 
 RunningSystem::RunningSystem(Transport transport)
@@ -71,12 +82,34 @@ RunningSystem::RunningSystem(Transport transport)
       system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2},
               [this](const wire::GroupMessage& event) { keep(event); }) {}
 
+SeenSample RunningSystem::seen(const wire::Tapped& tapped) {
+  SeenSample sample;
+  if (const auto object = system_.types().make(tapped.type())) {
+    object->ParseFromString(tapped.object());
+    sample = SeenSample(*object);
+  }
+  sample.unit = tapped.unit();
+  sample.sequence = tapped.sequence();
+  sample.counted = tapped.number();
+  sample.skipped = tapped.skipped();
+  return sample;
+}
+
 void RunningSystem::keep(const wire::GroupMessage& event) {
-  if (!event.has_tapped()) return;
-  const auto sample = system_.types().make(event.tapped().type());
-  sample->ParseFromString(event.tapped().object());
   const std::lock_guard lock(mutex_);
-  seen_[event.tapped().tap()].push_back(SeenSample(*sample));
+  if (event.has_tap_ended()) ended_[event.tap_ended().tap()] = event.tap_ended().failure();
+  if (event.has_tapped()) seen_[event.tapped().tap()].push_back(seen(event.tapped()));
+}
+
+SeenSample RunningSystem::read(const std::string& name) { return seen(system_.read(port_name(name))); }
+
+control::Failure RunningSystem::end_of(std::uint64_t id) {
+  eventually("the end of the tap", [&] {
+    const std::lock_guard lock(mutex_);
+    return ended_.contains(id);
+  });
+  const std::lock_guard lock(mutex_);
+  return ended_[id];
 }
 
 void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
@@ -169,7 +202,12 @@ void RunningSystem::unload(const std::string& instance_name) {
   system_.perform(change);
 }
 
-std::uint64_t RunningSystem::watch(const std::string& name) { return system_.tap(port_name(name)); }
+std::uint64_t RunningSystem::watch(const std::string& name, control::Watch terms) {
+  *terms.mutable_port() = port_name(name);
+  const std::uint64_t tap = system_.new_tap();
+  system_.tap(tap, terms);
+  return tap;
+}
 
 void RunningSystem::serve_groups(std::chrono::milliseconds most) {
   const auto children = system_.child_groups();

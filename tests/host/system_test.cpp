@@ -273,8 +273,10 @@ class VirtualTime : public testing::Test {
     request.set_comparison(comparison);
     request.mutable_value()->set_integer(value);
     request.set_within_ms(within_ms);
-    const auto tap = system.system().tap(request.port());
-    system.system().waits().expect(1, 7, request, tap, answer());
+    control::Watch watch;
+    *watch.mutable_port() = request.port();
+    const auto tap = system.system().new_tap();
+    system.system().waits().expect(1, 7, request, tap, [&] { system.system().tap(tap, watch); }, answer());
     auto reply = wait();
     system.system().untap(tap);
     return reply;

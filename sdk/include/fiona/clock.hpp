@@ -148,7 +148,8 @@ class VirtualClock : public Clock {
   void strand_idle(Strand& strand) override;
   void stop() override;
 
-  /// Lets time advance, once for each call, until `hold` was called as often. Starts at zero releases: held.
+  /// Lets time advance, once for each call, until `hold` was called as often. Starts at zero releases: held. What holds
+  /// may come first, where another thread sees to it that what it was released for has happened.
   void release();
   void hold();
   /// Runs `then`, which must not wait, when everything up to and at `at` has happened and before time goes on: the

@@ -57,6 +57,10 @@ struct PortCounters {
 
   /// [strand] One more message, of this origin.
   void count(TimePoint origin);
+  /// [any thread] Of the newest message; none: there was none.
+  std::optional<Duration> age(TimePoint now) const;
+  /// [any thread] The rate, where it is not from long ago.
+  double rate_now_hz(TimePoint now) const;
 
  private:
   std::int64_t window_start_ns_ = -1;
@@ -222,6 +226,9 @@ class Inbox {
 
   Port& port() const { return port_; }
 
+  /// [any thread] Messages that wait for the handler.
+  std::size_t depth() const;
+
   /// [strand] Handles at most `limit` parcels.
   void drain(std::size_t limit);
 
@@ -249,7 +256,8 @@ class Inbox {
   bool ready_ = false;
   std::vector<std::function<void(const Envelope&)>> waiters_;
 
-  std::atomic<std::size_t> bytes_{0};  ///< of queue_, batch_ and current_
+  std::atomic<std::size_t> bytes_{0};    ///< of queue_, batch_ and current_
+  std::atomic<std::size_t> batched_{0};  ///< the size of batch_, for others than the strand
 
   // strand only
   std::deque<Parcel> batch_;
