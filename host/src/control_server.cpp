@@ -14,8 +14,6 @@ namespace {
 
 /// Consoles and pages at once; further ones are turned away.
 constexpr std::size_t kMaxClients = 64;
-/// Events that may wait for the control thread; watched values beyond it are dropped.
-constexpr std::size_t kEventBound = 10'000;
 std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
 
 /// Unsent bytes above which a slow watcher loses samples, counted.
@@ -31,7 +29,8 @@ struct ControlServer::Client {
 ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore)
     : listener_(socket),
       system_(std::move(options), [this](const wire::GroupMessage& event) {
-        events_.push(event, event.has_tapped() ? kEventBound : SIZE_MAX);
+        if (!event.has_tapped()) return events_.push(event);
+        events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
       }),
       restored_(restore ? Journal::read(journal_of(socket)) : std::vector<control::Change>()),
       engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }) {

@@ -18,17 +18,20 @@ using fiona::host::Mailbox;
 using fiona::host::Runtime;
 
 constexpr int kGroupSocket = 3;
-/// Events that may wait for a slow host; watched values beyond it are dropped.
-constexpr std::size_t kEventBound = 10'000;
+/// Unsent bytes above which a host is slow, and events wait: of watched values so many as the mailbox holds.
+constexpr std::size_t kSlowHost = 1024 * 1024;
 constexpr std::chrono::seconds kWelcomeDeadline{5};
 
 int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
   while (true) {
     pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
                       {events.descriptor(), POLLIN, 0}};
-    ::poll(waits, 2, -1);
-    for (auto& event : events.take()) {
-      if (!stream.send(event)) return 1;
+    const bool is_slow = stream.unsent() > kSlowHost;
+    ::poll(waits, is_slow ? 1 : 2, -1);
+    if (!is_slow) {
+      for (auto& event : events.take()) {
+        if (!stream.send(event)) return 1;
+      }
     }
     if (!stream.flush() || !stream.receive()) return 0;
     fiona::wire::GroupRequest request;
@@ -67,8 +70,10 @@ int run(int argc, char** argv) {
   fiona::host::PluginLibraries libraries;
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
   Runtime runtime(pool, clock, libraries, endpoint, key_from(stream), [&events](fiona::wire::GroupMessage event) {
-    const bool droppable = event.has_tapped();
-    events.push(std::move(event), droppable ? kEventBound : SIZE_MAX);
+    if (!event.has_tapped()) return events.push(std::move(event));
+    const std::uint64_t tap = event.tapped().tap();
+    const std::size_t bytes = event.tapped().object().size();
+    events.push_newest(tap, std::move(event), bytes);
   });
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
