@@ -417,7 +417,7 @@ TEST_F(ConsoleTest, WatchPrintsAProbeWithItsUnitAndWhatWasLost) {
     none.mutable_sample()->set_time_s(1);
     return std::vector{none, probe_sample(2.5, 0), probe_sample(3.5, 4), failure(ErrorCode::Unreachable, "'nav' was unloaded")};
   };
-  EXPECT_EQ(error_of("watch nav.spread when above 2"), "'nav' was unloaded");
+  EXPECT_EQ(error_of("watch nav.spread when above 2"), "column 7: 'nav' was unloaded");
   EXPECT_EQ(out, "nav.spread  1.000 s  no value yet\nnav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m, 4 lost before it\n");
 }
 

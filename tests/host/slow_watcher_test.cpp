@@ -52,14 +52,15 @@ class SlowWatcher : public testing::TestWithParam<std::string> {
     return reply;
   }
   void send_burst(std::int64_t values) {
-    auto set = request();
-    set.mutable_set()->set_instance("gauge");
+    auto change = request();
+    auto& set = *change.mutable_transact()->add_changes()->mutable_set();
+    set.set_instance("gauge");
     for (const auto& [name, value] : {std::pair<const char*, std::int64_t>{"burst", values}, {"go", static_cast<std::int64_t>(sent_)}}) {
-      auto& argument = *set.mutable_set()->add_parameters();
+      auto& argument = *set.add_parameters();
       argument.set_name(name);
       argument.mutable_value()->set_integer(value);
     }
-    send(set);
+    send(change);
   }
 
   const conformance::TemporaryDirectory directory_;
@@ -74,10 +75,11 @@ TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
   constexpr std::int64_t kBurst = 20'000;
   constexpr int kBursts = 4;
   constexpr std::int64_t kLast = 77;
-  auto load = request();
-  load.mutable_load()->set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/gauge");
-  load.mutable_load()->set_group(GetParam());
-  send(load);
+  auto change = request();
+  auto& load = *change.mutable_transact()->add_changes()->mutable_load();
+  load.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/gauge");
+  load.set_group(GetParam());
+  send(change);
   receive();
   auto watch = request();
   watch.mutable_watch()->mutable_port()->set_instance("gauge");
