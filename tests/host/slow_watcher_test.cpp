@@ -1,4 +1,5 @@
 // Somebody who watches and does not read: nobody waits for him, and he is told what he lost.
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
 #include <sys/un.h>
@@ -19,12 +20,12 @@ using namespace std::chrono_literals;
 class SlowWatcher : public testing::TestWithParam<std::string> {
  protected:
   SlowWatcher() : server_(socket_path(), System::Options{"slow", directory_.path / "store", directory_.path, 2}) {
-    if (::pipe(lifeline_) != 0) throw std::runtime_error("no pipe");
+    if (::pipe2(lifeline_, O_CLOEXEC) != 0) throw std::runtime_error("no pipe");
     serving_ = std::thread([this] { server_.serve(lifeline_[0], -1); });
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
     std::strncpy(address.sun_path, socket_path().c_str(), sizeof address.sun_path - 1);
-    os::Descriptor socket(::socket(AF_UNIX, SOCK_STREAM, 0));
+    os::Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
     if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) throw std::runtime_error("no host");
     stream_ = std::make_unique<os::MessageStream>(std::move(socket));
   }
