@@ -182,9 +182,10 @@ TEST_P(Patterns, RefusalCarriesItsReason) {
 
 TEST_P(Patterns, QueryEndsAtItsDeadline) {
   system.load_provider("answerer", "answerer");
-  system.load_client("asker", "asker", "manner=never count=3");
+  system.load_client("asker", "asker", "neutral manner=never count=3");
   const auto outcome = system.watch("asker.outcome");
   system.wire("asker.echo", "answerer.echo");
+  system.state("asker", "active");
   system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Timeout); });
 }
 
