@@ -4,7 +4,6 @@
 #include <gtest/gtest.h>
 
 #include "fiona/options.pb.h"
-#include "fiona/probe.pb.h"
 #include "fiona/sensors.pb.h"
 #include "saved_system.hpp"
 #include "script.hpp"
@@ -308,39 +307,6 @@ TEST_F(ConsoleTest, WatchPrintsAnyTypeByItsDescriptorsUntilTheHostEndsIt) {
   EXPECT_EQ(error_of("watch walk.imu every 20ms"), "walk was unloaded");
   EXPECT_DOUBLE_EQ(requests()[0].watch().min_period_ms(), 20);
   EXPECT_TRUE(out.starts_with("walk.imu  1.500 s  ")) << out;
-}
-
-control::Reply probe_sample(double value, std::uint64_t skipped) {
-  fiona::probe::Number object;
-  object.set_value(value);
-  control::Reply reply;
-  reply.mutable_sample()->set_type(object.GetDescriptor()->full_name());
-  reply.mutable_sample()->set_object(object.SerializeAsString());
-  reply.mutable_sample()->set_unit("m");
-  reply.mutable_sample()->set_skipped(skipped);
-  reply.mutable_sample()->set_time_s(1.5);
-  return reply;
-}
-
-TEST_F(ConsoleTest, WatchPrintsAProbeWithItsUnitAndWhatWasLost) {
-  script = [](const control::Request&) {
-    control::Reply none;
-    none.mutable_sample()->set_time_s(1);
-    return std::vector{none, probe_sample(2.5, 0), probe_sample(3.5, 4), failure(ErrorCode::Unreachable, "'nav' was unloaded")};
-  };
-  EXPECT_EQ(error_of("watch nav.spread when above 2"), "'nav' was unloaded");
-  EXPECT_EQ(out, "nav.spread  1.000 s  no value yet\nnav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m, 4 lost before it\n");
-}
-
-TEST_F(ConsoleTest, ExpectTakesAProbe) {
-  script = [](const control::Request&) {
-    control::Reply reply;
-    reply.mutable_met()->set_seen("2");
-    return std::vector{reply};
-  };
-  session().run(split_line("expect nav.spread < 3m"));
-  EXPECT_EQ(requests()[0].expect().port().port(), "spread");
-  EXPECT_EQ(requests()[0].expect().field(), "");
 }
 
 TEST_F(ConsoleTest, WatchForATimeEndsByItself) {
