@@ -171,8 +171,8 @@ void Engine::go_on(const TransactionPtr& transaction) {
 }
 
 void Engine::begin_state(const TransactionPtr& transaction, const control::State& request) {
-  const auto ended = [this, alive = std::weak_ptr(self_), transaction, request](control::Reply reply) {
-    later_([alive, transaction, request, reply = std::move(reply)] {
+  const auto ended = [later = later_, alive = std::weak_ptr(self_), transaction, request](control::Reply reply) {
+    later([alive, transaction, request, reply = std::move(reply)] {
       const auto self = alive.lock();
       if (!self || !*self) return;
       Engine& engine = **self;

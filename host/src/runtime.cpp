@@ -131,7 +131,10 @@ Runtime::~Runtime() {
   for (const auto& retired : retired_) {
     if (const auto wire = retired.lock()) wire->cut();
   }
-  for (auto& [name, instance] : instances_) instance->hull->shut_down(kLifeCycleDeadline);
+  for (auto& [name, instance] : instances_) {
+    // One whose handler still runs keeps its memory: the process ends soon.
+    if (!instance->hull->shut_down(kLifeCycleDeadline)) static_cast<void>(instance->hull.release());
+  }
 }
 
 wire::GroupMessage Runtime::handle(const wire::GroupRequest& request) {

@@ -110,7 +110,9 @@ void Hull::set_parameters(std::span<const control::Argument> changes, Duration d
   if (!params_) {
     throw Error(ErrorCode::NotFound, {.what = "'" + name_ + "' has no parameters", .where = name_});
   }
-  if (!strand_->call([this, changes] { params_->apply(changes); }, deadline)) {
+  // A copy: what has begun goes on after the deadline, when the caller's own are gone.
+  const auto kept = std::make_shared<std::vector<control::Argument>>(changes.begin(), changes.end());
+  if (!strand_->call([this, kept] { params_->apply(*kept); }, deadline)) {
     throw Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' did not take the parameters in time: it is busy",
                                          .where = name_,
                                          .next = "show " + name_});

@@ -1,5 +1,6 @@
 #include "fiona/port.hpp"
 
+#include <chrono>
 #include <utility>
 
 #include "fiona/clock.hpp"
@@ -12,6 +13,8 @@ namespace {
 constexpr std::size_t kMessageOverhead = 256;
 /// Parcels that leave the queue at once, so that "drop the oldest" finds most of them still there.
 constexpr std::size_t kBatch = 64;
+/// How long an inbox is served before the strand looks at what else waits.
+constexpr std::chrono::milliseconds kTurn{2};
 
 std::size_t cost(const Parcel& parcel) { return parcel.envelope.bytes + kMessageOverhead; }
 
@@ -225,16 +228,18 @@ std::size_t Inbox::depth() const {
 }
 
 void Inbox::drain(std::size_t limit) {
+  std::chrono::steady_clock::time_point begun{};
   for (std::size_t handled = 0; !current_; ++handled) {
     if (batch_.empty() && !refill()) return;
-    if (handled == limit) {
+    if (handled == 1) begun = std::chrono::steady_clock::now();
+    const bool long_enough = handled > 1 && std::chrono::steady_clock::now() - begun > kTurn;
+    if (handled == limit || long_enough) {
       std::unique_lock lock(strand_.mutex_);
       wake(lock);
       return;
     }
     current_ = std::move(batch_.front());
     batch_.pop_front();
-    batched_.store(batch_.size(), std::memory_order_relaxed);
     handle();
     if (strand_.closed_) return;
   }

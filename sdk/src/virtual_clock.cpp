@@ -86,6 +86,7 @@ void VirtualClock::stage(Staged staged) {
   proceed();
 }
 
+/// One that is woken again before it has told that it is idle is busy twice for a moment.
 bool VirtualClock::strand_busy(Strand& strand) {
   const std::lock_guard lock(mutex_);
   strand.busy_place_ = busy_.size();
@@ -97,9 +98,12 @@ bool VirtualClock::strand_busy(Strand& strand) {
 void VirtualClock::strand_idle(Strand& strand) {
   {
     const std::lock_guard lock(mutex_);
-    assert(busy_.at(strand.busy_place_) == &strand);
-    busy_[strand.busy_place_] = busy_.back();
-    busy_[strand.busy_place_]->busy_place_ = strand.busy_place_;
+    const bool known = strand.busy_place_ < busy_.size() && busy_[strand.busy_place_] == &strand;
+    const auto place = known ? busy_.begin() + static_cast<std::ptrdiff_t>(strand.busy_place_)
+                             : std::find(busy_.begin(), busy_.end(), &strand);
+    assert(place != busy_.end());
+    *place = busy_.back();
+    (*place)->busy_place_ = static_cast<std::size_t>(place - busy_.begin());
     busy_.pop_back();
     ++progress_;
   }

@@ -139,8 +139,8 @@ class Rewire : public testing::TestWithParam<Transport> {
     asked += testimony.number("asked");
   }
 
-  RunningSystem system{GetParam()};
   host::Mailbox<std::function<void()>> work;
+  RunningSystem system{GetParam()};
   host::Engine engine{system.system(), {}, [this](std::function<void()> job) { work.push(std::move(job)); }};
   std::map<std::size_t, std::vector<std::uint64_t>> history;  ///< tickers, by witness, in the order of wiring
   std::uint64_t lost = 0;
@@ -189,7 +189,9 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
   EXPECT_EQ(lost, 0U);
   EXPECT_GT(heard, 0U);
   EXPECT_LE(after.descriptors, warm.descriptors);
+#ifndef __SANITIZE_ADDRESS__  // which keeps what was freed for a while
   EXPECT_LT(after.resident_mib - warm.resident_mib, 16 + rewires * 0.001) << "what a rewire leaves behind";
+#endif
 
   std::sort(took_ms.begin(), took_ms.end());
   std::cout << fmt::format(

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "fiona/options.pb.h"
+#include "fiona/probe.pb.h"
 #include "fiona/sensors.pb.h"
 #include "saved_system.hpp"
 #include "script.hpp"

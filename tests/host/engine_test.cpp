@@ -120,8 +120,8 @@ class Transactions : public testing::TestWithParam<conformance::Transport> {
   std::string group() const { return GetParam() == conformance::Transport::Process ? "" : "far"; }
 
   TemporaryDirectory directory;
+  Mailbox<std::function<void()>> work;  ///< outlives the system, whose threads post to it
   RunningSystem system{GetParam()};
-  Mailbox<std::function<void()>> work;
   Engine engine{system.system(), directory.path / "journal", [this](std::function<void()> job) { work.push(std::move(job)); }};
 };
 
@@ -297,8 +297,8 @@ INSTANTIATE_TEST_SUITE_P(Over, Transactions, testing::Values(conformance::Transp
 
 TEST(Engine, ChangesThatWaitAreBounded) {
   TemporaryDirectory directory;
-  RunningSystem system;
   Mailbox<std::function<void()>> work;
+  RunningSystem system;
   Engine engine(system.system(), directory.path / "journal", [&](std::function<void()> job) { work.push(std::move(job)); });
   system.load_provider("source", "source");
   control::Transact request;
