@@ -47,8 +47,14 @@ void ControlServer::begin_restoring() {
   std::optional<control::Reply> answered;
   engine_.transact("restore", request, [&answered](const control::Reply& reply) { answered = reply; });
   while (!answered) {
-    pollfd wait{work_.descriptor(), POLLIN, 0};
-    ::poll(&wait, 1, -1);
+    // What a group says, a mode reached there too, comes only to who reads it.
+    const auto children = system_.child_groups();
+    std::vector<pollfd> waits{{work_.descriptor(), POLLIN, 0}};
+    for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
+    if (::poll(waits.data(), waits.size(), -1) < 0) continue;
+    for (std::size_t i = 0; i < children.size(); ++i) {
+      if (waits[i + 1].revents != 0) system_.serve_group(*children[i]);
+    }
     for (const auto& work : work_.take()) work();
   }
   if (answered->has_failure()) throw_failure(answered->failure());
