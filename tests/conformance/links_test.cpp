@@ -79,7 +79,7 @@ TEST_P(Links, LateSubscriberOfAServiceWithLastValueIsGivenItAloneThoughItSharesT
 }
 
 TEST_P(Links, SlowConsumerLosesInItsOwnNameAndNobodyElseLoses) {
-  system.load_client("sink", "slow", "work_ms=20");
+  system.load_client("sink", "slow", "work_ms=100");
   system.load_client("sink", "quick");
   system.load_provider("source", "source", "neutral period_ms=4 count=200 payload=200000");
   system.wire("slow.each", "source.newest");
