@@ -13,6 +13,7 @@ namespace fiona::host {
 struct Engine::Transaction {
   std::string author;
   control::Transact request;
+  bool is_undo = false;
   std::uint64_t undoes = 0;
   Waits::Answer answer;
 
@@ -79,17 +80,22 @@ void Engine::transact(const std::string& author, const control::Transact& reques
 }
 
 void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer) {
-  const control::JournalEntry* last = journal_.last_done();
-  if (!last) {
-    throw Error(ErrorCode::NotFound, {.what = "there is nothing to undo", .next = "journal"});
-  }
   auto transaction = std::make_shared<Transaction>();
   transaction->author = author;
-  *transaction->request.mutable_changes() = last->reverse();
+  transaction->is_undo = true;
   transaction->request.set_dry_run(request.dry_run());
-  transaction->undoes = last->number();
   transaction->answer = std::move(answer);
   enqueue(std::move(transaction));
+}
+
+/// What it takes back is decided when its turn comes: what waits before it may be the last by then.
+void Engine::choose_what_to_undo(Transaction& transaction) const {
+  if (const control::JournalEntry* last = journal_.last_done()) {
+    *transaction.request.mutable_changes() = last->reverse();
+    transaction.undoes = last->number();
+    return;
+  }
+  transaction.failure = failure_of(Error(ErrorCode::NotFound, {.what = "there is nothing to undo", .next = "journal"}));
 }
 
 control::JournalEntries Engine::journal(std::uint32_t last) const {
@@ -131,7 +137,8 @@ void Engine::plan(Transaction& transaction) const {
 }
 
 void Engine::begin(const TransactionPtr& transaction) {
-  plan(*transaction);
+  if (transaction->is_undo) choose_what_to_undo(*transaction);
+  if (!transaction->failure) plan(*transaction);
   if (transaction->failure) return finish(transaction);
   if (transaction->request.dry_run()) {
     control::Reply reply;
@@ -150,7 +157,12 @@ void Engine::begin(const TransactionPtr& transaction) {
   entry.set_undoes(transaction->undoes);
   entry.mutable_steps()->Add(transaction->steps.begin(), transaction->steps.end());
   entry.mutable_reverse()->Add(transaction->reverse.begin(), transaction->reverse.end());
-  transaction->entry = journal_.begin(std::move(entry));
+  try {
+    transaction->entry = journal_.begin(std::move(entry));
+  } catch (...) {
+    transaction->failure = failure_of_exception();
+    return finish(transaction);
+  }
   if (!transaction->is_aside()) current_ = transaction;
   go_on(transaction);
 }
@@ -207,7 +219,9 @@ void Engine::step_failed(const TransactionPtr& transaction, const control::Failu
   transaction->failure = failure;
   const bool one_by_one = !transaction->request.whole() && transaction->steps.size() == static_cast<std::size_t>(transaction->request.changes_size());
   if (one_by_one && transaction->steps.size() > 1) transaction->failure->set_change(static_cast<std::uint32_t>(transaction->at) + 1);
-  transaction->steps = Model::difference(system_.model(), transaction->before);
+  // Of a change aside nothing has been made, and what others have made meanwhile is theirs.
+  const bool aside = transaction->is_aside();
+  transaction->steps = aside ? std::vector<control::Change>() : Model::difference(system_.model(), transaction->before);
   transaction->at = 0;
 }
 
@@ -215,7 +229,11 @@ void Engine::finish(const TransactionPtr& transaction) {
   using Entry = control::JournalEntry;
   if (transaction->entry != 0) {
     const std::string reason = transaction->failure ? transaction->failure->what() : "";
-    journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason, system_.model());
+    try {
+      journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason, system_.model());
+    } catch (const Error& error) {
+      transaction->done.add_warnings(error.text().what + ": after a restart of the host this has not happened");
+    }
   }
   if (!transaction->not_taken_back.empty()) {
     transaction->failure->set_found(fmt::format("{}; and this could not be taken back: {}", transaction->failure->found(),

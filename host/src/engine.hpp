@@ -37,6 +37,7 @@ class Engine {
 
   void enqueue(TransactionPtr transaction);
   void begin(const TransactionPtr& transaction);
+  void choose_what_to_undo(Transaction& transaction) const;
   void plan(Transaction& transaction) const;
   void go_on(const TransactionPtr& transaction);
   bool make_step(const TransactionPtr& transaction, const control::Change& step);

@@ -104,7 +104,14 @@ void Journal::sync_until_closed() {
 void Journal::write(const control::JournalEntry& entry) {
   if (file_.empty()) return;
   const std::string record = record_of(entry);
-  write_all(descriptor_.get(), record, file_);
+  try {
+    write_all(descriptor_.get(), record, file_);
+  } catch (...) {
+    // Behind half a record nothing would be found again.
+    static_cast<void>(::ftruncate(descriptor_.get(), static_cast<off_t>(written_bytes_)));
+    ::lseek(descriptor_.get(), static_cast<off_t>(written_bytes_), SEEK_SET);
+    throw;
+  }
   written_bytes_ += record.size();
   {
     const std::lock_guard lock(mutex_);

@@ -58,6 +58,7 @@ std::shared_ptr<const Package> Packages::shared(Package package) const {
                          same->interface.SerializeAsString() == package.interface.SerializeAsString();
   if (unchanged) return same;
   package.types = Types::read(package.name, package.interface);
+  std::erase_if(known_, [&](const auto& entry) { return entry.first != package.library && entry.second.expired(); });
   auto made = std::make_shared<const Package>(std::move(package));
   known = made;
   return made;

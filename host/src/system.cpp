@@ -568,7 +568,8 @@ void System::complete_status(control::InstanceStatus& status) const {
   for (auto& p : *status.mutable_ports()) {
     for (const auto& [client, wanted] : model_.wires()) {
       if (client.first == status.name() && client.second == p.name()) {
-        const Wire& wire = wires_.at(client);
+        const auto known = wires_.find(client);
+        const Wire wire = known == wires_.end() ? Wire{} : known->second;
         *p.mutable_peer() = wanted.provider;
         p.set_prescale(wanted.prescale);
         if (wire.id != 0) p.set_transport(wire.local ? "process" : "ipc");
