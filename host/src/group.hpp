@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 
+#include "clock_master.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
 #include "runtime.hpp"
@@ -44,18 +45,29 @@ class MainGroup final : public Group {
   std::string endpoint() const override { return runtime_.endpoint(); }
   pid_t process() const override;
   bool alive() const override { return true; }
-  void peer_lost(const std::string& lost, const std::string& reason) override { runtime_.peer_lost(lost, reason); }
+  void peer_lost(const std::string& lost, const std::string& reason) override;
+  std::map<std::string, FrameCounts> frame_counts() { return runtime_.frame_counts(); }
 
  private:
-  wire::GroupMessage perform(const wire::GroupRequest& request) override { return runtime_.handle(request); }
+  wire::GroupMessage perform(const wire::GroupRequest& request) override;
+  void reconsider();
+  VirtualClock* const clock_;  ///< null: the system's
   Runtime runtime_;
 };
 
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
  public:
+  /// How its process is started. A virtual clock is followed through `master`; the system's is shared by its origin.
+  struct Start {
+    std::string endpoint;
+    const Clock& clock;
+    ClockMaster* master = nullptr;
+    std::size_t threads = 0;  ///< of its pool; 0: one per core
+  };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
-  ChildGroup(std::string name, const std::string& endpoint, const SystemClock& clock, Runtime::OnEvent on_event);
+  ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
+  ~ChildGroup() override;
 
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
@@ -72,8 +84,11 @@ class ChildGroup final : public Group {
   wire::GroupMessage perform(const wire::GroupRequest& request) override;
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, std::chrono::seconds deadline);
   void note_end();
+  void pass_on(const wire::GroupMessage& event);
 
   const std::string endpoint_;
+  const Clock& clock_;
+  ClockMaster* const master_;
   const Runtime::OnEvent on_event_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;

@@ -8,20 +8,32 @@
 #include <string>
 
 #include "fiona/error.hpp"
+#include "group_clock.hpp"
 #include "mailbox.hpp"
 #include "os/message_stream.hpp"
 #include "runtime.hpp"
 
 namespace {
 
+using fiona::host::GroupClock;
 using fiona::host::Mailbox;
 using fiona::host::Runtime;
 
 constexpr int kGroupSocket = 3;
+constexpr int kClockSocket = 4;
 /// Events that may wait for a slow host; watched values beyond it are dropped.
 constexpr std::size_t kEventBound = 10'000;
 
-int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
+/// Does one request; a virtual clock is told of its beginning and end.
+fiona::wire::GroupMessage handle(Runtime& runtime, GroupClock* clock, const fiona::wire::GroupRequest& request) {
+  if (clock) clock->begin_request(fiona::TimePoint(fiona::Duration(request.now_ns())));
+  auto reply = runtime.handle(request);
+  if (clock) clock->end_request(request.id());
+  return reply;
+}
+
+int serve(Runtime& runtime, GroupClock* clock, fiona::os::MessageStream& stream,
+          Mailbox<fiona::wire::GroupMessage>& events) {
   while (true) {
     pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
                       {events.descriptor(), POLLIN, 0}};
@@ -32,7 +44,7 @@ int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wir
     if (!stream.flush() || !stream.receive()) return 0;
     fiona::wire::GroupRequest request;
     while (stream.next(request)) {
-      const auto reply = runtime.handle(request);
+      const auto reply = handle(runtime, clock, request);
       // What the request caused is told before its answer.
       for (auto& event : events.take()) stream.send(event);
       if (!stream.send(reply)) return 1;
@@ -47,22 +59,34 @@ std::string value_of(int argc, char** argv, std::string_view flag) {
   throw fiona::Error(fiona::ErrorCode::Usage, "fiona-group is started by fiona-host, which gives it " + std::string(flag));
 }
 
+std::unique_ptr<fiona::Clock> make_clock(int argc, char** argv) {
+  if (value_of(argc, argv, "--clock") == "virtual") {
+    return std::make_unique<GroupClock>(fiona::os::Descriptor(kClockSocket));
+  }
+  return std::make_unique<fiona::SystemClock>(fiona::SystemClock::Origin{
+      std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
+}
+
 int run(int argc, char** argv) {
   const std::string endpoint = value_of(argc, argv, "--endpoint");
-  fiona::SystemClock clock({std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
-  fiona::Pool pool;
+  const auto clock = make_clock(argc, argv);
+  auto* const follower = dynamic_cast<GroupClock*>(clock.get());
+  fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")));
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
-  Runtime runtime(pool, clock, libraries, endpoint, [&events](fiona::wire::GroupMessage event) {
+  Runtime runtime(pool, *clock, libraries, endpoint, [&events, follower](fiona::wire::GroupMessage event) {
     const bool droppable = event.has_tapped();
-    events.push(std::move(event), droppable ? kEventBound : SIZE_MAX);
+    // Counted first: virtual time waits until the host has seen what was counted.
+    if (follower) follower->count_event();
+    events.push(std::move(event), droppable && !follower ? kEventBound : SIZE_MAX);
   });
+  if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;
-  const int code = serve(runtime, stream, events);
-  clock.stop();
+  const int code = serve(runtime, follower, stream, events);
+  clock->stop();
   return code;
 }
 

@@ -21,12 +21,14 @@ struct LinkSocket::Drain final : Runnable {
   LinkSocket* link;
 };
 
-LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, OnFrame on_frame)
+LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, OnFrame on_frame,
+                       std::function<void()> on_counted)
     : pool_(pool),
       on_frame_(std::move(on_frame)),
       socket_(context, type),
       drain_(std::make_shared<Drain>(*this)),
-      routed_(type == zmq::socket_type::router) {
+      routed_(type == zmq::socket_type::router),
+      on_counted_(std::move(on_counted)) {
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::sndhwm, 0);  // bounded by the wires' credit instead, which counts bytes
   socket_.set(zmq::sockopt::rcvhwm, 0);
@@ -67,6 +69,7 @@ void LinkSocket::send(const std::string& peer, const wire::Frame& frame, const O
     try {
       if (routed_) socket_.send(zmq::buffer(peer), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
       socket_.send(body, zmq::send_flags::dontwait);
+      if (on_counted_) ++counts_[peer].sent;
     } catch (const zmq::error_t&) {
       return;  // the peer is gone: supervision reports that, not each message
     }
@@ -83,16 +86,32 @@ void LinkSocket::drain() {
   if (!draining) {
     draining.lock();  // the other reader may have looked already: look again after it
   }
+  const bool more = read_some();
+  draining.unlock();
+  if (on_counted_) on_counted_();
+  if (more) pool_.submit(drain_);
+}
+
+/// True when there may be more to read.
+bool LinkSocket::read_some() {
   for (int reads = 0; reads < kReadsPerTurn; ++reads) {
     std::string peer;
     zmq::message_t body;
     {
       std::unique_lock lock(mutex_);
-      if (stopped_ || !has_input() || !receive(lock, peer, body)) return;
+      if (stopped_ || !has_input() || !receive(lock, peer, body)) return false;
     }
     dispatch(peer, body);
+    if (!on_counted_) continue;
+    const std::lock_guard lock(mutex_);
+    ++counts_[peer].received;
   }
-  pool_.submit(drain_);
+  return true;
+}
+
+std::map<std::string, FrameCounts> LinkSocket::counts() {
+  const std::lock_guard lock(mutex_);
+  return counts_;
 }
 
 bool LinkSocket::receive(std::unique_lock<std::mutex>&, std::string& peer, zmq::message_t& body) {

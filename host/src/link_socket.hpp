@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -13,6 +14,12 @@
 
 namespace fiona::host {
 
+/// Messages of a link so far, with one peer.
+struct FrameCounts {
+  std::uint64_t sent = 0;
+  std::uint64_t received = 0;  ///< and dealt with
+};
+
 /// One ZeroMQ socket that several threads send through, and that the pool reads when something has come.
 ///
 /// A message is [peer's identity, on a listening socket] then one part: the frame's length in 4 bytes little endian,
@@ -21,7 +28,9 @@ class LinkSocket {
  public:
   using OnFrame = std::function<void(const std::string& peer, const wire::Frame& frame, std::string_view object)>;
 
-  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, OnFrame on_frame);
+  /// `on_counted`: counts messages, and is told when all that came have been dealt with; null: does not count.
+  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, OnFrame on_frame,
+             std::function<void()> on_counted = nullptr);
   ~LinkSocket();
 
   zmq::socket_t& socket() { return socket_; }
@@ -31,10 +40,13 @@ class LinkSocket {
   void stop();
   /// [any thread] Sends a frame with an object (null: none). Never waits: what bounds the queue is each wire's credit.
   void send(const std::string& peer, const wire::Frame& frame, const Object* object);
+  /// By peer, as `send` names it.
+  std::map<std::string, FrameCounts> counts();
 
  private:
   struct Drain;
   void drain();
+  bool read_some();
   bool receive(std::unique_lock<std::mutex>& lock, std::string& peer, zmq::message_t& body);
   void dispatch(const std::string& peer, const zmq::message_t& body);
   bool has_input();
@@ -48,6 +60,8 @@ class LinkSocket {
   std::unique_ptr<Pool::Readable> watch_;
   bool stopped_ = false;
   const bool routed_;
+  const std::function<void()> on_counted_;
+  std::map<std::string, FrameCounts> counts_;
 };
 
 }  // namespace fiona::host

@@ -27,12 +27,17 @@ class PrescaledSink final : public Sink {
 
 }  // namespace
 
-Links::Links(Pool& pool, std::string endpoint, OnLost on_lost)
-    : pool_(pool), endpoint_(std::move(endpoint)), on_lost_(std::move(on_lost)) {
+Links::Links(Pool& pool, Clock& clock, std::string endpoint, OnLost on_lost)
+    : pool_(pool),
+      clock_(dynamic_cast<VirtualClock*>(&clock)),
+      endpoint_(std::move(endpoint)),
+      on_lost_(std::move(on_lost)) {
   server_ = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::router,
                                          [this](const std::string& peer, const wire::Frame& frame,
-                                                std::string_view object) { on_server_frame(peer, frame, object); });
+                                                std::string_view object) { on_server_frame(peer, frame, object); },
+                                         on_counted());
   server_->socket().set(zmq::sockopt::router_mandatory, 1);
+  server_->socket().set(zmq::sockopt::router_handover, clock_ ? 1 : 0);
   server_->socket().bind(endpoint_);
   server_->start();
 }
@@ -44,9 +49,26 @@ void Links::stop() {
   for (auto& [endpoint, peer] : peers_) peer.link->stop();
 }
 
-void Links::provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale) {
+std::function<void()> Links::on_counted() const {
+  if (!clock_) return nullptr;
+  return [clock = clock_] { clock->reconsider(); };
+}
+
+std::map<std::string, FrameCounts> Links::frame_counts() {
   const std::lock_guard lock(mutex_);
-  grants_[wire] = Grant{std::move(token), &provider, std::max(1U, prescale), nullptr, nullptr};
+  auto all = server_->counts();
+  for (const auto& [endpoint, peer] : peers_) {
+    const FrameCounts ours = peer.link->counts()[""];
+    all[endpoint].sent += ours.sent;
+    all[endpoint].received += ours.received;
+  }
+  return all;
+}
+
+void Links::provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale,
+                    std::string client_name) {
+  const std::lock_guard lock(mutex_);
+  grants_[wire] = Grant{std::move(token), &provider, std::max(1U, prescale), std::move(client_name), nullptr, nullptr};
 }
 
 LinkSocket& Links::connect(const std::string& endpoint) {
@@ -54,7 +76,10 @@ LinkSocket& Links::connect(const std::string& endpoint) {
   if (!peer.link) {
     peer.link = std::make_unique<LinkSocket>(
         pool_, context_, zmq::socket_type::dealer,
-        [this](const std::string&, const wire::Frame& frame, std::string_view object) { on_client_frame(frame, object); });
+        [this](const std::string&, const wire::Frame& frame, std::string_view object) { on_client_frame(frame, object); },
+        on_counted());
+    // Named, so that what is counted at both ends can be compared.
+    if (clock_) peer.link->socket().set(zmq::sockopt::routing_id, endpoint_);
     peer.link->socket().connect(endpoint);
     peer.link->start();
   }
@@ -66,7 +91,7 @@ void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPor
                     const std::function<void()>& switch_over) {
   std::unique_lock lock(mutex_);
   LinkSocket& link = connect(endpoint);
-  const auto wire = std::make_shared<RemoteWire>(link, "", wire_id, client);
+  const auto wire = std::make_shared<RemoteWire>(link, "", wire_id, client, client.full_name() + "<" + provider_name);
   requirements_[wire_id] = Requirement{&client, endpoint, provider_name, wire, std::nullopt, false};
   lock.unlock();
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
@@ -117,7 +142,8 @@ void Links::open_for(const std::string& peer, const wire::Frame& frame) {
     return refuse(peer, frame.wire(), "the wire was not granted");
   }
   Grant& granted = grant->second;
-  granted.wire = std::make_shared<RemoteWire>(*server_, peer, frame.wire(), *granted.provider);
+  granted.wire = std::make_shared<RemoteWire>(*server_, peer, frame.wire(), *granted.provider,
+                                              granted.client_name + "<" + granted.provider->full_name());
   auto* push = dynamic_cast<detail::PushProvider*>(granted.provider);
   if (push) granted.sink = std::make_shared<PrescaledSink>(granted.wire, granted.prescale);
   granted.wire->open([&] { return push ? push->attach(granted.sink) : 0; });

@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 
+#include "fiona/clock.hpp"
 #include "remote_wire.hpp"
 
 namespace fiona::host {
@@ -18,14 +19,16 @@ class Links {
   using OnLost = std::function<void(std::uint64_t wire, const std::string& reason)>;
 
   /// Listens at `endpoint` ("ipc:///run/…").
-  Links(Pool& pool, std::string endpoint, OnLost on_lost);
+  /// On a virtual clock, what comes takes its turn there.
+  Links(Pool& pool, Clock& clock, std::string endpoint, OnLost on_lost);
   ~Links();
 
   const std::string& endpoint() const { return endpoint_; }
   /// Closes the sockets: after it returned no message reaches a port any more.
   void stop();
   /// Lets a peer open `wire` to `provider` if it brings `token`.
-  void provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale);
+  void provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale,
+               std::string client_name);
   /// [control thread] Opens `wire` from `client` to the process that listens at `endpoint`; then calls `switch_over`,
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
   /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
@@ -39,12 +42,15 @@ class Links {
   void release(const Hull& hull);
   /// The process behind `endpoint` is gone: its wires are lost.
   void peer_lost(const std::string& endpoint, const std::string& reason);
+  /// Of a process on a virtual clock: by the endpoint of the peer.
+  std::map<std::string, FrameCounts> frame_counts();
 
  private:
   struct Grant {
     std::string token;
     ProvidedPort* provider = nullptr;
     std::uint32_t prescale = 1;
+    std::string client_name;
     std::shared_ptr<RemoteWire> wire;  ///< once opened
     std::shared_ptr<Sink> sink;        ///< what the provider puts into: the wire, behind a prescale
   };
@@ -68,8 +74,10 @@ class Links {
   void end(std::uint64_t wire, const Grant& grant, const std::string& reason);
   void end(std::uint64_t wire, const Requirement& requirement, const std::string& reason);
   LinkSocket& connect(const std::string& endpoint);
+  std::function<void()> on_counted() const;
 
   Pool& pool_;
+  VirtualClock* const clock_;  ///< null: the system's
   zmq::context_t context_;
   const std::string endpoint_;
   const OnLost on_lost_;

@@ -94,7 +94,7 @@ class RemoteWire::RemoteReply final : public ReplySink {
     item.bytes = event.bytes + kFrameCost;
     const std::lock_guard lock(wire->mutex_);
     if (wire->cut_) return Outcome::Disconnected;
-    return wire->credit_.offer(std::move(item), false, wire->sender()) ? Outcome::Ok : Outcome::Rejected;
+    return wire->send(std::move(item), false) ? Outcome::Ok : Outcome::Rejected;
   }
 
  private:
@@ -103,11 +103,13 @@ class RemoteWire::RemoteReply final : public ReplySink {
   std::atomic<bool> answered_{false};
 };
 
-RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port)
+RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port, std::string name)
     : link_(link),
       peer_(std::move(peer)),
       wire_(wire),
       port_(port),
+      name_(std::move(name)),
+      clock_(port.hull().clock()),
       object_rules_(port.service().object()),
       objects_(prototype_of(port.service().object())),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
@@ -162,24 +164,41 @@ Outcome RemoteWire::deliver_locked(Parcel parcel) {
     request.set_id(id);
     request.set_origin_ns(origin_ns);
     request.set_continuous(parcel.continuous);
-    parcel.reply->set_on_abandon([weak = weak_from_this(), id] {
+    const auto cancel = [weak = weak_from_this(), id] {
       if (const auto wire = weak.lock()) wire->cancel(id);
-    });
+    };
+    parcel.reply->set_on_abandon(cancel, clock_.staging());
     open_.emplace(id, std::move(parcel.reply));
-    return credit_.offer(std::move(item), false, sender()) ? Outcome::Ok : Outcome::Rejected;
+    return send(std::move(item), false) ? Outcome::Ok : Outcome::Rejected;
   }
   auto& object = *item.frame.mutable_object();
   object.set_sequence(parcel.envelope.sequence);
   object.set_origin_ns(origin_ns);
   const bool push = is_push(port_);
   const std::uint64_t dropped = credit_.dropped();
-  const bool taken = credit_.offer(std::move(item), push, sender());
+  const bool taken = send(std::move(item), push);
   port_.counters().dropped.fetch_add(credit_.dropped() - dropped, std::memory_order_relaxed);
   return taken ? Outcome::Ok : Outcome::Rejected;
 }
 
-/// The client gave up: the provider is told, so that it need not go on.
+/// Called with the mutex held. In virtual time what one round sends is handed out in the next, as within a process;
+/// that bounds it, where credit would lose messages by the speed of threads.
+bool RemoteWire::send(CreditQueue::Item item, bool drop_oldest) {
+  if (!clock_.staging()) return credit_.offer(std::move(item), drop_oldest, sender());
+  send_frame(item.frame, item.object.get());
+  return true;
+}
+
+/// The client gave up: the provider is told, so that it need not go on. In virtual time an answer that is on its way
+/// still comes, as within a process: the request stays open until the provider has confirmed.
 void RemoteWire::cancel(std::uint64_t id) {
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_cancel()->set_id(id);
+  if (clock_.staging()) {
+    const std::lock_guard lock(mutex_);
+    if (!cut_) send_frame(frame, nullptr);
+    return;
+  }
   std::shared_ptr<ReplySink> given_up;  // let go outside the lock
   {
     const std::lock_guard lock(mutex_);
@@ -188,11 +207,46 @@ void RemoteWire::cancel(std::uint64_t id) {
     given_up = std::move(open->second);
     open_.erase(open);
     if (cut_) return;
-    wire::Frame frame = frame_for(wire_);
-    frame.mutable_cancel()->set_id(id);
     send_frame(frame, nullptr);
   }
   if (const auto notice = take_drained()) notice();
+}
+
+/// From the client: it gave up. From the provider: it knows that we did.
+void RemoteWire::on_cancel(std::uint64_t id) {
+  if (port_.direction() == PortDirection::Requires) {
+    std::shared_ptr<ReplySink> given_up;  // let go outside the lock
+    {
+      const std::lock_guard lock(mutex_);
+      const auto open = open_.find(id);
+      if (open == open_.end()) return;
+      given_up = std::move(open->second);
+      open_.erase(open);
+    }
+    if (const auto notice = take_drained()) notice();
+    return;
+  }
+  take_in_turn(nullptr, kGivenUp, [self = shared_from_this(), id] { self->on_given_up(id); });
+}
+
+void RemoteWire::on_given_up(std::uint64_t id) {
+  std::shared_ptr<ReplySink> given_up;  // let go outside the lock
+  const std::lock_guard lock(mutex_);
+  if (clock_.staging() && !cut_) {
+    wire::Frame confirmed = frame_for(wire_);
+    confirmed.mutable_cancel()->set_id(id);
+    send_frame(confirmed, nullptr);
+  }
+  const auto served = served_.find(id);
+  if (served == served_.end()) return;
+  given_up = served->second.lock();
+  served_.erase(served);
+  if (given_up) given_up->abandon();
+}
+
+void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job job) {
+  if (!clock_.staging()) return job();
+  clock_.stage({name_, ++staged_, object, word, std::move(job)});
 }
 
 void RemoteWire::on_frame(const wire::Frame& frame, std::string_view object) {
@@ -245,22 +299,15 @@ void RemoteWire::handle_frame(const wire::Frame& frame, std::string_view object)
       return;
     }
     case wire::Frame::kLease: {
-      auto* client = dynamic_cast<RequiredPort*>(&port_);
-      const std::lock_guard lock(mutex_);
-      if (client && !cut_) client->set_lease(frame.lease().held(), frame.lease().reason());
-      return;
+      const bool held = frame.lease().held();
+      return take_in_turn(nullptr, held ? kSpeaks : kSilent, [self = shared_from_this(), held, reason = frame.lease().reason()] {
+        auto* client = dynamic_cast<RequiredPort*>(&self->port_);
+        const std::lock_guard lock(self->mutex_);
+        if (client && !self->cut_) client->set_lease(held, reason);
+      });
     }
     case wire::Frame::kFired: return on_fired(frame.fired(), object);
-    case wire::Frame::kCancel: {
-      std::shared_ptr<ReplySink> given_up;  // let go outside the lock
-      const std::lock_guard lock(mutex_);
-      const auto served = served_.find(frame.cancel().id());
-      if (served == served_.end()) return;
-      given_up = served->second.lock();
-      served_.erase(served);
-      if (given_up) given_up->abandon();
-      return;
-    }
+    case wire::Frame::kCancel: return on_cancel(frame.cancel().id());
     default: return;
   }
 }
@@ -277,36 +324,51 @@ std::shared_ptr<Object> RemoteWire::parse(ObjectPool& pool, std::string_view obj
 }
 
 void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
-  Inbox* inbox = nullptr;
-  if (auto* provided = dynamic_cast<ProvidedPort*>(&port_)) inbox = provided->inbox();
-  if (auto* required = dynamic_cast<RequiredPort*>(&port_)) inbox = required->inbox();
   const Pattern pattern = port_.service().pattern();
   const bool request = frame.has_request();
   const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
-  if (!inbox || !fits) return;
-  auto parsed = parse(objects_, object);
-  auto refusal = parsed ? object_rules_.first_violation(*parsed) : "the object does not parse";
+  if (!inbox() || !fits) return;
+  Arrival arrival;
+  arrival.object = parse(objects_, object);
+  arrival.refusal = arrival.object ? object_rules_.first_violation(*arrival.object) : "the object does not parse";
+  arrival.request = request;
+  arrival.id = request ? frame.request().id() : frame.object().sequence();
+  arrival.origin = TimePoint(Duration(request ? frame.request().origin_ns() : frame.object().origin_ns()));
+  arrival.continuous = frame.request().continuous();
+  arrival.bytes = object.size();
+  if (!clock_.staging()) return take(std::move(arrival));
+  const Object* parsed = arrival.object.get();
+  Job job([self = shared_from_this(), arrival = std::move(arrival)]() mutable { self->take(std::move(arrival)); });
+  take_in_turn(parsed, to_string(Outcome::Rejected), std::move(job));
+}
+
+Inbox* RemoteWire::inbox() const {
+  if (auto* provided = dynamic_cast<ProvidedPort*>(&port_)) return provided->inbox();
+  if (auto* required = dynamic_cast<RequiredPort*>(&port_)) return required->inbox();
+  return nullptr;
+}
+
+void RemoteWire::take(Arrival arrival) {
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;
-    give_credit(object.size() + kFrameCost);
-    if (request) {
-      reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
-      served_[frame.request().id()] = reply;
+    give_credit(arrival.bytes + kFrameCost);
+    if (arrival.request) {
+      reply = std::make_shared<RemoteReply>(weak_from_this(), arrival.id);
+      served_[arrival.id] = reply;
     }
-    if (!refusal) {
-      const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
-      Envelope envelope{std::move(parsed), request ? frame.request().id() : frame.object().sequence(),
-                        TimePoint(Duration(origin_ns)), object.size()};
-      outcome = inbox->push({std::move(envelope), reply, frame.request().continuous(), 0});
-      if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
+    if (!arrival.refusal) {
+      Envelope envelope{std::move(arrival.object), arrival.id, arrival.origin, arrival.bytes};
+      outcome = inbox()->push({std::move(envelope), reply, arrival.continuous, 0});
+      if (outcome == Outcome::Rejected) arrival.refusal = "the provider's queue is full";
     }
   }
   if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
-  if (reply && (outcome != Outcome::Ok || pattern == SEND)) reply->answer(outcome, refusal.value_or(""), nullptr);
+  const bool ends = outcome != Outcome::Ok || port_.service().pattern() == SEND;
+  if (reply && ends) reply->answer(outcome, arrival.refusal.value_or(""), nullptr);
 }
 
 void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
@@ -336,6 +398,7 @@ void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
 
 /// Credit goes back in quarters of the window, so that a stream of small messages does not double its traffic.
 void RemoteWire::give_credit(std::size_t bytes) {
+  if (clock_.staging()) return;
   owed_credit_ += bytes;
   if (owed_credit_ < kWireWindow / 4) return;
   wire::Frame frame = frame_for(wire_);

@@ -45,7 +45,8 @@ class CreditQueue {
 /// A wire as the side sees it whose peer is in another process.
 class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> {
  public:
-  RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port);
+  /// `name` orders deliveries in virtual time, as that of a LocalWire.
+  RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port, std::string name);
 
   std::uint64_t wire() const { return wire_; }
   const std::string& peer() const { return peer_; }
@@ -69,13 +70,29 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
 
  private:
   class RemoteReply;
+  /// An object or request from the peer.
+  struct Arrival {
+    std::shared_ptr<Object> object;
+    std::optional<std::string> refusal;
+    bool request = false;
+    std::uint64_t id = 0;  ///< of the request, or the object's sequence
+    TimePoint origin{};
+    bool continuous = false;
+    std::size_t bytes = 0;
+  };
   Outcome deliver_locked(Parcel parcel);
   void handle_frame(const wire::Frame& frame, std::string_view object);
   std::function<void()> take_drained();
+  void take(Arrival arrival);
+  void take_in_turn(const Object* object, std::string_view word, Job job);
+  bool send(CreditQueue::Item item, bool drop_oldest);
   void cancel(std::uint64_t id);
+  void on_cancel(std::uint64_t id);
+  void on_given_up(std::uint64_t id);
   void on_object(const wire::Frame& frame, std::string_view object);
   void on_answer(const wire::Answer& answer, std::string_view object);
   void on_fired(const wire::Fired& fired, std::string_view object);
+  Inbox* inbox() const;
   void forget(std::uint64_t id);
   void give_credit(std::size_t bytes);
   static std::shared_ptr<Object> parse(ObjectPool& pool, std::string_view object);
@@ -86,6 +103,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   const std::string peer_;
   const std::uint64_t wire_;
   Port& port_;
+  const std::string name_;
+  Clock& clock_;
+  std::atomic<std::uint64_t> staged_{0};
   const ObjectRules object_rules_;
   ObjectPool objects_;
   const std::optional<ObjectRules> answer_rules_;

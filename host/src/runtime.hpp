@@ -30,6 +30,7 @@ class Runtime final : private HullEvents {
   const std::string& endpoint() const { return links_.endpoint(); }
   /// [control thread] A process of the system has ended.
   void peer_lost(const std::string& endpoint, const std::string& reason) { links_.peer_lost(endpoint, reason); }
+  std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
 
  private:
   struct Instance;

@@ -64,7 +64,9 @@ System::~System() { end_threads(); }
 /// Groups, then the clock's thread, which posts, then the pool's; the clock last: a strand tells it that it is idle
 /// after its last job has ended.
 void System::end_threads() {
+  if (virtual_) virtual_->stop();  // it asks the groups how far they are
   groups_.clear();
+  master_.reset();
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
   pool_.reset();
@@ -73,12 +75,15 @@ void System::end_threads() {
 
 void System::use_clock(std::unique_ptr<Clock> clock) {
   end_threads();
+  deliveries_.reset();
   clock_ = std::move(clock);
+  virtual_ = dynamic_cast<VirtualClock*>(clock_.get());
   pool_ = std::make_unique<Pool>(options_.threads);
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (options_.directory / (options_.name + ".main.ipc")).string();
-  groups_[std::string(kMain)] =
-      std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) { deliver(event); });
+  auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) { deliver(event); });
+  if (virtual_) master_ = std::make_unique<ClockMaster>(*virtual_, endpoint, [&main = *main] { return main.frame_counts(); });
+  groups_[std::string(kMain)] = std::move(main);
 }
 
 /// Waits first, on the thread where it happened; then whoever else listens.
@@ -190,13 +195,10 @@ Group& System::group(const std::string& name) {
   const auto found = groups_.find(wanted);
   if (found != groups_.end() && found->second->alive()) return *found->second;
   require_name(wanted, "a group");
-  const auto* clock = dynamic_cast<const SystemClock*>(clock_.get());
-  if (!clock) {
-    throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process: groups need the system clock",
-                                        .next = "load without 'in " + wanted + "', or: set host clock=system"});
-  }
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
-  auto made = std::make_unique<ChildGroup>(wanted, endpoint, *clock, [this](wire::GroupMessage event) { deliver(event); });
+  if (virtual_) virtual_->lead(*master_);
+  const ChildGroup::Start start{endpoint, *clock_, master_.get(), options_.threads};
+  auto made = std::make_unique<ChildGroup>(wanted, start, [this](wire::GroupMessage event) { deliver(event); });
   return *(groups_[wanted] = std::move(made));
 }
 
@@ -366,18 +368,21 @@ std::string System::set(const control::Set& request) {
 
 /// The host's own parameters: which clock the system has, and how fast a virtual one may run.
 void System::set_host(const control::Set& request) {
-  std::string kind = dynamic_cast<VirtualClock*>(clock_.get()) ? "virtual" : "system";
+  std::string kind = virtual_ ? "virtual" : "system";
   std::optional<double> speed;
+  std::optional<std::string> deliveries;
   for (const auto& argument : request.parameters()) {
     const auto& value = argument.value();
     const bool number = value.kind_case() == control::Value::kNumber || value.kind_case() == control::Value::kInteger;
     if (argument.name() == "clock" && (value.text() == "virtual" || value.text() == "system")) {
       kind = value.text();
+    } else if (argument.name() == "deliveries" && value.kind_case() == control::Value::kText) {
+      deliveries = value.text();
     } else if (argument.name() == "speed" && number) {
       speed = value.kind_case() == control::Value::kNumber ? value.number() : static_cast<double>(value.integer());
     } else {
       throw Error(ErrorCode::Usage, {.what = "the host does not take '" + argument.name() + "' so",
-                                     .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes)",
+                                     .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes), deliveries=FILE",
                                      .next = "get host"});
     }
   }
@@ -387,15 +392,76 @@ void System::set_host(const control::Set& request) {
   if (speed && kind == "system") {
     throw Error(ErrorCode::Usage, {.what = "the system clock has one speed", .next = "set host clock=virtual speed=…"});
   }
-  const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
-  if ((kind == "virtual") != is_virtual) {
+  if (deliveries && !deliveries->empty() && kind == "system") {
+    throw Error(ErrorCode::Usage, {.what = "deliveries are recorded on a virtual clock", .next = "set host clock=virtual deliveries=FILE"});
+  }
+  std::shared_ptr<DeliveryLog> log;
+  if (deliveries && !deliveries->empty()) log = std::make_shared<DeliveryLog>(*deliveries);
+  if ((kind == "virtual") != has_virtual_clock()) {
     if (!instances_.empty()) {
       throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} instances live by the present clock", instances_.size()),
                                           .next = "set host clock before the first load"});
     }
     use_clock(kind == "virtual" ? std::unique_ptr<Clock>(std::make_unique<VirtualClock>()) : std::make_unique<SystemClock>());
   }
-  if (speed) dynamic_cast<VirtualClock&>(*clock_).set_speed(*speed);
+  if (speed) virtual_->set_speed(*speed);
+  if (deliveries && virtual_) record_to(std::move(log));
+}
+
+void System::record_to(std::shared_ptr<DeliveryLog> log) {
+  deliveries_ = std::move(log);
+  virtual_->set_recorder(deliveries_);
+  master_->set_recorder(deliveries_);
+}
+
+void System::settle() {
+  if (!virtual_ || virtual_->released() || progress() == unsettled_) return;
+  const auto end = std::chrono::steady_clock::now() + options_.standstill;
+  // The groups wait until what they told has been heard.
+  do {
+    for (auto* child : child_groups()) serve_group(*child);
+    if (virtual_->settle(master_->empty() ? options_.standstill : std::chrono::milliseconds(1))) return;
+  } while (std::chrono::steady_clock::now() < end);
+  unsettled_ = progress();
+}
+
+std::uint64_t System::progress() const { return virtual_->progress() + master_->progress(); }
+
+void System::watch_time() {
+  const auto now = std::chrono::steady_clock::now();
+  if (!virtual_ || !virtual_->released()) {
+    standing_ = {0, now, false};
+    return;
+  }
+  if (deliveries_ && !deliveries_->failure().empty()) {
+    const std::string failure = deliveries_->failure();
+    const std::string file = deliveries_->file().string();
+    record_to(nullptr);
+    return waits_->fail_all(Error(ErrorCode::Failed, {.what = "the delivery log cannot be written", .where = file, .found = failure}));
+  }
+  const bool waits = !virtual_->busy_strands().empty() || !master_->situation().quiet;
+  if (!waits || progress() != standing_.progress) {
+    standing_ = {progress(), now, false};
+    return;
+  }
+  if (!standing_.asked && now - standing_.since > options_.standstill * 4 / 5) {
+    standing_.asked = true;
+    master_->ask_what_runs();
+  }
+  if (now - standing_.since < options_.standstill) return;
+  waits_->fail_all(standstill());
+}
+
+Error System::standstill() const {
+  std::vector<std::string> blockers;
+  for (const auto& name : virtual_->busy_strands()) blockers.push_back("'" + name + "' runs");
+  for (auto& text : master_->blockers()) blockers.push_back(std::move(text));
+  return Error(ErrorCode::Unreachable,
+               {.what = fmt::format("virtual time has stood at {:.3f} s for {:.3g} s", to_seconds(clock_->now() - clock_->start()),
+                                    std::chrono::duration<double>(options_.standstill).count()),
+                .expected = "a handler that ends: time goes on when nothing runs",
+                .found = fmt::format("{}", fmt::join(blockers, "; ")),
+                .next = "show the instance, or unload it; then wait again"});
 }
 
 std::pair<bool, std::string> System::has_mode(const std::string& name, const std::string& mode) {
@@ -460,6 +526,7 @@ System::Wire System::connect(const control::PortName& client, const control::Por
   provide.set_wire(wire.id);
   provide.set_token(token);
   *provide.mutable_provider() = provider;
+  *provide.mutable_client() = client;
   provide.set_prescale(prescale);
   provider_group.request(request);
   auto& require = *request.mutable_wire_require();
@@ -578,6 +645,7 @@ void System::serve_group(ChildGroup& group) {
 void System::lose(ChildGroup& gone) {
   if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
+  if (master_) master_->remove(gone.endpoint());
   for (auto& [name, one] : groups_) {
     if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
   }
@@ -667,9 +735,10 @@ control::System System::snapshot() {
   control::System all;
   all.set_host(options_.name);
   all.set_version(FIONA_VERSION);
-  const auto* simulated = dynamic_cast<VirtualClock*>(clock_.get());
+  const auto* simulated = virtual_;
   all.set_clock(simulated ? "virtual" : "system");
   all.set_speed(simulated ? simulated->speed() : 1);
+  if (deliveries_) all.set_deliveries(deliveries_->file().string());
   all.set_time_s(to_seconds(clock_->now() - clock_->start()));
   std::map<std::uint64_t, control::InstanceStatus> ordered;
   for (auto& [name, one] : groups_) {

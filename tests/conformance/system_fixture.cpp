@@ -66,9 +66,14 @@ SeenSample::SeenSample(const google::protobuf::Message& sample) {
   payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
 }
 
-RunningSystem::RunningSystem(Transport transport)
+RunningSystem::RunningSystem(Transport transport) : RunningSystem(transport, 2, std::chrono::seconds(5)) {}
+
+RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
+    : RunningSystem(Transport::Process, threads, standstill) {}
+
+RunningSystem::RunningSystem(Transport transport, std::size_t threads, std::chrono::milliseconds standstill)
     : transport_(transport),
-      system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2},
+      system_(host::System::Options{"test", directory_.path / "store", directory_.path, threads, standstill},
               [this](const wire::GroupMessage& event) { keep(event); }) {}
 
 void RunningSystem::keep(const wire::GroupMessage& event) {
@@ -81,6 +86,7 @@ void RunningSystem::keep(const wire::GroupMessage& event) {
 
 void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
                          const std::string& parameters) {
+  system_.settle();
   control::Load request;
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
   request.set_instance(name);
@@ -88,6 +94,24 @@ void RunningSystem::load(const std::string& component, const std::string& name, 
   if (parameters.starts_with("neutral")) request.set_mode("neutral");
   add_arguments(parameters, *request.mutable_parameters());
   system_.load(request);
+}
+
+void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
+                            const std::string& parameters) {
+  load(component, name, group, parameters);
+}
+
+control::Reply RunningSystem::let_pass(std::chrono::milliseconds time) {
+  system_.settle();
+  control::Sleep request;
+  request.set_duration_ms(static_cast<double>(time.count()));
+  auto answer = std::make_shared<LaterAnswer>();
+  system_.waits().sleep(1, 1, request, [answer](control::Reply reply) {
+    answer->reply = std::move(reply);
+    answer->ended = true;
+  });
+  eventually("the end of the time", [&] { system_.watch_time(); return answer->ended.load(); }, std::chrono::seconds(60));
+  return answer->reply;
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
@@ -99,6 +123,7 @@ void RunningSystem::load_client(const std::string& component, const std::string&
 }
 
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
+  system_.settle();
   control::Wire request;
   *request.mutable_client() = port_name(client);
   *request.mutable_provider() = port_name(provider);
@@ -107,12 +132,14 @@ void RunningSystem::wire(const std::string& client, const std::string& provider,
 }
 
 void RunningSystem::unwire(const std::string& client) {
+  system_.settle();
   control::Unwire request;
   *request.mutable_client() = port_name(client);
   system_.unwire(request);
 }
 
 void RunningSystem::set(const std::string& instance_name, const std::string& parameters) {
+  system_.settle();
   control::Set request;
   request.set_instance(instance_name);
   add_arguments(parameters, *request.mutable_parameters());
@@ -154,6 +181,7 @@ control::Called RunningSystem::call(const std::string& target, const std::string
 }
 
 void RunningSystem::unload(const std::string& instance_name) {
+  system_.settle();
   control::Unload request;
   request.set_instance(instance_name);
   system_.unload(request);

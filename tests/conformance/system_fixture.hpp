@@ -57,10 +57,14 @@ struct LaterAnswer {
 class RunningSystem {
  public:
   explicit RunningSystem(Transport transport = Transport::Process);
+  /// With so many threads in each process, and this patience with a virtual clock.
+  RunningSystem(std::size_t threads, std::chrono::milliseconds standstill);
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
   void load_client(const std::string& component, const std::string& name, const std::string& parameters = "");
+  void load_in(const std::string& group, const std::string& component, const std::string& name,
+               const std::string& parameters = "");
   void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
   void unwire(const std::string& client);
   void set(const std::string& instance, const std::string& parameters);
@@ -71,6 +75,8 @@ class RunningSystem {
   control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
+  /// Lets the clock pass, and returns how that ended.
+  control::Reply let_pass(std::chrono::milliseconds time);
 
   /// Watches a port that pushes test samples; `wait_for` looks at what it has put since.
   std::uint64_t watch(const std::string& port);
@@ -89,6 +95,8 @@ class RunningSystem {
   void load(const std::string& component, const std::string& name, const std::string& group, const std::string& parameters);
   void serve_groups(std::chrono::milliseconds most);
   void keep(const wire::GroupMessage& event);
+
+  RunningSystem(Transport transport, std::size_t threads, std::chrono::milliseconds standstill);
 
   const Transport transport_;
   const TemporaryDirectory directory_;
