@@ -450,6 +450,7 @@ void System::watch_time() {
   }
   if (now - standing_.since < options_.standstill) return;
   waits_->fail_all(standstill());
+  standing_ = {progress(), now, false};
 }
 
 Error System::standstill() const {

@@ -1,18 +1,20 @@
 // A system on a virtual clock does the same, delivery by delivery, whatever threads and processes it runs in.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include <fstream>
 #include <random>
 #include <sstream>
+#include <tuple>
 
+#include "fiona/error.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
 namespace {
 
 using ::testing::HasSubstr;
-using ::testing::Not;
 using namespace std::chrono_literals;
 
 constexpr int kMinglers = 8;
@@ -67,8 +69,6 @@ std::string deliveries(unsigned seed, std::size_t threads, const Placement& plac
   return text_of_file(file);
 }
 
-class DeliveriesTest : public ::testing::TestWithParam<Transport> {};
-
 /// The first line in which two logs differ, for a failure that can be read.
 std::string first_difference(const std::string& a, const std::string& b) {
   std::istringstream left(a), right(b);
@@ -104,6 +104,146 @@ TEST(VirtualTimeGroups, TheDeliveryLogIsTheSameInOneProcessAndInGroups) {
       }
     }
   }
+}
+
+TEST(VirtualTimeGroups, TheDeliveryLogIsSortedByTimeWireAndNumber) {
+  std::istringstream log(deliveries(4, 8, in_three));
+  std::tuple<double, std::string, std::uint64_t> before{-1, "", 0};
+  std::size_t lines = 0;
+  std::string what;
+  for (auto next = before; log >> std::get<0>(next) >> std::get<1>(next) >> std::get<2>(next) >> what; before = next) {
+    ASSERT_LT(before, next) << "line " << lines;
+    ++lines;
+  }
+  EXPECT_TRUE(log.eof());
+  EXPECT_GT(lines, 1000U);
+}
+
+// ---- waiting for a group --------------------------------------------------------------------------------------
+
+/// Waits until the source's sample has this number; returns how long that took on the system's clock.
+double expected_after_ms(RunningSystem& running, const std::string& port, std::uint64_t number) {
+  host::System& system = running.system();
+  control::Expect expect;
+  expect.mutable_port()->set_instance(port.substr(0, port.find('.')));
+  expect.mutable_port()->set_port(port.substr(port.find('.') + 1));
+  expect.set_field("number");
+  expect.set_comparison(control::GREATER_OR_EQUAL);
+  expect.mutable_value()->set_integer(static_cast<std::int64_t>(number));
+  system.settle();
+  const auto tap = system.tap(expect.port());
+  auto answer = std::make_shared<LaterAnswer>();
+  system.waits().expect(1, 1, expect, tap, [answer](control::Reply reply) {
+    answer->reply = std::move(reply);
+    answer->ended = true;
+  });
+  running.eventually("the sample", [&] { return answer->ended.load(); });
+  system.untap(tap);
+  EXPECT_TRUE(answer->reply.has_met()) << answer->reply.ShortDebugString();
+  return answer->reply.met().after_ms();
+}
+
+TEST(VirtualTimeGroups, AnExpectationThatAGroupMeetsEndsAtTheInstantOfTheValue) {
+  RunningSystem running(2, 5s);
+  running.set("host", "clock=virtual");
+  running.load_in("far", "source", "source", "period_ms=5");
+  EXPECT_EQ(expected_after_ms(running, "source.newest", 7), 30);
+  EXPECT_EQ(to_milliseconds(running.system().clock().now()), 30);
+  EXPECT_EQ(expected_after_ms(running, "source.newest", 11), 20) << "time has stood in between";
+}
+
+TEST(VirtualTimeGroups, WhatIsLoadedLaterBeginsAtTheSystemsTime) {
+  RunningSystem running(2, 5s);
+  running.set("host", "clock=virtual");
+  running.let_pass(1000ms);
+  running.load_in("far", "source", "source", "period_ms=5");
+  EXPECT_EQ(expected_after_ms(running, "source.newest", 3), 10);
+  EXPECT_EQ(to_milliseconds(running.system().clock().now()), 1010);
+}
+
+// ---- time that cannot go on -----------------------------------------------------------------------------------
+
+void expect_a_named_standstill(const std::string& group, const std::string& named) {
+  RunningSystem running(2, 300ms);
+  running.set("host", "clock=virtual");
+  running.load_in(group, "hog", "hog", "from_ms=10 for_ms=1000");
+  auto reply = running.let_pass(100ms);
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().code(), static_cast<std::uint32_t>(ErrorCode::Unreachable));
+  EXPECT_EQ(reply.failure().what(), "virtual time has stood at 0.010 s for 0.3 s");
+  EXPECT_EQ(reply.failure().found(), named);
+  for (int tries = 0; tries < 50 && !reply.has_met(); ++tries) reply = running.let_pass(100ms);
+  EXPECT_TRUE(reply.has_met()) << "goes on once the handler has ended";
+}
+
+TEST(VirtualTimeProcess, AHandlerThatDoesNotEndIsNamedToWhoeverWaits) { expect_a_named_standstill("", "'hog' runs"); }
+
+TEST(VirtualTimeGroups, AHandlerOfAGroupThatDoesNotEndIsNamedToWhoeverWaits) {
+  expect_a_named_standstill("far", "'hog' in group 'far' runs");
+}
+
+TEST(VirtualTimeGroups, AGroupThatIsStoppedIsNamedAsSilent) {
+  RunningSystem running(2, 300ms);
+  running.set("host", "clock=virtual");
+  running.load_in("far", "source", "source", "period_ms=5");
+  running.system().settle();
+  const auto far = running.system().child_groups().at(0)->process();
+  ::kill(far, SIGSTOP);
+  const auto reply = running.let_pass(100ms);
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().found(), "group 'far' is silent");
+  ::kill(far, SIGCONT);
+}
+
+TEST(VirtualTimeGroups, AGroupThatDiesDoesNotStopTime) {
+  RunningSystem running(2, 5s);
+  running.set("host", "clock=virtual");
+  running.load_in("far", "hog", "hog", "from_ms=10 die=true");
+  running.load_in("far", "sink", "sink");
+  running.load_in("near", "source", "source", "period_ms=5");
+  running.wire("sink.each", "source.newest");
+  const auto reply = running.let_pass(200ms);
+  EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
+  EXPECT_EQ(running.instance("hog").mode(), "failed");
+  EXPECT_THAT(running.instance("hog").reason(), HasSubstr("group 'far' exited with code 3"));
+  EXPECT_EQ(running.port("source.newest").messages(), 41U) << "one at 0 and each 5 ms: its group has lost no time";
+}
+
+// ---- the host's parameter -------------------------------------------------------------------------------------
+
+TEST(DeliveryLog, NeedsAVirtualClock) {
+  RunningSystem running(2, 5s);
+  try {
+    running.set("host", "deliveries=anywhere");
+    FAIL() << "recorded on the system clock";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "deliveries are recorded on a virtual clock");
+    EXPECT_EQ(error.text().next, "set host clock=virtual deliveries=FILE");
+  }
+}
+
+TEST(DeliveryLog, ThatCannotBeWrittenLeavesTheClockAsItIs) {
+  RunningSystem running(2, 5s);
+  try {
+    running.set("host", "clock=virtual deliveries=/proc/no-such-folder/log");
+    FAIL() << "opened";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "the delivery log cannot be written");
+    EXPECT_EQ(error.text().found, "No such file or directory");
+  }
+  EXPECT_EQ(running.system().snapshot().clock(), "system");
+}
+
+TEST(DeliveryLog, OnAFullDeviceEndsTheWaitWithTheReason) {
+  RunningSystem running(2, 5s);
+  running.set("host", "clock=virtual deliveries=/dev/full");
+  running.load_in("", "source", "source", "period_ms=1");
+  running.load_in("", "sink", "sink");
+  running.wire("sink.each", "source.newest");
+  const auto reply = running.let_pass(1'000'000ms);
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().what(), "the delivery log cannot be written");
+  EXPECT_EQ(reply.failure().found(), "No space left on device");
 }
 
 }  // namespace
