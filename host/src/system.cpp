@@ -646,7 +646,6 @@ void System::serve_group(ChildGroup& group) {
 void System::lose(ChildGroup& gone) {
   if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
-  if (master_) master_->remove(gone.endpoint());
   for (auto& [name, one] : groups_) {
     if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
   }
@@ -659,6 +658,7 @@ void System::lose(ChildGroup& gone) {
     event.mutable_mode_changed()->set_reason(reason);
     deliver(event);
   }
+  if (master_) master_->remove(gone.endpoint());  // from here on virtual time goes on without it
   for (auto& [client, wire] : wires_) {
     const bool client_gone = instances_.at(client.first).group == gone.name();
     const bool provider_gone = instances_.at(wire.provider.instance()).group == gone.name();

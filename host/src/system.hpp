@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -142,7 +143,7 @@ class System {
     bool asked = false;
   };
   Standing standing_;
-  std::uint64_t unsettled_ = 0;  ///< the progress at which `settle` gave up
+  std::optional<std::uint64_t> unsettled_;  ///< the progress at which `settle` gave up
   std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
