@@ -104,6 +104,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
                                  fmt::format("{}", kReadyInHost),
                                  "--lifeline-fd",
                                  fmt::format("{}", kLifelineInHost)};
+  if (launch.restore) words.push_back("--restore");
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());

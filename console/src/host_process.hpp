@@ -15,6 +15,7 @@ struct HostLaunch {
   std::filesystem::path socket;
   std::string name;
   std::filesystem::path store;  ///< empty: the user's
+  bool restore = false;         ///< begins with the system of its last journal
 };
 
 /// A host that this process started. It ends when this process does: the host watches the lifeline, a pipe whose

@@ -21,8 +21,9 @@ using fiona::host::Runtime;
 
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
-/// Events that may wait for a slow host; watched values beyond it are dropped.
-constexpr std::size_t kEventBound = 10'000;
+/// Unsent bytes above which a host is slow, and events wait: of watched values so many as the mailbox holds.
+constexpr std::size_t kSlowHost = 1024 * 1024;
+constexpr std::chrono::seconds kWelcomeDeadline{5};
 
 /// Does one request; a virtual clock is told of its beginning and end.
 fiona::wire::GroupMessage handle(Runtime& runtime, GroupClock* clock, const fiona::wire::GroupRequest& request) {
@@ -37,9 +38,12 @@ int serve(Runtime& runtime, GroupClock* clock, fiona::os::MessageStream& stream,
   while (true) {
     pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
                       {events.descriptor(), POLLIN, 0}};
-    ::poll(waits, 2, -1);
-    for (auto& event : events.take()) {
-      if (!stream.send(event)) return 1;
+    const bool is_slow = stream.unsent() > kSlowHost;
+    ::poll(waits, is_slow ? 1 : 2, -1);
+    if (!is_slow) {
+      for (auto& event : events.take()) {
+        if (!stream.send(event)) return 1;
+      }
     }
     if (!stream.flush() || !stream.receive()) return 0;
     fiona::wire::GroupRequest request;
@@ -67,6 +71,17 @@ std::unique_ptr<fiona::Clock> make_clock(int argc, char** argv) {
       std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
 }
 
+/// The key of this process's links, the first thing that the host says.
+std::string key_from(fiona::os::MessageStream& stream) {
+  const auto end = std::chrono::steady_clock::now() + kWelcomeDeadline;
+  fiona::wire::GroupRequest request;
+  while (!stream.next(request)) {
+    if (stream.wait_readable(end) && stream.receive()) continue;
+    throw fiona::Error(fiona::ErrorCode::Unreachable, "the host has not said what this group's links are opened with");
+  }
+  return request.welcome().key();
+}
+
 int run(int argc, char** argv) {
   const std::string endpoint = value_of(argc, argv, "--endpoint");
   const auto clock = make_clock(argc, argv);
@@ -74,17 +89,20 @@ int run(int argc, char** argv) {
   fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")));
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
-  Runtime runtime(pool, *clock, libraries, endpoint, [&events, follower](fiona::wire::GroupMessage event) {
-    const bool droppable = event.has_tapped();
-    // Counted first: virtual time waits until the host has seen what was counted.
-    if (follower) follower->count_event();
-    events.push(std::move(event), droppable && !follower ? kEventBound : SIZE_MAX);
-  });
-  if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
+  Runtime runtime(pool, *clock, libraries, endpoint, key_from(stream), [&events, follower](fiona::wire::GroupMessage event) {
+    // Counted first: virtual time waits until the host has seen what was counted, so that none may be dropped. What one
+    // instant puts bounds them.
+    if (follower) follower->count_event();
+    if (follower || !event.has_tapped()) return events.push(std::move(event));
+    const std::uint64_t tap = event.tapped().tap();
+    const std::size_t bytes = event.tapped().object().size();
+    events.push_newest(tap, std::move(event), bytes);
+  });
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;
+  if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
   const int code = serve(runtime, follower, stream, events);
   clock->stop();
   return code;

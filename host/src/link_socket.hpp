@@ -1,67 +1,151 @@
 #pragma once
 
+#include <atomic>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <string>
-#include <string_view>
+#include <unordered_map>
+#include <utility>
+#include <vector>
 #include <zmq.hpp>
 
+#include "fiona/control.pb.h"
 #include "fiona/message.hpp"
 #include "fiona/pool.hpp"
-#include "fiona/wire.pb.h"
+#include "link_lanes.hpp"
+#include "link_message.hpp"
 
 namespace fiona::host {
 
-/// Messages of a link so far, with one peer.
-struct FrameCounts {
-  std::uint64_t sent = 0;
-  std::uint64_t received = 0;  ///< and dealt with
+/// What the links of a process have carried and refused; written by any thread.
+struct LinkCounters {
+  std::atomic<std::uint64_t> sent_messages{0};
+  std::atomic<std::uint64_t> sent_bytes{0};
+  std::atomic<std::uint64_t> received_messages{0};
+  std::atomic<std::uint64_t> received_bytes{0};
+  std::atomic<std::uint64_t> garbled{0};
+  std::atomic<std::uint64_t> unproven{0};
+  std::atomic<std::uint64_t> not_granted{0};
+  std::atomic<std::uint64_t> too_large{0};
+
+  control::LinkStatus status() const;
 };
 
-/// One ZeroMQ socket that several threads send through, and that the pool reads when something has come.
+/// Frames so far between this process and another, each one that crosses once, credit and proofs aside.
+struct FrameCounts {
+  std::uint64_t sent = 0;      ///< on their way, or there
+  std::uint64_t received = 0;  ///< whole, and dealt with
+};
+
+/// One ZeroMQ socket that several threads send through, and that the pool reads when something has come. The sending
+/// strand's thread sends; a pool thread receives. There is no link thread.
 ///
-/// A message is [peer's identity, on a listening socket] then one part: the frame's length in 4 bytes little endian,
-/// the frame, the object. The sending strand's thread sends; a pool thread receives. There is no link thread.
+/// To each peer it has lanes, of which at most two chunks are inside ZeroMQ at a time: what comes later may still
+/// overtake what waits. Nothing reaches the receiver before the peer has proved the key, and the other way round.
 class LinkSocket {
  public:
-  using OnFrame = std::function<void(const std::string& peer, const wire::Frame& frame, std::string_view object)>;
+  class Receiver {
+   public:
+    virtual ~Receiver() = default;
+    /// Whether an object that comes in chunks is for a wire of this peer's. Of a connected link the peer is empty.
+    virtual bool accepts(const std::string& peer, const wire::Frame& frame) = 0;
+    virtual void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) = 0;
+    /// The process at the other end of a connected link does not know the key.
+    virtual void on_refused(const std::string& reason) = 0;
+  };
+  class Peer;
+  /// A queue to one peer.
+  struct Lane {
+    std::shared_ptr<Peer> peer;
+    std::shared_ptr<PeerLanes::Lane> lane;
+  };
+  using Rule = PeerLanes::Rule;
+  using Wires = std::shared_ptr<const std::vector<std::uint64_t>>;
+  struct Sent {
+    enum class What { Ok, Full, TooLarge };
+    What what = What::Ok;
+    std::size_t lost = 0;  ///< older messages that had to go for it, once for each of their wires
+  };
 
-  /// `on_counted`: counts messages, and is told when all that came have been dealt with; null: does not count.
-  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, OnFrame on_frame,
-             std::function<void()> on_counted = nullptr);
+  /// `on_dealt_with` (a process on a virtual clock has it): called, holding no lock, when what has come is dealt with.
+  /// Then lanes have no bound and no credit: what one round sends is handed out in the next, which bounds it, and what
+  /// is lost must not depend on the speed of threads. So each frame that was taken arrives, or its peer is gone.
+  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver,
+             std::function<void()> on_dealt_with = nullptr);
   ~LinkSocket();
 
-  zmq::socket_t& socket() { return socket_; }
-  /// Starts reading; call once the socket is bound or connected.
-  void start();
-  /// Stops reading and closes: after it returned `on_frame` is not called any more.
+  /// Waits for peers, whose keys follow from `key` and their names.
+  void listen(const std::string& endpoint, std::string key);
+  /// Goes to the process that listens there, as `name`, which has this `key` with it.
+  void connect(const std::string& endpoint, std::string name, std::string key);
+  /// Stops reading and closes: after it returned the receiver is not called any more.
   void stop();
-  /// [any thread] Sends a frame with an object (null: none). Never waits: what bounds the queue is each wire's credit.
-  void send(const std::string& peer, const wire::Frame& frame, const Object* object);
-  /// By peer, as `send` names it.
-  std::map<std::string, FrameCounts> counts();
+
+  /// A new lane to a peer that has proved its key, or that is being connected to; its `peer` is null when there is none.
+  Lane open_lane(const std::string& peer);
+  /// [any thread] What has begun still goes, and so does what needs no credit.
+  void close_lane(const Lane& lane);
+  /// [any thread] Sends a frame with an object (null: none). Never waits: the lane is bounded.
+  Sent send(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object = nullptr,
+            Rule rule = Rule::Control, Wires also = nullptr);
+  /// [any thread] Whether it is too large for any link; counted if so.
+  bool refuses(const Object& object);
+  /// [any thread] A frame of no lane in particular, behind whatever the peer is being told so.
+  void tell(const std::string& peer, wire::Frame& frame);
+  /// The name that the peer has proved; empty: none.
+  std::string process_of(const std::string& peer);
+  /// The process is gone: whatever waits for it goes.
+  void forget(const std::string& process);
+  /// Of a process on a virtual clock: by the name that the peer has proved; of a connected link, empty.
+  std::map<std::string, FrameCounts> frame_counts();
+  /// Peers that have proved their key, now.
+  std::size_t peers();
 
  private:
-  struct Drain;
-  void drain();
-  bool read_some();
-  bool receive(std::unique_lock<std::mutex>& lock, std::string& peer, zmq::message_t& body);
-  void dispatch(const std::string& peer, const zmq::message_t& body);
+  struct Gate;
+  struct Release;
+  struct Turn;
+  class Incoming;
+
+  void start();
+  void take_turn();
+  bool drain();
+  bool receive(std::string& peer);
+  void dispatch(const std::string& peer);
+  void shake_hands(const std::string& peer);
+  void welcome(const std::string& peer, const wire::Frame& frame);
+  void check_challenge(const wire::Frame& frame);
+  void count_received(Peer& peer);
+  void owe(Peer& peer, std::uint64_t lane, std::size_t bytes);
+  void pay(Peer& peer);
+  std::shared_ptr<Peer> find(const std::string& peer);
+  std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
+  void pump(Peer& peer);
+  bool send_out(Peer& peer, PeerLanes::Outgoing& out);
+  void send_plain(const std::string& peer, const wire::Frame& frame);
+  void tell_locked(Peer& peer, wire::Frame& frame);
+  PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object, Rule rule);
   bool has_input();
 
   Pool& pool_;
-  const OnFrame on_frame_;
-  std::mutex mutex_;          ///< the socket's
-  std::mutex drain_mutex_;    ///< one reader at a time keeps the order
-  zmq::socket_t socket_;
-  std::shared_ptr<Drain> drain_;
-  std::unique_ptr<Pool::Readable> watch_;
-  bool stopped_ = false;
+  LinkCounters& counters_;
+  Receiver& receiver_;
+  const std::function<void()> on_dealt_with_;
   const bool routed_;
-  const std::function<void()> on_counted_;
-  std::map<std::string, FrameCounts> counts_;
+  const std::string secret_;  ///< of which the nonces for unknown peers are made
+  std::string key_;
+  std::string name_;
+  std::string nonce_;
+  std::mutex mutex_;        ///< the socket's, and the lanes'
+  std::mutex drain_mutex_;  ///< one reader at a time keeps the order
+  zmq::socket_t socket_;
+  std::shared_ptr<Turn> turn_;
+  std::unique_ptr<Pool::Readable> watch_;
+  std::unordered_map<std::string, std::shared_ptr<Peer>> peers_;
+  std::vector<zmq::message_t> parts_;  ///< the reader's
+  bool stopped_ = false;
 };
 
 }  // namespace fiona::host

@@ -18,41 +18,49 @@ class Links {
  public:
   using OnLost = std::function<void(std::uint64_t wire, const std::string& reason)>;
 
-  /// Listens at `endpoint` ("ipc:///run/…").
+  /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for them.
   /// On a virtual clock, what comes takes its turn there.
-  Links(Pool& pool, Clock& clock, std::string endpoint, OnLost on_lost);
+  Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, OnLost on_lost);
   ~Links();
 
   const std::string& endpoint() const { return endpoint_; }
   /// Closes the sockets: after it returned no message reaches a port any more.
   void stop();
-  /// Lets a peer open `wire` to `provider` if it brings `token`.
-  void provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale,
+  /// What they have carried and refused since the process started.
+  control::LinkStatus status();
+  /// Lets `peer` open `wire` to `provider` if it brings `token`.
+  void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
                std::string client_name);
-  /// [control thread] Opens `wire` from `client` to the process that listens at `endpoint`; then calls `switch_over`,
+  /// Where a link goes, and what opens it.
+  struct Endpoint {
+    std::string address;
+    std::string name;  ///< of this process towards that one
+    std::string key;   ///< of the link
+  };
+  /// [control thread] Opens `wire` from `client` to the process behind `endpoint`; then calls `switch_over`,
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
   /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
   void require(std::uint64_t wire, const std::string& token, RequiredPort& client, const std::string& provider_name,
-               const std::string& endpoint, const std::function<void()>& switch_over);
+               const Endpoint& endpoint, const std::function<void()>& switch_over);
   /// Ends a wire on this side and tells the peer.
   void cut(std::uint64_t wire, const std::string& reason);
   /// Another wire has taken this one's place at its client: it goes once its open requests have ended.
   void retire(std::uint64_t wire);
   /// The ports of `hull` are going: so does what is left of their wires.
   void release(const Hull& hull);
-  /// The process behind `endpoint` is gone: its wires are lost.
-  void peer_lost(const std::string& endpoint, const std::string& reason);
-  /// Of a process on a virtual clock: by the endpoint of the peer.
+  /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
+  void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
+  /// Of a process on a virtual clock: by where the peer listens, which is its name towards this process too.
   std::map<std::string, FrameCounts> frame_counts();
 
  private:
   struct Grant {
     std::string token;
+    std::string peer;
     ProvidedPort* provider = nullptr;
     std::uint32_t prescale = 1;
     std::string client_name;
     std::shared_ptr<RemoteWire> wire;  ///< once opened
-    std::shared_ptr<Sink> sink;        ///< what the provider puts into: the wire, behind a prescale
   };
   struct Requirement {
     RequiredPort* client = nullptr;
@@ -62,19 +70,33 @@ class Links {
     std::optional<std::string> refusal;  ///< once the peer has answered; empty: open
     bool retired = false;
   };
+  class Server;
+  class Client;
   struct Peer {
+    std::unique_ptr<Client> client;
     std::unique_ptr<LinkSocket> link;
+    ~Peer();
+    Peer();
+    Peer(Peer&&) noexcept;
+    Peer& operator=(Peer&&) noexcept;
   };
 
-  void on_server_frame(const std::string& peer, const wire::Frame& frame, std::string_view object);
-  void on_client_frame(const wire::Frame& frame, std::string_view object);
+  bool server_accepts(const std::string& peer, const wire::Frame& frame);
+  void on_server_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object);
+  bool client_accepts(const std::string& endpoint, const wire::Frame& frame);
+  void on_client_frame(const std::string& endpoint, const wire::Frame& frame, const ObjectBytes& object);
+  void on_client_refused(const std::string& endpoint, const std::string& reason);
+  void on_closed(std::uint64_t wire, const std::string& reason);
+  std::shared_ptr<RemoteWire> granted(const std::string& peer, std::uint64_t wire);
+  std::shared_ptr<RemoteWire> required(const std::string& endpoint, std::uint64_t wire);
+  void note_foreign(std::uint64_t wire);
+  void note_ended(std::uint64_t wire);
   void open_for(const std::string& peer, const wire::Frame& frame);
+  std::shared_ptr<RemoteWire> wire_for(const std::string& peer, std::uint64_t wire, const Grant& grant);
   void refuse(const std::string& peer, std::uint64_t wire, const std::string& reason);
   void note_answer(std::uint64_t wire, const std::string& refusal);
-  void end(std::uint64_t wire, const Grant& grant, const std::string& reason);
-  void end(std::uint64_t wire, const Requirement& requirement, const std::string& reason);
-  LinkSocket& connect(const std::string& endpoint);
-  std::function<void()> on_counted() const;
+  LinkSocket& connect(const Endpoint& endpoint);
+  std::function<void()> on_dealt_with() const;
 
   Pool& pool_;
   VirtualClock* const clock_;  ///< null: the system's
@@ -85,7 +107,11 @@ class Links {
   std::condition_variable answered_;  ///< a requirement has its answer
   std::map<std::uint64_t, Grant> grants_;
   std::map<std::uint64_t, Requirement> requirements_;
-  std::map<std::string, Peer> peers_;
+  std::map<std::string, Peer> peers_;  ///< by endpoint
+  std::map<std::pair<std::string, const Port*>, std::weak_ptr<FanOut>> fan_outs_;  ///< by client process and provider
+  std::deque<std::uint64_t> ended_;  ///< wires whose last frames may still come
+  LinkCounters counters_;
+  std::unique_ptr<Server> receiver_;
   std::unique_ptr<LinkSocket> server_;
 };
 

@@ -24,6 +24,7 @@ struct Flags {
   std::size_t threads = 0;
   int ready = -1;
   int lifeline = -1;
+  bool restore = false;
   bool version = false;
   bool help = false;
 };
@@ -37,6 +38,7 @@ Flags parse(int argc, char** argv, options::options_description& description) {
   add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
   add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
   add("lifeline-fd", options::value(&flags.lifeline)->default_value(-1), "descriptor whose end ends the host");
+  add("restore", options::bool_switch(&flags.restore), "begins with the system that this host's last journal ends with");
   add("version", options::bool_switch(&flags.version), "prints the version");
   add("help", options::bool_switch(&flags.help), "prints this");
   options::variables_map values;
@@ -74,7 +76,8 @@ int serve(const Flags& flags) {
   fiona::os::require_private_directory(socket.parent_path());
   const std::filesystem::path store =
       flags.store.empty() ? fiona::marketplace::Store::default_directory() : std::filesystem::path(flags.store);
-  fiona::host::ControlServer server(socket, {flags.name, store, socket.parent_path(), flags.threads});
+  fiona::host::ControlServer server(socket, {flags.name, store, socket.parent_path(), flags.threads},
+                                     flags.restore);
   tell(flags.ready, "READY\n");
   return server.serve(flags.lifeline, signals);
 }

@@ -10,11 +10,12 @@
 #include <vector>
 
 #include "fiona/control.pb.h"
-#include "fiona/marketplace/store.hpp"
 #include "clock_master.hpp"
 #include "delivery_log.hpp"
 #include "fiona/pool.hpp"
 #include "group.hpp"
+#include "model.hpp"
+#include "package.hpp"
 #include "types.hpp"
 #include "waits.hpp"
 
@@ -37,14 +38,15 @@ class System {
   System(Options options, OnEvent on_event);
   ~System();
 
-  // Each does its change or throws Error and changes nothing; the text is a note for people.
-  std::string load(const control::Load& request);
-  std::string unload(const control::Unload& request);
-  std::string wire(const control::Wire& request);
-  std::string unwire(const control::Unwire& request);
-  std::string set(const control::Set& request);
+  const Model& model() const { return model_; }
+  const Packages& packages() const { return packages_; }
+
+  /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
+  control::Done perform(const control::Change& change);
   /// Answered when the change of mode has been made, or why not; throws Error if it cannot be.
   void state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer);
+  /// A change of mode has been made: from now on it is what the system is meant to be.
+  void note_state(const control::State& request);
   /// Uses a query or send port, or a trigger; answered with how it ended.
   void call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer);
 
@@ -52,10 +54,16 @@ class System {
   const Types& types() const { return types_; }
   Waits& waits() { return *waits_; }
 
-  /// Starts to deliver what a push port puts, as Tapped events; a required port stands for its provider's.
-  std::uint64_t tap(const control::PortName& port);
+  /// Starts to deliver what a push port or a probe says, as Tapped events with this number of `new_tap`, until `untap`
+  /// or TapEnded; a required port stands for its provider's.
+  void tap(std::uint64_t tap, const control::Watch& request);
+  std::uint64_t new_tap() { return next_tap_++; }
   void untap(std::uint64_t tap);
-  bool has_instance(const std::string& name) const { return instances_.contains(name); }
+  /// The value of now of a probe; its type is empty while it has none.
+  wire::Tapped read(const control::PortName& probe);
+  /// What INSTANCE.NAME.FIELD names, which may be a probe of the hull: `nav.location.rate`.
+  control::Expect expected(control::Expect request);
+  bool has_instance(const std::string& name) const { return model_.find(name) != nullptr; }
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
 
@@ -74,63 +82,44 @@ class System {
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
 
  private:
-  struct Installed {
-    std::string name;  ///< "publisher/name"
-    std::string version;
-    std::filesystem::path library;
-    std::filesystem::path share;
-    Interface interface;
-    std::string component;
-    std::shared_ptr<marketplace::PackageHold> hold;
-  };
-  struct Instance {
-    Installed package;
-    std::string group;
-    std::string lost;  ///< why its group is gone; empty: alive
-    std::uint64_t order = 0;
-  };
+  /// A wire as it is; the model says what it is meant to be.
   struct Wire {
-    std::uint64_t id = 0;
-    control::PortName provider;
-    std::uint32_t prescale = 1;
+    std::uint64_t id = 0;  ///< 0: it waits for its provider
     bool local = false;
-    std::string lost;
-  };
-  struct PortRef {
-    const Instance* instance;
-    const PortInterface* port;
+    std::string reason;  ///< why it waits, or was lost
   };
 
-  Installed find_plugin(const std::string& text) const;
-  Installed find_library(const std::filesystem::path& library) const;
-  static std::string choose_component(const Interface& interface, const std::string& plugin, const std::string& wanted);
+  control::Done load(const control::Load& request, const Model& next);
+  control::Done unload(const control::Unload& request);
+  control::Done wire(const control::Wire& request, const Model& next);
+  control::Done unwire(const control::Unwire& request);
+  control::Done set(const control::Set& request, const Model& next);
+
   Group& group(const std::string& name);
+  /// Of an instance that lives; throws Error Unreachable otherwise.
+  Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
   void lose(ChildGroup& gone);
-  std::vector<control::InstanceStatus> status_of_group(Group& target);
-  Instance& instance(const std::string& name);
-  std::vector<std::string> instance_names() const;
-  PortRef port(const control::PortName& name, Direction direction);
-  void check_contract(const control::PortName& client, const control::PortName& provider);
-  std::string providers_of(const std::string& service) const;
-  Wire connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
-               std::uint64_t replaces);
+  std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
+  Wire connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
+  void await_provider(const control::PortName& client, const std::string& reason, const Model& model);
+  std::string connect_waiting(const std::string& provider, const Model& next);
   control::PortName callee(const control::PortName& name);
-  void set_host(const control::Set& request);
   void use_clock(std::unique_ptr<Clock> clock);
   void record_to(std::shared_ptr<DeliveryLog> log);
   std::uint64_t progress() const;
   Error standstill() const;
   void end_threads();
-  control::InstanceStatus status_of_lost(const std::string& name, const Instance& instance) const;
+  control::InstanceStatus status_of_lost(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
   void deliver(const wire::GroupMessage& event);
 
   const Options options_;
   const OnEvent on_event_;
-  marketplace::Store store_;
+  const Packages packages_;
   Types types_;
+  Model model_;
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
   std::unique_ptr<Clock> clock_;
   VirtualClock* virtual_ = nullptr;  ///< the clock, if it is one
@@ -147,8 +136,8 @@ class System {
   std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
-  std::map<std::string, Instance> instances_;
-  std::map<std::pair<std::string, std::string>, Wire> wires_;  ///< by client instance and port
+  std::map<std::string, std::string> lost_;  ///< instances whose group is gone, and why
+  std::map<Model::PortKey, Wire> wires_;     ///< by the client's port
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   std::uint64_t next_wire_ = 1;

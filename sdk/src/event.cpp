@@ -153,24 +153,14 @@ EventClient::~EventClient() {
   }
 }
 
-void EventClient::set_target(std::shared_ptr<Sink> target) {
-  const std::lock_guard lock(target_mutex_);
-  target_ = std::move(target);
-}
-
 /// Makes the activation at the provider of this moment and gives it up at the one before.
 Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
-  std::shared_ptr<Sink> target;
-  {
-    const std::lock_guard lock(target_mutex_);
-    target = target_;
-  }
-  if (!target) return Outcome::Disconnected;
   const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id));
   activation.last_sequence = 0;
   Envelope envelope{activation.parameters, static_cast<std::uint64_t>(id), hull().clock().now(),
                     activation.parameters->ByteSizeLong()};
-  const Outcome outcome = target->deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0});
+  const Outcome outcome = target_.deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0})
+                              .value_or(Outcome::Disconnected);
   if (before) {
     before->detach();
     before->abandon();

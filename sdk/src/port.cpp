@@ -48,6 +48,17 @@ void PortCounters::count(TimePoint origin) {
   window_messages_ = 0;
 }
 
+std::optional<Duration> PortCounters::age(TimePoint now) const {
+  const std::int64_t newest = newest_ns.load(std::memory_order_relaxed);
+  if (newest < 0) return std::nullopt;
+  return std::max(Duration::zero(), now.time_since_epoch() - Duration(newest));
+}
+
+double PortCounters::rate_now_hz(TimePoint now) const {
+  const auto newest = age(now);
+  return !newest || *newest > std::chrono::seconds(3) ? 0.0 : static_cast<double>(rate_hz.load(std::memory_order_relaxed));
+}
+
 Port::Port(Component& owner, std::string_view name, PortDirection direction, const ServiceInfo& service,
            const PortOptions& options)
     : hull_(owner.hull()),
@@ -204,7 +215,13 @@ bool Inbox::refill() {
     batch_.push_back(std::move(queue_.front()));
     queue_.pop_front();
   }
+  batched_.store(batch_.size(), std::memory_order_relaxed);
   return !batch_.empty();
+}
+
+std::size_t Inbox::depth() const {
+  const std::lock_guard lock(strand_.mutex_);
+  return queue_.size() + batched_.load(std::memory_order_relaxed);
 }
 
 void Inbox::drain(std::size_t limit) {
@@ -217,6 +234,7 @@ void Inbox::drain(std::size_t limit) {
     }
     current_ = std::move(batch_.front());
     batch_.pop_front();
+    batched_.store(batch_.size(), std::memory_order_relaxed);
     handle();
     if (strand_.closed_) return;
   }
@@ -251,6 +269,30 @@ void Inbox::finish_parcel() {
 }
 
 // ---- required port and local wire -----------------------------------------------------------------------------
+
+namespace detail {
+
+void Target::set(std::shared_ptr<Sink> sink) {
+  const std::lock_guard lock(mutex_);
+  sink_ = std::move(sink);
+}
+
+std::shared_ptr<Sink> Target::get() {
+  const std::lock_guard lock(mutex_);
+  return sink_;
+}
+
+std::optional<Outcome> Target::deliver(const Parcel& parcel) {
+  for (auto sink = get(); sink;) {
+    const Outcome outcome = sink->deliver(parcel);
+    auto present = get();
+    if (outcome != Outcome::Disconnected || present == sink) return outcome;
+    sink = std::move(present);
+  }
+  return std::nullopt;
+}
+
+}  // namespace detail
 
 RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
     : Port(owner, name, PortDirection::Requires, service, options), calls_(hull().clock(), hull().shared_strand()) {}
@@ -356,6 +398,11 @@ void LocalWire::lease(bool held, const std::string& reason) {
 void LocalWire::cut() {
   const std::lock_guard lock(mutex_);
   inbox_ = nullptr;
+}
+
+void LocalWire::cut_from(const Hull& hull) {
+  const std::lock_guard lock(mutex_);
+  if (inbox_ && &inbox_->port().hull() == &hull) inbox_ = nullptr;
 }
 
 }  // namespace fiona

@@ -56,23 +56,13 @@ QueryClient::~QueryClient() {
   }
 }
 
-void QueryClient::set_target(std::shared_ptr<Sink> target) {
-  const std::lock_guard lock(target_mutex_);
-  target_ = std::move(target);
-}
-
 Outcome QueryClient::put_to_target(QueryId id, Open& open) {
-  std::shared_ptr<Sink> target;
-  {
-    const std::lock_guard lock(target_mutex_);
-    target = target_;
-  }
-  if (!target) return connection() == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected;
+  if (connection() == Connection::Unwired) return Outcome::Unwired;
   const TimePoint now = hull().clock().now();
   open.reply = std::make_shared<Reply>(*this, id);
   Envelope envelope{open.request, static_cast<std::uint64_t>(id), now, open.request->ByteSizeLong()};
   counters().count(now);
-  return target->deliver(Parcel{std::move(envelope), open.reply});
+  return target_.deliver(Parcel{std::move(envelope), open.reply}).value_or(Outcome::Disconnected);
 }
 
 Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration within) {

@@ -165,7 +165,6 @@ void VirtualClock::release() {
 
 void VirtualClock::hold() {
   const std::lock_guard lock(mutex_);
-  assert(releases_ > 0);
   --releases_;
 }
 
@@ -238,7 +237,7 @@ bool VirtualClock::next_round(Lock& lock) {
     return deliver_staged(lock, staged());
   }
   note_settled();
-  if (releases_ == 0) return false;
+  if (releases_ <= 0) return false;
   const TimePoint next = std::min(next_timer(), others.next);
   if (!stops_.empty() && stops_.begin()->first.first < next) return run_stop(lock);
   if (next == TimePoint::max() || paced(next)) return false;
@@ -265,7 +264,8 @@ bool VirtualClock::deliver_staged(Lock& lock, std::size_t count) {
   });
   std::array<char, 16> digits{};
   for (auto& staged : round_) {
-    if (recorder) recorder->delivered(at, staged.wire, staged.sequence, what_of(staged, digits));
+    const bool told = staged.object || !staged.word.empty();
+    if (recorder && told) recorder->delivered(at, staged.wire, staged.sequence, what_of(staged, digits));
     staged.deliver();
   }
   round_.clear();

@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <sys/wait.h>
 
 #include <fstream>
 #include <random>
@@ -52,8 +53,17 @@ std::string text_of_file(const std::filesystem::path& file) {
 
 std::size_t lines_of(const std::string& text) { return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n')); }
 
+/// Values of a port, of a port now and then, and of a probe of the hull.
+void watch_some(RunningSystem& system) {
+  control::Watch now_and_then;
+  now_and_then.set_min_period_ms(7);
+  system.watch("m5.newest");
+  system.watch("m1.last", now_and_then);
+  system.watch("m4.newest.rate", now_and_then);
+}
+
 /// The delivery log of a random system after so much of its time.
-std::string deliveries(unsigned seed, std::size_t threads, const Placement& place, std::chrono::milliseconds time = 300ms) {
+std::string deliveries(unsigned seed, std::size_t threads, const Placement& place, bool watched = false) {
   const TemporaryDirectory directory;
   const auto file = directory.path / "deliveries";
   {
@@ -63,7 +73,8 @@ std::string deliveries(unsigned seed, std::size_t threads, const Placement& plac
       system.load_in(place(n), "mingler", "m" + std::to_string(n), "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
     }
     wire_at_random(system, seed);
-    const auto reply = system.let_pass(time);
+    if (watched) watch_some(system);
+    const auto reply = system.let_pass(300ms);
     EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
   }
   return text_of_file(file);
@@ -106,6 +117,13 @@ TEST(VirtualTimeGroups, TheDeliveryLogIsTheSameInOneProcessAndInGroups) {
   }
 }
 
+TEST(VirtualTimeGroups, WatchingLeavesTheDeliveryLogAsItIs) {
+  const std::string expected = deliveries(5, 2, in_three);
+  ASSERT_GT(lines_of(expected), 1000U);
+  EXPECT_EQ(first_difference(expected, deliveries(5, 2, in_three, true)), "");
+  EXPECT_EQ(first_difference(expected, deliveries(5, 2, in_main, true)), "");
+}
+
 TEST(VirtualTimeGroups, TheDeliveryLogIsSortedByTimeWireAndNumber) {
   std::istringstream log(deliveries(4, 8, in_three));
   std::tuple<double, std::string, std::uint64_t> before{-1, "", 0};
@@ -131,9 +149,11 @@ double expected_after_ms(RunningSystem& running, const std::string& port, std::u
   expect.set_comparison(control::GREATER_OR_EQUAL);
   expect.mutable_value()->set_integer(static_cast<std::int64_t>(number));
   system.settle();
-  const auto tap = system.tap(expect.port());
+  const auto tap = system.new_tap();
+  control::Watch watch;
+  *watch.mutable_port() = expect.port();
   auto answer = std::make_shared<LaterAnswer>();
-  system.waits().expect(1, 1, expect, tap, [answer](control::Reply reply) {
+  system.waits().expect(1, 1, expect, tap, [&] { system.tap(tap, watch); }, [answer](control::Reply reply) {
     answer->reply = std::move(reply);
     answer->ended = true;
   });
@@ -193,6 +213,11 @@ TEST(VirtualTimeGroups, AGroupThatIsStoppedIsNamedAsSilent) {
   running.system().settle();
   const auto far = running.system().child_groups().at(0)->process();
   ::kill(far, SIGSTOP);
+  // Its threads stop one after the other: until the last has, time may still go on.
+  running.eventually("the group's stop", [far] {
+    siginfo_t info{};
+    return ::waitid(P_PID, static_cast<id_t>(far), &info, WSTOPPED | WNOHANG | WNOWAIT) == 0 && info.si_pid == far;
+  });
   const auto reply = running.let_pass(100ms);
   ASSERT_TRUE(reply.has_failure());
   EXPECT_EQ(reply.failure().found(), "group 'far' is silent");

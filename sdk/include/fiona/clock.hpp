@@ -24,7 +24,8 @@ struct Staged {
   std::string_view wire;            ///< must live until `deliver` has run
   std::uint64_t sequence = 0;       ///< on this wire
   const Object* object = nullptr;   ///< what is delivered, kept alive by `deliver`
-  std::string_view word = {};       ///< what is delivered where there is no object: "timeout"; a literal
+  /// What is delivered where there is no object: "timeout"; a literal. Neither: no delivery, nobody is told of it.
+  std::string_view word = {};
   Job deliver;
 };
 
@@ -148,7 +149,8 @@ class VirtualClock : public Clock {
   void strand_idle(Strand& strand) override;
   void stop() override;
 
-  /// Lets time advance, once for each call, until `hold` was called as often. Starts at zero releases: held.
+  /// Lets time advance, once for each call, until `hold` was called as often. Starts at zero releases: held. What holds
+  /// may come first, where another thread sees to it that what it was released for has happened.
   void release();
   void hold();
   /// Runs `then`, which must not wait, when everything up to and at `at` has happened and before time goes on: the
@@ -166,7 +168,8 @@ class VirtualClock : public Clock {
   /// Leads these processes too; they must live until `stop`. From then on what reaches this process from another thread
   /// than a strand's is looked at when `reconsider` is called.
   void lead(OtherProcesses& others);
-  /// [any thread, holding no lock] It may deliver and let time go on before it returns. Something has changed that the clock does not see by itself.
+  /// [any thread, holding no lock] Something has changed that the clock does not see by itself. It may deliver and let
+  /// time go on before it returns.
   void reconsider() { proceed(); }
   /// [any thread] Waits, at most `most` of the machine's time, until nothing is left to do in this instant. False if
   /// that did not come about.

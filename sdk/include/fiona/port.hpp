@@ -57,6 +57,10 @@ struct PortCounters {
 
   /// [strand] One more message, of this origin.
   void count(TimePoint origin);
+  /// [any thread] Of the newest message; none: there was none.
+  std::optional<Duration> age(TimePoint now) const;
+  /// [any thread] The rate, where it is not from long ago.
+  double rate_now_hz(TimePoint now) const;
 
  private:
   std::int64_t window_start_ns_ = -1;
@@ -118,7 +122,30 @@ class Sink {
   virtual Outcome deliver(Parcel parcel) = 0;
   /// [any thread] Whether a push provider speaks, or has been silent for longer than its lease.
   virtual void lease(bool /*held*/, const std::string& /*reason*/) {}
+  /// [any thread] It subscribes to a push provider now, and is given what comes after this sequence number.
+  virtual void attached(std::uint64_t /*sequence*/) {}
+  /// [any thread] How many subscribers it stands for.
+  virtual std::size_t subscribers() const { return 1; }
 };
+
+namespace detail {
+
+/// Where the messages of a send, query or event client go. [any thread]
+class Target {
+ public:
+  void set(std::shared_ptr<Sink> sink);
+  /// Hands the message over; none: there is nowhere to go. What meets a wire that another has just replaced goes to
+  /// that other one.
+  std::optional<Outcome> deliver(const Parcel& parcel);
+
+ private:
+  std::shared_ptr<Sink> get();
+
+  std::mutex mutex_;
+  std::shared_ptr<Sink> sink_;
+};
+
+}  // namespace detail
 
 /// A named member of a component that provides or requires one service. Declared by constructing it; it registers
 /// with its owner, and lives exactly as long.
@@ -199,6 +226,9 @@ class Inbox {
 
   Port& port() const { return port_; }
 
+  /// [any thread] Messages that wait for the handler.
+  std::size_t depth() const;
+
   /// [strand] Handles at most `limit` parcels.
   void drain(std::size_t limit);
 
@@ -226,7 +256,8 @@ class Inbox {
   bool ready_ = false;
   std::vector<std::function<void(const Envelope&)>> waiters_;
 
-  std::atomic<std::size_t> bytes_{0};  ///< of queue_, batch_ and current_
+  std::atomic<std::size_t> bytes_{0};    ///< of queue_, batch_ and current_
+  std::atomic<std::size_t> batched_{0};  ///< the size of batch_, for others than the strand
 
   // strand only
   std::deque<Parcel> batch_;
@@ -301,6 +332,8 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void lease(bool held, const std::string& reason) override;
   /// [any thread] After it returned nothing more reaches the inbox.
   void cut();
+  /// [any thread] Cuts it if it ends at a port of this hull.
+  void cut_from(const Hull& hull);
   const std::string& name() const { return name_; }
 
  private:
