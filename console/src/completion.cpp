@@ -93,7 +93,7 @@ Candidates parameters(const Asked& asked) {
   if (const auto* instance = named_instance(asked)) {
     for (const auto& parameter : instance->parameters()) found.push_back(parameter.name());
   } else if (!asked.line.positional.empty() && asked.line.positional[0].text == "host") {
-    found = {"clock", "speed"};
+    found = {"clock", "deliveries", "speed"};
   }
   return found;
 }

@@ -261,12 +261,12 @@ class Checker {
     check_parameters(line, instance_of(line, line.positional[0]));
   }
   void check_host(const Line& line) const {
-    const std::vector<std::string> known{"clock", "speed"};
+    const std::vector<std::string> known{"clock", "deliveries", "speed"};
     for (const TypedArgument& argument : line.arguments) {
-      if (argument.name.text != "clock" && argument.name.text != "speed")
+      if (std::find(known.begin(), known.end(), argument.name.text) == known.end())
         throw line.error(argument.name,
                          {.what = fmt::format("the host has no parameter '{}'", argument.name.text),
-                          .expected = "clock, speed",
+                          .expected = "clock, deliveries, speed",
                           .near = nearest_names(argument.name.text, known)},
                          ErrorCode::NotFound);
       const bool sound =

@@ -60,7 +60,7 @@ std::vector<Verb> operating_verbs() {
   return {
       {"set", forms({"set INSTANCE PARAM=VALUE …"}), "changes parameters, all or none",
        "A number may carry a unit, which is converted: 200ms, 1.5m, 30deg.\n"
-       "The instance `host` is the host itself: set host clock=virtual speed=0",
+       "The instance `host` is the host itself: set host clock=virtual speed=0 deliveries=FILE",
        Access::Operate, verbs::set},
       {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe,
        verbs::get},

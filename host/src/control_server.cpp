@@ -18,6 +18,8 @@ std::filesystem::path journal_of(std::filesystem::path socket) { return socket.r
 
 /// Unsent bytes above which a slow watcher loses samples, counted.
 constexpr std::size_t kSlowWatcher = 1024 * 1024;
+/// How often a virtual clock is looked at.
+constexpr int kTimeWatch_ms = 500;
 
 }  // namespace
 
@@ -84,7 +86,8 @@ void ControlServer::poll_once(int lifeline, int signals) {
   }
   const auto children = system_.child_groups();
   for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
-  if (::poll(waits.data(), waits.size(), -1) < 0) return;
+  if (::poll(waits.data(), waits.size(), system_.has_virtual_clock() ? kTimeWatch_ms : -1) < 0) return;
+  system_.watch_time();
 
   if (waits[3].revents != 0 || waits[4].revents != 0) {
     exit_code_ = waits[4].revents != 0 ? 130 : 0;
@@ -155,6 +158,7 @@ void ControlServer::perform(std::uint64_t client, const control::Request& reques
   control::Reply reply;
   bool answered = true;
   try {
+    system_.settle();
     answered = dispatch(client, request, reply);
   } catch (...) {
     *reply.mutable_failure() = failure_of_exception();

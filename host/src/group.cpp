@@ -19,11 +19,20 @@ constexpr std::chrono::seconds kRequestDeadline{12};
 constexpr std::chrono::seconds kReadyDeadline{5};
 /// Where a group finds its socket.
 constexpr int kGroupSocket = 3;
+constexpr int kClockSocket = 4;
+
+std::vector<std::string> clock_arguments(const Clock& clock) {
+  const auto* system = dynamic_cast<const SystemClock*>(&clock);
+  if (!system) return {"--clock", "virtual"};
+  const auto origin = system->origin();
+  return {"--clock", "system", "--clock-origin", std::to_string(origin.steady_ns), "--clock-start",
+          std::to_string(origin.start_ns)};
+}
 
 /// Descriptors: of a group, without its links; of a host, for each group; of a process, for its links to and from each
 /// other one; what stays free for files of components and for consoles.
 constexpr std::size_t kGroupBase = 32;
-constexpr std::size_t kPerGroup = 3;
+constexpr std::size_t kPerGroup = 4;
 constexpr std::size_t kPerPeer = 3;
 constexpr std::size_t kReserve = 32;
 
@@ -62,25 +71,36 @@ void require_descriptors_for_group(std::size_t groups) {
 
 MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint,
                      Runtime::OnEvent on_event)
-    : Group("main"), runtime_(pool, clock, libraries, std::move(endpoint), link_key(), std::move(on_event)) {}
+    : Group("main"),
+      clock_(dynamic_cast<VirtualClock*>(&clock)),
+      runtime_(pool, clock, libraries, std::move(endpoint), link_key(), std::move(on_event)) {}
+
+/// What was sent or staged on this thread, which is no strand's, is seen by a virtual clock once it looks.
+wire::GroupMessage MainGroup::perform(const wire::GroupRequest& request) {
+  auto reply = runtime_.handle(request);
+  if (clock_) clock_->reconsider();
+  return reply;
+}
 
 void MainGroup::peer_lost(const wire::PeerLost& gone) {
   wire::GroupRequest request;
   *request.mutable_peer_lost() = gone;
-  runtime_.handle(request);
+  perform(request);
 }
 
 pid_t MainGroup::process() const { return ::getpid(); }
 
-ChildGroup::ChildGroup(std::string name, const std::string& endpoint, const SystemClock& clock, Runtime::OnEvent on_event)
-    : Group(std::move(name)), endpoint_(endpoint), on_event_(std::move(on_event)) {
+ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event)
+    : Group(std::move(name)), endpoint_(start.endpoint), clock_(start.clock), master_(start.master), on_event_(std::move(on_event)) {
   auto [ours, theirs] = os::socket_pair();
-  const auto origin = clock.origin();
-  child_ = std::make_unique<os::ChildProcess>(
-      os::program_directory() / "fiona-group",
-      std::vector<std::string>{"--name", this->name(), "--endpoint", endpoint, "--clock-origin",
-                               std::to_string(origin.steady_ns), "--clock-start", std::to_string(origin.start_ns)},
-      std::vector<std::pair<int, int>>{{theirs.get(), kGroupSocket}});
+  std::vector<std::string> arguments{"--name", this->name(), "--endpoint", endpoint_, "--threads", std::to_string(start.threads)};
+  for (auto& argument : clock_arguments(clock_)) arguments.push_back(std::move(argument));
+  std::vector<std::pair<int, int>> inherited{{theirs.get(), kGroupSocket}};
+  os::Descriptor clock_socket;
+  if (master_) clock_socket = master_->add(this->name(), endpoint_);
+  if (master_) inherited.emplace_back(clock_socket.get(), kClockSocket);
+  child_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-group", arguments, inherited);
+  clock_socket.reset();
   theirs.reset();
   stream_ = std::make_unique<os::MessageStream>(std::move(ours));
   wake_ = either_readable(stream_->descriptor(), child_->descriptor());
@@ -90,16 +110,33 @@ ChildGroup::ChildGroup(std::string name, const std::string& endpoint, const Syst
   // An exit with code 0 before it says ready is a failure too.
   const auto ready = wait_for(0, kReadyDeadline);
   if (ready && ready->has_ready()) return;
+  if (master_) master_->remove(endpoint_);
   throw Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
                                   .found = end_.empty() ? "no answer within 5 s" : end_});
+}
+
+ChildGroup::~ChildGroup() {
+  if (master_) master_->remove(endpoint_);
+}
+
+void ChildGroup::pass_on(const wire::GroupMessage& event) {
+  on_event_(event);
+  if (master_) master_->event_seen(endpoint_);
+}
+
+/// With the next number and, for a virtual clock, the time.
+bool ChildGroup::send(wire::GroupRequest& request) {
+  request.set_id(next_id_++);
+  request.set_now_ns(clock_.now().time_since_epoch().count());
+  if (master_) master_->request_sent(endpoint_, request.id());
+  return alive() && stream_->send(request);
 }
 
 /// The answer is not waited for: `wait_for` passes over it.
 void ChildGroup::peer_lost(const wire::PeerLost& gone) {
   wire::GroupRequest request;
-  request.set_id(next_id_++);
   *request.mutable_peer_lost() = gone;
-  if (alive()) stream_->send(request);
+  send(request);
 }
 
 bool ChildGroup::wait_readable(std::chrono::steady_clock::time_point deadline) const {
@@ -141,7 +178,7 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::ch
       if (message.id() == id && (id != 0 || message.has_ready())) {
         found = message;
       } else if (message.id() == 0) {
-        on_event_(message);
+        pass_on(message);
       }
     }
     if (found) return found;
@@ -156,8 +193,7 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::ch
 
 wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request) {
   wire::GroupRequest numbered = request;
-  numbered.set_id(next_id_++);
-  if (alive() && stream_->send(numbered)) {
+  if (send(numbered)) {
     if (auto reply = wait_for(numbered.id(), kRequestDeadline)) return std::move(*reply);
   }
   if (stream_->closed()) note_end();
@@ -171,7 +207,7 @@ bool ChildGroup::serve() {
   const bool open = receive();
   wire::GroupMessage message;
   while (stream_->next(message)) {
-    if (message.id() == 0) on_event_(message);
+    if (message.id() == 0) pass_on(message);
   }
   if (!open || stream_->closed()) note_end();
   return alive();

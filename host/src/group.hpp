@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 
+#include "clock_master.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
 #include "runtime.hpp"
@@ -28,8 +29,9 @@ class Group {
   virtual std::string endpoint() const = 0;
   virtual pid_t process() const = 0;
   virtual bool alive() const = 0;
-  /// Its name towards the processes that it opens links to; no other process of the host has had it.
-  std::string link_name() const { return name_ + ":" + std::to_string(process()); }
+  /// Its name towards the processes that it opens links to: where it listens, so that what both ends of a link count
+  /// can be compared. No other process of the host has had it.
+  std::string link_name() const { return endpoint(); }
   /// What its own links are opened with: each peer is given a key that is made of it and the peer's name.
   const std::string& link_key() const { return link_key_; }
   /// [control thread] Tells it that another process has gone; does not wait for it.
@@ -51,9 +53,11 @@ class MainGroup final : public Group {
   pid_t process() const override;
   bool alive() const override { return true; }
   void peer_lost(const wire::PeerLost& gone) override;
+  std::map<std::string, FrameCounts> frame_counts() { return runtime_.frame_counts(); }
 
  private:
-  wire::GroupMessage perform(const wire::GroupRequest& request) override { return runtime_.handle(request); }
+  wire::GroupMessage perform(const wire::GroupRequest& request) override;
+  VirtualClock* const clock_;  ///< null: the system's
   Runtime runtime_;
 };
 
@@ -64,8 +68,16 @@ void require_descriptors_for_group(std::size_t groups);
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
  public:
+  /// How its process is started. A virtual clock is followed through `master`; the system's is shared by its origin.
+  struct Start {
+    std::string endpoint;
+    const Clock& clock;
+    ClockMaster* master = nullptr;
+    std::size_t threads = 0;  ///< of its pool; 0: one per core
+  };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
-  ChildGroup(std::string name, const std::string& endpoint, const SystemClock& clock, Runtime::OnEvent on_event);
+  ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
+  ~ChildGroup() override;
 
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
@@ -85,8 +97,12 @@ class ChildGroup final : public Group {
   bool receive();
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, std::chrono::seconds deadline);
   void note_end();
+  bool send(wire::GroupRequest& request);
+  void pass_on(const wire::GroupMessage& event);
 
   const std::string endpoint_;
+  const Clock& clock_;
+  ClockMaster* const master_;
   const Runtime::OnEvent on_event_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;

@@ -8,21 +8,33 @@
 #include <string>
 
 #include "fiona/error.hpp"
+#include "group_clock.hpp"
 #include "mailbox.hpp"
 #include "os/message_stream.hpp"
 #include "runtime.hpp"
 
 namespace {
 
+using fiona::host::GroupClock;
 using fiona::host::Mailbox;
 using fiona::host::Runtime;
 
 constexpr int kGroupSocket = 3;
+constexpr int kClockSocket = 4;
 /// Unsent bytes above which a host is slow, and events wait: of watched values so many as the mailbox holds.
 constexpr std::size_t kSlowHost = 1024 * 1024;
 constexpr std::chrono::seconds kWelcomeDeadline{5};
 
-int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
+/// Does one request; a virtual clock is told of its beginning and end.
+fiona::wire::GroupMessage handle(Runtime& runtime, GroupClock* clock, const fiona::wire::GroupRequest& request) {
+  if (clock) clock->begin_request(fiona::TimePoint(fiona::Duration(request.now_ns())));
+  auto reply = runtime.handle(request);
+  if (clock) clock->end_request(request.id());
+  return reply;
+}
+
+int serve(Runtime& runtime, GroupClock* clock, fiona::os::MessageStream& stream,
+          Mailbox<fiona::wire::GroupMessage>& events) {
   while (true) {
     pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
                       {events.descriptor(), POLLIN, 0}};
@@ -36,7 +48,7 @@ int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wir
     if (!stream.flush() || !stream.receive()) return 0;
     fiona::wire::GroupRequest request;
     while (stream.next(request)) {
-      const auto reply = runtime.handle(request);
+      const auto reply = handle(runtime, clock, request);
       // What the request caused is told before its answer.
       for (auto& event : events.take()) stream.send(event);
       if (!stream.send(reply)) return 1;
@@ -49,6 +61,14 @@ std::string value_of(int argc, char** argv, std::string_view flag) {
     if (argv[i] == flag) return argv[i + 1];
   }
   throw fiona::Error(fiona::ErrorCode::Usage, "fiona-group is started by fiona-host, which gives it " + std::string(flag));
+}
+
+std::unique_ptr<fiona::Clock> make_clock(int argc, char** argv) {
+  if (value_of(argc, argv, "--clock") == "virtual") {
+    return std::make_unique<GroupClock>(fiona::os::Descriptor(kClockSocket));
+  }
+  return std::make_unique<fiona::SystemClock>(fiona::SystemClock::Origin{
+      std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
 }
 
 /// The key of this process's links, the first thing that the host says.
@@ -64,13 +84,17 @@ std::string key_from(fiona::os::MessageStream& stream) {
 
 int run(int argc, char** argv) {
   const std::string endpoint = value_of(argc, argv, "--endpoint");
-  fiona::SystemClock clock({std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
-  fiona::Pool pool;
+  const auto clock = make_clock(argc, argv);
+  auto* const follower = dynamic_cast<GroupClock*>(clock.get());
+  fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")));
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
-  Runtime runtime(pool, clock, libraries, endpoint, key_from(stream), [&events](fiona::wire::GroupMessage event) {
-    if (!event.has_tapped()) return events.push(std::move(event));
+  Runtime runtime(pool, *clock, libraries, endpoint, key_from(stream), [&events, follower](fiona::wire::GroupMessage event) {
+    // Counted first: virtual time waits until the host has seen what was counted, so that none may be dropped. What one
+    // instant puts bounds them.
+    if (follower) follower->count_event();
+    if (follower || !event.has_tapped()) return events.push(std::move(event));
     const std::uint64_t tap = event.tapped().tap();
     const std::size_t bytes = event.tapped().object().size();
     events.push_newest(tap, std::move(event), bytes);
@@ -78,8 +102,9 @@ int run(int argc, char** argv) {
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;
-  const int code = serve(runtime, stream, events);
-  clock.stop();
+  if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
+  const int code = serve(runtime, follower, stream, events);
+  clock->stop();
   return code;
 }
 

@@ -89,6 +89,7 @@ class LinkSocket::Peer {
   const std::shared_ptr<Gate> gate;
   bool proven;
   bool gone = false;
+  FrameCounts counts;
   PeerLanes lanes;
   const std::shared_ptr<PeerLanes::Lane> control;
   FrameReader reader;                                           ///< the reader's
@@ -96,10 +97,12 @@ class LinkSocket::Peer {
   std::size_t owed_bytes = 0;
 };
 
-LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver)
+LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver,
+                       std::function<void()> on_dealt_with)
     : pool_(pool),
       counters_(counters),
       receiver_(receiver),
+      on_dealt_with_(std::move(on_dealt_with)),
       routed_(type == zmq::socket_type::router),
       secret_(random_bytes(kKeyBytes)),
       socket_(context, type),
@@ -176,6 +179,16 @@ std::size_t LinkSocket::peers() {
       std::count_if(peers_.begin(), peers_.end(), [](const auto& entry) { return entry.second->proven; }));
 }
 
+std::map<std::string, FrameCounts> LinkSocket::frame_counts() {
+  const std::lock_guard lock(mutex_);
+  std::map<std::string, FrameCounts> all;
+  for (const auto& [identity, peer] : peers_) {
+    all[peer->process].sent += peer->counts.sent;
+    all[peer->process].received += peer->counts.received;
+  }
+  return all;
+}
+
 void LinkSocket::forget(const std::string& process) {
   const std::lock_guard lock(mutex_);
   std::erase_if(peers_, [&](const auto& entry) {
@@ -246,10 +259,12 @@ LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const st
                                   Rule rule, Wires also) {
   if (!lane.peer) return {};
   if (object && refuses(*object)) return {Sent::What::TooLarge, 0};
+  if (on_dealt_with_) rule = Rule::Control;
   PeerLanes::Item item = item_for(lane, frame, object, rule);
   item.also = std::move(also);
   const std::lock_guard lock(mutex_);
   if (lane.peer->gone) return {};
+  ++lane.peer->counts.sent;
   const auto taken = lane.peer->lanes.offer(*lane.lane, std::move(item));
   pump(*lane.peer);
   return {taken.ok ? Sent::What::Ok : Sent::What::Full, taken.lost};
@@ -258,7 +273,9 @@ LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const st
 void LinkSocket::tell(const std::string& peer, wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
   const auto found = peers_.find(peer);
-  if (found != peers_.end()) tell_locked(*found->second, frame);
+  if (found == peers_.end()) return;
+  ++found->second->counts.sent;
+  tell_locked(*found->second, frame);
 }
 
 void LinkSocket::tell_locked(Peer& peer, wire::Frame& frame) {
@@ -333,7 +350,9 @@ void LinkSocket::take_turn() {
     if (stopped_) return;
     for (const auto& [identity, peer] : peers_) pump(*peer);
   }
-  if (drain()) pool_.submit(turn_);
+  const bool more = drain();
+  if (on_dealt_with_) on_dealt_with_();
+  if (more) pool_.submit(turn_);
 }
 
 /// Whether there may be more.
@@ -377,6 +396,7 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
 
   bool accepts(const wire::Frame& frame) override {
     if (link_.receiver_.accepts(peer_.identity, frame)) return true;
+    link_.count_received(peer_);
     if (frame.lane() != 0) link_.owe(peer_, frame.lane(), frame.size() + kFrameCost);
     return false;
   }
@@ -388,6 +408,7 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
       return link_.pump(peer_);
     }
     link_.receiver_.on_frame(peer_.identity, frame, object);
+    link_.count_received(peer_);
     if (frame.lane() != 0) link_.owe(peer_, frame.lane(), object.size() + kFrameCost);
   }
 
@@ -405,6 +426,12 @@ void LinkSocket::dispatch(const std::string& identity) {
   if (!peer || !peer->proven) return shake_hands(identity);
   Incoming incoming(*this, *peer);
   if (!peer->reader.read(parts_, incoming)) ++counters_.garbled;
+}
+
+void LinkSocket::count_received(Peer& peer) {
+  if (!on_dealt_with_) return;
+  const std::lock_guard lock(mutex_);
+  ++peer.counts.received;
 }
 
 /// Credit goes back in portions, so that a stream of small messages does not double its traffic.

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <atomic>
+#include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -29,6 +31,12 @@ struct LinkCounters {
   std::atomic<std::uint64_t> too_large{0};
 
   control::LinkStatus status() const;
+};
+
+/// Frames so far between this process and another, each one that crosses once, credit and proofs aside.
+struct FrameCounts {
+  std::uint64_t sent = 0;      ///< on their way, or there
+  std::uint64_t received = 0;  ///< whole, and dealt with
 };
 
 /// One ZeroMQ socket that several threads send through, and that the pool reads when something has come. The sending
@@ -61,7 +69,11 @@ class LinkSocket {
     std::size_t lost = 0;  ///< older messages that had to go for it, once for each of their wires
   };
 
-  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver);
+  /// `on_dealt_with` (a process on a virtual clock has it): called, holding no lock, when what has come is dealt with.
+  /// Then lanes have no bound and no credit: what one round sends is handed out in the next, which bounds it, and what
+  /// is lost must not depend on the speed of threads. So each frame that was taken arrives, or its peer is gone.
+  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver,
+             std::function<void()> on_dealt_with = nullptr);
   ~LinkSocket();
 
   /// Waits for peers, whose keys follow from `key` and their names.
@@ -86,6 +98,8 @@ class LinkSocket {
   std::string process_of(const std::string& peer);
   /// The process is gone: whatever waits for it goes.
   void forget(const std::string& process);
+  /// Of a process on a virtual clock: by the name that the peer has proved; of a connected link, empty.
+  std::map<std::string, FrameCounts> frame_counts();
   /// Peers that have proved their key, now.
   std::size_t peers();
 
@@ -103,6 +117,7 @@ class LinkSocket {
   void shake_hands(const std::string& peer);
   void welcome(const std::string& peer, const wire::Frame& frame);
   void check_challenge(const wire::Frame& frame);
+  void count_received(Peer& peer);
   void owe(Peer& peer, std::uint64_t lane, std::size_t bytes);
   void pay(Peer& peer);
   std::shared_ptr<Peer> find(const std::string& peer);
@@ -117,6 +132,7 @@ class LinkSocket {
   Pool& pool_;
   LinkCounters& counters_;
   Receiver& receiver_;
+  const std::function<void()> on_dealt_with_;
   const bool routed_;
   const std::string secret_;  ///< of which the nonces for unknown peers are made
   std::string key_;

@@ -46,9 +46,13 @@ Links::Peer::~Peer() = default;
 Links::Peer::Peer(Peer&&) noexcept = default;
 Links::Peer& Links::Peer::operator=(Peer&&) noexcept = default;
 
-Links::Links(Pool& pool, std::string endpoint, std::string key, OnLost on_lost)
-    : pool_(pool), endpoint_(std::move(endpoint)), on_lost_(std::move(on_lost)), receiver_(std::make_unique<Server>(*this)) {
-  server_ = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_);
+Links::Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, OnLost on_lost)
+    : pool_(pool),
+      clock_(dynamic_cast<VirtualClock*>(&clock)),
+      endpoint_(std::move(endpoint)),
+      on_lost_(std::move(on_lost)),
+      receiver_(std::make_unique<Server>(*this)) {
+  server_ = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_, on_dealt_with());
   server_->listen(endpoint_, std::move(key));
 }
 
@@ -68,16 +72,33 @@ control::LinkStatus Links::status() {
   return status;
 }
 
-void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale) {
+std::function<void()> Links::on_dealt_with() const {
+  if (!clock_) return nullptr;
+  return [clock = clock_] { clock->reconsider(); };
+}
+
+std::map<std::string, FrameCounts> Links::frame_counts() {
   const std::lock_guard lock(mutex_);
-  grants_[wire] = Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), nullptr};
+  auto all = server_->frame_counts();
+  for (const auto& [endpoint, peer] : peers_) {
+    const FrameCounts ours = peer.link->frame_counts()[""];
+    all[endpoint].sent += ours.sent;
+    all[endpoint].received += ours.received;
+  }
+  return all;
+}
+
+void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
+                    std::string client_name) {
+  const std::lock_guard lock(mutex_);
+  grants_[wire] = Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), std::move(client_name), nullptr};
 }
 
 LinkSocket& Links::connect(const Endpoint& endpoint) {
   auto& peer = peers_[endpoint.address];
   if (!peer.link) {
     peer.client = std::make_unique<Client>(*this, endpoint.address);
-    peer.link = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.client);
+    peer.link = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.client, on_dealt_with());
     peer.link->connect(endpoint.address, endpoint.name, endpoint.key);
   }
   return *peer.link;
@@ -88,7 +109,7 @@ void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPor
                     const std::function<void()>& switch_over) {
   std::unique_lock lock(mutex_);
   LinkSocket& link = connect(endpoint);
-  const auto wire = std::make_shared<RemoteWire>(link, "", wire_id, client);
+  const auto wire = std::make_shared<RemoteWire>(link, "", wire_id, client, client.full_name() + "<" + provider_name);
   requirements_[wire_id] = Requirement{&client, endpoint.address, provider_name, wire, std::nullopt, false};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
   const bool first = client.connection() != Connection::Connected;
@@ -137,14 +158,16 @@ void Links::open_for(const std::string& peer, const wire::Frame& frame) {
     return refuse(peer, frame.wire(), "the wire was not granted");
   }
   Grant& granted = grant->second;
-  granted.wire = wire_for(peer, frame.wire(), *granted.provider);
+  granted.wire = wire_for(peer, frame.wire(), granted);
   granted.wire->open(granted.prescale);
 }
 
 /// The provider's end of a wire; those of a push port to the same process share what crosses.
-std::shared_ptr<RemoteWire> Links::wire_for(const std::string& peer, std::uint64_t wire, ProvidedPort& provider) {
+std::shared_ptr<RemoteWire> Links::wire_for(const std::string& peer, std::uint64_t wire, const Grant& grant) {
+  ProvidedPort& provider = *grant.provider;
+  const std::string name = grant.client_name + "<" + provider.full_name();
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
-  if (!push) return std::make_shared<RemoteWire>(*server_, peer, wire, provider);
+  if (!push) return std::make_shared<RemoteWire>(*server_, peer, wire, provider, name);
   auto& known = fan_outs_[{peer, &provider}];
   auto fan_out = known.lock();
   if (!fan_out) {
@@ -152,7 +175,7 @@ std::shared_ptr<RemoteWire> Links::wire_for(const std::string& peer, std::uint64
     known = fan_out;
     std::erase_if(fan_outs_, [](const auto& entry) { return entry.second.expired(); });
   }
-  return std::make_shared<RemoteWire>(std::move(fan_out), *server_, peer, wire, provider);
+  return std::make_shared<RemoteWire>(std::move(fan_out), *server_, peer, wire, provider, name);
 }
 
 // ---- frames ---------------------------------------------------------------------------------------------------

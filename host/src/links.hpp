@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 
+#include "fiona/clock.hpp"
 #include "remote_wire.hpp"
 
 namespace fiona::host {
@@ -18,7 +19,8 @@ class Links {
   using OnLost = std::function<void(std::uint64_t wire, const std::string& reason)>;
 
   /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for them.
-  Links(Pool& pool, std::string endpoint, std::string key, OnLost on_lost);
+  /// On a virtual clock, what comes takes its turn there.
+  Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, OnLost on_lost);
   ~Links();
 
   const std::string& endpoint() const { return endpoint_; }
@@ -27,7 +29,8 @@ class Links {
   /// What they have carried and refused since the process started.
   control::LinkStatus status();
   /// Lets `peer` open `wire` to `provider` if it brings `token`.
-  void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale);
+  void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
+               std::string client_name);
   /// Where a link goes, and what opens it.
   struct Endpoint {
     std::string address;
@@ -47,6 +50,8 @@ class Links {
   void release(const Hull& hull);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
+  /// Of a process on a virtual clock: by where the peer listens, which is its name towards this process too.
+  std::map<std::string, FrameCounts> frame_counts();
 
  private:
   struct Grant {
@@ -54,6 +59,7 @@ class Links {
     std::string peer;
     ProvidedPort* provider = nullptr;
     std::uint32_t prescale = 1;
+    std::string client_name;
     std::shared_ptr<RemoteWire> wire;  ///< once opened
   };
   struct Requirement {
@@ -86,12 +92,14 @@ class Links {
   void note_foreign(std::uint64_t wire);
   void note_ended(std::uint64_t wire);
   void open_for(const std::string& peer, const wire::Frame& frame);
-  std::shared_ptr<RemoteWire> wire_for(const std::string& peer, std::uint64_t wire, ProvidedPort& provider);
+  std::shared_ptr<RemoteWire> wire_for(const std::string& peer, std::uint64_t wire, const Grant& grant);
   void refuse(const std::string& peer, std::uint64_t wire, const std::string& reason);
   void note_answer(std::uint64_t wire, const std::string& refusal);
   LinkSocket& connect(const Endpoint& endpoint);
+  std::function<void()> on_dealt_with() const;
 
   Pool& pool_;
+  VirtualClock* const clock_;  ///< null: the system's
   zmq::context_t context_;
   const std::string endpoint_;
   const OnLost on_lost_;

@@ -246,16 +246,20 @@ void Model::set(const control::Set& request) {
 void Model::set_host(const control::Set& request) {
   bool is_virtual = virtual_clock_;
   std::optional<double> speed;
+  std::optional<std::string> deliveries;
   for (const auto& argument : request.parameters()) {
     const auto& value = argument.value();
     const bool number = value.kind_case() == control::Value::kNumber || value.kind_case() == control::Value::kInteger;
     if (argument.name() == "clock" && (value.text() == "virtual" || value.text() == "system")) {
       is_virtual = value.text() == "virtual";
+    } else if (argument.name() == "deliveries" && value.kind_case() == control::Value::kText) {
+      deliveries = value.text();
     } else if (argument.name() == "speed" && number) {
       speed = value.kind_case() == control::Value::kNumber ? value.number() : static_cast<double>(value.integer());
     } else {
       throw Error(ErrorCode::Usage, {.what = "the host does not take '" + argument.name() + "' so",
-                                     .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes)",
+                                     .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes), "
+                                                 "deliveries=FILE",
                                      .next = "get host"});
     }
   }
@@ -265,13 +269,20 @@ void Model::set_host(const control::Set& request) {
   if (speed && !is_virtual) {
     throw Error(ErrorCode::Usage, {.what = "the system clock has one speed", .next = "set host clock=virtual speed=…"});
   }
+  if (deliveries && !deliveries->empty() && !is_virtual) {
+    throw Error(ErrorCode::Usage, {.what = "deliveries are recorded on a virtual clock", .next = "set host clock=virtual deliveries=FILE"});
+  }
   if (is_virtual != virtual_clock_ && !instances_.empty()) {
     throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} instances live by the present clock", instances_.size()),
                                         .next = "set host clock before the first load"});
   }
-  if (is_virtual != virtual_clock_) speed_ = 0;
+  if (is_virtual != virtual_clock_) {
+    speed_ = 0;
+    deliveries_.clear();
+  }
   virtual_clock_ = is_virtual;
   if (speed) speed_ = *speed;
+  if (deliveries) deliveries_ = *deliveries;
 }
 
 /// Whether the component may go there, only its life cycle can tell.
@@ -348,16 +359,20 @@ control::Change wiring_of(const Model::PortKey& client, const Model::Wire& wire)
   return change;
 }
 
-control::Change clock_of(bool is_virtual, double speed) {
+control::Change clock_of(const Model& from, const Model& to) {
   control::Change change;
   change.mutable_set()->set_instance(std::string(kHost));
   auto& clock = *change.mutable_set()->add_parameters();
   clock.set_name("clock");
-  clock.mutable_value()->set_text(is_virtual ? "virtual" : "system");
-  if (!is_virtual) return change;
+  clock.mutable_value()->set_text(to.has_virtual_clock() ? "virtual" : "system");
+  if (!to.has_virtual_clock()) return change;
   auto& pace = *change.mutable_set()->add_parameters();
   pace.set_name("speed");
-  pace.mutable_value()->set_number(speed);
+  pace.mutable_value()->set_number(to.speed());
+  if (from.deliveries() == to.deliveries()) return change;
+  auto& deliveries = *change.mutable_set()->add_parameters();
+  deliveries.set_name("deliveries");
+  deliveries.mutable_value()->set_text(to.deliveries());
   return change;
 }
 
@@ -379,7 +394,8 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
     if (kept.contains(client.first) && !to.wires_.contains(client)) *steps.emplace_back().mutable_unwire()->mutable_client() = port_of(client);
   }
   for (auto it = leaving.rbegin(); it != leaving.rend(); ++it) steps.emplace_back().mutable_unload()->set_instance(it->second);
-  if (from.virtual_clock_ != to.virtual_clock_ || from.speed_ != to.speed_) steps.push_back(clock_of(to.virtual_clock_, to.speed_));
+  const bool same_clock = from.virtual_clock_ == to.virtual_clock_ && from.speed_ == to.speed_ && from.deliveries_ == to.deliveries_;
+  if (!same_clock) steps.push_back(clock_of(from, to));
   for (const auto& [order, name] : coming) steps.push_back(load_of(name, to.instance(name)));
   for (const auto& name : kept) {
     const Instance& target = to.instance(name);

@@ -48,6 +48,8 @@ class Model {
   const std::map<PortKey, Wire>& wires() const { return wires_; }
   bool has_virtual_clock() const { return virtual_clock_; }
   double speed() const { return speed_; }
+  /// The file in which each delivery of a virtual clock is recorded; empty: none.
+  const std::string& deliveries() const { return deliveries_; }
 
   /// Makes the change in the model. Throws Error, and changes nothing, when it cannot be: everything that can be told
   /// without running a component is told here.
@@ -74,7 +76,8 @@ class Model {
   std::map<std::string, std::shared_ptr<const Instance>> instances_;
   std::map<PortKey, Wire> wires_;
   bool virtual_clock_ = false;
-  double speed_ = 0;  ///< of a virtual clock
+  double speed_ = 0;        ///< of a virtual clock
+  std::string deliveries_;  ///< of a virtual clock
   std::uint64_t next_order_ = 1;
 };
 

@@ -93,14 +93,17 @@ class RemoteWire::RemoteReply final : public ReplySink {
   std::atomic<bool> answered_{false};
 };
 
-RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port)
-    : RemoteWire(nullptr, link, std::move(peer), wire, port) {}
+RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port, std::string name)
+    : RemoteWire(nullptr, link, std::move(peer), wire, port, std::move(name)) {}
 
-RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::string peer, std::uint64_t wire, Port& port)
+RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::string peer, std::uint64_t wire, Port& port,
+                       std::string name)
     : link_(link),
       peer_(std::move(peer)),
       wire_(wire),
       port_(port),
+      name_(std::move(name)),
+      clock_(port.hull().clock()),
       fan_out_(std::move(fan_out)),
       lane_(fan_out_ ? fan_out_->lane() : link_.open_lane(peer_)),
       inbox_(inbox_of(port)),
@@ -175,17 +178,26 @@ Outcome RemoteWire::request_locked(wire::Frame& frame, Parcel parcel) {
   request.set_id(id);
   request.set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
   request.set_continuous(parcel.continuous);
-  parcel.reply->set_on_abandon([weak = weak_from_this(), id] {
+  const auto give_up = [weak = weak_from_this(), id] {
     if (const auto wire = weak.lock()) wire->cancel(id);
-  });
+  };
+  parcel.reply->set_on_abandon(give_up, clock_.staging());
   open_.emplace(id, std::move(parcel.reply));
   const Outcome outcome = outcome_of(link_.send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
   if (outcome != Outcome::Ok) open_.erase(id);
   return outcome;
 }
 
-/// The client gave up: the provider is told, so that it need not go on.
+/// The client gave up: the provider is told, so that it need not go on. In virtual time an answer that is on its way
+/// still comes, as within a process: the request stays open until the provider has confirmed.
 void RemoteWire::cancel(std::uint64_t id) {
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_cancel()->set_id(id);
+  if (clock_.staging()) {
+    const std::lock_guard lock(mutex_);
+    if (!cut_) send_frame(frame);
+    return;
+  }
   std::shared_ptr<ReplySink> given_up;  // let go outside the lock
   {
     const std::lock_guard lock(mutex_);
@@ -194,8 +206,6 @@ void RemoteWire::cancel(std::uint64_t id) {
     given_up = std::move(open->second);
     open_.erase(open);
     if (cut_) return;
-    wire::Frame frame = frame_for(wire_);
-    frame.mutable_cancel()->set_id(id);
     send_frame(frame);
   }
   if (const auto notice = take_drained()) notice();
@@ -268,10 +278,12 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
   switch (frame.what_case()) {
     case wire::Frame::kAnswer: return on_answer(frame.answer(), object);
     case wire::Frame::kLease: {
-      auto* client = dynamic_cast<RequiredPort*>(&port_);
-      const std::lock_guard lock(mutex_);
-      if (client && !cut_) client->set_lease(frame.lease().held(), frame.lease().reason());
-      return;
+      const bool held = frame.lease().held();
+      return take_in_turn(nullptr, held ? kSpeaks : kSilent, [self = shared_from_this(), held, reason = frame.lease().reason()] {
+        auto* client = dynamic_cast<RequiredPort*>(&self->port_);
+        const std::lock_guard lock(self->mutex_);
+        if (client && !self->cut_) client->set_lease(held, reason);
+      });
     }
     case wire::Frame::kLost:
       if (port_.direction() == PortDirection::Requires && is_push(port_)) {
@@ -284,9 +296,35 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
   }
 }
 
+void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job job) {
+  if (!clock_.staging()) return job();
+  clock_.stage({name_, ++staged_, object, word, std::move(job)});
+}
+
+/// From the client: it gave up. From the provider: it knows that we did.
 void RemoteWire::on_cancel(std::uint64_t id) {
+  if (port_.direction() == PortDirection::Provides) {
+    return take_in_turn(nullptr, kGivenUp, [self = shared_from_this(), id] { self->on_given_up(id); });
+  }
+  std::shared_ptr<ReplySink> given_up;  // let go outside the lock
+  {
+    const std::lock_guard lock(mutex_);
+    const auto open = open_.find(id);
+    if (open == open_.end()) return;
+    given_up = std::move(open->second);
+    open_.erase(open);
+  }
+  if (const auto notice = take_drained()) notice();
+}
+
+void RemoteWire::on_given_up(std::uint64_t id) {
   std::shared_ptr<ReplySink> given_up;  // let go outside the lock
   const std::lock_guard lock(mutex_);
+  if (clock_.staging() && !cut_) {
+    wire::Frame confirmed = frame_for(wire_);
+    confirmed.mutable_cancel()->set_id(id);
+    send_frame(confirmed);
+  }
   const auto served = served_.find(id);
   if (served == served_.end()) return;
   given_up = served->second.lock();
@@ -304,6 +342,13 @@ void RemoteWire::handle_object(const wire::Frame& frame, const ParsedObject& obj
   const bool request = frame.has_request();
   const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
   if (!inbox_ || !fits) return;
+  if (!clock_.staging()) return take(frame, object);
+  take_in_turn(object.object.get(), to_string(Outcome::Rejected),
+               [self = shared_from_this(), frame, object] { self->take(frame, object); });
+}
+
+void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
+  const bool request = frame.has_request();
   std::string refusal = object.refusal.value_or("");
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
@@ -324,7 +369,8 @@ void RemoteWire::handle_object(const wire::Frame& frame, const ParsedObject& obj
   }
   if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
-  if (reply && (outcome != Outcome::Ok || pattern == SEND)) reply->answer(outcome, std::move(refusal), nullptr);
+  const bool ends = outcome != Outcome::Ok || port_.service().pattern() == SEND;
+  if (reply && ends) reply->answer(outcome, std::move(refusal), nullptr);
 }
 
 void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <deque>
 #include <functional>
 #include <memory>
@@ -26,10 +27,11 @@ struct ParsedObject {
 /// A wire as the side sees it whose peer is in another process.
 class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> {
  public:
-  /// With a lane of its own.
-  RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port);
+  /// With a lane of its own. `name` orders deliveries in virtual time, as that of a LocalWire.
+  RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port, std::string name);
   /// Of a push provider: one of those that share what crosses.
-  RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::string peer, std::uint64_t wire, Port& port);
+  RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::string peer, std::uint64_t wire, Port& port,
+             std::string name);
   ~RemoteWire() override;
 
   std::uint64_t wire() const { return wire_; }
@@ -71,9 +73,12 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   bool keep(const wire::Frame& frame, const ParsedObject& object);
   void handle_frame(const wire::Frame& frame, const ObjectBytes& object);
   void handle_object(const wire::Frame& frame, const ParsedObject& object);
+  void take(const wire::Frame& frame, const ParsedObject& object);
+  void take_in_turn(const Object* object, std::string_view word, Job job);
   std::function<void()> take_drained();
   void cancel(std::uint64_t id);
   void on_cancel(std::uint64_t id);
+  void on_given_up(std::uint64_t id);
   void on_answer(const wire::Answer& answer, const ObjectBytes& object);
   void on_fired(const wire::Fired& fired, const ObjectBytes& object);
   void forget(std::uint64_t id);
@@ -83,6 +88,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   const std::string peer_;
   const std::uint64_t wire_;
   Port& port_;
+  const std::string name_;
+  Clock& clock_;
+  std::atomic<std::uint64_t> staged_{0};
   const std::shared_ptr<FanOut> fan_out_;
   const LinkSocket::Lane lane_;
   Inbox* const inbox_;  ///< where the peer's objects go; null: none come

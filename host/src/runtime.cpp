@@ -118,7 +118,7 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
       on_event_(std::move(on_event)),
       libraries_(libraries),
       taps_(on_event_),
-      links_(pool, std::move(endpoint), std::move(link_key), [this](std::uint64_t wire, const std::string& reason) {
+      links_(pool, clock, std::move(endpoint), std::move(link_key), [this](std::uint64_t wire, const std::string& reason) {
         wire::GroupMessage message;
         message.mutable_wire_lost()->set_wire(wire);
         message.mutable_wire_lost()->set_reason(reason);
@@ -163,7 +163,8 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kWireLocal: return wire_local(request.wire_local(), *reply.mutable_switched());
     case Request::kWireProvide: {
       const auto& wire = request.wire_provide();
-      return links_.provide(wire.wire(), wire.token(), wire.peer(), provided(wire.provider()), wire.prescale());
+      return links_.provide(wire.wire(), wire.token(), wire.peer(), provided(wire.provider()), wire.prescale(),
+                            text_of(wire.client()));
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();

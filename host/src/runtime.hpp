@@ -31,6 +31,7 @@ class Runtime final : private HullEvents {
   /// [control thread] Does what is asked. What cannot be done is in the message, as a Failure.
   wire::GroupMessage handle(const wire::GroupRequest& request);
   const std::string& endpoint() const { return links_.endpoint(); }
+  std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
 
  private:
   struct Instance;

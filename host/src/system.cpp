@@ -38,7 +38,9 @@ System::~System() { end_threads(); }
 /// Groups, then the clock's thread, which posts, then the pool's; the clock last: a strand tells it that it is idle
 /// after its last job has ended.
 void System::end_threads() {
+  if (virtual_) virtual_->stop();  // it asks the groups how far they are
   groups_.clear();
+  master_.reset();
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
   pool_.reset();
@@ -47,12 +49,15 @@ void System::end_threads() {
 
 void System::use_clock(std::unique_ptr<Clock> clock) {
   end_threads();
+  deliveries_.reset();
   clock_ = std::move(clock);
+  virtual_ = dynamic_cast<VirtualClock*>(clock_.get());
   pool_ = std::make_unique<Pool>(options_.threads);
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (options_.directory / (options_.name + ".main.ipc")).string();
-  groups_[std::string(kMain)] =
-      std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) { deliver(event); });
+  auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) { deliver(event); });
+  if (virtual_) master_ = std::make_unique<ClockMaster>(*virtual_, endpoint, [&main = *main] { return main.frame_counts(); });
+  groups_[std::string(kMain)] = std::move(main);
 }
 
 /// Waits first, on the thread where it happened; then whoever else listens.
@@ -69,14 +74,11 @@ Group& System::group(const std::string& name) {
   const auto found = groups_.find(wanted);
   if (found != groups_.end() && found->second->alive()) return *found->second;
   require_name(wanted, "a group");
-  const auto* clock = dynamic_cast<const SystemClock*>(clock_.get());
-  if (!clock) {
-    throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process: groups need the system clock",
-                                        .next = "load without 'in " + wanted + "', or: set host clock=system"});
-  }
   require_descriptors_for_group(child_groups().size());
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
-  auto made = std::make_unique<ChildGroup>(wanted, endpoint, *clock, [this](wire::GroupMessage event) { deliver(event); });
+  if (virtual_) virtual_->lead(*master_);
+  const ChildGroup::Start start{endpoint, *clock_, master_.get(), options_.threads};
+  auto made = std::make_unique<ChildGroup>(wanted, start, [this](wire::GroupMessage event) { deliver(event); });
   return *(groups_[wanted] = std::move(made));
 }
 
@@ -98,6 +100,7 @@ void System::retire_if_empty(const Group& target) {
 // ---- instances ------------------------------------------------------------------------------------------------
 
 control::Done System::perform(const control::Change& change) {
+  settle();
   Model next = model_;
   next.make(change, packages_);
   const control::Done done = [&] {
@@ -177,6 +180,7 @@ void System::note_state(const control::State& request) {
 }
 
 void System::state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer) {
+  settle();
   const std::string name = request.instance();
   Group& target = group_of(name, model_);
   const std::uint64_t change = next_work_++;
@@ -261,12 +265,72 @@ control::Done System::set(const control::Set& request, const Model& next) {
     group_of(request.instance(), next).request(std::move(change));
     return done;
   }
-  const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
-  if (next.has_virtual_clock() != is_virtual) {
-    use_clock(is_virtual ? std::unique_ptr<Clock>(std::make_unique<SystemClock>()) : std::make_unique<VirtualClock>());
+  const bool records_anew = next.deliveries() != (deliveries_ ? deliveries_->file().string() : "");
+  std::shared_ptr<DeliveryLog> log;  // first: a file that cannot be written changes nothing
+  if (records_anew && !next.deliveries().empty()) log = std::make_shared<DeliveryLog>(next.deliveries());
+  if (next.has_virtual_clock() != has_virtual_clock()) {
+    use_clock(has_virtual_clock() ? std::unique_ptr<Clock>(std::make_unique<SystemClock>()) : std::make_unique<VirtualClock>());
   }
-  if (next.has_virtual_clock()) dynamic_cast<VirtualClock&>(*clock_).set_speed(next.speed());
+  if (virtual_) virtual_->set_speed(next.speed());
+  if (virtual_ && records_anew) record_to(std::move(log));
   return done;
+}
+
+void System::record_to(std::shared_ptr<DeliveryLog> log) {
+  deliveries_ = std::move(log);
+  virtual_->set_recorder(deliveries_);
+  master_->set_recorder(deliveries_);
+}
+
+void System::settle() {
+  if (!virtual_ || virtual_->released() || progress() == unsettled_) return;
+  const auto end = std::chrono::steady_clock::now() + options_.standstill;
+  // The groups wait until what they told has been heard.
+  do {
+    for (auto* child : child_groups()) serve_group(*child);
+    if (virtual_->settle(master_->empty() ? options_.standstill : std::chrono::milliseconds(1))) return;
+  } while (std::chrono::steady_clock::now() < end);
+  unsettled_ = progress();
+}
+
+std::uint64_t System::progress() const { return virtual_->progress() + master_->progress(); }
+
+void System::watch_time() {
+  const auto now = std::chrono::steady_clock::now();
+  if (!virtual_ || !virtual_->released()) {
+    standing_ = {0, now, false};
+    return;
+  }
+  if (deliveries_ && !deliveries_->failure().empty()) {
+    const std::string failure = deliveries_->failure();
+    const std::string file = deliveries_->file().string();
+    record_to(nullptr);
+    return waits_->fail_all(Error(ErrorCode::Failed, {.what = "the delivery log cannot be written", .where = file, .found = failure}));
+  }
+  const bool waits = !virtual_->busy_strands().empty() || !master_->situation().quiet;
+  if (!waits || progress() != standing_.progress) {
+    standing_ = {progress(), now, false};
+    return;
+  }
+  if (!standing_.asked && now - standing_.since > options_.standstill * 4 / 5) {
+    standing_.asked = true;
+    master_->ask_what_runs();
+  }
+  if (now - standing_.since < options_.standstill) return;
+  waits_->fail_all(standstill());
+  standing_ = {progress(), now, false};
+}
+
+Error System::standstill() const {
+  std::vector<std::string> blockers;
+  for (const auto& name : virtual_->busy_strands()) blockers.push_back("'" + name + "' runs");
+  for (auto& text : master_->blockers()) blockers.push_back(std::move(text));
+  return Error(ErrorCode::Unreachable,
+               {.what = fmt::format("virtual time has stood at {:.3f} s for {:.3g} s", to_seconds(clock_->now() - clock_->start()),
+                                    std::chrono::duration<double>(options_.standstill).count()),
+                .expected = "a handler that ends: time goes on when nothing runs",
+                .found = fmt::format("{}", fmt::join(blockers, "; ")),
+                .next = "show the instance, or unload it; then wait again"});
 }
 
 std::pair<bool, std::string> System::has_mode(const std::string& name, const std::string& mode) {
@@ -309,6 +373,7 @@ System::Wire System::connect(const control::PortName& client, const Model& model
   provide.set_wire(wire.id);
   provide.set_token(token);
   *provide.mutable_provider() = wanted.provider;
+  *provide.mutable_client() = client;
   provide.set_prescale(wanted.prescale);
   provide.set_peer(client_group.link_name());
   provider_group.request(request);
@@ -530,6 +595,7 @@ void System::lose(ChildGroup& gone) {
     deliver(event);
   }
   std::erase_if(taps_, [&gone](const auto& tap) { return tap.second == gone.name(); });
+  if (master_) master_->remove(gone.endpoint());  // from here on virtual time goes on without it
   for (auto& [key, wire] : wires_) {
     const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
     const bool client_gone = model_.instance(key.first).group == gone.name();
@@ -604,9 +670,10 @@ control::System System::snapshot() {
   control::System all;
   all.set_host(options_.name);
   all.set_version(FIONA_VERSION);
-  const auto* simulated = dynamic_cast<VirtualClock*>(clock_.get());
+  const auto* simulated = virtual_;
   all.set_clock(simulated ? "virtual" : "system");
   all.set_speed(simulated ? simulated->speed() : 1);
+  if (deliveries_) all.set_deliveries(deliveries_->file().string());
   all.set_time_s(to_seconds(clock_->now() - clock_->start()));
   std::map<std::uint64_t, control::InstanceStatus> ordered;
   for (auto& [name, one] : groups_) {

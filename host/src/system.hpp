@@ -4,11 +4,14 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "fiona/control.pb.h"
+#include "clock_master.hpp"
+#include "delivery_log.hpp"
 #include "fiona/pool.hpp"
 #include "group.hpp"
 #include "model.hpp"
@@ -26,6 +29,8 @@ class System {
     std::filesystem::path store;
     std::filesystem::path directory;  ///< for the sockets of links
     std::size_t threads = 0;
+    /// Of the machine's time: how long virtual time may stand for the same reason before whoever waits is told.
+    std::chrono::milliseconds standstill{5000};
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -63,6 +68,13 @@ class System {
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
 
   Clock& clock() { return *clock_; }
+  /// While virtual time is held: waits until all processes have done what they were told, so that the next line finds
+  /// the same state each time. Bounded by `standstill`.
+  void settle();
+  /// Call it at least once a second while the clock is virtual: ends all waits with an error that names what runs when
+  /// virtual time has stood too long.
+  void watch_time();
+  bool has_virtual_clock() const { return virtual_ != nullptr; }
   /// The groups that are child processes: poll their descriptors, call `serve_group` when readable.
   std::vector<ChildGroup*> child_groups();
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
@@ -95,6 +107,9 @@ class System {
   std::string connect_waiting(const std::string& provider, const Model& next);
   control::PortName callee(const control::PortName& name);
   void use_clock(std::unique_ptr<Clock> clock);
+  void record_to(std::shared_ptr<DeliveryLog> log);
+  std::uint64_t progress() const;
+  Error standstill() const;
   void end_threads();
   control::InstanceStatus status_of_lost(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
@@ -107,6 +122,17 @@ class System {
   Model model_;
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
   std::unique_ptr<Clock> clock_;
+  VirtualClock* virtual_ = nullptr;  ///< the clock, if it is one
+  std::unique_ptr<ClockMaster> master_;  ///< of a virtual clock
+  std::shared_ptr<DeliveryLog> deliveries_;
+  /// Since when virtual time stands at this progress, by the machine's clock.
+  struct Standing {
+    std::uint64_t progress = 0;
+    std::chrono::steady_clock::time_point since{};
+    bool asked = false;
+  };
+  Standing standing_;
+  std::optional<std::uint64_t> unsettled_;  ///< the progress at which `settle` gave up
   std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;

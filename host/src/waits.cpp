@@ -254,18 +254,26 @@ void Waits::drop_owner(std::uint64_t owner) {
   for (const auto& wait : dropped) finish(wait, std::nullopt);
 }
 
+void Waits::fail_all(const Error& error) {
+  control::Reply reply;
+  *reply.mutable_failure() = failure_of(error);
+  end_all(reply);
+}
+
 void Waits::end_run(int exit_code, const std::string& reason) {
+  control::Reply reply;
+  reply.mutable_ended()->set_exit_code(exit_code);
+  reply.mutable_ended()->set_reason(reason);
+  end_all(reply);
+}
+
+void Waits::end_all(const control::Reply& reply) {
   std::vector<WaitPtr> all;
   {
     const std::lock_guard lock(mutex_);
     all.assign(waits_.begin(), waits_.end());
   }
-  for (const auto& wait : all) {
-    control::Reply reply;
-    reply.mutable_ended()->set_exit_code(exit_code);
-    reply.mutable_ended()->set_reason(reason);
-    finish(wait, std::move(reply));
-  }
+  for (const auto& wait : all) finish(wait, reply);
 }
 
 }  // namespace fiona::host

@@ -41,6 +41,8 @@ class Waits {
   void on_event(const wire::GroupMessage& event, const Types& types);
   /// The owner has gone: its waits end without an answer.
   void drop_owner(std::uint64_t owner);
+  /// Nothing can be waited for: every wait ends with this error.
+  void fail_all(const Error& error);
   /// The run has ended: every wait is answered.
   void end_run(int exit_code, const std::string& reason);
 
@@ -51,6 +53,7 @@ class Waits {
   WaitPtr add(std::uint64_t owner, std::uint64_t id, Answer answer);
   void time_out_after(const WaitPtr& wait, double within_ms, std::function<control::Reply()> reply);
   void finish(const WaitPtr& wait, std::optional<control::Reply> reply);
+  void end_all(const control::Reply& reply);
   double elapsed_ms(const Wait& wait) const;
   std::optional<control::Reply> reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const;
   std::optional<control::Reply> reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const;

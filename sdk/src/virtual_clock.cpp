@@ -40,10 +40,11 @@ VirtualClock::~VirtualClock() { VirtualClock::stop(); }
 
 void VirtualClock::stop() {
   {
-    const std::lock_guard lock(mutex_);
+    Lock lock(mutex_);
     stopping_ = true;
+    pacer_changed_.notify_all();
+    proceeded_.wait(lock, [this] { return !proceeding_; });
   }
-  pacer_changed_.notify_all();
   if (pacer_.joinable()) pacer_.join();
 }
 
@@ -89,8 +90,10 @@ void VirtualClock::stage(Staged staged) {
 /// One that is woken again before it has told that it is idle is busy twice for a moment.
 bool VirtualClock::strand_busy(Strand& strand) {
   const std::lock_guard lock(mutex_);
-  strand.busy_place_ = busy_.size();
-  busy_.push_back(&strand);
+  if (++strand.busy_count_ == 1) {
+    strand.busy_place_ = busy_.size();
+    busy_.push_back(&strand);
+  }
   if (holding_back_) held_back_.push_back(strand.shared_from_this());
   return !holding_back_;
 }
@@ -98,14 +101,12 @@ bool VirtualClock::strand_busy(Strand& strand) {
 void VirtualClock::strand_idle(Strand& strand) {
   {
     const std::lock_guard lock(mutex_);
-    const bool known = strand.busy_place_ < busy_.size() && busy_[strand.busy_place_] == &strand;
-    const auto place = known ? busy_.begin() + static_cast<std::ptrdiff_t>(strand.busy_place_)
-                             : std::find(busy_.begin(), busy_.end(), &strand);
-    assert(place != busy_.end());
-    *place = busy_.back();
-    (*place)->busy_place_ = static_cast<std::size_t>(place - busy_.begin());
-    busy_.pop_back();
     ++progress_;
+    if (--strand.busy_count_ > 0) return;
+    assert(busy_.at(strand.busy_place_) == &strand);
+    busy_[strand.busy_place_] = busy_.back();
+    busy_[strand.busy_place_]->busy_place_ = strand.busy_place_;
+    busy_.pop_back();
   }
   proceed();
 }
@@ -209,16 +210,17 @@ double VirtualClock::speed() const {
 /// (its end calls again), when nothing is due, or while time is held or paced.
 void VirtualClock::proceed() {
   Lock lock(mutex_);
-  if (proceeding_) {
+  if (proceeding_ || stopping_) {
     again_ = true;
     return;
   }
   proceeding_ = true;
   do {
     again_ = false;
-    while (idle() && next_round(lock)) ++progress_;
-  } while (again_);
+    while (!stopping_ && idle() && next_round(lock)) ++progress_;
+  } while (again_ && !stopping_);
   proceeding_ = false;
+  if (stopping_) proceeded_.notify_all();
 }
 
 bool VirtualClock::next_round(Lock& lock) {
@@ -229,10 +231,10 @@ bool VirtualClock::next_round(Lock& lock) {
     lock.lock();
     if (!others.quiet || !idle()) return false;
   }
-  if (has_staged() || others.staged) {
+  if (staged() > 0 || others.staged) {
     if (recorder_) recorder_->round(now_);
     if (others_) others_->deliver(now_);
-    return deliver_staged(lock);
+    return deliver_staged(lock, staged());
   }
   note_settled();
   if (releases_ <= 0) return false;
@@ -245,8 +247,14 @@ bool VirtualClock::next_round(Lock& lock) {
   return fire_timers(lock, now_);
 }
 
-bool VirtualClock::deliver_staged(Lock& lock) {
-  round_.swap(staged_);
+bool VirtualClock::deliver_staged(Lock& lock, std::size_t count) {
+  if (count >= staged_.size()) {
+    round_.swap(staged_);
+  } else {
+    const auto end = staged_.begin() + static_cast<std::ptrdiff_t>(count);
+    round_.assign(std::make_move_iterator(staged_.begin()), std::make_move_iterator(end));
+    staged_.erase(staged_.begin(), end);
+  }
   const auto recorder = recorder_;
   const TimePoint at = now_;
   holding_back_ = true;
@@ -256,7 +264,8 @@ bool VirtualClock::deliver_staged(Lock& lock) {
   });
   std::array<char, 16> digits{};
   for (auto& staged : round_) {
-    if (recorder) recorder->delivered(at, staged.wire, staged.sequence, what_of(staged, digits));
+    const bool told = staged.object || !staged.word.empty();
+    if (recorder && told) recorder->delivered(at, staged.wire, staged.sequence, what_of(staged, digits));
     staged.deliver();
   }
   round_.clear();

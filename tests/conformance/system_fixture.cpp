@@ -77,9 +77,14 @@ SeenSample::SeenSample(const google::protobuf::Message& sample) : has_value(true
   }
 }
 
-RunningSystem::RunningSystem(Transport transport)
+RunningSystem::RunningSystem(Transport transport) : RunningSystem(transport, 2, std::chrono::seconds(5)) {}
+
+RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
+    : RunningSystem(Transport::Process, threads, standstill) {}
+
+RunningSystem::RunningSystem(Transport transport, std::size_t threads, std::chrono::milliseconds standstill)
     : transport_(transport),
-      system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2},
+      system_(host::System::Options{"test", directory_.path / "store", directory_.path, threads, standstill},
               [this](const wire::GroupMessage& event) { keep(event); }) {}
 
 SeenSample RunningSystem::seen(const wire::Tapped& tapped) {
@@ -122,6 +127,19 @@ void RunningSystem::load(const std::string& component, const std::string& name, 
   if (parameters.starts_with("neutral")) request.set_mode("neutral");
   add_arguments(parameters, *request.mutable_parameters());
   system_.perform(change);
+}
+
+control::Reply RunningSystem::let_pass(std::chrono::milliseconds time) {
+  system_.settle();
+  control::Sleep request;
+  request.set_duration_ms(static_cast<double>(time.count()));
+  auto answer = std::make_shared<LaterAnswer>();
+  system_.waits().sleep(1, 1, request, [answer](control::Reply reply) {
+    answer->reply = std::move(reply);
+    answer->ended = true;
+  });
+  eventually("the end of the time", [&] { system_.watch_time(); return answer->ended.load(); }, std::chrono::seconds(60));
+  return answer->reply;
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {

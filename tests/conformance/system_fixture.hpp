@@ -62,6 +62,8 @@ struct LaterAnswer {
 class RunningSystem {
  public:
   explicit RunningSystem(Transport transport = Transport::Process);
+  /// With so many threads in each process, and this patience with a virtual clock.
+  RunningSystem(std::size_t threads, std::chrono::milliseconds standstill);
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
@@ -79,6 +81,8 @@ class RunningSystem {
   control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
+  /// Lets the clock pass, and returns how that ended.
+  control::Reply let_pass(std::chrono::milliseconds time);
   /// Passes on what the groups have said, waiting for it so long at most.
   void serve_groups(std::chrono::milliseconds most);
 
@@ -104,6 +108,8 @@ class RunningSystem {
   void load(const std::string& component, const std::string& name, const std::string& group, const std::string& parameters);
   void keep(const wire::GroupMessage& event);
   SeenSample seen(const wire::Tapped& tapped);
+
+  RunningSystem(Transport transport, std::size_t threads, std::chrono::milliseconds standstill);
 
   const Transport transport_;
   const TemporaryDirectory directory_;

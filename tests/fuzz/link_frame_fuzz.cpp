@@ -108,7 +108,7 @@ class EndsAndPeer final : public LinkSocket::Receiver {
     all_read_ = false;
     std::uint64_t number = 0;
     for (const char* name : {"location", "conversion", "asked"}) {
-      wires_.push_back(std::make_shared<RemoteWire>(link_, kPeer, ++number, *bench_.hull().find_port(name)));
+      wires_.push_back(std::make_shared<RemoteWire>(link_, kPeer, ++number, *bench_.hull().find_port(name), name));
       wires_.back()->admit();
     }
     for (int i = 0; i < 2; ++i) {

@@ -358,18 +358,6 @@ TEST_F(VirtualTime, WaitForAModeEndsWhenTheInstanceFailsWithItsReason) {
   EXPECT_LE(time_ms(), 10);
 }
 
-TEST_F(VirtualTime, GroupsAreRefusedForItDrivesOneProcess) {
-  control::Change change;
-  control::Load& request = *change.mutable_load();
-  request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/source");
-  request.set_group("far");
-  const auto error = error_of([&] { system.system().perform(change); });
-  ASSERT_TRUE(error.has_value());
-  EXPECT_EQ(error->code(), ErrorCode::NotAllowed);
-  EXPECT_THAT(error->text().what, HasSubstr("a virtual clock drives one process"));
-  EXPECT_EQ(system.system().snapshot().instances_size(), 0);
-}
-
 TEST(HostClock, ChangesBeforeTheFirstLoadAndAfterTheLastUnloadOnly) {
   RunningSystem system;
   set_host(system, "clock", "virtual");

@@ -28,6 +28,8 @@ void get_host(Session& session, const control::System& system, const std::string
                "from 0",
                "1",
                "of a virtual clock, times real time; 0: as fast as it goes"});
+  if (wanted.empty() || wanted == "deliveries")
+    table.add({"deliveries", system.deliveries(), "", "", "", "of a virtual clock: the file in which each delivery is recorded"});
   session.out.table(table, "");
 }
 

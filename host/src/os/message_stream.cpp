@@ -83,6 +83,16 @@ bool MessageStream::flush() {
   return !closed_;
 }
 
+bool MessageStream::flush_all() {
+  while (flush() && unsent() > 0) {
+    pollfd wait{socket_.get(), POLLOUT, 0};
+    ::poll(&wait, 1, -1);
+  }
+  return !closed_;
+}
+
+void MessageStream::shut_down() { ::shutdown(socket_.get(), SHUT_RDWR); }
+
 bool MessageStream::wait_readable(std::chrono::steady_clock::time_point deadline) const {
   while (true) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();

@@ -2,6 +2,7 @@
 
 #include <google/protobuf/message_lite.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstddef>
 #include <string>
@@ -11,7 +12,7 @@
 namespace fiona::os {
 
 /// Protobuf messages over a stream socket, each preceded by its length as 4 bytes, little endian. Reading never
-/// blocks; writing keeps what the socket does not take, up to a bound.
+/// blocks; writing keeps what the socket does not take, up to a bound. One thread may read while another writes.
 class MessageStream {
  public:
   static constexpr std::size_t kMaxMessage = 16 * 1024 * 1024;  ///< bytes; a longer one ends the stream
@@ -31,6 +32,11 @@ class MessageStream {
   std::size_t unsent() const { return out_.size() - out_begin_; }
   bool closed() const { return closed_; }
 
+  /// Sends all that is queued, however slow the reader. False when the stream has failed.
+  bool flush_all();
+  /// [any thread] Ends the stream in both directions, and whoever waits for it.
+  void shut_down();
+
   /// Blocks until the socket is readable, at most until `deadline`; false when that passes.
   bool wait_readable(std::chrono::steady_clock::time_point deadline) const;
 
@@ -40,7 +46,7 @@ class MessageStream {
   std::size_t in_begin_ = 0;
   std::string out_;
   std::size_t out_begin_ = 0;
-  bool closed_ = false;
+  std::atomic<bool> closed_{false};
 };
 
 }  // namespace fiona::os

@@ -24,7 +24,8 @@ struct Staged {
   std::string_view wire;            ///< must live until `deliver` has run
   std::uint64_t sequence = 0;       ///< on this wire
   const Object* object = nullptr;   ///< what is delivered, kept alive by `deliver`
-  std::string_view word = {};       ///< what is delivered where there is no object: "timeout"; a literal
+  /// What is delivered where there is no object: "timeout"; a literal. Neither: no delivery, nobody is told of it.
+  std::string_view word = {};
   Job deliver;
 };
 
@@ -167,7 +168,8 @@ class VirtualClock : public Clock {
   /// Leads these processes too; they must live until `stop`. From then on what reaches this process from another thread
   /// than a strand's is looked at when `reconsider` is called.
   void lead(OtherProcesses& others);
-  /// [any thread, holding no lock] Something has changed that the clock does not see by itself.
+  /// [any thread, holding no lock] Something has changed that the clock does not see by itself. It may deliver and let
+  /// time go on before it returns.
   void reconsider() { proceed(); }
   /// [any thread] Waits, at most `most` of the machine's time, until nothing is left to do in this instant. False if
   /// that did not come about.
@@ -184,11 +186,12 @@ class VirtualClock : public Clock {
   /// Starts the next round of this instant, or the next instant. False when there is none to start. Called with the
   /// lock, by one thread at a time, while all strands are idle.
   virtual bool next_round(Lock& lock);
-  bool deliver_staged(Lock& lock);
+  /// The `count` oldest.
+  bool deliver_staged(Lock& lock, std::size_t count);
   bool fire_timers(Lock& lock, TimePoint at);
   /// Who takes the lock after what `next_round` did without it finds a strand running: then it is not idle any more.
   bool idle() const { return busy_.empty(); }
-  bool has_staged() const { return !staged_.empty(); }
+  std::size_t staged() const { return staged_.size(); }
   TimePoint next_timer() const { return entries_.empty() ? TimePoint::max() : std::get<0>(entries_.begin()->first); }
   /// Without turning back.
   void advance_to(TimePoint at) { now_ = std::max(now_, at); }
@@ -238,6 +241,7 @@ class VirtualClock : public Clock {
   std::condition_variable pacer_changed_;
   std::thread pacer_;
   bool stopping_ = false;
+  std::condition_variable proceeded_;  ///< of a clock that stops
 };
 
 }  // namespace fiona

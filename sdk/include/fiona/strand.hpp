@@ -111,6 +111,7 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   bool scheduled_ = false;
   std::atomic<bool> closed_{false};  ///< written under the mutex
   std::atomic<std::int64_t> busy_ns_{0};
+  int busy_count_ = 0;          ///< the virtual clock's
   std::size_t busy_place_ = 0;  ///< the virtual clock's, among those that are busy
 };
 

@@ -1,0 +1,55 @@
+#include "delivery_log.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <tuple>
+
+#include "fiona/error.hpp"
+
+namespace fiona::host {
+
+DeliveryLog::DeliveryLog(std::filesystem::path file) : file_(std::move(file)), out_(std::fopen(file_.c_str(), "we")) {
+  if (out_) return;
+  throw Error(ErrorCode::NotAllowed, {.what = "the delivery log cannot be written",
+                                      .where = file_.string(),
+                                      .found = std::strerror(errno),
+                                      .next = "name a file in a folder that the host may write to"});
+}
+
+DeliveryLog::~DeliveryLog() { write(); }
+
+void DeliveryLog::delivered(TimePoint at, std::string_view wire, std::uint64_t sequence, std::string_view what) {
+  const std::lock_guard lock(mutex_);
+  at_ = at;
+  lines_.push_back({std::string(wire), sequence, std::string(what)});
+}
+
+void DeliveryLog::round(TimePoint at) {
+  const std::lock_guard lock(mutex_);
+  if (at != at_ || lines_.size() >= kMaxLines) write();
+}
+
+void DeliveryLog::write() {
+  std::sort(lines_.begin(), lines_.end(), [](const Line& a, const Line& b) {
+    return std::tie(a.wire, a.sequence, a.what) < std::tie(b.wire, b.sequence, b.what);
+  });
+  const std::int64_t ns = at_.time_since_epoch().count();
+  std::string text;
+  for (const Line& line : lines_) {
+    fmt::format_to(std::back_inserter(text), "{}.{:09} {} {} {}\n", ns / 1'000'000'000, ns % 1'000'000'000, line.wire,
+                   line.sequence, line.what);
+  }
+  lines_.clear();
+  const bool written = std::fwrite(text.data(), 1, text.size(), out_.get()) == text.size();
+  if (!written && failure_.empty()) failure_ = std::strerror(errno);
+}
+
+std::string DeliveryLog::failure() const {
+  const std::lock_guard lock(mutex_);
+  return failure_;
+}
+
+}  // namespace fiona::host
