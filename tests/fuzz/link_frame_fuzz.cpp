@@ -185,7 +185,8 @@ class LinksAndPeers {
 
  private:
   void provide(std::uint64_t wire, const char* port) {
-    links_.provide(wire, "0123456789abcdef", kPeer, dynamic_cast<fiona::ProvidedPort&>(*bench_.hull().find_port(port)), 1);
+    auto& provider = dynamic_cast<fiona::ProvidedPort&>(*bench_.hull().find_port(port));
+    links_.provide(wire, "0123456789abcdef", kPeer, provider, 1, "client");
   }
   void expect(std::size_t messages) {
     expected_ += messages;
@@ -198,7 +199,8 @@ class LinksAndPeers {
   fiona::testing::Bench<Ends> bench_;
   zmq::context_t context_;
   fiona::Pool pool_{2};
-  Links links_{pool_, "ipc://" + path_.string(), kKey, [](std::uint64_t, const std::string&) {}};
+  fiona::SystemClock clock_;
+  Links links_{pool_, clock_, "ipc://" + path_.string(), kKey, [](std::uint64_t, const std::string&) {}};
   RawPeer peer_{context_, "ipc://" + path_.string(), kPeer};
   RawPeer stranger_{context_, "ipc://" + path_.string(), "stranger"};
 };
