@@ -44,6 +44,7 @@ class MainGroup final : public Group {
   std::string endpoint() const override { return runtime_.endpoint(); }
   pid_t process() const override;
   bool alive() const override { return true; }
+  Links& links() { return runtime_.links(); }
   void peer_lost(const std::string& lost, const std::string& reason) override { runtime_.peer_lost(lost, reason); }
 
  private:

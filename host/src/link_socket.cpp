@@ -1,5 +1,7 @@
 #include "link_socket.hpp"
 
+#include <algorithm>
+
 namespace fiona::host {
 namespace {
 
@@ -51,15 +53,39 @@ void LinkSocket::stop() {
   socket_.close();
 }
 
-void LinkSocket::send(const std::string& peer, const wire::Frame& frame, const Object* object) {
+namespace {
+
+/// Makes `body` with room for an object behind the frame, and returns where that begins.
+std::uint8_t* begin_body(zmq::message_t& body, const wire::Frame& frame, std::size_t object_size) {
   const std::size_t frame_size = frame.ByteSizeLong();
-  const std::size_t object_size = object ? object->ByteSizeLong() : 0;
-  zmq::message_t body(kLengthBytes + frame_size + object_size);
+  body.rebuild(kLengthBytes + frame_size + object_size);
   auto* out = static_cast<std::uint8_t*>(body.data());
   for (std::size_t i = 0; i < kLengthBytes; ++i) out[i] = static_cast<std::uint8_t>(frame_size >> (8 * i));
   frame.SerializeWithCachedSizesToArray(out + kLengthBytes);
-  if (object) object->SerializeWithCachedSizesToArray(out + kLengthBytes + frame_size);
+  return out + kLengthBytes + frame_size;
+}
 
+}  // namespace
+
+void LinkSocket::send(const std::string& peer, const wire::Frame& frame, const Object* object) {
+  zmq::message_t body;
+  auto* rest = begin_body(body, frame, object ? object->ByteSizeLong() : 0);
+  if (object) object->SerializeWithCachedSizesToArray(rest);
+  send_body(peer, body);
+}
+
+void LinkSocket::forward(const std::string& peer, const wire::Frame& frame, std::string_view object) {
+  zmq::message_t body;
+  std::copy(object.begin(), object.end(), begin_body(body, frame, object.size()));
+  send_body(peer, body);
+}
+
+std::string LinkSocket::sender() const {
+  const char* user = current_ ? zmq_msg_gets(const_cast<zmq_msg_t*>(current_->handle()), "User-Id") : nullptr;
+  return user ? user : "";
+}
+
+void LinkSocket::send_body(const std::string& peer, zmq::message_t& body) {
   bool input = false;
   {
     const std::lock_guard lock(mutex_);
@@ -90,7 +116,9 @@ void LinkSocket::drain() {
       std::unique_lock lock(mutex_);
       if (stopped_ || !has_input() || !receive(lock, peer, body)) return;
     }
+    current_ = &body;
     dispatch(peer, body);
+    current_ = nullptr;
   }
   pool_.submit(drain_);
 }

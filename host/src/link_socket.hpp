@@ -31,10 +31,17 @@ class LinkSocket {
   void stop();
   /// [any thread] Sends a frame with an object (null: none). Never waits: what bounds the queue is each wire's credit.
   void send(const std::string& peer, const wire::Frame& frame, const Object* object);
+  /// [any thread] The same for an object that is passed on as it came.
+  void forward(const std::string& peer, const wire::Frame& frame, std::string_view object);
+  /// [any thread] Handles what waits, on this thread: for whoever must not depend on the pool's threads being free.
+  void read_now() { drain(); }
+  /// [in on_frame] Who the sender has proved to be; empty where the socket does not ask.
+  std::string sender() const;
 
  private:
   struct Drain;
   void drain();
+  void send_body(const std::string& peer, zmq::message_t& body);
   bool receive(std::unique_lock<std::mutex>& lock, std::string& peer, zmq::message_t& body);
   void dispatch(const std::string& peer, const zmq::message_t& body);
   bool has_input();
@@ -46,6 +53,7 @@ class LinkSocket {
   zmq::socket_t socket_;
   std::shared_ptr<Drain> drain_;
   std::unique_ptr<Pool::Readable> watch_;
+  const zmq::message_t* current_ = nullptr;  ///< the message being handled
   bool stopped_ = false;
   const bool routed_;
 };

@@ -291,6 +291,7 @@ void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;
+    if (!request) last_sequence_ = frame.object().sequence();
     give_credit(object.size() + kFrameCost);
     if (request) {
       reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <deque>
 #include <functional>
 #include <memory>
@@ -50,6 +51,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::uint64_t wire() const { return wire_; }
   const std::string& peer() const { return peer_; }
   const Port& port() const { return port_; }
+  /// [any thread] Of the newest object that came; 0: none yet.
+  std::uint64_t last_sequence() const { return last_sequence_.load(); }
 
   /// Subscribes by `attach`, which returns the sequence number after which messages come, and tells the peer before
   /// the first of them leaves.
@@ -102,6 +105,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id
   std::unordered_map<std::uint64_t, std::weak_ptr<ReplySink>> served_;  ///< requests of the peer's
   std::uint64_t next_id_ = 1;
+  std::atomic<std::uint64_t> last_sequence_{0};
 };
 
 bool is_push(const Port& port);

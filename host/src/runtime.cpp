@@ -52,6 +52,7 @@ struct Runtime::Wire {
   std::shared_ptr<LocalWire> local;            ///< both ends here
   detail::PushProvider* provider = nullptr;    ///< of a local push
   RequiredPort* client = nullptr;              ///< of a local wire
+  const Hull* provider_hull = nullptr;
 };
 
 /// Copies what a push port puts to whoever watches, as bytes.
@@ -166,8 +167,10 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
       return links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint(),
-                            [&] { retire(wire.replaces()); });
+                            wire.replaces(), wire.resumes_every(), [&] { retire(wire.replaces()); });
     }
+    case Request::kWireRelay:
+      return links_.relay(request.wire_relay().wire(), request.wire_relay().token(), request.wire_relay().endpoint());
     case Request::kCut: return cut(request.cut());
     case Request::kStatus: return status(*reply.mutable_status());
     case Request::kTap: return tap(request.tap());
@@ -230,6 +233,17 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
   std::erase_if(taps_, [&](const auto& entry) { return &entry.second->port().hull() == instance.hull.get(); });
   links_.release(*instance.hull);
+  // Whoever asked has cut its wires, unless he did not know of the instance any more.
+  std::vector<std::uint64_t> left;
+  for (const auto& [id, wire] : wires_) {
+    if (wire.provider_hull == instance.hull.get() || &wire.client->hull() == instance.hull.get()) left.push_back(id);
+  }
+  for (const std::uint64_t id : left) {
+    wire::Cut cut_it;
+    cut_it.set_wire(id);
+    cut_it.set_reason("'" + request.instance() + "' has ended");
+    cut(cut_it);
+  }
   const bool clean = instance.hull->shut_down(kLifeCycleDeadline);
   if (!clean) {
     reply.mutable_done()->set_note("'" + request.instance() +
@@ -268,7 +282,7 @@ void Runtime::wire_local(const wire::WireLocal& request) {
   if (!push) client.set_target(local);
   client.set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
-  wires_[request.wire()] = Wire{std::move(local), push, &client};
+  wires_[request.wire()] = Wire{std::move(local), push, &client, &provider.hull()};
 }
 
 void Runtime::cut(const wire::Cut& request) {

@@ -29,7 +29,8 @@ class Runtime final : private HullEvents {
   wire::GroupMessage handle(const wire::GroupRequest& request);
   const std::string& endpoint() const { return links_.endpoint(); }
   /// [control thread] A process of the system has ended.
-  void peer_lost(const std::string& endpoint, const std::string& reason) { links_.peer_lost(endpoint, reason); }
+  void peer_lost(const std::string& endpoint, const std::string& reason) { links_.part(endpoint, reason); }
+  Links& links() { return links_; }
 
  private:
   struct Instance;

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <fstream>
+#include <iostream>
 #include <sstream>
 
 #include "fiona/contract.hpp"
@@ -35,13 +36,6 @@ std::string service_text(const google::protobuf::ServiceDescriptor* service, con
   return fmt::format("{} ({}, {}{})", service->name(), to_string(info.pattern()), info.object().name(), answer);
 }
 
-wire::GroupRequest cut_of(std::uint64_t wire, const std::string& reason) {
-  wire::GroupRequest request;
-  request.mutable_cut()->set_wire(wire);
-  request.mutable_cut()->set_reason(reason);
-  return request;
-}
-
 /// A name that can be typed and has no meaning of its own.
 void require_name(const std::string& name, std::string_view kind) {
   const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
@@ -57,6 +51,12 @@ void require_name(const std::string& name, std::string_view kind) {
 System::System(Options options, OnEvent on_event)
     : options_(std::move(options)), on_event_(std::move(on_event)), store_(options_.store) {
   use_clock(std::make_unique<SystemClock>());
+  if (!options_.hosts.any()) return;
+  if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers;
+  auto& main = dynamic_cast<MainGroup&>(*groups_.at(std::string(kMain)));
+  hosts_ = std::make_unique<HostLinks>(
+      options_.hosts, options_.name, *pool_, *clock_, main.links(), [this](wire::GroupMessage event) { deliver(event); },
+      [](const std::string& text) { std::cerr << text << "\n"; });
 }
 
 System::~System() { end_threads(); }
@@ -64,9 +64,11 @@ System::~System() { end_threads(); }
 /// Groups, then the clock's thread, which posts, then the pool's; the clock last: a strand tells it that it is idle
 /// after its last job has ended.
 void System::end_threads() {
+  if (hosts_) hosts_->stop();
   groups_.clear();
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
+  hosts_.reset();
   pool_.reset();
   waits_.reset();
 }
@@ -84,7 +86,8 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
 /// Waits first, on the thread where it happened; then whoever else listens.
 void System::deliver(const wire::GroupMessage& event) {
   waits_->on_event(event, types_);
-  if (event.has_run_ended()) waits_->end_run(event.run_ended().exit_code(), event.run_ended().reason());
+  const bool led = tell_leader(event);
+  if (event.has_run_ended() && !led) waits_->end_run(event.run_ended().exit_code(), event.run_ended().reason());
   on_event_(event);
 }
 
@@ -189,6 +192,7 @@ Group& System::group(const std::string& name) {
   const std::string wanted = name.empty() ? std::string(kMain) : name;
   const auto found = groups_.find(wanted);
   if (found != groups_.end() && found->second->alive()) return *found->second;
+  if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
   const auto* clock = dynamic_cast<const SystemClock*>(clock_.get());
   if (!clock) {
@@ -202,8 +206,9 @@ Group& System::group(const std::string& name) {
 
 // ---- instances ------------------------------------------------------------------------------------------------
 
-std::string System::load(const control::Load& request) {
-  Installed package = find_plugin(request.plugin());
+std::string System::load(const control::Load& request) { return create(find_plugin(request.plugin()), request, false); }
+
+std::string System::create(Installed package, const control::Load& request, bool led) {
   const std::string name = request.instance().empty() ? package.component : request.instance();
   require_name(name, "an instance");
   if (instances_.contains(name)) {
@@ -224,16 +229,18 @@ std::string System::load(const control::Load& request) {
   *c.mutable_interface() = package.interface;
   *c.mutable_parameters() = request.parameters();
   c.set_mode(request.mode());
+  if (led) note_led(name, true);
   try {
     target.request(std::move(create));
   } catch (...) {
+    note_led(name, false);
     retire_if_empty(target);
     throw;
   }
   types_.add(package.name, std::move(types));
   const std::string note = fmt::format("{} {} as {}{}", package.name, package.version, name,
                                        target.name() == kMain ? "" : " in " + target.name());
-  instances_.emplace(name, Instance{std::move(package), target.name(), {}, next_order_++});
+  instances_.emplace(name, Instance{std::move(package), target.name(), {}, next_order_++, false, led});
   return note;
 }
 
@@ -247,6 +254,7 @@ void System::retire_if_empty(const Group& target) {
 
 std::string System::unload(const control::Unload& request) {
   Instance& leaving = instance(request.instance());
+  refuse_if_led(request.instance());
   std::vector<std::string> dependents;
   for (auto it = wires_.begin(); it != wires_.end();) {
     const bool is_provider = it->second.provider.instance() == request.instance();
@@ -267,7 +275,13 @@ std::string System::unload(const control::Unload& request) {
     destroy.mutable_destroy()->set_instance(request.instance());
     const auto reply = group(leaving.group).request(std::move(destroy));
     if (!reply.done().note().empty()) note += "; " + reply.done().note();
+  } else if (leaving.away) {
+    wire::GroupRequest destroy;
+    destroy.mutable_destroy()->set_instance(request.instance());
+    dynamic_cast<RemoteGroup&>(*groups_.at(leaving.group)).owe(std::move(destroy));
+    note += ", which its host will do when it is back";
   }
+  note_led(request.instance(), false);
   instances_.erase(request.instance());
   if (!dependents.empty()) note += fmt::format("; now unwired: {}", fmt::join(dependents, ", "));
   return note;
@@ -276,6 +290,7 @@ std::string System::unload(const control::Unload& request) {
 void System::state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer) {
   const std::string name = request.instance();
   Group& target = group(instance(name).group);
+  refuse_if_led(name);
   const std::uint64_t change = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
   const auto begin = [&] {
@@ -357,6 +372,7 @@ std::string System::set(const control::Set& request) {
     return "";
   }
   const Instance& target = instance(request.instance());
+  refuse_if_led(request.instance());
   wire::GroupRequest change;
   change.mutable_set_parameters()->set_instance(request.instance());
   *change.mutable_set_parameters()->mutable_parameters() = request.parameters();
@@ -388,6 +404,10 @@ void System::set_host(const control::Set& request) {
     throw Error(ErrorCode::Usage, {.what = "the system clock has one speed", .next = "set host clock=virtual speed=…"});
   }
   const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
+  if (kind == "virtual" && hosts_) {
+    throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process, and this host works with others over tcp",
+                                        .next = "start it without --listen and --peer"});
+  }
   if ((kind == "virtual") != is_virtual) {
     if (!instances_.empty()) {
       throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} instances live by the present clock", instances_.size()),
@@ -440,7 +460,7 @@ void System::check_contract(const control::PortName& client, const control::Port
 /// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
 /// all is as before.
 System::Wire System::connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
-                             std::uint64_t replaces) {
+                             std::uint64_t replaces, bool resumes) {
   Group& client_group = group(instance(client.instance()).group);
   Group& provider_group = group(instance(provider.instance()).group);
   Wire wire{next_wire_++, provider, prescale, &client_group == &provider_group, {}};
@@ -467,12 +487,14 @@ System::Wire System::connect(const control::PortName& client, const control::Por
   require.set_token(token);
   *require.mutable_client() = client;
   *require.mutable_provider() = provider;
-  require.set_endpoint(provider_group.endpoint());
   require.set_replaces(replaces);
+  if (resumes) require.set_resumes_every(prescale);
   try {
+    require.set_endpoint(route(wire, token, client_group, provider_group));
     client_group.request(std::move(request));
   } catch (...) {
-    if (provider_group.alive()) provider_group.request(cut_of(wire.id, "the wire did not open"));
+    for (const auto& relay : wire.relays) cut_at(relay, wire.id, "the wire did not open");
+    cut_at(provider_group.name(), wire.id, "the wire did not open");
     throw;
   }
   return wire;
@@ -482,14 +504,16 @@ void System::disconnect(const control::PortName& client, const Wire& wire, const
   // The client first: told by its host it is unwired; told by the provider it would be lost.
   for (const auto& name : {client.instance(), wire.provider.instance()}) {
     const auto found = instances_.find(name);
-    if (found == instances_.end() || !found->second.lost.empty()) continue;
-    group(found->second.group).request(cut_of(wire.id, reason));
+    if (found != instances_.end()) cut_at(found->second.group, wire.id, reason);
     if (wire.local) return;
   }
+  for (const auto& relay : wire.relays) cut_at(relay, wire.id, reason);
 }
 
 std::string System::wire(const control::Wire& request) {
   check_contract(request.client(), request.provider());
+  refuse_if_led(request.client().instance());
+  refuse_if_led(request.provider().instance());
   const auto key = std::pair(request.client().instance(), request.client().port());
   const auto old = wires_.find(key);
   const std::uint32_t prescale = std::max(1U, request.prescale());
@@ -502,6 +526,7 @@ std::string System::wire(const control::Wire& request) {
 
 std::string System::unwire(const control::Unwire& request) {
   port(request.client(), REQUIRES);
+  refuse_if_led(request.client().instance());
   const auto found = wires_.find({request.client().instance(), request.client().port()});
   if (found == wires_.end()) {
     throw Error(ErrorCode::NotFound, {.what = text_of(request.client()) + " has no wire", .where = text_of(request.client()), .next = "ls wires"});
@@ -596,8 +621,12 @@ void System::lose(ChildGroup& gone) {
     if (client_gone || provider_gone) wire.lost = reason;
     if (!client_gone || provider_gone) continue;
     // The provider lives on and must not go on sending to nobody.
-    group(instances_.at(wire.provider.instance()).group).request(cut_of(wire.id, reason));
+    cut_at(instances_.at(wire.provider.instance()).group, wire.id, reason);
   }
+  wire::GroupMessage event;
+  event.mutable_group_ended()->set_group(gone.name());
+  event.mutable_group_ended()->set_reason(reason);
+  tell_leader(event);
 }
 
 // ---- snapshot -------------------------------------------------------------------------------------------------
@@ -609,7 +638,7 @@ control::InstanceStatus System::status_of_lost(const std::string& name, const In
   status.set_component(one.package.component);
   status.set_version(one.package.version);
   status.set_mode(std::string(kModeFailed));
-  status.set_reason(one.lost);
+  status.set_reason(one.lost.empty() ? "its process does not answer" : one.lost);
   for (const auto& declared : component_of(one.package.interface, one.package.component).ports()) {
     auto& p = *status.add_ports();
     p.set_name(declared.name());
@@ -632,7 +661,7 @@ void System::complete_status(control::InstanceStatus& status) const {
       if (client.first == status.name() && client.second == p.name()) {
         *p.mutable_peer() = wire.provider;
         p.set_prescale(wire.prescale);
-        p.set_transport(wire.local ? "process" : "ipc");
+        p.set_transport(transport(status.name(), wire));
         if (!wire.lost.empty()) p.set_connection(control::LOST);
         if (!wire.lost.empty()) p.set_reason(wire.lost);
       }
@@ -680,7 +709,7 @@ control::System System::snapshot() {
     status.set_alive(one->alive());
   }
   for (const auto& [name, one] : instances_) {
-    if (!one.lost.empty()) ordered[one.order] = status_of_lost(name, one);
+    if (!one.lost.empty() || !ordered.contains(one.order)) ordered[one.order] = status_of_lost(name, one);
   }
   std::map<std::string, const Interface*> interfaces;
   for (auto& [order, status] : ordered) {
@@ -693,6 +722,7 @@ control::System System::snapshot() {
     one = *interface;
     one.clear_descriptors();
   }
+  add_hosts(all);
   for (auto& status : *all.mutable_groups()) {
     status.set_instances(static_cast<std::uint64_t>(std::count_if(
         instances_.begin(), instances_.end(), [&](const auto& entry) { return entry.second.group == status.name(); })));

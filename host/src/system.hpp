@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <set>
 #include <string>
 #include <vector>
@@ -12,6 +13,8 @@
 #include "fiona/marketplace/store.hpp"
 #include "fiona/pool.hpp"
 #include "group.hpp"
+#include "host_links.hpp"
+#include "remote_group.hpp"
 #include "types.hpp"
 #include "waits.hpp"
 
@@ -25,6 +28,8 @@ class System {
     std::filesystem::path store;
     std::filesystem::path directory;  ///< for the sockets of links
     std::size_t threads = 0;
+    HostOptions hosts{};              ///< over tcp; by default none
+    std::filesystem::path plugins{};  ///< libraries that a leading host may have loaded though they are in no package
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -61,6 +66,13 @@ class System {
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
 
+  /// Readable when something has happened between hosts, then call `serve_hosts`; -1 without tcp.
+  int hosts_descriptor() const { return hosts_ ? hosts_->descriptor() : -1; }
+  /// What there is to tell people, line by line.
+  std::vector<std::string> serve_hosts();
+  /// Where it listens for a host that leads; empty: nowhere.
+  std::string listens() const { return hosts_ && hosts_->leader() ? hosts_->leader()->address() : ""; }
+
  private:
   struct Installed {
     std::string name;  ///< "publisher/name"
@@ -76,6 +88,8 @@ class System {
     std::string group;
     std::string lost;  ///< why its group is gone; empty: alive
     std::uint64_t order = 0;
+    bool away = false;  ///< lost because its host is silent: it may come back
+    bool led = false;   ///< another host's system has it
   };
   struct Wire {
     std::uint64_t id = 0;
@@ -83,6 +97,7 @@ class System {
     std::uint32_t prescale = 1;
     bool local = false;
     std::string lost;
+    std::vector<std::string> relays{};  ///< groups that pass it on
   };
   struct PortRef {
     const Instance* instance;
@@ -92,6 +107,8 @@ class System {
   Installed find_plugin(const std::string& text) const;
   Installed find_library(const std::filesystem::path& library) const;
   static std::string choose_component(const Interface& interface, const std::string& plugin, const std::string& wanted);
+  /// `led`: for the host that leads this one.
+  std::string create(Installed package, const control::Load& request, bool led);
   Group& group(const std::string& name);
   void retire_if_empty(const Group& target);
   void lose(ChildGroup& gone);
@@ -102,7 +119,7 @@ class System {
   void check_contract(const control::PortName& client, const control::PortName& provider);
   std::string providers_of(const std::string& service) const;
   Wire connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
-               std::uint64_t replaces);
+               std::uint64_t replaces, bool resumes = false);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
   control::PortName callee(const control::PortName& name);
   void set_host(const control::Set& request);
@@ -111,6 +128,32 @@ class System {
   control::InstanceStatus status_of_lost(const std::string& name, const Instance& instance) const;
   void complete_status(control::InstanceStatus& status) const;
   void deliver(const wire::GroupMessage& event);
+
+  // ---- with other hosts (system_hosts.cpp)
+  std::string host_of(const std::string& group) const;
+  Group& main_of(const std::string& host);
+  Group* remote_group(const std::string& name);
+  std::vector<RemoteGroup*> groups_of(const std::string& host);
+  std::string route(Wire& wire, const std::string& token, Group& client, Group& provider);
+  void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
+  bool crosses(const control::PortName& client, const Wire& wire, const std::string& host);
+  std::string on_host_joined(const HostChange& change);
+  void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
+  void resume(RemoteGroup& group);
+  void resume_wires(const std::string& host);
+  void on_remote_group_ended(const HostChange& change);
+  wire::GroupMessage obey(const wire::HostRequest& order);
+  void obey_create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply);
+  void check_order(const wire::GroupRequest& request);
+  std::string led_endpoint(const std::string& endpoint);
+  Instance& led_instance(const std::string& name);
+  void keep_led(wire::GroupStatusReply& status) const;
+  void drop_led();
+  void note_led(const std::string& instance, bool led);
+  bool tell_leader(const wire::GroupMessage& event);
+  void refuse_if_led(const std::string& instance);
+  void add_hosts(control::System& all);
+  const char* transport(const std::string& client, const Wire& wire) const;
 
   const Options options_;
   const OnEvent on_event_;
@@ -125,10 +168,16 @@ class System {
   std::map<std::pair<std::string, std::string>, Wire> wires_;  ///< by client instance and port
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
+  // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
+  static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;
   std::uint64_t next_wire_ = 1;
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;
+  std::unique_ptr<HostLinks> hosts_;     ///< none: no tcp
+  std::mutex led_mutex_;
+  std::set<std::string> led_names_;      ///< guarded by led_mutex_: instances of the leader's system
+  std::set<std::uint64_t> led_relays_;   ///< wires of the leader's system that are passed on here
 };
 
 }  // namespace fiona::host

@@ -253,7 +253,7 @@ TEST_P(Patterns, UnloadingAProviderUnwiresItsClientsAndSaysWho) {
   EXPECT_EQ(system.port("sink.each").connection(), control::UNWIRED);
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& tested) { return to_string(tested.param); });
 
 }  // namespace

@@ -1,11 +1,16 @@
 #include "system_fixture.hpp"
 
+#include <fcntl.h>
 #include <poll.h>
+#include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
+#include <fstream>
 #include <sstream>
 
 #include "fiona/error.hpp"
+#include "os/unix_socket.hpp"
 #include "runtime.hpp"
 
 namespace fiona::conformance {
@@ -55,7 +60,9 @@ TemporaryDirectory::~TemporaryDirectory() {
   std::filesystem::remove_all(path, ignored);
 }
 
-std::string to_string(Transport transport) { return transport == Transport::Process ? "Process" : "Ipc"; }
+std::string to_string(Transport transport) {
+  return transport == Transport::Process ? "Process" : transport == Transport::Ipc ? "Ipc" : "Tcp";
+}
 void PrintTo(Transport transport, std::ostream* out) { *out << to_string(transport); }
 
 SeenSample::SeenSample(const google::protobuf::Message& sample) {
@@ -66,9 +73,74 @@ SeenSample::SeenSample(const google::protobuf::Message& sample) {
   payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
 }
 
+OtherHost::OtherHost(const std::filesystem::path& directory, const std::string& name, Choice choice)
+    : directory_(directory / name), name_(name), choice_(std::move(choice)), keys_(directory_ / "keys") {
+  os::require_private_directory(directory_);
+  host::KeyDirectory(keys_).make();
+  start();
+}
+
+void OtherHost::start() {
+  int ends[2];
+  if (::pipe2(ends, O_CLOEXEC) != 0) throw Error(ErrorCode::Failed, "no pipe");
+  const os::Descriptor ready(ends[0]);
+  os::Descriptor theirs(ends[1]);
+  const int output = ::open((directory_ / "said").c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+  const os::Descriptor log(output);
+  std::filesystem::path program = os::program_directory() / "fiona-host";
+  std::vector<std::string> words;
+  if (!choice_.network.empty()) {
+    words = {"netns", "exec", choice_.network, program.string()};
+    program = "/usr/sbin/ip";
+  }
+  const std::vector<std::string> own{"--name", name_, "--socket", (directory_ / "host.sock").string(), "--store", (directory_ / "store").string(),
+                                     "--keys", keys_.string(), "--listen", "tcp://" + choice_.listen, "--threads", "2", "--ready-fd", "3"};
+  words.insert(words.end(), own.begin(), own.end());
+  if (choice_.plugins) words.insert(words.end(), {"--plugins", std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path().string()});
+  process_ = std::make_unique<os::ChildProcess>(program, words, std::vector<std::pair<int, int>>{{log.get(), 2}, {theirs.get(), 3}});
+  theirs.reset();
+  std::string told;
+  char chunk[256];
+  for (ssize_t count = 0; (count = ::read(ready.get(), chunk, sizeof chunk)) > 0;) told.append(chunk, static_cast<std::size_t>(count));
+  if (!told.starts_with("READY\ntcp://")) throw Error(ErrorCode::Failed, "the other host did not start: " + told + said());
+  address_ = told.substr(std::string("READY\ntcp://").size());
+}
+
+void OtherHost::restart() {
+  process_.reset();
+  choice_.listen = address_;
+  start();
+}
+
+std::string OtherHost::said() const {
+  std::stringstream text;
+  text << std::ifstream(directory_ / "said").rdbuf();
+  return text.str();
+}
+
+host::HostOptions OtherHost::led_from(const std::filesystem::path& keys) const {
+  const host::KeyDirectory ours(keys);
+  if (!ours.has_pair()) ours.make();
+  const auto allowed = host::KeyDirectory(keys_).allowed();
+  const auto known = [&](const host::AllowedHost& one) { return one.key == ours.pair().open; };
+  if (std::none_of(allowed.begin(), allowed.end(), known)) {
+    host::KeyDirectory(keys_).allow(keys.filename().string(), ours.pair().open.text());
+  }
+  return {keys, "", {host::PeerAddress::from_text(name_ + "=" + address_ + "=" + host::KeyDirectory(keys_).pair().open.text())}};
+}
+
 RunningSystem::RunningSystem(Transport transport)
     : transport_(transport),
-      system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2},
+      other_(transport == Transport::Tcp ? std::make_unique<OtherHost>(directory_.path, "far") : nullptr),
+      system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2,
+                                    other_ ? other_->led_from(directory_.path / "test") : host::HostOptions{}},
+              [this](const wire::GroupMessage& event) { keep(event); }) {
+  if (other_) join("far");
+}
+
+RunningSystem::RunningSystem(const host::HostOptions& hosts)
+    : transport_(Transport::Process),
+      system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2, hosts},
               [this](const wire::GroupMessage& event) { keep(event); }) {}
 
 void RunningSystem::keep(const wire::GroupMessage& event) {
@@ -79,8 +151,8 @@ void RunningSystem::keep(const wire::GroupMessage& event) {
   seen_[event.tapped().tap()].push_back(SeenSample(*sample));
 }
 
-void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
-                         const std::string& parameters) {
+void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
+                            const std::string& parameters) {
   control::Load request;
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
   request.set_instance(name);
@@ -91,11 +163,11 @@ void RunningSystem::load(const std::string& component, const std::string& name, 
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
-  load(component, name, "", parameters);
+  load_in("", component, name, parameters);
 }
 
 void RunningSystem::load_client(const std::string& component, const std::string& name, const std::string& parameters) {
-  load(component, name, transport_ == Transport::Ipc ? "far" : "", parameters);
+  load_in(transport_ == Transport::Process ? "" : "far", component, name, parameters);
 }
 
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
@@ -165,8 +237,10 @@ void RunningSystem::serve_groups(std::chrono::milliseconds most) {
   const auto children = system_.child_groups();
   std::vector<pollfd> waits;
   for (auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
+  waits.push_back({system_.hosts_descriptor(), POLLIN, 0});
   ::poll(waits.data(), waits.size(), static_cast<int>(most.count()));
-  for (std::size_t i = 0; i < waits.size(); ++i) {
+  system_.serve_hosts();
+  for (std::size_t i = 0; i < children.size(); ++i) {
     if (waits[i].revents != 0) system_.serve_group(*children[i]);
   }
 }
@@ -214,6 +288,19 @@ control::InstanceStatus RunningSystem::instance(const std::string& name) {
     if (one.name() == name) return one;
   }
   throw Error(ErrorCode::NotFound, "no instance " + name);
+}
+
+control::HostStatus RunningSystem::host(const std::string& name) {
+  const auto snapshot = system_.snapshot();
+  for (const auto& one : snapshot.hosts()) {
+    if (one.name() == name) return one;
+  }
+  throw Error(ErrorCode::NotFound, "no host " + name);
+}
+
+void RunningSystem::join(const std::string& name) {
+  eventually("host " + name + " joins", [&] { return host(name).state() == "joined"; });
+  serve_groups(std::chrono::milliseconds(0));
 }
 
 control::PortStatus RunningSystem::port(const std::string& name) {

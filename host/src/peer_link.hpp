@@ -1,0 +1,122 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <random>
+#include <string>
+#include <zmq.hpp>
+
+#include "clock_offset.hpp"
+#include "fiona/clock.hpp"
+#include "fiona/error.hpp"
+#include "fiona/host/keys.hpp"
+#include "links.hpp"
+
+namespace fiona::host {
+
+/// How the bounds of architecture 7 are kept over tcp: silence of a peer is noticed within 1.5 s.
+inline constexpr std::chrono::milliseconds kBeatEvery{200};
+inline constexpr std::chrono::milliseconds kSilence{1000};
+/// How long one that led, and went silent, keeps others from leading.
+inline constexpr std::chrono::milliseconds kLeadLease{1500};
+
+/// What has happened between hosts, for the thread that changes the system.
+struct HostChange {
+  enum class What { Joined, Lost, GroupEnded, Request };
+  What what;
+  std::string host;
+  std::string reason;
+  bool same_run = false;                ///< joined: as before, so that what was there may still be
+  std::string group;                    ///< that has ended
+  std::uint64_t session = 0;            ///< that a request belongs to
+  wire::HostRequest request;
+};
+
+/// What both sides of a connection between hosts need.
+struct HostSurroundings {
+  std::string name;   ///< of this host
+  std::uint64_t run;  ///< of this host
+  KeyPair keys;
+  Pool& pool;
+  Clock& clock;
+  Links& links;
+  zmq::context_t& context;
+  std::function<void(wire::GroupMessage)> on_event;  ///< [any thread] of instances that another host holds for us
+  std::function<void(HostChange)> on_change;         ///< [any thread]
+};
+
+/// A host that this one leads.
+struct PeerAddress {
+  std::string name;
+  std::string address;  ///< "tcp://HOST:PORT"
+  Key key;
+  /// "NAME=HOST:PORT=KEY". Throws Error Usage.
+  static PeerAddress from_text(const std::string& text);
+};
+
+/// The connection to a host that this one leads. It is made anew, with a growing and jittered pause, until it holds;
+/// whatever was under way when it broke is told to have ended. Each time it joins is a session of its own.
+class PeerLink {
+ public:
+  PeerLink(const HostSurroundings& around, PeerAddress peer);
+  ~PeerLink();
+
+  const PeerAddress& peer() const { return peer_; }
+  /// Its name among the links of this host.
+  std::string endpoint() const { return "host:" + peer_.name; }
+  /// [the host links' thread] Beats, watches for silence, connects again.
+  void tick(std::chrono::steady_clock::time_point now);
+  /// [the host links' thread, or none any more]
+  void stop();
+
+  /// [control thread] Asks the host for something in one of its groups. Throws Error Unreachable when it is not
+  /// joined, leaves, or does not answer in time.
+  wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request, std::chrono::seconds deadline);
+  bool joined() const;
+  control::HostStatus status() const;
+
+ private:
+  enum class State { Connecting, Joined, Silent, Refused };
+
+  void open(std::chrono::steady_clock::time_point now);
+  void close(State next, const std::string& reason, std::chrono::milliseconds pause);
+  void read_monitor();
+  void say_hello();
+  void beat();
+  void send(const wire::HostFrame& frame);
+  void on_frame(const Hop& hop, wire::Frame frame, std::string_view object);
+  void on_welcome(const Hop& hop, const wire::Welcome& welcome);
+  void on_message(const wire::GroupMessage& message);
+  void enter(State state, const std::string& reason);
+  Error unreachable() const;
+  std::int64_t now_ns() const { return around_.clock.now().time_since_epoch().count(); }
+
+  const HostSurroundings& around_;
+  const PeerAddress peer_;
+  ClockOffset offset_;
+  mutable std::mutex mutex_;
+  std::condition_variable answered_;
+  std::unique_ptr<LinkSocket> link_;
+  zmq::socket_t monitor_;
+  std::uint64_t sockets_ = 0;
+  State state_ = State::Connecting;
+  std::string reason_;
+  std::chrono::steady_clock::time_point since_ = std::chrono::steady_clock::now();
+  std::chrono::steady_clock::time_point heard_{};
+  std::chrono::steady_clock::time_point spoke_{};
+  std::chrono::steady_clock::time_point open_at_{};
+  std::optional<std::string> end_;  ///< the session is to end, and why
+  std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last
+  std::string version_;
+  std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;
+  std::uint64_t session_ = 0;
+  std::uint64_t next_id_ = 1;
+  std::minstd_rand random_;
+};
+
+}  // namespace fiona::host
