@@ -65,7 +65,7 @@ void HostLinks::serve() {
   while (!stopping_) {
     if (zap_) {
       std::array<zmq::pollitem_t, 1> waits{{{zap_->socket().handle(), 0, ZMQ_POLLIN, 0}}};
-      zmq::poll(waits.data(), waits.size(), kTick);
+      static_cast<void>(::zmq_poll(waits.data(), waits.size(), kTick.count()));  // interrupted or not: what waits is served
       zap_->serve();
     } else {
       std::this_thread::sleep_for(kTick);

@@ -72,6 +72,16 @@ void LeaderLink::end(const std::string& reason) {
   around_.on_change({.what = HostChange::What::Lost, .host = name, .reason = reason, .group = {}, .request = {}});
 }
 
+void LeaderLink::leave(std::uint64_t number) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!session_ || session_->number != number) return;
+  }
+  end("host '" + leader() + "' has ended");
+  const std::lock_guard lock(mutex_);
+  session_.reset();
+}
+
 void LeaderLink::keep(const std::vector<AllowedHost>& allowed) {
   const std::string name = leader();
   const bool kept = std::any_of(allowed.begin(), allowed.end(), [&name](const auto& host) { return host.name == name; });
@@ -118,6 +128,7 @@ void LeaderLink::on_frame(const std::string& peer, wire::Frame frame, std::strin
     return around_.links.on_frame({link_.get(), peer}, frame, object);
   }
   if (frame.host().has_beat()) return offset_->heard(frame.host().beat(), now_ns());
+  if (frame.host().has_gone()) return around_.on_change({.what = HostChange::What::Left, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}});
   if (!frame.host().has_request()) return;
   HostChange change{.what = HostChange::What::Request, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}};
   change.request = std::move(*frame.mutable_host()->mutable_request());

@@ -28,6 +28,8 @@ class LeaderLink {
   /// [the host links' thread] Ends the session of a leader who is not among these any more.
   void keep(const std::vector<AllowedHost>& allowed);
 
+  /// [control thread] The leader has said that it ends: another may lead at once.
+  void leave(std::uint64_t session);
   /// [any thread] Answers a request of this session.
   void answer(std::uint64_t session, const wire::GroupMessage& message);
   /// [any thread] Tells the leader, if one is connected.

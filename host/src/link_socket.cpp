@@ -42,13 +42,14 @@ void LinkSocket::start() {
   pool_.submit(drain_);  // what came before the watch gives no edge
 }
 
-void LinkSocket::stop() {
+void LinkSocket::stop(std::chrono::milliseconds linger) {
   watch_.reset();
   {
     const std::lock_guard lock(drain_->mutex);
     drain_->link = nullptr;
   }
   const std::lock_guard lock(mutex_);
+  if (!stopped_) socket_.set(zmq::sockopt::linger, static_cast<int>(linger.count()));
   stopped_ = true;
   socket_.close();
 }

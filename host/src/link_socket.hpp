@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -27,8 +28,9 @@ class LinkSocket {
   zmq::socket_t& socket() { return socket_; }
   /// Starts reading; call once the socket is bound or connected.
   void start();
-  /// Stops reading and closes: after it returned `on_frame` is not called any more.
-  void stop();
+  /// Stops reading and closes: after it returned `on_frame` is not called any more. What has been sent and has not left
+  /// yet may do so for as long as `linger`.
+  void stop(std::chrono::milliseconds linger = {});
   /// [any thread] Sends a frame with an object (null: none). Never waits: what bounds the queue is each wire's credit.
   void send(const std::string& peer, const wire::Frame& frame, const Object* object);
   /// [any thread] The same for an object that is passed on as it came.

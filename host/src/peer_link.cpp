@@ -7,7 +7,8 @@ namespace fiona::host {
 namespace {
 
 /// Connecting again: 0.4 s to 4 s, each plus up to 0.4 s by chance, so that 200 hosts together stay below 50 attempts a
-/// second (promises R20) and one is back within 5 s of a long outage.
+/// second (promises R20) and one is back within 5 s of a long outage. libzmq counts so where nobody listens; where
+/// somebody does and no handshake comes about, it begins again at 0.4 s, so that is counted here.
 constexpr int kReconnect_ms = 400;
 constexpr int kReconnectMost_ms = 4000;
 constexpr int kConnect_ms = 500;
@@ -15,6 +16,8 @@ constexpr int kHandshake_ms = 3000;
 constexpr std::chrono::milliseconds kHelloEvery{400};
 /// Before one that refuses us is asked again.
 constexpr std::chrono::milliseconds kAfterRefusal{5000};
+/// How long the last word of a host that ends may take to leave.
+constexpr std::chrono::milliseconds kFarewell{200};
 
 using Steady = std::chrono::steady_clock;
 
@@ -44,9 +47,25 @@ PeerLink::PeerLink(const HostSurroundings& around, PeerAddress peer)
 
 PeerLink::~PeerLink() { stop(); }
 
-void PeerLink::stop() { close(State::Connecting, "the host ends", std::chrono::hours(1)); }
+void PeerLink::stop() {
+  if (joined()) {
+    wire::HostFrame frame;
+    frame.mutable_gone();
+    send(frame);
+  }
+  close(State::Connecting, "the host ends", std::chrono::hours(1), kFarewell);
+}
 
-void PeerLink::open(Steady::time_point now) {
+void PeerLink::try_open(Steady::time_point now) {
+  try {
+    open();
+  } catch (const zmq::error_t& error) {
+    enter(State::Refused, "no connection to " + peer_.address + " can be made: " + error.what());
+    open_at_ = now + kAfterRefusal;
+  }
+}
+
+void PeerLink::open() {
   auto hop = std::make_shared<Hop>();
   auto link = std::make_unique<LinkSocket>(
       around_.pool, around_.context, zmq::socket_type::dealer,
@@ -68,13 +87,7 @@ void PeerLink::open(Steady::time_point now) {
   monitor_ = zmq::socket_t(around_.context, zmq::socket_type::pair);
   monitor_.set(zmq::sockopt::linger, 0);
   monitor_.connect(watch);
-  try {
-    socket.connect(peer_.address);
-  } catch (const zmq::error_t& error) {
-    enter(State::Refused, "'" + peer_.address + "' is no address: " + error.what());
-    open_at_ = now + kAfterRefusal;
-    return;
-  }
+  socket.connect(peer_.address);
   link->start();
   const std::lock_guard lock(mutex_);
   link_ = std::move(link);
@@ -82,7 +95,7 @@ void PeerLink::open(Steady::time_point now) {
 }
 
 /// Ends the socket, and with it the session: no frame comes from it when its wires are lost.
-void PeerLink::close(State next, const std::string& reason, std::chrono::milliseconds pause) {
+void PeerLink::close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger) {
   std::unique_ptr<LinkSocket> ended;
   bool was_joined = false;
   {
@@ -90,12 +103,13 @@ void PeerLink::close(State next, const std::string& reason, std::chrono::millise
     was_joined = state_ == State::Joined;
     ++session_;
     end_.reset();
+    no_handshake_ = false;
     ended = std::move(link_);
     open_at_ = Steady::now() + pause;
   }
   enter(next, reason);
   answered_.notify_all();
-  if (ended) ended->stop();
+  if (ended) ended->stop(linger);
   monitor_.close();
   if (!was_joined) return;
   around_.links.part(endpoint(), reason);
@@ -110,13 +124,20 @@ void PeerLink::enter(State state, const std::string& reason) {
 }
 
 void PeerLink::tick(Steady::time_point now) {
-  if (!link_) return now >= open_at_ ? open(now) : void();
+  if (!link_) return now >= open_at_ ? try_open(now) : void();
   std::unique_lock lock(mutex_);
   if (const auto reason = end_) {
     const bool was_joined = state_ == State::Joined;
     lock.unlock();
     const std::chrono::milliseconds by_chance(random_() % 1000);
     return close(was_joined ? State::Silent : State::Refused, *reason, was_joined ? by_chance / 5 : kAfterRefusal + by_chance);
+  }
+  if (no_handshake_) {
+    const State same = state_;
+    const std::chrono::milliseconds pause(std::min(kReconnect_ms << failures_, kReconnectMost_ms) + static_cast<int>(random_() % kReconnect_ms));
+    failures_ = std::min(failures_ + 1, 5);
+    lock.unlock();
+    return close(same, "no handshake: its key is not the one that --peer names, or it is no host of FIONA", pause);
   }
   const bool joined = state_ == State::Joined;
   const bool silent = joined && now - heard_ > kSilence;
@@ -148,7 +169,7 @@ void PeerLink::read_monitor() {
     if (kind == ZMQ_EVENT_HANDSHAKE_FAILED_AUTH) {
       end_ = "it does not let us in: on it, fiona keys allow NAME " + around_.keys.open.text();
     } else {
-      reason_ = "no handshake: its key is not the one that --peer names, or it is no host of FIONA";
+      no_handshake_ = true;
     }
   }
 }
@@ -204,6 +225,7 @@ void PeerLink::on_welcome(const Hop& hop, const wire::Welcome& welcome) {
     const std::lock_guard lock(mutex_);
     same_run = run_ == welcome.run();
     run_ = welcome.run();
+    failures_ = 0;
     version_ = welcome.version().substr(0, 40);
   }
   around_.links.join(endpoint(), hop);

@@ -27,7 +27,7 @@ inline constexpr std::chrono::milliseconds kLeadLease{1500};
 
 /// What has happened between hosts, for the thread that changes the system.
 struct HostChange {
-  enum class What { Joined, Lost, GroupEnded, Request };
+  enum class What { Joined, Lost, Left, GroupEnded, Request };
   What what;
   std::string host;
   std::string reason;
@@ -83,8 +83,9 @@ class PeerLink {
  private:
   enum class State { Connecting, Joined, Silent, Refused };
 
-  void open(std::chrono::steady_clock::time_point now);
-  void close(State next, const std::string& reason, std::chrono::milliseconds pause);
+  void try_open(std::chrono::steady_clock::time_point now);
+  void open();
+  void close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger = {});
   void read_monitor();
   void say_hello();
   void beat();
@@ -111,6 +112,8 @@ class PeerLink {
   std::chrono::steady_clock::time_point spoke_{};
   std::chrono::steady_clock::time_point open_at_{};
   std::optional<std::string> end_;  ///< the session is to end, and why
+  bool no_handshake_ = false;         ///< the connection came about, and no more
+  int failures_ = 0;                  ///< so many times since it was joined last
   std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last
   std::string version_;
   std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;

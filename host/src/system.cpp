@@ -270,16 +270,14 @@ std::string System::unload(const control::Unload& request) {
     it = wires_.erase(it);
   }
   std::string note = "unloaded " + request.instance();
-  if (leaving.lost.empty()) {
-    wire::GroupRequest destroy;
-    destroy.mutable_destroy()->set_instance(request.instance());
-    const auto reply = group(leaving.group).request(std::move(destroy));
-    if (!reply.done().note().empty()) note += "; " + reply.done().note();
-  } else if (leaving.away) {
-    wire::GroupRequest destroy;
-    destroy.mutable_destroy()->set_instance(request.instance());
-    dynamic_cast<RemoteGroup&>(*groups_.at(leaving.group)).owe(std::move(destroy));
+  wire::GroupRequest destroy;
+  destroy.mutable_destroy()->set_instance(request.instance());
+  if (RemoteGroup* silent = silent_group(leaving)) {
+    silent->owe(std::move(destroy));
     note += ", which its host will do when it is back";
+  } else if (leaving.lost.empty()) {
+    const auto reply = group(leaving.group).request(std::move(destroy));
+    if (!reply.done().note().empty() && host_of(leaving.group).empty()) note += "; " + reply.done().note();
   }
   note_led(request.instance(), false);
   instances_.erase(request.instance());
@@ -685,6 +683,7 @@ std::vector<control::InstanceStatus> System::status_of_group(Group& target) {
     std::copy_if(reply.status().instances().begin(), reply.status().instances().end(), std::back_inserter(found),
                  [this](const auto& one) { return instances_.contains(one.name()); });
   } catch (const Error&) {
+    if (dynamic_cast<RemoteGroup*>(&target)) return found;  // its host will tell, or fall silent
     if (target.alive()) throw;
     if (auto* child = dynamic_cast<ChildGroup*>(&target)) lose(*child);
   }

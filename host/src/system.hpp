@@ -134,6 +134,7 @@ class System {
   Group& main_of(const std::string& host);
   Group* remote_group(const std::string& name);
   std::vector<RemoteGroup*> groups_of(const std::string& host);
+  RemoteGroup* silent_group(const Instance& one);
   std::string route(Wire& wire, const std::string& token, Group& client, Group& provider);
   void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
   bool crosses(const control::PortName& client, const Wire& wire, const std::string& host);

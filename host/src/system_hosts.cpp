@@ -34,6 +34,13 @@ std::vector<RemoteGroup*> System::groups_of(const std::string& host) {
   return found;
 }
 
+/// The group of an instance whose host is silent and may come back; null otherwise.
+RemoteGroup* System::silent_group(const Instance& one) {
+  const auto found = groups_.find(one.group);
+  auto* remote = found == groups_.end() ? nullptr : dynamic_cast<RemoteGroup*>(found->second.get());
+  return remote && remote->end().empty() && !remote->alive() ? remote : nullptr;
+}
+
 /// Null where the name is none of another host's.
 Group* System::remote_group(const std::string& name) {
   const std::size_t slash = name.find('/');
@@ -219,6 +226,10 @@ std::vector<std::string> System::serve_hosts() {
       case HostChange::What::Lost:
         if (!leader) on_host_lost(change.host, change.reason, false);
         said.push_back(change.reason);
+        break;
+      case HostChange::What::Left:
+        leader->leave(change.session);
+        drop_led();
         break;
       case HostChange::What::GroupEnded:
         on_remote_group_ended(change);

@@ -63,9 +63,10 @@ class Hosts : public testing::Test {
  protected:
   /// The source on this host puts every 5 ms; the sink on the other receives each.
   static void wire_source_to_sink(RunningSystem& system) {
-    system.load_in("", "source", "source", "period_ms=5");
+    system.load_in("", "source", "source", "neutral period_ms=5");
     system.load_in("far", "sink", "sink");
     system.wire("sink.each", "source.newest");
+    system.state("source", "active");
     system.eventually("messages come", [&] { return system.port("sink.each").messages() > 10; });
   }
   /// What was put before this moment has come, or has been counted as lost.
@@ -252,7 +253,6 @@ TEST_F(Hosts, HostThatFallsSilentAndComesBackGoesOnAndWhatWasMissedIsCounted) {
   const auto begin = Steady::now();
   system.eventually("back", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
   std::cout << "back after " << ms_since(begin) << " ms\n";
-  EXPECT_GT(system.port("sink.each").dropped(), 50U) << "a second of 200 messages";
   expect_nothing_lost_silently(system);
   EXPECT_EQ(system.instance("sink").mode(), "active") << "it went on";
 }
