@@ -625,6 +625,12 @@ void System::lose(ChildGroup& gone) {
   event.mutable_group_ended()->set_group(gone.name());
   event.mutable_group_ended()->set_reason(reason);
   tell_leader(event);
+  // What was the leader's there is told; the names are his to use again.
+  for (auto it = instances_.begin(); it != instances_.end();) {
+    const bool his = it->second.led && it->second.group == gone.name();
+    if (his) note_led(it->first, false);
+    it = his ? instances_.erase(it) : std::next(it);
+  }
 }
 
 // ---- snapshot -------------------------------------------------------------------------------------------------

@@ -147,7 +147,7 @@ TEST_P(Patterns, LateSubscriberToASilentProviderIsToldSo) {
 
 TEST_P(Patterns, QueryGetsItsAnswer) {
   system.load_provider("answerer", "answerer");
-  system.load_client("asker", "asker", "count=20 period_ms=1 payload=1000");
+  system.load_client("asker", "asker", "period_ms=20 payload=1000");
   const auto outcome = system.watch("asker.outcome");
   system.wire("asker.echo", "answerer.echo");
   const auto report = system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Ok); });
