@@ -24,6 +24,19 @@ Candidates instances(const Asked& asked) {
   return names;
 }
 
+/// Those that the component declares and those of the hull; of its ports and tasks, once one of them is named.
+Candidates probes(const Asked& asked) {
+  Candidates found;
+  const auto* system = asked.names.system();
+  const bool in_detail = std::count(asked.word.begin(), asked.word.end(), '.') > 1;
+  for (int i = 0; system != nullptr && i < system->instances_size(); ++i) {
+    for (const ProbeInfo& probe : probes_of(system->instances(i))) {
+      if (in_detail || probe.name.find('.') == std::string::npos) found.push_back(system->instances(i).name() + "." + probe.name);
+    }
+  }
+  return found;
+}
+
 Candidates ports(const Asked& asked) {
   Candidates found;
   const auto* system = asked.names.system();
@@ -36,6 +49,9 @@ Candidates ports(const Asked& asked) {
       if (!wiring || port.direction() == wanted) found.push_back(instance.name() + "." + port.name());
     }
   }
+  if (wiring) return found;
+  const Candidates more = probes(asked);
+  found.insert(found.end(), more.begin(), more.end());
   return found;
 }
 
@@ -125,6 +141,7 @@ Candidates verb_names(const Asked&) {
   return found;
 }
 
+Candidates conditions(const Asked&) { return {"above", "below", "is", "changes", "older"}; }
 Candidates operators(const Asked&) { return {"==", "!=", "<", "<=", ">", ">="}; }
 
 using Source = Candidates (*)(const Asked&);
@@ -139,7 +156,9 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"GROUP", groups},
       {"THING", things},
       {"VERB", verb_names},
+      {"LINE", verb_names},
       {"OP", operators},
+      {"CONDITION", conditions},
       {"PLUGIN", [](const Asked& asked) { return asked.names.plugins(); }},
       {"PACKAGE", [](const Asked& asked) { return asked.names.packages(); }},
       {"FILE", [](const Asked& asked) { return asked.names.files(asked.word); }},
@@ -168,7 +187,7 @@ Line partial_line(const WordLine& words, const Shape& shape, const Slot*& pendin
     } else if (pending != nullptr) {
       pending = nullptr;
     } else if (const Clause* clause = item.word.kind == WordKind::Plain ? shape.find_clause(item.word.text) : nullptr) {
-      line.clauses.emplace(clause->keyword, item.word);
+      line.clauses.emplace(clause->keyword, std::vector{item.word});
       pending = &clause->slot;
     } else if (const OptionSlot* option = shape.find_option(item.word.text)) {
       line.options.emplace(option->name, TypedArgument{});
@@ -229,6 +248,9 @@ Completion complete(std::string_view typed, Names& names) {
     return completion;  // inside a quote: nothing is known
   }
   Candidates found;
+  if (const Verb* outer = before.empty() ? nullptr : find_verb(before.items.front().word.text); outer && outer->takes_line) {
+    before.items.erase(before.items.begin());
+  }
   if (before.empty()) {
     for (const Verb& verb : verb_rows()) found.push_back(verb.name);
   } else if (const Verb* verb = find_verb(before.items.front().word.text)) {

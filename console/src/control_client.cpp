@@ -88,7 +88,7 @@ void throw_failure(const control::Failure& failure) {
                  .found = quoted_lines(failure.found()),
                  .next = quoted_lines(failure.next())};
   for (const std::string& name : failure.near()) text.near.push_back(inert(name));
-  throw Error(code_of(failure.code()), std::move(text));
+  throw RefusedChange(code_of(failure.code()), std::move(text), failure.change());
 }
 
 ControlClient::ControlClient(Reactor& reactor, std::filesystem::path socket, std::chrono::milliseconds timeout)

@@ -8,6 +8,8 @@
 #include <string>
 #include <string_view>
 
+#include <fiona/error.hpp>
+
 #include "fiona/control.pb.h"
 #include "reactor.hpp"
 
@@ -84,6 +86,17 @@ class ControlClient {
 };
 
 /// The host's refusal as the error that it is.
+/// A refusal of one change of a transaction.
+class RefusedChange : public Error {
+ public:
+  RefusedChange(ErrorCode code, ErrorText text, std::size_t change) : Error(code, std::move(text)), change_(change) {}
+  /// Which one, from 1; 0: none in particular.
+  std::size_t change() const { return change_; }
+
+ private:
+  std::size_t change_;
+};
+
 [[noreturn]] void throw_failure(const control::Failure& failure);
 
 }  // namespace fiona::console

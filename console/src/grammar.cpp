@@ -13,7 +13,7 @@ namespace fiona::console {
 namespace {
 
 constexpr std::size_t kMostBytes = 16U << 20U;  // of a script: as much as one control message may be
-constexpr std::array<std::string_view, 8> kKeywords{"as", "in", "to", "else", "for", "with", "at", "every"};
+constexpr std::array<std::string_view, 9> kKeywords{"as", "in", "to", "else", "for", "with", "at", "every", "when"};
 
 std::shared_ptr<const std::vector<std::string>> physical_lines(std::string_view text) {
   std::vector<std::string> lines;

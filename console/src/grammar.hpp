@@ -87,6 +87,9 @@ unsigned count_of(const Word& word, const WordLine& line);
 /// `instance.port`.
 control::PortName port_name(const Word& word, const WordLine& line);
 
+/// A push port or a probe: `instance.port`, `instance.probe`, `instance.port.probe`.
+control::PortName watched_name(const Word& word, const WordLine& line);
+
 /// An error about one word of a line: `where` is file:line:column, and `caret` shows the word.
 class LineError : public Error {
  public:

@@ -104,6 +104,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
                                  fmt::format("{}", kReadyInHost),
                                  "--lifeline-fd",
                                  fmt::format("{}", kLifelineInHost)};
+  if (launch.restore) words.push_back("--restore");
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
   if (!launch.listen.empty()) words.insert(words.end(), {"--listen", "tcp://" + launch.listen});
   for (const std::string& peer : launch.peers) words.insert(words.end(), {"--peer", peer});

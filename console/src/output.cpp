@@ -53,6 +53,11 @@ void Output::remark(std::string_view lines) {
   if (!manner.json && !manner.quiet) write(Stream::Err, lines);
 }
 
+void Output::warning(std::string_view line) {
+  if (manner.json) return object({{"warning", std::string(line)}});
+  write(Stream::Err, fmt::format("warning: {}", line));
+}
+
 void Output::object(nlohmann::json value) {
   if (!manner.json) return;
   value["fiona"] = 1;

@@ -45,6 +45,9 @@ class Output {
   /// Progress and remarks, on standard error; nothing with -q or --json.
   void remark(std::string_view lines);
 
+  /// What was done but may not be meant so, on standard error, also with -q.
+  void warning(std::string_view line);
+
   /// One object for programs, with "fiona": 1; nothing without --json.
   void object(nlohmann::json value);
 

@@ -110,8 +110,9 @@ class Prompt {
   void serve_line() {
     const bool more = !typed_.empty();
     const auto line = editor_.read(asking_ ? "stop the host and its system? (yes/no) "
-                                   : more  ? "     > "
-                                           : "fiona> ",
+                                   : more            ? "     > "
+                                   : session_.batch ? fmt::format("fiona({})> ", session_.batch->changes.size())
+                                                     : "fiona> ",
                                    [this] { return !session_.connected(); });
     if (!session_.connected()) return;
     if (asking_) return take_answer(line);

@@ -2,36 +2,37 @@
 
 #include <fmt/format.h>
 
+#include "changes.hpp"
 #include "grammar.hpp"
 
 namespace fiona::console {
 namespace {
 
-std::string load_line(const control::InstanceStatus& instance) {
-  std::string plugin = instance.plugin();
+control::Change load_of(const control::InstanceStatus& instance) {
+  control::Change change;
+  control::Load& load = *change.mutable_load();
+  load.set_plugin(instance.plugin());
   // A plugin with several components is loaded by publisher/name/component; its own name is enough otherwise, and
   // both are understood.
-  const std::size_t slash = plugin.rfind('/');
-  const std::string own = slash == std::string::npos ? plugin : plugin.substr(slash + 1);
-  if (!instance.component().empty() && instance.component() != own) plugin += "/" + instance.component();
-  std::string line = fmt::format("load {} as {}", typed_text(plugin), typed_text(instance.name()));
-  if (!instance.group().empty() && instance.group() != "main")
-    line += fmt::format(" in {}", typed_text(instance.group()));
-  if (!instance.mode_at_load().empty()) line += fmt::format(" at {}", typed_text(instance.mode_at_load()));
-  for (const auto& parameter : instance.set_parameters())
-    line += fmt::format(" {}={}", parameter.name(), typed(parameter.value()));
-  return line + "\n";
+  const std::string own = instance.plugin().substr(instance.plugin().rfind('/') + 1);
+  if (!instance.component().empty() && instance.component() != own) load.set_plugin(instance.plugin() + "/" + instance.component());
+  load.set_instance(instance.name());
+  load.set_group(instance.group());
+  load.set_mode(instance.mode_at_load());
+  *load.mutable_parameters() = instance.set_parameters();
+  return change;
 }
 
 std::string wire_lines(const control::InstanceStatus& instance) {
   std::string lines;
   for (const auto& port : instance.ports()) {
     if (port.direction() != fiona::REQUIRES || port.peer().instance().empty()) continue;
-    const std::string client = instance.name() + "." + port.name();
-    const std::string provider = port.peer().instance() + "." + port.peer().port();
-    lines += fmt::format("wire {} to {}", typed_text(client), typed_text(provider));
-    if (port.prescale() > 1) lines += fmt::format(" every {}", port.prescale());
-    lines += "\n";
+    control::Change change;
+    change.mutable_wire()->mutable_client()->set_instance(instance.name());
+    change.mutable_wire()->mutable_client()->set_port(port.name());
+    *change.mutable_wire()->mutable_provider() = port.peer();
+    change.mutable_wire()->set_prescale(port.prescale());
+    lines += line_of(change) + "\n";
   }
   return lines;
 }
@@ -46,7 +47,7 @@ bool is_main_mode(const control::InstanceStatus& instance) {
 std::string saved_system(const control::System& system) {
   std::string text;
   if (system.clock() == "virtual") text += fmt::format("set host clock=virtual speed={:g}\n", system.speed());
-  for (const auto& instance : system.instances()) text += load_line(instance);
+  for (const auto& instance : system.instances()) text += line_of(load_of(instance)) + "\n";
   for (const auto& instance : system.instances()) text += wire_lines(instance);
   for (const auto& instance : system.instances()) {
     const std::string first = instance.modes().empty() ? "active" : instance.modes(0);

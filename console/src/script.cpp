@@ -56,10 +56,20 @@ std::vector<Line> read_script(const std::filesystem::path& file) {
 
 void run_script(Session& session, const std::vector<Line>& lines, const std::function<void(const Line&)>& before) {
   const ScriptSetting setting(session);
-  for (const Line& line : lines) {
-    if (before) before(line);
-    session.run(line);
-    if (session.finished) return;
+  const bool began = session.batch.has_value();
+  const Line* open = nullptr;
+  try {
+    for (const Line& line : lines) {
+      if (before) before(line);
+      session.run(line);
+      if (session.finished) return;
+      if (line.verb.text == "begin") open = &line;
+    }
+    if (session.batch && !began && open)
+      throw open->error(open->verb, {.what = "this transaction is not committed: nothing of it was done", .next = "commit"});
+  } catch (...) {
+    if (!began) session.batch.reset();  // no half transaction is left
+    throw;
   }
 }
 

@@ -115,8 +115,11 @@ void Session::run(const WordLine& words) { run(read_line(words)); }
 
 void Session::run(const Line& line) {
   const LineOptions scoped(*this, line);
+  const Verb& verb = *find_verb(line.verb.text);
+  if (batch && !verb.in_transaction)
+    throw line.error(line.verb, {.what = fmt::format("'{}' cannot stand in a transaction", verb.name), .next = "commit, or abort"});
   try {
-    find_verb(line.verb.text)->handler(*this, line);
+    verb.handler(*this, line);
   } catch (const LineError&) {
     throw;
   } catch (const Error& error) {

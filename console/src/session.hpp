@@ -31,6 +31,12 @@ struct Options {
   std::chrono::milliseconds timeout{2000};
 };
 
+/// Changes that were collected, each with the line that asked for it.
+struct Batch {
+  std::vector<control::Change> changes{};
+  std::vector<Line> lines{};
+};
+
 /// One console: the connection to a host, made when first needed, and what is said.
 class Session {
  public:
@@ -42,6 +48,8 @@ class Session {
   Options options;
   Setting setting = Setting::Shell;
   int source_depth = 0;         ///< how many files are being sourced, one inside the other
+  std::optional<Batch> batch;   ///< collects changes instead of making them, from `begin` to `commit`
+  bool planning = false;        ///< transactions are tried only
   std::optional<int> finished;  ///< the exit code once `quit` was typed
 
   /// The connection. Throws fiona::Error (Unreachable) with the next step where no host runs.

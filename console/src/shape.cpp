@@ -139,7 +139,16 @@ class Binder {
     if (!there)
       fail(keyword.place, {.what = fmt::format("a word is missing after '{}'", keyword.text),
                            .expected = fmt::format("{} {}", keyword.text, fmt::join(clause->slot.choices, "|"))});
-    line_.clauses.emplace(keyword.text, items()[++at_].word);
+    auto& words = line_.clauses[keyword.text];
+    words.push_back(items()[++at_].word);
+    while (clause->slot.repeated && at_ + 1 < items().size() && is_bare_word(items()[at_ + 1])) {
+      words.push_back(items()[++at_].word);
+    }
+  }
+
+  static bool is_bare_word(const WordLine::Item& item) {
+    if (item.name) return false;
+    return item.word.kind != WordKind::Plain || (!is_option(item.word.text) && !is_keyword(item.word.text));
   }
 
   void take_positional(const Word& word) {
@@ -235,7 +244,7 @@ const OptionSlot* Shape::find_option(std::string_view name) const {
 
 const Word* Line::clause(std::string_view keyword) const {
   const auto found = clauses.find(keyword);
-  return found == clauses.end() ? nullptr : &found->second;
+  return found == clauses.end() ? nullptr : &found->second.front();
 }
 
 const Word* Line::option(std::string_view name) const {

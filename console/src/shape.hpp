@@ -69,11 +69,12 @@ struct Line {
   WordLine words{};
   Word verb{};
   std::vector<Word> positional{};
-  std::map<std::string, Word, std::less<>> clauses{};
+  std::map<std::string, std::vector<Word>, std::less<>> clauses{};
   std::vector<TypedArgument> arguments{};
   std::multimap<std::string, TypedArgument, std::less<>> options{};  ///< `--set a.b=c` has a name, others do not
 
   bool has(std::string_view option) const { return options.contains(option); }
+  /// The word after the keyword, the first of several; null: it is not there.
   const Word* clause(std::string_view keyword) const;
   const Word* option(std::string_view name) const;
 

@@ -12,6 +12,7 @@
 #include "script.hpp"
 #include "system_view.hpp"
 #include "verb_table.hpp"
+#include "watch_list.hpp"
 
 namespace fiona::console {
 namespace {
@@ -42,6 +43,7 @@ class Checker {
 
   CheckResult finish() {
     for (const auto& [name, instance] : instances_) add_spots(name, instance);
+    if (begun_) result_.errors.push_back(begun_->error(begun_->verb, {.what = "this transaction is not committed", .next = "commit"}));
     result_.instances = instances_.size();
     return std::move(result_);
   }
@@ -54,7 +56,9 @@ class Checker {
   void take(const Line& line) {
     static const std::map<std::string, void (Checker::*)(const Line&)> kChecks{
         {"load", &Checker::take_load},     {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
-        {"unwire", &Checker::take_unwire}, {"set", &Checker::take_set},       {"state", &Checker::take_mode},
+        {"unwire", &Checker::take_unwire}, {"swap", &Checker::take_swap},
+        {"begin", &Checker::take_begin},   {"commit", &Checker::take_commit}, {"abort", &Checker::take_commit},
+        {"set", &Checker::take_set},       {"state", &Checker::take_mode},
         {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},   {"get", &Checker::take_instance},
         {"call", &Checker::take_call},     {"send", &Checker::take_call},
         {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
@@ -240,6 +244,18 @@ class Checker {
     port_of(line, line.positional[0]);
     wired_.erase(line.positional[0].text);
   }
+  void take_swap(const Line& line) {
+    instance_of(line, line.positional[0]);
+    instance_of(line, *line.clause("for"));
+  }
+  void take_begin(const Line& line) {
+    if (begun_) throw line.error(line.verb, {.what = "a transaction has begun already", .next = "commit, or abort"});
+    begun_ = line;
+  }
+  void take_commit(const Line& line) {
+    if (!begun_) throw line.error(line.verb, {.what = "no transaction has begun", .next = "begin"});
+    begun_.reset();
+  }
   void take_set(const Line& line) {
     if (line.positional[0].text == "host") return check_host(line);
     check_parameters(line, instance_of(line, line.positional[0]));
@@ -277,20 +293,31 @@ class Checker {
   }
   void take_watch(const Line& line) {
     if (line.positional[0].text == "stop") return;
-    port_of(line, line.positional[0]);
-    for (const char* keyword : {"every", "for"}) {
-      if (const Word* time = line.clause(keyword)) duration_ms(*time, line.words);
-    }
+    const WatchRequest request = watch_request(line);
+    check_watched(line, line.positional[0], request.port.port());
+  }
+  /// A port or probe of an instance, where the plugin's interface is known.
+  void check_watched(const Line& line, const Word& word, const std::string& name) {
+    const Instance& instance = instance_of(line, word);
+    if (instance.known.component == nullptr) return;
+    std::vector<std::string> known;
+    for (const auto& port : instance.known.component->ports()) known.push_back(port.name());
+    for (const ProbeInfo& probe : probes_of(*instance.known.component)) known.push_back(probe.name);
+    if (std::find(known.begin(), known.end(), name) != known.end()) return;
+    throw line.error(word,
+                     {.what = fmt::format("{} has no port or probe '{}'", word.text.substr(0, word.text.find('.')), name),
+                      .near = nearest_names(name, known)},
+                     ErrorCode::NotFound);
   }
   void take_expect(const Line& line) {
     Word port = line.positional[0];
     const std::size_t first = port.text.find('.');
     const std::size_t second = first == std::string::npos ? first : port.text.find('.', first + 1);
-    if (second == std::string::npos)
-      throw line.error(port,
-                       {.what = fmt::format("'{}' names no field", port.text), .expected = "instance.port.field"});
-    port.text.resize(second);
-    port_of(line, port);
+    if (first == std::string::npos)
+      throw line.error(port, {.what = fmt::format("'{}' names no field and no probe", port.text),
+                              .expected = "instance.port.field, instance.probe"});
+    if (second != std::string::npos) port.text.resize(second);
+    check_watched(line, line.positional[0], port.text.substr(first + 1));
     if (const Word* within = line.clause("for")) duration_ms(*within, line.words);
   }
   void take_sleep(const Line& line) { duration_ms(line.positional[0], line.words); }
@@ -335,6 +362,7 @@ class Checker {
   std::set<std::string> wired_;
   std::set<std::string> offered_;  // by `market install` lines above
   std::set<std::string> sourcing_;
+  std::optional<Line> begun_;
 };
 
 }  // namespace

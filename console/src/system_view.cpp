@@ -4,6 +4,8 @@
 
 #include <fmt/format.h>
 
+#include <fiona/hull_probes.hpp>
+
 namespace fiona::console {
 
 std::vector<std::string> instance_names(const control::System& system) {
@@ -35,17 +37,40 @@ const control::InstanceStatus& instance_at(const control::System& system, const 
 }
 
 const control::PortStatus& port_at(const control::System& system, const Word& word, const Line& line) {
-  const control::PortName name = port_name(word, line.words);
+  const control::PortName name = watched_name(word, line.words);
   const auto& instance = instance_at(system, word, line);
   if (const auto* port = find_port(instance, name.port())) return *port;
   std::vector<std::string> known;
   for (const auto& port : instance.ports()) known.push_back(port.name());
+  for (const ProbeInfo& probe : probes_of(instance)) known.push_back(probe.name);
   throw line.error(word,
-                   {.what = fmt::format("{} has no port '{}'", instance.name(), name.port()),
+                   {.what = fmt::format("{} has no port or probe '{}'", instance.name(), name.port()),
                     .next = fmt::format("show {}", instance.name()),
                     .near = nearest_names(name.port(), known)},
                    ErrorCode::NotFound);
 }
+
+namespace {
+
+template <class Owner>
+std::vector<ProbeInfo> probes_of_any(const Owner& instance) {
+  std::vector<ProbeInfo> found;
+  for (const auto& probe : instance.probes()) found.push_back({probe.name(), probe.type(), probe.unit(), probe.doc()});
+  const auto add = [&found](const std::string& of, const HullProbe& one) {
+    found.push_back({of + std::string(one.name), std::string(one.type), std::string(one.unit), std::string(one.doc)});
+  };
+  for (const HullProbe& one : hull_probes()) {
+    if (one.of == HullProbe::Of::Instance) add("", one);
+    for (int i = 0; one.of == HullProbe::Of::Port && i < instance.ports_size(); ++i) add(instance.ports(i).name() + ".", one);
+    for (int i = 0; one.of == HullProbe::Of::Task && i < instance.tasks_size(); ++i) add(instance.tasks(i).name() + ".", one);
+  }
+  return found;
+}
+
+}  // namespace
+
+std::vector<ProbeInfo> probes_of(const control::InstanceStatus& instance) { return probes_of_any(instance); }
+std::vector<ProbeInfo> probes_of(const fiona::ComponentInterface& component) { return probes_of_any(component); }
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 

@@ -16,6 +16,16 @@ const control::PortStatus* find_port(const control::InstanceStatus& instance, st
 
 /// Throw LineError (NotFound) with near names at the word.
 const control::InstanceStatus& instance_at(const control::System& system, const Word& word, const Line& line);
+/// A probe as anybody can know it: those that an instance declares and those that its hull has.
+struct ProbeInfo {
+  std::string name;  ///< without the instance: "spread", "mode", "location.rate"
+  std::string type;
+  std::string unit;
+  std::string doc;
+};
+std::vector<ProbeInfo> probes_of(const control::InstanceStatus& instance);
+std::vector<ProbeInfo> probes_of(const fiona::ComponentInterface& component);
+
 const control::PortStatus& port_at(const control::System& system, const Word& word, const Line& line);
 
 std::string text_of(const control::PortName& name);

@@ -247,6 +247,8 @@ std::vector<FieldText> field_texts(const pb::Message& object, const std::vector<
   return std::move(flattener.found);
 }
 
+bool is_plain_value(std::string_view type) { return type.starts_with("fiona.probe."); }
+
 PathCheck check_path(const pb::Descriptor& type, std::string_view path) {
   const pb::Descriptor* level = &type;
   while (!path.empty()) {

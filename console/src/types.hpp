@@ -55,6 +55,9 @@ struct PathCheck {
 };
 PathCheck check_path(const google::protobuf::Descriptor& type, std::string_view path);
 
+/// Whether a value of a probe travels as the only field of this type, and not as an object of its own.
+bool is_plain_value(std::string_view type);
+
 /// The whole object for programs, names as in the proto.
 nlohmann::json object_json(const google::protobuf::Message& object);
 

@@ -5,6 +5,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <fiona/hull_probes.hpp>
+
 #include "verbs/verbs.hpp"
 
 namespace fiona::console {
@@ -22,11 +24,35 @@ std::vector<Verb> composing_verbs() {
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
       {"wire", forms({"wire INSTANCE.PORT to INSTANCE.PORT [every N]"}), "connects a required port to a provided one",
-       "Checked before it is done; a port that has a wire already gets the new one without a gap.\n"
+       "Checked before it is done; a port that has a wire already gets the new one without a gap. Where no instance has "
+       "the provider's name yet, the wire waits for it.\n"
        "`every N` passes each N-th message of a push.",
        Access::Compose, verbs::wire},
       {"unwire", forms({"unwire INSTANCE.PORT"}), "takes the wire of a required port away", "", Access::Compose,
        verbs::unwire},
+      {"swap", forms({"swap INSTANCE for INSTANCE"}), "moves all who use one instance to another",
+       "Each wire goes to the port of the same name, or the only one of the same service; all of them or none.",
+       Access::Compose, verbs::swap},
+  };
+}
+
+std::vector<Verb> transaction_verbs() {
+  return {
+      {"begin", forms({"begin"}), "collects the changes of the lines that follow, until commit",
+       "At a prompt and in a system file. Nothing is changed before commit.", Access::Compose, verbs::begin},
+      {"commit", forms({"commit"}), "makes the collected changes, all or none",
+       "Each is checked before the first is made; when one fails, those before it are taken back.", Access::Compose,
+       verbs::commit},
+      {"abort", forms({"abort"}), "drops the collected changes", "", Access::Compose, verbs::abort},
+      {"plan", forms({"plan LINE"}), "shows what a line would do, step by step, and what would take it back",
+       "As in: plan swap wifi for fusion, plan apply museum.fiona, plan undo.", Access::Observe, verbs::plan, false, true},
+      {"apply", forms({"apply FILE"}), "makes the running system equal to a file, with the fewest changes",
+       "Lines that only look are passed over; the others are load, wire, set, state. All or nothing.", Access::Compose,
+       verbs::apply, false},
+      {"undo", forms({"undo"}), "takes back the last change that has not been taken back",
+       "An instance that was unloaded is loaded again and begins anew.", Access::Compose, verbs::undo, false},
+      {"journal", forms({"journal [N]"}), "lists the last changes: who made them, and what became of them", "",
+       Access::Observe, verbs::journal},
   };
 }
 
@@ -44,10 +70,23 @@ std::vector<Verb> operating_verbs() {
        Access::Operate, verbs::state},
       {"call", forms({"call INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "uses a query port or a trigger by hand, and shows the answer",
        "Of a required port: the provider at its wire's end. `for`, or 2 s, is how long it may take.", Access::Operate,
-       verbs::call},
+       verbs::call, false},
       {"send", forms({"send INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
-       "Waits until the provider's hull has it.", Access::Operate, verbs::call},
+       "Waits until the provider's hull has it.", Access::Operate, verbs::call, false},
   };
+}
+
+/// "Each instance has the probes mode, …; each port …".
+std::string hull_probe_text() {
+  const auto names = [](HullProbe::Of of) {
+    std::string text;
+    for (const HullProbe& one : hull_probes()) {
+      if (one.of == of) text += (text.empty() ? "" : ", ") + std::string(one.name);
+    }
+    return text;
+  };
+  return fmt::format("Each instance has the probes {}; each port {}; each task {}: radio.mode, radio.wifi.rate.\n",
+                     names(HullProbe::Of::Instance), names(HullProbe::Of::Port), names(HullProbe::Of::Task));
 }
 
 std::vector<Verb> seeing_verbs() {
@@ -55,17 +94,21 @@ std::vector<Verb> seeing_verbs() {
       {"ls", forms({"ls [instances|plugins|wires|services|hosts]"}), "lists what runs, is installed or connected",
        "health says ok, waiting, lost or failed; wires is connected/required.", Access::Observe, verbs::ls},
       {"show", forms({"show THING"}), "everything about an instance, port, plugin, service or object",
-       "THING: walk, walk.imu, trace-player, LocationProvider, CommLocation. Without a host, what is installed and "
+       "THING: walk, walk.imu, walk.imu.rate, trace-player, LocationProvider, CommLocation. Without a host, what is installed and "
        "what the platform knows.",
        Access::Observe, verbs::show},
       {"spots", forms({"spots"}), "white spots: required ports that nobody serves, provided ones that nobody uses",
        "Who could serve: running instances, installed plugins, packages of the marketplace, each with the line to "
        "type.",
        Access::Observe, verbs::spots},
-      {"watch", forms({"watch INSTANCE.PORT [FIELD …] [every T] [for T]", "watch stop [INSTANCE.PORT]"}),
-       "prints what goes through a port",
-       "Any type. `every` is the shortest time between two lines, on the system's clock and on yours; `for` ends it, "
-       "on yours.\n"
+      {"watch", forms({"watch INSTANCE.PORT|INSTANCE.PROBE [FIELD …] [every N|T] [when CONDITION …] [for T]",
+              "watch stop [INSTANCE.PORT|INSTANCE.PROBE]"}),
+       "prints what goes through a port, or what a probe says",
+       "Any type. `every 5` prints each fifth; `every 1s` is the shortest time between two lines, on the system's clock "
+       "and on yours; `for` ends it, on yours.\n"
+       "With `when` only what makes the condition true: [FIELD] above V, below V, is V, changes, older than T. It has to "
+       "become false before it is told again.\n" +
+           hull_probe_text() +
        "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, Ctrl-C "
        "does.",
        Access::Observe, verbs::watch},
@@ -80,16 +123,17 @@ std::vector<Verb> file_verbs() {
        Access::Observe, verbs::check},
       {"run",
        forms(
-           {"run FILE … [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR] "
+           {"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR] "
             "[--listen ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …]"}),
        "starts a host and runs system files in it (from a shell)",
        "In a terminal the prompt follows; --headless lets the system run until it ends, --for T for that long on its "
        "clock.\n"
+       "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"
        "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME. Both "
        "need keys: keys make.",
-       Access::Administer, verbs::run},
+       Access::Administer, verbs::run, false},
       {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
        "Replaces the file in one step; a saved system that is run and saved again is the same text.", Access::Compose,
        verbs::save},
@@ -101,15 +145,15 @@ std::vector<Verb> file_verbs() {
 std::vector<Verb> waiting_verbs() {
   return {
       {"wait", forms({"wait INSTANCE MODE [for T]"}), "waits until an instance is in a mode",
-       "Time is the system's clock; without `for`, 2 s (or --timeout).", Access::Observe, verbs::wait},
-      {"expect", forms({"expect INSTANCE.PORT.FIELD OP VALUE [for T]"}),
-       "waits until a field of a message fulfils a condition, and fails otherwise",
+       "Time is the system's clock; without `for`, 2 s (or --timeout).", Access::Observe, verbs::wait, false},
+      {"expect", forms({"expect INSTANCE.PORT.FIELD|INSTANCE.PROBE OP VALUE [for T]"}),
+       "waits until a field of a message, or a probe, fulfils a condition, and fails otherwise",
        "OP: == != < <= > >=. Without `for` the next message decides. In a shell, quote < and >.", Access::Observe,
-       verbs::expect},
+       verbs::expect, false},
       {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe,
-       verbs::sleep},
+       verbs::sleep, false},
       {"quit", forms({"quit [CODE]"}), "ends the host; its exit code is CODE",
-       "To leave the prompt and let the host run: Ctrl-D.", Access::Administer, verbs::quit},
+       "To leave the prompt and let the host run: Ctrl-D.", Access::Administer, verbs::quit, false},
   };
 }
 
@@ -120,12 +164,12 @@ std::vector<Verb> remaining_verbs() {
               "market install PACKAGE … [--from DIR] [-y]"}),
        "finds packages and installs them",
        "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.", Access::Administer,
-       verbs::market},
+       verbs::market, false},
       {"keys", forms({"keys", "keys make", "keys show", "keys allow NAME KEY", "keys forget NAME"}),
        "the key pair of this user's hosts, and which others may connect over tcp",
        "Without a word: the hosts that may connect. `make` makes the pair, once; `show` prints the key that others are "
        "given.",
-       Access::Administer, verbs::keys},
+       Access::Administer, verbs::keys, false},
       {"help", forms({"help [VERB|exit|grammar]"}), "this, or one verb in full", "", Access::Observe, verbs::help},
       {"version", forms({"version"}), "the versions of console and host", "", Access::Observe, verbs::version},
   };
@@ -149,7 +193,7 @@ const std::vector<Verb>& verb_rows() {
   static const std::vector<Verb> kVerbs = [] {
     std::vector<Verb> all;
     for (auto part :
-         {composing_verbs(), operating_verbs(), seeing_verbs(), file_verbs(), waiting_verbs(), remaining_verbs()}) {
+         {composing_verbs(), transaction_verbs(), operating_verbs(), seeing_verbs(), file_verbs(), waiting_verbs(), remaining_verbs()}) {
       all.insert(all.end(), part.begin(), part.end());
     }
     return all;
@@ -189,6 +233,12 @@ Line read_line(const WordLine& words) {
                     {.what = fmt::format("there is no verb '{}'", name.text),
                      .next = "help",
                      .near = nearest_names(name.text, known)});
+  }
+  if (verb->takes_line) {
+    Line line;
+    line.words = words;
+    line.verb = name;
+    return line;
   }
   // The form whose literal word stands in the line is meant; otherwise the first that takes a word of any meaning.
   const auto literal = std::find_if(verb->forms.begin(), verb->forms.end(),

@@ -29,6 +29,8 @@ struct Verb {
   std::string more;  ///< what else there is to know; lines
   Access access;
   Handler handler;
+  bool in_transaction = true;  ///< may stand between `begin` and `commit`
+  bool takes_line = false;     ///< what follows is another line
 };
 
 /// All verbs, in the order in which help shows them.

@@ -9,6 +9,8 @@ std::uint64_t WatchList::start(const WatchRequest& request) {
   control::Request message;
   *message.mutable_watch()->mutable_port() = request.port;
   message.mutable_watch()->set_min_period_ms(request.every_ms);
+  message.mutable_watch()->set_prescale(request.every_nth);
+  if (request.when) *message.mutable_watch()->mutable_condition() = *request.when;
   const auto number = std::make_shared<std::uint64_t>(0);
   // The entry exists before any reply can be served: replies come in the reactor's waits only.
   *number = session_.host().begin(std::move(message),
@@ -54,7 +56,7 @@ void WatchList::check_fields(const Running& watch) const {
   }
 }
 
-void WatchList::print(Running& watch, const control::Sample& sample) {
+void WatchList::read(Running& watch, const control::Sample& sample) {
   if (!watch.object) {
     watch.types = std::make_unique<TypeSet>(sample.files());
     watch.object = watch.types->make(sample.type());
@@ -67,12 +69,29 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
   if (!watch.object->ParseFromString(sample.object()))
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = fmt::format("a {} cannot be read", sample.type()), .where = watch.name});
+}
+
+std::string WatchList::text_of(const Running& watch, const control::Sample& sample) const {
+  if (sample.type().empty()) return "no value yet";
+  std::vector<std::string> parts;
+  const bool is_plain = is_plain_value(sample.type());
+  for (const FieldText& field : field_texts(*watch.object, watch.request.fields, session_.out.manner.verbose ? 1000 : 8)) {
+    const std::string& unit = is_plain ? sample.unit() : field.unit;
+    parts.push_back(fmt::format("{}{}{}{}", is_plain ? "" : field.path + " ", field.text, unit.empty() ? "" : " ", unit));
+  }
+  // An event that is missing is news; a sample that is, was left out as asked.
+  if (watch.request.when && sample.skipped() > 0) parts.push_back(fmt::format("{} lost before it", sample.skipped()));
+  return fmt::format("{}", fmt::join(parts, ", "));
+}
+
+void WatchList::print(Running& watch, const control::Sample& sample) {
+  if (!sample.type().empty()) read(watch, sample);
   ++watch.samples;
   // The host counts `every` on the system's clock, which may run much faster than anybody reads. Half of it, so that
   // a sample that comes a little early is not lost.
   const auto now = std::chrono::steady_clock::now();
   const std::chrono::duration<double, std::milli> since = now - watch.printed;
-  if (watch.samples > 1 && since.count() < watch.request.every_ms / 2) return;
+  if (watch.samples > 1 && !watch.request.when && since.count() < watch.request.every_ms / 2) return;
   watch.printed = now;
   Output& out = session_.out;
   const Manner before = out.manner;
@@ -84,13 +103,10 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
                 {"age_ms", sample.age_ms()},
                 {"skipped", sample.skipped()},
                 {"type", sample.type()},
-                {"object", object_json(*watch.object)}});
+                {"unit", sample.unit()},
+                {"object", sample.type().empty() ? nlohmann::json() : object_json(*watch.object)}});
   } else {
-    std::vector<std::string> parts;
-    for (const FieldText& field : field_texts(*watch.object, watch.request.fields, before.verbose ? 1000 : 8)) {
-      parts.push_back(fmt::format("{} {}{}{}", field.path, field.text, field.unit.empty() ? "" : " ", field.unit));
-    }
-    out.text(fmt::format("{}  {:.3f} s  {}", watch.name, sample.time_s(), fmt::join(parts, ", ")));
+    out.text(fmt::format("{}  {:.3f} s  {}", watch.name, sample.time_s(), text_of(watch, sample)));
   }
   out.manner = before;
 }

@@ -17,8 +17,13 @@ struct WatchRequest {
   control::PortName port;
   std::vector<std::string> fields;
   double every_ms = 0;
+  unsigned every_nth = 1;
+  std::optional<control::Condition> when;  ///< only what makes it true
   std::optional<double> for_ms;
 };
+
+/// What the line of a `watch` says. Throws LineError at the word that does not belong.
+WatchRequest watch_request(const Line& line);
 
 /// The watches that run in this console: each prints its samples until it is stopped, its time is over, or the host
 /// ends it.
@@ -48,7 +53,9 @@ class WatchList {
   };
 
   void arrived(std::uint64_t id, const control::Reply& reply);
+  void read(Running& watch, const control::Sample& sample);
   void print(Running& watch, const control::Sample& sample);
+  std::string text_of(const Running& watch, const control::Sample& sample) const;
   void check_fields(const Running& watch) const;
   void end(std::uint64_t id, bool tell_host);
 

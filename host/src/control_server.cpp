@@ -14,8 +14,8 @@ namespace {
 
 /// Consoles and pages at once; further ones are turned away.
 constexpr std::size_t kMaxClients = 64;
-/// Events that may wait for the control thread; watched values beyond it are dropped.
-constexpr std::size_t kEventBound = 10'000;
+std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
+
 /// Unsent bytes above which a slow watcher loses samples, counted.
 constexpr std::size_t kSlowWatcher = 1024 * 1024;
 
@@ -26,13 +26,33 @@ struct ControlServer::Client {
   os::MessageStream stream;
 };
 
-ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options)
+ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore)
     : listener_(socket),
       system_(std::move(options), [this](const wire::GroupMessage& event) {
-        events_.push(event, event.has_tapped() ? kEventBound : SIZE_MAX);
-      }) {}
+        if (!event.has_tapped()) return events_.push(event);
+        events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
+      }),
+      restored_(restore ? Journal::read(journal_of(socket)) : std::vector<control::Change>()),
+      engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }) {
+  if (restore) begin_restoring();
+}
 
 ControlServer::~ControlServer() = default;
+
+/// The system as a journal tells of it is made before the host says that it is there; one that cannot be is an error.
+void ControlServer::begin_restoring() {
+  control::Transact request;
+  request.set_whole(true);
+  request.mutable_changes()->Add(restored_.begin(), restored_.end());
+  std::optional<control::Reply> answered;
+  engine_.transact("restore", request, [&answered](const control::Reply& reply) { answered = reply; });
+  while (!answered) {
+    pollfd wait{work_.descriptor(), POLLIN, 0};
+    ::poll(&wait, 1, -1);
+    for (const auto& work : work_.take()) work();
+  }
+  if (answered->has_failure()) throw_failure(answered->failure());
+}
 
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
@@ -48,6 +68,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
                             {outgoing_.descriptor(), POLLIN, 0},
                             {lifeline, POLLIN, 0},
                             {signals, POLLIN, 0},
+                            {work_.descriptor(), POLLIN, 0},
                             {system_.hosts_descriptor(), POLLIN, 0}};
   const std::size_t fixed = waits.size();
   std::vector<std::uint64_t> ids;
@@ -65,8 +86,9 @@ void ControlServer::poll_once(int lifeline, int signals) {
     return;
   }
   for (const auto& event : events_.take()) on_event(event);
+  for (const auto& work : work_.take()) work();
   for (auto& [client, reply] : outgoing_.take()) send(client, reply);
-  if (waits[5].revents != 0) {
+  if (waits[6].revents != 0) {
     for (const auto& line : system_.serve_hosts()) std::cerr << line << "\n";
   }
   for (std::size_t i = 0; i < children.size(); ++i) {
@@ -75,6 +97,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
     if (waits[fixed + i].revents != 0) serve_client(ids[i]);
   }
+  send_held();
   if (waits[0].revents != 0) accept_clients();
 }
 
@@ -119,6 +142,13 @@ Waits::Answer ControlServer::answer_to(std::uint64_t client) {
   return [this, client](control::Reply reply) { outgoing_.push({client, std::move(reply)}); };
 }
 
+Waits::Answer ControlServer::numbered(std::uint64_t client, std::uint64_t request) {
+  return [this, client, request](control::Reply reply) {
+    reply.set_id(request);
+    outgoing_.push({client, std::move(reply)});
+  };
+}
+
 void ControlServer::perform(std::uint64_t client, const control::Request& request) {
   control::Reply reply;
   bool answered = true;
@@ -138,15 +168,13 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     return true;
   };
   switch (request.what_case()) {
-    case Request::kLoad: return done(system_.load(request.load()));
-    case Request::kUnload: return done(system_.unload(request.unload()));
-    case Request::kWire: return done(system_.wire(request.wire()));
-    case Request::kUnwire: return done(system_.unwire(request.unwire()));
-    case Request::kSet: return done(system_.set(request.set()));
-    case Request::kState: system_.state(client, request.id(), request.state(), answer_to(client)); return false;
+    case Request::kTransact: engine_.transact(request.author(), request.transact(), numbered(client, request.id())); return false;
+    case Request::kUndo: engine_.undo(request.author(), request.undo(), numbered(client, request.id())); return false;
+    case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
     case Request::kSnapshot: *reply.mutable_system() = system_.snapshot(); return true;
     case Request::kDescribe: *reply.mutable_description() = system_.types().describe(request.describe().name()); return true;
     case Request::kWatch: start_watch(client, request); return false;
+    case Request::kRead: *reply.mutable_sample() = sample_of(system_.read(request.read().probe()), false); return true;
     case Request::kUnwatch: stop_watch(client, request.unwatch().watch()); return done("");
     case Request::kWaitMode: return start_wait_mode(client, request, reply);
     case Request::kExpect: start_expect(client, request); return false;
@@ -160,8 +188,9 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
 }
 
 void ControlServer::start_watch(std::uint64_t client, const control::Request& request) {
-  const std::uint64_t tap = system_.tap(request.watch().port());
-  watches_[tap] = WatchedPort{client, request.id(), request.watch().min_period_ms(), -1e18, 0, false};
+  const std::uint64_t tap = system_.new_tap();
+  system_.tap(tap, request.watch());
+  watches_[tap] = Watched{client, request.id(), 0, 0, false, {}};
 }
 
 void ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
@@ -174,9 +203,15 @@ void ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
 }
 
 void ControlServer::start_expect(std::uint64_t client, const control::Request& request) {
-  const std::uint64_t tap = system_.tap(request.expect().port());
-  expect_taps_[{client, request.id()}] = tap;
-  system_.waits().expect(client, request.id(), request.expect(), tap, answer_to(client));
+  const control::Expect expect = system_.expected(request.expect());
+  const std::uint64_t tap = system_.new_tap();
+  const auto begin = [&] {
+    control::Watch watch;
+    *watch.mutable_port() = expect.port();
+    system_.tap(tap, watch);
+    expect_taps_[{client, request.id()}] = tap;
+  };
+  system_.waits().expect(client, request.id(), expect, tap, begin, answer_to(client));
 }
 
 bool ControlServer::start_wait_mode(std::uint64_t client, const control::Request& request, control::Reply& reply) {
@@ -191,6 +226,7 @@ bool ControlServer::start_wait_mode(std::uint64_t client, const control::Request
 
 void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tapped()) on_tapped(event.tapped());
+  if (event.has_tap_ended()) on_tap_ended(event.tap_ended());
   if (event.has_wire_lost()) system_.on_wire_lost(event.wire_lost().wire(), event.wire_lost().reason());
   if (event.has_logged()) std::cerr << event.logged().instance() << ": " << event.logged().text() << "\n";
   // One that fails while it is being loaded is told to whoever loads it.
@@ -203,31 +239,62 @@ void ControlServer::on_event(const wire::GroupMessage& event) {
 void ControlServer::on_tapped(const wire::Tapped& tapped) {
   const auto found = watches_.find(tapped.tap());
   if (found == watches_.end()) return;
-  WatchedPort& watch = found->second;
+  Watched& watch = found->second;
   const auto client = clients_.find(watch.client);
   if (client == clients_.end()) return;
-  const TimePoint origin{Duration(tapped.origin_ns())};
-  const double origin_ms = 1e3 * to_seconds(origin - system_.clock().start());
-  if (origin_ms - watch.last_ms < watch.min_period_ms || client->second->stream.unsent() > kSlowWatcher) {
-    ++watch.skipped;
-    return;
+  if (client->second->stream.unsent() > kSlowWatcher) {
+    watch.held = tapped;
+  } else {
+    send_sample(watch, *client->second, tapped);
   }
+}
+
+/// A slow watcher has lost samples, and is told how many, but not the newest.
+void ControlServer::send_held() {
+  for (auto& [tap, watch] : watches_) {
+    if (!watch.held) continue;
+    const auto client = clients_.find(watch.client);
+    if (client == clients_.end() || client->second->stream.unsent() > kSlowWatcher) continue;
+    send_sample(watch, *client->second, *std::exchange(watch.held, std::nullopt));
+  }
+}
+
+void ControlServer::send_sample(Watched& watch, Client& client, const wire::Tapped& tapped) {
   control::Reply reply;
   reply.set_id(watch.request);
   auto& sample = *reply.mutable_sample();
+  sample = sample_of(tapped, std::exchange(watch.described, watch.described || !tapped.type().empty()));
+  // What the tap left out, and what it said and was lost on the way.
+  sample.set_skipped(tapped.skipped() - watch.skipped + tapped.number() - watch.number - 1);
+  watch.skipped = tapped.skipped();
+  watch.number = tapped.number();
+  watch.held.reset();
+  client.stream.send(reply);
+}
+
+control::Sample ControlServer::sample_of(const wire::Tapped& tapped, bool described) {
+  control::Sample sample;
+  const TimePoint origin{Duration(tapped.origin_ns())};
   sample.set_type(tapped.type());
   sample.set_object(tapped.object());
+  sample.set_unit(tapped.unit());
   sample.set_sequence(tapped.sequence());
-  sample.set_time_s(origin_ms / 1e3);
+  sample.set_time_s(to_seconds(origin - system_.clock().start()));
   sample.set_age_ms(1e3 * to_seconds(system_.clock().now() - origin));
-  sample.set_skipped(std::exchange(watch.skipped, 0));
-  watch.last_ms = origin_ms;
-  if (!std::exchange(watch.described, true)) {
-    if (const auto object = system_.types().make(tapped.type())) {
-      *sample.mutable_files() = Types::files_of(*object->GetDescriptor()->file());
-    }
-  }
-  client->second->stream.send(reply);
+  const auto object = described || tapped.type().empty() ? nullptr : system_.types().make(tapped.type());
+  if (object) *sample.mutable_files() = Types::files_of(*object->GetDescriptor()->file());
+  return sample;
+}
+
+void ControlServer::on_tap_ended(const wire::TapEnded& ended) {
+  const auto found = watches_.find(ended.tap());
+  if (found == watches_.end()) return;
+  control::Reply reply;
+  reply.set_id(found->second.request);
+  *reply.mutable_failure() = ended.failure();
+  send(found->second.client, reply);
+  system_.untap(ended.tap());
+  watches_.erase(found);
 }
 
 }  // namespace fiona::host

@@ -1,11 +1,13 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
 #include <string>
 
+#include "engine.hpp"
 #include "mailbox.hpp"
 #include "os/message_stream.hpp"
 #include "os/unix_socket.hpp"
@@ -17,7 +19,8 @@ namespace fiona::host {
 /// in which they come; answers to waits and watches come when they come.
 class ControlServer {
  public:
-  ControlServer(const std::filesystem::path& socket, System::Options options);
+  /// Its journal is kept beside the socket; `restore`: begins with the system that the last journal there ends with.
+  ControlServer(const std::filesystem::path& socket, System::Options options, bool restore = false);
   ~ControlServer();
 
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
@@ -28,13 +31,13 @@ class ControlServer {
 
  private:
   struct Client;
-  struct WatchedPort {
+  struct Watched {
     std::uint64_t client = 0;
     std::uint64_t request = 0;
-    double min_period_ms = 0;
-    double last_ms = -1e18;
+    std::uint64_t number = 0;   ///< of the last sample that was sent, as is the next
     std::uint64_t skipped = 0;
     bool described = false;
+    std::optional<wire::Tapped> held;  ///< the newest, of a client that is slow
   };
   struct Outgoing {
     std::uint64_t client = 0;
@@ -52,18 +55,27 @@ class ControlServer {
   void start_expect(std::uint64_t client, const control::Request& request);
   bool start_wait_mode(std::uint64_t client, const control::Request& request, control::Reply& reply);
   Waits::Answer answer_to(std::uint64_t client);
+  Waits::Answer numbered(std::uint64_t client, std::uint64_t request);
+  void begin_restoring();
   void send(std::uint64_t client, const control::Reply& reply);
   void on_event(const wire::GroupMessage& event);
   void on_tapped(const wire::Tapped& tapped);
+  void on_tap_ended(const wire::TapEnded& ended);
+  void send_held();
+  void send_sample(Watched& watch, Client& client, const wire::Tapped& tapped);
+  control::Sample sample_of(const wire::Tapped& tapped, bool described);
   void poll_once(int lifeline, int signals);
 
   // Mailboxes outlive the system, whose threads post to them until it is gone.
   Mailbox<wire::GroupMessage> events_;
   Mailbox<Outgoing> outgoing_;
+  Mailbox<std::function<void()>> work_;  ///< for the control thread
   os::UnixListener listener_;
   System system_;
+  const std::vector<control::Change> restored_;  ///< read before the journal begins anew
+  Engine engine_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
-  std::map<std::uint64_t, WatchedPort> watches_;  ///< by tap
+  std::map<std::uint64_t, Watched> watches_;  ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
   std::uint64_t next_client_ = 1;
   std::optional<int> exit_code_;

@@ -1,4 +1,7 @@
+#include "field_compare.hpp"
+
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <google/protobuf/descriptor.h>
 
 #include <charconv>
@@ -6,8 +9,8 @@
 
 #include "fiona/error.hpp"
 #include "fiona/options.pb.h"
+#include "fiona/probe.pb.h"
 #include "fiona/units.hpp"
-#include "waits.hpp"
 
 namespace fiona::host {
 
@@ -121,11 +124,13 @@ std::optional<std::string> text_of(const Value& value) {
   throw Error(ErrorCode::Usage, {.what = "'" + place.field->name() + "' does not compare with this value", .expected = expected});
 }
 
-std::pair<bool, std::string> compare_number(const Place& place, double number, control::Comparison comparison, const Value& value) {
+std::pair<bool, std::string> compare_number(const Place& place, double number, control::Comparison comparison, const Value& value,
+                                            const std::string& unit_of_probe) {
   if (value.kind_case() != Value::kNumber && value.kind_case() != Value::kInteger) refuse(place, "a number");
   double typed = value.kind_case() == Value::kNumber ? value.number() : static_cast<double>(value.integer());
   if (!value.unit().empty()) {
-    const std::string& unit = place.field->options().GetExtension(fiona::unit);
+    const std::string& declared = place.field->options().GetExtension(fiona::unit);
+    const std::string& unit = declared.empty() ? unit_of_probe : declared;
     const auto conversion = convert_unit(value.unit(), unit);
     if (!conversion) refuse(place, unit.empty() ? "a number without unit" : "a number in " + unit);
     typed = typed * conversion->factor + conversion->offset;
@@ -136,14 +141,17 @@ std::pair<bool, std::string> compare_number(const Place& place, double number, c
 }  // namespace
 
 std::pair<bool, std::string> compare_field(const Message& object, const std::string& path, control::Comparison comparison,
-                                           const Value& value) {
-  const auto place = locate(object, path);
+                                           const Value& value, const std::string& unit) {
+  const bool is_plain = object.GetDescriptor()->file() == probe::Number::descriptor()->file();
+  if (path.empty() && !is_plain) throw Error(ErrorCode::Usage, {.what = "a " + object.GetDescriptor()->name() + " compares by a field of it"});
+  if (!path.empty() && is_plain) throw Error(ErrorCode::NotFound, {.what = "the probe is no object: it has no field '" + path + "'"});
+  const auto place = locate(object, is_plain ? "value" : path);
   if (!place) return {false, "the list is shorter"};
   const Reflection& reflect = *place->message->GetReflection();
   if (place->field->has_presence() && place->index < 0 && !reflect.HasField(*place->message, place->field)) {
     return {false, "not set"};
   }
-  if (const auto number = number_at(*place)) return compare_number(*place, *number, comparison, value);
+  if (const auto number = number_at(*place)) return compare_number(*place, *number, comparison, value, is_plain ? unit : "");
   if (place->index >= 0) refuse(*place, "an element that is a number");
   switch (place->field->cpp_type()) {
     case FieldDescriptor::CPPTYPE_BOOL: {

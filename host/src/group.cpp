@@ -1,10 +1,15 @@
 #include "group.hpp"
 
+#include <poll.h>
+#include <sys/epoll.h>
 #include <unistd.h>
+
+#include <algorithm>
 
 #include <thread>
 
 #include "fiona/error.hpp"
+#include "link_keys.hpp"
 
 namespace fiona::host {
 namespace {
@@ -15,7 +20,26 @@ constexpr std::chrono::seconds kReadyDeadline{5};
 /// Where a group finds its socket.
 constexpr int kGroupSocket = 3;
 
+/// Descriptors: of a group, without its links; of a host, for each group; of a process, for its links to and from each
+/// other one; what stays free for files of components and for consoles.
+constexpr std::size_t kGroupBase = 32;
+constexpr std::size_t kPerGroup = 3;
+constexpr std::size_t kPerPeer = 3;
+constexpr std::size_t kReserve = 32;
+
+os::Descriptor either_readable(int first, int second) {
+  os::Descriptor both(::epoll_create1(EPOLL_CLOEXEC));
+  for (const int one : {first, second}) {
+    epoll_event event{};
+    event.events = EPOLLIN;
+    ::epoll_ctl(both.get(), EPOLL_CTL_ADD, one, &event);
+  }
+  return both;
+}
+
 }  // namespace
+
+Group::Group(std::string name) : name_(std::move(name)), link_key_(random_bytes(kKeyBytes)) {}
 
 wire::GroupMessage Group::request(wire::GroupRequest request) {
   wire::GroupMessage reply = perform(request);
@@ -23,9 +47,28 @@ wire::GroupMessage Group::request(wire::GroupRequest request) {
   return reply;
 }
 
+void require_descriptors_for_group(std::size_t groups) {
+  const std::size_t links = kPerPeer * (groups + 1);
+  const std::size_t needed = kReserve + links + std::max(os::open_descriptors() + kPerGroup, kGroupBase);
+  const std::size_t limit = os::descriptor_limit();
+  if (needed <= limit) return;
+  throw Error(ErrorCode::NotAllowed,
+              {.what = "another group would bring the host to the end of its descriptors",
+               .expected = "room for " + std::to_string(needed) + ": those that are open, and links to each group",
+               .found = "a limit of " + std::to_string(limit) + ", with " + std::to_string(groups) + " groups",
+               .next = "load into a group that is there, or raise the limit before the host starts: ulimit -n " +
+                       std::to_string(4 * needed)});
+}
+
 MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint,
                      Runtime::OnEvent on_event)
-    : Group("main"), runtime_(pool, clock, libraries, std::move(endpoint), std::move(on_event)) {}
+    : Group("main"), runtime_(pool, clock, libraries, std::move(endpoint), link_key(), std::move(on_event)) {}
+
+void MainGroup::peer_lost(const wire::PeerLost& gone) {
+  wire::GroupRequest request;
+  *request.mutable_peer_lost() = gone;
+  runtime_.handle(request);
+}
 
 pid_t MainGroup::process() const { return ::getpid(); }
 
@@ -40,11 +83,40 @@ ChildGroup::ChildGroup(std::string name, const std::string& endpoint, const Syst
       std::vector<std::pair<int, int>>{{theirs.get(), kGroupSocket}});
   theirs.reset();
   stream_ = std::make_unique<os::MessageStream>(std::move(ours));
+  wake_ = either_readable(stream_->descriptor(), child_->descriptor());
+  wire::GroupRequest welcome;
+  welcome.mutable_welcome()->set_key(link_key());
+  stream_->send(welcome);
   // An exit with code 0 before it says ready is a failure too.
   const auto ready = wait_for(0, kReadyDeadline);
   if (ready && ready->has_ready()) return;
   throw Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
                                   .found = end_.empty() ? "no answer within 5 s" : end_});
+}
+
+/// The answer is not waited for: `wait_for` passes over it.
+void ChildGroup::peer_lost(const wire::PeerLost& gone) {
+  wire::GroupRequest request;
+  request.set_id(next_id_++);
+  *request.mutable_peer_lost() = gone;
+  if (alive()) stream_->send(request);
+}
+
+bool ChildGroup::wait_readable(std::chrono::steady_clock::time_point deadline) const {
+  while (true) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
+    pollfd wait{wake_.get(), POLLIN, 0};
+    const int ready = ::poll(&wait, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 60'000)));
+    if (ready > 0) return true;
+    if (left <= 0) return false;
+  }
+}
+
+/// Reads what it has said. False once it has ended: what it said before is still to be had from the stream.
+bool ChildGroup::receive() {
+  pollfd ended{child_->descriptor(), POLLIN, 0};
+  ::poll(&ended, 1, 0);  // before reading: what it said before its end is in the socket then
+  return stream_->receive() && ended.revents == 0;
 }
 
 void ChildGroup::note_end() {
@@ -62,6 +134,7 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::ch
   const auto end = std::chrono::steady_clock::now() + deadline;
   wire::GroupMessage message;
   std::optional<wire::GroupMessage> found;
+  bool ended = false;
   while (true) {
     // To the end of what has been read, though the answer be found: nobody polls for bytes that are here already.
     while (stream_->next(message)) {
@@ -72,11 +145,12 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::ch
       }
     }
     if (found) return found;
-    if (!stream_->wait_readable(end)) return std::nullopt;
-    if (!stream_->receive()) {
+    if (ended) {
       note_end();
       return std::nullopt;
     }
+    if (!wait_readable(end)) return std::nullopt;
+    ended = !receive();
   }
 }
 
@@ -94,7 +168,7 @@ wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request) {
 
 bool ChildGroup::serve() {
   if (!alive()) return false;
-  const bool open = stream_->receive();
+  const bool open = receive();
   wire::GroupMessage message;
   while (stream_->next(message)) {
     if (message.id() == 0) on_event_(message);

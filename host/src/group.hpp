@@ -15,7 +15,7 @@ namespace fiona::host {
 /// A process of the host that holds instances: the host's own (`main`), or a child.
 class Group {
  public:
-  explicit Group(std::string name) : name_(std::move(name)) {}
+  explicit Group(std::string name);
   virtual ~Group() = default;
   Group(const Group&) = delete;
   Group& operator=(const Group&) = delete;
@@ -28,13 +28,19 @@ class Group {
   virtual std::string endpoint() const = 0;
   virtual pid_t process() const = 0;
   virtual bool alive() const = 0;
-  virtual void peer_lost(const std::string& endpoint, const std::string& reason) = 0;
+  /// Its name towards the processes that it opens links to; no other process of the host has had it.
+  virtual std::string link_name() const { return name_ + ":" + std::to_string(process()); }
+  /// What its own links are opened with: each peer is given a key that is made of it and the peer's name.
+  const std::string& link_key() const { return link_key_; }
+  /// [control thread] Tells it that another process has gone; does not wait for it.
+  virtual void peer_lost(const wire::PeerLost& gone) = 0;
 
  protected:
   virtual wire::GroupMessage perform(const wire::GroupRequest& request) = 0;
 
  private:
   const std::string name_;
+  const std::string link_key_;
 };
 
 /// `main`: the runtime in the host's own process.
@@ -45,12 +51,16 @@ class MainGroup final : public Group {
   pid_t process() const override;
   bool alive() const override { return true; }
   Links& links() { return runtime_.links(); }
-  void peer_lost(const std::string& lost, const std::string& reason) override { runtime_.peer_lost(lost, reason); }
+  void peer_lost(const wire::PeerLost& gone) override;
 
  private:
   wire::GroupMessage perform(const wire::GroupRequest& request) override { return runtime_.handle(request); }
   Runtime runtime_;
 };
+
+/// Throws Error NotAllowed when one group more than `groups` could bring this process or a group to the end of its
+/// descriptors: ZeroMQ ends a process that cannot accept a connection.
+void require_descriptors_for_group(std::size_t groups);
 
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
@@ -61,9 +71,10 @@ class ChildGroup final : public Group {
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
   bool alive() const override { return end_.empty(); }
-  void peer_lost(const std::string&, const std::string&) override {}
+  void peer_lost(const wire::PeerLost& gone) override;
 
-  int descriptor() const { return stream_->descriptor(); }
+  /// Readable when it has said something, and when it has ended.
+  int descriptor() const { return wake_.get(); }
   /// [control thread] Passes on the events that have come. False once the process is gone.
   bool serve();
   /// How it ended; empty while it lives.
@@ -71,6 +82,8 @@ class ChildGroup final : public Group {
 
  private:
   wire::GroupMessage perform(const wire::GroupRequest& request) override;
+  bool wait_readable(std::chrono::steady_clock::time_point deadline) const;
+  bool receive();
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, std::chrono::seconds deadline);
   void note_end();
 
@@ -78,6 +91,7 @@ class ChildGroup final : public Group {
   const Runtime::OnEvent on_event_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;
+  os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
   std::string end_;
 };

@@ -18,16 +18,20 @@ using fiona::host::Mailbox;
 using fiona::host::Runtime;
 
 constexpr int kGroupSocket = 3;
-/// Events that may wait for a slow host; watched values beyond it are dropped.
-constexpr std::size_t kEventBound = 10'000;
+/// Unsent bytes above which a host is slow, and events wait: of watched values so many as the mailbox holds.
+constexpr std::size_t kSlowHost = 1024 * 1024;
+constexpr std::chrono::seconds kWelcomeDeadline{5};
 
 int serve(Runtime& runtime, fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
   while (true) {
     pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
                       {events.descriptor(), POLLIN, 0}};
-    ::poll(waits, 2, -1);
-    for (auto& event : events.take()) {
-      if (!stream.send(event)) return 1;
+    const bool is_slow = stream.unsent() > kSlowHost;
+    ::poll(waits, is_slow ? 1 : 2, -1);
+    if (!is_slow) {
+      for (auto& event : events.take()) {
+        if (!stream.send(event)) return 1;
+      }
     }
     if (!stream.flush() || !stream.receive()) return 0;
     fiona::wire::GroupRequest request;
@@ -47,17 +51,30 @@ std::string value_of(int argc, char** argv, std::string_view flag) {
   throw fiona::Error(fiona::ErrorCode::Usage, "fiona-group is started by fiona-host, which gives it " + std::string(flag));
 }
 
+/// The key of this process's links, the first thing that the host says.
+std::string key_from(fiona::os::MessageStream& stream) {
+  const auto end = std::chrono::steady_clock::now() + kWelcomeDeadline;
+  fiona::wire::GroupRequest request;
+  while (!stream.next(request)) {
+    if (stream.wait_readable(end) && stream.receive()) continue;
+    throw fiona::Error(fiona::ErrorCode::Unreachable, "the host has not said what this group's links are opened with");
+  }
+  return request.welcome().key();
+}
+
 int run(int argc, char** argv) {
   const std::string endpoint = value_of(argc, argv, "--endpoint");
   fiona::SystemClock clock({std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
   fiona::Pool pool;
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
-  Runtime runtime(pool, clock, libraries, endpoint, [&events](fiona::wire::GroupMessage event) {
-    const bool droppable = event.has_tapped();
-    events.push(std::move(event), droppable ? kEventBound : SIZE_MAX);
-  });
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
+  Runtime runtime(pool, clock, libraries, endpoint, key_from(stream), [&events](fiona::wire::GroupMessage event) {
+    if (!event.has_tapped()) return events.push(std::move(event));
+    const std::uint64_t tap = event.tapped().tap();
+    const std::size_t bytes = event.tapped().object().size();
+    events.push_newest(tap, std::move(event), bytes);
+  });
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;

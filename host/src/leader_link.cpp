@@ -14,16 +14,12 @@ constexpr std::string_view kEndpoint = "host:";
 /// Connections that nobody ends: libzmq's own heartbeat clears them away.
 constexpr int kHeartbeat_ms = 1000;
 constexpr int kHeartbeatTimeout_ms = 3000;
-constexpr int kHandshake_ms = 3000;
 
 }  // namespace
 
 LeaderLink::LeaderLink(const HostSurroundings& around, const std::string& address) : around_(around) {
-  link_ = std::make_unique<LinkSocket>(
-      around_.pool, around_.context, zmq::socket_type::router,
-      [this](const std::string& peer, const wire::Frame& frame, std::string_view object) { on_frame(peer, frame, object); });
+  link_ = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::router, around_.links.counters(), *this);
   auto& socket = link_->socket();
-  socket.set(zmq::sockopt::router_mandatory, 1);
   socket.set(zmq::sockopt::curve_server, true);
   socket.set(zmq::sockopt::curve_secretkey, around_.keys.secret.bytes());
   socket.set(zmq::sockopt::zap_domain, std::string("fiona"));
@@ -33,14 +29,13 @@ LeaderLink::LeaderLink(const HostSurroundings& around, const std::string& addres
   socket.set(zmq::sockopt::ipv6, address.find('[') != std::string::npos);
   try {
     if (!address.starts_with("tcp://")) throw zmq::error_t(EPROTONOSUPPORT);
-    socket.bind(address);
+    link_->listen_proven(address);
   } catch (const zmq::error_t& error) {
     throw Error(ErrorCode::Failed, {.what = "the host cannot listen at " + address,
                                     .expected = "tcp://ADDRESS:PORT with an address of this machine; port 0: one that is free",
                                     .found = error.what()});
   }
-  address_ = socket.get(zmq::sockopt::last_endpoint);
-  link_->start();
+  address_ = link_->endpoint();
 }
 
 LeaderLink::~LeaderLink() { stop(); }
@@ -53,22 +48,32 @@ void LeaderLink::stop() {
 void LeaderLink::reply(const std::string& peer, const wire::HostFrame& host) {
   wire::Frame frame;
   *frame.mutable_host() = host;
-  link_->send(peer, frame, nullptr);
+  link_->tell(peer, frame);
+}
+
+/// What it is told is the last: nothing is kept of one that does not lead.
+void LeaderLink::turn_away(const std::string& peer, const wire::HostFrame& frame) {
+  reply(peer, frame);
+  link_->drop(peer);
 }
 
 /// The wires to the leader are lost; its instances go on.
 void LeaderLink::end(const std::string& reason) {
   const std::lock_guard delivering(delivering_);
   std::string name;
+  std::string peer;
   {
     const std::lock_guard lock(mutex_);
     if (!session_ || session_->over) return;
+    peer = session_->peer;
     session_->over = true;
+    session_->lane = {};
     session_->reason = reason;
     session_->since = Steady::now();
     name = session_->name;
   }
   around_.links.part(std::string(kEndpoint), reason);
+  link_->drop(peer);
   around_.on_change({.what = HostChange::What::Lost, .host = name, .reason = reason, .group = {}, .request = {}});
 }
 
@@ -109,8 +114,16 @@ void LeaderLink::tick(Steady::time_point now) {
   if (silence > kSilence) end(reason);
 }
 
-void LeaderLink::on_frame(const std::string& peer, wire::Frame frame, std::string_view object) {
-  if (frame.host().has_hello()) return on_hello(peer, frame.host().hello());
+bool LeaderLink::accepts(const std::string& peer, const wire::Frame& frame) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!session_ || session_->over || session_->peer != peer) return false;
+  }
+  return frame.has_host() || around_.links.accepts({link_, peer}, frame);
+}
+
+void LeaderLink::on_frame(const std::string& peer, const wire::Frame& given, const ObjectBytes& object) {
+  if (given.host().has_hello()) return on_hello(peer, given.host().hello());
   const std::lock_guard delivering(delivering_);
   std::uint64_t session = 0;
   {
@@ -122,21 +135,24 @@ void LeaderLink::on_frame(const std::string& peer, wire::Frame frame, std::strin
   }
   wire::HostFrame gone;
   gone.mutable_gone();
-  if (session == 0) return reply(peer, gone);
-  if (!frame.has_host()) {
-    offset_->turn(frame);
-    return around_.links.on_frame({link_.get(), peer}, frame, object);
-  }
-  if (frame.host().has_beat()) return offset_->heard(frame.host().beat(), now_ns());
-  if (frame.host().has_gone()) return around_.on_change({.what = HostChange::What::Left, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}});
-  if (!frame.host().has_request()) return;
-  HostChange change{.what = HostChange::What::Request, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}};
-  change.request = std::move(*frame.mutable_host()->mutable_request());
-  around_.on_change(std::move(change));
+  if (session == 0) return turn_away(peer, gone);
+  if (given.has_host()) return on_host_frame(session, host_frame_of(given, object));
+  if (given.wire() == 0) return;
+  wire::Frame frame = given;
+  offset_->turn(frame);
+  around_.links.on_frame({link_, peer}, frame, object);
 }
 
-void LeaderLink::on_hello(const std::string& peer, const wire::Hello& hello) {
-  const std::string name = link_->sender();
+void LeaderLink::on_host_frame(std::uint64_t session, wire::HostFrame host) {
+  if (host.has_beat()) return offset_->heard(host.beat(), now_ns());
+  HostChange change{.what = HostChange::What::Request, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}};
+  if (host.has_gone()) change.what = HostChange::What::Left;
+  if (host.has_request()) change.request = std::move(*host.mutable_request());
+  if (host.has_gone() || host.has_request()) around_.on_change(std::move(change));
+}
+
+void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello) {
+  const std::string name = link_->process_of(peer);
   wire::HostFrame frame;
   bool resumes = false;
   bool again = false;
@@ -152,13 +168,13 @@ void LeaderLink::on_hello(const std::string& peer, const wire::Hello& hello) {
       frame.mutable_refused()->set_reason("host '" + around_.name + "' is led by " + which + session_->name + "': one host leads at a time");
     }
   }
-  if (frame.has_refused()) return reply(peer, frame);
+  if (frame.has_refused()) return turn_away(peer, frame);
   if (!again) {
     end("host '" + name + "' has connected anew");
     const std::lock_guard lock(mutex_);
-    session_ = Session{++sessions_, peer, name, hello.run(), Steady::now(), Steady::now(), false, ""};
+    session_ = Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(), false, ""};
     if (!resumes) offset_ = std::make_unique<ClockOffset>();
-    around_.links.join(std::string(kEndpoint), {link_.get(), peer});
+    around_.links.join(std::string(kEndpoint), {link_, peer});
     around_.on_change({.what = HostChange::What::Joined, .host = name, .reason = {}, .same_run = resumes, .group = {}, .request = {}});
   }
   offset_->heard(hello.beat(), now_ns());
@@ -170,29 +186,24 @@ void LeaderLink::on_hello(const std::string& peer, const wire::Hello& hello) {
   reply(peer, frame);
 }
 
-void LeaderLink::answer(std::uint64_t session, const wire::GroupMessage& message) {
-  wire::HostFrame frame;
-  *frame.mutable_message() = message;
-  std::string peer;
-  {
-    const std::lock_guard lock(mutex_);
-    if (!session_ || session_->over || session_->number != session) return;
-    peer = session_->peer;
-  }
-  reply(peer, frame);
-}
+void LeaderLink::answer(std::uint64_t session, const wire::GroupMessage& message) { say(message, session); }
 
 void LeaderLink::tell(const wire::GroupMessage& event) {
-  wire::HostFrame frame;
-  *frame.mutable_message() = event;
-  frame.mutable_message()->set_id(0);
-  std::string peer;
-  {
-    const std::lock_guard lock(mutex_);
-    if (!session_ || session_->over) return;
-    peer = session_->peer;
-  }
-  reply(peer, frame);
+  wire::GroupMessage message = event;
+  message.set_id(0);
+  say(message, 0);
+}
+
+/// To the leader of this session; 0: whoever leads. Of what is tapped the oldest goes when the leader is slow.
+void LeaderLink::say(const wire::GroupMessage& message, std::uint64_t session) {
+  const auto host = std::make_shared<wire::HostFrame>();
+  *host->mutable_message() = message;
+  wire::Frame frame;
+  frame.mutable_host();
+  const auto rule = message.has_tapped() && message.id() == 0 ? LinkSocket::Rule::DropOldest : LinkSocket::Rule::Control;
+  const std::lock_guard lock(mutex_);
+  if (!session_ || session_->over || (session != 0 && session_->number != session)) return;
+  link_->send(session_->lane, frame, host, rule);
 }
 
 std::string LeaderLink::leader() const {

@@ -13,11 +13,11 @@ namespace fiona::host {
 
 /// Where a host listens for the one that leads it. One leads; another is refused until the first has been silent for
 /// `kLeadLease`. What keys may connect, the ZAP handler decides; who of them leads, this.
-class LeaderLink {
+class LeaderLink final : public LinkSocket::Receiver {
  public:
   /// Listens at "tcp://ADDRESS:PORT"; port 0: one that is free. Throws Error with the system's reason.
   LeaderLink(const HostSurroundings& around, const std::string& address);
-  ~LeaderLink();
+  ~LeaderLink() override;
 
   /// With the port that was chosen.
   const std::string& address() const { return address_; }
@@ -43,6 +43,7 @@ class LeaderLink {
   struct Session {
     std::uint64_t number = 0;
     std::string peer;  ///< on the socket
+    LinkSocket::Lane lane;  ///< of answers and events, in their order
     std::string name;  ///< in the allow-list
     std::uint64_t run = 0;
     std::chrono::steady_clock::time_point heard{};
@@ -51,15 +52,20 @@ class LeaderLink {
     std::string reason;
   };
 
-  void on_frame(const std::string& peer, wire::Frame frame, std::string_view object);
-  void on_hello(const std::string& peer, const wire::Hello& hello);
+  bool accepts(const std::string& peer, const wire::Frame& frame) override;
+  void on_frame(const std::string& peer, const wire::Frame& given, const ObjectBytes& object) override;
+  void on_refused(const std::string&) override {}
+  void on_host_frame(std::uint64_t session, wire::HostFrame host);
+  void on_hello(const std::string& peer, const wire::HostHello& hello);
+  void turn_away(const std::string& peer, const wire::HostFrame& frame);
+  void say(const wire::GroupMessage& message, std::uint64_t session);
   void end(const std::string& reason);
   void reply(const std::string& peer, const wire::HostFrame& frame);
   std::int64_t now_ns() const { return around_.clock.now().time_since_epoch().count(); }
 
   const HostSurroundings& around_;
   std::string address_;
-  std::unique_ptr<LinkSocket> link_;
+  std::shared_ptr<LinkSocket> link_;
   std::unique_ptr<ClockOffset> offset_ = std::make_unique<ClockOffset>();
   std::mutex delivering_;  ///< while a frame is: a session ends between two, so that none opens a wire behind its back
   mutable std::mutex mutex_;

@@ -1,63 +1,162 @@
 #pragma once
 
+#include <atomic>
 #include <chrono>
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
-#include <string_view>
+#include <unordered_map>
+#include <utility>
+#include <vector>
 #include <zmq.hpp>
 
+#include "fiona/control.pb.h"
 #include "fiona/message.hpp"
 #include "fiona/pool.hpp"
-#include "fiona/wire.pb.h"
+#include "link_lanes.hpp"
+#include "link_message.hpp"
 
 namespace fiona::host {
 
-/// One ZeroMQ socket that several threads send through, and that the pool reads when something has come.
+/// What the links of a process have carried and refused; written by any thread.
+struct LinkCounters {
+  std::atomic<std::uint64_t> sent_messages{0};
+  std::atomic<std::uint64_t> sent_bytes{0};
+  std::atomic<std::uint64_t> received_messages{0};
+  std::atomic<std::uint64_t> received_bytes{0};
+  std::atomic<std::uint64_t> garbled{0};
+  std::atomic<std::uint64_t> unproven{0};
+  std::atomic<std::uint64_t> not_granted{0};
+  std::atomic<std::uint64_t> too_large{0};
+
+  control::LinkStatus status() const;
+};
+
+/// One ZeroMQ socket that several threads send through, and that the pool reads when something has come. The sending
+/// strand's thread sends; a pool thread receives. There is no link thread.
 ///
-/// A message is [peer's identity, on a listening socket] then one part: the frame's length in 4 bytes little endian,
-/// the frame, the object. The sending strand's thread sends; a pool thread receives. There is no link thread.
+/// To each peer it has lanes, of which at most two chunks are inside ZeroMQ at a time: what comes later may still
+/// overtake what waits. Nothing reaches the receiver before the peer has proved who it is, and the other way round: by
+/// the key of the link, or to the socket itself, which has CURVE and an allow-list.
 class LinkSocket {
  public:
-  using OnFrame = std::function<void(const std::string& peer, const wire::Frame& frame, std::string_view object)>;
+  class Receiver {
+   public:
+    virtual ~Receiver() = default;
+    /// Whether an object that comes in chunks is for a wire of this peer's. Of a connected link the peer is empty.
+    virtual bool accepts(const std::string& peer, const wire::Frame& frame) = 0;
+    virtual void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) = 0;
+    /// The process at the other end of a connected link does not know the key.
+    virtual void on_refused(const std::string& reason) = 0;
+  };
+  class Peer;
+  /// A queue to one peer.
+  struct Lane {
+    std::shared_ptr<Peer> peer;
+    std::shared_ptr<PeerLanes::Lane> lane;
+  };
+  using Rule = PeerLanes::Rule;
+  using Wires = std::shared_ptr<const std::vector<std::uint64_t>>;
+  struct Sent {
+    enum class What { Ok, Full, TooLarge };
+    What what = What::Ok;
+    std::size_t lost = 0;  ///< older messages that had to go for it, once for each of their wires
+  };
 
-  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, OnFrame on_frame);
+  LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver);
   ~LinkSocket();
 
+  /// Waits for peers, whose keys follow from `key` and their names.
+  void listen(const std::string& endpoint, std::string key);
+  /// Goes to the process that listens there, as `name`, which has this `key` with it.
+  void connect(const std::string& endpoint, std::string name, std::string key);
+  /// To be given CURVE, before it listens or connects.
   zmq::socket_t& socket() { return socket_; }
-  /// Starts reading; call once the socket is bound or connected.
-  void start();
-  /// Stops reading and closes: after it returned `on_frame` is not called any more. What has been sent and has not left
-  /// yet may do so for as long as `linger`.
+  /// The same where CURVE proves both sides: peers have the names that the allow-list gives their keys.
+  void listen_proven(const std::string& endpoint);
+  void connect_proven(const std::string& endpoint, std::string provider);
+  /// Where it listens, with the port that was chosen.
+  std::string endpoint() const { return endpoint_; }
+  /// Stops reading and closes: after it returned the receiver is not called any more. What has been sent and has not
+  /// left yet may do so for as long as `linger`.
   void stop(std::chrono::milliseconds linger = {});
-  /// [any thread] Sends a frame with an object (null: none). Never waits: what bounds the queue is each wire's credit.
-  void send(const std::string& peer, const wire::Frame& frame, const Object* object);
-  /// [any thread] The same for an object that is passed on as it came.
-  void forward(const std::string& peer, const wire::Frame& frame, std::string_view object);
+
+  /// A new lane to a peer that has proved its key, or that is being connected to; its `peer` is null when there is none.
+  Lane open_lane(const std::string& peer);
+  /// [any thread] What has begun still goes, and so does what needs no credit.
+  void close_lane(const Lane& lane);
+  /// [any thread] Sends a frame with an object (null: none). Never waits: the lane is bounded.
+  Sent send(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object = nullptr,
+            Rule rule = Rule::Control, Wires also = nullptr);
+  /// [in on_frame] What has come counts as arrived, for its sender's credit, once the last copy of this goes.
+  std::shared_ptr<const void> receipt();
+  /// [any thread] Sends on what has come over another link, behind `receipt`: it is always taken, for the sender's
+  /// credit bounds it. Without a lane: as `tell`.
+  void forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
+               const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt);
   /// [any thread] Handles what waits, on this thread: for whoever must not depend on the pool's threads being free.
-  void read_now() { drain(); }
-  /// [in on_frame] Who the sender has proved to be; empty where the socket does not ask.
-  std::string sender() const;
+  void read_now();
+  /// [any thread] Whether it is too large for any link; counted if so.
+  bool refuses(const Object& object);
+  /// [any thread] A frame of no lane in particular, behind whatever the peer is being told so.
+  void tell(const std::string& peer, wire::Frame& frame);
+  /// The name that the peer has proved; empty: none.
+  std::string process_of(const std::string& peer);
+  /// The process is gone: whatever waits for it goes.
+  void forget(const std::string& process);
+  /// The connection is of no use: whatever waits for it goes.
+  void drop(const std::string& peer);
+  /// Peers that have proved their key, now.
+  std::size_t peers();
 
  private:
-  struct Drain;
-  void drain();
-  void send_body(const std::string& peer, zmq::message_t& body);
-  bool receive(std::unique_lock<std::mutex>& lock, std::string& peer, zmq::message_t& body);
-  void dispatch(const std::string& peer, const zmq::message_t& body);
+  struct Gate;
+  struct Debts;
+  struct Debt;
+  struct Release;
+  struct Turn;
+  class Incoming;
+
+  void start();
+  void take_turn();
+  bool drain();
+  bool receive(std::string& peer);
+  void dispatch(const std::string& peer);
+  void shake_hands(const std::string& peer);
+  void welcome(const std::string& peer, const wire::Frame& frame);
+  void check_challenge(const wire::Frame& frame);
+  void pay(Peer& peer);
+  void pay_locked(Peer& peer);
+  std::shared_ptr<Peer> find(const std::string& peer);
+  std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
+  void pump(Peer& peer);
+  bool send_out(Peer& peer, PeerLanes::Outgoing& out);
+  void send_plain(const std::string& peer, const wire::Frame& frame);
+  void tell_locked(Peer& peer, wire::Frame& frame);
+  PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object, Rule rule);
   bool has_input();
 
   Pool& pool_;
-  const OnFrame on_frame_;
-  std::mutex mutex_;          ///< the socket's
-  std::mutex drain_mutex_;    ///< one reader at a time keeps the order
-  zmq::socket_t socket_;
-  std::shared_ptr<Drain> drain_;
-  std::unique_ptr<Pool::Readable> watch_;
-  const zmq::message_t* current_ = nullptr;  ///< the message being handled
-  bool stopped_ = false;
+  LinkCounters& counters_;
+  Receiver& receiver_;
   const bool routed_;
+  const std::string secret_;  ///< of which the nonces for unknown peers are made
+  std::string endpoint_;
+  std::string key_;
+  std::string name_;
+  std::string nonce_;
+  std::mutex mutex_;        ///< the socket's, and the lanes'
+  std::mutex drain_mutex_;  ///< one reader at a time keeps the order
+  zmq::socket_t socket_;
+  std::shared_ptr<Turn> turn_;
+  std::unique_ptr<Pool::Readable> watch_;
+  std::unordered_map<std::string, std::shared_ptr<Peer>> peers_;
+  std::vector<zmq::message_t> parts_;  ///< the reader's
+  std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled
+  Peer* sender_ = nullptr;               ///< the reader's, with what the receipt is for
+  std::pair<std::uint64_t, std::size_t> arrived_;
+  bool curve_ = false;
+  bool stopped_ = false;
 };
 
 }  // namespace fiona::host

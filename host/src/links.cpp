@@ -9,83 +9,108 @@
 namespace fiona::host {
 namespace {
 
-/// Lets every n-th put through to a remote wire; the first is the first after subscribing.
-class PrescaledSink final : public Sink {
- public:
-  PrescaledSink(std::shared_ptr<Sink> inner, std::uint32_t prescale) : inner_(std::move(inner)), prescale_(prescale) {}
-  Outcome deliver(Parcel parcel) override {
-    if (puts_.fetch_add(1, std::memory_order_relaxed) % prescale_ != 0) return Outcome::Ok;
-    return inner_->deliver(std::move(parcel));
-  }
-  void lease(bool held, const std::string& reason) override { inner_->lease(held, reason); }
-
- private:
-  const std::shared_ptr<Sink> inner_;
-  const std::uint32_t prescale_;
-  std::atomic<std::uint64_t> puts_{0};
-};
+/// Wires that have ended are remembered, so that what was under way is not taken for a stranger's.
+constexpr std::size_t kEndedKept = 256;
+/// Endpoints of other hosts begin so.
+constexpr std::string_view kHost = "host:";
 
 }  // namespace
 
-Links::Links(Pool& pool, std::string endpoint, OnLost on_lost)
-    : pool_(pool), endpoint_(std::move(endpoint)), on_lost_(std::move(on_lost)) {
-  server_ = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::router,
-                                         [this](const std::string& peer, const wire::Frame& frame, std::string_view object) {
-                                           on_frame({server_.get(), peer}, frame, object);
-                                         });
-  server_->socket().set(zmq::sockopt::router_mandatory, 1);
-  server_->socket().bind(endpoint_);
-  server_->start();
+class Links::Receiver final : public LinkSocket::Receiver {
+ public:
+  explicit Receiver(Links& links) : links_(links) {}
+  void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
+  bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.accepts({link_.lock(), peer}, frame); }
+  void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) override {
+    links_.on_frame({link_.lock(), peer}, frame, object);
+  }
+  void on_refused(const std::string& reason) override { links_.on_refused({link_.lock(), ""}, reason); }
+
+ private:
+  Links& links_;
+  std::weak_ptr<LinkSocket> link_;
+};
+
+class Links::RelayLane {
+ public:
+  explicit RelayLane(const Hop& to) : link_(to.link), lane_(to.link->open_lane(to.peer)) {}
+  RelayLane(const RelayLane&) = delete;
+  RelayLane& operator=(const RelayLane&) = delete;
+  ~RelayLane() { link_->close_lane(lane_); }
+  const LinkSocket::Lane& lane() const { return lane_; }
+
+ private:
+  const std::shared_ptr<LinkSocket> link_;
+  const LinkSocket::Lane lane_;
+};
+
+Links::Peer::Peer() = default;
+Links::Peer::~Peer() = default;
+Links::Peer::Peer(Peer&&) noexcept = default;
+Links::Peer& Links::Peer::operator=(Peer&&) noexcept = default;
+
+Links::Links(Pool& pool, std::string endpoint, std::string key, OnLost on_lost)
+    : pool_(pool), endpoint_(std::move(endpoint)), on_lost_(std::move(on_lost)), receiver_(std::make_unique<Receiver>(*this)) {
+  server_ = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_);
+  receiver_->use(server_);
+  server_->listen(endpoint_, std::move(key));
 }
 
 Links::~Links() { stop(); }
 
 void Links::stop() {
   server_->stop();
-  for (auto& [endpoint, peer] : peers_) {
-    if (peer.link) peer.link->stop();
+  std::vector<std::shared_ptr<LinkSocket>> own;
+  {
+    const std::lock_guard lock(mutex_);
+    for (auto& [endpoint, peer] : peers_) {
+      if (peer.receiver) own.push_back(peer.hop.link);
+    }
   }
+  for (const auto& link : own) link->stop();
 }
 
-void Links::provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale) {
+control::LinkStatus Links::status() {
+  control::LinkStatus status = counters_.status();
   const std::lock_guard lock(mutex_);
-  grants_[wire] = Grant{std::move(token), &provider, std::max(1U, prescale), nullptr, nullptr, {}};
+  std::size_t peers = server_->peers();
+  for (auto& [endpoint, peer] : peers_) peers += peer.receiver ? peer.hop.link->peers() : 1;
+  status.set_peers(peers);
+  return status;
+}
+
+void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale) {
+  const std::lock_guard lock(mutex_);
+  grants_[wire] = Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), nullptr, {}};
 }
 
 /// Called with the lock held. Throws Error Unreachable for a host that is not connected.
-Hop Links::connect(const std::string& endpoint) {
-  auto found = peers_.find(endpoint);
-  if (found != peers_.end()) return found->second.hop;
-  if (endpoint.starts_with("host:")) {
-    throw Error(ErrorCode::Unreachable, {.what = "the other host is not connected", .where = endpoint, .next = "ls hosts"});
+Hop Links::connect(const Endpoint& endpoint) {
+  const auto known = peers_.find(endpoint.address);
+  if (known != peers_.end()) return known->second.hop;
+  if (endpoint.address.starts_with(kHost)) {
+    throw Error(ErrorCode::Unreachable, {.what = "the other host is not connected", .where = endpoint.address, .next = "ls hosts"});
   }
-  Peer& peer = peers_[endpoint];
-  const auto hop = std::make_shared<Hop>();  // the link's, which may outlive the entry for a moment
-  peer.link = std::make_unique<LinkSocket>(
-      pool_, context_, zmq::socket_type::dealer,
-      [this, hop](const std::string&, const wire::Frame& frame, std::string_view object) { on_frame(*hop, frame, object); });
-  peer.hop = *hop = {peer.link.get(), ""};
-  peer.link->socket().connect(endpoint);
-  peer.link->start();
+  Peer& peer = peers_[endpoint.address];
+  peer.receiver = std::make_unique<Receiver>(*this);
+  peer.hop.link = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.receiver);
+  peer.receiver->use(peer.hop.link);
+  peer.hop.link->connect(endpoint.address, endpoint.name, endpoint.key);
   return peer.hop;
 }
 
 void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPort& client,
-                    const std::string& provider_name, const std::string& endpoint, std::uint64_t replaces,
+                    const std::string& provider_name, const Endpoint& endpoint, std::uint64_t replaces,
                     std::uint32_t resumes_every, const std::function<void()>& switch_over) {
   std::unique_lock lock(mutex_);
   const Hop hop = connect(endpoint);
-  const auto wire = std::make_shared<RemoteWire>(*hop.link, hop.peer, wire_id, client);
-  requirements_[wire_id] = Requirement{&client, endpoint, provider_name, hop, wire, std::nullopt, 0, false, false};
+  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, client);
+  requirements_[wire_id] = Requirement{&client, endpoint.address, provider_name, hop, wire, std::nullopt, 0, false, false};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
   const Connection before = client.connection();
   const bool first = before != Connection::Connected;
   if (first) client.set_connection(Connection::Waiting, "opening the wire to " + provider_name);
-  wire::Frame frame = frame_for(wire_id);
-  frame.mutable_open()->set_version(wire::VERSION_1);
-  frame.mutable_open()->set_wire(wire_id);
-  frame.mutable_open()->set_token(token);
-  hop.link->send(hop.peer, frame, nullptr);
+  wire->ask(token);
 
   const auto has_answer = [&] {
     const auto found = requirements_.find(wire_id);
@@ -98,12 +123,14 @@ void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPor
   if (refusal.empty()) {
     lock.unlock();
     if (resumes_every > 0) count_missed(wire_id, replaces, resumes_every);
-    if (switch_over) switch_over();
+    // The new one first: a request that is being made has somewhere to go at every moment.
     client.set_target(wire);
+    if (switch_over) switch_over();
     client.set_connection(Connection::Connected, provider_name);
     return wire->admit();
   }
   if (found != requirements_.end()) requirements_.erase(found);
+  note_ended(wire_id);
   lock.unlock();
   wire->cut(refusal);
   if (first) client.set_connection(before == Connection::Lost ? Connection::Lost : Connection::Unwired, refusal);
@@ -123,16 +150,18 @@ void Links::count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32
   now->second.client->counters().dropped.fetch_add((now->second.from_sequence - last) / every, std::memory_order_relaxed);
 }
 
-void Links::relay(std::uint64_t wire, std::string token, const std::string& endpoint) {
-  const std::lock_guard lock(mutex_);
-  relays_[wire] = Relay{std::move(token), endpoint, {}, {}};
-}
-
-/// [in on_frame of the peer's link, which therefore lives]
-void Links::refuse(const Hop& peer, std::uint64_t wire, const std::string& reason) {
+void Links::refuse(const Hop& from, std::uint64_t wire, const std::string& reason) {
+  ++counters_.not_granted;
   wire::Frame frame = frame_for(wire);
   frame.mutable_refused()->set_reason(reason);
-  peer.link->send(peer.peer, frame, nullptr);
+  from.link->tell(from.peer, frame);
+}
+
+/// Whether who sends it is the process of this name, or the host at this endpoint.
+bool Links::may_open(const Hop& from, const std::string& peer) {
+  if (from.link == server_) return server_->process_of(from.peer) == peer;
+  const auto host = peers_.find(peer);
+  return host != peers_.end() && peer.starts_with(kHost) && host->second.hop == from;
 }
 
 void Links::open_for(const Hop& from, const wire::Frame& frame) {
@@ -140,84 +169,229 @@ void Links::open_for(const Hop& from, const wire::Frame& frame) {
   if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), "unknown protocol version");
   if (const auto relay = relays_.find(frame.wire()); relay != relays_.end()) return open_relay(from, frame, relay->second);
   const auto grant = grants_.find(frame.wire());
-  if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire) {
+  if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire ||
+      !may_open(from, grant->second.peer)) {
     return refuse(from, frame.wire(), "the wire was not granted");
   }
   Grant& granted = grant->second;
   granted.client = from;
-  granted.wire = std::make_shared<RemoteWire>(*from.link, from.peer, frame.wire(), *granted.provider);
-  auto* push = dynamic_cast<detail::PushProvider*>(granted.provider);
-  if (push) granted.sink = std::make_shared<PrescaledSink>(granted.wire, granted.prescale);
-  granted.wire->open([&] { return push ? push->attach(granted.sink) : 0; });
+  granted.wire = wire_for(from, frame.wire(), *granted.provider);
+  granted.wire->open(granted.prescale);
+}
+
+/// The provider's end of a wire; those of a push port to the same process share what crosses.
+std::shared_ptr<RemoteWire> Links::wire_for(const Hop& from, std::uint64_t wire, ProvidedPort& provider) {
+  auto* push = dynamic_cast<detail::PushProvider*>(&provider);
+  if (!push) return std::make_shared<RemoteWire>(from.link, from.peer, wire, provider);
+  auto& known = fan_outs_[{from.link.get(), from.peer, &provider}];
+  auto fan_out = known.lock();
+  if (!fan_out) {
+    fan_out = std::make_shared<FanOut>(from.link, from.link->open_lane(from.peer), *push);
+    known = fan_out;
+    std::erase_if(fan_outs_, [](const auto& entry) { return entry.second.expired(); });
+  }
+  return std::make_shared<RemoteWire>(std::move(fan_out), from.link, from.peer, wire, provider);
+}
+
+// ---- relays ---------------------------------------------------------------------------------------------------
+
+void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint) {
+  const std::lock_guard lock(mutex_);
+  relays_[wire] = Relay{std::move(token), std::move(peer), std::move(endpoint), {}, {}};
 }
 
 void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) {
-  if (relay.token != frame.open().token() || relay.client.link) return refuse(from, frame.wire(), "the wire was not granted");
+  if (relay.token != frame.open().token() || relay.client.hop.link || !may_open(from, relay.peer)) {
+    return refuse(from, frame.wire(), "the wire was not granted");
+  }
   try {
-    relay.provider = connect(relay.endpoint);
+    relay.provider.hop = connect(relay.endpoint);
   } catch (const Error& error) {
     return refuse(from, frame.wire(), error.text().what);
   }
-  relay.client = from;
-  relay.provider.link->forward(relay.provider.peer, frame, {});
+  relay.client.hop = from;
+  forward(from, relay.provider, frame, {}, nullptr);
 }
 
-/// Whether the frame is of a wire that is passed on here. Its two ends may use it, each towards the other.
-bool Links::relayed(const Hop& from, const wire::Frame& frame, std::string_view object) {
+/// Passes the frame on over those of its wires that are relayed here, each side's towards the other. What is left of it
+/// is for wires that end here; null: nothing is.
+const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest) {
   const std::lock_guard lock(mutex_);
-  const auto found = relays_.find(frame.wire());
-  if (found == relays_.end()) return false;
-  const auto& [token, endpoint, client, provider] = found->second;
-  if (!client.link || (from != client && from != provider)) return true;
-  const Hop& to = from == client ? provider : client;
-  to.link->forward(to.peer, frame, object);
-  if (frame.has_closed() || frame.has_refused()) relays_.erase(found);
-  return true;
-}
-
-void Links::on_frame(const Hop& from, const wire::Frame& frame, std::string_view object) {
-  if (frame.has_open()) return open_for(from, frame);
-  if (relayed(from, frame, object)) return;
-  std::shared_ptr<RemoteWire> wire;
-  bool is_client = false;
-  {
-    // A frame for a wire that was not granted to this peer is dropped.
-    const std::lock_guard lock(mutex_);
-    const auto requirement = requirements_.find(frame.wire());
-    is_client = requirement != requirements_.end() && requirement->second.provider == from;
-    const auto grant = grants_.find(frame.wire());
-    if (!is_client && grant != grants_.end() && grant->second.client == from) wire = grant->second.wire;
+  if (relays_.empty()) return &frame;
+  std::vector<std::uint64_t> ending;
+  std::vector<std::pair<Relay::Side*, wire::Frame>> ways;  // those of one hop share what crosses, as they did before
+  const auto sort = [&](std::uint64_t wire) {
+    const auto found = relays_.find(wire);
+    if (found == relays_.end()) return ending.push_back(wire);
+    Relay::Side& client = found->second.client;
+    Relay::Side& provider = found->second.provider;
+    if (!client.hop.link || (from != client.hop && from != provider.hop)) return note_foreign(wire);
+    Relay::Side& to = from == client.hop ? provider : client;
+    const auto way = std::find_if(ways.begin(), ways.end(), [&](const auto& one) { return one.first->hop == to.hop; });
+    if (way != ways.end()) return way->second.add_also(wire);
+    auto& passed = ways.emplace_back(&to, frame).second;
+    passed.set_wire(wire);
+    passed.clear_also();
+  };
+  sort(frame.wire());
+  for (const std::uint64_t wire : frame.also()) sort(wire);
+  const auto payload = object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
+  for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
+  if (frame.has_closed() || frame.has_refused()) {
+    for (const auto& [to, passed] : ways) note_ended(passed.wire());
+    for (const auto& [to, passed] : ways) relays_.erase(passed.wire());
   }
-  if (is_client) return on_client_frame(frame, object);
-  if (!wire) return;
-  if (frame.has_closed()) return cut(frame.wire(), frame.closed().reason());
-  wire->on_frame(frame, object);
+  if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
+  if (ending.empty()) return nullptr;
+  rest = frame;
+  rest.set_wire(ending.front());
+  rest.clear_also();
+  for (std::size_t i = 1; i < ending.size(); ++i) rest.add_also(ending[i]);
+  return &rest;
 }
 
-void Links::on_client_frame(const wire::Frame& frame, std::string_view object) {
+/// Called with the mutex held. A frame without an object goes behind the objects of its wire.
+void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+                    const std::shared_ptr<const Payload>& payload) {
+  if (frame.lane() != 0) {
+    auto& known = relay_lanes_[{from.link.get(), from.peer, frame.lane(), to.hop.link.get(), to.hop.peer}];
+    to.lane = known.lock();
+    if (!to.lane) {
+      known = to.lane = std::make_shared<RelayLane>(to.hop);
+      std::erase_if(relay_lanes_, [](const auto& entry) { return entry.second.expired(); });
+    }
+    for (const std::uint64_t other : frame.also()) {
+      Relay& relay = relays_.at(other);
+      (from == relay.client.hop ? relay.provider : relay.client).lane = to.lane;
+    }
+  }
+  const LinkSocket::Lane lane = to.lane ? to.lane->lane() : LinkSocket::Lane();
+  to.hop.link->forward(lane, to.hop.peer, frame, object, payload, from.link->receipt());
+}
+
+/// Called with the mutex held. The side that is left is told.
+void Links::lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason) {
+  for (auto it = relays_.begin(); it != relays_.end();) {
+    auto& [wire, relay] = *it;
+    const bool provider_gone = relay.endpoint.address == endpoint;
+    if (!provider_gone && relay.peer != name) {
+      ++it;
+      continue;
+    }
+    const Hop& left = provider_gone ? relay.client.hop : relay.provider.hop;
+    wire::Frame frame = frame_for(wire);
+    frame.mutable_closed()->set_reason(reason);
+    if (left.link) left.link->tell(left.peer, frame);
+    note_ended(wire);
+    it = relays_.erase(it);
+  }
+}
+
+// ---- frames ---------------------------------------------------------------------------------------------------
+
+/// Called with the mutex held.
+void Links::note_ended(std::uint64_t wire) {
+  if (ended_.size() == kEndedKept) ended_.pop_front();
+  ended_.push_back(wire);
+}
+
+/// A frame for a wire that this peer does not have is dropped, and counted unless the wire has ended just now.
+void Links::note_foreign(std::uint64_t wire) {
+  if (std::find(ended_.rbegin(), ended_.rend(), wire) == ended_.rend()) ++counters_.not_granted;
+}
+
+Links::End Links::end_of(const Hop& from, std::uint64_t wire) {
+  const std::lock_guard lock(mutex_);
+  const auto grant = grants_.find(wire);
+  if (grant != grants_.end() && grant->second.wire && grant->second.client == from) return {grant->second.wire, true};
+  const auto requirement = requirements_.find(wire);
+  const bool ours = requirement != requirements_.end() && !requirement->second.lost && requirement->second.provider == from;
+  if (ours) return {requirement->second.wire, false};
+  note_foreign(wire);
+  return {};
+}
+
+bool Links::accepts(const Hop& from, const wire::Frame& frame) {
+  const auto is_ours = [&](std::uint64_t wire) {
+    {
+      const std::lock_guard lock(mutex_);
+      const auto relay = relays_.find(wire);
+      const bool open = relay != relays_.end() && relay->second.client.hop.link;
+      if (open && (relay->second.client.hop == from || relay->second.provider.hop == from)) return true;
+    }
+    return end_of(from, wire).wire != nullptr;
+  };
+  return is_ours(frame.wire()) || std::any_of(frame.also().begin(), frame.also().end(), is_ours);
+}
+
+void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object) {
+  if (frame.has_open()) return open_for(from, frame);
+  wire::Frame some;
+  const wire::Frame* rest = pass_on(from, frame, object, some);
+  if (!rest) return;
+  const End end = end_of(from, rest->wire());
+  if (!end.wire && rest->also().empty()) return;
+  if (!end.provides) return on_client_frame(from, *rest, end.wire, object);
+  if (rest->has_closed()) return cut(rest->wire(), rest->closed().reason());
+  end.wire->on_frame(*rest, object);
+}
+
+void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire,
+                            const ObjectBytes& object) {
+  const auto required = [&](std::uint64_t number) {
+    const End end = end_of(from, number);
+    return end.provides ? nullptr : end.wire;
+  };
+  if (wire && frame.has_opened()) return note_answer(frame.wire(), "", frame.opened().from_sequence());
+  if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason(), 0);
+  if (wire && frame.has_closed()) return on_closed(frame.wire(), frame.closed().reason());
+  if (frame.also().empty() || !frame.has_object()) {
+    if (wire) wire->on_frame(frame, object);
+    for (const std::uint64_t other : frame.also()) {
+      if ((wire = required(other))) wire->on_frame(frame, object);
+    }
+    return;
+  }
+  // One crossing, one parse, for all the subscribers here.
+  std::optional<ParsedObject> parsed;
+  const auto take = [&](const std::shared_ptr<RemoteWire>& one) {
+    if (!one) return;
+    if (!parsed) parsed = one->parse_object(object);
+    one->on_object(frame, *parsed);
+  };
+  take(wire);
+  for (const std::uint64_t other : frame.also()) take(required(other));
+}
+
+/// The provider has ended the wire.
+void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
   std::shared_ptr<RemoteWire> wire;
   RequiredPort* client = nullptr;
-  bool retired = false;
   {
     const std::lock_guard lock(mutex_);
-    const auto requirement = requirements_.find(frame.wire());
-    if (requirement == requirements_.end() || requirement->second.lost) return;
-    wire = requirement->second.wire;
-    client = requirement->second.client;
-    retired = requirement->second.retired;
-    if (frame.has_closed()) requirement->second.lost = true;
+    const auto found = requirements_.find(wire_id);
+    if (found == requirements_.end()) return;
+    found->second.lost = true;
+    wire = found->second.wire;
+    if (!found->second.retired && found->second.refusal == "") client = found->second.client;
   }
-  if (frame.has_opened()) return note_answer(frame.wire(), "", frame.opened().from_sequence());
-  if (frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason(), 0);
-  if (frame.has_closed()) {
-    answered_.notify_all();
-    wire->cut(frame.closed().reason());
-    if (retired) return;
-    client->set_target(nullptr);
-    client->set_connection(Connection::Lost, frame.closed().reason());
-    return on_lost_(frame.wire(), frame.closed().reason());
+  answered_.notify_all();
+  wire->cut(reason);
+  if (!client) return;
+  client->set_target(nullptr);
+  client->set_connection(Connection::Lost, reason);
+  on_lost_(wire_id, reason);
+}
+
+void Links::on_refused(const Hop& from, const std::string& reason) {
+  std::vector<std::uint64_t> waiting;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [wire, requirement] : requirements_) {
+      if (requirement.provider == from) waiting.push_back(wire);
+    }
   }
-  wire->on_frame(frame, object);
+  for (const std::uint64_t wire : waiting) note_answer(wire, reason, 0);
 }
 
 void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, std::uint64_t from_sequence) {
@@ -232,52 +406,32 @@ void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, std::
 void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   std::unique_lock lock(mutex_);
   if (const auto relay = relays_.find(wire_id); relay != relays_.end()) {
-    const Relay ending = std::move(relay->second);
+    wire::Frame frame = frame_for(wire_id);
+    frame.mutable_closed()->set_reason(reason);
+    for (const Hop& hop : {relay->second.client.hop, relay->second.provider.hop}) {
+      if (hop.link) hop.link->tell(hop.peer, frame);
+    }
     relays_.erase(relay);
-    lock.unlock();
-    tell_closed(ending.client, wire_id, reason);
-    return tell_closed(ending.provider, wire_id, reason);
+    return note_ended(wire_id);
   }
   if (const auto found = grants_.find(wire_id); found != grants_.end()) {
-    const Grant grant = std::move(found->second);
+    const auto wire = found->second.wire;
     grants_.erase(found);
+    note_ended(wire_id);
     lock.unlock();
-    return end(wire_id, grant, reason);
+    if (wire) wire->cut(reason, true);
+    return;
   }
   const auto found = requirements_.find(wire_id);
   if (found == requirements_.end()) return;
   const Requirement requirement = std::move(found->second);
   requirements_.erase(found);
+  note_ended(wire_id);
   lock.unlock();
-  end(wire_id, requirement, reason);
+  requirement.wire->cut(reason, true);
   if (requirement.retired) return;
   requirement.client->set_target(nullptr);
   requirement.client->set_connection(Connection::Unwired, reason);
-}
-
-void Links::end(std::uint64_t wire_id, const Grant& grant, const std::string& reason) {
-  auto* push = dynamic_cast<detail::PushProvider*>(grant.provider);
-  if (push && grant.sink) push->detach(*grant.sink);
-  if (!grant.wire) return;
-  grant.wire->cut(reason);
-  tell_closed(grant.client, wire_id, reason);
-}
-
-void Links::end(std::uint64_t wire_id, const Requirement& requirement, const std::string& reason) {
-  requirement.wire->cut(reason);
-  if (!requirement.lost) tell_closed(requirement.provider, wire_id, reason);
-}
-
-/// Unless the peer's link is gone, or never was.
-void Links::tell_closed(const Hop& peer, std::uint64_t wire_id, const std::string& reason) {
-  const std::lock_guard lock(mutex_);
-  const bool alive = peer.link == server_.get() || std::any_of(peers_.begin(), peers_.end(), [&peer](const auto& entry) {
-                       return entry.second.hop == peer;
-                     });
-  if (!peer.link || !alive) return;
-  wire::Frame frame = frame_for(wire_id);
-  frame.mutable_closed()->set_reason(reason);
-  peer.link->send(peer.peer, frame, nullptr);
 }
 
 void Links::retire(std::uint64_t wire_id) {
@@ -307,62 +461,51 @@ void Links::release(const Hull& hull) {
   for (const std::uint64_t id : left) cut(id, "'" + hull.name() + "' has ended");
 }
 
+void Links::peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason) {
+  lose(endpoint, name, reason);
+  server_->forget(name);
+}
+
 void Links::join(const std::string& endpoint, Hop hop) {
   const std::lock_guard lock(mutex_);
-  peers_[endpoint] = Peer{nullptr, std::move(hop)};
+  peers_[endpoint].hop = std::move(hop);
 }
 
-void Links::lose_relays(const Hop& gone, const std::string& reason) {
-  for (auto it = relays_.begin(); it != relays_.end();) {
-    auto& [wire, relay] = *it;
-    const bool provider_gone = relay.provider == gone;
-    if (!provider_gone && relay.client != gone) {
-      ++it;
-      continue;
-    }
-    const Hop& left = provider_gone ? relay.client : relay.provider;
-    wire::Frame frame = frame_for(wire);
-    frame.mutable_closed()->set_reason(reason);
-    left.link->send(left.peer, frame, nullptr);
-    it = relays_.erase(it);
-  }
-}
+void Links::part(const std::string& endpoint, const std::string& reason) { lose(endpoint, endpoint, reason); }
 
-void Links::part(const std::string& endpoint, const std::string& reason) {
+void Links::lose(const std::string& endpoint, const std::string& name, const std::string& reason) {
   std::vector<std::pair<std::uint64_t, Requirement>> lost;
-  std::vector<std::pair<std::uint64_t, Grant>> deserted;
+  std::vector<std::shared_ptr<RemoteWire>> served;
   Peer gone;
   {
     const std::lock_guard lock(mutex_);
-    const auto peer = peers_.find(endpoint);
-    if (peer == peers_.end()) return;
-    gone = std::move(peer->second);
-    peers_.erase(peer);
     for (auto& [id, requirement] : requirements_) {
-      if (requirement.provider != gone.hop || std::exchange(requirement.lost, true)) continue;
-      lost.emplace_back(id, requirement);
+      if (requirement.endpoint == endpoint && !std::exchange(requirement.lost, true)) lost.emplace_back(id, requirement);
     }
     std::erase_if(requirements_, [](const auto& entry) { return entry.second.lost && entry.second.retired; });
     for (auto it = grants_.begin(); it != grants_.end();) {
-      const bool used = it->second.wire && it->second.client == gone.hop;
-      if (used) deserted.emplace_back(it->first, std::move(it->second));
-      it = used ? grants_.erase(it) : std::next(it);
+      const bool ours = it->second.peer == name;
+      if (ours && it->second.wire) served.push_back(std::move(it->second.wire));
+      if (ours) note_ended(it->first);
+      it = ours ? grants_.erase(it) : std::next(it);
     }
-    lose_relays(gone.hop, reason);
+    lose_relays(endpoint, name, reason);
+    if (const auto peer = peers_.find(endpoint); peer != peers_.end()) {
+      gone = std::move(peer->second);
+      peers_.erase(peer);
+    }
   }
   answered_.notify_all();
-  for (auto& [wire, grant] : deserted) end(wire, grant, reason);
+  for (const auto& wire : served) wire->cut(reason);
+  for (auto& [wire, requirement] : lost) requirement.wire->cut(reason);
+  // One that is being opened is told by who waits for it.
+  std::erase_if(lost, [](const auto& entry) { return entry.second.retired || entry.second.refusal != ""; });
   for (auto& [wire, requirement] : lost) {
-    requirement.wire->cut(reason);
-    if (requirement.retired || requirement.refusal != "") continue;
     requirement.client->set_target(nullptr);
     requirement.client->set_connection(Connection::Lost, reason);
   }
-  if (gone.link) gone.link->stop();
-  // A RemoteWire may still be referenced by a sink list for a moment; it is cut, and no longer touches the link.
-  for (auto& [wire, requirement] : lost) {
-    if (!requirement.retired && requirement.refusal == "") on_lost_(wire, reason);
-  }
+  if (gone.receiver) gone.hop.link->stop();
+  for (auto& [wire, requirement] : lost) on_lost_(wire, reason);
 }
 
 }  // namespace fiona::host

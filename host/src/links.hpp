@@ -7,6 +7,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <tuple>
 
 #include "remote_wire.hpp"
 
@@ -14,7 +15,7 @@ namespace fiona::host {
 
 /// Where frames come from and go to: a socket, and on one that listens the peer's identity.
 struct Hop {
-  LinkSocket* link = nullptr;
+  std::shared_ptr<LinkSocket> link;
   std::string peer;
   bool operator==(const Hop&) const = default;
 };
@@ -24,52 +25,59 @@ class Links {
  public:
   using OnLost = std::function<void(std::uint64_t wire, const std::string& reason)>;
 
-  /// Listens at `endpoint` ("ipc:///run/…").
-  Links(Pool& pool, std::string endpoint, OnLost on_lost);
+  /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for them.
+  Links(Pool& pool, std::string endpoint, std::string key, OnLost on_lost);
   ~Links();
 
   const std::string& endpoint() const { return endpoint_; }
   /// Closes the sockets: after it returned no message reaches a port any more.
   void stop();
-  /// Lets a peer open `wire` to `provider` if it brings `token`.
-  void provide(std::uint64_t wire, std::string token, ProvidedPort& provider, std::uint32_t prescale);
-  /// [control thread] Opens `wire` from `client` to the process that listens at `endpoint`; then calls `switch_over`,
+  /// What they have carried and refused since the process started.
+  control::LinkStatus status();
+  /// Of all links of the process.
+  LinkCounters& counters() { return counters_; }
+  /// Lets `peer`, a process's name or another host's endpoint, open `wire` to `provider` if it brings `token`.
+  void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale);
+  /// Where a link goes, and what opens it.
+  struct Endpoint {
+    std::string address;
+    std::string name;  ///< of this process towards that one
+    std::string key;   ///< of the link
+  };
+  /// [control thread] Opens `wire` from `client` to the process behind `endpoint`; then calls `switch_over`,
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
   /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
+  /// `resumes_every` > 0: what the provider has put since the wire `replaces` was lost is counted as dropped.
   void require(std::uint64_t wire, const std::string& token, RequiredPort& client, const std::string& provider_name,
-               const std::string& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+               const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
                const std::function<void()>& switch_over);
-  /// Passes `wire` on between whoever opens it with `token` and the process at `endpoint`, frame by frame: its credit,
-  /// which both ends keep, bounds what is here.
-  void relay(std::uint64_t wire, std::string token, const std::string& endpoint);
+  /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
+  /// is bounded: a sender has credit for it only once it has left.
+  void relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint);
   /// Ends a wire on this side and tells the peer.
   void cut(std::uint64_t wire, const std::string& reason);
   /// Another wire has taken this one's place at its client: it goes once its open requests have ended.
   void retire(std::uint64_t wire);
   /// The ports of `hull` are going: so does what is left of their wires.
   void release(const Hull& hull);
+  /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
+  void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
   /// [any thread] Another host can be reached, at the endpoint "host:…", over a socket that is not owned here.
   void join(const std::string& endpoint, Hop hop);
-  /// [any thread] The process or host behind `endpoint` is gone: the wires that go there are lost. A host's socket is
-  /// not used any more afterwards.
+  /// [any thread] The host behind `endpoint` is gone: the wires that go there are lost.
   void part(const std::string& endpoint, const std::string& reason);
   /// [any thread] What has come from there, or from a peer of a socket of ours.
-  void on_frame(const Hop& from, const wire::Frame& frame, std::string_view object);
+  bool accepts(const Hop& from, const wire::Frame& frame);
+  void on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object);
 
  private:
   struct Grant {
     std::string token;
+    std::string peer;
     ProvidedPort* provider = nullptr;
     std::uint32_t prescale = 1;
     std::shared_ptr<RemoteWire> wire;  ///< once opened
-    std::shared_ptr<Sink> sink;        ///< what the provider puts into: the wire, behind a prescale
     Hop client;                        ///< once opened
-  };
-  struct Relay {
-    std::string token;
-    std::string endpoint;
-    Hop client;    ///< once opened
-    Hop provider;
   };
   struct Requirement {
     RequiredPort* client = nullptr;
@@ -82,23 +90,55 @@ class Links {
     bool retired = false;
     bool lost = false;                   ///< its link is; kept until another wire takes its place, or it is cut
   };
+  /// What comes from one side in one lane leaves in one, so that its order stays.
+  class RelayLane;
+  struct Relay {
+    struct Side {
+      Hop hop;
+      std::shared_ptr<RelayLane> lane;  ///< towards it, once an object has gone there
+    };
+    std::string token;
+    std::string peer;
+    Endpoint endpoint;
+    Side client;  ///< once opened, as is the other
+    Side provider;
+  };
+  /// Of one lane of the hop where it comes from, to the other.
+  using RelayWay = std::tuple<LinkSocket*, std::string, std::uint64_t, LinkSocket*, std::string>;
+  class Receiver;
   struct Peer {
-    std::unique_ptr<LinkSocket> link;  ///< none: another host's, which is not ours
+    std::unique_ptr<Receiver> receiver;  ///< none: another host's, which is not ours
     Hop hop;
+    ~Peer();
+    Peer();
+    Peer(Peer&&) noexcept;
+    Peer& operator=(Peer&&) noexcept;
   };
 
-  void on_client_frame(const wire::Frame& frame, std::string_view object);
-  void open_for(const Hop& from, const wire::Frame& frame);
+  /// The end of a wire that is here, as that peer may use it.
+  struct End {
+    std::shared_ptr<RemoteWire> wire;
+    bool provides = false;
+  };
+  void on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire, const ObjectBytes& object);
+  void on_refused(const Hop& from, const std::string& reason);
+  void on_closed(std::uint64_t wire, const std::string& reason);
+  End end_of(const Hop& from, std::uint64_t wire);
+  bool may_open(const Hop& from, const std::string& peer);
   void open_relay(const Hop& from, const wire::Frame& frame, Relay& relay);
-  bool relayed(const Hop& from, const wire::Frame& frame, std::string_view object);
-  static void refuse(const Hop& peer, std::uint64_t wire, const std::string& reason);
-  void note_answer(std::uint64_t wire, const std::string& refusal, std::uint64_t from_sequence);
+  const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
+  void forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+               const std::shared_ptr<const Payload>& payload);
   void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
-  void tell_closed(const Hop& peer, std::uint64_t wire, const std::string& reason);
-  void lose_relays(const Hop& gone, const std::string& reason);
-  void end(std::uint64_t wire, const Grant& grant, const std::string& reason);
-  void end(std::uint64_t wire, const Requirement& requirement, const std::string& reason);
-  Hop connect(const std::string& endpoint);
+  void lose(const std::string& endpoint, const std::string& name, const std::string& reason);
+  void lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason);
+  void note_foreign(std::uint64_t wire);
+  void note_ended(std::uint64_t wire);
+  void open_for(const Hop& from, const wire::Frame& frame);
+  std::shared_ptr<RemoteWire> wire_for(const Hop& from, std::uint64_t wire, ProvidedPort& provider);
+  void refuse(const Hop& from, std::uint64_t wire, const std::string& reason);
+  void note_answer(std::uint64_t wire, const std::string& refusal, std::uint64_t from_sequence);
+  Hop connect(const Endpoint& endpoint);
 
   Pool& pool_;
   zmq::context_t context_;
@@ -109,8 +149,14 @@ class Links {
   std::map<std::uint64_t, Grant> grants_;
   std::map<std::uint64_t, Requirement> requirements_;
   std::map<std::uint64_t, Relay> relays_;
-  std::map<std::string, Peer> peers_;
-  std::unique_ptr<LinkSocket> server_;
+  std::map<RelayWay, std::weak_ptr<RelayLane>> relay_lanes_;
+  std::map<std::string, Peer> peers_;  ///< by endpoint
+  /// By client process and provider.
+  std::map<std::tuple<LinkSocket*, std::string, const Port*>, std::weak_ptr<FanOut>> fan_outs_;
+  std::deque<std::uint64_t> ended_;  ///< wires whose last frames may still come
+  LinkCounters counters_;
+  std::unique_ptr<Receiver> receiver_;
+  std::shared_ptr<LinkSocket> server_;
 };
 
 }  // namespace fiona::host

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <mutex>
 #include <utility>
 
@@ -20,16 +21,29 @@ class Mailbox {
 
   int descriptor() const { return signal_.get(); }
 
-  /// [any thread] False when `bound` values wait already; the value is dropped then.
-  bool push(T value, std::size_t bound = SIZE_MAX) {
+  /// [any thread] Not where `most` wait already.
+  void push(T value, std::size_t most = SIZE_MAX) {
     {
       const std::lock_guard lock(mutex_);
-      if (values_.size() >= bound) return false;
+      if (values_.size() >= most) return;
       values_.push_back(std::move(value));
     }
-    const std::uint64_t one = 1;
-    static_cast<void>(::write(signal_.get(), &one, sizeof one));
-    return true;
+    signal();
+  }
+
+  /// [any thread] For what may be dropped where too much waits, but not the newest of its `key`.
+  void push_newest(std::uint64_t key, T value, std::size_t bytes) {
+    {
+      const std::lock_guard lock(mutex_);
+      const bool full = values_.size() >= kMaxValues || (bytes_ > 0 && bytes_ + bytes > kMaxBytes);
+      if (full || !newest_.empty()) {
+        newest_.insert_or_assign(key, std::move(value));
+      } else {
+        bytes_ += bytes;
+        values_.push_back(std::move(value));
+      }
+    }
+    signal();
   }
 
   /// [reader] Everything that waits, oldest first.
@@ -37,13 +51,25 @@ class Mailbox {
     std::uint64_t count = 0;
     static_cast<void>(::read(signal_.get(), &count, sizeof count));
     const std::lock_guard lock(mutex_);
+    for (auto& [key, value] : std::exchange(newest_, {})) values_.push_back(std::move(value));
+    bytes_ = 0;
     return std::exchange(values_, {});
   }
 
  private:
+  static constexpr std::size_t kMaxValues = 10'000;
+  static constexpr std::size_t kMaxBytes = 8 * 1024 * 1024;
+
+  void signal() {
+    const std::uint64_t one = 1;
+    static_cast<void>(::write(signal_.get(), &one, sizeof one));
+  }
+
   os::Descriptor signal_;
   std::mutex mutex_;
   std::deque<T> values_;
+  std::size_t bytes_ = 0;             ///< of those in values_ that may be dropped
+  std::map<std::uint64_t, T> newest_;  ///< of what did not fit, one for each key
 };
 
 }  // namespace fiona::host

@@ -28,6 +28,7 @@ struct Flags {
   std::size_t threads = 0;
   int ready = -1;
   int lifeline = -1;
+  bool restore = false;
   bool version = false;
   bool help = false;
 };
@@ -45,6 +46,7 @@ Flags parse(int argc, char** argv, options::options_description& description) {
   add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
   add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
   add("lifeline-fd", options::value(&flags.lifeline)->default_value(-1), "descriptor whose end ends the host");
+  add("restore", options::bool_switch(&flags.restore), "begins with the system that this host's last journal ends with");
   add("version", options::bool_switch(&flags.version), "prints the version");
   add("help", options::bool_switch(&flags.help), "prints this");
   options::variables_map values;
@@ -84,7 +86,8 @@ int serve(const Flags& flags) {
       flags.store.empty() ? fiona::marketplace::Store::default_directory() : std::filesystem::path(flags.store);
   fiona::host::HostOptions hosts{flags.keys, flags.listen, {}};
   for (const auto& peer : flags.peers) hosts.peers.push_back(fiona::host::PeerAddress::from_text(peer));
-  fiona::host::ControlServer server(socket, {flags.name, store, socket.parent_path(), flags.threads, std::move(hosts), flags.plugins});
+  fiona::host::ControlServer server(socket, {flags.name, store, socket.parent_path(), flags.threads, std::move(hosts), flags.plugins},
+                                     flags.restore);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
   tell(flags.ready, "READY\n" + server.listens());
   return server.serve(flags.lifeline, signals);

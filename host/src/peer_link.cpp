@@ -12,7 +12,6 @@ namespace {
 constexpr int kReconnect_ms = 400;
 constexpr int kReconnectMost_ms = 4000;
 constexpr int kConnect_ms = 500;
-constexpr int kHandshake_ms = 3000;
 constexpr std::chrono::milliseconds kHelloEvery{400};
 /// Before one that refuses us is asked again.
 constexpr std::chrono::milliseconds kAfterRefusal{5000};
@@ -42,6 +41,29 @@ PeerAddress PeerAddress::from_text(const std::string& text) {
                                  .next = "on the other host: fiona keys show"});
 }
 
+wire::HostFrame host_frame_of(const wire::Frame& frame, const ObjectBytes& object) {
+  if (object.size() == 0) return frame.host();
+  wire::HostFrame host;
+  if (!object.parse_into(host)) host.Clear();
+  return host;
+}
+
+/// What comes over one of the sockets that were tried.
+class PeerLink::Incoming final : public LinkSocket::Receiver {
+ public:
+  explicit Incoming(PeerLink& peer) : peer_(peer) {}
+  void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
+  bool accepts(const std::string&, const wire::Frame& frame) override { return peer_.accepts({link_.lock(), ""}, frame); }
+  void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
+    peer_.on_frame({link_.lock(), ""}, frame, object);
+  }
+  void on_refused(const std::string&) override {}
+
+ private:
+  PeerLink& peer_;
+  std::weak_ptr<LinkSocket> link_;
+};
+
 PeerLink::PeerLink(const HostSurroundings& around, PeerAddress peer)
     : around_(around), peer_(std::move(peer)), random_(static_cast<std::minstd_rand::result_type>(around.run)) {}
 
@@ -66,11 +88,9 @@ void PeerLink::try_open(Steady::time_point now) {
 }
 
 void PeerLink::open() {
-  auto hop = std::make_shared<Hop>();
-  auto link = std::make_unique<LinkSocket>(
-      around_.pool, around_.context, zmq::socket_type::dealer,
-      [this, hop](const std::string&, const wire::Frame& frame, std::string_view object) { on_frame(*hop, frame, object); });
-  *hop = {link.get(), ""};
+  auto incoming = std::make_unique<Incoming>(*this);
+  auto link = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::dealer, around_.links.counters(), *incoming);
+  incoming->use(link);
   auto& socket = link->socket();
   socket.set(zmq::sockopt::curve_serverkey, peer_.key.bytes());
   socket.set(zmq::sockopt::curve_publickey, around_.keys.open.bytes());
@@ -87,16 +107,17 @@ void PeerLink::open() {
   monitor_ = zmq::socket_t(around_.context, zmq::socket_type::pair);
   monitor_.set(zmq::sockopt::linger, 0);
   monitor_.connect(watch);
-  socket.connect(peer_.address);
-  link->start();
+  link->connect_proven(peer_.address, peer_.name);
   const std::lock_guard lock(mutex_);
+  lane_ = link->open_lane("");
   link_ = std::move(link);
+  incoming_ = std::move(incoming);
   spoke_ = {};
 }
 
 /// Ends the socket, and with it the session: no frame comes from it when its wires are lost.
 void PeerLink::close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger) {
-  std::unique_ptr<LinkSocket> ended;
+  std::shared_ptr<LinkSocket> ended;
   bool was_joined = false;
   {
     const std::lock_guard lock(mutex_);
@@ -105,6 +126,7 @@ void PeerLink::close(State next, const std::string& reason, std::chrono::millise
     end_.reset();
     no_handshake_ = false;
     ended = std::move(link_);
+    lane_ = {};
     open_at_ = Steady::now() + pause;
   }
   enter(next, reason);
@@ -178,7 +200,7 @@ void PeerLink::send(const wire::HostFrame& host) {
   wire::Frame frame;
   *frame.mutable_host() = host;
   const std::lock_guard lock(mutex_);
-  if (link_) link_->send("", frame, nullptr);
+  if (link_) link_->tell("", frame);
   spoke_ = Steady::now();
 }
 
@@ -198,18 +220,26 @@ void PeerLink::beat() {
   send(frame);
 }
 
-void PeerLink::on_frame(const Hop& hop, wire::Frame frame, std::string_view object) {
+bool PeerLink::accepts(const Hop& hop, const wire::Frame& frame) {
+  return joined() && (frame.has_host() || around_.links.accepts(hop, frame));
+}
+
+void PeerLink::on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object) {
   bool joined = false;
   {
     const std::lock_guard lock(mutex_);
     heard_ = Steady::now();
     joined = state_ == State::Joined;
   }
-  if (!frame.has_host()) {
-    offset_.turn(frame);
-    return joined ? around_.links.on_frame(hop, frame, object) : void();
-  }
-  const wire::HostFrame& host = frame.host();
+  if (given.has_host()) return on_host_frame(hop, host_frame_of(given, object));
+  if (given.wire() == 0 || !joined) return;  // a Lost of taps: their numbers have the gap
+  wire::Frame frame = given;
+  offset_.turn(frame);
+  around_.links.on_frame(hop, frame, object);
+}
+
+void PeerLink::on_host_frame(const Hop& hop, const wire::HostFrame& host) {
+  const bool joined = this->joined();
   if (host.has_welcome() && !joined) return on_welcome(hop, host.welcome());
   if (host.has_beat()) return offset_.heard(host.beat(), now_ns());
   if (host.has_message() && joined) return on_message(host.message());
@@ -218,7 +248,7 @@ void PeerLink::on_frame(const Hop& hop, wire::Frame frame, std::string_view obje
   if (host.has_gone() && joined) end_ = "host '" + peer_.name + "' has not heard us";
 }
 
-void PeerLink::on_welcome(const Hop& hop, const wire::Welcome& welcome) {
+void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
   offset_.heard(welcome.beat(), now_ns());
   bool same_run = false;
   {
@@ -234,20 +264,20 @@ void PeerLink::on_welcome(const Hop& hop, const wire::Welcome& welcome) {
   around_.on_change({.what = HostChange::What::Joined, .host = peer_.name, .reason = {}, .same_run = same_run, .group = {}, .request = {}});
 }
 
-void PeerLink::on_message(const wire::GroupMessage& message) {
+void PeerLink::on_message(const wire::GroupMessage& given) {
+  wire::GroupMessage message = given;
+  if (message.has_tapped()) message.mutable_tapped()->set_origin_ns(offset_.to_ours(message.tapped().origin_ns()));
   if (message.id() != 0) {
     const std::lock_guard lock(mutex_);
     const auto pending = pending_.find(message.id());
-    if (pending != pending_.end()) pending->second = message;
+    if (pending != pending_.end()) pending->second = std::move(message);
     return answered_.notify_all();
   }
   if (message.has_group_ended()) {
     return around_.on_change({.what = HostChange::What::GroupEnded, .host = peer_.name, .reason = message.group_ended().reason(),
                               .group = message.group_ended().group(), .request = {}});
   }
-  wire::GroupMessage event = message;
-  if (event.has_tapped()) event.mutable_tapped()->set_origin_ns(offset_.to_ours(event.tapped().origin_ns()));
-  around_.on_event(std::move(event));
+  around_.on_event(std::move(message));
 }
 
 Error PeerLink::unreachable() const {
@@ -259,7 +289,9 @@ Error PeerLink::unreachable() const {
 
 wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request, std::chrono::seconds deadline) {
   wire::Frame frame;
-  auto& asked = *frame.mutable_host()->mutable_request();
+  frame.mutable_host();
+  const auto host = std::make_shared<wire::HostFrame>();
+  auto& asked = *host->mutable_request();
   asked.set_group(group);
   *asked.mutable_request() = request;
   std::unique_lock lock(mutex_);
@@ -268,7 +300,7 @@ wire::GroupMessage PeerLink::request(const std::string& group, const wire::Group
   const std::uint64_t session = session_;
   asked.mutable_request()->set_id(id);
   pending_[id] = std::nullopt;
-  link_->send("", frame, nullptr);
+  link_->send(lane_, frame, host);
   answered_.wait_for(lock, deadline, [&] { return pending_[id] || session_ != session; });
   auto answer = std::move(pending_[id]);
   pending_.erase(id);

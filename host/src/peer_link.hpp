@@ -25,6 +25,9 @@ inline constexpr std::chrono::milliseconds kSilence{1000};
 /// How long one that led, and went silent, keeps others from leading.
 inline constexpr std::chrono::milliseconds kLeadLease{1500};
 
+/// How long the proof of the keys may take.
+inline constexpr int kHandshake_ms = 3000;
+
 /// What has happened between hosts, for the thread that changes the system.
 struct HostChange {
   enum class What { Joined, Lost, Left, GroupEnded, Request };
@@ -59,6 +62,9 @@ struct PeerAddress {
   static PeerAddress from_text(const std::string& text);
 };
 
+/// What a Frame says between hosts, which may be its object. One that does not parse is empty.
+wire::HostFrame host_frame_of(const wire::Frame& frame, const ObjectBytes& object);
+
 /// The connection to a host that this one leads. It is made anew, with a growing and jittered pause, until it holds;
 /// whatever was under way when it broke is told to have ended. Each time it joins is a session of its own.
 class PeerLink {
@@ -81,6 +87,7 @@ class PeerLink {
   control::HostStatus status() const;
 
  private:
+  class Incoming;
   enum class State { Connecting, Joined, Silent, Refused };
 
   void try_open(std::chrono::steady_clock::time_point now);
@@ -90,8 +97,10 @@ class PeerLink {
   void say_hello();
   void beat();
   void send(const wire::HostFrame& frame);
-  void on_frame(const Hop& hop, wire::Frame frame, std::string_view object);
-  void on_welcome(const Hop& hop, const wire::Welcome& welcome);
+  bool accepts(const Hop& hop, const wire::Frame& frame);
+  void on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object);
+  void on_host_frame(const Hop& hop, const wire::HostFrame& host);
+  void on_welcome(const Hop& hop, const wire::HostWelcome& welcome);
   void on_message(const wire::GroupMessage& message);
   void enter(State state, const std::string& reason);
   Error unreachable() const;
@@ -102,7 +111,9 @@ class PeerLink {
   ClockOffset offset_;
   mutable std::mutex mutex_;
   std::condition_variable answered_;
-  std::unique_ptr<LinkSocket> link_;
+  std::unique_ptr<Incoming> incoming_;  ///< of the newest socket
+  std::shared_ptr<LinkSocket> link_;
+  LinkSocket::Lane lane_;  ///< of what is asked, in its order
   zmq::socket_t monitor_;
   std::uint64_t sockets_ = 0;
   State state_ = State::Connecting;

@@ -20,9 +20,10 @@ class RemoteGroup final : public Group {
   const std::string& group() const { return group_; }
   /// As its own host knows it; for others there is the host's.
   std::string endpoint() const override { return "group:" + group_; }
+  std::string link_name() const override { return endpoint(); }
   pid_t process() const override { return 0; }
   bool alive() const override { return end_.empty() && peer_.joined(); }
-  void peer_lost(const std::string&, const std::string&) override {}
+  void peer_lost(const wire::PeerLost&) override {}
 
   /// [control thread] Why it is gone for good; empty: its host may be silent, but it is thought to live.
   const std::string& end() const { return end_; }

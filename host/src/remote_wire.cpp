@@ -10,11 +10,19 @@
 namespace fiona::host {
 namespace {
 
-/// What a message counts beside its object's bytes.
-constexpr std::size_t kFrameCost = 64;
+/// The most of a reason that is told to a peer.
+constexpr std::size_t kMostReason = 4096;
+constexpr const char* kRequestTooLarge = "the message is larger than a link carries (64 MiB)";
+constexpr const char* kTooLarge = "the answer is larger than a link carries (64 MiB)";
+constexpr const char* kFull = "the answers before it have not been taken yet";
 
 const Object& prototype_of(const google::protobuf::Descriptor& type) {
   return *google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type);
+}
+
+Inbox* inbox_of(Port& port) {
+  if (auto* provided = dynamic_cast<ProvidedPort*>(&port)) return provided->inbox();
+  return dynamic_cast<RequiredPort&>(port).inbox();
 }
 
 }  // namespace
@@ -28,35 +36,6 @@ wire::Frame frame_for(std::uint64_t wire) {
   wire::Frame frame;
   frame.set_wire(wire);
   return frame;
-}
-
-bool CreditQueue::offer(Item item, bool drop_oldest, const SendNow& send) {
-  if (waiting_.empty() && may_send(item.bytes)) {
-    in_flight_ += item.bytes;
-    send(item);
-    return true;
-  }
-  const auto full = [&] { return waiting_bytes_ > 0 && waiting_bytes_ + item.bytes > kWireWindow; };
-  if (!drop_oldest && full()) return false;
-  while (full()) {
-    waiting_bytes_ -= waiting_.front().bytes;
-    waiting_.pop_front();
-    ++dropped_;
-  }
-  waiting_bytes_ += item.bytes;
-  waiting_.push_back(std::move(item));
-  return true;
-}
-
-void CreditQueue::credit(std::size_t bytes, const SendNow& send) {
-  in_flight_ -= std::min(in_flight_, bytes);
-  while (!waiting_.empty() && may_send(waiting_.front().bytes)) {
-    Item item = std::move(waiting_.front());
-    waiting_.pop_front();
-    waiting_bytes_ -= item.bytes;
-    in_flight_ += item.bytes;
-    send(item);
-  }
 }
 
 /// Sends the answer to a request of the peer's back over the wire.
@@ -75,26 +54,37 @@ class RemoteWire::RemoteReply final : public ReplySink {
     auto& answer = *frame.mutable_answer();
     answer.set_id(id_);
     answer.set_outcome(static_cast<std::uint32_t>(outcome));
-    answer.set_reason(std::move(reason));
+    answer.set_reason(reason.substr(0, kMostReason));
     const std::lock_guard lock(wire->mutex_);
     wire->served_.erase(id_);
-    if (!wire->cut_) wire->send_frame(frame, object.get());
+    if (!wire->cut_) send(*wire, frame, object);
   }
 
   Outcome event(Envelope event) override {
     const auto wire = wire_.lock();
     if (answered_ || abandoned() || !wire) return Outcome::Disconnected;
-    CreditQueue::Item item;
-    item.frame = frame_for(wire->wire_);
-    auto& fired = *item.frame.mutable_fired();
+    wire::Frame frame = frame_for(wire->wire_);
+    auto& fired = *frame.mutable_fired();
     fired.set_id(id_);
     fired.set_sequence(event.sequence);
     fired.set_origin_ns(event.origin.time_since_epoch().count());
-    item.object = std::move(event.object);
-    item.bytes = event.bytes + kFrameCost;
+    const auto rule = event.object ? LinkSocket::Rule::MustFit : LinkSocket::Rule::Control;
     const std::lock_guard lock(wire->mutex_);
     if (wire->cut_) return Outcome::Disconnected;
-    return wire->credit_.offer(std::move(item), false, wire->sender()) ? Outcome::Ok : Outcome::Rejected;
+    return wire->outcome_of(wire->link_->send(wire->lane_, frame, event.object, rule));
+  }
+
+ private:
+  /// An answer that does not fit is refused with the reason in its place: the client does not wait for its deadline.
+  static void send(RemoteWire& wire, wire::Frame& frame, const std::shared_ptr<const Object>& object) {
+    if (!object) return wire.send_frame(frame);
+    const auto sent = wire.link_->send(wire.lane_, frame, object, LinkSocket::Rule::MustFit);
+    if (wire.outcome_of(sent) == Outcome::Ok) return;
+    frame.clear_lane();
+    frame.clear_size();
+    frame.mutable_answer()->set_outcome(static_cast<std::uint32_t>(Outcome::Rejected));
+    frame.mutable_answer()->set_reason(sent.what == LinkSocket::Sent::What::TooLarge ? kTooLarge : kFull);
+    wire.send_frame(frame);
   }
 
  private:
@@ -103,79 +93,95 @@ class RemoteWire::RemoteReply final : public ReplySink {
   std::atomic<bool> answered_{false};
 };
 
-RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port)
-    : link_(link),
+RemoteWire::RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port)
+    : RemoteWire(nullptr, std::move(link), std::move(peer), wire, port) {}
+
+RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port)
+    : link_(std::move(link)),
       peer_(std::move(peer)),
       wire_(wire),
       port_(port),
+      fan_out_(std::move(fan_out)),
+      lane_(fan_out_ ? fan_out_->lane() : link_->open_lane(peer_)),
+      inbox_(inbox_of(port)),
       object_rules_(port.service().object()),
       objects_(prototype_of(port.service().object())),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
                                             : std::nullopt),
       answers_(prototype_of(port.service().answer() ? *port.service().answer() : port.service().object())),
-      admitted_(port.direction() == PortDirection::Provides) {}
+      admitted_(port.direction() == PortDirection::Provides || !is_push(port)) {}
 
-void RemoteWire::open(const std::function<std::uint64_t()>& attach) {
-  {
-    const std::lock_guard lock(mutex_);
-    opening_ = true;
-  }
+RemoteWire::~RemoteWire() = default;
+
+void RemoteWire::ask(const std::string& token) {
   wire::Frame frame = frame_for(wire_);
-  frame.mutable_opened()->set_from_sequence(attach());
-  const std::lock_guard lock(mutex_);
-  send_frame(frame, nullptr);
-  opening_ = false;
-  for (auto& parcel : std::exchange(early_, {})) deliver_locked(std::move(parcel));
+  frame.mutable_open()->set_version(wire::VERSION_1);
+  frame.mutable_open()->set_wire(wire_);
+  frame.mutable_open()->set_token(token);
+  send_frame(frame);
 }
 
-CreditQueue::SendNow RemoteWire::sender() {
-  return [this](const CreditQueue::Item& item) { send_frame(item.frame, item.object.get()); };
+void RemoteWire::open(std::uint32_t prescale) {
+  prescale_ = prescale;
+  if (!fan_out_) return attached(0);
+  dynamic_cast<detail::PushProvider&>(port_).attach(fan_out_, *this);
+}
+
+void RemoteWire::attached(std::uint64_t sequence) {
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_opened()->set_from_sequence(sequence);
+  send_frame(frame);
+  if (fan_out_) fan_out_->join(wire_, sequence, prescale_);
 }
 
 Outcome RemoteWire::deliver(Parcel parcel) {
-  const std::lock_guard lock(mutex_);
-  if (cut_) return Outcome::Disconnected;
-  if (opening_) {
-    early_.push_back(std::move(parcel));
+  if (fan_out_) return fan_out_->deliver_to(wire_, parcel);
+  if (parcel.reply && link_->refuses(*parcel.envelope.object)) {
+    port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+    parcel.reply->answer(Outcome::Rejected, kRequestTooLarge, nullptr);
     return Outcome::Ok;
   }
+  const std::lock_guard lock(mutex_);
+  if (cut_ || drains_) return Outcome::Disconnected;
   return deliver_locked(std::move(parcel));
 }
 
 void RemoteWire::lease(bool held, const std::string& reason) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_lease()->set_held(held);
-  frame.mutable_lease()->set_reason(reason);
+  frame.mutable_lease()->set_reason(reason.substr(0, kMostReason));
   const std::lock_guard lock(mutex_);
-  if (!cut_) send_frame(frame, nullptr);
+  if (!cut_) send_frame(frame);
+}
+
+/// What becomes of a message that the link does not take; counted where it is too large for any link.
+Outcome RemoteWire::outcome_of(const LinkSocket::Sent& sent) {
+  if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;
+  if (sent.what == LinkSocket::Sent::What::TooLarge) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+  return Outcome::Rejected;
 }
 
 Outcome RemoteWire::deliver_locked(Parcel parcel) {
-  CreditQueue::Item item;
-  item.frame.set_wire(wire_);
-  item.object = std::move(parcel.envelope.object);
-  item.bytes = parcel.envelope.bytes + kFrameCost;
-  const auto origin_ns = parcel.envelope.origin.time_since_epoch().count();
-  if (parcel.reply) {
-    const std::uint64_t id = next_id_++;
-    auto& request = *item.frame.mutable_request();
-    request.set_id(id);
-    request.set_origin_ns(origin_ns);
-    request.set_continuous(parcel.continuous);
-    parcel.reply->set_on_abandon([weak = weak_from_this(), id] {
-      if (const auto wire = weak.lock()) wire->cancel(id);
-    });
-    open_.emplace(id, std::move(parcel.reply));
-    return credit_.offer(std::move(item), false, sender()) ? Outcome::Ok : Outcome::Rejected;
-  }
-  auto& object = *item.frame.mutable_object();
-  object.set_sequence(parcel.envelope.sequence);
-  object.set_origin_ns(origin_ns);
-  const bool push = is_push(port_);
-  const std::uint64_t dropped = credit_.dropped();
-  const bool taken = credit_.offer(std::move(item), push, sender());
-  port_.counters().dropped.fetch_add(credit_.dropped() - dropped, std::memory_order_relaxed);
-  return taken ? Outcome::Ok : Outcome::Rejected;
+  wire::Frame frame = frame_for(wire_);
+  if (parcel.reply) return request_locked(frame, std::move(parcel));
+  frame.mutable_object()->set_sequence(parcel.envelope.sequence);
+  frame.mutable_object()->set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
+  return outcome_of(link_->send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
+}
+
+Outcome RemoteWire::request_locked(wire::Frame& frame, Parcel parcel) {
+  const std::uint64_t id = next_id_++;
+  auto& request = *frame.mutable_request();
+  request.set_id(id);
+  request.set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
+  request.set_continuous(parcel.continuous);
+  parcel.reply->set_on_abandon([weak = weak_from_this(), id] {
+    if (const auto wire = weak.lock()) wire->cancel(id);
+  });
+  open_.emplace(id, std::move(parcel.reply));
+  const Outcome outcome = outcome_of(link_->send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
+  if (outcome != Outcome::Ok) open_.erase(id);
+  return outcome;
 }
 
 /// The client gave up: the provider is told, so that it need not go on.
@@ -190,39 +196,63 @@ void RemoteWire::cancel(std::uint64_t id) {
     if (cut_) return;
     wire::Frame frame = frame_for(wire_);
     frame.mutable_cancel()->set_id(id);
-    send_frame(frame, nullptr);
+    send_frame(frame);
   }
   if (const auto notice = take_drained()) notice();
 }
 
-void RemoteWire::on_frame(const wire::Frame& frame, std::string_view object) {
-  {
-    const std::lock_guard lock(mutex_);
-    if (!admitted_) {
-      kept_.emplace_back(frame, object);
-      return;
-    }
+void RemoteWire::on_frame(const wire::Frame& frame, const ObjectBytes& object) {
+  if (frame.has_object() || frame.has_request()) return on_object(frame, parse_object(object));
+  if (!keep(frame, {})) handle_frame(frame, object);
+}
+
+ParsedObject RemoteWire::parse_object(const ObjectBytes& bytes) {
+  auto object = objects_.acquire();
+  if (!bytes.parse_into(*object)) return {nullptr, "the object does not parse", bytes.size()};
+  auto refusal = object_rules_.first_violation(*object);
+  return {std::move(object), std::move(refusal), bytes.size()};
+}
+
+void RemoteWire::on_object(const wire::Frame& frame, const ParsedObject& object) {
+  if (!keep(frame, object)) handle_object(frame, object);
+}
+
+/// Keeps what a push puts before `admit`; it loses its oldest beyond what a lane holds, as it would in any other queue.
+bool RemoteWire::keep(const wire::Frame& frame, const ParsedObject& object) {
+  const std::lock_guard lock(mutex_);
+  if (admitted_) return false;
+  if (!frame.has_object() && !frame.has_lease() && !frame.has_lost()) return true;
+  kept_bytes_ += object.bytes + kFrameCost;
+  kept_.push_back({frame, object});
+  while (kept_bytes_ > kLaneWindow && kept_.size() > 1) {
+    kept_bytes_ -= kept_.front().object.bytes + kFrameCost;
+    port_.counters().dropped.fetch_add(kept_.front().frame.has_object() ? 1 : 0, std::memory_order_relaxed);
+    kept_.pop_front();
   }
-  handle_frame(frame, object);
+  return true;
 }
 
 void RemoteWire::admit() {
   // What comes meanwhile is kept behind what is handled here, so that the order stays.
   while (true) {
-    std::vector<std::pair<wire::Frame, std::string>> kept;
+    std::deque<Kept> kept;
     {
       const std::lock_guard lock(mutex_);
       kept.swap(kept_);
+      kept_bytes_ = 0;
       admitted_ = kept.empty();
       if (admitted_) return;
     }
-    for (const auto& [frame, object] : kept) handle_frame(frame, object);
+    for (const auto& [frame, object] : kept) {
+      frame.has_object() ? handle_object(frame, object) : handle_frame(frame, {});
+    }
   }
 }
 
 void RemoteWire::drain(std::function<void()> drained) {
   {
     const std::lock_guard lock(mutex_);
+    drains_ = true;
     drained_ = std::move(drained);
   }
   if (const auto notice = take_drained()) notice();
@@ -234,35 +264,34 @@ std::function<void()> RemoteWire::take_drained() {
   return open_.empty() ? std::exchange(drained_, nullptr) : nullptr;
 }
 
-void RemoteWire::handle_frame(const wire::Frame& frame, std::string_view object) {
+void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& object) {
   switch (frame.what_case()) {
-    case wire::Frame::kObject:
-    case wire::Frame::kRequest: return on_object(frame, object);
     case wire::Frame::kAnswer: return on_answer(frame.answer(), object);
-    case wire::Frame::kCredit: {
-      const std::lock_guard lock(mutex_);
-      if (!cut_) credit_.credit(frame.credit().bytes(), sender());
-      return;
-    }
     case wire::Frame::kLease: {
       auto* client = dynamic_cast<RequiredPort*>(&port_);
       const std::lock_guard lock(mutex_);
       if (client && !cut_) client->set_lease(frame.lease().held(), frame.lease().reason());
       return;
     }
-    case wire::Frame::kFired: return on_fired(frame.fired(), object);
-    case wire::Frame::kCancel: {
-      std::shared_ptr<ReplySink> given_up;  // let go outside the lock
-      const std::lock_guard lock(mutex_);
-      const auto served = served_.find(frame.cancel().id());
-      if (served == served_.end()) return;
-      given_up = served->second.lock();
-      served_.erase(served);
-      if (given_up) given_up->abandon();
+    case wire::Frame::kLost:
+      if (port_.direction() == PortDirection::Requires && is_push(port_)) {
+        port_.counters().dropped.fetch_add(frame.lost().messages(), std::memory_order_relaxed);
+      }
       return;
-    }
+    case wire::Frame::kFired: return on_fired(frame.fired(), object);
+    case wire::Frame::kCancel: return on_cancel(frame.cancel().id());
     default: return;
   }
+}
+
+void RemoteWire::on_cancel(std::uint64_t id) {
+  std::shared_ptr<ReplySink> given_up;  // let go outside the lock
+  const std::lock_guard lock(mutex_);
+  const auto served = served_.find(id);
+  if (served == served_.end()) return;
+  given_up = served->second.lock();
+  served_.erase(served);
+  if (given_up) given_up->abandon();
 }
 
 void RemoteWire::forget(std::uint64_t id) {
@@ -270,52 +299,40 @@ void RemoteWire::forget(std::uint64_t id) {
   served_.erase(id);
 }
 
-std::shared_ptr<Object> RemoteWire::parse(ObjectPool& pool, std::string_view object) {
-  auto parsed = pool.acquire();
-  if (!parsed->ParseFromArray(object.data(), static_cast<int>(object.size()))) return nullptr;
-  return parsed;
-}
-
-void RemoteWire::on_object(const wire::Frame& frame, std::string_view object) {
-  Inbox* inbox = nullptr;
-  if (auto* provided = dynamic_cast<ProvidedPort*>(&port_)) inbox = provided->inbox();
-  if (auto* required = dynamic_cast<RequiredPort*>(&port_)) inbox = required->inbox();
+void RemoteWire::handle_object(const wire::Frame& frame, const ParsedObject& object) {
   const Pattern pattern = port_.service().pattern();
   const bool request = frame.has_request();
   const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
-  if (!inbox || !fits) return;
-  auto parsed = parse(objects_, object);
-  auto refusal = parsed ? object_rules_.first_violation(*parsed) : "the object does not parse";
+  if (!inbox_ || !fits) return;
+  std::string refusal = object.refusal.value_or("");
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;
     if (!request) last_sequence_ = frame.object().sequence();
-    give_credit(object.size() + kFrameCost);
     if (request) {
       reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
       served_[frame.request().id()] = reply;
     }
-    if (!refusal) {
+    if (!object.refusal) {
       const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
-      Envelope envelope{std::move(parsed), request ? frame.request().id() : frame.object().sequence(),
-                        TimePoint(Duration(origin_ns)), object.size()};
-      outcome = inbox->push({std::move(envelope), reply, frame.request().continuous(), 0});
+      Envelope envelope{object.object, request ? frame.request().id() : frame.object().sequence(),
+                        TimePoint(Duration(origin_ns)), object.bytes};
+      outcome = inbox_->push({std::move(envelope), reply, frame.request().continuous(), 0});
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
   }
   if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
-  if (reply && (outcome != Outcome::Ok || pattern == SEND)) reply->answer(outcome, refusal.value_or(""), nullptr);
+  if (reply && (outcome != Outcome::Ok || pattern == SEND)) reply->answer(outcome, std::move(refusal), nullptr);
 }
 
-void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
+void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
   std::shared_ptr<ReplySink> activation;
   {
     const std::lock_guard lock(mutex_);
     if (cut_ || port_.service().pattern() != EVENT) return;
-    give_credit(object.size() + kFrameCost);
     const auto open = open_.find(fired.id());
     if (open == open_.end()) return;
     activation = open->second;
@@ -324,8 +341,8 @@ void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
     activation->event({});
     return;
   }
-  auto parsed = parse(answers_, object);
-  const auto violation = parsed ? answer_rules_->first_violation(*parsed) : "it does not parse";
+  auto parsed = answers_.acquire();
+  const auto violation = object.parse_into(*parsed) ? answer_rules_->first_violation(*parsed) : "it does not parse";
   if (violation) {
     port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
     return;  // the client sees the gap in the sequence
@@ -335,16 +352,7 @@ void RemoteWire::on_fired(const wire::Fired& fired, std::string_view object) {
   if (outcome == Outcome::Rejected) port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
 }
 
-/// Credit goes back in quarters of the window, so that a stream of small messages does not double its traffic.
-void RemoteWire::give_credit(std::size_t bytes) {
-  owed_credit_ += bytes;
-  if (owed_credit_ < kWireWindow / 4) return;
-  wire::Frame frame = frame_for(wire_);
-  frame.mutable_credit()->set_bytes(std::exchange(owed_credit_, 0));
-  send_frame(frame, nullptr);
-}
-
-void RemoteWire::on_answer(const wire::Answer& answer, std::string_view object) {
+void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object) {
   std::shared_ptr<ReplySink> reply;
   {
     const std::lock_guard lock(mutex_);
@@ -357,8 +365,8 @@ void RemoteWire::on_answer(const wire::Answer& answer, std::string_view object) 
   std::string reason = answer.reason();
   std::shared_ptr<Object> parsed;
   if (outcome == Outcome::Ok && answer_rules_) {
-    parsed = parse(answers_, object);
-    const auto violation = parsed ? answer_rules_->first_violation(*parsed) : "it does not parse";
+    parsed = answers_.acquire();
+    const auto violation = object.parse_into(*parsed) ? answer_rules_->first_violation(*parsed) : "it does not parse";
     if (violation) {
       outcome = Outcome::Rejected;
       reason = "the answer was refused: " + *violation;
@@ -369,12 +377,17 @@ void RemoteWire::on_answer(const wire::Answer& answer, std::string_view object) 
   if (const auto notice = take_drained()) notice();
 }
 
-void RemoteWire::cut(const std::string& reason) {
+void RemoteWire::cut(const std::string& reason, bool tell) {
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open;
   std::vector<std::shared_ptr<ReplySink>> served;
   {
     const std::lock_guard lock(mutex_);
-    cut_ = true;
+    if (std::exchange(cut_, true)) return;  // the link may have gone since
+    if (tell) {
+      wire::Frame frame = frame_for(wire_);
+      frame.mutable_closed()->set_reason(reason.substr(0, kMostReason));
+      send_frame(frame);
+    }
     drained_ = nullptr;
     kept_.clear();
     open.swap(open_);
@@ -383,6 +396,7 @@ void RemoteWire::cut(const std::string& reason) {
     }
     served_.clear();
   }
+  fan_out_ ? fan_out_->leave(wire_) : link_->close_lane(lane_);
   for (auto& [id, reply] : open) reply->answer(Outcome::Disconnected, reason, nullptr);
   for (auto& reply : served) reply->abandon();
 }

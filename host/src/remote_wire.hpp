@@ -12,41 +12,26 @@
 
 #include "fiona/port.hpp"
 #include "fiona/rules.hpp"
+#include "fan_out.hpp"
 #include "link_socket.hpp"
 
 namespace fiona::host {
 
-/// The bytes that may be on their way over one wire, and again that may wait for room (architecture 7.4).
-inline constexpr std::size_t kWireWindow = 4 * 1024 * 1024;
-
-/// What one side of a wire may still send: bytes sent and not yet credited, and what waits for credit.
-class CreditQueue {
- public:
-  struct Item {
-    wire::Frame frame;
-    std::shared_ptr<const Object> object;
-    std::size_t bytes = 0;
-  };
-  using SendNow = std::function<void(const Item&)>;
-
-  /// Sends the item now, or queues it; a full queue of a push loses its oldest, counted. False: refused, full.
-  bool offer(Item item, bool drop_oldest, const SendNow& send);
-  void credit(std::size_t bytes, const SendNow& send);
-  std::uint64_t dropped() const { return dropped_; }
-
- private:
-  bool may_send(std::size_t bytes) const { return in_flight_ == 0 || in_flight_ + bytes <= kWireWindow; }
-
-  std::size_t in_flight_ = 0;
-  std::size_t waiting_bytes_ = 0;
-  std::deque<Item> waiting_;
-  std::uint64_t dropped_ = 0;
+/// An object of a frame: parsed, or why it is refused.
+struct ParsedObject {
+  std::shared_ptr<const Object> object;
+  std::optional<std::string> refusal;
+  std::size_t bytes = 0;
 };
 
 /// A wire as the side sees it whose peer is in another process.
 class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> {
  public:
-  RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port);
+  /// With a lane of its own.
+  RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port);
+  /// Of a push provider: one of those that share what crosses.
+  RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port);
+  ~RemoteWire() override;
 
   std::uint64_t wire() const { return wire_; }
   const std::string& peer() const { return peer_; }
@@ -54,54 +39,68 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   /// [any thread] Of the newest object that came; 0: none yet.
   std::uint64_t last_sequence() const { return last_sequence_.load(); }
 
-  /// Subscribes by `attach`, which returns the sequence number after which messages come, and tells the peer before
-  /// the first of them leaves.
-  void open(const std::function<std::uint64_t()>& attach);
+  /// Tells the provider to open it.
+  void ask(const std::string& token);
+  /// Tells the client that it is open. Of a push provider, this also subscribes: the client is told "from sequence n"
+  /// before the first message leaves.
+  void open(std::uint32_t prescale);
   /// [any thread] Towards the peer.
   Outcome deliver(Parcel parcel) override;
   void lease(bool held, const std::string& reason) override;
-  /// [any thread] From the peer. On a client's side nothing gets through before `admit`: it is kept, which the credit
-  /// bounds.
-  void on_frame(const wire::Frame& frame, std::string_view object);
+  void attached(std::uint64_t sequence) override;
+  /// [any thread] From the peer. On a client's side nothing gets through before `admit`: it is kept, as much as a lane
+  /// may hold.
+  void on_frame(const wire::Frame& frame, const ObjectBytes& object);
+  /// [any thread] A frame's object, for this wire and for others of the same port.
+  ParsedObject parse_object(const ObjectBytes& object);
+  void on_object(const wire::Frame& frame, const ParsedObject& object);
   void admit();
   /// [any thread] Another wire has taken the place of this one of a client: open requests end on it, and `drained` is
   /// called once there are none.
   void drain(std::function<void()> drained);
-  /// [any thread] After it returned nothing more reaches the port. Open requests end with Disconnected.
-  void cut(const std::string& reason);
+  /// [any thread] After it returned nothing more reaches the port. Open requests end with Disconnected. `tell`: so does
+  /// the peer's end.
+  void cut(const std::string& reason, bool tell = false);
 
  private:
   class RemoteReply;
+  struct Kept {
+    wire::Frame frame;
+    ParsedObject object;
+  };
   Outcome deliver_locked(Parcel parcel);
-  void handle_frame(const wire::Frame& frame, std::string_view object);
+  Outcome request_locked(wire::Frame& frame, Parcel parcel);
+  Outcome outcome_of(const LinkSocket::Sent& sent);
+  bool keep(const wire::Frame& frame, const ParsedObject& object);
+  void handle_frame(const wire::Frame& frame, const ObjectBytes& object);
+  void handle_object(const wire::Frame& frame, const ParsedObject& object);
   std::function<void()> take_drained();
   void cancel(std::uint64_t id);
-  void on_object(const wire::Frame& frame, std::string_view object);
-  void on_answer(const wire::Answer& answer, std::string_view object);
-  void on_fired(const wire::Fired& fired, std::string_view object);
+  void on_cancel(std::uint64_t id);
+  void on_answer(const wire::Answer& answer, const ObjectBytes& object);
+  void on_fired(const wire::Fired& fired, const ObjectBytes& object);
   void forget(std::uint64_t id);
-  void give_credit(std::size_t bytes);
-  static std::shared_ptr<Object> parse(ObjectPool& pool, std::string_view object);
-  void send_frame(const wire::Frame& frame, const Object* object) { link_.send(peer_, frame, object); }
-  CreditQueue::SendNow sender();
+  void send_frame(wire::Frame& frame) { link_->send(lane_, frame); }
 
-  LinkSocket& link_;
+  const std::shared_ptr<LinkSocket> link_;  ///< stopped, it may be used: nothing leaves
   const std::string peer_;
   const std::uint64_t wire_;
   Port& port_;
+  const std::shared_ptr<FanOut> fan_out_;
+  const LinkSocket::Lane lane_;
+  Inbox* const inbox_;  ///< where the peer's objects go; null: none come
   const ObjectRules object_rules_;
   ObjectPool objects_;
   const std::optional<ObjectRules> answer_rules_;
   ObjectPool answers_;
   std::mutex mutex_;
   bool cut_ = false;
-  bool opening_ = false;
+  bool drains_ = false;  ///< takes no more: another wire has its place
+  std::uint32_t prescale_ = 1;
   bool admitted_;
-  std::vector<std::pair<wire::Frame, std::string>> kept_;  ///< what came before `admit`
+  std::deque<Kept> kept_;  ///< what came before `admit`
+  std::size_t kept_bytes_ = 0;
   std::function<void()> drained_;
-  std::vector<Parcel> early_;  ///< put while the peer is being told that the wire is open
-  CreditQueue credit_;
-  std::size_t owed_credit_ = 0;
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id
   std::unordered_map<std::uint64_t, std::weak_ptr<ReplySink>> served_;  ///< requests of the peer's
   std::uint64_t next_id_ = 1;

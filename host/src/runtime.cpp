@@ -37,6 +37,25 @@ ErrorText without_instance(ErrorText text, const std::string& instance) {
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 
+/// How long a port has neither the old wire nor the new one, on the machine's clock, and what it loses meanwhile.
+class SwitchCost {
+ public:
+  explicit SwitchCost(Port& client) : client_(client) {}
+  void begin() {
+    dropped_ = client_.counters().dropped;
+    since_ = std::chrono::steady_clock::now();
+  }
+  void end(wire::Switched& switched) const {
+    switched.set_gap_ns(std::chrono::nanoseconds(std::chrono::steady_clock::now() - since_).count());
+    switched.set_lost(client_.counters().dropped - dropped_);
+  }
+
+ private:
+  Port& client_;
+  std::uint64_t dropped_ = 0;
+  std::chrono::steady_clock::time_point since_{};
+};
+
 control::Connection to_proto(Connection connection) { return static_cast<control::Connection>(connection); }
 
 }  // namespace
@@ -53,31 +72,6 @@ struct Runtime::Wire {
   detail::PushProvider* provider = nullptr;    ///< of a local push
   RequiredPort* client = nullptr;              ///< of a local wire
   const Hull* provider_hull = nullptr;
-};
-
-/// Copies what a push port puts to whoever watches, as bytes.
-class Runtime::TapSink final : public Sink {
- public:
-  TapSink(std::uint64_t id, detail::PushProvider& port, const OnEvent& on_event)
-      : id_(id), port_(port), on_event_(on_event) {}
-
-  Outcome deliver(Parcel parcel) override {
-    wire::GroupMessage message;
-    auto& tapped = *message.mutable_tapped();
-    tapped.set_tap(id_);
-    tapped.set_type(parcel.envelope.object->GetDescriptor()->full_name());
-    parcel.envelope.object->SerializeToString(tapped.mutable_object());
-    tapped.set_sequence(parcel.envelope.sequence);
-    tapped.set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
-    on_event_(std::move(message));
-    return Outcome::Ok;
-  }
-  detail::PushProvider& port() const { return port_; }
-
- private:
-  const std::uint64_t id_;
-  detail::PushProvider& port_;
-  const OnEvent& on_event_;
 };
 
 control::Failure failure_of(const Error& error) {
@@ -118,12 +112,14 @@ void throw_failure(const control::Failure& failure) {
                .near = {failure.near().begin(), failure.near().end()}});
 }
 
-Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, OnEvent on_event)
+Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key,
+                 OnEvent on_event)
     : pool_(pool),
       clock_(clock),
       on_event_(std::move(on_event)),
       libraries_(libraries),
-      links_(pool, std::move(endpoint), [this](std::uint64_t wire, const std::string& reason) {
+      taps_(on_event_),
+      links_(pool, std::move(endpoint), std::move(link_key), [this](std::uint64_t wire, const std::string& reason) {
         wire::GroupMessage message;
         message.mutable_wire_lost()->set_wire(wire);
         message.mutable_wire_lost()->set_reason(reason);
@@ -133,6 +129,9 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
 Runtime::~Runtime() {
   links_.stop();
   for (auto& [id, wire] : wires_) wire.local->cut();
+  for (const auto& retired : retired_) {
+    if (const auto wire = retired.lock()) wire->cut();
+  }
   for (auto& [name, instance] : instances_) instance->hull->shut_down(kLifeCycleDeadline);
 }
 
@@ -159,23 +158,44 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       return find(request.set_parameters().instance()).hull->set_parameters(changes, kDefaultDeadline);
     }
     case Request::kSetMode: return set_mode(request.set_mode());
-    case Request::kWireLocal: return wire_local(request.wire_local());
+    case Request::kWireLocal: return wire_local(request.wire_local(), *reply.mutable_switched());
     case Request::kWireProvide: {
       const auto& wire = request.wire_provide();
-      return links_.provide(wire.wire(), wire.token(), provided(wire.provider()), wire.prescale());
+      return links_.provide(wire.wire(), wire.token(), wire.peer(), provided(wire.provider()), wire.prescale());
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
-      return links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), wire.endpoint(),
-                            wire.replaces(), wire.resumes_every(), [&] { retire(wire.replaces()); });
+      SwitchCost cost(required(wire.client()));
+      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), {wire.endpoint(), wire.name(), wire.key()},
+                     wire.replaces(), wire.resumes_every(), [&] {
+        cost.begin();
+        retire(wire.replaces());
+      });
+      return cost.end(*reply.mutable_switched());
+    }
+    case Request::kAwait: {
+      const bool waits = !request.await().reason().empty();
+      return required(request.await().client())
+          .set_connection(waits ? Connection::Waiting : Connection::Unwired, waits ? request.await().reason() : "unwired");
     }
     case Request::kWireRelay:
-      return links_.relay(request.wire_relay().wire(), request.wire_relay().token(), request.wire_relay().endpoint());
+      return links_.relay(request.wire_relay().wire(), request.wire_relay().token(), request.wire_relay().peer(),
+                          {request.wire_relay().endpoint(), request.wire_relay().name(), request.wire_relay().key()});
     case Request::kCut: return cut(request.cut());
     case Request::kStatus: return status(*reply.mutable_status());
-    case Request::kTap: return tap(request.tap());
-    case Request::kUntap: return untap(request.untap().tap());
+    case Request::kTap: return taps_.tap(request.tap(), *find(request.tap().watch().port().instance()).hull);
+    case Request::kUntap: return taps_.untap(request.untap().tap());
+    case Request::kRead: {
+      const auto& probe = request.read().probe();
+      *reply.mutable_tapped() = read_probe(*find(probe.instance()).hull, probe.port());
+      return;
+    }
     case Request::kCall: return call(request.call());
+    case Request::kPeerLost: {
+      const auto& gone = request.peer_lost();
+      return links_.peer_lost(gone.endpoint(), gone.name(), gone.reason());
+    }
+    case Request::kWelcome: throw Error(ErrorCode::Usage, "the group has its key already");
     case Request::WHAT_NOT_SET: throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
   }
 }
@@ -231,7 +251,7 @@ void Runtime::set_mode(const wire::SetMode& request) {
 
 void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
-  std::erase_if(taps_, [&](const auto& entry) { return &entry.second->port().hull() == instance.hull.get(); });
+  taps_.release(*instance.hull);
   links_.release(*instance.hull);
   // Whoever asked has cut its wires, unless he did not know of the instance any more.
   std::vector<std::uint64_t> left;
@@ -243,6 +263,9 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
     cut_it.set_wire(id);
     cut_it.set_reason("'" + request.instance() + "' has ended");
     cut(cut_it);
+  }
+  for (const auto& retired : retired_) {
+    if (const auto wire = retired.lock()) wire->cut_from(*instance.hull);
   }
   const bool clean = instance.hull->shut_down(kLifeCycleDeadline);
   if (!clean) {
@@ -271,18 +294,22 @@ RequiredPort& Runtime::required(const control::PortName& name) {
   throw Error(ErrorCode::NotFound, text_of(name) + " is no required port");
 }
 
-void Runtime::wire_local(const wire::WireLocal& request) {
+void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switched) {
   ProvidedPort& provider = provided(request.provider());
   RequiredPort& client = required(request.client());
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
   Inbox& inbox = push ? *client.inbox() : *provider.inbox();
   const std::string name = client.full_name() + "<" + provider.full_name();
   auto local = std::make_shared<LocalWire>(name, inbox, push ? request.prescale() : 1);
-  retire(request.replaces());
+  SwitchCost cost(client);
+  cost.begin();
+  // The new one first: a request that is being made has somewhere to go at every moment.
   if (!push) client.set_target(local);
+  retire(request.replaces());
   client.set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
   wires_[request.wire()] = Wire{std::move(local), push, &client, &provider.hull()};
+  cost.end(switched);
 }
 
 void Runtime::cut(const wire::Cut& request) {
@@ -290,17 +317,23 @@ void Runtime::cut(const wire::Cut& request) {
   if (found == wires_.end()) return links_.cut(request.wire(), request.reason());
   RequiredPort& client = *found->second.client;
   client.set_target(nullptr);
+  found->second.local->cut();
   retire(request.wire());
   client.set_connection(Connection::Unwired, request.reason());
 }
 
-/// Lets go of a wire whose client goes on with another one, or with none. Open requests of a local wire have reached
-/// the provider and end there.
+/// Lets go of a wire whose client goes on with another one, or with none. What is on its way over a local wire still
+/// reaches the provider and ends there; a push has its cut here.
 void Runtime::retire(std::uint64_t id) {
   const auto found = wires_.find(id);
   if (found == wires_.end()) return links_.retire(id);
-  if (found->second.provider) found->second.provider->detach(*found->second.local);
-  found->second.local->cut();
+  if (found->second.provider) {
+    found->second.provider->detach(*found->second.local);
+    found->second.local->cut();
+  } else {
+    std::erase_if(retired_, [](const auto& wire) { return wire.expired(); });
+    retired_.push_back(found->second.local);
+  }
   wires_.erase(found);
 }
 
@@ -376,25 +409,6 @@ void Runtime::call_port(const Hull& hull, const wire::Call& request, const std::
   if (outcome != Outcome::Ok || pattern == SEND) reply->answer(outcome, {}, nullptr);
 }
 
-void Runtime::tap(const wire::Tap& request) {
-  auto* port = dynamic_cast<detail::PushProvider*>(&provided(request.port()));
-  if (!port) {
-    throw Error(ErrorCode::Usage, {.what = text_of(request.port()) + " does not push: there is nothing to watch",
-                                   .where = text_of(request.port()),
-                                   .expected = "a port of a push service"});
-  }
-  auto sink = std::make_shared<TapSink>(request.tap(), *port, on_event_);
-  taps_[request.tap()] = sink;
-  port->attach(sink);
-}
-
-void Runtime::untap(std::uint64_t id) {
-  const auto found = taps_.find(id);
-  if (found == taps_.end()) return;
-  found->second->port().detach(*found->second);
-  taps_.erase(found);
-}
-
 namespace {
 
 void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
@@ -410,11 +424,9 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
   status.set_superseded(counters.superseded);
   status.set_dropped(counters.dropped);
   status.set_refused(counters.refused);
-  const std::int64_t newest_ns = counters.newest_ns;
-  const double age_ms = std::max(0.0, 1e3 * to_seconds(now.time_since_epoch() - Duration(newest_ns)));
-  status.set_age_ms(newest_ns < 0 ? -1 : age_ms);
-  // A rate from long ago is no rate.
-  status.set_rate_hz(newest_ns < 0 || age_ms > 3000 ? 0.0F : counters.rate_hz.load());
+  const auto age = counters.age(now);
+  status.set_age_ms(age ? 1e3 * to_seconds(*age) : -1);
+  status.set_rate_hz(counters.rate_now_hz(now));
   if (auto* required = dynamic_cast<RequiredPort*>(&port)) {
     status.set_connection(to_proto(required->connection()));
     status.set_reason(required->connection_reason());
@@ -424,7 +436,8 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
 
 }  // namespace
 
-void Runtime::status(wire::GroupStatusReply& reply) const {
+void Runtime::status(wire::GroupStatusReply& reply) {
+  *reply.mutable_links() = links_.status();
   const TimePoint now = clock_.now();
   for (const auto& [name, instance] : instances_) {
     const Hull& hull = *instance->hull;
@@ -449,6 +462,7 @@ void Runtime::status(wire::GroupStatusReply& reply) const {
       for (auto& one : hull.parameters()->differences()) *status.add_set_parameters() = std::move(one);
     }
     for (const auto* trigger : hull.triggers()) *status.add_triggers() = interface_of(*trigger);
+    fill_probes(status, hull, now);
     for (const Task* task : hull.tasks()) {
       auto& one = *status.add_tasks();
       one.set_name(task->name());

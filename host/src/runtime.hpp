@@ -5,6 +5,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "fiona/clock.hpp"
 #include "fiona/hull.hpp"
@@ -12,6 +13,7 @@
 #include "fiona/wire.pb.h"
 #include "links.hpp"
 #include "plugin_library.hpp"
+#include "taps.hpp"
 
 namespace fiona::host {
 
@@ -22,34 +24,30 @@ class Runtime final : private HullEvents {
   /// [any thread] An event; called on whichever thread saw it, and must not wait.
   using OnEvent = std::function<void(wire::GroupMessage)>;
 
-  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, OnEvent on_event);
+  /// `link_key`: what other processes must prove to know, before anything they send is looked at.
+  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key, OnEvent on_event);
   ~Runtime() override;
 
   /// [control thread] Does what is asked. What cannot be done is in the message, as a Failure.
   wire::GroupMessage handle(const wire::GroupRequest& request);
   const std::string& endpoint() const { return links_.endpoint(); }
-  /// [control thread] A process of the system has ended.
-  void peer_lost(const std::string& endpoint, const std::string& reason) { links_.part(endpoint, reason); }
   Links& links() { return links_; }
 
  private:
   struct Instance;
   struct Wire;
-  class TapSink;
   class CallReply;
 
   void dispatch(const wire::GroupRequest& request, wire::GroupMessage& reply);
   void create(const wire::Create& request);
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
   void set_mode(const wire::SetMode& request);
-  void wire_local(const wire::WireLocal& request);
+  void wire_local(const wire::WireLocal& request, wire::Switched& switched);
   void cut(const wire::Cut& request);
   void retire(std::uint64_t wire);
   void call(const wire::Call& request);
   void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
-  void tap(const wire::Tap& request);
-  void untap(std::uint64_t tap);
-  void status(wire::GroupStatusReply& reply) const;
+  void status(wire::GroupStatusReply& reply);
 
   Instance& find(const std::string& name);
   ProvidedPort& provided(const control::PortName& name);
@@ -66,7 +64,8 @@ class Runtime final : private HullEvents {
   PluginLibraries& libraries_;
   std::map<std::string, std::unique_ptr<Instance>> instances_;
   std::map<std::uint64_t, Wire> wires_;
-  std::map<std::uint64_t, std::shared_ptr<TapSink>> taps_;
+  std::vector<std::weak_ptr<LocalWire>> retired_;  ///< of requests that were on their way at a rewire
+  Taps taps_;
   Links links_;
 };
 

@@ -1,17 +1,14 @@
 #include "system.hpp"
 
 #include <fmt/format.h>
-#include <google/protobuf/text_format.h>
 
 #include <algorithm>
-#include <fstream>
 #include <iostream>
-#include <sstream>
 
-#include "fiona/contract.hpp"
 #include "fiona/error.hpp"
-#include "fiona/push.hpp"
-#include "fiona/query.hpp"
+#include "fiona/hull.hpp"
+#include "fiona/hull_probes.hpp"
+#include "link_keys.hpp"
 
 namespace fiona::host {
 namespace {
@@ -21,35 +18,12 @@ constexpr std::string_view kMain = "main";
 constexpr double kModeDeadline_ms = 10'000;
 constexpr double kGrace_ms = 1'000;
 
-std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
-
-const ComponentInterface& component_of(const Interface& interface, const std::string& name) {
-  const auto& all = interface.components();
-  return *std::find_if(all.begin(), all.end(), [&](const ComponentInterface& c) { return c.name() == name; });
-}
-
-/// "LocationProvider (push timed, CommLocation)".
-std::string service_text(const google::protobuf::ServiceDescriptor* service, const std::string& full_name) {
-  if (!service) return last_part(full_name);
-  const ServiceInfo info(*service);
-  const std::string answer = info.answer() ? " -> " + info.answer()->name() : "";
-  return fmt::format("{} ({}, {}{})", service->name(), to_string(info.pattern()), info.object().name(), answer);
-}
-
-/// A name that can be typed and has no meaning of its own.
-void require_name(const std::string& name, std::string_view kind) {
-  const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
-  const bool good = !name.empty() && name.size() <= 64 && std::isalpha(static_cast<unsigned char>(name[0])) &&
-                    std::all_of(name.begin(), name.end(), allowed) && name != "host";
-  if (good) return;
-  throw Error(ErrorCode::Usage, {.what = fmt::format("'{}' is no name for {}", name, kind),
-                                 .expected = "a letter, then letters, digits, '-' and '_', at most 64; not 'host'"});
-}
+std::string waiting_for(const std::string& provider) { return "there is no instance '" + provider + "' yet"; }
 
 }  // namespace
 
 System::System(Options options, OnEvent on_event)
-    : options_(std::move(options)), on_event_(std::move(on_event)), store_(options_.store) {
+    : options_(std::move(options)), on_event_(std::move(on_event)), packages_(options_.store) {
   use_clock(std::make_unique<SystemClock>());
   if (!options_.hosts.any()) return;
   if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers;
@@ -91,102 +65,7 @@ void System::deliver(const wire::GroupMessage& event) {
   on_event_(event);
 }
 
-// ---- finding things -------------------------------------------------------------------------------------------
-
-std::string System::choose_component(const Interface& interface, const std::string& plugin, const std::string& wanted) {
-  std::vector<std::string> names;
-  for (const auto& component : interface.components()) names.push_back(component.name());
-  const std::string short_name = plugin.substr(plugin.rfind('/') + 1);
-  const std::string choice = !wanted.empty() ? wanted : names.size() == 1 ? names.front() : short_name;
-  if (std::find(names.begin(), names.end(), choice) != names.end()) return choice;
-  throw Error(ErrorCode::NotFound, {.what = fmt::format("plugin '{}' has no component '{}'", plugin, choice),
-                                    .expected = fmt::format("one of {}", fmt::join(names, ", ")),
-                                    .next = fmt::format("load {}/{}", plugin, names.empty() ? "COMPONENT" : names.front()),
-                                    .near = nearest_names(choice, names)});
-}
-
-/// A library as its author builds it: "DIR/libNAME.so" beside "DIR/NAME.interface.textproto".
-System::Installed System::find_library(const std::filesystem::path& library) const {
-  std::string name = library.stem().string();
-  if (name.starts_with("lib")) name = name.substr(3);
-  const auto description = library.parent_path() / (name + ".interface.textproto");
-  Installed found{"local/" + name, "0", std::filesystem::absolute(library), {}, {}, {}, nullptr};
-  std::ifstream file(description);
-  std::stringstream text;
-  text << file.rdbuf();
-  if (!file || !google::protobuf::TextFormat::ParseFromString(text.str(), &found.interface)) {
-    throw Error(ErrorCode::NotFound, {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
-                                      .where = description.string(),
-                                      .next = "fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona-describe " + library.string()});
-  }
-  const auto share = library.parent_path() / (name + ".share");
-  if (std::filesystem::is_directory(share)) found.share = share;
-  return found;
-}
-
-System::Installed System::find_plugin(const std::string& text) const {
-  if (const std::size_t ending = text.find(".so"); ending != std::string::npos) {
-    // "DIR/libNAME.so" or, with several components, "DIR/libNAME.so/component".
-    Installed found = find_library(text.substr(0, ending + 3));
-    found.component = choose_component(found.interface, found.name, text.substr(std::min(text.size(), ending + 4)));
-    return found;
-  }
-  // "publisher/name" and "name/component" look alike: an installed package of the whole text wins.
-  std::string plugin = text;
-  std::string component;
-  const auto known = store_.installed();
-  const auto matches = [&](const std::string& wanted) {
-    return std::any_of(known.begin(), known.end(),
-                       [&](const auto& p) { return p.name() == wanted || p.manifest.name() == wanted; });
-  };
-  const std::size_t slash = text.rfind('/');
-  if (!matches(text) && slash != std::string::npos && matches(text.substr(0, slash))) {
-    plugin = text.substr(0, slash);
-    component = text.substr(slash + 1);
-  }
-  const auto package = store_.find(plugin);
-  Installed found{package.name(), package.manifest.version(), package.library, package.share, package.interface(), {},
-                  std::make_shared<marketplace::PackageHold>(store_.hold(package))};
-  found.component = choose_component(found.interface, found.name, component);
-  return found;
-}
-
-std::vector<std::string> System::instance_names() const {
-  std::vector<std::string> names;
-  for (const auto& [name, one] : instances_) names.push_back(name);
-  return names;
-}
-
-System::Instance& System::instance(const std::string& name) {
-  const auto found = instances_.find(name);
-  if (found != instances_.end()) return found->second;
-  throw Error(ErrorCode::NotFound, {.what = "there is no instance '" + name + "'",
-                                    .next = "ls",
-                                    .near = nearest_names(name, instance_names())});
-}
-
-System::PortRef System::port(const control::PortName& name, Direction direction) {
-  const Instance& owner = instance(name.instance());
-  const auto& component = component_of(owner.package.interface, owner.package.component);
-  std::vector<std::string> fitting;
-  for (const auto& one : component.ports()) {
-    if (one.direction() != direction) {
-      if (one.name() != name.port()) continue;
-      throw Error(ErrorCode::Usage,
-                  {.what = fmt::format("{} {} {}", text_of(name), one.direction() == PROVIDES ? "provides" : "requires",
-                                       last_part(one.service())),
-                   .expected = direction == PROVIDES ? "a port that provides" : "a port that requires",
-                   .next = "show " + name.instance()});
-    }
-    if (one.name() == name.port()) return {&owner, &one};
-    fitting.push_back(one.name());
-  }
-  throw Error(ErrorCode::NotFound, {.what = fmt::format("'{}' has no port '{}' that {}", name.instance(), name.port(),
-                                                        direction == PROVIDES ? "provides" : "requires"),
-                                    .expected = fitting.empty() ? "nothing: it has none" : fmt::format("one of {}", fmt::join(fitting, ", ")),
-                                    .next = "show " + name.instance(),
-                                    .near = nearest_names(name.port(), fitting)});
-}
+// ---- groups ---------------------------------------------------------------------------------------------------
 
 Group& System::group(const std::string& name) {
   const std::string wanted = name.empty() ? std::string(kMain) : name;
@@ -199,96 +78,123 @@ Group& System::group(const std::string& name) {
     throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process: groups need the system clock",
                                         .next = "load without 'in " + wanted + "', or: set host clock=system"});
   }
+  require_descriptors_for_group(child_groups().size());
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
   auto made = std::make_unique<ChildGroup>(wanted, endpoint, *clock, [this](wire::GroupMessage event) { deliver(event); });
   return *(groups_[wanted] = std::move(made));
 }
 
-// ---- instances ------------------------------------------------------------------------------------------------
-
-std::string System::load(const control::Load& request) { return create(find_plugin(request.plugin()), request, false); }
-
-std::string System::create(Installed package, const control::Load& request, bool led) {
-  const std::string name = request.instance().empty() ? package.component : request.instance();
-  require_name(name, "an instance");
-  if (instances_.contains(name)) {
-    throw Error(ErrorCode::Usage, {.what = "there is an instance '" + name + "' already",
-                                   .found = instances_.at(name).package.name,
-                                   .next = fmt::format("load {} as OTHER-NAME, or: unload {}", request.plugin(), name)});
-  }
-  auto types = Types::read(package.name, package.interface);
-  Group& target = group(request.group());
-  wire::GroupRequest create;
-  auto& c = *create.mutable_create();
-  c.set_instance(name);
-  c.set_plugin(package.name);
-  c.set_version(package.version);
-  c.set_library(package.library.string());
-  c.set_share(package.share.string());
-  c.set_component(package.component);
-  *c.mutable_interface() = package.interface;
-  *c.mutable_parameters() = request.parameters();
-  c.set_mode(request.mode());
-  if (led) note_led(name, true);
-  try {
-    target.request(std::move(create));
-  } catch (...) {
-    note_led(name, false);
-    retire_if_empty(target);
-    throw;
-  }
-  types_.add(package.name, std::move(types));
-  const std::string note = fmt::format("{} {} as {}{}", package.name, package.version, name,
-                                       target.name() == kMain ? "" : " in " + target.name());
-  instances_.emplace(name, Instance{std::move(package), target.name(), {}, next_order_++, false, led});
-  return note;
+Group& System::group_of(const std::string& name, const Model& model) {
+  const Model::Instance& one = model.instance(name);
+  const auto lost = lost_.find(name);
+  if (lost == lost_.end()) return group(one.group);
+  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second.reason,
+                                       .where = name,
+                                       .next = lost->second.away ? "ls hosts" : "unload " + name + ", then load it again"});
 }
 
 /// A process that was started for an instance that could not be made has no purpose.
 void System::retire_if_empty(const Group& target) {
   const std::string name = target.name();
-  const bool used = std::any_of(instances_.begin(), instances_.end(),
-                                [&](const auto& entry) { return entry.second.group == name; });
-  if (!used && name != kMain) groups_.erase(name);
+  if (!model_.uses_group(name) && name != kMain && host_of(name).empty()) groups_.erase(name);
 }
 
-std::string System::unload(const control::Unload& request) {
-  Instance& leaving = instance(request.instance());
-  refuse_if_led(request.instance());
+// ---- instances ------------------------------------------------------------------------------------------------
+
+control::Done System::perform(const control::Change& change) {
+  Model next = model_;
+  next.make(change, packages_);
+  const control::Done done = [&] {
+    switch (change.what_case()) {
+      case control::Change::kLoad: return load(change.load(), next);
+      case control::Change::kUnload: return unload(change.unload());
+      case control::Change::kWire: return wire(change.wire(), next);
+      case control::Change::kUnwire: return unwire(change.unwire());
+      case control::Change::kSet: return set(change.set(), next);
+      default: throw Error(ErrorCode::Usage, "the change is not one step");
+    }
+  }();
+  model_ = std::move(next);
+  return done;
+}
+
+control::Done System::load(const control::Load& request, const Model& next) {
+  const std::string name = request.instance().empty() ? packages_.find(request.plugin()).component : request.instance();
+  const Model::Instance& made = next.instance(name);
+  Group& target = group(made.group);
+  create(target, name, made, request);
+  control::Done done;
+  done.set_note(fmt::format("{} {} as {}{}{}", made.package->name, made.package->version, name,
+                            target.name() == kMain ? "" : " in " + target.name(), connect_waiting(name, next)));
+  return done;
+}
+
+void System::create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request) {
+  wire::GroupRequest create;
+  auto& c = *create.mutable_create();
+  c.set_instance(name);
+  c.set_plugin(made.package->name);
+  c.set_version(made.package->version);
+  if (host_of(target.name()).empty()) {  // another host has files of its own
+    c.set_library(made.package->library.string());
+    c.set_share(made.package->share.string());
+  }
+  c.set_component(made.component);
+  *c.mutable_interface() = made.package->interface;
+  *c.mutable_parameters() = request.parameters();
+  c.set_mode(request.mode());
+  try {
+    target.request(std::move(create));
+  } catch (...) {
+    retire_if_empty(target);
+    throw;
+  }
+  types_.add(made.package->name, made.package->types);
+}
+
+control::Done System::unload(const control::Unload& request) {
+  const std::string& name = request.instance();
   std::vector<std::string> dependents;
   for (auto it = wires_.begin(); it != wires_.end();) {
-    const bool is_provider = it->second.provider.instance() == request.instance();
-    if (!is_provider && it->first.first != request.instance()) {
-      ++it;
-      continue;
+    const control::PortName client = port_of(it->first);
+    const bool is_client = client.instance() == name;
+    const bool is_provider = model_.wire_of(client)->provider.instance() == name;
+    if (is_client || is_provider) disconnect(client, it->second, name + " was unloaded");
+    if (!is_client && is_provider) {
+      dependents.push_back(text_of(client));
+      it->second = Wire{0, false, waiting_for(name), {}};
+      await_provider(client, it->second.reason, model_);
     }
-    control::PortName client;
-    client.set_instance(it->first.first);
-    client.set_port(it->first.second);
-    if (is_provider && it->first.first != request.instance()) dependents.push_back(text_of(client));
-    disconnect(client, it->second, request.instance() + " was unloaded");
-    it = wires_.erase(it);
+    it = is_client ? wires_.erase(it) : std::next(it);
   }
-  std::string note = "unloaded " + request.instance();
+  control::Done done;
+  std::string note = "unloaded " + name;
   wire::GroupRequest destroy;
-  destroy.mutable_destroy()->set_instance(request.instance());
-  if (RemoteGroup* silent = silent_group(leaving)) {
+  destroy.mutable_destroy()->set_instance(name);
+  const std::string& at = model_.instance(name).group;
+  if (RemoteGroup* silent = silent_group(at)) {
     silent->owe(std::move(destroy));
     note += ", which its host will do when it is back";
-  } else if (leaving.lost.empty()) {
-    const auto reply = group(leaving.group).request(std::move(destroy));
-    if (!reply.done().note().empty() && host_of(leaving.group).empty()) note += "; " + reply.done().note();
+  } else if (!lost_.contains(name)) {
+    const auto reply = group(at).request(std::move(destroy));
+    if (!reply.done().note().empty() && host_of(at).empty()) note += "; " + reply.done().note();
   }
-  note_led(request.instance(), false);
-  instances_.erase(request.instance());
-  if (!dependents.empty()) note += fmt::format("; now unwired: {}", fmt::join(dependents, ", "));
-  return note;
+  lost_.erase(name);
+  if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));
+  done.set_note(note);
+  return done;
+}
+
+void System::note_state(const control::State& request) {
+  control::Change change;
+  *change.mutable_state() = request;
+  if (model_.find(request.instance())) model_.make(change, packages_);
 }
 
 void System::state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer) {
   const std::string name = request.instance();
-  Group& target = group(instance(name).group);
-  refuse_if_led(name);
+  Group& target = group_of(name, model_);
+  model_.require_own(name);
   const std::uint64_t change = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
   const auto begin = [&] {
@@ -316,12 +222,9 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
 
 /// What a call by hand reaches: the port or trigger that is named, of a required port the provider at its wire's end.
 control::PortName System::callee(const control::PortName& name) {
-  const Instance& owner = instance(name.instance());
-  const auto& component = component_of(owner.package.interface, owner.package.component);
-  for (const auto& one : component.ports()) {
+  for (const auto& one : model_.instance(name.instance()).interface().ports()) {
     if (one.name() != name.port() || one.direction() != REQUIRES) continue;
-    const auto wire = wires_.find({name.instance(), name.port()});
-    if (wire != wires_.end()) return wire->second.provider;
+    if (const auto* wire = model_.wire_of(name)) return wire->provider;
     throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: there is nobody to call", .next = "spots"});
   }
   return name;
@@ -329,7 +232,7 @@ control::PortName System::callee(const control::PortName& name) {
 
 void System::call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer) {
   const control::PortName name = callee(request.target());
-  Group& target = group(instance(name.instance()).group);
+  Group& target = group_of(name.instance(), model_);
   const std::uint64_t run = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : 1e3 * to_seconds(kDefaultDeadline);
   const TimePoint begun = clock_->now();
@@ -364,60 +267,30 @@ void System::call(std::uint64_t owner, std::uint64_t id, const control::Call& re
   waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
 }
 
-std::string System::set(const control::Set& request) {
-  if (request.instance() == "host") {
-    set_host(request);
-    return "";
+control::Done System::set(const control::Set& request, const Model& next) {
+  control::Done done;
+  done.set_note("set " + request.instance());
+  if (request.instance() != "host") {
+    wire::GroupRequest change;
+    change.mutable_set_parameters()->set_instance(request.instance());
+    *change.mutable_set_parameters()->mutable_parameters() = request.parameters();
+    group_of(request.instance(), next).request(std::move(change));
+    return done;
   }
-  const Instance& target = instance(request.instance());
-  refuse_if_led(request.instance());
-  wire::GroupRequest change;
-  change.mutable_set_parameters()->set_instance(request.instance());
-  *change.mutable_set_parameters()->mutable_parameters() = request.parameters();
-  group(target.group).request(std::move(change));
-  return "";
-}
-
-/// The host's own parameters: which clock the system has, and how fast a virtual one may run.
-void System::set_host(const control::Set& request) {
-  std::string kind = dynamic_cast<VirtualClock*>(clock_.get()) ? "virtual" : "system";
-  std::optional<double> speed;
-  for (const auto& argument : request.parameters()) {
-    const auto& value = argument.value();
-    const bool number = value.kind_case() == control::Value::kNumber || value.kind_case() == control::Value::kInteger;
-    if (argument.name() == "clock" && (value.text() == "virtual" || value.text() == "system")) {
-      kind = value.text();
-    } else if (argument.name() == "speed" && number) {
-      speed = value.kind_case() == control::Value::kNumber ? value.number() : static_cast<double>(value.integer());
-    } else {
-      throw Error(ErrorCode::Usage, {.what = "the host does not take '" + argument.name() + "' so",
-                                     .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes)",
-                                     .next = "get host"});
-    }
-  }
-  if (speed && (*speed < 0 || *speed > 1e6)) {
-    throw Error(ErrorCode::Usage, {.what = "the speed is out of range", .expected = "0 .. 1000000", .found = fmt::format("{}", *speed)});
-  }
-  if (speed && kind == "system") {
-    throw Error(ErrorCode::Usage, {.what = "the system clock has one speed", .next = "set host clock=virtual speed=…"});
-  }
-  const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
-  if (kind == "virtual" && hosts_) {
+  if (next.has_virtual_clock() && hosts_) {
     throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one process, and this host works with others over tcp",
                                         .next = "start it without --listen and --peer"});
   }
-  if ((kind == "virtual") != is_virtual) {
-    if (!instances_.empty()) {
-      throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} instances live by the present clock", instances_.size()),
-                                          .next = "set host clock before the first load"});
-    }
-    use_clock(kind == "virtual" ? std::unique_ptr<Clock>(std::make_unique<VirtualClock>()) : std::make_unique<SystemClock>());
+  const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
+  if (next.has_virtual_clock() != is_virtual) {
+    use_clock(is_virtual ? std::unique_ptr<Clock>(std::make_unique<SystemClock>()) : std::make_unique<VirtualClock>());
   }
-  if (speed) dynamic_cast<VirtualClock&>(*clock_).set_speed(*speed);
+  if (next.has_virtual_clock()) dynamic_cast<VirtualClock&>(*clock_).set_speed(next.speed());
+  return done;
 }
 
 std::pair<bool, std::string> System::has_mode(const std::string& name, const std::string& mode) {
-  instance(name);
+  model_.instance(name);
   const auto snapshot_now = snapshot();
   for (const auto& one : snapshot_now.instances()) {
     if (one.name() == name) return {one.mode() == mode, one.mode()};
@@ -427,69 +300,59 @@ std::pair<bool, std::string> System::has_mode(const std::string& name, const std
 
 // ---- wires ----------------------------------------------------------------------------------------------------
 
-std::string System::providers_of(const std::string& service) const {
-  std::vector<std::string> names;
-  for (const auto& [name, one] : instances_) {
-    for (const auto& p : component_of(one.package.interface, one.package.component).ports()) {
-      if (p.direction() == PROVIDES && p.service() == service) names.push_back(name + "." + p.name());
-    }
-  }
-  return fmt::format("{}", fmt::join(names, ", "));
-}
-
-void System::check_contract(const control::PortName& client, const control::PortName& provider) {
-  const PortRef required = port(client, REQUIRES);
-  const PortRef provided = port(provider, PROVIDES);
-  const auto* a = types_.service(required.instance->package.name, required.port->service());
-  const auto* b = types_.service(provided.instance->package.name, provided.port->service());
-  const auto difference = a && b ? contract_difference(*a, *b) : std::optional<std::string>("a service is unknown to the host");
-  if (!difference) return;
-  const std::string fitting = providers_of(required.port->service());
-  const std::string name = last_part(required.port->service());
-  const bool same_service = required.port->service() == provided.port->service();
-  throw Error(ErrorCode::WiringInvalid,
-              {.what = fmt::format("{} requires {}; {} provides {}", text_of(client), service_text(a, required.port->service()),
-                                   text_of(provider), service_text(b, provided.port->service())),
-               .found = same_service ? *difference : "",
-               .next = fitting.empty() ? "nothing here provides " + name + ": spots shows who could"
-                                       : "these provide " + name + ": " + fitting});
-}
-
 /// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
 /// all is as before.
-System::Wire System::connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
-                             std::uint64_t replaces, bool resumes) {
-  Group& client_group = group(instance(client.instance()).group);
-  Group& provider_group = group(instance(provider.instance()).group);
-  Wire wire{next_wire_++, provider, prescale, &client_group == &provider_group, {}};
+System::Wire System::connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done,
+                             bool resumes) {
+  const Model::Wire& wanted = *model.wire_of(client);
+  Group& client_group = group_of(client.instance(), model);
+  Group& provider_group = group_of(wanted.provider.instance(), model);
+  Wire wire{next_wire_++, &client_group == &provider_group, {}, {}};
+  const auto note_cost = [&](const wire::GroupMessage& reply) {
+    if (replaces == 0) return;
+    done.set_switched(done.switched() + 1);
+    done.set_gap_ms(std::max(done.gap_ms(), static_cast<double>(reply.switched().gap_ns()) / 1e6));
+    done.set_lost(done.lost() + reply.switched().lost());
+  };
   wire::GroupRequest request;
   if (wire.local) {
     auto& local = *request.mutable_wire_local();
     local.set_wire(wire.id);
     *local.mutable_client() = client;
-    *local.mutable_provider() = provider;
-    local.set_prescale(prescale);
+    *local.mutable_provider() = wanted.provider;
+    local.set_prescale(wanted.prescale);
     local.set_replaces(replaces);
-    client_group.request(std::move(request));
+    note_cost(client_group.request(std::move(request)));
     return wire;
   }
   const std::string token = os::random_token();
+  const std::vector<Group*> path = way(client_group, provider_group);
   auto& provide = *request.mutable_wire_provide();
   provide.set_wire(wire.id);
   provide.set_token(token);
-  *provide.mutable_provider() = provider;
-  provide.set_prescale(prescale);
+  *provide.mutable_provider() = wanted.provider;
+  provide.set_prescale(wanted.prescale);
+  provide.set_peer(known_as(*path[path.size() - 2], provider_group));
   provider_group.request(request);
-  auto& require = *request.mutable_wire_require();
-  require.set_wire(wire.id);
-  require.set_token(token);
-  *require.mutable_client() = client;
-  *require.mutable_provider() = provider;
-  require.set_replaces(replaces);
-  if (resumes) require.set_resumes_every(prescale);
   try {
-    require.set_endpoint(route(wire, token, client_group, provider_group));
-    client_group.request(std::move(request));
+    for (std::size_t i = path.size() - 2; i > 0; --i) {
+      wire.relays.push_back(path[i]->name());
+      auto& relay = *request.mutable_wire_relay();
+      relay.set_wire(wire.id);
+      relay.set_token(token);
+      relay.set_peer(known_as(*path[i - 1], *path[i]));
+      set_endpoint(relay, endpoint_for(*path[i], *path[i + 1]));
+      path[i]->request(request);
+    }
+    auto& require = *request.mutable_wire_require();
+    require.set_wire(wire.id);
+    require.set_token(token);
+    *require.mutable_client() = client;
+    *require.mutable_provider() = wanted.provider;
+    require.set_replaces(replaces);
+    if (resumes) require.set_resumes_every(wanted.prescale);
+    set_endpoint(require, endpoint_for(client_group, *path[1]));
+    note_cost(client_group.request(std::move(request)));
   } catch (...) {
     for (const auto& relay : wire.relays) cut_at(relay, wire.id, "the wire did not open");
     cut_at(provider_group.name(), wire.id, "the wire did not open");
@@ -499,74 +362,148 @@ System::Wire System::connect(const control::PortName& client, const control::Por
 }
 
 void System::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
+  if (wire.id == 0) return;
   // The client first: told by its host it is unwired; told by the provider it would be lost.
-  for (const auto& name : {client.instance(), wire.provider.instance()}) {
-    const auto found = instances_.find(name);
-    if (found != instances_.end()) cut_at(found->second.group, wire.id, reason);
+  for (const auto& name : {client.instance(), model_.wire_of(client)->provider.instance()}) {
+    if (const auto* one = model_.find(name)) cut_at(one->group, wire.id, reason);
     if (wire.local) return;
   }
   for (const auto& relay : wire.relays) cut_at(relay, wire.id, reason);
 }
 
-std::string System::wire(const control::Wire& request) {
-  check_contract(request.client(), request.provider());
-  refuse_if_led(request.client().instance());
-  refuse_if_led(request.provider().instance());
-  const auto key = std::pair(request.client().instance(), request.client().port());
-  const auto old = wires_.find(key);
-  const std::uint32_t prescale = std::max(1U, request.prescale());
-  const bool unchanged = old != wires_.end() && old->second.lost.empty() && old->second.prescale == prescale &&
-                         text_of(old->second.provider) == text_of(request.provider());
-  if (unchanged) return "wired so already";
-  wires_[key] = connect(request.client(), request.provider(), prescale, old == wires_.end() ? 0 : old->second.id);
-  return text_of(request.client()) + " to " + text_of(request.provider());
+void System::await_provider(const control::PortName& client, const std::string& reason, const Model& model) {
+  if (lost_.contains(client.instance())) return;
+  wire::GroupRequest request;
+  *request.mutable_await()->mutable_client() = client;
+  request.mutable_await()->set_reason(reason);
+  group_of(client.instance(), model).request(std::move(request));
 }
 
-std::string System::unwire(const control::Unwire& request) {
-  port(request.client(), REQUIRES);
-  refuse_if_led(request.client().instance());
-  const auto found = wires_.find({request.client().instance(), request.client().port()});
-  if (found == wires_.end()) {
-    throw Error(ErrorCode::NotFound, {.what = text_of(request.client()) + " has no wire", .where = text_of(request.client()), .next = "ls wires"});
+/// The wires that have waited for an instance that is there now; what came of it, as a note.
+std::string System::connect_waiting(const std::string& provider, const Model& next) {
+  std::vector<std::string> connected;
+  std::string note;
+  for (auto& [key, wire] : wires_) {
+    const control::PortName client = port_of(key);
+    const Model::Wire* wanted = next.wire_of(client);
+    if (wire.id != 0 || !wanted || wanted->provider.instance() != provider) continue;
+    try {
+      control::Done ignored;
+      wire = connect(client, next, 0, ignored);
+      connected.push_back(text_of(client));
+    } catch (const Error& error) {
+      wire.reason = error.text().what;
+      note += fmt::format("; {} still waits: {}", text_of(client), wire.reason);
+    }
+  }
+  return connected.empty() ? note : fmt::format("; had waited for it: {}", fmt::join(connected, ", ")) + note;
+}
+
+control::Done System::wire(const control::Wire& request, const Model& next) {
+  const Model::PortKey key = key_of(request.client());
+  const Model::Wire* before = model_.wire_of(request.client());
+  const Model::Wire& wanted = *next.wire_of(request.client());
+  const auto old = wires_.find(key);
+  control::Done done;
+  const bool unchanged = before && old->second.reason.empty() && before->prescale == wanted.prescale &&
+                         text_of(before->provider) == text_of(wanted.provider);
+  if (unchanged) {
+    done.set_note("wired so already");
+    return done;
+  }
+  if (const std::string& provider = wanted.provider.instance(); !next.find(provider)) {
+    if (old != wires_.end()) disconnect(request.client(), old->second, waiting_for(provider));
+    const Wire waiting{0, false, waiting_for(provider), {}};
+    await_provider(request.client(), waiting.reason, next);
+    wires_[key] = waiting;
+    const auto near = nearest_names(provider, next.names());
+    done.add_warnings(text_of(request.client()) + " waits: " + waiting.reason +
+                      (near.empty() ? "" : fmt::format("; did you mean {}?", fmt::join(near, ", "))));
+    done.set_note(text_of(request.client()) + " waits for " + text_of(request.provider()));
+    return done;
+  }
+  const Wire made = connect(request.client(), next, old == wires_.end() ? 0 : old->second.id, done);
+  wires_[key] = made;
+  done.set_note(text_of(request.client()) + " to " + text_of(request.provider()));
+  return done;
+}
+
+control::Done System::unwire(const control::Unwire& request) {
+  const auto found = wires_.find(key_of(request.client()));
+  if (found->second.id == 0) {
+    // Cut from nothing: the port is told that it waits no longer.
+    await_provider(request.client(), "", model_);
   }
   disconnect(request.client(), found->second, "unwired");
   wires_.erase(found);
-  return text_of(request.client()) + " unwired";
+  control::Done done;
+  done.set_note(text_of(request.client()) + " unwired");
+  return done;
 }
 
 void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
   for (auto& [client, wire] : wires_) {
-    if (wire.id == id) wire.lost = reason;
+    if (wire.id == id) wire.reason = reason;
   }
 }
 
 // ---- watching -------------------------------------------------------------------------------------------------
 
-std::uint64_t System::tap(const control::PortName& name) {
+void System::tap(std::uint64_t id, const control::Watch& request) {
+  const control::PortName& name = request.port();
   control::PortName target = name;
-  const auto wire = wires_.find({name.instance(), name.port()});
-  if (wire != wires_.end()) target = wire->second.provider;
-  const Instance& owner = instance(target.instance());
-  const auto& ports = component_of(owner.package.interface, owner.package.component).ports();
+  const auto* wire = model_.wire_of(name);
+  if (wire && model_.find(wire->provider.instance())) target = wire->provider;
+  const auto& ports = model_.instance(target.instance()).interface().ports();
   const bool unwired = std::any_of(ports.begin(), ports.end(), [&](const PortInterface& p) {
     return p.name() == target.port() && p.direction() == REQUIRES;
   });
   if (unwired) {
     throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: nothing comes to it", .next = "spots"});
   }
-  port(target, PROVIDES);
-  wire::GroupRequest request;
-  const std::uint64_t id = next_tap_++;
-  request.mutable_tap()->set_tap(id);
-  *request.mutable_tap()->mutable_port() = target;
-  taps_.emplace(id, owner.group);
+  Group& target_group = group_of(target.instance(), model_);
+  wire::GroupRequest tap;
+  tap.mutable_tap()->set_tap(id);
+  *tap.mutable_tap()->mutable_watch() = request;
+  *tap.mutable_tap()->mutable_watch()->mutable_port() = target;
+  taps_.emplace(id, target_group.name());
   try {
-    group(owner.group).request(std::move(request));
+    target_group.request(std::move(tap));
   } catch (...) {
     taps_.erase(id);
     throw;
   }
-  return id;
+}
+
+wire::Tapped System::read(const control::PortName& name) {
+  wire::GroupRequest request;
+  *request.mutable_read()->mutable_probe() = name;
+  return group_of(name.instance(), model_).request(std::move(request)).tapped();
+}
+
+control::Expect System::expected(control::Expect request) {
+  control::PortName& name = *request.mutable_port();
+  const Model::Instance& owner = model_.instance(name.instance());
+  const auto& component = owner.interface();
+  const auto probes = hull_probes();
+  const auto has = [&](HullProbe::Of of) {
+    return std::any_of(probes.begin(), probes.end(), [&](const auto& one) { return one.of == of && one.name == request.field(); });
+  };
+  const auto named = [&name](const auto& one) { return one.name() == name.port(); };
+  const auto port = std::find_if(component.ports().begin(), component.ports().end(), named);
+  const bool is_task = std::any_of(component.tasks().begin(), component.tasks().end(), named);
+  const auto* service = port == component.ports().end() ? nullptr : Types::service(*owner.package->types, port->service());
+  const bool is_field = service && ServiceInfo(*service).object().FindFieldByName(request.field());
+  if (service && request.field().empty()) {
+    throw Error(ErrorCode::Usage, {.what = text_of(name) + " is a port: '" + text_of(name) + "' names no field of its object",
+                                   .expected = "INSTANCE.PORT.FIELD",
+                                   .next = "show " + text_of(name)});
+  }
+  if ((service && has(HullProbe::Of::Port) && !is_field) || (is_task && has(HullProbe::Of::Task))) {
+    name.set_port(name.port() + "." + request.field());
+    request.clear_field();
+  }
+  return request;
 }
 
 void System::untap(std::uint64_t id) {
@@ -580,7 +517,7 @@ void System::untap(std::uint64_t id) {
   owner->second->request(std::move(request));
 }
 
-// ---- groups ---------------------------------------------------------------------------------------------------
+// ---- the processes of groups ----------------------------------------------------------------------------------
 
 std::vector<ChildGroup*> System::child_groups() {
   std::vector<ChildGroup*> children;
@@ -601,49 +538,72 @@ void System::serve_group(ChildGroup& group) {
 void System::lose(ChildGroup& gone) {
   if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
+  wire::PeerLost lost;
+  lost.set_endpoint(gone.endpoint());
+  lost.set_name(gone.link_name());
+  lost.set_reason(reason);
   for (auto& [name, one] : groups_) {
-    if (one.get() != &gone && one->alive()) one->peer_lost(gone.endpoint(), reason);
+    if (one.get() != &gone && one->alive()) one->peer_lost(lost);
   }
-  for (auto& [name, one] : instances_) {
-    if (one.group != gone.name() || !one.lost.empty()) continue;
-    one.lost = reason;
-    wire::GroupMessage event;
-    event.mutable_mode_changed()->set_instance(name);
-    event.mutable_mode_changed()->set_mode(std::string(kModeFailed));
-    event.mutable_mode_changed()->set_reason(reason);
-    deliver(event);
+  for (const std::string& name : model_.names()) {
+    const bool dies = model_.instance(name).group == gone.name() && lost_.emplace(name, Lost{reason}).second;
+    if (dies) tell_failed(name, reason);
   }
-  for (auto& [client, wire] : wires_) {
-    const bool client_gone = instances_.at(client.first).group == gone.name();
-    const bool provider_gone = instances_.at(wire.provider.instance()).group == gone.name();
-    if (client_gone || provider_gone) wire.lost = reason;
-    if (!client_gone || provider_gone) continue;
-    // The provider lives on and must not go on sending to nobody.
-    cut_at(instances_.at(wire.provider.instance()).group, wire.id, reason);
+  end_taps(gone.name(), reason);
+  for (auto& [key, wire] : wires_) {
+    const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
+    const bool client_gone = model_.instance(key.first).group == gone.name();
+    const bool provider_gone = model_.find(provider) && model_.instance(provider).group == gone.name();
+    if (wire.id != 0 && (client_gone || provider_gone)) wire.reason = reason;
+    // Another host's process, which has lost nothing, must not go on sending to nobody.
+    const bool far = client_gone && !provider_gone && model_.find(provider) && !host_of_instance(provider).empty();
+    if (wire.id != 0 && far) cut_at(model_.instance(provider).group, wire.id, reason);
   }
   wire::GroupMessage event;
   event.mutable_group_ended()->set_group(gone.name());
   event.mutable_group_ended()->set_reason(reason);
   tell_leader(event);
   // What was the leader's there is told; the names are his to use again.
-  for (auto it = instances_.begin(); it != instances_.end();) {
-    const bool his = it->second.led && it->second.group == gone.name();
-    if (his) note_led(it->first, false);
-    it = his ? instances_.erase(it) : std::next(it);
+  for (const std::string& name : model_.names()) {
+    if (!model_.instance(name).led || model_.instance(name).group != gone.name()) continue;
+    note_led(name, false);
+    lost_.erase(name);
+    model_.drop(name);
   }
+}
+
+void System::tell_failed(const std::string& instance, const std::string& reason) {
+  wire::GroupMessage event;
+  event.mutable_mode_changed()->set_instance(instance);
+  event.mutable_mode_changed()->set_mode(std::string(kModeFailed));
+  event.mutable_mode_changed()->set_reason(reason);
+  deliver(event);
+}
+
+void System::end_taps(const std::string& group, const std::string& reason) {
+  for (const auto& [tap, owner] : taps_) {
+    if (owner != group) continue;
+    wire::GroupMessage event;
+    event.mutable_tap_ended()->set_tap(tap);
+    *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
+    deliver(event);
+  }
+  std::erase_if(taps_, [&group](const auto& tap) { return tap.second == group; });
 }
 
 // ---- snapshot -------------------------------------------------------------------------------------------------
 
-control::InstanceStatus System::status_of_lost(const std::string& name, const Instance& one) const {
+control::InstanceStatus System::status_of_lost(const std::string& name) const {
+  const Model::Instance& one = model_.instance(name);
   control::InstanceStatus status;
   status.set_name(name);
-  status.set_plugin(one.package.name);
-  status.set_component(one.package.component);
-  status.set_version(one.package.version);
+  status.set_plugin(one.package->name);
+  status.set_component(one.component);
+  status.set_version(one.package->version);
   status.set_mode(std::string(kModeFailed));
-  status.set_reason(one.lost.empty() ? "its process does not answer" : one.lost);
-  for (const auto& declared : component_of(one.package.interface, one.package.component).ports()) {
+  const auto lost = lost_.find(name);
+  status.set_reason(lost == lost_.end() ? "its process does not answer" : lost->second.reason);
+  for (const auto& declared : one.interface().ports()) {
     auto& p = *status.add_ports();
     p.set_name(declared.name());
     p.set_direction(declared.direction());
@@ -658,36 +618,33 @@ control::InstanceStatus System::status_of_lost(const std::string& name, const In
 
 /// What only the whole system knows: groups, wires seen from both ends.
 void System::complete_status(control::InstanceStatus& status) const {
-  const Instance& one = instances_.at(status.name());
-  status.set_group(one.group);
+  status.set_group(model_.instance(status.name()).group);
   for (auto& p : *status.mutable_ports()) {
-    for (const auto& [client, wire] : wires_) {
+    for (const auto& [client, wanted] : model_.wires()) {
       if (client.first == status.name() && client.second == p.name()) {
-        *p.mutable_peer() = wire.provider;
-        p.set_prescale(wire.prescale);
-        p.set_transport(transport(status.name(), wire));
-        if (!wire.lost.empty()) p.set_connection(control::LOST);
-        if (!wire.lost.empty()) p.set_reason(wire.lost);
+        const Wire& wire = wires_.at(client);
+        *p.mutable_peer() = wanted.provider;
+        p.set_prescale(wanted.prescale);
+        if (wire.id != 0) p.set_transport(transport(client.first, wanted.provider.instance(), wire));
+        if (wire.id != 0 && !wire.reason.empty()) p.set_connection(control::LOST);
+        if (!wire.reason.empty()) p.set_reason(wire.reason);
       }
-      if (wire.provider.instance() == status.name() && wire.provider.port() == p.name()) {
-        auto& user = *p.add_clients();
-        user.set_instance(client.first);
-        user.set_port(client.second);
-      }
+      if (wanted.provider.instance() == status.name() && wanted.provider.port() == p.name()) *p.add_clients() = port_of(client);
     }
   }
 }
 
 /// The instances of a group; none when the process turns out to be gone, which is then noted.
-std::vector<control::InstanceStatus> System::status_of_group(Group& target) {
+std::vector<control::InstanceStatus> System::status_of_group(Group& target, control::LinkStatus& links) {
   std::vector<control::InstanceStatus> found;
   if (!target.alive()) return found;
   wire::GroupRequest request;
   request.mutable_status();
   try {
     const auto reply = target.request(std::move(request));
+    links = reply.status().links();
     std::copy_if(reply.status().instances().begin(), reply.status().instances().end(), std::back_inserter(found),
-                 [this](const auto& one) { return instances_.contains(one.name()); });
+                 [this](const auto& one) { return model_.find(one.name()) != nullptr; });
   } catch (const Error&) {
     if (dynamic_cast<RemoteGroup*>(&target)) return found;  // its host will tell, or fall silent
     if (target.alive()) throw;
@@ -710,16 +667,19 @@ control::System System::snapshot() {
     auto& status = *all.add_groups();
     status.set_name(name);
     status.set_process(one->process());
-    for (auto& in_group : status_of_group(*one)) ordered[instances_.at(in_group.name()).order] = std::move(in_group);
+    for (auto& in_group : status_of_group(*one, *status.mutable_links())) ordered[model_.instance(in_group.name()).order] = std::move(in_group);
     status.set_alive(one->alive());
   }
-  for (const auto& [name, one] : instances_) {
-    if (!one.lost.empty() || !ordered.contains(one.order)) ordered[one.order] = status_of_lost(name, one);
+  for (const std::string& name : model_.names()) {
+    const std::uint64_t order = model_.instance(name).order;
+    if (lost_.contains(name) || !ordered.contains(order)) ordered[order] = status_of_lost(name);
   }
   std::map<std::string, const Interface*> interfaces;
+  std::map<std::string, std::uint64_t> members;
   for (auto& [order, status] : ordered) {
     complete_status(status);
-    interfaces[status.plugin()] = &instances_.at(status.name()).package.interface;
+    ++members[status.group()];
+    interfaces[status.plugin()] = &model_.instance(status.name()).package->interface;
     *all.add_instances() = std::move(status);
   }
   for (const auto& [name, interface] : interfaces) {
@@ -728,10 +688,7 @@ control::System System::snapshot() {
     one.clear_descriptors();
   }
   add_hosts(all);
-  for (auto& status : *all.mutable_groups()) {
-    status.set_instances(static_cast<std::uint64_t>(std::count_if(
-        instances_.begin(), instances_.end(), [&](const auto& entry) { return entry.second.group == status.name(); })));
-  }
+  for (auto& status : *all.mutable_groups()) status.set_instances(members[status.name()]);
   return all;
 }
 

@@ -10,15 +10,23 @@
 #include <vector>
 
 #include "fiona/control.pb.h"
-#include "fiona/marketplace/store.hpp"
 #include "fiona/pool.hpp"
 #include "group.hpp"
 #include "host_links.hpp"
+#include "model.hpp"
+#include "package.hpp"
 #include "remote_group.hpp"
 #include "types.hpp"
 #include "waits.hpp"
 
 namespace fiona::host {
+
+template <class WireMessage>
+void set_endpoint(WireMessage& message, const Links::Endpoint& to) {
+  message.set_endpoint(to.address);
+  message.set_name(to.name);
+  message.set_key(to.key);
+}
 
 /// A running system: instances in groups, and the wires between them. One model, changed by one thread.
 class System {
@@ -37,14 +45,15 @@ class System {
   System(Options options, OnEvent on_event);
   ~System();
 
-  // Each does its change or throws Error and changes nothing; the text is a note for people.
-  std::string load(const control::Load& request);
-  std::string unload(const control::Unload& request);
-  std::string wire(const control::Wire& request);
-  std::string unwire(const control::Unwire& request);
-  std::string set(const control::Set& request);
+  const Model& model() const { return model_; }
+  const Packages& packages() const { return packages_; }
+
+  /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
+  control::Done perform(const control::Change& change);
   /// Answered when the change of mode has been made, or why not; throws Error if it cannot be.
   void state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer);
+  /// A change of mode has been made: from now on it is what the system is meant to be.
+  void note_state(const control::State& request);
   /// Uses a query or send port, or a trigger; answered with how it ended.
   void call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer);
 
@@ -52,10 +61,16 @@ class System {
   const Types& types() const { return types_; }
   Waits& waits() { return *waits_; }
 
-  /// Starts to deliver what a push port puts, as Tapped events; a required port stands for its provider's.
-  std::uint64_t tap(const control::PortName& port);
+  /// Starts to deliver what a push port or a probe says, as Tapped events with this number of `new_tap`, until `untap`
+  /// or TapEnded; a required port stands for its provider's.
+  void tap(std::uint64_t tap, const control::Watch& request);
+  std::uint64_t new_tap() { return next_tap_++; }
   void untap(std::uint64_t tap);
-  bool has_instance(const std::string& name) const { return instances_.contains(name); }
+  /// The value of now of a probe; its type is empty while it has none.
+  wire::Tapped read(const control::PortName& probe);
+  /// What INSTANCE.NAME.FIELD names, which may be a probe of the hull: `nav.location.rate`.
+  control::Expect expected(control::Expect request);
+  bool has_instance(const std::string& name) const { return model_.find(name) != nullptr; }
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
 
@@ -74,70 +89,57 @@ class System {
   std::string listens() const { return hosts_ && hosts_->leader() ? hosts_->leader()->address() : ""; }
 
  private:
-  struct Installed {
-    std::string name;  ///< "publisher/name"
-    std::string version;
-    std::filesystem::path library;
-    std::filesystem::path share;
-    Interface interface;
-    std::string component;
-    std::shared_ptr<marketplace::PackageHold> hold;
-  };
-  struct Instance {
-    Installed package;
-    std::string group;
-    std::string lost;  ///< why its group is gone; empty: alive
-    std::uint64_t order = 0;
-    bool away = false;  ///< lost because its host is silent: it may come back
-    bool led = false;   ///< another host's system has it
-  };
+  /// A wire as it is; the model says what it is meant to be.
   struct Wire {
-    std::uint64_t id = 0;
-    control::PortName provider;
-    std::uint32_t prescale = 1;
+    std::uint64_t id = 0;  ///< 0: it waits for its provider
     bool local = false;
-    std::string lost;
+    std::string reason;  ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
   };
-  struct PortRef {
-    const Instance* instance;
-    const PortInterface* port;
+  struct Lost {
+    std::string reason;
+    bool away = false;  ///< its host is silent: it may come back
   };
 
-  Installed find_plugin(const std::string& text) const;
-  Installed find_library(const std::filesystem::path& library) const;
-  static std::string choose_component(const Interface& interface, const std::string& plugin, const std::string& wanted);
-  /// `led`: for the host that leads this one.
-  std::string create(Installed package, const control::Load& request, bool led);
+  control::Done load(const control::Load& request, const Model& next);
+  control::Done unload(const control::Unload& request);
+  control::Done wire(const control::Wire& request, const Model& next);
+  control::Done unwire(const control::Unwire& request);
+  control::Done set(const control::Set& request, const Model& next);
+
   Group& group(const std::string& name);
+  /// Of an instance that lives; throws Error Unreachable otherwise.
+  Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
   void lose(ChildGroup& gone);
-  std::vector<control::InstanceStatus> status_of_group(Group& target);
-  Instance& instance(const std::string& name);
-  std::vector<std::string> instance_names() const;
-  PortRef port(const control::PortName& name, Direction direction);
-  void check_contract(const control::PortName& client, const control::PortName& provider);
-  std::string providers_of(const std::string& service) const;
-  Wire connect(const control::PortName& client, const control::PortName& provider, std::uint32_t prescale,
-               std::uint64_t replaces, bool resumes = false);
+  void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request);
+  void tell_failed(const std::string& instance, const std::string& reason);
+  void end_taps(const std::string& group, const std::string& reason);
+  std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
+  Wire connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done,
+               bool resumes = false);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
+  void await_provider(const control::PortName& client, const std::string& reason, const Model& model);
+  std::string connect_waiting(const std::string& provider, const Model& next);
   control::PortName callee(const control::PortName& name);
-  void set_host(const control::Set& request);
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();
-  control::InstanceStatus status_of_lost(const std::string& name, const Instance& instance) const;
+  control::InstanceStatus status_of_lost(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
   void deliver(const wire::GroupMessage& event);
 
   // ---- with other hosts (system_hosts.cpp)
   std::string host_of(const std::string& group) const;
+  std::string host_of_instance(const std::string& name) const;
   Group& main_of(const std::string& host);
   Group* remote_group(const std::string& name);
   std::vector<RemoteGroup*> groups_of(const std::string& host);
-  RemoteGroup* silent_group(const Instance& one);
-  std::string route(Wire& wire, const std::string& token, Group& client, Group& provider);
+  RemoteGroup* silent_group(const std::string& group);
+  std::vector<Group*> way(Group& client, Group& provider);
+  std::string known_as(Group& who, Group& at);
+  Links::Endpoint endpoint_for(Group& at, Group& to);
   void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
-  bool crosses(const control::PortName& client, const Wire& wire, const std::string& host);
+  bool crosses(const Model::PortKey& client, const std::string& host);
   std::string on_host_joined(const HostChange& change);
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
   void resume(RemoteGroup& group);
@@ -145,28 +147,31 @@ class System {
   void on_remote_group_ended(const HostChange& change);
   wire::GroupMessage obey(const wire::HostRequest& order);
   void obey_create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply);
+  wire::GroupMessage obey_in_group(wire::GroupRequest request, Group& group);
   void check_order(const wire::GroupRequest& request);
-  std::string led_endpoint(const std::string& endpoint);
-  Instance& led_instance(const std::string& name);
+  Group& led_group(const std::string& endpoint);
+  Links::Endpoint led_endpoint(const std::string& endpoint, Group& at);
+  void require_led(const std::string& name);
   void keep_led(wire::GroupStatusReply& status) const;
   void drop_led();
+  std::string drop_led(const std::string& name);
   void note_led(const std::string& instance, bool led);
   bool tell_leader(const wire::GroupMessage& event);
-  void refuse_if_led(const std::string& instance);
   void add_hosts(control::System& all);
-  const char* transport(const std::string& client, const Wire& wire) const;
+  const char* transport(const std::string& client, const std::string& provider, const Wire& wire) const;
 
   const Options options_;
   const OnEvent on_event_;
-  marketplace::Store store_;
+  const Packages packages_;
   Types types_;
+  Model model_;
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
   std::unique_ptr<Clock> clock_;
   std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
-  std::map<std::string, Instance> instances_;
-  std::map<std::pair<std::string, std::string>, Wire> wires_;  ///< by client instance and port
+  std::map<std::string, Lost> lost_;         ///< instances whose group is gone, and why
+  std::map<Model::PortKey, Wire> wires_;     ///< by the client's port
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
@@ -178,7 +183,6 @@ class System {
   std::unique_ptr<HostLinks> hosts_;     ///< none: no tcp
   std::mutex led_mutex_;
   std::set<std::string> led_names_;      ///< guarded by led_mutex_: instances of the leader's system
-  std::set<std::uint64_t> led_relays_;   ///< wires of the leader's system that are passed on here
 };
 
 }  // namespace fiona::host

@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "fiona/error.hpp"
+#include "link_keys.hpp"
 #include "system.hpp"
 
 namespace fiona::host {
@@ -23,6 +24,11 @@ std::string System::host_of(const std::string& group) const {
   return hosts_ && hosts_->peer(host) ? host : "";
 }
 
+std::string System::host_of_instance(const std::string& name) const {
+  const auto* one = model_.find(name);
+  return one ? host_of(one->group) : "";
+}
+
 Group& System::main_of(const std::string& host) { return group(host.empty() ? "main" : host); }
 
 std::vector<RemoteGroup*> System::groups_of(const std::string& host) {
@@ -34,9 +40,9 @@ std::vector<RemoteGroup*> System::groups_of(const std::string& host) {
   return found;
 }
 
-/// The group of an instance whose host is silent and may come back; null otherwise.
-RemoteGroup* System::silent_group(const Instance& one) {
-  const auto found = groups_.find(one.group);
+/// A group whose host is silent and may come back; null otherwise.
+RemoteGroup* System::silent_group(const std::string& group) {
+  const auto found = groups_.find(group);
   auto* remote = found == groups_.end() ? nullptr : dynamic_cast<RemoteGroup*>(found->second.get());
   return remote && remote->end().empty() && !remote->alive() ? remote : nullptr;
 }
@@ -66,26 +72,35 @@ Group* System::remote_group(const std::string& name) {
   return (groups_[name] = std::make_unique<RemoteGroup>(name, *peer, group)).get();
 }
 
-/// Has the hosts on the way pass the wire on, and returns where the client's process finds it. One connection carries
-/// all that goes between two hosts; their groups reach it through their host's own process.
-std::string System::route(Wire& wire, const std::string& token, Group& client, Group& provider) {
+/// The processes that a wire goes through, from its client to its provider. One connection carries all that goes between
+/// two hosts; their groups reach it through their host's own process.
+std::vector<Group*> System::way(Group& client, Group& provider) {
   const std::string from = host_of(client.name());
   const std::string to = host_of(provider.name());
-  if (from == to) return provider.endpoint();
-  const auto pass_on = [&](Group& at, const std::string& endpoint) {
-    wire.relays.push_back(at.name());
-    wire::GroupRequest request;
-    request.mutable_wire_relay()->set_wire(wire.id);
-    request.mutable_wire_relay()->set_token(token);
-    request.mutable_wire_relay()->set_endpoint(endpoint);
-    at.request(std::move(request));
+  std::vector<Group*> path{&client};
+  const auto go_by = [&path](Group& next) {
+    if (path.back() != &next) path.push_back(&next);
   };
-  if (&provider != &main_of(to)) pass_on(main_of(to), provider.endpoint());
-  if (!from.empty() && !to.empty()) pass_on(main_of(""), "host:" + to);
-  const std::string out = from.empty() ? "host:" + to : std::string(kLeader);
-  if (&client == &main_of(from)) return out;
-  pass_on(main_of(from), out);
-  return main_of(from).endpoint();
+  if (from != to) go_by(main_of(from));
+  if (from != to && !from.empty() && !to.empty()) go_by(main_of(""));
+  if (from != to) go_by(main_of(to));
+  go_by(provider);
+  return path;
+}
+
+/// How the process `at` knows who opens a link to it.
+std::string System::known_as(Group& who, Group& at) {
+  const std::string host = host_of(who.name());
+  if (host == host_of(at.name())) return who.link_name();
+  return host_of(at.name()).empty() ? std::string(kLeader) + host : std::string(kLeader);
+}
+
+/// Where `at` finds `to`, and what opens the link. A host that is led knows that of its own processes itself.
+Links::Endpoint System::endpoint_for(Group& at, Group& to) {
+  const std::string host = host_of(to.name());
+  if (host != host_of(at.name())) return {known_as(to, at), "", ""};
+  if (!host.empty()) return {to.endpoint(), "", ""};
+  return {to.endpoint(), at.link_name(), link_key(to.link_key(), at.link_name())};
 }
 
 /// Ends a wire in one group. One that is on a silent host does it when that is back.
@@ -109,28 +124,29 @@ void System::cut_at(const std::string& name, std::uint64_t wire, const std::stri
   }
 }
 
-bool System::crosses(const control::PortName& client, const Wire& wire, const std::string& host) {
-  const std::string from = host_of(instance(client.instance()).group);
-  const std::string to = host_of(instance(wire.provider.instance()).group);
+bool System::crosses(const Model::PortKey& client, const std::string& host) {
+  const std::string from = host_of_instance(client.first);
+  const std::string to = host_of_instance(model_.wire_of(port_of(client))->provider.instance());
   return from != to && (from == host || to == host);
 }
 
 void System::on_host_lost(const std::string& host, const std::string& reason, bool for_good) {
-  for (auto& [name, one] : instances_) {
-    if (host_of(one.group) != host || (!one.lost.empty() && !one.away)) continue;
-    one.lost = reason;
-    one.away = !for_good;
+  for (const std::string& name : model_.names()) {
+    if (host_of_instance(name) != host) continue;
+    const auto [lost, is_new] = lost_.emplace(name, Lost{});
+    if (!is_new && !lost->second.away) continue;
+    lost->second = {reason, !for_good};
+    if (is_new) tell_failed(name, reason);
   }
   for (auto& [key, wire] : wires_) {
-    control::PortName client;
-    client.set_instance(key.first);
-    const bool inside = host_of(instances_.at(key.first).group) == host;
-    if (crosses(client, wire, host) || (for_good && inside)) wire.lost = reason;
+    const bool inside = host_of_instance(key.first) == host;
+    if (wire.id != 0 && (crosses(key, host) || (for_good && inside))) wire.reason = reason;
   }
   if (!for_good) return;
   for (auto* group : groups_of(host)) {
     group->end(reason);
     group->take_owed();
+    end_taps(group->name(), reason);
   }
 }
 
@@ -152,14 +168,18 @@ void System::resume(RemoteGroup& group) {
   } catch (const Error&) {
     if (!group.alive()) return;
   }
-  for (auto& [name, one] : instances_) {
-    if (one.group != group.name() || !one.away) continue;
-    one.away = false;
-    one.lost = there.contains(name) ? "" : fmt::format("it was unloaded on host '{}'", group.host());
+  for (const std::string& name : model_.names()) {
+    const auto lost = lost_.find(name);
+    if (model_.instance(name).group != group.name() || lost == lost_.end() || !lost->second.away) continue;
+    if (there.contains(name)) {
+      lost_.erase(lost);
+    } else {
+      lost->second = {fmt::format("it was unloaded on host '{}'", group.host()), false};
+    }
   }
   for (const auto& name : there) {
-    const auto known = instances_.find(name);
-    if (known != instances_.end() && known->second.group == group.name()) continue;
+    const auto* known = model_.find(name);
+    if (known && known->group == group.name()) continue;
     // Made by a request whose answer was lost.
     wire::GroupRequest destroy;
     destroy.mutable_destroy()->set_instance(name);
@@ -170,15 +190,19 @@ void System::resume(RemoteGroup& group) {
 
 void System::resume_wires(const std::string& host) {
   for (auto& [key, wire] : wires_) {
-    control::PortName client;
-    client.set_instance(key.first);
-    client.set_port(key.second);
-    const bool both = instances_.at(key.first).lost.empty() && instances_.at(wire.provider.instance()).lost.empty();
-    if (wire.lost.empty() || !both || !crosses(client, wire, host)) continue;
+    const control::PortName client = port_of(key);
+    const std::string& provider = model_.wire_of(client)->provider.instance();
+    const bool touched = wire.id != 0 ? crosses(key, host) : host_of_instance(key.first) == host || host_of_instance(provider) == host;
+    if (wire.reason.empty() || !touched || lost_.contains(key.first) || lost_.contains(provider)) continue;
     try {
-      wire = connect(client, wire.provider, wire.prescale, wire.id, true);
+      if (!model_.find(provider)) {
+        await_provider(client, wire.reason, model_);
+        continue;
+      }
+      control::Done ignored;
+      wire = connect(client, model_, wire.id, ignored, wire.id != 0);
     } catch (const Error& error) {
-      wire.lost = error.text().what;
+      wire.reason = error.text().what;
     }
   }
 }
@@ -199,15 +223,19 @@ void System::on_remote_group_ended(const HostChange& change) {
   for (auto* group : groups_of(change.host)) {
     if (group->group() != change.group) continue;
     group->end(change.reason);
-    for (auto& [name, one] : instances_) {
-      if (one.group == group->name()) one.lost = change.reason;
+    for (const std::string& name : model_.names()) {
+      if (model_.instance(name).group != group->name()) continue;
+      lost_[name] = {change.reason, false};
+      tell_failed(name, change.reason);
     }
+    end_taps(group->name(), change.reason);
     for (auto& [key, wire] : wires_) {
-      const std::string provider_group = instances_.at(wire.provider.instance()).group;
-      const bool client_gone = instances_.at(key.first).group == group->name();
-      const bool provider_gone = provider_group == group->name();
-      if (client_gone || provider_gone) wire.lost = change.reason;
-      if (client_gone && !provider_gone) cut_at(provider_group, wire.id, change.reason);
+      const auto* provider = model_.find(model_.wire_of(port_of(key))->provider.instance());
+      const bool client_gone = model_.instance(key.first).group == group->name();
+      const bool provider_gone = provider && provider->group == group->name();
+      if (wire.id == 0 || (!client_gone && !provider_gone)) continue;
+      wire.reason = change.reason;
+      if (client_gone && provider && !provider_gone) cut_at(provider->group, wire.id, change.reason);
     }
   }
 }
@@ -221,14 +249,16 @@ std::vector<std::string> System::serve_hosts() {
       case HostChange::What::Request: leader->answer(change.session, obey(change.request)); break;
       case HostChange::What::Joined:
         if (leader && !change.same_run) drop_led();
+        if (leader) model_.set_leader(change.host);
         said.push_back(leader ? fmt::format("host '{}' leads this one", change.host) : on_host_joined(change));
         break;
       case HostChange::What::Lost:
-        if (!leader) on_host_lost(change.host, change.reason, false);
+        leader ? model_.set_leader("") : on_host_lost(change.host, change.reason, false);
         said.push_back(change.reason);
         break;
       case HostChange::What::Left:
         leader->leave(change.session);
+        model_.set_leader("");
         drop_led();
         break;
       case HostChange::What::GroupEnded:
@@ -240,10 +270,9 @@ std::vector<std::string> System::serve_hosts() {
   return said;
 }
 
-const char* System::transport(const std::string& client, const Wire& wire) const {
+const char* System::transport(const std::string& client, const std::string& provider, const Wire& wire) const {
   if (wire.local) return "process";
-  const bool far = host_of(instances_.at(client).group) != host_of(instances_.at(wire.provider.instance()).group);
-  return far ? "tcp" : "ipc";
+  return host_of_instance(client) != host_of_instance(provider) ? "tcp" : "ipc";
 }
 
 void System::add_hosts(control::System& all) {
@@ -252,16 +281,18 @@ void System::add_hosts(control::System& all) {
   all.set_listens(listens());
   all.set_refused_hosts(hosts_->refused());
   const auto count = [this](const auto& fits) {
-    return static_cast<std::uint64_t>(std::count_if(instances_.begin(), instances_.end(), [&](const auto& entry) { return fits(entry.second); }));
+    const auto names = model_.names();
+    return static_cast<std::uint64_t>(
+        std::count_if(names.begin(), names.end(), [&](const std::string& name) { return fits(model_.instance(name)); }));
   };
   for (const auto& peer : hosts_->peers()) {
     auto& status = *all.add_hosts() = peer->status();
-    status.set_instances(count([&](const Instance& one) { return host_of(one.group) == peer->peer().name; }));
+    status.set_instances(count([&](const Model::Instance& one) { return host_of(one.group) == peer->peer().name; }));
   }
   if (!hosts_->leader()) return;
   if (const auto leader = hosts_->leader()->status()) {
     auto& status = *all.add_hosts() = *leader;
-    status.set_instances(count([](const Instance& one) { return one.led; }));
+    status.set_instances(count([](const Model::Instance& one) { return one.led; }));
   }
 }
 
@@ -278,19 +309,7 @@ wire::GroupMessage System::obey(const wire::HostRequest& order) {
     } else if (found == groups_.end() || !found->second->alive()) {
       throw Error(ErrorCode::NotFound, fmt::format("host '{}' has no group '{}'", options_.name, order.group()));
     } else {
-      wire::GroupRequest request = order.request();
-      if (request.has_wire_require()) request.mutable_wire_require()->set_endpoint(led_endpoint(request.wire_require().endpoint()));
-      if (request.has_wire_relay()) request.mutable_wire_relay()->set_endpoint(led_endpoint(request.wire_relay().endpoint()));
-      if (request.has_wire_relay()) led_relays_.insert(request.wire_relay().wire());
-      if (request.has_cut()) led_relays_.erase(request.cut().wire());
-      if (request.has_destroy()) {
-        control::Unload unload_it;
-        unload_it.set_instance(request.destroy().instance());
-        led_instance(request.destroy().instance()).led = false;
-        reply.mutable_done()->set_note(unload(unload_it));
-      } else {
-        reply = found->second->request(std::move(request));
-      }
+      reply = obey_in_group(order.request(), *found->second);
     }
     if (reply.has_status()) keep_led(*reply.mutable_status());
   } catch (...) {
@@ -300,17 +319,39 @@ wire::GroupMessage System::obey(const wire::HostRequest& order) {
   return reply;
 }
 
+/// What goes between processes of this host is opened with keys that only it knows.
+Links::Endpoint System::led_endpoint(const std::string& endpoint, Group& at) {
+  if (endpoint == kLeader) return {endpoint, "", ""};
+  Group& to = led_group(endpoint);
+  return {to.endpoint(), at.link_name(), link_key(to.link_key(), at.link_name())};
+}
+
+wire::GroupMessage System::obey_in_group(wire::GroupRequest request, Group& group) {
+  const auto set_peer = [this](auto& message) {
+    if (message.peer() != kLeader) message.set_peer(led_group(message.peer()).link_name());
+  };
+  if (request.has_wire_provide()) set_peer(*request.mutable_wire_provide());
+  if (request.has_wire_relay()) set_peer(*request.mutable_wire_relay());
+  const auto set_way = [&](auto& message) { set_endpoint(message, led_endpoint(message.endpoint(), group)); };
+  if (request.has_wire_require()) set_way(*request.mutable_wire_require());
+  if (request.has_wire_relay()) set_way(*request.mutable_wire_relay());
+  if (!request.has_destroy()) return group.request(std::move(request));
+  wire::GroupMessage reply;
+  reply.mutable_done()->set_note(drop_led(request.destroy().instance()));
+  return reply;
+}
+
 void System::keep_led(wire::GroupStatusReply& status) const {
   auto& instances = *status.mutable_instances();
   for (int i = instances.size() - 1; i >= 0; --i) {
-    const auto one = instances_.find(instances[i].name());
-    if (one == instances_.end() || !one->second.led) instances.DeleteSubrange(i, 1);
+    const auto* one = model_.find(instances[i].name());
+    if (!one || !one->led) instances.DeleteSubrange(i, 1);
   }
 }
 
-System::Instance& System::led_instance(const std::string& name) {
-  const auto found = instances_.find(name);
-  if (found != instances_.end() && found->second.led) return found->second;
+void System::require_led(const std::string& name) {
+  const auto* found = model_.find(name);
+  if (found && found->led) return;
   throw Error(ErrorCode::NotFound, fmt::format("the leader has no instance '{}' on host '{}'", name, options_.name));
 }
 
@@ -321,38 +362,42 @@ void System::check_order(const wire::GroupRequest& request) {
     if (one >= kOwnNumbers) throw Error(ErrorCode::NotAllowed, "this number belongs to the host that is led");
   };
   switch (request.what_case()) {
-    case Request::kDestroy: led_instance(request.destroy().instance()); return;
-    case Request::kSetParameters: led_instance(request.set_parameters().instance()); return;
-    case Request::kSetMode: led_instance(request.set_mode().instance()); return number(request.set_mode().change());
+    case Request::kDestroy: require_led(request.destroy().instance()); return;
+    case Request::kSetParameters: require_led(request.set_parameters().instance()); return;
+    case Request::kSetMode: require_led(request.set_mode().instance()); return number(request.set_mode().change());
     case Request::kWireLocal:
-      led_instance(request.wire_local().client().instance());
-      led_instance(request.wire_local().provider().instance());
+      require_led(request.wire_local().client().instance());
+      require_led(request.wire_local().provider().instance());
       number(request.wire_local().replaces());
       return number(request.wire_local().wire());
     case Request::kWireProvide:
-      led_instance(request.wire_provide().provider().instance());
+      require_led(request.wire_provide().provider().instance());
       return number(request.wire_provide().wire());
     case Request::kWireRequire:
-      led_instance(request.wire_require().client().instance());
+      require_led(request.wire_require().client().instance());
       number(request.wire_require().replaces());
       return number(request.wire_require().wire());
-    case Request::kTap: led_instance(request.tap().port().instance()); return number(request.tap().tap());
-    case Request::kCall: led_instance(request.call().target().instance()); return number(request.call().run());
+    case Request::kTap: require_led(request.tap().watch().port().instance()); return number(request.tap().tap());
+    case Request::kCall: require_led(request.call().target().instance()); return number(request.call().run());
+    case Request::kRead: return require_led(request.read().probe().instance());
+    case Request::kAwait: return require_led(request.await().client().instance());
     case Request::kCut: return number(request.cut().wire());
     case Request::kUntap: return number(request.untap().tap());
     case Request::kWireRelay: return number(request.wire_relay().wire());
     case Request::kCreate:
     case Request::kStatus: return;
+    case Request::kWelcome:
+    case Request::kPeerLost:
+      throw Error(ErrorCode::NotAllowed, "a host tells its processes about their links itself");
     case Request::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
 }
 
-/// Where a leader's wire goes: to himself, or to a group here. He names no sockets.
-std::string System::led_endpoint(const std::string& endpoint) {
-  if (endpoint == kLeader) return endpoint;
+/// Of those here. A leader names no sockets.
+Group& System::led_group(const std::string& endpoint) {
   const auto found = endpoint.starts_with(kGroup) ? groups_.find(endpoint.substr(kGroup.size())) : groups_.end();
-  if (found != groups_.end() && found->second->alive()) return found->second->endpoint();
+  if (found != groups_.end() && found->second->alive()) return *found->second;
   throw Error(ErrorCode::NotFound, fmt::format("host '{}' has no group for '{}'", options_.name, endpoint));
 }
 
@@ -365,48 +410,51 @@ void System::obey_create(const wire::GroupRequest& request, const std::string& g
                                                             create.plugin(), options_.name),
                                         .next = "pack it and install it on both hosts; or start that host with --plugins DIR"});
   }
-  Installed package = local ? find_library(options_.plugins / ("lib" + create.plugin().substr(kLocal.size()) + ".so")) : find_plugin(create.plugin());
-  const bool same = package.name == create.plugin() && package.version == create.version();
-  if (!same || package.interface.SerializeAsString() != create.interface().SerializeAsString()) {
-    throw Error(ErrorCode::DependencyConflict, {.what = same ? fmt::format("host '{}' has another build of {} {}", options_.name, package.name, package.version)
-                                                             : fmt::format("host '{}' has {} {}", options_.name, package.name, package.version),
+  const std::string library = (options_.plugins / ("lib" + create.plugin().substr(local ? kLocal.size() : 0) + ".so")).string();
+  const auto [package, component] = packages_.find((local ? library : create.plugin()) + "/" + create.component());
+  const bool same = package->name == create.plugin() && package->version == create.version();
+  if (!same || package->interface.SerializeAsString() != create.interface().SerializeAsString()) {
+    throw Error(ErrorCode::DependencyConflict, {.what = same ? fmt::format("host '{}' has another build of {} {}", options_.name, package->name, package->version)
+                                                             : fmt::format("host '{}' has {} {}", options_.name, package->name, package->version),
                                                 .expected = fmt::format("{} {}, as on the host that leads", create.plugin(), create.version()),
                                                 .next = fmt::format("on host '{}': fiona market install {}@{}", options_.name, create.plugin(), create.version())});
   }
-  package.component = choose_component(package.interface, package.name, create.component());
+  const std::string& name = create.instance();
+  Model next = model_;
+  next.take(name, {create.plugin(), package, component, group_name, create.mode(), create.mode(), nullptr, 0, true});
   control::Load load_it;
-  load_it.set_plugin(create.plugin());
-  load_it.set_instance(create.instance());
-  load_it.set_group(group_name == "main" ? "" : group_name);
   *load_it.mutable_parameters() = create.parameters();
   load_it.set_mode(create.mode());
-  reply.mutable_done()->set_note(this->create(std::move(package), load_it, true));
+  note_led(name, true);  // from its first word on
+  try {
+    this->create(group(group_name), name, next.instance(name), load_it);
+  } catch (...) {
+    note_led(name, false);
+    throw;
+  }
+  model_ = std::move(next);
+  reply.mutable_done()->set_note(fmt::format("{} {} as {}", package->name, package->version, name));
 }
 
 /// What a former leader has left.
 void System::drop_led() {
-  for (const std::uint64_t wire : std::exchange(led_relays_, {})) cut_at("main", wire, "another host leads");
-  std::vector<std::string> names;
-  for (auto& [name, one] : instances_) {
-    if (std::exchange(one.led, false)) names.push_back(name);
+  for (const std::string& name : model_.names()) {
+    if (model_.instance(name).led) drop_led(name);
   }
-  for (const auto& name : names) {
-    control::Unload unload_it;
-    unload_it.set_instance(name);
-    unload(unload_it);
-  }
+}
+
+std::string System::drop_led(const std::string& name) {
+  control::Unload unload_it;
+  unload_it.set_instance(name);
+  const control::Done done = unload(unload_it);
+  note_led(name, false);
+  model_.drop(name);
+  return done.note();
 }
 
 void System::note_led(const std::string& name, bool led) {
   const std::lock_guard lock(led_mutex_);
   led ? static_cast<void>(led_names_.insert(name)) : static_cast<void>(led_names_.erase(name));
-}
-
-void System::refuse_if_led(const std::string& name) {
-  const std::string leader = hosts_ && hosts_->leader() ? hosts_->leader()->leader() : "";
-  if (leader.empty() || !instance(name).led) return;
-  throw Error(ErrorCode::NotAllowed, {.what = fmt::format("'{}' belongs to the system of host '{}', which leads this one", name, leader),
-                                      .next = fmt::format("say it on host '{}'", leader)});
 }
 
 /// Whether the event is of the leader's system; if so it is told.
@@ -423,6 +471,7 @@ bool System::tell_leader(const wire::GroupMessage& event) {
     case Event::kModeChanged: led = is_led(event.mode_changed().instance()); break;
     case Event::kRunEnded: led = is_led(event.run_ended().instance()); break;
     case Event::kLogged: led = is_led(event.logged().instance()); break;
+    case Event::kTapEnded: led = event.tap_ended().tap() < kOwnNumbers; break;
     case Event::kTapped: led = event.tapped().tap() < kOwnNumbers; break;
     case Event::kWireLost: led = event.wire_lost().wire() < kOwnNumbers; break;
     case Event::kModeSet: led = event.mode_set().change() < kOwnNumbers; break;

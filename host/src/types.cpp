@@ -81,11 +81,13 @@ void Types::add(const std::string& plugin, std::shared_ptr<const Source> source)
   known = std::move(source);
 }
 
-const ServiceDescriptor* Types::service(const std::string& plugin, const std::string& full_name) const {
-  const std::shared_lock lock(mutex_);
-  const auto source = plugins_.find(plugin);
-  return source == plugins_.end() ? DescriptorPool::generated_pool()->FindServiceByName(full_name)
-                                  : source->second->pool.FindServiceByName(full_name);
+const ServiceDescriptor* Types::service(const Source& source, const std::string& full_name) {
+  return source.pool.FindServiceByName(full_name);
+}
+
+std::unique_ptr<google::protobuf::Message> Types::make(const Source& source, const std::string& type) {
+  const auto* known = source.pool.FindMessageTypeByName(type);
+  return std::unique_ptr<google::protobuf::Message>(known ? source.factory.GetPrototype(known)->New() : nullptr);
 }
 
 std::unique_ptr<google::protobuf::Message> Types::make(const std::string& type) const {
@@ -95,8 +97,7 @@ std::unique_ptr<google::protobuf::Message> Types::make(const std::string& type) 
   }
   const std::shared_lock lock(mutex_);
   for (const auto& [plugin, source] : plugins_) {
-    const auto* known = source->pool.FindMessageTypeByName(type);
-    if (known) return std::unique_ptr<google::protobuf::Message>(source->factory.GetPrototype(known)->New());
+    if (auto made = make(*source, type)) return made;
   }
   return nullptr;
 }

@@ -27,8 +27,9 @@ class Types {
   /// Learns a plugin's protos; those of an earlier build of it stay alive for what is made of them.
   void add(const std::string& plugin, std::shared_ptr<const Source> source);
 
-  /// The service as `plugin` has it; null if unknown.
-  const google::protobuf::ServiceDescriptor* service(const std::string& plugin, const std::string& full_name) const;
+  /// The service, and an empty message, as the plugin has them; null if unknown. They live as long as the source.
+  static const google::protobuf::ServiceDescriptor* service(const Source& source, const std::string& full_name);
+  static std::unique_ptr<google::protobuf::Message> make(const Source& source, const std::string& type);
   /// An empty object of this type; null if unknown.
   std::unique_ptr<google::protobuf::Message> make(const std::string& type) const;
   /// The file and what it imports, dependencies before users.

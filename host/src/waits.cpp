@@ -6,6 +6,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
+#include "field_compare.hpp"
 #include "runtime.hpp"
 
 namespace fiona::host {
@@ -17,6 +18,7 @@ struct Waits::Wait {
   TimePoint since{};
   TimerId timer = 0;
   bool ended = false;
+  bool running = false;  ///< a virtual clock was released for it
   bool is_run = false;
   std::optional<control::WaitMode> mode;
   EndOf end_of;
@@ -63,8 +65,16 @@ void Waits::time_out_after(const WaitPtr& wait, double within_ms, std::function<
     if (const auto expired = weak.lock()) finish(expired, reply());
   };
   const TimePoint at = wait->since + from_ms(within_ms);
-  wait->timer = virtual_ ? virtual_->stop_at(at, std::move(expire)) : clock_.schedule(at, strand_, std::move(expire));
+  const TimerId timer = virtual_ ? virtual_->stop_at(at, std::move(expire)) : clock_.schedule(at, strand_, std::move(expire));
+  {
+    const std::lock_guard lock(mutex_);
+    wait->timer = timer;
+    if (!wait->ended) return;
+  }
+  cancel(timer);
 }
+
+void Waits::cancel(TimerId timer) { virtual_ ? virtual_->cancel_stop(timer) : clock_.cancel(timer); }
 
 void Waits::wait_mode(std::uint64_t owner, std::uint64_t id, const control::WaitMode& request, Answer answer) {
   auto wait = add(owner, id, std::move(answer));
@@ -79,10 +89,21 @@ void Waits::wait_mode(std::uint64_t owner, std::uint64_t id, const control::Wait
                                                   .where = request.instance(),
                                                   .next = "show " + request.instance()});
   });
+  let_run(wait);
+}
+
+/// Until it is met. It may have been met already: then nothing is left to run for.
+void Waits::let_run(const WaitPtr& wait) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (wait->ended) return;
+    wait->running = true;
+  }
   if (virtual_) virtual_->release();
 }
 
-void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap, Answer answer) {
+void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap,
+                   const std::function<void()>& begin, Answer answer) {
   auto wait = add(owner, id, std::move(answer));
   wait->expect = request;
   wait->tap = tap;
@@ -90,18 +111,25 @@ void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect&
     const std::lock_guard lock(mutex_);
     waits_.push_back(wait);
   }
+  try {
+    begin();
+  } catch (...) {
+    finish(wait, std::nullopt);
+    throw;
+  }
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : 1e3 * to_seconds(kDefaultDeadline);
   time_out_after(wait, within_ms, [request, within_ms, weak = std::weak_ptr(wait)] {
     const auto expired = weak.lock();
     const std::string seen = expired ? expired->seen : "";
     const std::string port = name_of(request.port());
     return failure_reply(ErrorCode::Failed,
-                         {.what = fmt::format("{}.{} was not as expected within {} ms", port, request.field(), within_ms),
+                         {.what = fmt::format("{} was not as expected within {} ms",
+                                              request.field().empty() ? port : port + "." + request.field(), within_ms),
                           .where = port,
                           .found = seen.empty() ? "no message at all" : "last seen: " + seen,
                           .next = "watch " + port});
   });
-  if (virtual_) virtual_->release();
+  let_run(wait);
 }
 
 void Waits::sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer) {
@@ -115,7 +143,7 @@ void Waits::sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& r
     reply.mutable_met()->set_after_ms(request.duration_ms());
     return reply;
   });
-  if (virtual_) virtual_->release();
+  let_run(wait);
 }
 
 void Waits::run(std::uint64_t owner, std::uint64_t id, Answer answer) {
@@ -125,7 +153,7 @@ void Waits::run(std::uint64_t owner, std::uint64_t id, Answer answer) {
     const std::lock_guard lock(mutex_);
     waits_.push_back(wait);
   }
-  if (virtual_) virtual_->release();
+  let_run(wait);
 }
 
 void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const std::function<void()>& begin,
@@ -137,7 +165,7 @@ void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const 
     waits_.push_back(wait);
   }
   time_out_after(wait, within_ms, [expired = std::move(expired)] { return expired; });
-  if (virtual_) virtual_->release();
+  let_run(wait);
   try {
     begin();
   } catch (...) {
@@ -148,18 +176,18 @@ void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const 
 
 /// Whoever ends a wait first holds the clock, on the thread where it happened: before time can go on.
 void Waits::finish(const WaitPtr& wait, std::optional<control::Reply> reply) {
+  bool running = false;
+  TimerId timer = 0;
   {
     const std::lock_guard lock(mutex_);
     if (wait->ended) return;
     wait->ended = true;
+    running = wait->running;
+    timer = wait->timer;
     waits_.remove(wait);
   }
-  if (virtual_) {
-    virtual_->hold();
-    virtual_->cancel_stop(wait->timer);
-  } else {
-    clock_.cancel(wait->timer);
-  }
+  if (virtual_ && running) virtual_->hold();
+  cancel(timer);
   if (!reply) return;
   reply->set_id(wait->id);
   wait->answer(std::move(*reply));
@@ -186,7 +214,7 @@ std::optional<control::Reply> Waits::reply_to_value(Wait& wait, const wire::Tapp
   if (!object || !object->ParseFromString(tapped.object())) return std::nullopt;
   control::Reply reply;
   try {
-    auto [met, text] = compare_field(*object, wait.expect->field(), wait.expect->comparison(), wait.expect->value());
+    auto [met, text] = compare_field(*object, wait.expect->field(), wait.expect->comparison(), wait.expect->value(), tapped.unit());
     wait.seen = text;
     if (!met) return std::nullopt;
     reply.mutable_met()->set_after_ms(elapsed_ms(wait));
@@ -206,6 +234,9 @@ void Waits::on_event(const wire::GroupMessage& event, const Types& types) {
       if (wait->end_of) reply = wait->end_of(event);
       if (event.has_mode_changed()) reply = reply_to_mode(*wait, event.mode_changed());
       if (event.has_tapped()) reply = reply_to_value(*wait, event.tapped(), types);
+      if (event.has_tap_ended() && wait->expect && wait->tap == event.tap_ended().tap()) {
+        *reply.emplace().mutable_failure() = event.tap_ended().failure();
+      }
       if (reply) ended.emplace_back(wait, std::move(*reply));
     }
   }

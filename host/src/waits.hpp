@@ -27,8 +27,9 @@ class Waits {
   void stop() { strand_->close(); }
 
   void wait_mode(std::uint64_t owner, std::uint64_t id, const control::WaitMode& request, Answer answer);
-  /// `tap` is the watched port's tap; what it delivers is offered to `on_event`.
-  void expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap, Answer answer);
+  /// `begin` makes the tap of that number; what it delivers is offered to `on_event`, which may be before `begin` ends.
+  void expect(std::uint64_t owner, std::uint64_t id, const control::Expect& request, std::uint64_t tap,
+              const std::function<void()>& begin, Answer answer);
   void sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer);
   void run(std::uint64_t owner, std::uint64_t id, Answer answer);
   /// What `begin` starts, and an event ends: the first that `end_of` makes a reply of; after `within_ms`, `expired`.
@@ -53,6 +54,8 @@ class Waits {
   double elapsed_ms(const Wait& wait) const;
   std::optional<control::Reply> reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const;
   std::optional<control::Reply> reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const;
+  void let_run(const WaitPtr& wait);
+  void cancel(TimerId timer);
 
   Clock& clock_;
   VirtualClock* const virtual_;
@@ -63,10 +66,5 @@ class Waits {
 
 /// A refusal as a reply.
 control::Reply failure_reply(ErrorCode code, ErrorText text);
-
-/// Compares the field at `path` ("position.x", "waypoints[0].x") of `object` with `value`: true or false and the
-/// field's text. Throws Error NotFound for a field that is not there, Usage for kinds that do not compare.
-std::pair<bool, std::string> compare_field(const google::protobuf::Message& object, const std::string& path,
-                                           control::Comparison comparison, const control::Value& value);
 
 }  // namespace fiona::host

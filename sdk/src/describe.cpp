@@ -59,6 +59,15 @@ TriggerInterface interface_of(const detail::TriggerBase& trigger) {
   return interface;
 }
 
+ProbeInterface interface_of(const detail::ProbeBase& probe) {
+  ProbeInterface interface;
+  interface.set_name(probe.name());
+  interface.set_type(probe.type());
+  interface.set_unit(probe.unit());
+  interface.set_doc(probe.doc());
+  return interface;
+}
+
 ComponentInterface interface_of(const Hull& hull, std::string_view component, std::string_view doc) {
   ComponentInterface interface;
   interface.set_name(std::string(component));
@@ -85,6 +94,7 @@ ComponentInterface interface_of(const Hull& hull, std::string_view component, st
     one.set_activity(task->activity());
   }
   for (const auto* trigger : hull.triggers()) *interface.add_triggers() = interface_of(*trigger);
+  for (const auto* probe : hull.probes()) *interface.add_probes() = interface_of(*probe);
   return interface;
 }
 
@@ -106,6 +116,7 @@ Interface describe(const Plugin& plugin) {
       add_files(*trigger->argument().file(), seen, *interface.mutable_descriptors());
       add_files(*trigger->result().file(), seen, *interface.mutable_descriptors());
     }
+    for (const auto* probe : hull.probes()) add_files(*probe->object().file(), seen, *interface.mutable_descriptors());
     if (hull.parameters()) {
       add_files(*hull.parameters()->snapshot()->GetDescriptor()->file(), seen, *interface.mutable_descriptors());
     }

@@ -88,7 +88,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object>) override {
     if (ended_.exchange(true) || abandoned()) return;
-    staged([self = shared_from_this(), outcome, reason = std::move(reason)] {
+    staged(nullptr, to_string(outcome), [self = shared_from_this(), outcome, reason = std::move(reason)] {
       self->strand_->post([self, outcome, reason] { self->client_.on_end(self->id_, *self, outcome, reason); });
     });
   }
@@ -96,14 +96,15 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
   Outcome event(Envelope event) override {
     if (ended_ || abandoned()) return Outcome::Disconnected;
     if (!event.object) {
-      staged([self = shared_from_this()] {
+      staged(nullptr, kTaken, [self = shared_from_this()] {
         self->strand_->post([self] { self->client_.on_acknowledged(self->id_, *self); });
       });
       return Outcome::Ok;
     }
     Parcel parcel{std::move(event), shared_from_this(), false, static_cast<std::uint64_t>(id_)};
     if (!strand_->clock().staging()) return deliver(std::move(parcel));
-    staged([self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
+    const Object* object = parcel.envelope.object.get();
+    staged(object, {}, [self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
     return Outcome::Ok;
   }
 
@@ -119,11 +120,11 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
     if (detached_) return Outcome::Disconnected;
     return client_.inbox_.push(std::move(parcel));
   }
-  void staged(Job job) {
+  void staged(const Object* object, std::string_view word, Job job) {
     Clock& clock = strand_->clock();
     if (!clock.staging()) return job();
     // In this order at the client: those of an activation as they came, activations by their age.
-    clock.stage(wire_, static_cast<std::uint64_t>(id_) << 32 | ++staged_, std::move(job));
+    clock.stage({wire_, static_cast<std::uint64_t>(id_) << 32 | ++staged_, object, word, std::move(job)});
   }
 
   EventClient& client_;
@@ -152,24 +153,14 @@ EventClient::~EventClient() {
   }
 }
 
-void EventClient::set_target(std::shared_ptr<Sink> target) {
-  const std::lock_guard lock(target_mutex_);
-  target_ = std::move(target);
-}
-
 /// Makes the activation at the provider of this moment and gives it up at the one before.
 Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
-  std::shared_ptr<Sink> target;
-  {
-    const std::lock_guard lock(target_mutex_);
-    target = target_;
-  }
-  if (!target) return Outcome::Disconnected;
   const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id));
   activation.last_sequence = 0;
   Envelope envelope{activation.parameters, static_cast<std::uint64_t>(id), hull().clock().now(),
                     activation.parameters->ByteSizeLong()};
-  const Outcome outcome = target->deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0});
+  const Outcome outcome = target_.deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0})
+                              .value_or(Outcome::Disconnected);
   if (before) {
     before->detach();
     before->abandon();

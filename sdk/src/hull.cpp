@@ -1,8 +1,10 @@
 #include "fiona/hull.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <exception>
 
+#include "fiona/hull_probes.hpp"
 #include "fiona/port.hpp"
 
 namespace fiona {
@@ -26,9 +28,17 @@ std::string reason_of_exception() {
 Hull::Hull(std::string name, Surroundings surroundings)
     : name_(std::move(name)),
       surroundings_(std::move(surroundings)),
-      strand_(std::make_shared<Strand>(name_, surroundings_.executor, surroundings_.clock)) {}
+      strand_(std::make_shared<Strand>(name_, surroundings_.executor, surroundings_.clock)),
+      mode_probe_(std::make_unique<TextProbe>(*this, "mode")),
+      error_probe_(std::make_unique<TextProbe>(*this, "last_error")) {
+  tell_mode();
+}
 
-Hull::~Hull() { strand_->close(); }
+Hull::~Hull() {
+  end_taps();
+  strand_->close();
+  if (tap_strand_) tap_strand_->close();
+}
 
 void Hull::create(const Factory& factory) {
   component_ = factory(*this);
@@ -45,11 +55,34 @@ void Hull::add(detail::TriggerBase& trigger) {
   triggers_.push_back(&trigger);
 }
 
+void Hull::add(detail::ProbeBase& probe) {
+  const std::string& name = probe.name();
+  const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '-'; };
+  if (name.empty() || !std::all_of(name.begin(), name.end(), allowed)) {
+    throw Error(ErrorCode::Usage, {.what = "'" + name + "' is no name for a probe",
+                                   .where = name_,
+                                   .expected = "letters, digits, '_' and '-'"});
+  }
+  require_free_name(name);
+  probes_.push_back(&probe);
+}
+
 void Hull::require_free_name(std::string_view name) const {
-  if (!find_port(name) && !find_trigger(name)) return;
-  throw Error(ErrorCode::Usage, {.what = "two ports or triggers are named '" + std::string(name) + "'",
+  for (const HullProbe& own : hull_probes()) {
+    if (own.of != HullProbe::Of::Instance || own.name != name) continue;
+    throw Error(ErrorCode::Usage, {.what = "'" + std::string(name) + "' is a probe that every instance has",
+                                   .where = name_,
+                                   .next = "give the port, trigger or probe another name"});
+  }
+  if (!find_port(name) && !find_trigger(name) && !find_probe(name)) return;
+  throw Error(ErrorCode::Usage, {.what = "two ports, triggers or probes are named '" + std::string(name) + "'",
                                  .where = name_,
-                                 .next = "give each port and trigger of a component a name of its own"});
+                                 .next = "give each port, trigger and probe of a component a name of its own"});
+}
+
+detail::ProbeBase* Hull::find_probe(std::string_view name) const {
+  const auto found = std::find_if(probes_.begin(), probes_.end(), [name](auto* one) { return one->name() == name; });
+  return found == probes_.end() ? nullptr : *found;
 }
 
 detail::TriggerBase* Hull::find_trigger(std::string_view name) const {
@@ -123,6 +156,7 @@ void Hull::fail(const std::string& reason) {
   active_.store(false, std::memory_order_release);
   // Tasks and timers find the instance not active and fall silent; they are cancelled on the strand.
   strand_->post([this] { leave_activities(kModeFailed); });
+  tell_mode();
   events().mode_changed(name_, std::string(kModeFailed), reason);
 }
 
@@ -142,9 +176,11 @@ bool Hull::shut_down(Duration deadline) {
     ports_.clear();
     tasks_.clear();
     triggers_.clear();
+    probes_.clear();
     timers_.clear();
     params_ = nullptr;
   };
+  end_taps();
   if (!component_ || strand_->call(end, deadline)) return true;
   strand_->close();
   static_cast<void>(component_.release());

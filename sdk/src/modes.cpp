@@ -198,6 +198,7 @@ void Hull::enter(std::string_view to) {
     const std::lock_guard lock(mutex_);
     mode_ = to;
   }
+  tell_mode();
   active_.store(serves(to, ""), std::memory_order_release);
   for (Task* task : tasks_) {
     if (serves(to, task->activity())) task->start();

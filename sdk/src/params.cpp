@@ -57,6 +57,20 @@ const Message& located(const Message& root, const std::string& path, const Field
   return *message;
 }
 
+void for_each_leaf(const Message& message, const std::string& prefix,
+                   const std::function<void(const std::string&, const Message&, const FieldDescriptor&)>& visit) {
+  const Descriptor& type = *message.GetDescriptor();
+  for (int i = 0; i < type.field_count(); ++i) {
+    const FieldDescriptor& field = *type.field(i);
+    const std::string name = prefix + field.name();
+    if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) {
+      for_each_leaf(message.GetReflection()->GetMessage(message, &field), name + ".", visit);
+    } else {
+      visit(name, message, field);
+    }
+  }
+}
+
 }  // namespace
 
 void set_fields(Object& message, std::span<const control::Argument> changes) {
@@ -67,6 +81,19 @@ void set_fields(Object& message, std::span<const control::Argument> changes) {
   if (const auto violation = ObjectRules(*message.GetDescriptor()).first_violation(message)) {
     throw Error(ErrorCode::Usage, "refused: " + *violation);
   }
+}
+
+std::vector<control::Argument> differences(const Object& values, const Object& others) {
+  std::vector<control::Argument> changed;
+  for_each_leaf(values, "", [&](const std::string& name, const Message& holder, const FieldDescriptor& field) {
+    const FieldDescriptor* same = nullptr;
+    const Message& other = located(others, name, &same);
+    if (detail::field_text(holder, field) == detail::field_text(other, *same)) return;
+    auto& one = changed.emplace_back();
+    one.set_name(name);
+    *one.mutable_value() = detail::field_value(holder, field);
+  });
+  return changed;
 }
 
 void set_declared_defaults(Object& message) {
@@ -125,24 +152,6 @@ std::shared_ptr<const Object> ParamsBase::snapshot() const {
   return current_;
 }
 
-namespace {
-
-void for_each_leaf(const Message& message, const std::string& prefix,
-                   const std::function<void(const std::string&, const Message&, const FieldDescriptor&)>& visit) {
-  const Descriptor& type = *message.GetDescriptor();
-  for (int i = 0; i < type.field_count(); ++i) {
-    const FieldDescriptor& field = *type.field(i);
-    const std::string name = prefix + field.name();
-    if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) {
-      for_each_leaf(message.GetReflection()->GetMessage(message, &field), name + ".", visit);
-    } else {
-      visit(name, message, field);
-    }
-  }
-}
-
-}  // namespace
-
 std::vector<control::ParameterStatus> ParamsBase::status() const {
   std::vector<control::ParameterStatus> all;
   const auto values = snapshot();
@@ -161,19 +170,7 @@ std::vector<control::ParameterStatus> ParamsBase::status() const {
   return all;
 }
 
-std::vector<control::Argument> ParamsBase::differences() const {
-  std::vector<control::Argument> changed;
-  const auto values = snapshot();
-  for_each_leaf(*values, "", [&](const std::string& name, const Message& holder, const FieldDescriptor& field) {
-    const FieldDescriptor* same = nullptr;
-    const Message& default_holder = located(*defaults_, name, &same);
-    if (field_text(holder, field) == field_text(default_holder, field)) return;
-    auto& one = changed.emplace_back();
-    one.set_name(name);
-    *one.mutable_value() = field_value(holder, field);
-  });
-  return changed;
-}
+std::vector<control::Argument> ParamsBase::differences() const { return fiona::differences(*snapshot(), *defaults_); }
 
 }  // namespace detail
 }  // namespace fiona

@@ -48,6 +48,17 @@ void PortCounters::count(TimePoint origin) {
   window_messages_ = 0;
 }
 
+std::optional<Duration> PortCounters::age(TimePoint now) const {
+  const std::int64_t newest = newest_ns.load(std::memory_order_relaxed);
+  if (newest < 0) return std::nullopt;
+  return std::max(Duration::zero(), now.time_since_epoch() - Duration(newest));
+}
+
+double PortCounters::rate_now_hz(TimePoint now) const {
+  const auto newest = age(now);
+  return !newest || *newest > std::chrono::seconds(3) ? 0.0 : static_cast<double>(rate_hz.load(std::memory_order_relaxed));
+}
+
 Port::Port(Component& owner, std::string_view name, PortDirection direction, const ServiceInfo& service,
            const PortOptions& options)
     : hull_(owner.hull()),
@@ -159,8 +170,7 @@ void Inbox::notify_waiters(const Envelope& envelope) {
   }
   if (strand_.scheduled_) return;
   strand_.scheduled_ = true;
-  strand_.clock_.strand_busy();
-  strand_.executor_.submit(strand_.shared_from_this());
+  if (strand_.clock_.strand_busy(strand_)) strand_.start();
 }
 
 std::optional<Inbox::Newest> Inbox::newest() {
@@ -205,7 +215,13 @@ bool Inbox::refill() {
     batch_.push_back(std::move(queue_.front()));
     queue_.pop_front();
   }
+  batched_.store(batch_.size(), std::memory_order_relaxed);
   return !batch_.empty();
+}
+
+std::size_t Inbox::depth() const {
+  const std::lock_guard lock(strand_.mutex_);
+  return queue_.size() + batched_.load(std::memory_order_relaxed);
 }
 
 void Inbox::drain(std::size_t limit) {
@@ -218,6 +234,7 @@ void Inbox::drain(std::size_t limit) {
     }
     current_ = std::move(batch_.front());
     batch_.pop_front();
+    batched_.store(batch_.size(), std::memory_order_relaxed);
     handle();
     if (strand_.closed_) return;
   }
@@ -252,6 +269,30 @@ void Inbox::finish_parcel() {
 }
 
 // ---- required port and local wire -----------------------------------------------------------------------------
+
+namespace detail {
+
+void Target::set(std::shared_ptr<Sink> sink) {
+  const std::lock_guard lock(mutex_);
+  sink_ = std::move(sink);
+}
+
+std::shared_ptr<Sink> Target::get() {
+  const std::lock_guard lock(mutex_);
+  return sink_;
+}
+
+std::optional<Outcome> Target::deliver(const Parcel& parcel) {
+  for (auto sink = get(); sink;) {
+    const Outcome outcome = sink->deliver(parcel);
+    auto present = get();
+    if (outcome != Outcome::Disconnected || present == sink) return outcome;
+    sink = std::move(present);
+  }
+  return std::nullopt;
+}
+
+}  // namespace detail
 
 RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
     : Port(owner, name, PortDirection::Requires, service, options), calls_(hull().clock(), hull().shared_strand()) {}
@@ -302,18 +343,14 @@ LocalWire::LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale)
     : name_(std::move(name)), prescale_(prescale == 0 ? 1 : prescale), inbox_(&inbox), clock_(inbox.port().hull().clock()) {}
 
 Outcome LocalWire::deliver(Parcel parcel) {
-  if (!clock_.staging()) {
-    const std::lock_guard lock(mutex_);
-    return hand_over(std::move(parcel));
-  }
-  std::uint64_t sequence = 0;
-  {
-    const std::lock_guard lock(mutex_);
-    if (!inbox_) return Outcome::Disconnected;
-    sequence = ++staged_;
-  }
-  clock_.stage(name_, sequence, [self = shared_from_this(), parcel = std::move(parcel)]() mutable {
-    const std::lock_guard lock(self->mutex_);
+  std::unique_lock lock(mutex_);
+  if (!inbox_) return Outcome::Disconnected;
+  if (puts_++ % prescale_ != 0) return Outcome::Ok;
+  if (!clock_.staging()) return hand_over(std::move(parcel));
+  if (parcel.is_request()) give_up_in_turn(parcel.reply);
+  const Object* object = parcel.envelope.object.get();
+  stage(lock, object, {}, [self = shared_from_this(), parcel = std::move(parcel)]() mutable {
+    const std::lock_guard inner(self->mutex_);
     const auto reply = parcel.reply;
     const Outcome outcome = self->hand_over(std::move(parcel));
     if (reply && outcome != Outcome::Ok) reply->answer(outcome, {}, nullptr);
@@ -321,10 +358,26 @@ Outcome LocalWire::deliver(Parcel parcel) {
   return Outcome::Ok;
 }
 
+/// Lets go of the lock first: the clock may deliver at once.
+void LocalWire::stage(std::unique_lock<std::mutex>& lock, const Object* object, std::string_view word, Job deliver) {
+  const std::uint64_t sequence = ++staged_;
+  lock.unlock();
+  clock_.stage({name_, sequence, object, word, std::move(deliver)});
+}
+
+/// That the client has given up reaches the provider as a message does: behind what it sent before, and in its turn.
+void LocalWire::give_up_in_turn(const std::shared_ptr<ReplySink>& reply) {
+  reply->set_on_abandon(
+      [self = shared_from_this(), weak = std::weak_ptr(reply)] {
+        std::unique_lock lock(self->mutex_);
+        self->stage(lock, nullptr, kGivenUp, [self, reply = weak.lock()] { reply->note_abandoned(); });
+      },
+      true);
+}
+
 /// Called with the mutex held, so that after `cut` nothing is under way.
 Outcome LocalWire::hand_over(Parcel parcel) {
   if (!inbox_) return Outcome::Disconnected;
-  if (puts_++ % prescale_ != 0) return Outcome::Ok;
   const auto receipt = inbox_->port().service().pattern() == SEND ? parcel.reply : nullptr;
   const Outcome outcome = inbox_->push(std::move(parcel));
   if (receipt) receipt->answer(outcome, {}, nullptr);
@@ -338,17 +391,18 @@ void LocalWire::lease(bool held, const std::string& reason) {
     if (client) client->set_lease(held, reason);
   };
   if (!clock_.staging()) return tell();
-  std::uint64_t sequence = 0;
-  {
-    const std::lock_guard lock(mutex_);
-    sequence = ++staged_;
-  }
-  clock_.stage(name_, sequence, tell);
+  std::unique_lock lock(mutex_);
+  stage(lock, nullptr, held ? kSpeaks : kSilent, tell);
 }
 
 void LocalWire::cut() {
   const std::lock_guard lock(mutex_);
   inbox_ = nullptr;
+}
+
+void LocalWire::cut_from(const Hull& hull) {
+  const std::lock_guard lock(mutex_);
+  if (inbox_ && &inbox_->port().hull() == &hull) inbox_ = nullptr;
 }
 
 }  // namespace fiona

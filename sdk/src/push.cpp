@@ -7,16 +7,32 @@
 namespace fiona::detail {
 
 std::uint64_t PushProvider::attach(std::shared_ptr<Sink> sink) {
+  Sink& newcomer = *sink;
+  return attach(std::move(sink), newcomer);
+}
+
+std::uint64_t PushProvider::attach(std::shared_ptr<Sink> carrier, Sink& newcomer) {
   const std::lock_guard lock(mutex_);
-  auto sinks = std::make_shared<Sinks>(*sinks_);
-  sinks->push_back(sink);
-  sinks_ = std::move(sinks);
+  if (std::find(sinks_->begin(), sinks_->end(), carrier) == sinks_->end()) {
+    auto sinks = std::make_shared<Sinks>(*sinks_);
+    sinks->push_back(std::move(carrier));
+    sinks_ = std::move(sinks);
+  }
+  newcomer.attached(sequence_);
   if (silence_) {
-    sink->lease(false, *silence_);  // and no old value as if it were fresh
+    newcomer.lease(false, *silence_);  // and no old value as if it were fresh
   } else if (last_ && service().contract().last_value()) {
-    sink->deliver(Parcel{*last_, nullptr});
+    newcomer.deliver(Parcel{*last_, nullptr});
   }
   return sequence_;
+}
+
+void PushProvider::detach_unused(const Sink& carrier) {
+  const std::lock_guard lock(mutex_);
+  if (carrier.subscribers() > 0) return;
+  auto sinks = std::make_shared<Sinks>(*sinks_);
+  std::erase_if(*sinks, [&carrier](const auto& other) { return other.get() == &carrier; });
+  sinks_ = std::move(sinks);
 }
 
 void PushProvider::detach(const Sink& sink) {
@@ -28,7 +44,9 @@ void PushProvider::detach(const Sink& sink) {
 
 std::size_t PushProvider::subscribers() const {
   const std::lock_guard lock(mutex_);
-  return sinks_->size();
+  std::size_t count = 0;
+  for (const auto& sink : *sinks_) count += sink->subscribers();
+  return count;
 }
 
 void PushProvider::on_active() {

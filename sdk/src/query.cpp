@@ -16,6 +16,7 @@ class QueryClient::Reply final : public ReplySink, public std::enable_shared_fro
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
     if (answered_.exchange(true) || abandoned()) return;
+    const Object* staged = object.get();
     Answer answer{outcome, std::move(reason), std::move(object)};
     auto end = [self = shared_from_this(), answer = std::move(answer)]() mutable {
       self->client_.on_answer(self->id_, *self, std::move(answer));
@@ -25,8 +26,8 @@ class QueryClient::Reply final : public ReplySink, public std::enable_shared_fro
       strand_->post(std::move(end));
       return;
     }
-    clock.stage(wire_, static_cast<std::uint64_t>(id_),
-                [strand = strand_, end = std::move(end)]() mutable { strand->post(std::move(end)); });
+    clock.stage({wire_, static_cast<std::uint64_t>(id_), staged, to_string(outcome),
+                 [strand = strand_, end = std::move(end)]() mutable { strand->post(std::move(end)); }});
   }
 
  private:
@@ -50,26 +51,18 @@ QueryClient::QueryClient(Component& owner, std::string_view name, const ServiceI
 }
 
 QueryClient::~QueryClient() {
-  for (auto& [id, open] : open_) open.reply->abandon();
-}
-
-void QueryClient::set_target(std::shared_ptr<Sink> target) {
-  const std::lock_guard lock(target_mutex_);
-  target_ = std::move(target);
+  for (auto& [id, open] : open_) {
+    if (!open.answer) open.reply->abandon();
+  }
 }
 
 Outcome QueryClient::put_to_target(QueryId id, Open& open) {
-  std::shared_ptr<Sink> target;
-  {
-    const std::lock_guard lock(target_mutex_);
-    target = target_;
-  }
-  if (!target) return connection() == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected;
+  if (connection() == Connection::Unwired) return Outcome::Unwired;
   const TimePoint now = hull().clock().now();
   open.reply = std::make_shared<Reply>(*this, id);
   Envelope envelope{open.request, static_cast<std::uint64_t>(id), now, open.request->ByteSizeLong()};
   counters().count(now);
-  return target->deliver(Parcel{std::move(envelope), open.reply});
+  return target_.deliver(Parcel{std::move(envelope), open.reply}).value_or(Outcome::Disconnected);
 }
 
 Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration within) {
@@ -88,7 +81,7 @@ Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration
   if (outcome == Outcome::Ok) {
     Clock& clock = hull().clock();
     open.deadline = clock.schedule(clock.now() + within, hull().shared_strand(), [this, id] {
-      if (open_.contains(id)) end(id, Answer{Outcome::Timeout, {}, nullptr});
+      if (open_.contains(id)) end_unanswered(id, Answer{Outcome::Timeout, {}, nullptr});
     });
     return id;
   }
@@ -141,7 +134,7 @@ bool QueryClient::give_up(QueryId id) {
   const Open open = std::move(found->second);
   open_.erase(found);
   hull().clock().cancel(open.deadline);
-  open.reply->abandon();
+  if (!open.answer) open.reply->abandon();
   if (open.call) calls().finish(open.call, Outcome::WrongId);
   return true;
 }
@@ -155,11 +148,17 @@ void QueryClient::on_answer(QueryId id, const Reply& from, Answer answer) {
   end(id, std::move(answer));
 }
 
+/// Without the provider's answer.
+void QueryClient::end_unanswered(QueryId id, Answer answer) {
+  const Open& open = open_.at(id);
+  if (!open.answer) open.reply->abandon();
+  end(id, std::move(answer));
+}
+
 void QueryClient::end(QueryId id, Answer answer) {
   Open& open = open_.at(id);
   if (open.answer) return;
   hull().clock().cancel(open.deadline);
-  open.reply->abandon();
   open.answer = std::move(answer);
   if (open.call) calls().finish(open.call, Outcome::Ok);
 }
@@ -168,7 +167,7 @@ void QueryClient::end_all(Outcome outcome) {
   std::vector<QueryId> ids;
   for (const auto& [id, open] : open_) ids.push_back(id);
   for (const QueryId id : ids) {
-    if (open_.contains(id)) end(id, Answer{outcome, connection_reason(), nullptr});
+    if (open_.contains(id)) end_unanswered(id, Answer{outcome, connection_reason(), nullptr});
   }
 }
 

@@ -4,26 +4,16 @@
 
 namespace fiona::detail {
 
-void SendClient::set_target(std::shared_ptr<Sink> target) {
-  const std::lock_guard lock(target_mutex_);
-  target_ = std::move(target);
-}
-
 Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt) {
   if (rules_.first_violation(*object)) {
     counters().refused.fetch_add(1, std::memory_order_relaxed);
     return Outcome::Rejected;
   }
-  std::shared_ptr<Sink> target;
-  {
-    const std::lock_guard lock(target_mutex_);
-    target = target_;
-  }
-  if (!target) return connection() == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected;
+  if (connection() == Connection::Unwired) return Outcome::Unwired;
   Envelope envelope{std::move(object), ++sequence_, hull().clock().now(), 0};
   envelope.bytes = envelope.object->ByteSizeLong();
   counters().count(envelope.origin);
-  const Outcome outcome = target->deliver(Parcel{std::move(envelope), std::move(receipt)});
+  const Outcome outcome = target_.deliver(Parcel{std::move(envelope), std::move(receipt)}).value_or(Outcome::Disconnected);
   if (outcome != Outcome::Ok) counters().dropped.fetch_add(1, std::memory_order_relaxed);
   return outcome;
 }
@@ -34,22 +24,35 @@ Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
 }
 
 /// Tells the client's strand how the provider's hull answered.
-class SendClient::Receipt final : public ReplySink {
+class SendClient::Receipt final : public ReplySink, public std::enable_shared_from_this<Receipt> {
  public:
-  Receipt(SendClient& client, std::shared_ptr<Call> call)
-      : client_(client), call_(std::move(call)), strand_(client.hull().shared_strand()) {}
+  Receipt(SendClient& client, std::shared_ptr<Call> call, std::uint64_t number)
+      : client_(client),
+        call_(std::move(call)),
+        number_(number),
+        strand_(client.hull().shared_strand()),
+        wire_(client.full_name() + "/receipt") {}
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object>) override {
     if (answered_.exchange(true)) return;
-    strand_->post([this_client = &client_, call = call_, outcome, reason = std::move(reason)]() mutable {
-      this_client->calls().finish(call, outcome, std::move(reason));
-    });
+    auto end = [self = shared_from_this(), outcome, reason = std::move(reason)] {
+      self->client_.calls().finish(self->call_, outcome, reason);
+    };
+    Clock& clock = strand_->clock();
+    if (!clock.staging()) {
+      strand_->post(std::move(end));
+      return;
+    }
+    clock.stage({wire_, number_, nullptr, to_string(outcome),
+                 [strand = strand_, end = std::move(end)]() mutable { strand->post(std::move(end)); }});
   }
 
  private:
   SendClient& client_;  ///< touched on its strand only, which is closed before it goes
   const std::shared_ptr<Call> call_;
+  const std::uint64_t number_;
   const std::shared_ptr<Strand> strand_;
+  const std::string wire_;
   std::atomic<bool> answered_{false};
 };
 
@@ -58,7 +61,7 @@ Async<Result<Acknowledged>> SendClient::send_and_wait(std::shared_ptr<const Obje
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, connection_reason());
   } else {
-    const Outcome put = put_to_target(std::move(object), std::make_shared<Receipt>(*this, call));
+    const Outcome put = put_to_target(std::move(object), std::make_shared<Receipt>(*this, call, sequence_ + 1));
     if (put != Outcome::Ok) calls().finish(call, put);
   }
   CallAwaiter ended(calls(), call, within);

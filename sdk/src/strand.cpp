@@ -42,9 +42,9 @@ bool Strand::post(Job job) {
 void Strand::wake(std::unique_lock<std::mutex>& lock) {
   if (scheduled_) return;
   scheduled_ = true;
-  clock_.strand_busy();
+  const bool may_start = clock_.strand_busy(*this);
   lock.unlock();
-  executor_.submit(shared_from_this());
+  if (may_start) start();
 }
 
 void Strand::run() {
@@ -61,7 +61,7 @@ void Strand::run() {
   if (more) {
     executor_.submit(shared_from_this());
   } else {
-    clock_.strand_idle();
+    clock_.strand_idle(*this);
   }
 }
 

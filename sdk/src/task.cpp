@@ -46,6 +46,7 @@ void Task::fire(std::uint64_t start_count) {
 
 void Task::run() {
   runs_.fetch_add(1, std::memory_order_relaxed);
+  late_ns_.store((hull_.clock().now() - due_).count(), std::memory_order_relaxed);
   std::optional<Async<>> coroutine;
   hull_.guarded([&] { coroutine = work_(); });
   if (!coroutine) return;

@@ -126,4 +126,107 @@ Latency through_zeromq(const Load& load, const std::string& self) {
   return latency;
 }
 
+namespace {
+
+/// An endpoint of its own, and the other process at it.
+class Partner {
+ public:
+  Partner(const std::string& self, const std::string& role, const std::string& arguments)
+      : path_(std::filesystem::temp_directory_path() / ("fiona-bench-" + std::to_string(::getpid()) + ".ipc")) {
+    const std::string command = self + " " + role + " " + endpoint() + arguments;
+    process_ = ::popen(command.c_str(), "r");
+    if (!process_) throw std::runtime_error("the partner does not start: " + command);
+  }
+  ~Partner() {
+    ::pclose(process_);
+    std::filesystem::remove(path_);
+  }
+  Partner(const Partner&) = delete;
+  Partner& operator=(const Partner&) = delete;
+  std::string endpoint() const { return "ipc://" + path_.string(); }
+  double figure() {
+    double value = 0;
+    if (std::fscanf(process_, "%lf", &value) != 1) throw std::runtime_error("the partner told no figure");
+    return value;
+  }
+
+ private:
+  const std::filesystem::path path_;
+  FILE* process_ = nullptr;
+};
+
+}  // namespace
+
+Latency query_through_zeromq(const Load& load, const std::string& self) {
+  Partner partner(self, "--zeromq-answerer", "");
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::req);
+  socket.bind(partner.endpoint());
+  std::vector<std::int64_t> latencies;
+  for (std::size_t i = 0; i < load.messages; ++i) {
+    const std::int64_t begun_ns = steady_ns();
+    zmq::message_t question(load.bytes);
+    std::memset(question.data(), 'x', load.bytes);
+    socket.send(question, zmq::send_flags::none);
+    zmq::message_t answer;
+    if (!socket.recv(answer)) throw std::runtime_error("no answer");
+    latencies.push_back(steady_ns() - begun_ns);
+  }
+  socket.send(zmq::message_t(), zmq::send_flags::none);
+  return summarise(std::move(latencies));
+}
+
+int answer_zeromq(const std::string& endpoint) {
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::rep);
+  socket.connect(endpoint);
+  for (zmq::message_t question; socket.recv(question) && question.size() > 0;) {
+    zmq::message_t answer(question.data(), question.size());
+    socket.send(answer, zmq::send_flags::none);
+  }
+  return 0;
+}
+
+Latency stream_through_zeromq(const Load& load, std::size_t receivers, const std::string& self) {
+  Partner partner(self, "--zeromq-counter", " " + std::to_string(load.messages) + " " + std::to_string(receivers));
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::xpub);
+  socket.set(zmq::sockopt::xpub_nodrop, true);
+  if (load.bytes > 4096) socket.set(zmq::sockopt::sndhwm, 4);
+  socket.set(zmq::sockopt::xpub_verboser, true);
+  socket.bind(partner.endpoint());
+  for (std::size_t i = 0; i < receivers; ++i) {
+    zmq::message_t subscription;
+    if (!socket.recv(subscription)) throw std::runtime_error("no subscriber");
+  }
+  for (std::size_t i = 0; i < load.messages; ++i) {
+    zmq::message_t message(load.bytes);
+    std::memset(message.data(), 'x', load.bytes);
+    socket.send(message, zmq::send_flags::none);
+  }
+  return {partner.figure(), 0};
+}
+
+int count_zeromq(const std::string& endpoint, std::size_t messages, std::size_t receivers) {
+  zmq::context_t context;
+  std::vector<std::thread> threads;
+  std::vector<double> each_ns(receivers);
+  for (std::size_t i = 0; i < receivers; ++i) {
+    threads.emplace_back([&, i] {
+      zmq::socket_t socket(context, zmq::socket_type::sub);
+      socket.set(zmq::sockopt::subscribe, "");
+      socket.connect(endpoint);
+      std::int64_t begun_ns = 0;
+      zmq::message_t message;
+      for (std::size_t n = 0; n < messages && socket.recv(message); ++n) {
+        if (n == 0) begun_ns = steady_ns();
+      }
+      each_ns[i] = static_cast<double>(steady_ns() - begun_ns) / static_cast<double>(messages - 1);
+    });
+  }
+  for (auto& thread : threads) thread.join();
+  std::printf("%.0f\n", *std::max_element(each_ns.begin(), each_ns.end()));
+  return 0;
+}
+
 }  // namespace fiona::bench

@@ -32,4 +32,13 @@ Latency through_zeromq(const Load& load, const std::string& self);
 /// The receiver's side; prints the two figures. The exit code.
 int receive_zeromq(const std::string& endpoint, std::size_t messages);
 
+/// A round trip over a bare REQ/REP pair over ipc, the answer as large as the question, back to back.
+Latency query_through_zeromq(const Load& load, const std::string& self);
+int answer_zeromq(const std::string& endpoint);
+
+/// Time for each message of a stream at full speed to `receivers` of one process, each filled anew, none lost: bare
+/// PUB/SUB over ipc that waits where a queue is full.
+Latency stream_through_zeromq(const Load& load, std::size_t receivers, const std::string& self);
+int count_zeromq(const std::string& endpoint, std::size_t messages, std::size_t receivers);
+
 }  // namespace fiona::bench

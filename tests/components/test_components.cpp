@@ -1,8 +1,11 @@
 // Components that the conformance tests load as any system would: from a library, through the host.
 #include <fiona/plugin.hpp>
+#include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
+#include <map>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -76,6 +79,11 @@ class Source final : public Component {
 class Sink final : public Component {
  public:
   using Component::Component;
+  void on_start() override {
+    if (!params_->leave_child() || ::fork() != 0) return;
+    ::sleep(1);
+    ::_exit(0);
+  }
 
  private:
   void on_sample(const Received<Sample>& sample) {
@@ -335,6 +343,134 @@ class Mover final : public Component {
   Task steer_{*this, "steer", 5ms, &Mover::steer, "steer"};
 };
 
+/// Ticks and answers, so that whoever hears it can tell which ticker it was and whether anything is missing.
+class Ticker final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) next_.at(now());
+  }
+
+ private:
+  void tick() {
+    Sample sample;
+    sample.set_number(++ticked_);
+    sample.set_value(static_cast<double>(params_->source()));
+    samples_.put(std::move(sample));
+    next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+  }
+  void on_question(const Question& question, fiona::Reply<Reply> reply) {
+    ++answered_;
+    Reply answer;
+    answer.set_number(question.number());
+    reply.answer(std::move(answer));
+  }
+  TickerReport report(const Question&) {
+    TickerReport report;
+    report.set_ticked(ticked_);
+    report.set_answered(answered_);
+    return report;
+  }
+
+  std::uint64_t ticked_ = 0;
+  std::uint64_t answered_ = 0;
+  Params<TickerParams> params_{*this};
+  Provides<SampleNewest> samples_{*this, "samples"};
+  Provides<Echo> echo_{*this, "echo", &Ticker::on_question};
+  Trigger<Question, TickerReport> report_{*this, "report", &Ticker::report};
+  Timer next_{*this, &Ticker::tick};
+};
+
+/// Hears and asks whoever it is wired to, and can say exactly what came of it.
+class Witness final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_change() {
+    if (params_->asks()) next_.at(now());
+  }
+  void on_sample(const Sample& sample) {
+    const std::int64_t heard_ns = steady_ns();
+    if (heard_ns_ > 0) testimony_.set_longest_gap_ms(std::max(testimony_.longest_gap_ms(), static_cast<double>(heard_ns - heard_ns_) / 1e6));
+    heard_ns_ = heard_ns;
+    const auto source = static_cast<std::uint64_t>(sample.value());
+    std::uint64_t& newest = newest_[source];
+    if (sample.number() <= newest) testimony_.set_backward(testimony_.backward() + 1);
+    newest = std::max(newest, sample.number());
+    Run* run = testimony_.runs_size() == 0 ? nullptr : testimony_.mutable_runs(testimony_.runs_size() - 1);
+    if (!run || run->source() != source || sample.number() != run->first() + run->count()) {
+      run = testimony_.add_runs();
+      run->set_source(source);
+      run->set_first(sample.number());
+    }
+    run->set_count(run->count() + 1);
+  }
+  void ask_next() {
+    if (!params_->asks()) return;
+    hull().spawn(ask(), [] {});
+    next_.at(now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(params_->period_ms())));
+  }
+  Async<> ask() {
+    const std::uint64_t number = testimony_.asked() + 1;
+    testimony_.set_asked(number);
+    testimony_.set_open(testimony_.open() + 1);
+    Question question;
+    question.set_number(number);
+    const auto answer = co_await echo_.query(std::move(question), 2s);
+    const int outcome = static_cast<int>(answer.outcome());
+    while (testimony_.outcomes_size() <= outcome) testimony_.add_outcomes(0);
+    testimony_.set_outcomes(outcome, testimony_.outcomes(outcome) + 1);
+    if (answer && (*answer)->number() != number) testimony_.set_wrong(testimony_.wrong() + 1);
+    testimony_.set_open(testimony_.open() - 1);
+  }
+  Testimony testify(const Question&) { return testimony_; }
+
+  Testimony testimony_;
+  std::int64_t heard_ns_ = 0;
+  std::map<std::uint64_t, std::uint64_t> newest_;
+  Params<WitnessParams> params_{*this, nullptr, &Witness::on_change};
+  Requires<SampleNewest> samples_{*this, "samples", &Witness::on_sample};
+  Requires<Echo> echo_{*this, "echo"};
+  Trigger<Question, Testimony> testify_{*this, "testify", &Witness::testify};
+  Timer next_{*this, &Witness::ask_next};
+};
+
+/// Shows what its parameters say, in probes of every kind; `silent` is never set.
+class Gauge final : public Component {
+ public:
+  using Component::Component;
+  void on_start() override { show(); }
+
+ private:
+  void on_change() {
+    if (!params_->fail_with().empty()) return fail_.at(now());
+    show();
+    if (params_->go() == std::exchange(gone_, params_->go())) return;
+    for (std::uint32_t i = 1; i <= params_->burst(); ++i) count_.set(i);
+  }
+  void show() {
+    level_.set(params_->level());
+    word_.set(params_->word());
+    open_.set(params_->level() > 0);
+    Sample report;
+    report.set_value(params_->level());
+    report.set_payload(params_->word());
+    report_.set(std::move(report));
+  }
+  void fail() { throw std::runtime_error(params_->fail_with()); }
+
+  std::uint32_t gone_ = 0;
+  Params<GaugeParams> params_{*this, nullptr, &Gauge::on_change};
+  Probe<double> level_{*this, "level", {.unit = "m", .doc = "how high it stands"}};
+  Probe<std::uint32_t> count_{*this, "count", {.doc = "of the last burst"}};
+  Probe<bool> open_{*this, "open", {.doc = "the level is above zero"}};
+  Probe<std::string> word_{*this, "word"};
+  Probe<Sample> report_{*this, "report", {.doc = "level and word in one object"}};
+  Probe<double> silent_{*this, "silent", {.unit = "s"}};
+  Timer fail_{*this, &Gauge::fail};
+};
+
 /// Puts samples at a pace, stamped at the last moment: the sending half of a latency benchmark.
 class Pacer final : public Component {
  public:
@@ -383,6 +519,103 @@ class Stopwatch final : public Component {
   Provides<SampleLast> report_{*this, "report"};
 };
 
+/// Puts as fast as its counters follow: at most `window` messages ahead of the slowest of them, so that none is lost.
+class Flooder final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) put_more();
+  }
+
+ private:
+  void put_more() {
+    const auto slowest = *std::min_element(seen_.begin(), seen_.begin() + params_->counters());
+    while (number_ < params_->count() && number_ < slowest + params_->window()) {
+      auto sample = samples_.make();
+      sample->set_number(++number_);
+      sample->mutable_payload()->assign(params_->payload(), 'x');
+      samples_.put(std::move(sample));
+    }
+  }
+  void on_progress(const Sample& progress) {
+    seen_.at(static_cast<std::size_t>(progress.value())) = progress.number();
+    put_more();
+  }
+
+  std::uint64_t number_ = 0;
+  std::array<std::uint64_t, 8> seen_{};
+  Params<FloodParams> params_{*this};
+  Provides<SampleNewest> samples_{*this, "samples"};
+  Requires<SampleNewest> progress0_{*this, "progress0", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress1_{*this, "progress1", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress2_{*this, "progress2", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress3_{*this, "progress3", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress4_{*this, "progress4", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress5_{*this, "progress5", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress6_{*this, "progress6", &Flooder::on_progress, {.optional = true}};
+  Requires<SampleNewest> progress7_{*this, "progress7", &Flooder::on_progress, {.optional = true}};
+};
+
+/// Counts for a flooder; at the last message reports in `value` the nanoseconds that each took.
+class Counter final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_sample(const Sample&) {
+    if (++number_ == 1) begun_ns_ = steady_ns();
+    if (number_ % std::max<std::uint64_t>(1, params_->window() / 4) == 0) {
+      Sample progress;
+      progress.set_number(number_);
+      progress.set_value(params_->index());
+      progress_.put(std::move(progress));
+    }
+    if (number_ != params_->count()) return;
+    Sample report;
+    report.set_number(number_);
+    report.set_value(static_cast<double>(steady_ns() - begun_ns_) / static_cast<double>(number_ - 1));
+    report_.put(std::move(report));
+  }
+
+  std::uint64_t number_ = 0;
+  std::int64_t begun_ns_ = 0;
+  Params<FloodParams> params_{*this};
+  Requires<SampleNewest> samples_{*this, "samples", &Counter::on_sample};
+  Provides<SampleNewest> progress_{*this, "progress"};
+  Provides<SampleLast> report_{*this, "report"};
+};
+
+/// Asks `count` questions, each when the one before is answered; reports the median round trip in `value`.
+class Prober final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) hull().spawn(ask(), [] {});
+  }
+
+ private:
+  Async<> ask() {
+    std::vector<std::int64_t> times_ns;
+    for (std::uint64_t i = 0; i < params_->count(); ++i) {
+      const auto begun_ns = steady_ns();
+      Question question;
+      question.mutable_payload()->assign(params_->payload(), 'x');
+      const auto answer = co_await echo_.query(std::move(question), 5s);
+      if (!answer) throw std::runtime_error("a question was not answered");
+      times_ns.push_back(steady_ns() - begun_ns);
+    }
+    std::sort(times_ns.begin(), times_ns.end());
+    Sample report;
+    report.set_number(times_ns.size());
+    report.set_value(static_cast<double>(times_ns[times_ns.size() / 2]));
+    report_.put(std::move(report));
+  }
+
+  Params<FloodParams> params_{*this};
+  Requires<Echo> echo_{*this, "echo"};
+  Provides<SampleLast> report_{*this, "report"};
+};
+
 }  // namespace fiona::test
 
 FIONA_PLUGIN(plugin) {
@@ -392,6 +625,12 @@ FIONA_PLUGIN(plugin) {
   plugin.add<fiona::test::Asker>("asker", "asks, and reports the outcome");
   plugin.add<fiona::test::Caller>("caller", "makes one call at a time, and reports the outcome");
   plugin.add<fiona::test::Mover>("mover", "has modes that share activities");
+  plugin.add<fiona::test::Ticker>("ticker", "ticks and answers");
+  plugin.add<fiona::test::Witness>("witness", "tells exactly what it heard and was answered");
+  plugin.add<fiona::test::Gauge>("gauge", "shows its parameters in probes");
   plugin.add<fiona::test::Pacer>("pacer", "puts stamped samples at a pace");
   plugin.add<fiona::test::Stopwatch>("stopwatch", "measures how long samples took");
+  plugin.add<fiona::test::Flooder>("flooder", "puts as fast as its counters follow");
+  plugin.add<fiona::test::Counter>("counter", "counts what a flooder puts");
+  plugin.add<fiona::test::Prober>("prober", "measures how long an answer takes");
 }

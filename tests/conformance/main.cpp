@@ -11,8 +11,9 @@
 namespace {
 
 /// What a test is about: the first of these that its name, "Suite.Sentence", contains.
-constexpr std::array<std::pair<std::string_view, std::string_view>, 22> kTopics{{
+constexpr std::array<std::pair<std::string_view, std::string_view>, 24> kTopics{{
     {"State.", "state"},           {"Triggers.", "trigger"},      {"Monitoring", "monitoring"},
+    {"Links.", "links"},           {"Processes.", "links"},
     {"Prescale", "push"},          {"Lease", "push"},             {"Send", "send"},
     {"Acknowledged", "send"},      {"Activation", "event"},       {"Event", "event"},
     {"Calls.Test", "event"},       {"Query", "query"},            {"Answer", "query"},

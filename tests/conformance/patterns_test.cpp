@@ -182,9 +182,10 @@ TEST_P(Patterns, RefusalCarriesItsReason) {
 
 TEST_P(Patterns, QueryEndsAtItsDeadline) {
   system.load_provider("answerer", "answerer");
-  system.load_client("asker", "asker", "manner=never count=3");
+  system.load_client("asker", "asker", "neutral manner=never count=3");
   const auto outcome = system.watch("asker.outcome");
   system.wire("asker.echo", "answerer.echo");
+  system.state("asker", "active");
   system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Timeout); });
 }
 
@@ -243,14 +244,52 @@ TEST_P(Patterns, OneMebibyteArrivesWhole) {
   }
 }
 
-TEST_P(Patterns, UnloadingAProviderUnwiresItsClientsAndSaysWho) {
+TEST_P(Patterns, UnloadingAProviderSaysWhoWaitsForIt) {
   system.load_provider("source", "source");
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
-  control::Unload request;
-  request.set_instance("source");
-  EXPECT_EQ(system.system().unload(request), "unloaded source; now unwired: sink.each");
-  EXPECT_EQ(system.port("sink.each").connection(), control::UNWIRED);
+  control::Change change;
+  change.mutable_unload()->set_instance("source");
+  EXPECT_EQ(system.system().perform(change).note(), "unloaded source; waiting for it: sink.each");
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+  EXPECT_EQ(system.port("sink.each").reason(), "there is no instance 'source' yet");
+}
+
+TEST_P(Patterns, WireWaitsForItsProviderAndResolvesWhenThatAppears) {
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  EXPECT_EQ(system.instance("sink").mode(), "active");
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "source");
+  const auto report = system.watch("sink.report");
+  system.load_provider("source", "source");
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+  EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).number(), 1U);
+}
+
+TEST_P(Patterns, WireThatWaitsGoesOnWithAnotherInstanceOfTheName) {
+  system.load_provider("source", "source");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.unload("source");
+  system.load_provider("source", "source");
+  const auto before = system.port("sink.each").messages();
+  system.eventually("goes on", [&] { return system.port("sink.each").messages() > before + 2; });
+}
+
+TEST_P(Patterns, InstanceThatDoesNotFitAWireThatWaitsForItsNameIsRefused) {
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.timed");
+  try {
+    system.load_provider("source", "source");
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::WiringInvalid);
+    EXPECT_EQ(error.text().what,
+              "a wire waits for 'source' and does not fit it: sink.each requires SampleNewest (push newest, Sample); "
+              "source.timed provides SampleTimed (push timed, Sample)");
+  }
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
 }
 
 INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),

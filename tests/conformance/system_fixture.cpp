@@ -11,6 +11,7 @@
 
 #include "fiona/error.hpp"
 #include "os/unix_socket.hpp"
+#include "fiona/probe.pb.h"
 #include "runtime.hpp"
 
 namespace fiona::conformance {
@@ -65,12 +66,22 @@ std::string to_string(Transport transport) {
 }
 void PrintTo(Transport transport, std::ostream* out) { *out << to_string(transport); }
 
-SeenSample::SeenSample(const google::protobuf::Message& sample) {
-  const auto& type = *sample.GetDescriptor();
-  const auto& reflect = *sample.GetReflection();
-  number_ = reflect.GetUInt64(sample, type.FindFieldByName("number"));
-  value_ = reflect.GetDouble(sample, type.FindFieldByName("value"));
-  payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
+SeenSample::SeenSample(const google::protobuf::Message& sample) : has_value(true) {
+  if (const auto* number = dynamic_cast<const probe::Number*>(&sample)) {
+    value_ = number->value();
+  } else if (const auto* integer = dynamic_cast<const probe::Integer*>(&sample)) {
+    value_ = static_cast<double>(integer->value());
+  } else if (const auto* flag = dynamic_cast<const probe::Flag*>(&sample)) {
+    value_ = flag->value() ? 1 : 0;
+  } else if (const auto* text = dynamic_cast<const probe::Text*>(&sample)) {
+    payload_ = text->value();
+  } else {
+    const auto& type = *sample.GetDescriptor();
+    const auto& reflect = *sample.GetReflection();
+    number_ = reflect.GetUInt64(sample, type.FindFieldByName("number"));
+    value_ = reflect.GetDouble(sample, type.FindFieldByName("value"));
+    payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
+  }
 }
 
 OtherHost::OtherHost(const std::filesystem::path& directory, const std::string& name, Choice choice)
@@ -143,23 +154,46 @@ RunningSystem::RunningSystem(const host::HostOptions& hosts)
       system_(host::System::Options{"test", directory_.path / "store", directory_.path, 2, hosts},
               [this](const wire::GroupMessage& event) { keep(event); }) {}
 
+SeenSample RunningSystem::seen(const wire::Tapped& tapped) {
+  SeenSample sample;
+  if (const auto object = system_.types().make(tapped.type())) {
+    object->ParseFromString(tapped.object());
+    sample = SeenSample(*object);
+  }
+  sample.unit = tapped.unit();
+  sample.sequence = tapped.sequence();
+  sample.counted = tapped.number();
+  sample.skipped = tapped.skipped();
+  return sample;
+}
+
 void RunningSystem::keep(const wire::GroupMessage& event) {
-  if (!event.has_tapped()) return;
-  const auto sample = system_.types().make(event.tapped().type());
-  sample->ParseFromString(event.tapped().object());
   const std::lock_guard lock(mutex_);
-  seen_[event.tapped().tap()].push_back(SeenSample(*sample));
+  if (event.has_tap_ended()) ended_[event.tap_ended().tap()] = event.tap_ended().failure();
+  if (event.has_tapped()) seen_[event.tapped().tap()].push_back(seen(event.tapped()));
+}
+
+SeenSample RunningSystem::read(const std::string& name) { return seen(system_.read(port_name(name))); }
+
+control::Failure RunningSystem::end_of(std::uint64_t id) {
+  eventually("the end of the tap", [&] {
+    const std::lock_guard lock(mutex_);
+    return ended_.contains(id);
+  });
+  const std::lock_guard lock(mutex_);
+  return ended_[id];
 }
 
 void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
                             const std::string& parameters) {
-  control::Load request;
+  control::Change change;
+  control::Load& request = *change.mutable_load();
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
   request.set_instance(name);
   request.set_group(group);
   if (parameters.starts_with("neutral")) request.set_mode("neutral");
   add_arguments(parameters, *request.mutable_parameters());
-  system_.load(request);
+  system_.perform(change);
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
@@ -171,24 +205,27 @@ void RunningSystem::load_client(const std::string& component, const std::string&
 }
 
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
-  control::Wire request;
+  control::Change change;
+  control::Wire& request = *change.mutable_wire();
   *request.mutable_client() = port_name(client);
   *request.mutable_provider() = port_name(provider);
   request.set_prescale(every);
-  system_.wire(request);
+  system_.perform(change);
 }
 
 void RunningSystem::unwire(const std::string& client) {
-  control::Unwire request;
+  control::Change change;
+  control::Unwire& request = *change.mutable_unwire();
   *request.mutable_client() = port_name(client);
-  system_.unwire(request);
+  system_.perform(change);
 }
 
 void RunningSystem::set(const std::string& instance_name, const std::string& parameters) {
-  control::Set request;
+  control::Change change;
+  control::Set& request = *change.mutable_set();
   request.set_instance(instance_name);
   add_arguments(parameters, *request.mutable_parameters());
-  system_.set(request);
+  system_.perform(change);
 }
 
 std::shared_ptr<LaterAnswer> RunningSystem::begin_state(const std::string& instance_name, const std::string& mode,
@@ -226,12 +263,18 @@ control::Called RunningSystem::call(const std::string& target, const std::string
 }
 
 void RunningSystem::unload(const std::string& instance_name) {
-  control::Unload request;
+  control::Change change;
+  control::Unload& request = *change.mutable_unload();
   request.set_instance(instance_name);
-  system_.unload(request);
+  system_.perform(change);
 }
 
-std::uint64_t RunningSystem::watch(const std::string& name) { return system_.tap(port_name(name)); }
+std::uint64_t RunningSystem::watch(const std::string& name, control::Watch terms) {
+  *terms.mutable_port() = port_name(name);
+  const std::uint64_t tap = system_.new_tap();
+  system_.tap(tap, terms);
+  return tap;
+}
 
 void RunningSystem::serve_groups(std::chrono::milliseconds most) {
   const auto children = system_.child_groups();
@@ -301,6 +344,14 @@ control::HostStatus RunningSystem::host(const std::string& name) {
 void RunningSystem::join(const std::string& name) {
   eventually("host " + name + " joins", [&] { return host(name).state() == "joined"; });
   serve_groups(std::chrono::milliseconds(0));
+}
+
+control::GroupStatus RunningSystem::group(const std::string& name) {
+  const auto snapshot = system_.snapshot();
+  for (const auto& one : snapshot.groups()) {
+    if (one.name() == name) return one;
+  }
+  throw Error(ErrorCode::NotFound, "no group " + name);
 }
 
 control::PortStatus RunningSystem::port(const std::string& name) {

@@ -32,11 +32,16 @@ struct TemporaryDirectory {
 };
 
 /// A fiona.test.Sample as the test sees it. The test must not link the message itself: the plugin brings it, and
-/// protobuf allows a file once per process.
+/// protobuf allows a file once per process. Also the value of a probe: a number as `value`, a text as `payload`.
 class SeenSample {
  public:
   SeenSample() = default;
   explicit SeenSample(const google::protobuf::Message& sample);
+  bool has_value = false;     ///< of a probe; false: there is none yet
+  std::string unit;           ///< of a probe
+  std::uint64_t sequence = 0;
+  std::uint64_t counted = 0;  ///< by the tap, from 1
+  std::uint64_t skipped = 0;  ///< by the tap so far
   std::uint64_t number() const { return number_; }
   double value() const { return value_; }
   const std::string& payload() const { return payload_; }
@@ -98,7 +103,9 @@ class RunningSystem {
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
   void load_client(const std::string& component, const std::string& name, const std::string& parameters = "");
-  void load_in(const std::string& group, const std::string& component, const std::string& name, const std::string& parameters = "");
+  /// Into a group of this name.
+  void load_in(const std::string& group, const std::string& component, const std::string& name,
+               const std::string& parameters = "");
   void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
   void unwire(const std::string& client);
   void set(const std::string& instance, const std::string& parameters);
@@ -109,9 +116,11 @@ class RunningSystem {
   control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
+  /// Passes on what the groups have said, waiting for it so long at most.
+  void serve_groups(std::chrono::milliseconds most);
 
   /// Watches a port that pushes test samples; `wait_for` looks at what it has put since.
-  std::uint64_t watch(const std::string& port);
+  std::uint64_t watch(const std::string& port, control::Watch terms = {});
   /// The first sample of the watched port, not looked at before, that `fits`; fails the test after `deadline`.
   SeenSample wait_for(std::uint64_t watch, const std::function<bool(const SeenSample&)>& fits,
                         std::chrono::milliseconds deadline = std::chrono::seconds(10));
@@ -123,13 +132,18 @@ class RunningSystem {
   control::HostStatus host(const std::string& name);
   /// Waits until it has joined.
   void join(const std::string& name);
+  control::GroupStatus group(const std::string& name);
+  /// A probe, read once.
+  SeenSample read(const std::string& probe);
+  /// Waits until the tap has ended; why.
+  control::Failure end_of(std::uint64_t watch);
   /// Polls `fits` until it holds; fails the test after `deadline`.
   void eventually(const std::string& what, const std::function<bool()>& fits,
                   std::chrono::milliseconds deadline = std::chrono::seconds(10));
 
  private:
-  void serve_groups(std::chrono::milliseconds most);
   void keep(const wire::GroupMessage& event);
+  SeenSample seen(const wire::Tapped& tapped);
 
   const Transport transport_;
   const TemporaryDirectory directory_;
@@ -137,6 +151,7 @@ class RunningSystem {
   std::mutex mutex_;
   std::map<std::uint64_t, std::vector<SeenSample>> seen_;
   std::map<std::uint64_t, std::size_t> passed_;
+  std::map<std::uint64_t, control::Failure> ended_;
   host::System system_;  ///< last: its threads use the rest until it has ended
 };
 

@@ -1,9 +1,11 @@
+#include <cstdlib>
 #include <fstream>
 #include <mutex>
 
 #include <gtest/gtest.h>
 
 #include "fiona/options.pb.h"
+#include "fiona/probe.pb.h"
 #include "fiona/sensors.pb.h"
 #include "saved_system.hpp"
 #include "script.hpp"
@@ -80,6 +82,9 @@ class ConsoleTest : public ::testing::Test {
   std::vector<control::Request> seen_;
 
  protected:
+  // No marketplace but those that a test makes.
+  void SetUp() override { ::setenv("FIONA_MARKET", "/nonexistent", 1); }
+
   std::vector<control::Request> requests() {
     const std::lock_guard lock(mutex_);
     return seen_;
@@ -139,7 +144,7 @@ std::vector<control::Reply> system_reply(const control::System& system) {
 TEST_F(ConsoleTest, ALoadLineIsALoadRequest) {
   session().run(split_line("load trace-player as walk in fast at neutral trace=\"a b\" rate=5Hz"));
   ASSERT_EQ(requests().size(), 1U);
-  const control::Load load = requests()[0].load();
+  const control::Load load = requests()[0].transact().changes(0).load();
   EXPECT_EQ(load.plugin(), "trace-player");
   EXPECT_EQ(load.instance(), "walk");
   EXPECT_EQ(load.group(), "fast");
@@ -151,9 +156,94 @@ TEST_F(ConsoleTest, ALoadLineIsALoadRequest) {
 
 TEST_F(ConsoleTest, AWireLineIsAWireRequest) {
   session().run(split_line("wire nav.imu to walk.imu every 5"));
-  EXPECT_EQ(requests()[0].wire().client().instance(), "nav");
-  EXPECT_EQ(requests()[0].wire().provider().port(), "imu");
-  EXPECT_EQ(requests()[0].wire().prescale(), 5U);
+  const control::Wire wire = requests()[0].transact().changes(0).wire();
+  EXPECT_EQ(wire.client().instance(), "nav");
+  EXPECT_EQ(wire.provider().port(), "imu");
+  EXPECT_EQ(wire.prescale(), 5U);
+}
+
+TEST_F(ConsoleTest, LinesBetweenBeginAndCommitAreOneTransaction) {
+  run_script(session(), read_script(file("a.fiona", "begin\nload a\nwire b.x to a.x\nset a rate=5\nstate a neutral\ncommit\n")));
+  ASSERT_EQ(requests().size(), 1U);
+  ASSERT_EQ(requests()[0].transact().changes_size(), 4);
+  EXPECT_TRUE(requests()[0].transact().changes(1).has_wire());
+  EXPECT_FALSE(requests()[0].transact().whole());
+}
+
+TEST_F(ConsoleTest, ARefusedChangeOfATransactionIsToldAtItsLine) {
+  script = [](const control::Request&) {
+    auto refused = failure(ErrorCode::NotFound, "there is no instance 'b'");
+    refused.mutable_failure()->set_change(2);
+    return std::vector{refused};
+  };
+  const auto path = file("a.fiona", "begin\nload a\nwire b.x to a.x\ncommit\n");
+  try {
+    run_script(session(), read_script(path));
+    FAIL() << "it ran to the end";
+  } catch (const LineError& error) {
+    EXPECT_EQ(error.text().where, path.string() + ":3:1");
+    EXPECT_EQ(error.text().what, "there is no instance 'b'");
+  }
+  EXPECT_FALSE(session().batch);
+}
+
+TEST_F(ConsoleTest, AFileThatEndsWithinATransactionChangesNothing) {
+  const auto path = file("a.fiona", "begin\nload a\n");
+  try {
+    run_script(session(), read_script(path));
+    FAIL() << "it ran to the end";
+  } catch (const LineError& error) {
+    EXPECT_EQ(error.text().what, "this transaction is not committed: nothing of it was done");
+    EXPECT_EQ(error.text().where, path.string() + ":1:1");
+  }
+  EXPECT_TRUE(requests().empty());
+  EXPECT_FALSE(session().batch);
+}
+
+TEST_F(ConsoleTest, WhatWaitsCannotStandInATransaction) {
+  try {
+    run_script(session(), read_script(file("a.fiona", "begin\nsleep 1s\ncommit\n")));
+    FAIL() << "it ran to the end";
+  } catch (const LineError& error) {
+    EXPECT_EQ(error.text().what, "'sleep' cannot stand in a transaction");
+  }
+  EXPECT_TRUE(requests().empty());
+}
+
+TEST_F(ConsoleTest, PlanAsksForTheStepsAndChangesNothing) {
+  script = [](const control::Request&) {
+    control::Reply reply;
+    control::Change& step = *reply.mutable_planned()->add_steps();
+    step.mutable_unload()->set_instance("walk");
+    control::Load& back = *reply.mutable_planned()->add_reverse()->mutable_load();
+    back.set_plugin("fiona/trace-player");
+    back.set_instance("walk");
+    reply.mutable_planned()->add_warnings("what 'walk' knows is lost");
+    return std::vector{reply};
+  };
+  session().run(split_line("plan unload walk"));
+  EXPECT_TRUE(requests()[0].transact().dry_run());
+  EXPECT_EQ(out, "unload walk\ntaken back by\n  load fiona/trace-player as walk\nwhat 'walk' knows is lost\n");
+}
+
+TEST_F(ConsoleTest, ApplySendsTheWholeSystemAndPassesOverWhatOnlyLooks) {
+  const auto path = file("a.fiona", "load a\nspots\nls\nwire b.x to a.x\n");
+  session().run(split_line("apply " + path.string()));
+  ASSERT_EQ(requests().size(), 1U);
+  EXPECT_TRUE(requests()[0].transact().whole());
+  EXPECT_EQ(requests()[0].transact().changes_size(), 2);
+}
+
+TEST_F(ConsoleTest, ApplyRefusesAFileThatDoesMoreThanCompose) {
+  const auto path = file("a.fiona", "load a\nexpect a.x.y > 3\n");
+  try {
+    session().run(split_line("apply " + path.string()));
+    FAIL() << "it was applied";
+  } catch (const LineError& error) {
+    EXPECT_EQ(error.text().what, "'expect' tells nothing of what a system consists of");
+    EXPECT_EQ(error.text().where, path.string() + ":2:1");
+  }
+  EXPECT_TRUE(requests().empty());
 }
 
 TEST_F(ConsoleTest, TheHostsOwnNoteIsTold) {
@@ -309,6 +399,39 @@ TEST_F(ConsoleTest, WatchPrintsAnyTypeByItsDescriptorsUntilTheHostEndsIt) {
   EXPECT_TRUE(out.starts_with("walk.imu  1.500 s  ")) << out;
 }
 
+control::Reply probe_sample(double value, std::uint64_t skipped) {
+  fiona::probe::Number object;
+  object.set_value(value);
+  control::Reply reply;
+  reply.mutable_sample()->set_type(object.GetDescriptor()->full_name());
+  reply.mutable_sample()->set_object(object.SerializeAsString());
+  reply.mutable_sample()->set_unit("m");
+  reply.mutable_sample()->set_skipped(skipped);
+  reply.mutable_sample()->set_time_s(1.5);
+  return reply;
+}
+
+TEST_F(ConsoleTest, WatchPrintsAProbeWithItsUnitAndWhatWasLost) {
+  script = [](const control::Request&) {
+    control::Reply none;
+    none.mutable_sample()->set_time_s(1);
+    return std::vector{none, probe_sample(2.5, 0), probe_sample(3.5, 4), failure(ErrorCode::Unreachable, "'nav' was unloaded")};
+  };
+  EXPECT_EQ(error_of("watch nav.spread when above 2"), "column 7: 'nav' was unloaded");
+  EXPECT_EQ(out, "nav.spread  1.000 s  no value yet\nnav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m, 4 lost before it\n");
+}
+
+TEST_F(ConsoleTest, ExpectTakesAProbe) {
+  script = [](const control::Request&) {
+    control::Reply reply;
+    reply.mutable_met()->set_seen("2");
+    return std::vector{reply};
+  };
+  session().run(split_line("expect nav.spread < 3m"));
+  EXPECT_EQ(requests()[0].expect().port().port(), "spread");
+  EXPECT_EQ(requests()[0].expect().field(), "");
+}
+
 TEST_F(ConsoleTest, WatchForATimeEndsByItself) {
   script = [](const control::Request&) { return std::vector<control::Reply>{}; };
   session().run(split_line("watch walk.imu for 10ms"));
@@ -337,7 +460,7 @@ TEST_F(ConsoleTest, AWatchInAScriptGoesOnBesideTheLines) {
 
 TEST_F(ConsoleTest, AScriptStopsAtTheFirstLineThatFailsAndSaysWhere) {
   script = [](const control::Request& request) {
-    return std::vector{request.has_unload() ? failure(ErrorCode::NotFound, "there is no instance 'bb'") : done()};
+    return std::vector{request.transact().changes(0).has_unload() ? failure(ErrorCode::NotFound, "there is no instance 'bb'") : done()};
   };
   const auto path = file("a.fiona", "load x\n  unload bb\nload y\n");
   try {

@@ -6,6 +6,7 @@
 #include "command_line.hpp"
 #include "completion.hpp"
 #include "verb_table.hpp"
+#include "watch_list.hpp"
 
 namespace fiona::console {
 namespace {
@@ -134,6 +135,47 @@ TEST(Lines, OptionsStandAnywhereAndTakeTheirValues) {
   EXPECT_TRUE(line.has("--json"));
 }
 
+TEST(Lines, WatchTakesACountOrATimeAfterEvery) {
+  EXPECT_EQ(watch_request(line_of("watch nav.location every 5")).every_nth, 5U);
+  EXPECT_DOUBLE_EQ(watch_request(line_of("watch nav.location every 200ms")).every_ms, 200);
+  EXPECT_THROW(watch_request(line_of("watch nav.location every 0")), Error);
+  EXPECT_THROW(watch_request(line_of("watch nav.location every 5m")), Error);
+}
+
+TEST(Lines, WatchNamesAPortAProbeOrAProbeOfAPort) {
+  EXPECT_EQ(watch_request(line_of("watch nav.spread")).port.port(), "spread");
+  EXPECT_EQ(watch_request(line_of("watch nav.location.rate")).port.port(), "location.rate");
+  for (const char* wrong : {"watch nav", "watch nav.", "watch .spread", "watch nav..rate", "watch a.b.c.d"})
+    EXPECT_THROW(watch_request(line_of(wrong)), Error) << wrong;
+}
+
+TEST(Lines, WhenTakesAConditionOfSeveralWords) {
+  const auto when = [](const char* line) { return *watch_request(line_of(line)).when; };
+  const auto above = when("watch nav.spread when above 3m every 1s");
+  EXPECT_EQ(above.compared().comparison(), control::GREATER);
+  EXPECT_EQ(above.compared().value().integer(), 3);
+  EXPECT_EQ(above.compared().value().unit(), "m");
+  EXPECT_EQ(when("watch nav.spread when below -2 for 5s").compared().comparison(), control::LESS);
+  EXPECT_EQ(when("watch nav.mode when is failed").compared().value().text(), "failed");
+  EXPECT_TRUE(when("watch nav.mode when changes").changes());
+  EXPECT_DOUBLE_EQ(when("watch nav.location when older than 1s").older_than_ms(), 1000);
+  const auto field = when("watch nav.location x when position.x above 2");
+  EXPECT_EQ(field.field(), "position.x");
+  EXPECT_EQ(field.compared().comparison(), control::GREATER);
+}
+
+TEST(Lines, WhatIsNoConditionIsRefusedWithThoseThatAre) {
+  for (const char* wrong : {"watch a.b when higher 3", "watch a.b when above", "watch a.b when older 1s", "watch a.b when changes 3",
+                            "watch a.b when x above 3 4", "watch a.b when older than 3"})
+    EXPECT_THROW(watch_request(line_of(wrong)), Error) << wrong;
+  try {
+    watch_request(line_of("watch a.b when higher 3"));
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "'higher' is no condition");
+    EXPECT_EQ(error.text().expected, "[FIELD] above VALUE, [FIELD] below VALUE, [FIELD] is VALUE, changes, older than T");
+  }
+}
+
 TEST(Lines, ANegativeNumberIsNoOption) { EXPECT_EQ(line_of("expect nav.location.x > -5").positional[2].text, "-5"); }
 
 TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
@@ -223,7 +265,12 @@ TEST(CommandLine, HelpAndVersionNeedNoLine) {
   EXPECT_TRUE(read_command_line({"--version"}).version);
 }
 
-TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"unload", "unwire"})); }
+TEST(Completion, BeginsWithVerbs) { EXPECT_EQ(candidates("un"), (Texts{"undo", "unload", "unwire"})); }
+
+TEST(Completion, GoesOnInTheLineThatIsPlanned) {
+  EXPECT_EQ(candidates("plan un"), (Texts{"undo", "unload", "unwire"}));
+  EXPECT_EQ(candidates("plan unload w"), Texts{"walk"});
+}
 
 TEST(Completion, KnowsLivingInstances) { EXPECT_EQ(candidates("unload w"), Texts{"walk"}); }
 

@@ -14,9 +14,9 @@
 #include "control_client.hpp"
 #include "fiona/error.hpp"
 #include "fiona/localisation.pb.h"
+#include "field_compare.hpp"
 #include "inert.hpp"
 #include "os/message_stream.hpp"
-#include "waits.hpp"
 
 namespace {
 

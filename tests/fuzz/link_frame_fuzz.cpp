@@ -1,14 +1,19 @@
-// Frames of links between processes: whatever a peer sends over a real link, the ends of its wires get only objects
-// that keep their rules, and each request ends exactly once.
+// Messages of links between processes: whatever a peer sends over a real link, before and after it has proved its key,
+// the ends of its wires get only objects that keep their rules, each request ends exactly once, and no wire opens
+// without its token.
 #include <google/protobuf/stubs/logging.h>
+#include <unistd.h>
 
 #include <condition_variable>
 #include <cstdint>
 #include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <vector>
 #include <zmq.hpp>
 
@@ -17,11 +22,16 @@
 #include "fiona/navigation.fiona.hpp"
 #include "fiona/rules.hpp"
 #include "fiona/testing/bench.hpp"
+#include "link_keys.hpp"
 #include "links.hpp"
+#include "raw_peer.hpp"
 
 namespace {
 
+using fiona::host::LinkCounters;
+using fiona::host::Links;
 using fiona::host::LinkSocket;
+using fiona::host::ObjectBytes;
 using fiona::host::RemoteWire;
 using fiona::localisation::CommLocation;
 using fiona::navigation::CommCoordConv;
@@ -31,6 +41,11 @@ using fiona::wire::Frame;
 constexpr const char* kPeer = "peer";
 constexpr std::uint64_t kLastFrame = UINT64_MAX;  // names no wire: it says that all before it has been read
 constexpr std::size_t kMostMessages = 64;
+const std::string kKey(fiona::host::kKeyBytes, 'k');
+
+using fiona::host::RawPeer;
+/// A message of one part or of two.
+using Message = RawPeer::Message;
 
 class Ends final : public fiona::Component {
  public:
@@ -50,6 +65,7 @@ class Ends final : public fiona::Component {
   fiona::Requires<fiona::localisation::LocationProvider> location_{*this, "location", &Ends::on_location};
   fiona::Provides<fiona::navigation::CoordinateConversion> conversion_{*this, "conversion", &Ends::convert};
   fiona::Requires<fiona::navigation::CoordinateConversion> asked_{*this, "asked"};
+  fiona::Provides<fiona::localisation::LocationProvider> told_{*this, "told"};
 };
 
 struct CountedReply final : fiona::ReplySink {
@@ -59,29 +75,31 @@ struct CountedReply final : fiona::ReplySink {
   int answers = 0;
 };
 
-/// A listening link and a peer of it, in one process.
-class LinkAndPeer {
+/// Wires' ends behind a link of their own; the peer is in this process.
+class EndsAndPeer final : public LinkSocket::Receiver {
  public:
-  LinkAndPeer() {
+  EndsAndPeer() {
     bench_.start();
-    link_.socket().bind("inproc://fuzz");
-    peer_.set(zmq::sockopt::routing_id, kPeer);
-    peer_.connect("inproc://fuzz");
-    link_.start();
+    link_->listen("inproc://fuzz", kKey);
+    peer_.emplace(context_, "inproc://fuzz", kPeer);
+    peer_->prove(kKey);
+    while (link_->peers() == 0) std::this_thread::yield();
   }
-  ~LinkAndPeer() { link_.stop(); }
+  ~EndsAndPeer() override { link_->stop(); }
 
-  void run(const std::vector<std::string_view>& messages) {
+  void run(const std::vector<Message>& messages) {
     open_wires();
-    for (const auto message : messages) peer_.send(zmq::buffer(message));
-    send_last();
+    for (const auto& message : messages) peer_->send(message);
+    Frame last;
+    last.set_wire(kLastFrame);
+    peer_->send(last);
     {
       std::unique_lock lock(mutex_);
       changed_.wait(lock, [this] { return all_read_; });
     }
     bench_.advance(std::chrono::milliseconds(1));
     close_wires();
-    for (zmq::message_t answer; peer_.recv(answer, zmq::recv_flags::dontwait);) continue;
+    peer_->read_away();
   }
 
  private:
@@ -91,6 +109,7 @@ class LinkAndPeer {
     std::uint64_t number = 0;
     for (const char* name : {"location", "conversion", "asked"}) {
       wires_.push_back(std::make_shared<RemoteWire>(link_, kPeer, ++number, *bench_.hull().find_port(name)));
+      wires_.back()->admit();
     }
     for (int i = 0; i < 2; ++i) {
       replies_.push_back(std::make_shared<CountedReply>());
@@ -103,19 +122,13 @@ class LinkAndPeer {
     for (const auto& reply : replies_) {
       if (reply->answers != 1) std::abort();
     }
+    const std::lock_guard lock(mutex_);
     wires_.clear();
     replies_.clear();
   }
 
-  void send_last() {
-    Frame frame;
-    frame.set_wire(kLastFrame);
-    const std::string text = frame.SerializeAsString();
-    const std::string length{static_cast<char>(text.size()), 0, 0, 0};
-    peer_.send(zmq::buffer(length + text));
-  }
-
-  void on_frame(const Frame& frame, std::string_view object) {
+  bool accepts(const std::string&, const Frame& frame) override { return frame.wire() >= 1 && frame.wire() <= 3; }
+  void on_frame(const std::string&, const Frame& frame, const ObjectBytes& object) override {
     const std::lock_guard lock(mutex_);
     if (frame.wire() == kLastFrame) {
       all_read_ = true;
@@ -124,6 +137,7 @@ class LinkAndPeer {
       wires_[frame.wire() - 1]->on_frame(frame, object);
     }
   }
+  void on_refused(const std::string&) override {}
 
   std::mutex mutex_;
   std::condition_variable changed_;
@@ -133,28 +147,113 @@ class LinkAndPeer {
   fiona::testing::Bench<Ends> bench_;
   zmq::context_t context_;
   fiona::Pool pool_{2};
-  LinkSocket link_{
-      pool_, context_, zmq::socket_type::router,
-      [this](const std::string&, const Frame& frame, std::string_view object) { on_frame(frame, object); }};
-  zmq::socket_t peer_{context_, zmq::socket_type::dealer};
+  LinkCounters counters_;
+  const std::shared_ptr<LinkSocket> link_ =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *this);
+  std::optional<RawPeer> peer_;
+};
+
+/// All links of a process, with two wires granted that the messages may open; one peer has proved its key, another one
+/// never does.
+class LinksAndPeers {
+ public:
+  LinksAndPeers() {
+    bench_.start();
+    peer_.prove(kKey);
+    expect(2);
+    while (links_.status().peers() == 0) std::this_thread::yield();
+  }
+  ~LinksAndPeers() {
+    links_.stop();
+    std::filesystem::remove(path_);
+  }
+
+  void run(const std::vector<Message>& messages) {
+    provide(1, "conversion");
+    provide(2, "told");
+    const auto refused = links_.status().unproven();
+    for (const auto& message : messages) {
+      peer_.send(message);
+      stranger_.send(message);
+    }
+    expect(2 * messages.size());
+    // Whatever a stranger sends, it stays one: at least what has no hello in it is counted.
+    if (links_.status().peers() != 1 || links_.status().unproven() - refused > messages.size()) std::abort();
+    for (const std::uint64_t wire : {1, 2}) links_.cut(wire, "the test ends");
+    peer_.read_away();
+    stranger_.read_away();
+  }
+
+ private:
+  void provide(std::uint64_t wire, const char* port) {
+    links_.provide(wire, "0123456789abcdef", kPeer, dynamic_cast<fiona::ProvidedPort&>(*bench_.hull().find_port(port)), 1);
+  }
+  void expect(std::size_t messages) {
+    expected_ += messages;
+    while (links_.status().received_messages() < expected_) std::this_thread::yield();
+  }
+
+  const std::filesystem::path path_ =
+      std::filesystem::temp_directory_path() / ("fiona-fuzz-" + std::to_string(::getpid()) + ".ipc");
+  std::uint64_t expected_ = 0;
+  fiona::testing::Bench<Ends> bench_;
+  zmq::context_t context_;
+  fiona::Pool pool_{2};
+  Links links_{pool_, "ipc://" + path_.string(), kKey, [](std::uint64_t, const std::string&) {}};
+  RawPeer peer_{context_, "ipc://" + path_.string(), kPeer};
+  RawPeer stranger_{context_, "ipc://" + path_.string(), "stranger"};
+};
+
+/// Puts objects together out of chunks small enough for an input of this size to have several.
+class SmallChunks final : public fiona::host::FrameReader::Receiver {
+ public:
+  void run(const std::vector<Message>& messages) {
+    fiona::host::FrameReader reader(kSmallChunk);
+    for (const auto& message : messages) {
+      std::vector<zmq::message_t> parts;
+      for (const auto part : message) parts.emplace_back(part.data(), part.size());
+      reader.read(parts, *this);
+      if (reader.unfinished() > kWires) std::abort();
+    }
+  }
+
+ private:
+  static constexpr std::size_t kSmallChunk = 16;
+  static constexpr std::uint64_t kWires = 3;
+
+  bool accepts(const Frame& frame) override { return frame.wire() < kWires; }
+  void on_frame(const Frame& frame, const ObjectBytes& object) override {
+    if (frame.size() != 0 && frame.size() != object.size()) std::abort();
+    if (object.size() > kSmallChunk && frame.size() > kSmallChunk && object.to_string().size() != object.size()) std::abort();
+    CommCoordConvRequest request;
+    const bool whole = request.ParseFromString(object.to_string());
+    if (object.parse_into(request) != whole) std::abort();
+  }
 };
 
 }  // namespace
 
-// Messages, each behind its length in two bytes.
+// Messages, each behind its length in two bytes; the highest bit of it says that the one behind is its second part.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   static const auto kLogBefore = google::protobuf::SetLogHandler(nullptr);  // it tells of each garbled message
   static_cast<void>(kLogBefore);
-  static LinkAndPeer link;
+  static EndsAndPeer ends;
+  static LinksAndPeers links;
   std::string_view rest(reinterpret_cast<const char*>(data), size);
-  std::vector<std::string_view> messages;
+  std::vector<Message> messages;
+  bool second = false;
   while (rest.size() > 2 && messages.size() < kMostMessages) {
     const auto byte = [&rest](std::size_t at) { return static_cast<std::size_t>(static_cast<std::uint8_t>(rest[at])); };
-    const std::size_t length = byte(0) | byte(1) << 8;
+    const std::size_t length = byte(0) | (byte(1) & 0x7f) << 8;
+    const bool more = (byte(1) & 0x80) != 0;
     rest.remove_prefix(2);
-    messages.push_back(rest.substr(0, length));
-    rest.remove_prefix(messages.back().size());
+    if (!second) messages.emplace_back();
+    messages.back().push_back(rest.substr(0, length));
+    rest.remove_prefix(messages.back().back().size());
+    second = more && messages.back().size() < 3;
   }
-  link.run(messages);
+  SmallChunks().run(messages);
+  ends.run(messages);
+  links.run(messages);
   return 0;
 }

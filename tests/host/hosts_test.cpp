@@ -6,6 +6,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <fmt/format.h>
+
 #include <array>
 #include <fstream>
 #include <set>
@@ -192,6 +194,41 @@ TEST_F(Hosts, WiresOfGroupsArePassedOnByTheirHostsInBothDirections) {
   EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 200; }).value(), 200 * 201 / 2);
   system.state("asker", "active");
   system.wait_for(outcome, [](const auto& s) { return s.value() == static_cast<double>(Outcome::Ok) && s.payload() == "1000"; });
+}
+
+TEST_F(Hosts, PushToSeveralGroupsOfAnotherHostCrossesOnceInChunksAndArrivesWhole) {
+  constexpr std::size_t kPayload = 1'000'000;
+  constexpr int kCount = 20;
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("near", "source", "source", fmt::format("neutral period_ms=100 count={} payload={}", kCount, kPayload));
+  for (const std::string name : {"a", "b"}) system.load_in("far/deep", "sink", name);
+  system.load_in("far", "sink", "c");
+  const auto report = system.watch("a.report");
+  for (const std::string name : {"a", "b", "c"}) system.wire(name + ".each", "source.newest");
+  system.state("source", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() > 0; }).payload(), std::to_string(kPayload));
+  for (const std::string name : {"a", "b", "c"}) {
+    system.eventually("each message is accounted for", [&] {
+      const auto sink = system.port(name + ".each");
+      return sink.messages() + sink.dropped() == kCount;
+    });
+  }
+  EXPECT_EQ(system.group("main").links().sent_bytes() / (kPayload * kCount), 1U) << "one crossing for the three";
+  EXPECT_EQ(system.group("main").links().garbled() + system.group("main").links().not_granted(), 0U);
+}
+
+TEST_F(Hosts, EachQuestionHasAnOutcomeWhenMoreIsAskedThanRelaysHold) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far/deep", "answerer", "answerer");
+  system.load_in("near", "asker", "asker", "neutral count=50 period_ms=1 payload=1000000");
+  system.wire("asker.echo", "answerer.echo");
+  system.state("asker", "active");
+  system.eventually("each has ended", [&] { return system.port("asker.outcome").messages() == 50; });
+  EXPECT_EQ(system.host("far").state(), "joined");
 }
 
 TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {

@@ -18,12 +18,13 @@ using testing::HasSubstr;
 std::string zoo_library(const std::string& name) { return std::string(ZOO_DIRECTORY) + "/lib" + name + ".so"; }
 
 std::optional<Error> error_of_load(RunningSystem& system, const std::string& library, const std::string& group = "") {
-  control::Load request;
+  control::Change change;
+  control::Load& request = *change.mutable_load();
   request.set_plugin(library);
   request.set_instance("patient");
   request.set_group(group);
   try {
-    system.system().load(request);
+    system.system().perform(change);
   } catch (const Error& error) {
     return error;
   }
@@ -193,13 +194,14 @@ TEST_F(CopiedPlugin, UnknownComponentIsToldTheNearestName) {
 }
 
 TEST_F(CopiedPlugin, RebuiltSinceItWasLoadedIsRefusedAndTheInstanceRunsOn) {
-  control::Load first;
+  control::Change change;
+  control::Load& first = *change.mutable_load();
   first.set_plugin(component());
   first.set_instance("first");
   first.set_group("apart");  // this process may have the protos of the original
   first.mutable_parameters()->Add()->set_name("period_ms");
   first.mutable_parameters(0)->mutable_value()->set_integer(1);
-  system.system().load(first);
+  system.system().perform(change);
   std::filesystem::last_write_time(library(), std::filesystem::file_time_type::clock::now() + std::chrono::hours(1));
   const auto error = error_of_load(system, component(), "apart");
   ASSERT_TRUE(error.has_value());

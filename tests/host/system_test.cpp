@@ -59,12 +59,12 @@ TEST_F(Wiring, RefusalSaysWhenNobodyWouldFit) {
   EXPECT_EQ(error->text().next, "nothing here provides Echo: spots shows who could");
 }
 
-TEST_F(Wiring, UnknownInstanceGetsTheNearestName) {
-  const auto error = error_of_wire("sink.each", "sorce.newest");
+TEST_F(Wiring, UnknownClientGetsTheNearestName) {
+  const auto error = error_of_wire("snk.each", "source.newest");
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->code(), ErrorCode::NotFound);
-  EXPECT_EQ(error->text().what, "there is no instance 'sorce'");
-  EXPECT_THAT(error->text().near, ElementsAre("source"));
+  EXPECT_EQ(error->text().what, "there is no instance 'snk'");
+  EXPECT_THAT(error->text().near, ElementsAre("sink"));
 }
 
 TEST_F(Wiring, UnknownPortGetsTheNearestName) {
@@ -86,12 +86,13 @@ TEST_F(Wiring, PortsTheWrongWayRoundAreToldApart) {
 
 TEST_F(Wiring, WiringTheSameTwiceSaysSoAndChangesNothing) {
   system.wire("sink.each", "source.newest");
-  control::Wire again;
+  control::Change change;
+  control::Wire& again = *change.mutable_wire();
   again.mutable_client()->set_instance("sink");
   again.mutable_client()->set_port("each");
   again.mutable_provider()->set_instance("source");
   again.mutable_provider()->set_port("newest");
-  EXPECT_EQ(system.system().wire(again), "wired so already");
+  EXPECT_EQ(system.system().perform(change).note(), "wired so already");
   EXPECT_EQ(system.port("source.newest").clients_size(), 1);
 }
 
@@ -112,9 +113,9 @@ TEST_F(Wiring, UnwiringWhatHasNoWireSaysSo) {
 
 TEST_F(Wiring, UnloadingAClientMentionsNobodyAndFreesItsProvider) {
   system.wire("sink.each", "source.newest");
-  control::Unload request;
-  request.set_instance("sink");
-  EXPECT_EQ(system.system().unload(request), "unloaded sink");
+  control::Change change;
+  change.mutable_unload()->set_instance("sink");
+  EXPECT_EQ(system.system().perform(change).note(), "unloaded sink");
   EXPECT_EQ(system.port("source.newest").clients_size(), 0);
 }
 
@@ -132,10 +133,11 @@ class Parameters : public testing::Test {
     return one;
   }
   std::optional<Error> error_of_set(const std::vector<control::Argument>& arguments) {
-    control::Set request;
+    control::Change change;
+    control::Set& request = *change.mutable_set();
     request.set_instance("source");
     for (const auto& one : arguments) *request.add_parameters() = one;
-    return error_of([&] { system.system().set(request); });
+    return error_of([&] { system.system().perform(change); });
   }
   std::string value(const std::string& name) {
     const auto source = system.instance("source");
@@ -239,12 +241,13 @@ TEST(Modes, FailedInstanceStaysFailedWithItsReason) {
 // ---- clock and waits ------------------------------------------------------------------------------------------
 
 void set_host(RunningSystem& system, const std::string& name, const std::string& text) {
-  control::Set request;
+  control::Change change;
+  control::Set& request = *change.mutable_set();
   request.set_instance("host");
   auto& argument = *request.add_parameters();
   argument.set_name(name);
   argument.mutable_value()->set_text(text);
-  system.system().set(request);
+  system.system().perform(change);
 }
 
 class VirtualTime : public testing::Test {
@@ -270,8 +273,10 @@ class VirtualTime : public testing::Test {
     request.set_comparison(comparison);
     request.mutable_value()->set_integer(value);
     request.set_within_ms(within_ms);
-    const auto tap = system.system().tap(request.port());
-    system.system().waits().expect(1, 7, request, tap, answer());
+    control::Watch watch;
+    *watch.mutable_port() = request.port();
+    const auto tap = system.system().new_tap();
+    system.system().waits().expect(1, 7, request, tap, [&] { system.system().tap(tap, watch); }, answer());
     auto reply = wait();
     system.system().untap(tap);
     return reply;
@@ -354,10 +359,11 @@ TEST_F(VirtualTime, WaitForAModeEndsWhenTheInstanceFailsWithItsReason) {
 }
 
 TEST_F(VirtualTime, GroupsAreRefusedForItDrivesOneProcess) {
-  control::Load request;
+  control::Change change;
+  control::Load& request = *change.mutable_load();
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/source");
   request.set_group("far");
-  const auto error = error_of([&] { system.system().load(request); });
+  const auto error = error_of([&] { system.system().perform(change); });
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->code(), ErrorCode::NotAllowed);
   EXPECT_THAT(error->text().what, HasSubstr("a virtual clock drives one process"));
@@ -392,11 +398,12 @@ TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
 class Death : public testing::Test {
  protected:
   void load_far(const std::string& component, const std::string& name) {
-    control::Load request;
+    control::Change change;
+    control::Load& request = *change.mutable_load();
     request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
     request.set_instance(name);
     request.set_group("far");
-    system.system().load(request);
+    system.system().perform(change);
   }
   /// As a crash would: no farewell, no flush.
   void kill_far() {

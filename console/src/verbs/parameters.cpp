@@ -2,18 +2,17 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "../changes.hpp"
 #include "../system_view.hpp"
 #include "verbs.hpp"
 
 namespace fiona::console::verbs {
 
 void set(Session& session, const Line& line) {
-  control::Request request;
-  request.mutable_set()->set_instance(line.positional[0].text);
-  for (control::Argument& argument : line.control_arguments())
-    *request.mutable_set()->add_parameters() = std::move(argument);
-  const control::Reply reply = session.call(std::move(request));
-  session.out.done(reply.done().note().empty() ? fmt::format("set {}", line.positional[0].text) : reply.done().note());
+  control::Change change;
+  change.mutable_set()->set_instance(line.positional[0].text);
+  for (control::Argument& argument : line.control_arguments()) *change.mutable_set()->add_parameters() = std::move(argument);
+  make(session, line, std::move(change), fmt::format("set {}", line.positional[0].text));
 }
 
 namespace {
@@ -70,14 +69,11 @@ void state(Session& session, const Line& line) {
     if (!modes.empty()) text += fmt::format("  (it knows neutral, deactivated, {})", fmt::join(modes, ", "));
     return session.out.text(text);
   }
-  control::Request request;
-  request.mutable_state()->set_instance(line.positional[0].text);
-  request.mutable_state()->set_mode(line.positional[1].text);
-  if (const Word* within = line.clause("for")) request.mutable_state()->set_within_ms(duration_ms(*within, line.words));
-  const control::Reply reply = session.host().call_waiting(std::move(request));
-  session.out.done(reply.done().note().empty()
-                       ? fmt::format("{} is {}", line.positional[0].text, line.positional[1].text)
-                       : reply.done().note());
+  control::Change change;
+  change.mutable_state()->set_instance(line.positional[0].text);
+  change.mutable_state()->set_mode(line.positional[1].text);
+  if (const Word* within = line.clause("for")) change.mutable_state()->set_within_ms(duration_ms(*within, line.words));
+  make(session, line, std::move(change), fmt::format("{} is {}", line.positional[0].text, line.positional[1].text));
 }
 
 }  // namespace fiona::console::verbs

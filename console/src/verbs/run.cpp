@@ -139,6 +139,7 @@ HostLaunch launch_of(const Line& line, const Options& options) {
     const auto& [name, value] = peer->second;
     launch.peers.push_back(name.text.empty() ? value.text : name.text + "=" + value.text);
   }
+  launch.restore = line.has("--restore");
   if (answers(launch.socket)) {
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = fmt::format("a host '{}' runs already", launch.name),
@@ -155,13 +156,15 @@ void run(Session& session, const Line& line) {
   if (session.setting != Setting::Shell)
     throw line.error(line.verb, {.what = "run starts a host and belongs to a shell",
                                  .next = "source FILE runs the lines in this host"});
+  if (line.positional.empty() && !line.has("--restore"))
+    throw line.error(line.verb, {.what = "run needs FILE, or --restore", .next = "help run"});
   const Word* duration = line.option("--for");
   if (duration != nullptr) duration_ms(*duration, line.words);
   const std::vector<Line> lines = lines_to_run(line);
   const HostLaunch launch = launch_of(line, session.options);
   HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
   session.connect(launch.socket);
-  session.host().set_author(fmt::format("script {}", line.positional[0].text));
+  session.host().set_author(line.positional.empty() ? "restore" : fmt::format("script {}", line.positional[0].text));
   const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json &&
                       ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
   try {

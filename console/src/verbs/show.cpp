@@ -37,6 +37,45 @@ void show_ports(Session& session, const control::InstanceStatus& instance) {
   session.out.table(table, "it has no ports");
 }
 
+/// Those that the component declares, with the values of now; with -v also those that every hull has.
+void show_probes(Session& session, const control::InstanceStatus& instance) {
+  Table table({"probe", "value", "unit", "age", "doc"});
+  for (const auto& probe : instance.probes())
+    table.add({probe.name(), probe.value(), probe.unit(), {age_text(probe.age_ms()), probe.age_ms()}, probe.doc()});
+  const auto all = probes_of(instance);
+  for (std::size_t i = static_cast<std::size_t>(instance.probes_size()); session.out.manner.verbose && i < all.size(); ++i)
+    table.add({all[i].name, "", all[i].unit, "", all[i].doc});
+  if (!table.empty()) session.out.text("");
+  session.out.table(table, "");
+}
+
+/// One probe, read for it.
+void show_probe(Session& session, const control::InstanceStatus& instance, const ProbeInfo& probe) {
+  control::Request request;
+  request.mutable_read()->mutable_probe()->set_instance(instance.name());
+  request.mutable_read()->mutable_probe()->set_port(probe.name);
+  const control::Sample sample = session.call(std::move(request)).sample();
+  Table facts({"fact", "value"});
+  facts.add({"probe", instance.name() + "." + probe.name});
+  facts.add({"type", probe.type});
+  if (!probe.unit.empty()) facts.add({"unit", probe.unit});
+  if (!probe.doc.empty()) facts.add({"doc", probe.doc});
+  const TypeSet types(sample.files());
+  const auto object = types.make(sample.type());
+  if (!object) {
+    facts.add({"value", "none yet"});
+    return session.out.table(facts, "", false);
+  }
+  if (!object->ParseFromString(sample.object()))
+    throw Error(ErrorCode::Failed, {.what = fmt::format("a {} cannot be read", sample.type()), .where = instance.name()});
+  for (const FieldText& field : field_texts(*object, {})) {
+    const std::string& unit = is_plain_value(sample.type()) ? sample.unit() : field.unit;
+    facts.add({field.path, field.text + (unit.empty() ? "" : " " + unit)});
+  }
+  facts.add({"age", {age_text(sample.age_ms()), sample.age_ms()}});
+  session.out.table(facts, "", false);
+}
+
 std::string mode_text(const control::InstanceStatus& instance) {
   if (!instance.has_pending()) return instance.mode();
   const auto& pending = instance.pending();
@@ -74,6 +113,7 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
                {fmt::format("{}", task.overruns()), task.overruns()}});
   if (!tasks.empty()) session.out.text("");
   session.out.table(tasks, "");
+  show_probes(session, instance);
   Table triggers({"trigger", "activity", "argument", "result", "doc"});
   for (const auto& trigger : instance.triggers())
     triggers.add({trigger.name(), trigger.activity(), short_name(trigger.argument()), short_name(trigger.result()), trigger.doc()});
@@ -152,6 +192,10 @@ void show_plugin(Session& session, const KnownPlugin& plugin) {
                                                      : "requires",
                  port.service(), port.doc()});
     session.out.table(ports, "it has no ports");
+    Table probes({"probe", "type", "unit", "doc"});
+    for (const auto& probe : component.probes()) probes.add({probe.name(), probe.type(), probe.unit(), probe.doc()});
+    if (!probes.empty()) session.out.text("");
+    session.out.table(probes, "");
   }
 }
 
@@ -211,8 +255,12 @@ void show(Session& session, const Line& line) {
     const control::System system = session.snapshot();
     const std::string first = thing.text.substr(0, thing.text.find('.'));
     if (const auto* instance = find_instance(system, first)) {
-      return first == thing.text ? show_instance(session, *instance)
-                                 : show_port(session, *instance, port_at(system, thing, line));
+      if (first == thing.text) return show_instance(session, *instance);
+      const std::string part = thing.text.substr(first.size() + 1);
+      const auto probes = probes_of(*instance);
+      const auto probe = std::find_if(probes.begin(), probes.end(), [&part](const auto& one) { return one.name == part; });
+      if (probe != probes.end()) return show_probe(session, *instance, *probe);
+      return show_port(session, *instance, port_at(system, thing, line));
     }
     known = instance_names(system);
   }

@@ -48,15 +48,17 @@ void expect(Session& session, const Line& line) {
   const Word& target = line.positional[0];
   const std::size_t first = target.text.find('.');
   const std::size_t second = first == std::string::npos ? first : target.text.find('.', first + 1);
-  if (second == std::string::npos || second + 1 == target.text.size())
-    throw line.error(target,
-                     {.what = fmt::format("'{}' names no field", target.text), .expected = "instance.port.field"});
+  if (first == std::string::npos || target.text.back() == '.')
+    throw line.error(target, {.what = fmt::format("'{}' names no field and no probe", target.text),
+                              .expected = "instance.port.field, instance.probe"});
   control::Request request;
   control::Expect& expect = *request.mutable_expect();
   Word port = target;
-  port.text.resize(second);
+  if (second != std::string::npos) {
+    port.text.resize(second);
+    expect.set_field(target.text.substr(second + 1));
+  }
   *expect.mutable_port() = port_name(port, line.words);
-  expect.set_field(target.text.substr(second + 1));
   expect.set_comparison(comparison_of(line.positional[1], line));
   *expect.mutable_value() = value_of(line.positional[2], line.words);
   if (const Word* within = line.clause("for")) expect.set_within_ms(duration_ms(*within, line.words));

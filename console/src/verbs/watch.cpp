@@ -1,5 +1,7 @@
 #include "../watch_list.hpp"
 
+#include <map>
+
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
@@ -22,16 +24,66 @@ void stop(Session& session, const Line& line) {
   session.out.done(fmt::format("stopped {} watch{}", stopped, stopped == 1 ? "" : "es"), {{"stopped", stopped}});
 }
 
+constexpr std::string_view kConditions = "[FIELD] above VALUE, [FIELD] below VALUE, [FIELD] is VALUE, changes, older than T";
+
+/// `above 3`, `speed above 3`, `is failed`, `changes`, `older than 1s`.
+control::Condition condition_of(const std::vector<Word>& words, const Line& line) {
+  static const std::map<std::string, control::Comparison> kCompared{
+      {"above", control::GREATER}, {"below", control::LESS}, {"is", control::EQUAL}};
+  control::Condition condition;
+  const auto text = [&words](std::size_t i) { return i < words.size() ? words[i].text : ""; };
+  if (text(0) == "changes" && words.size() == 1) {
+    condition.set_changes(true);
+    return condition;
+  }
+  if (text(0) == "older" && text(1) == "than" && words.size() == 3) {
+    condition.set_older_than_ms(duration_ms(words[2], line.words));
+    return condition;
+  }
+  const std::size_t at = kCompared.contains(text(0)) && words.size() == 2 ? 0 : 1;
+  const auto compared = kCompared.find(text(at));
+  if (compared == kCompared.end() || words.size() != at + 2) {
+    throw line.error(words.front(), {.what = fmt::format("'{}' is no condition", words.front().text),
+                                     .expected = std::string(kConditions),
+                                     .next = "help watch"});
+  }
+  if (at == 1) condition.set_field(words[0].text);
+  condition.mutable_compared()->set_comparison(compared->second);
+  *condition.mutable_compared()->mutable_value() = value_of(words[at + 1], line.words);
+  return condition;
+}
+
+/// A time where it has a unit, else a count.
+void take_every(WatchRequest& request, const Word& every, const Line& line) {
+  if (value_of(every, line.words).kind_case() == control::Value::kInteger && value_of(every, line.words).unit().empty()) {
+    request.every_nth = count_of(every, line.words);
+  } else {
+    request.every_ms = duration_ms(every, line.words);
+  }
+}
+
 }  // namespace
+}  // namespace fiona::console::verbs
+
+namespace fiona::console {
+
+WatchRequest watch_request(const Line& line) {
+  WatchRequest request;
+  request.port = watched_name(line.positional[0], line.words);
+  for (std::size_t i = 1; i < line.positional.size(); ++i) request.fields.push_back(line.positional[i].text);
+  if (const Word* every = line.clause("every")) verbs::take_every(request, *every, line);
+  if (line.clause("when") != nullptr) request.when = verbs::condition_of(line.clauses.at("when"), line);
+  if (const Word* over = line.clause("for")) request.for_ms = duration_ms(*over, line.words);
+  return request;
+}
+
+}  // namespace fiona::console
+
+namespace fiona::console::verbs {
 
 void watch(Session& session, const Line& line) {
   if (line.positional[0].is_plain("stop")) return stop(session, line);
-  WatchRequest request;
-  request.port = port_name(line.positional[0], line.words);
-  for (std::size_t i = 1; i < line.positional.size(); ++i) request.fields.push_back(line.positional[i].text);
-  if (const Word* every = line.clause("every")) request.every_ms = duration_ms(*every, line.words);
-  if (const Word* over = line.clause("for")) request.for_ms = duration_ms(*over, line.words);
-  session.watches().start(request);
+  session.watches().start(watch_request(line));
   if (session.setting != Setting::Shell) return;
   session.reactor.run_until([&session] { return session.watches().empty() || !session.connected(); });
   if (!session.watches().empty())

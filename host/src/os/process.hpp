@@ -34,6 +34,10 @@ class ChildProcess {
   std::string end_;
 };
 
+/// How many descriptors this process has open, and how many it and its children may have.
+std::size_t open_descriptors();
+std::size_t descriptor_limit();
+
 /// The directory of the running program, for its siblings.
 std::filesystem::path program_directory();
 

@@ -1,6 +1,8 @@
 #include "radio_localisation.hpp"
 
 #include <cmath>
+#include <limits>
+#include <string>
 
 #include "radio_map_file.hpp"
 
@@ -11,6 +13,16 @@ namespace {
 std::string beacon_id(const sensors::CommiBeacon& beacon) {
   if (!beacon.address().empty()) return beacon.address();
   return beacon.uuid() + "/" + std::to_string(beacon.major()) + "/" + std::to_string(beacon.minor());
+}
+
+std::string text_of(radio::Validity validity) {
+  switch (validity) {
+    case radio::Validity::Valid: return "valid";
+    case radio::Validity::NoEvidence: return "nothing heard yet";
+    case radio::Validity::ForeignBuilding: return "another building";
+    case radio::Validity::Ambiguous: return "ambiguous";
+  }
+  return "unknown";
 }
 
 localisation::CommLocation location_of(const radio::Estimate& estimate, const radio::RadioMap& map) {
@@ -74,7 +86,14 @@ void RadioLocalisation::produce() {
   filter_->advance(clock_ms());
   const radio::Estimate estimate = filter_->estimate();
   note_validity(estimate.validity);
+  show(estimate);
   location_.put(location_of(estimate, *map_));
+}
+
+void RadioLocalisation::show(const radio::Estimate& estimate) {
+  spread_.set(estimate.is_valid() ? std::sqrt(estimate.covariance.trace()) : std::numeric_limits<double>::infinity());
+  known_share_.set(estimate.known_share);
+  validity_probe_.set(text_of(estimate.validity));
 }
 
 /// Says once, each time that it changes, why there is no position.

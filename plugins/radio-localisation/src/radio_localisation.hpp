@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "fiona/component.hpp"
 #include "fiona/localisation.fiona.hpp"
@@ -23,6 +24,7 @@ class RadioLocalisation final : public Component {
   void on_step(const localisation::CommStep& step);
   void produce();
   void note_validity(radio::Validity validity);
+  void show(const radio::Estimate& estimate);
   radio::Time clock_ms() const { return radio::Time(to_milliseconds(now())); }
 
   Params<RadioLocalisationParams> params_{*this};
@@ -33,6 +35,10 @@ class RadioLocalisation final : public Component {
   Requires<localisation::StepProvider> steps_{*this, "steps", &RadioLocalisation::on_step,
                                               {.optional = true, .doc = "how the person moves between the scans"}};
   Provides<localisation::LocationProvider> location_{*this, "location", &RadioLocalisation::produce};
+
+  Probe<double> spread_{*this, "spread", {.unit = "m", .doc = "standard deviation of the position; infinite while there is none"}};
+  Probe<double> known_share_{*this, "known_share", {.doc = "of the transmitters heard lately, those that the radio map knows"}};
+  Probe<std::string> validity_probe_{*this, "validity", {.doc = "whether there is a position, or why not"}};
 
   std::shared_ptr<const radio::RadioMap> map_;
   std::optional<radio::RadioFilter> filter_;

@@ -9,6 +9,7 @@
 #include "fiona/event.hpp"
 #include "fiona/modes.hpp"
 #include "fiona/params.hpp"
+#include "fiona/probe.hpp"
 #include "fiona/push.hpp"
 #include "fiona/query.hpp"
 #include "fiona/send.hpp"
@@ -20,7 +21,7 @@ namespace fiona {
 
 enum class LogLevel { Debug, Info, Warning, Error };
 
-/// What an author writes: a class with ports, parameters and tasks as members, each bound to its owner.
+/// What an author writes: a class with ports, parameters, probes and tasks as members, each bound to its owner.
 ///
 ///     class StepCounter final : public fiona::Component {
 ///      public:

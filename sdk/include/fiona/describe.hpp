@@ -8,8 +8,9 @@ namespace fiona {
 /// Whether libfiona-msgs carries this proto file: no plugin may.
 bool is_platform_proto(const std::string& file);
 
-/// What a trigger declares.
+/// What a trigger or probe declares.
 TriggerInterface interface_of(const detail::TriggerBase& trigger);
+ProbeInterface interface_of(const detail::ProbeBase& probe);
 
 /// What one component declares, read from its hull after `create`.
 ComponentInterface interface_of(const Hull& hull, std::string_view component, std::string_view doc);

@@ -81,7 +81,7 @@ class EventClient : public RequiredPort {
   EventClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
               Handler handler);
   ~EventClient() override;
-  void set_target(std::shared_ptr<Sink> target) override;
+  void set_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
 
  protected:
   struct EventCall : Call {
@@ -114,8 +114,7 @@ class EventClient : public RequiredPort {
   const Handler handler_;
   const ObjectRules parameter_rules_;
   const ObjectRules event_rules_;
-  std::mutex target_mutex_;
-  std::shared_ptr<Sink> target_;
+  Target target_;
   std::map<ActivationId, Activation> activations_;  ///< strand only
   std::size_t kept_bytes_ = 0;
   std::uint64_t next_id_ = 1;

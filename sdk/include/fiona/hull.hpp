@@ -17,6 +17,7 @@
 #include "fiona/clock.hpp"
 #include "fiona/component.hpp"
 #include "fiona/strand.hpp"
+#include "fiona/tap.hpp"
 
 namespace fiona {
 
@@ -114,9 +115,25 @@ class Hull {
   const std::vector<Task*>& tasks() const { return tasks_; }
   detail::ParamsBase* parameters() const { return params_; }
   const std::vector<detail::TriggerBase*>& triggers() const { return triggers_; }
+  const std::vector<detail::ProbeBase*>& probes() const { return probes_; }
   /// Null when there is none.
   Port* find_port(std::string_view name) const;
   detail::TriggerBase* find_trigger(std::string_view name) const;
+  detail::ProbeBase* find_probe(std::string_view name) const;
+
+  // Monitoring. A name is that of a probe which the component declares, of one of the hull's own ("mode",
+  // "location.rate", see hull_probes.hpp), or to `watch` that of a port that pushes. An unknown one throws Error NotFound.
+  // All [one thread, not the strand], in any mode: they look at the component and touch nothing of it.
+
+  /// The value of now; no object: there is none yet.
+  Envelope read(std::string_view name) const;
+  /// Empty where it has none.
+  std::string unit_of(std::string_view name) const;
+  /// Tells `watcher` from now on as `terms` say, of a probe beginning with the value of now; until `untap`, or until
+  /// the instance ends. Throws Error Usage for what cannot be watched so.
+  std::shared_ptr<Tap> tap(std::string_view name, TapTerms terms, std::shared_ptr<Watcher> watcher);
+  /// After it returned the watcher is not called any more.
+  void untap(const std::shared_ptr<Tap>& tap);
 
   /// [strand] Starts `work`. True if it has ended at once; else `then` runs on the strand when it has. The hull owns
   /// it, and destroys it with the instance if it never ends. What it throws fails the instance.
@@ -140,18 +157,37 @@ class Hull {
   friend class Timer;
   friend class detail::ParamsBase;
   friend class detail::TriggerBase;
+  friend class detail::ProbeBase;
   friend class ActivityHold;
   friend class Modes;
   struct ModeChange;
+  struct TapPoint;
   struct Held {
     std::size_t count = 0;
     std::string by;
     TimePoint since;
   };
 
+  /// A probe of the hull's own that tells each change.
+  class TextProbe final : public detail::ProbeBase {
+   public:
+    TextProbe(Hull& hull, std::string_view name) : ProbeBase(hull, name, "string", *probe::Text::descriptor(), {}) {}
+    /// [one thread at a time]
+    void set(std::string text);
+
+   private:
+    std::shared_ptr<const Object> value() const override;
+    std::optional<std::string> text_;
+  };
+
   void add(Port& port);
   void add(detail::TriggerBase& trigger);
+  void add(detail::ProbeBase& probe);
   void require_free_name(std::string_view name) const;
+  TapPoint tap_point(std::string_view name) const;
+  std::vector<std::string> tappable_names() const;
+  void end_taps();
+  void tell_mode();
   void declare(std::vector<MainMode> modes);
   void check_activities() const;
   void cancel_for_deactivation();
@@ -173,6 +209,13 @@ class Hull {
   std::vector<Port*> ports_;
   std::vector<Task*> tasks_;
   std::vector<detail::TriggerBase*> triggers_;
+  std::vector<detail::ProbeBase*> probes_;
+  std::mutex tell_mutex_;
+  const std::unique_ptr<TextProbe> mode_probe_;
+  const std::unique_ptr<TextProbe> error_probe_;
+  std::mutex taps_mutex_;
+  std::shared_ptr<Strand> tap_strand_;  ///< of those who watch, made for the first of them
+  std::vector<std::shared_ptr<Tap>> taps_;
   std::set<Timer*> timers_;
   detail::ParamsBase* params_ = nullptr;
   std::list<Async<>> spawned_;  ///< strand only

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <mutex>
@@ -41,44 +43,64 @@ Received<T> received(const Envelope& envelope) {
 }  // namespace detail
 
 /// Messages of one type that are used again: a fresh 1 MiB costs more in page faults than in copying. Holds at most
-/// `kKept` idle messages. [any thread]
+/// `kKept` idle messages, and of their bytes at most `kKeptBytes`. [any thread]
 class ObjectPool {
  public:
+  static constexpr std::size_t kKept = 4;
+  static constexpr std::size_t kKeptBytes = 16 * 1024 * 1024;  ///< serialised, as each was at its largest
+
   /// Makes messages like `prototype`, which must outlive the pool and what it has given out.
   explicit ObjectPool(const Object& prototype) : shelf_(std::make_shared<Shelf>(prototype)) {}
 
   /// A cleared message that returns to the pool when its last owner lets go, even after the pool itself is gone.
   std::shared_ptr<Object> acquire() {
-    return {shelf_->take().release(), [shelf = shelf_](Object* used) { shelf->put_back(std::unique_ptr<Object>(used)); }};
+    Idle taken = shelf_->take();
+    return {taken.message.release(), [shelf = shelf_, largest = taken.largest](Object* used) {
+              shelf->put_back({std::unique_ptr<Object>(used), largest});
+            }};
   }
+  /// Messages that wait to be used again.
+  std::size_t idle() const { return shelf_->idle(); }
 
  private:
-  static constexpr std::size_t kKept = 4;
-
+  /// A message keeps the memory of the largest content it has had.
+  struct Idle {
+    std::unique_ptr<Object> message;
+    std::size_t largest = 0;
+  };
   class Shelf {
    public:
     explicit Shelf(const Object& prototype) : prototype_(prototype) {}
-    std::unique_ptr<Object> take() {
+    Idle take() {
       {
         const std::lock_guard lock(mutex_);
         if (!idle_.empty()) {
-          auto message = std::move(idle_.back());
+          Idle one = std::move(idle_.back());
           idle_.pop_back();
-          return message;
+          bytes_ -= one.largest;
+          return one;
         }
       }
-      return std::unique_ptr<Object>(prototype_.New());
+      return {std::unique_ptr<Object>(prototype_.New()), 0};
     }
-    void put_back(std::unique_ptr<Object> message) {
-      message->Clear();
+    void put_back(Idle one) {
+      one.largest = std::max(one.largest, one.message->ByteSizeLong());
+      one.message->Clear();
       const std::lock_guard lock(mutex_);
-      if (idle_.size() < kKept) idle_.push_back(std::move(message));
+      if (idle_.size() >= kKept || bytes_ + one.largest > kKeptBytes) return;
+      bytes_ += one.largest;
+      idle_.push_back(std::move(one));
+    }
+    std::size_t idle() const {
+      const std::lock_guard lock(mutex_);
+      return idle_.size();
     }
 
    private:
     const Object& prototype_;
-    std::mutex mutex_;
-    std::vector<std::unique_ptr<Object>> idle_;
+    mutable std::mutex mutex_;
+    std::vector<Idle> idle_;
+    std::size_t bytes_ = 0;
   };
   std::shared_ptr<Shelf> shelf_;
 };

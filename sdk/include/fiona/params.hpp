@@ -59,6 +59,9 @@ void set_declared_defaults(Object& message);
 /// Throws Error naming field, value, rule; `message` is then unspecified, so pass a draft.
 void set_fields(Object& message, std::span<const control::Argument> changes);
 
+/// The fields of `values` that differ from those of `others`, a message of the same type, as arguments that set them.
+std::vector<control::Argument> differences(const Object& values, const Object& others);
+
 /// A component's parameters, as one proto message whose field options carry default, range, unit and doc:
 ///
 ///     fiona::Params<StepHeadingParams> params_{*this};                // params_->gain()

@@ -57,6 +57,10 @@ struct PortCounters {
 
   /// [strand] One more message, of this origin.
   void count(TimePoint origin);
+  /// [any thread] Of the newest message; none: there was none.
+  std::optional<Duration> age(TimePoint now) const;
+  /// [any thread] The rate, where it is not from long ago.
+  double rate_now_hz(TimePoint now) const;
 
  private:
   std::int64_t window_start_ns_ = -1;
@@ -74,15 +78,30 @@ class ReplySink {
   /// [any thread] The client gave up or is gone: nobody reads the answer.
   bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
   void abandon() {
-    if (!abandoned_.exchange(true) && on_abandon_) on_abandon_();
+    if (given_up_.exchange(true)) return;
+    if (!in_turn_) note_abandoned();
+    if (on_abandon_) on_abandon_();
   }
-  /// [before the request leaves] What tells a far provider that nobody waits any more.
-  void set_on_abandon(std::function<void()> notice) { on_abandon_ = std::move(notice); }
+  void note_abandoned() { abandoned_.store(true, std::memory_order_release); }
+  /// [before the request leaves] What tells the provider that nobody waits any more; `in_turn`: and calls
+  /// `note_abandoned` when its turn has come.
+  void set_on_abandon(std::function<void()> notice, bool in_turn = false) {
+    on_abandon_ = std::move(notice);
+    in_turn_ = in_turn;
+  }
 
  private:
+  std::atomic<bool> given_up_{false};
   std::atomic<bool> abandoned_{false};
   std::function<void()> on_abandon_;
+  bool in_turn_ = false;
 };
+
+/// What a delivery log says of a delivery that has no object.
+inline constexpr std::string_view kGivenUp = "given_up";
+inline constexpr std::string_view kSpeaks = "speaks";
+inline constexpr std::string_view kSilent = "silent";
+inline constexpr std::string_view kTaken = "taken";
 
 /// A message on its way into an inbox: with `reply`, a request.
 struct Parcel {
@@ -103,7 +122,30 @@ class Sink {
   virtual Outcome deliver(Parcel parcel) = 0;
   /// [any thread] Whether a push provider speaks, or has been silent for longer than its lease.
   virtual void lease(bool /*held*/, const std::string& /*reason*/) {}
+  /// [any thread] It subscribes to a push provider now, and is given what comes after this sequence number.
+  virtual void attached(std::uint64_t /*sequence*/) {}
+  /// [any thread] How many subscribers it stands for.
+  virtual std::size_t subscribers() const { return 1; }
 };
+
+namespace detail {
+
+/// Where the messages of a send, query or event client go. [any thread]
+class Target {
+ public:
+  void set(std::shared_ptr<Sink> sink);
+  /// Hands the message over; none: there is nowhere to go. What meets a wire that another has just replaced goes to
+  /// that other one.
+  std::optional<Outcome> deliver(const Parcel& parcel);
+
+ private:
+  std::shared_ptr<Sink> get();
+
+  std::mutex mutex_;
+  std::shared_ptr<Sink> sink_;
+};
+
+}  // namespace detail
 
 /// A named member of a component that provides or requires one service. Declared by constructing it; it registers
 /// with its owner, and lives exactly as long.
@@ -184,6 +226,9 @@ class Inbox {
 
   Port& port() const { return port_; }
 
+  /// [any thread] Messages that wait for the handler.
+  std::size_t depth() const;
+
   /// [strand] Handles at most `limit` parcels.
   void drain(std::size_t limit);
 
@@ -211,7 +256,8 @@ class Inbox {
   bool ready_ = false;
   std::vector<std::function<void(const Envelope&)>> waiters_;
 
-  std::atomic<std::size_t> bytes_{0};  ///< of queue_, batch_ and current_
+  std::atomic<std::size_t> bytes_{0};    ///< of queue_, batch_ and current_
+  std::atomic<std::size_t> batched_{0};  ///< the size of batch_, for others than the strand
 
   // strand only
   std::deque<Parcel> batch_;
@@ -286,10 +332,14 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void lease(bool held, const std::string& reason) override;
   /// [any thread] After it returned nothing more reaches the inbox.
   void cut();
+  /// [any thread] Cuts it if it ends at a port of this hull.
+  void cut_from(const Hull& hull);
   const std::string& name() const { return name_; }
 
  private:
   Outcome hand_over(Parcel parcel);
+  void stage(std::unique_lock<std::mutex>& lock, const Object* object, std::string_view word, Job deliver);
+  void give_up_in_turn(const std::shared_ptr<ReplySink>& reply);
 
   const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
   const std::uint32_t prescale_;

@@ -22,8 +22,13 @@ class PushProvider : public ProvidedPort {
   /// [any thread] Adds a subscriber; a service with `last_value` gives it the newest value at once. Returns the
   /// sequence number after which it receives.
   std::uint64_t attach(std::shared_ptr<Sink> sink);
+  /// [any thread] The same for a subscriber that shares `carrier` with others: `newcomer` is told where it begins, and
+  /// given the newest value; what is put from now on goes to the carrier, once for all.
+  std::uint64_t attach(std::shared_ptr<Sink> carrier, Sink& newcomer);
   /// [any thread]
   void detach(const Sink& sink);
+  /// [any thread] Lets go of a carrier that has no subscriber left.
+  void detach_unused(const Sink& carrier);
   /// [any thread] How many subscribers there are now.
   std::size_t subscribers() const;
   void close() override;

@@ -25,7 +25,7 @@ class QueryClient : public RequiredPort {
 
   QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
   ~QueryClient() override;
-  void set_target(std::shared_ptr<Sink> target) override;
+  void set_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
 
  protected:
   struct Answer {
@@ -52,12 +52,12 @@ class QueryClient : public RequiredPort {
   Outcome put_to_target(QueryId id, Open& open);
   void on_answer(QueryId id, const Reply& from, Answer answer);
   void end(QueryId id, Answer answer);
+  void end_unanswered(QueryId id, Answer answer);
   void end_all(Outcome outcome);
   void redirect();
 
   const AtRewire at_rewire_;
-  std::mutex target_mutex_;
-  std::shared_ptr<Sink> target_;
+  Target target_;
   std::map<QueryId, Open> open_;  ///< strand only
   std::uint64_t next_id_ = 1;
   bool was_connected_ = false;

@@ -19,7 +19,7 @@ class SendClient : public RequiredPort {
  public:
   SendClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
       : RequiredPort(owner, name, service, options), rules_(service.object()) {}
-  void set_target(std::shared_ptr<Sink> target) override;
+  void set_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
 
  protected:
   Outcome send_object(std::shared_ptr<const Object> object);
@@ -30,8 +30,7 @@ class SendClient : public RequiredPort {
   class Receipt;
   Outcome put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt);
 
-  std::mutex target_mutex_;
-  std::shared_ptr<Sink> target_;
+  Target target_;
   std::uint64_t sequence_ = 0;
   const ObjectRules rules_;
 };

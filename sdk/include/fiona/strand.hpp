@@ -90,9 +90,12 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   Duration busy_time() const { return Duration(busy_ns_.load(std::memory_order_relaxed)); }
 
   void run() override;
+  /// [clock] Lends it the thread that was kept back when it became busy.
+  void start() { executor_.submit(shared_from_this()); }
 
  private:
   friend class Inbox;
+  friend class VirtualClock;
   struct Turn;
 
   void wake(std::unique_lock<std::mutex>& lock);
@@ -108,6 +111,7 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   bool scheduled_ = false;
   std::atomic<bool> closed_{false};  ///< written under the mutex
   std::atomic<std::int64_t> busy_ns_{0};
+  std::size_t busy_place_ = 0;  ///< the virtual clock's, among those that are busy
 };
 
 }  // namespace fiona

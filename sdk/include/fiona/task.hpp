@@ -45,6 +45,9 @@ class Task {
   std::uint64_t runs() const { return runs_.load(std::memory_order_relaxed); }
   std::uint64_t overruns() const { return overruns_.load(std::memory_order_relaxed); }
 
+  /// [any thread] How long after its time the last run began.
+  Duration late() const { return Duration(late_ns_.load(std::memory_order_relaxed)); }
+
   /// [strand] Called by the hull when the instance enters or leaves a mode that has the activity; again is no harm.
   void start();
   void stop();
@@ -68,6 +71,7 @@ class Task {
   bool running_ = false;
   std::atomic<std::uint64_t> runs_{0};
   std::atomic<std::uint64_t> overruns_{0};
+  std::atomic<std::int64_t> late_ns_{0};
 };
 
 /// Work at a time of the component's choosing, once for each `at`: `fiona::Timer next_{*this, &Self::play_next};`

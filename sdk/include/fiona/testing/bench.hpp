@@ -108,6 +108,19 @@ class Bench : private HullEvents {
     };
   }
 
+  /// The value of a probe that the component declares, or of one of the hull's own ("mode", "steps.rate"); none if it has
+  /// none yet. T as declared; the name of an enumerator is a std::string.
+  template <class T>
+  std::optional<T> probe(std::string_view name) const {
+    const auto object = hull_.read(name).object;
+    if (!object) return std::nullopt;
+    if constexpr (std::is_base_of_v<Object, T>) {
+      return dynamic_cast<const T&>(*object);
+    } else {
+      return static_cast<T>(dynamic_cast<const typename detail::ProbeValue<T>::Carrier&>(*object).value());
+    }
+  }
+
   std::string mode() const { return hull_.mode(); }
   std::string reason() const { return hull_.reason(); }
   Hull& hull() { return hull_; }

@@ -1,0 +1,111 @@
+#include "changes.hpp"
+
+#include <fmt/format.h>
+
+#include "grammar.hpp"
+
+namespace fiona::console {
+namespace {
+
+std::string typed_port(const control::PortName& name) { return typed_text(name.instance() + "." + name.port()); }
+
+std::string with_arguments(std::string line, const google::protobuf::RepeatedPtrField<control::Argument>& arguments) {
+  for (const auto& argument : arguments) line += fmt::format(" {}={}", argument.name(), typed(argument.value()));
+  return line;
+}
+
+std::string load_line(const control::Load& load) {
+  std::string line = "load " + typed_text(load.plugin());
+  if (!load.instance().empty()) line += " as " + typed_text(load.instance());
+  if (!load.group().empty() && load.group() != "main") line += " in " + typed_text(load.group());
+  if (!load.mode().empty()) line += " at " + typed_text(load.mode());
+  return with_arguments(std::move(line), load.parameters());
+}
+
+std::string wire_line(const control::Wire& wire) {
+  std::string line = fmt::format("wire {} to {}", typed_port(wire.client()), typed_port(wire.provider()));
+  if (wire.prescale() > 1) line += fmt::format(" every {}", wire.prescale());
+  return line;
+}
+
+std::vector<std::string> lines_of(const google::protobuf::RepeatedPtrField<control::Change>& changes) {
+  std::vector<std::string> lines;
+  for (const auto& change : changes) lines.push_back(line_of(change));
+  return lines;
+}
+
+void tell_plan(Session& session, const control::Planned& planned) {
+  nlohmann::json facts{{"steps", lines_of(planned.steps())}, {"reverse", lines_of(planned.reverse())}};
+  facts["warnings"] = std::vector<std::string>(planned.warnings().begin(), planned.warnings().end());
+  session.out.object(facts);
+  if (planned.steps().empty()) return session.out.text("nothing to change");
+  std::string text;
+  for (const auto& line : lines_of(planned.steps())) text += line + "\n";
+  text += planned.reverse().empty() ? "nothing would take this back" : "taken back by";
+  for (const auto& line : lines_of(planned.reverse())) text += "\n  " + line;
+  for (const auto& warning : planned.warnings()) text += "\n" + warning;
+  session.out.text(text);
+}
+
+}  // namespace
+
+std::string line_of(const control::Change& change) {
+  switch (change.what_case()) {
+    case control::Change::kLoad: return load_line(change.load());
+    case control::Change::kUnload: return "unload " + typed_text(change.unload().instance());
+    case control::Change::kWire: return wire_line(change.wire());
+    case control::Change::kUnwire: return "unwire " + typed_port(change.unwire().client());
+    case control::Change::kSet: return with_arguments("set " + typed_text(change.set().instance()), change.set().parameters());
+    case control::Change::kState:
+      return fmt::format("state {} {}", typed_text(change.state().instance()), typed_text(change.state().mode()));
+    case control::Change::kReplace:
+      return fmt::format("swap {} for {}", typed_text(change.replace().old()), typed_text(change.replace().next()));
+    case control::Change::WHAT_NOT_SET: break;
+  }
+  return "# a change that this console does not know";
+}
+
+void tell(Session& session, const control::Reply& reply, const std::string& otherwise, const std::string& place) {
+  if (reply.has_planned()) return tell_plan(session, reply.planned());
+  const control::Done& done = reply.done();
+  std::string note = done.note().empty() ? otherwise : done.note();
+  nlohmann::json facts = nlohmann::json::object();
+  if (done.entry() != 0) facts["entry"] = done.entry();
+  if (done.switched() > 0) {
+    note += fmt::format("; switched {} wire{}, gap {:.3g} ms, lost {}", done.switched(), done.switched() == 1 ? "" : "s",
+                        done.gap_ms(), done.lost());
+    facts.update({{"switched", done.switched()}, {"gap_ms", done.gap_ms()}, {"lost", done.lost()}});
+  }
+  session.out.done(note, facts);
+  for (const auto& warning : done.warnings()) session.out.warning(place.empty() ? warning : place + ": " + warning);
+}
+
+void make(Session& session, const Line& line, control::Change change, const std::string& otherwise) {
+  if (session.batch) {
+    session.batch->changes.push_back(std::move(change));
+    session.batch->lines.push_back(line);
+    return;
+  }
+  control::Request request;
+  const bool waits = change.has_state();
+  *request.mutable_transact()->add_changes() = std::move(change);
+  const std::string place = line.words.origin.empty() ? "" : place_text(line.words, line.verb.place);
+  tell(session, waits ? session.host().call_waiting(std::move(request)) : session.call(std::move(request)), otherwise, place);
+}
+
+void make(Session& session, const Batch& batch, bool whole) {
+  control::Request request;
+  auto& transact = *request.mutable_transact();
+  for (const auto& change : batch.changes) *transact.add_changes() = change;
+  transact.set_whole(whole);
+  transact.set_dry_run(session.planning);
+  try {
+    tell(session, session.host().call_waiting(std::move(request)), fmt::format("{} changes", batch.changes.size()));
+  } catch (const RefusedChange& refused) {
+    if (refused.change() == 0 || refused.change() > batch.lines.size()) throw;
+    const Line& line = batch.lines[refused.change() - 1];
+    throw LineError(line.words, line.verb.place, refused.text(), refused.code());
+  }
+}
+
+}  // namespace fiona::console

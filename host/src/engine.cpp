@@ -1,0 +1,241 @@
+#include "engine.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/error.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+
+/// Steps that are made in their order; after a failure, those that take back what has been made.
+struct Engine::Transaction {
+  std::string author;
+  control::Transact request;
+  std::uint64_t undoes = 0;
+  Waits::Answer answer;
+
+  std::vector<control::Change> steps;
+  std::vector<control::Change> reverse;
+  std::vector<std::string> warnings;
+  Model before;
+  std::uint64_t entry = 0;
+  std::size_t at = 0;
+  bool takes_back = false;
+  control::Done done;
+  std::optional<control::Failure> failure;
+  std::vector<std::string> not_taken_back;
+
+  /// A change of mode alone: it may take long, has nothing to take back, and holds up nobody.
+  bool is_aside() const { return steps.size() == 1 && steps.front().has_state(); }
+};
+
+namespace {
+
+/// Waits of a transaction belong to no client: they end though it goes.
+constexpr std::uint64_t kEngine = 0;
+
+control::Reply reply_of(const control::Failure& failure) {
+  control::Reply reply;
+  *reply.mutable_failure() = failure;
+  return reply;
+}
+
+/// What a step will do that cannot be taken back, or that others will feel.
+std::optional<std::string> warning_of(const control::Change& step, const Model& before) {
+  if (!step.has_unload()) return std::nullopt;
+  const std::string& name = step.unload().instance();
+  std::vector<std::string> clients;
+  for (const auto& [client, wire] : before.wires()) {
+    if (wire.provider.instance() == name && client.first != name) clients.push_back(client.first + "." + client.second);
+  }
+  std::string text = "what '" + name + "' knows is lost: loaded again it begins anew";
+  if (!clients.empty()) text += fmt::format("; these wait meanwhile: {}", fmt::join(clients, ", "));
+  return text;
+}
+
+void add(control::Done& total, const control::Done& one, std::size_t steps) {
+  total.set_switched(total.switched() + one.switched());
+  total.set_gap_ms(std::max(total.gap_ms(), one.gap_ms()));
+  total.set_lost(total.lost() + one.lost());
+  total.mutable_warnings()->MergeFrom(one.warnings());
+  total.set_note(steps == 1 ? one.note() : fmt::format("{} changes", steps));
+}
+
+}  // namespace
+
+Engine::Engine(System& system, std::filesystem::path journal, Later later)
+    : system_(system), journal_(std::move(journal)), later_(std::move(later)), self_(std::make_shared<Engine*>(this)) {}
+
+Engine::~Engine() { *self_ = nullptr; }
+
+void Engine::transact(const std::string& author, const control::Transact& request, Waits::Answer answer) {
+  auto transaction = std::make_shared<Transaction>();
+  transaction->author = author;
+  transaction->request = request;
+  transaction->answer = std::move(answer);
+  enqueue(std::move(transaction));
+}
+
+void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer) {
+  const control::JournalEntry* last = journal_.last_done();
+  if (!last) {
+    throw Error(ErrorCode::NotFound, {.what = "there is nothing to undo", .next = "journal"});
+  }
+  auto transaction = std::make_shared<Transaction>();
+  transaction->author = author;
+  *transaction->request.mutable_changes() = last->reverse();
+  transaction->request.set_dry_run(request.dry_run());
+  transaction->undoes = last->number();
+  transaction->answer = std::move(answer);
+  enqueue(std::move(transaction));
+}
+
+control::JournalEntries Engine::journal(std::uint32_t last) const {
+  control::JournalEntries found;
+  const auto& all = journal_.entries();
+  const std::size_t skipped = last == 0 || last >= all.size() ? 0 : all.size() - last;
+  for (std::size_t i = skipped; i < all.size(); ++i) *found.add_entries() = all[i];
+  return found;
+}
+
+void Engine::enqueue(TransactionPtr transaction) {
+  if (!current_) return begin(transaction);
+  if (waiting_.size() >= kMaxWaiting) {
+    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} changes wait already", waiting_.size()), .next = "journal"});
+  }
+  waiting_.push_back(std::move(transaction));
+}
+
+/// Everything that can be told beforehand is told here, before anything is touched.
+void Engine::plan(Transaction& transaction) const {
+  const control::Transact& request = transaction.request;
+  transaction.before = system_.model();
+  Model after = request.whole() ? Model() : transaction.before;
+  for (int i = 0; i < request.changes_size(); ++i) {
+    try {
+      for (auto& step : after.steps_of(request.changes(i))) {
+        if (auto warning = warning_of(step, after)) transaction.warnings.push_back(std::move(*warning));
+        after.make(step, system_.packages());
+        transaction.steps.push_back(std::move(step));
+      }
+    } catch (...) {
+      transaction.failure = failure_of_exception();
+      transaction.failure->set_change(static_cast<std::uint32_t>(i) + 1);
+      return;
+    }
+  }
+  if (request.whole()) transaction.steps = Model::difference(transaction.before, after);
+  transaction.reverse = Model::difference(after, transaction.before);
+}
+
+void Engine::begin(const TransactionPtr& transaction) {
+  plan(*transaction);
+  if (transaction->failure) return finish(transaction);
+  if (transaction->request.dry_run()) {
+    control::Reply reply;
+    auto& planned = *reply.mutable_planned();
+    planned.mutable_steps()->Add(transaction->steps.begin(), transaction->steps.end());
+    planned.mutable_reverse()->Add(transaction->reverse.begin(), transaction->reverse.end());
+    planned.mutable_warnings()->Add(transaction->warnings.begin(), transaction->warnings.end());
+    return transaction->answer(std::move(reply));
+  }
+  if (transaction->steps.empty()) {
+    transaction->done.set_note("nothing to change");
+    return finish(transaction);
+  }
+  control::JournalEntry entry;
+  entry.set_author(transaction->author);
+  entry.set_undoes(transaction->undoes);
+  entry.mutable_steps()->Add(transaction->steps.begin(), transaction->steps.end());
+  entry.mutable_reverse()->Add(transaction->reverse.begin(), transaction->reverse.end());
+  transaction->entry = journal_.begin(std::move(entry));
+  if (!transaction->is_aside()) current_ = transaction;
+  go_on(transaction);
+}
+
+/// Makes steps until one has to be waited for, or none is left.
+void Engine::go_on(const TransactionPtr& transaction) {
+  while (transaction->at < transaction->steps.size()) {
+    const control::Change step = transaction->steps[transaction->at];
+    if (step.has_state()) return begin_state(transaction, step.state());
+    try {
+      add(transaction->done, system_.perform(step), transaction->steps.size());
+      ++transaction->at;
+    } catch (...) {
+      step_failed(transaction, failure_of_exception());
+    }
+  }
+  finish(transaction);
+}
+
+void Engine::begin_state(const TransactionPtr& transaction, const control::State& request) {
+  const auto ended = [this, alive = std::weak_ptr(self_), transaction, request](control::Reply reply) {
+    later_([alive, transaction, request, reply = std::move(reply)] {
+      const auto self = alive.lock();
+      if (!self || !*self) return;
+      Engine& engine = **self;
+      if (reply.has_done()) {
+        engine.system_.note_state(request);
+        add(transaction->done, reply.done(), transaction->steps.size());
+        ++transaction->at;
+      } else {
+        control::Failure failure = reply.failure();
+        if (reply.has_ended()) failure.set_what("the run has ended");
+        engine.step_failed(transaction, failure);
+      }
+      engine.go_on(transaction);
+    });
+  };
+  try {
+    system_.state(kEngine, transaction->entry, request, ended);
+  } catch (...) {
+    step_failed(transaction, failure_of_exception());
+    go_on(transaction);
+  }
+}
+
+/// From here on the steps are those that take back what has been made. One that fails among these is told, and passed.
+void Engine::step_failed(const TransactionPtr& transaction, const control::Failure& failure) {
+  if (transaction->takes_back) {
+    transaction->not_taken_back.push_back(failure.what());
+    ++transaction->at;
+    return;
+  }
+  transaction->takes_back = true;
+  transaction->failure = failure;
+  const bool one_by_one = !transaction->request.whole() && transaction->steps.size() == static_cast<std::size_t>(transaction->request.changes_size());
+  if (one_by_one && transaction->steps.size() > 1) transaction->failure->set_change(static_cast<std::uint32_t>(transaction->at) + 1);
+  transaction->steps = Model::difference(system_.model(), transaction->before);
+  transaction->at = 0;
+}
+
+void Engine::finish(const TransactionPtr& transaction) {
+  using Entry = control::JournalEntry;
+  if (transaction->entry != 0) {
+    const std::string reason = transaction->failure ? transaction->failure->what() : "";
+    journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason, system_.model());
+  }
+  if (!transaction->not_taken_back.empty()) {
+    transaction->failure->set_found(fmt::format("{}; and this could not be taken back: {}", transaction->failure->found(),
+                                                fmt::join(transaction->not_taken_back, "; ")));
+  }
+  if (transaction->failure) {
+    transaction->answer(reply_of(*transaction->failure));
+  } else {
+    control::Reply reply;
+    *reply.mutable_done() = transaction->done;
+    reply.mutable_done()->set_entry(transaction->entry);
+    transaction->answer(std::move(reply));
+  }
+  if (current_ != transaction) return;
+  current_.reset();
+  while (!current_ && !waiting_.empty()) {
+    const TransactionPtr next = std::move(waiting_.front());
+    waiting_.pop_front();
+    begin(next);
+  }
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "journal.hpp"
+#include "system.hpp"
+
+namespace fiona::host {
+
+/// Changes the system, by transactions: all of the changes or none (architecture 8). Each is tried on a copy of the model
+/// first; then its steps are made one after the other, and taken back when one fails. One is under way at a time, the
+/// others wait in their order. All functions [control thread].
+class Engine {
+ public:
+  /// Transactions that may wait; further ones are refused.
+  static constexpr std::size_t kMaxWaiting = 256;
+
+  /// `later` hands work to the control thread, from any thread.
+  using Later = std::function<void(std::function<void()>)>;
+  Engine(System& system, std::filesystem::path journal, Later later);
+  ~Engine();
+
+  /// Answered with Done or Planned, or with why nothing has changed.
+  void transact(const std::string& author, const control::Transact& request, Waits::Answer answer);
+  void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);
+  control::JournalEntries journal(std::uint32_t last) const;
+
+ private:
+  struct Transaction;
+  using TransactionPtr = std::shared_ptr<Transaction>;
+
+  void enqueue(TransactionPtr transaction);
+  void begin(const TransactionPtr& transaction);
+  void plan(Transaction& transaction) const;
+  void go_on(const TransactionPtr& transaction);
+  bool make_step(const TransactionPtr& transaction, const control::Change& step);
+  void begin_state(const TransactionPtr& transaction, const control::State& request);
+  void step_failed(const TransactionPtr& transaction, const control::Failure& failure);
+  void finish(const TransactionPtr& transaction);
+
+  System& system_;
+  Journal journal_;
+  const Later later_;
+  const std::shared_ptr<Engine*> self_;  ///< null once it is gone: what comes later finds nobody
+  std::deque<TransactionPtr> waiting_;
+  TransactionPtr current_;
+};
+
+}  // namespace fiona::host

@@ -1,0 +1,188 @@
+#include "journal.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sodium.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <fstream>
+#include <map>
+
+#include "fiona/error.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// A file that has grown to this is replaced by one record that builds the system as it is.
+constexpr std::uint64_t kFoldBytes = 4 * 1024 * 1024;
+constexpr std::size_t kHeadBytes = 8;
+constexpr std::size_t kMaxRecord = 16 * 1024 * 1024;
+constexpr std::chrono::seconds kSyncPeriod{1};
+
+std::uint32_t checksum(std::string_view bytes) {
+  std::array<unsigned char, crypto_generichash_BYTES_MIN> hash{};
+  crypto_generichash(hash.data(), hash.size(), reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), nullptr, 0);
+  return hash[0] | hash[1] << 8U | hash[2] << 16U | static_cast<std::uint32_t>(hash[3]) << 24U;
+}
+
+void append(std::string& out, std::uint32_t number) {
+  for (int byte = 0; byte < 4; ++byte) out += static_cast<char>(number >> (8 * byte));
+}
+
+std::uint32_t number_at(std::string_view text, std::size_t at) {
+  std::uint32_t number = 0;
+  for (int byte = 0; byte < 4; ++byte) number |= static_cast<std::uint32_t>(static_cast<unsigned char>(text[at + byte])) << (8 * byte);
+  return number;
+}
+
+std::string record_of(const control::JournalEntry& entry) {
+  const std::string body = entry.SerializeAsString();
+  std::string record;
+  append(record, static_cast<std::uint32_t>(body.size()));
+  append(record, checksum(body));
+  return record + body;
+}
+
+[[noreturn]] void fail(const std::filesystem::path& file) {
+  throw Error(ErrorCode::Failed, {.what = fmt::format("the journal cannot be written: {}", std::strerror(errno)),
+                                  .where = file.string(),
+                                  .next = "make room or correct the rights there, then try again"});
+}
+
+os::Descriptor open_new(const std::filesystem::path& file) {
+  os::Descriptor opened(::open(file.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
+  if (!opened) fail(file);
+  return opened;
+}
+
+void write_all(int descriptor, std::string_view bytes, const std::filesystem::path& file) {
+  while (!bytes.empty()) {
+    const ssize_t written = ::write(descriptor, bytes.data(), bytes.size());
+    if (written < 0 && errno != EINTR) fail(file);
+    if (written > 0) bytes.remove_prefix(static_cast<std::size_t>(written));
+  }
+}
+
+}  // namespace
+
+Journal::Journal(std::filesystem::path file) : file_(std::move(file)) {
+  if (file_.empty()) return;
+  std::error_code none;
+  std::filesystem::rename(file_, file_.string() + ".old", none);
+  descriptor_ = open_new(file_);
+  syncer_ = std::thread([this] { sync_until_closed(); });
+}
+
+Journal::~Journal() {
+  if (!syncer_.joinable()) return;
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+  }
+  wake_.notify_all();
+  syncer_.join();
+}
+
+void Journal::sync_until_closed() {
+  std::unique_lock lock(mutex_);
+  while (!closed_) {
+    wake_.wait(lock, [this] { return dirty_ || closed_; });
+    dirty_ = false;
+    os::Descriptor copy(::fcntl(descriptor_.get(), F_DUPFD_CLOEXEC, 0));
+    lock.unlock();
+    if (copy) ::fdatasync(copy.get());
+    lock.lock();
+    wake_.wait_for(lock, kSyncPeriod / 2, [this] { return closed_; });
+  }
+}
+
+void Journal::write(const control::JournalEntry& entry) {
+  if (file_.empty()) return;
+  const std::string record = record_of(entry);
+  write_all(descriptor_.get(), record, file_);
+  written_bytes_ += record.size();
+  {
+    const std::lock_guard lock(mutex_);
+    dirty_ = true;
+  }
+  wake_.notify_all();
+}
+
+std::uint64_t Journal::begin(control::JournalEntry entry) {
+  entry.set_number(next_number_);
+  entry.set_time_ms(std::chrono::duration_cast<std::chrono::milliseconds>(
+                        std::chrono::system_clock::now().time_since_epoch()).count());
+  entry.set_state(control::JournalEntry::UNDER_WAY);
+  write(entry);
+  entries_.push_back(std::move(entry));
+  if (entries_.size() > kMaxEntries) entries_.pop_front();
+  return next_number_++;
+}
+
+control::JournalEntry* Journal::find(std::uint64_t number) {
+  const auto found = std::find_if(entries_.rbegin(), entries_.rend(), [&](const auto& one) { return one.number() == number; });
+  return found == entries_.rend() ? nullptr : &*found;
+}
+
+void Journal::end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model& now) {
+  control::JournalEntry* entry = find(number);
+  if (!entry) return;
+  entry->set_state(state);
+  entry->set_reason(reason);
+  if (control::JournalEntry* undone = state == control::JournalEntry::DONE ? find(entry->undoes()) : nullptr) {
+    undone->set_state(control::JournalEntry::UNDONE);
+  }
+  write(*entry);
+  if (written_bytes_ > kFoldBytes) fold(now);
+}
+
+const control::JournalEntry* Journal::last_done() const {
+  const auto found = std::find_if(entries_.rbegin(), entries_.rend(), [](const auto& one) {
+    return one.state() == control::JournalEntry::DONE && one.undoes() == 0 && one.reverse_size() > 0;
+  });
+  return found == entries_.rend() ? nullptr : &*found;
+}
+
+/// Beside the file and renamed over it: whoever reads finds the old text or the new one.
+void Journal::fold(const Model& now) {
+  control::JournalEntry whole;
+  whole.set_number(next_number_++);
+  whole.set_state(control::JournalEntry::DONE);
+  for (auto& step : Model::difference(Model(), now)) *whole.add_steps() = std::move(step);
+  const std::filesystem::path fresh = file_.string() + ".new";
+  os::Descriptor opened = open_new(fresh);
+  const std::string record = record_of(whole);
+  write_all(opened.get(), record, fresh);
+  if (::fdatasync(opened.get()) != 0 || ::rename(fresh.c_str(), file_.c_str()) != 0) fail(file_);
+  const std::lock_guard lock(mutex_);
+  descriptor_ = std::move(opened);
+  written_bytes_ = record.size();
+}
+
+std::vector<control::Change> Journal::read(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  if (!stream) throw Error(ErrorCode::NotFound, {.what = "there is no journal", .where = file.string()});
+  const std::string text{std::istreambuf_iterator<char>(stream), {}};
+  std::map<std::uint64_t, control::JournalEntry> entries;
+  for (std::size_t at = 0; at + kHeadBytes <= text.size();) {
+    const std::size_t size = number_at(text, at);
+    if (size > kMaxRecord || size > text.size() - at - kHeadBytes) break;
+    const std::string_view body(text.data() + at + kHeadBytes, size);
+    control::JournalEntry entry;
+    if (checksum(body) != number_at(text, at + 4) || !entry.ParseFromArray(body.data(), static_cast<int>(size))) break;
+    entries[entry.number()] = std::move(entry);
+    at += kHeadBytes + size;
+  }
+  std::vector<control::Change> changes;
+  for (const auto& [number, entry] : entries) {
+    if (entry.state() == control::JournalEntry::DONE) changes.insert(changes.end(), entry.steps().begin(), entry.steps().end());
+  }
+  return changes;
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <filesystem>
+#include <mutex>
+#include <thread>
+
+#include "fiona/control.pb.h"
+#include "model.hpp"
+#include "os/descriptor.hpp"
+
+namespace fiona::host {
+
+/// What was changed, by whom, and what takes it back: in memory for `undo`, and in a file that outlives the process.
+///
+/// A record is written before the step that it tells of and reaches the disk within a second, off the path of whoever
+/// changes the system. Record: the length of the entry in 4 bytes and the first 4 bytes of its BLAKE2b hash, both little
+/// endian, then the JournalEntry; a later record of the same number replaces an earlier one. Reading ends at the first
+/// record that is not whole.
+class Journal {
+ public:
+  /// Entries that are kept for `undo`; older ones are folded into one that builds the system as it was after them.
+  static constexpr std::size_t kMaxEntries = 1000;
+
+  /// Without a file it is kept in memory only. An old journal is set aside as FILE.old.
+  explicit Journal(std::filesystem::path file);
+  ~Journal();
+  Journal(const Journal&) = delete;
+  Journal& operator=(const Journal&) = delete;
+
+  /// Numbers the entry and writes it as under way. Throws Error Failed when it cannot be written: then nothing is begun.
+  std::uint64_t begin(control::JournalEntry entry);
+  /// Writes how the entry of this number ended. `now` is the system as it is meant to be from here on.
+  void end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model& now);
+  /// What `undo` takes back: the newest that is done, changed something and has not been taken back.
+  const control::JournalEntry* last_done() const;
+  const std::deque<control::JournalEntry>& entries() const { return entries_; }
+
+  /// The changes that give the system back that a journal ends with: what was under way counts as not begun. Throws Error
+  /// NotFound if there is no such file.
+  static std::vector<control::Change> read(const std::filesystem::path& file);
+
+ private:
+  control::JournalEntry* find(std::uint64_t number);
+  void write(const control::JournalEntry& entry);
+  void fold(const Model& now);
+  void sync_until_closed();
+
+  const std::filesystem::path file_;
+  os::Descriptor descriptor_;
+  std::deque<control::JournalEntry> entries_;
+  std::uint64_t next_number_ = 1;
+  std::uint64_t written_bytes_ = 0;
+
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  bool dirty_ = false;
+  bool closed_ = false;
+  std::thread syncer_;
+};
+
+}  // namespace fiona::host

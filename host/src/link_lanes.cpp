@@ -1,0 +1,161 @@
+#include "link_lanes.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+namespace fiona::host {
+
+/// Whether its first item may go: one that has begun, one that needs no credit, one that has it, or one that is larger
+/// than the window while nothing is on its way but what the receiver has not yet given credit for.
+bool PeerLanes::Lane::may_go() const {
+  if (queue_.empty()) return false;
+  const Item& first = queue_.front();
+  return first.next_chunk > 0 || first.cost == 0 || in_flight_ < kCreditPortion || in_flight_ + first.cost <= kLaneWindow;
+}
+
+/// How many messages were lost by it, counted for each wire; 0: there is none that may go.
+std::size_t PeerLanes::Lane::drop_oldest() {
+  const auto oldest = std::find_if(queue_.begin(), queue_.end(), [](const Item& item) {
+    return item.rule == Rule::DropOldest && item.next_chunk == 0;
+  });
+  if (oldest == queue_.end()) return 0;
+  std::size_t wires = 1;
+  ++lost_[oldest->wire];
+  if (oldest->also) {
+    for (const std::uint64_t wire : *oldest->also) ++lost_[wire];
+    wires += oldest->also->size();
+  }
+  waiting_ -= oldest->cost;
+  queue_.erase(oldest);
+  return wires;
+}
+
+std::shared_ptr<PeerLanes::Lane> PeerLanes::open() {
+  const auto lane = std::make_shared<Lane>(next_lane_++);
+  lanes_.emplace(lane->id(), lane);
+  return lane;
+}
+
+void PeerLanes::close(Lane& lane) {
+  if (lane.closed_) return;
+  lane.closed_ = true;
+  std::erase_if(lane.queue_, [](const Item& item) { return item.cost > 0 && item.next_chunk == 0; });
+  lane.lost_.clear();
+  lane.waiting_ = 0;
+  update(lane);
+}
+
+PeerLanes::Taken PeerLanes::offer(Lane& lane, Item item) {
+  Taken taken;
+  if (lane.closed_ && item.cost > 0) return taken;
+  if (item.rule == Rule::MustFit && lane.is_full(item.cost)) return {false, 0};
+  while (item.rule == Rule::DropOldest && lane.is_full(item.cost)) {
+    const std::size_t lost = lane.drop_oldest();
+    if (lost == 0) break;
+    taken.lost += lost;
+  }
+  lane.waiting_ += item.cost;
+  lane.queue_.push_back(std::move(item));
+  update(lane);
+  return taken;
+}
+
+void PeerLanes::credit(std::uint64_t id, std::size_t bytes) {
+  const auto found = lanes_.find(id);
+  if (found == lanes_.end()) return;  // of a lane that has gone
+  Lane& lane = *found->second;
+  lane.in_flight_ -= std::min(lane.in_flight_, bytes);
+  update(lane);
+}
+
+/// Puts the lane where it belongs: at the end of a line, or away once it is closed and empty.
+void PeerLanes::update(Lane& lane) {
+  Turns* turns = !lane.may_go() ? nullptr : lane.queue_.front().payload ? &large_ : &small_;
+  if (turns != lane.turns_) {
+    if (lane.turns_) std::erase(*lane.turns_, &lane);
+    if (turns) turns->push_back(&lane);
+    lane.turns_ = turns;
+  }
+  if (lane.closed_ && lane.queue_.empty()) lanes_.erase(lane.id());
+}
+
+/// Small messages and chunks take turns, and within each kind the lanes.
+bool PeerLanes::next(Outgoing& out) {
+  if (small_.empty() && large_.empty()) return false;
+  out.payload = nullptr;
+  const bool small = !small_.empty() && (small_is_next_ || large_.empty());
+  small_is_next_ = !small;
+  small ? take_small(out) : take_chunk(out);
+  return true;
+}
+
+namespace {
+
+Block joined(std::vector<Block>& records) {
+  if (records.size() == 1) return std::move(records.front());
+  std::size_t bytes = 0;
+  for (const Block& record : records) bytes += record.size();
+  Block all(bytes);
+  std::uint8_t* end = all.data();
+  for (const Block& record : records) {
+    std::memcpy(end, record.data(), record.size());
+    end += record.size();
+  }
+  return all;
+}
+
+}  // namespace
+
+/// The record of the lane's first item, behind what the wires have lost right before it.
+void PeerLanes::begin(Lane& lane) {
+  for (const auto& [wire, messages] : std::exchange(lane.lost_, {})) {
+    wire::Frame frame;
+    frame.set_wire(wire);
+    frame.mutable_lost()->set_messages(messages);
+    records_.push_back(make_record(frame, nullptr, 0));
+  }
+  Item& item = lane.queue_.front();
+  lane.waiting_ -= item.cost;
+  lane.in_flight_ += item.cost;
+  records_.push_back(std::move(item.record));
+}
+
+void PeerLanes::take_chunk(Outgoing& out) {
+  Lane& lane = *large_.front();
+  Item& item = lane.queue_.front();
+  records_.clear();
+  if (item.next_chunk == 0) {
+    begin(lane);
+  } else {
+    wire::Frame frame;
+    frame.set_wire(item.wire);
+    frame.mutable_more();
+    records_.push_back(make_record(frame, nullptr, 0));
+  }
+  out.records = joined(records_);
+  out.payload = item.payload;
+  out.chunk = item.next_chunk++;
+  if (item.next_chunk == item.payload->chunks().size()) lane.queue_.pop_front();
+  large_.pop_front();
+  lane.turns_ = nullptr;
+  update(lane);
+}
+
+/// Up to a chunk: many small messages cost one.
+void PeerLanes::take_small(Outgoing& out) {
+  records_.clear();
+  std::size_t bytes = 0;
+  while (!small_.empty() && (records_.empty() || bytes + small_.front()->queue_.front().record.size() <= kChunkBytes)) {
+    Lane& lane = *small_.front();
+    bytes += lane.queue_.front().record.size();
+    begin(lane);
+    lane.queue_.pop_front();
+    small_.pop_front();
+    lane.turns_ = nullptr;
+    update(lane);
+  }
+  out.records = joined(records_);
+}
+
+}  // namespace fiona::host

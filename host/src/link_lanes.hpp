@@ -1,0 +1,101 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "link_message.hpp"
+
+namespace fiona::host {
+
+/// The bytes that may be on their way over one lane, and again that may wait for room (architecture 7.4).
+inline constexpr std::size_t kLaneWindow = 4 * 1024 * 1024;
+/// A receiver gives credit back once it owes this much, so that less of a lane may stay without credit for ever.
+inline constexpr std::size_t kCreditPortion = kLaneWindow / 8;
+/// What an object counts beside its bytes.
+inline constexpr std::size_t kFrameCost = 64;
+
+/// What is to be sent to one peer, in lanes that take turns: each a queue in order, bounded, with its own credit. A
+/// wire has a lane of its own; those of one push port to one process share one, as they share each message. Not
+/// synchronised: it belongs to the link.
+class PeerLanes {
+ public:
+  enum class Rule {
+    Control,     ///< always taken: no object, or one that its sender's credit bounds
+    MustFit,     ///< refused when the lane is full
+    DropOldest,  ///< a full lane loses its oldest, counted
+  };
+  struct Item {
+    Block record;
+    std::shared_ptr<const Payload> payload;  ///< what does not travel in the record
+    Rule rule = Rule::Control;
+    std::size_t cost = 0;
+    std::uint64_t wire = 0;
+    std::shared_ptr<const std::vector<std::uint64_t>> also;  ///< further wires
+    std::size_t next_chunk = 0;
+    std::shared_ptr<const void> receipt;  ///< goes when the item has, or is dropped
+  };
+  class Lane;
+  struct Taken {
+    bool ok = true;
+    std::size_t lost = 0;  ///< messages that had to go, once for each of their wires
+  };
+  /// One ZeroMQ message: the record or records, and the chunk beside them, if any.
+  struct Outgoing {
+    Block records;
+    std::shared_ptr<const Payload> payload;
+    std::size_t chunk = 0;
+    std::size_t bytes() const { return records.size() + (payload ? payload->chunks()[chunk].size() : 0); }
+  };
+
+  /// A new lane. It goes when it is closed and empty.
+  std::shared_ptr<Lane> open();
+  /// Takes no more, and loses what waits for credit; what has begun, and what needs none, still goes.
+  void close(Lane& lane);
+  Taken offer(Lane& lane, Item item);
+  void credit(std::uint64_t lane, std::size_t bytes);
+  bool has_ready() const { return !small_.empty() || !large_.empty(); }
+  /// What is to go next; false when nothing may.
+  bool next(Outgoing& out);
+  std::size_t lanes() const { return lanes_.size(); }
+
+ private:
+  using Turns = std::deque<Lane*>;
+  void update(Lane& lane);
+  void take_chunk(Outgoing& out);
+  void take_small(Outgoing& out);
+  void begin(Lane& lane);
+
+  std::unordered_map<std::uint64_t, std::shared_ptr<Lane>> lanes_;
+  Turns small_;  ///< lanes whose first item may go and fits into a record
+  Turns large_;  ///< lanes whose first item may go and does not
+  std::vector<Block> records_;  ///< used again for each message
+  bool small_is_next_ = true;
+  std::uint64_t next_lane_ = 1;
+};
+
+class PeerLanes::Lane {
+ public:
+  explicit Lane(std::uint64_t id) : id_(id) {}
+  std::uint64_t id() const { return id_; }
+
+ private:
+  friend class PeerLanes;
+  bool may_go() const;
+  bool is_full(std::size_t cost) const { return waiting_ > 0 && waiting_ + cost > kLaneWindow; }
+  std::size_t drop_oldest();
+
+  const std::uint64_t id_;
+  std::deque<Item> queue_;
+  std::map<std::uint64_t, std::uint64_t> lost_;  ///< by wire, not yet told to its client
+  std::size_t waiting_ = 0;                      ///< cost of what has not begun
+  std::size_t in_flight_ = 0;                    ///< cost of what has begun and has not been credited
+  Turns* turns_ = nullptr;  ///< in which it stands
+  bool closed_ = false;
+};
+
+}  // namespace fiona::host

@@ -1,0 +1,123 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+#include <zmq.hpp>
+
+#include "fiona/service.hpp"
+#include "fiona/wire.pb.h"
+
+namespace fiona::host {
+
+/// The most of an object that one ZeroMQ message carries (architecture 7.5): what a large message may put before a
+/// small one.
+inline constexpr std::size_t kChunkBytes = 256 * 1024;
+/// The largest object that goes over a link.
+inline constexpr std::size_t kMaxObject = 64 * 1024 * 1024;
+/// An object up to this size travels inside its record and may share a ZeroMQ message with others.
+inline constexpr std::size_t kInlineBytes = 16 * 1024;
+/// A record begins with the lengths of its frame and of the object's bytes in it, 4 bytes each, little endian.
+inline constexpr std::size_t kRecordHead = 8;
+
+/// Bytes of their own that can be handed to ZeroMQ. Those of the size of a chunk are used again: a fresh one costs
+/// more in page faults than the copying into it.
+class Block {
+ public:
+  Block() = default;
+  explicit Block(std::size_t size);
+  Block(Block&& other) noexcept;
+  Block& operator=(Block&& other) noexcept;
+  ~Block();
+
+  std::uint8_t* data() { return data_; }
+  const std::uint8_t* data() const { return data_; }
+  std::size_t size() const { return size_; }
+
+ private:
+  std::uint8_t* data_ = nullptr;
+  std::size_t size_ = 0;
+};
+
+/// An object as it has come, in one piece or in several, to be parsed.
+class ObjectBytes {
+ public:
+  ObjectBytes() = default;
+  ObjectBytes(std::string_view whole) : whole_(whole), size_(whole.size()) {}
+  ObjectBytes(const std::vector<zmq::message_t>& pieces, std::size_t size) : pieces_(&pieces), size_(size) {}
+
+  std::size_t size() const { return size_; }
+  bool parse_into(Object& object) const;
+  std::string to_string() const;
+  /// Calls `take` with each piece, in order.
+  template <class F>
+  void each_piece(F take) const {
+    if (!pieces_) return take(whole_);
+    for (const auto& piece : *pieces_) take(std::string_view(static_cast<const char*>(piece.data()), piece.size()));
+  }
+
+ private:
+  std::string_view whole_;
+  const std::vector<zmq::message_t>* pieces_ = nullptr;
+  std::size_t size_ = 0;
+};
+
+/// A serialised object that is too large for its record: pieces of at most `kChunkBytes`, written once and read by the
+/// links to all its receivers.
+class Payload {
+ public:
+  explicit Payload(const Object& object);
+  /// As it has come: to be passed on.
+  explicit Payload(const ObjectBytes& object);
+  std::size_t size() const { return size_; }
+  const std::vector<Block>& chunks() const { return chunks_; }
+
+ private:
+  class Writer;
+  std::size_t size_ = 0;
+  std::vector<Block> chunks_;
+};
+
+/// A record: head, frame, and the object's bytes if it has any that travel inside.
+Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size);
+Block make_record(const wire::Frame& frame, const ObjectBytes& object);
+
+/// Puts together what one peer sends: records out of messages, and objects out of chunks. What it holds is bounded: one
+/// object for each wire that is accepted, of at most `kMaxObject`, and never more of it than has come.
+class FrameReader {
+ public:
+  class Receiver {
+   public:
+    virtual ~Receiver() = default;
+    /// Whether an object that comes in several chunks is to be put together: it is for a wire of this peer.
+    virtual bool accepts(const wire::Frame& frame) = 0;
+    virtual void on_frame(const wire::Frame& frame, const ObjectBytes& object) = 0;
+  };
+
+  /// Chunks are of this size, but for the last of each object.
+  explicit FrameReader(std::size_t chunk = kChunkBytes) : chunk_(chunk) {}
+
+  /// One message's parts. False: it is garbled; what was whole before the fault has been passed on.
+  bool read(std::vector<zmq::message_t>& parts, Receiver& receiver);
+  /// Objects of which a part is still to come.
+  std::size_t unfinished() const { return assemblies_.size(); }
+
+ private:
+  struct Assembly {
+    wire::Frame frame;
+    std::size_t received = 0;
+    std::vector<zmq::message_t> pieces;
+  };
+  bool take(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
+  bool begin(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
+  bool go_on(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
+  bool add(Assembly& assembly, std::string_view inside, zmq::message_t* beside);
+
+  const std::size_t chunk_;
+  wire::Frame frame_;  ///< used again for each record
+  std::unordered_map<std::uint64_t, Assembly> assemblies_;  ///< by the wire that the object's first frame names
+};
+
+}  // namespace fiona::host

@@ -1,0 +1,98 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "fiona/control.pb.h"
+#include "fiona/message.hpp"
+#include "package.hpp"
+
+namespace fiona::host {
+
+/// A system as it is meant to be: what was asked for, not how the instances are doing. A value: cheap to copy, so that a
+/// change is tried on a copy before anything is touched.
+class Model {
+ public:
+  struct Instance {
+    std::string plugin;  ///< as `load` named it
+    std::shared_ptr<const Package> package;
+    std::string component;
+    std::string group;
+    std::string mode;                          ///< as last asked for
+    std::string mode_at_load;                  ///< as `load` asked; empty: the first
+    std::shared_ptr<const Object> parameters;  ///< null: the component has none
+    std::uint64_t order = 0;                   ///< of loading
+    bool led = false;                          ///< of the system of the host that leads this one
+
+    const ComponentInterface& interface() const { return package->component(component); }
+  };
+  struct Wire {
+    control::PortName provider;
+    std::uint32_t prescale = 1;
+  };
+  using PortKey = std::pair<std::string, std::string>;  ///< instance, port
+
+  const Instance* find(const std::string& name) const;
+  std::vector<std::string> names() const;
+  bool uses_group(const std::string& group) const;
+  /// Throws Error NotFound with the nearest names.
+  const Instance& instance(const std::string& name) const;
+  /// The port of an instance. Throws Error: no such instance or port, or one of the other direction.
+  const PortInterface& port(const control::PortName& name, Direction direction) const;
+  const Wire* wire_of(const control::PortName& client) const;
+  /// By the client's port.
+  const std::map<PortKey, Wire>& wires() const { return wires_; }
+  bool has_virtual_clock() const { return virtual_clock_; }
+  double speed() const { return speed_; }
+
+  /// Makes the change in the model. Throws Error, and changes nothing, when it cannot be: everything that can be told
+  /// without running a component is told here.
+  void make(const control::Change& change, const Packages& packages);
+  /// An instance that the host that leads this one has here. It belongs to no change of this system.
+  void take(const std::string& name, Instance instance);
+  void drop(const std::string& name) { instances_.erase(name); }
+  /// Who leads now, and alone may change what is its; empty: nobody.
+  void set_leader(std::string leader) { leader_ = std::move(leader); }
+  /// Throws Error NotAllowed for what is the leader's.
+  void require_own(const std::string& name) const;
+  /// The change as steps that each do one thing: a swap as its wires.
+  std::vector<control::Change> steps_of(const control::Change& change) const;
+  /// The provider's port fits the client's; throws Error WiringInvalid naming both services and who would fit.
+  void require_fit(const control::PortName& client, const control::PortName& provider) const;
+
+  /// The fewest steps that lead from one system to another, in an order in which they can be made.
+  static std::vector<control::Change> difference(const Model& from, const Model& to);
+
+ private:
+  void load(const control::Load& request, const Packages& packages);
+  void unload(const control::Unload& request);
+  void wire(const control::Wire& request);
+  void unwire(const control::Unwire& request);
+  void set(const control::Set& request);
+  void set_host(const control::Set& request);
+  void state(const control::State& request);
+  std::string providers_of(const std::string& service) const;
+  control::PortName counterpart(const control::PortName& provider, const std::string& next) const;
+
+  std::map<std::string, std::shared_ptr<const Instance>> instances_;
+  std::map<PortKey, Wire> wires_;
+  std::string leader_;
+  bool virtual_clock_ = false;
+  double speed_ = 0;  ///< of a virtual clock
+  std::uint64_t next_order_ = 1;
+};
+
+Model::PortKey key_of(const control::PortName& name);
+control::PortName port_of(const Model::PortKey& key);
+/// "nav.location".
+std::string text_of(const control::PortName& name);
+
+/// A name that can be typed and has no meaning of its own; throws Error Usage otherwise.
+void require_name(const std::string& name, std::string_view kind);
+
+}  // namespace fiona::host

@@ -1,0 +1,127 @@
+#include "taps.hpp"
+
+#include <fmt/format.h>
+
+#include "fiona/error.hpp"
+#include "field_compare.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+namespace {
+
+Duration duration_of_ms(double ms) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms)); }
+
+wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit) {
+  wire::Tapped tapped;
+  tapped.set_unit(unit);
+  tapped.set_sequence(envelope.sequence);
+  tapped.set_origin_ns(envelope.origin.time_since_epoch().count());
+  if (!envelope.object) return tapped;
+  tapped.set_type(envelope.object->GetDescriptor()->full_name());
+  envelope.object->SerializeToString(tapped.mutable_object());
+  return tapped;
+}
+
+TapTerms terms_of(const control::Watch& watch, const std::string& unit) {
+  using Condition = control::Condition;
+  TapTerms terms;
+  terms.every = std::max(1U, watch.prescale());
+  terms.period = duration_of_ms(watch.min_period_ms());
+  const Condition& condition = watch.condition();
+  terms.changes = condition.kind_case() == Condition::kChanges;
+  if (condition.kind_case() == Condition::kOlderThanMs) {
+    if (!(condition.older_than_ms() > 0)) throw Error(ErrorCode::Usage, "an age is above zero");
+    terms.older_than = duration_of_ms(condition.older_than_ms());
+  }
+  if (condition.kind_case() == Condition::kCompared) {
+    terms.holds = [condition, unit](const Object& object) {
+      const auto& compared = condition.compared();
+      return compare_field(object, condition.field(), compared.comparison(), compared.value(), unit).first;
+    };
+  }
+  return terms;
+}
+
+constexpr std::size_t kLongestText = 200;
+
+std::string value_text(const Object& object) {
+  std::string text;
+  if (const auto* number = dynamic_cast<const probe::Number*>(&object)) {
+    text = fmt::format("{:.6g}", number->value());
+  } else if (const auto* integer = dynamic_cast<const probe::Integer*>(&object)) {
+    text = fmt::format("{}", integer->value());
+  } else if (const auto* flag = dynamic_cast<const probe::Flag*>(&object)) {
+    text = flag->value() ? "true" : "false";
+  } else if (const auto* word = dynamic_cast<const probe::Text*>(&object)) {
+    text = word->value();
+  } else {
+    text = object.ShortDebugString();
+  }
+  return text.size() <= kLongestText ? text : text.substr(0, kLongestText) + "…";
+}
+
+}  // namespace
+
+/// Passes values on to the host, as bytes.
+class Taps::Teller final : public Watcher {
+ public:
+  Teller(std::uint64_t id, std::string unit, const OnEvent& on_event) : id_(id), unit_(std::move(unit)), on_event_(on_event) {}
+
+  void value(const Tapped& value) override {
+    wire::GroupMessage message;
+    auto& tapped = *message.mutable_tapped();
+    tapped = tapped_of(value.envelope, unit_);
+    tapped.set_tap(id_);
+    tapped.set_number(value.number);
+    tapped.set_skipped(value.skipped);
+    on_event_(std::move(message));
+  }
+  void ended(const Error& why) override {
+    wire::GroupMessage message;
+    message.mutable_tap_ended()->set_tap(id_);
+    *message.mutable_tap_ended()->mutable_failure() = failure_of(why);
+    on_event_(std::move(message));
+  }
+
+ private:
+  const std::uint64_t id_;
+  const std::string unit_;
+  const OnEvent& on_event_;
+};
+
+void Taps::tap(const wire::Tap& request, Hull& hull) {
+  const std::string& name = request.watch().port().port();
+  const std::string unit = hull.unit_of(name);
+  auto teller = std::make_shared<Teller>(request.tap(), unit, on_event_);
+  taps_[request.tap()] = {&hull, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
+}
+
+void Taps::untap(std::uint64_t id) {
+  const auto found = taps_.find(id);
+  if (found == taps_.end()) return;
+  found->second.first->untap(found->second.second);
+  taps_.erase(found);
+}
+
+void Taps::release(const Hull& hull) {
+  std::erase_if(taps_, [&hull](const auto& entry) { return entry.second.first == &hull; });
+}
+
+wire::Tapped read_probe(const Hull& hull, const std::string& name) { return tapped_of(hull.read(name), hull.unit_of(name)); }
+
+void fill_probes(control::InstanceStatus& status, const Hull& hull, TimePoint now) {
+  for (const auto* probe : hull.probes()) {
+    auto& one = *status.add_probes();
+    one.set_name(probe->name());
+    one.set_type(probe->type());
+    one.set_unit(probe->unit());
+    one.set_doc(probe->doc());
+    one.set_age_ms(-1);
+    const Envelope value = probe->read();
+    if (!value.object) continue;
+    one.set_value(value_text(*value.object));
+    one.set_age_ms(std::max(0.0, 1e3 * to_seconds(now - value.origin)));
+  }
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "fiona/hull.hpp"
+#include "fiona/wire.pb.h"
+
+namespace fiona::host {
+
+/// What is watched of the instances of one process: each value goes to the host as an event.
+class Taps {
+ public:
+  /// [any thread] Must not wait.
+  using OnEvent = std::function<void(wire::GroupMessage)>;
+
+  explicit Taps(const OnEvent& on_event) : on_event_(on_event) {}
+
+  // All [control thread].
+  void tap(const wire::Tap& request, Hull& hull);
+  void untap(std::uint64_t tap);
+  /// The hull is about to end; whoever watches it is told by it.
+  void release(const Hull& hull);
+
+ private:
+  class Teller;
+
+  const OnEvent& on_event_;
+  std::map<std::uint64_t, std::pair<Hull*, std::shared_ptr<Tap>>> taps_;
+};
+
+/// The value of now of a probe, as a tap would tell it.
+wire::Tapped read_probe(const Hull& hull, const std::string& name);
+/// The probes that the component declares, with their values.
+void fill_probes(control::InstanceStatus& status, const Hull& hull, TimePoint now);
+
+}  // namespace fiona::host

@@ -1,0 +1,12 @@
+#pragma once
+
+#include "bare_limits.hpp"
+
+namespace fiona::bench {
+
+/// One value set in a probe of a component, while nobody watches.
+Latency set_of_probe(const Load& load);
+/// What it cannot do without: a value kept under a lock, with the time at which it was set.
+Latency locked_store(const Load& load);
+
+}  // namespace fiona::bench

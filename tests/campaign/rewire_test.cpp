@@ -1,0 +1,206 @@
+// Promise R7: rewiring under load is exact. Ten tickers and ten witnesses; a model of who was wired to whom, in which
+// order, says what each witness may have heard. FIONA_REWIRES sets how many rewires; FIONA_SEED which.
+#include <dirent.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+#include <fstream>
+#include <iostream>
+#include <random>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <google/protobuf/dynamic_message.h>
+
+#include "engine.hpp"
+#include "fiona/result.hpp"
+#include "mailbox.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr int kTickers = 10;
+constexpr int kWitnesses = 10;
+constexpr int kQuiet = 2;  ///< of the witnesses: ask nothing, so that eight ask
+/// Rewires after which the process has what it needs, and what it uses must stay.
+constexpr int kWarmUp = 50;
+
+int number_from(const char* variable, int otherwise) {
+  const char* text = std::getenv(variable);
+  return text && *text ? std::atoi(text) : otherwise;
+}
+
+/// A field of a message of which the test does not link the type.
+class Seen {
+ public:
+  Seen(const google::protobuf::Message& message) : message_(message) {}  // NOLINT: reads like the message
+  std::uint64_t number(const char* name) const { return reflect().GetUInt64(message_, field(name)); }
+  double real(const char* name) const { return reflect().GetDouble(message_, field(name)); }
+  std::vector<std::uint64_t> numbers(const char* name) const {
+    std::vector<std::uint64_t> all;
+    for (int i = 0; i < reflect().FieldSize(message_, field(name)); ++i) all.push_back(reflect().GetRepeatedUInt64(message_, field(name), i));
+    return all;
+  }
+  std::vector<Seen> messages(const char* name) const {
+    std::vector<Seen> all;
+    for (int i = 0; i < reflect().FieldSize(message_, field(name)); ++i) all.emplace_back(reflect().GetRepeatedMessage(message_, field(name), i));
+    return all;
+  }
+
+ private:
+  const google::protobuf::Reflection& reflect() const { return *message_.GetReflection(); }
+  const google::protobuf::FieldDescriptor* field(const char* name) const { return message_.GetDescriptor()->FindFieldByName(name); }
+  const google::protobuf::Message& message_;
+};
+
+/// What all processes of the test hold.
+struct Holdings {
+  long descriptors = 0;
+  double resident_mib = 0;
+};
+
+Holdings holdings(host::System& system) {
+  Holdings all;
+  const auto snapshot = system.snapshot();
+  for (const auto& group : snapshot.groups()) {
+    const std::string process = "/proc/" + std::to_string(group.process());
+    if (DIR* directory = ::opendir((process + "/fd").c_str())) {
+      while (::readdir(directory)) ++all.descriptors;
+      ::closedir(directory);
+    }
+    long pages = 0, resident = 0;
+    std::ifstream(process + "/statm") >> pages >> resident;
+    all.resident_mib += static_cast<double>(resident * ::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
+  }
+  return all;
+}
+
+class Rewire : public testing::TestWithParam<Transport> {
+ protected:
+  Rewire() {
+    for (int i = 0; i < kTickers; ++i) system.load_provider("ticker", ticker(i), "source=" + std::to_string(i));
+    for (int i = 0; i < kWitnesses; ++i) system.load_client("witness", witness(i));
+    for (int i = 0; i < kWitnesses; ++i) {
+      rewire(i, "samples", i % kTickers);
+      if (i < kQuiet) continue;
+      rewire(i, "echo", i % kTickers);
+      system.set(witness(i), "asks=true");
+    }
+  }
+  static std::string ticker(int i) { return fmt::format("t{}", i); }
+  static std::string witness(int i) { return fmt::format("w{}", i); }
+
+  /// As a console would ask for it; milliseconds until it is answered.
+  double rewire(int client, const std::string& port, int provider) {
+    control::Transact request;
+    auto& wire = *request.add_changes()->mutable_wire();
+    *wire.mutable_client() = host::port_of({witness(client), port});
+    *wire.mutable_provider() = host::port_of({ticker(provider), port == "echo" ? "echo" : "samples"});
+    if (port == "samples") history[static_cast<std::size_t>(client)].push_back(static_cast<std::uint64_t>(provider));
+    const auto begun = Clock::now();
+    control::Reply answered;
+    engine.transact("campaign", request, [&answered](const control::Reply& reply) { answered = reply; });
+    if (!answered.has_done()) ADD_FAILURE() << answered.failure().what();
+    lost += answered.done().lost();
+    return std::chrono::duration<double, std::milli>(Clock::now() - begun).count();
+  }
+  std::unique_ptr<google::protobuf::Message> ask(const std::string& trigger) {
+    const auto called = system.call(trigger);
+    EXPECT_EQ(called.outcome(), "ok") << called.reason();
+    auto object = system.system().types().make(called.result().type());
+    object->ParseFromString(called.result().object());
+    return object;
+  }
+  /// What was heard is what the model allows: runs without a gap, each under a wiring of its own, in their order.
+  void check_samples(int client, const Seen& testimony) {
+    EXPECT_EQ(testimony.number("backward"), 0U) << witness(client) << ": duplicates, or out of order";
+    const auto& wired = history[static_cast<std::size_t>(client)];
+    std::size_t at = 0;
+    for (const Seen& run : testimony.messages("runs")) {
+      while (at < wired.size() && wired[at] != run.number("source")) ++at;
+      ASSERT_LT(at, wired.size()) << witness(client) << " heard ticker " << run.number("source") << " from sample " << run.number("first")
+                                  << " on, to which it was not wired then: something was lost, or came from elsewhere";
+      ++at;
+    }
+  }
+  void check_questions(int client, const Seen& testimony) {
+    const auto outcomes = testimony.numbers("outcomes");
+    const std::uint64_t ok = outcomes.empty() ? 0 : outcomes.front();
+    EXPECT_EQ(testimony.number("open"), 0U) << witness(client);
+    EXPECT_EQ(testimony.number("wrong"), 0U) << witness(client);
+    EXPECT_EQ(ok, testimony.number("asked")) << witness(client) << ": all providers live, so no question may fail; outcomes "
+                                             << fmt::format("{}", fmt::join(outcomes, ", "));
+    asked += testimony.number("asked");
+  }
+
+  RunningSystem system{GetParam()};
+  host::Mailbox<std::function<void()>> work;
+  host::Engine engine{system.system(), {}, [this](std::function<void()> job) { work.push(std::move(job)); }};
+  std::map<std::size_t, std::vector<std::uint64_t>> history;  ///< tickers, by witness, in the order of wiring
+  std::uint64_t lost = 0;
+  std::uint64_t asked = 0;
+};
+
+TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
+  const int rewires = number_from("FIONA_REWIRES", 300);
+  const int seed = number_from("FIONA_SEED", static_cast<int>(std::random_device{}() % 1'000'000));
+  RecordProperty("seed", seed);
+  std::mt19937 random(static_cast<unsigned>(seed));
+  const auto pick = [&random](int below) { return std::uniform_int_distribution<int>(0, below - 1)(random); };
+  std::vector<double> took_ms;
+  Holdings warm;
+  for (int i = 0; i < rewires + kWarmUp; ++i) {
+    if (i == kWarmUp) warm = holdings(system.system());
+    const bool question = pick(2) == 0;
+    const int client = question ? kQuiet + pick(kWitnesses - kQuiet) : pick(kWitnesses);
+    took_ms.push_back(rewire(client, question ? "echo" : "samples", pick(kTickers)));
+    // Now and then time enough for samples to come, mostly none.
+    system.serve_groups(std::chrono::milliseconds(pick(4)));
+  }
+  const Holdings after = holdings(system.system());
+
+  for (int i = kQuiet; i < kWitnesses; ++i) system.set(witness(i), "asks=false");
+  for (int i = 0; i < kTickers; ++i) system.set(ticker(i), "period_ms=10000");
+  system.eventually("all questions have ended", [&] {
+    for (int i = kQuiet; i < kWitnesses; ++i) {
+      if (Seen(*ask(witness(i) + ".testify")).number("open") > 0) return false;
+    }
+    return true;
+  });
+  std::uint64_t answered = 0;
+  for (int i = 0; i < kTickers; ++i) answered += Seen(*ask(ticker(i) + ".report")).number("answered");
+  double longest_gap_ms = 0;
+  std::uint64_t heard = 0;
+  for (int i = 0; i < kWitnesses; ++i) {
+    const auto testimony = ask(witness(i) + ".testify");
+    check_samples(i, *testimony);
+    check_questions(i, *testimony);
+    longest_gap_ms = std::max(longest_gap_ms, Seen(*testimony).real("longest_gap_ms"));
+    for (const Seen& run : Seen(*testimony).messages("runs")) heard += run.number("count");
+    EXPECT_EQ(system.port(witness(i) + ".samples").dropped(), 0U);
+  }
+  EXPECT_EQ(answered, asked) << "each question is answered by one provider, once";
+  EXPECT_EQ(lost, 0U);
+  EXPECT_GT(heard, 0U);
+  EXPECT_LE(after.descriptors, warm.descriptors);
+  EXPECT_LT(after.resident_mib - warm.resident_mib, 16 + rewires * 0.001) << "what a rewire leaves behind";
+
+  std::sort(took_ms.begin(), took_ms.end());
+  std::cout << fmt::format(
+      "{} rewires (seed {}): {} questions, {} samples; rewire p50 {:.2f} ms, p99 {:.2f} ms; longest gap between samples "
+      "{:.1f} ms (period 10 ms); resident {:+.1f} MiB, descriptors {:+d}\n",
+      took_ms.size(), seed, asked, heard, took_ms[took_ms.size() / 2], took_ms[took_ms.size() * 99 / 100], longest_gap_ms,
+      after.resident_mib - warm.resident_mib, after.descriptors - warm.descriptors);
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Rewire, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
+                         [](const auto& tested) { return to_string(tested.param); });
+
+}  // namespace
+}  // namespace fiona::conformance

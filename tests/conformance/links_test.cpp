@@ -1,0 +1,218 @@
+// What holds for the links between the processes of a system (docs/architecture.md, the way of a message).
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/resource.h>
+
+#include <chrono>
+#include <string>
+
+#include "fiona/error.hpp"
+#include "fiona/result.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using testing::HasSubstr;
+
+class Links : public testing::TestWithParam<Transport> {
+ protected:
+  std::uint64_t sent_bytes() { return system.group("main").links().sent_bytes(); }
+  bool crosses() const { return GetParam() != Transport::Process; }
+  /// Puts `count` samples of this payload, and waits until each of the sinks has them all.
+  void push_to(int sinks, int count, std::size_t payload) {
+    system.load_provider("source", "source", "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
+    for (int i = 0; i < sinks; ++i) {
+      system.load_client("sink", "sink" + std::to_string(i));
+      system.wire("sink" + std::to_string(i) + ".each", "source.newest");
+    }
+    system.state("source", "active");
+    for (int i = 0; i < sinks; ++i) {
+      const std::string port = "sink" + std::to_string(i) + ".each";
+      system.eventually("received", [&] { return system.port(port).messages() == static_cast<std::uint64_t>(count); });
+      EXPECT_EQ(system.port(port).dropped(), 0U);
+    }
+  }
+
+  RunningSystem system{GetParam()};
+};
+
+TEST_P(Links, PushToEightSubscribersInOneProcessCrossesOnce) {
+  constexpr std::size_t kPayload = 100'000;
+  constexpr int kCount = 20;
+  push_to(8, kCount, kPayload);
+  EXPECT_EQ(sent_bytes() / (kPayload * kCount), crosses() ? 1U : 0U) << sent_bytes();
+}
+
+TEST_P(Links, PushToOneSubscriberCrossesOnce) {
+  constexpr std::size_t kPayload = 100'000;
+  constexpr int kCount = 20;
+  push_to(1, kCount, kPayload);
+  EXPECT_EQ(sent_bytes() / (kPayload * kCount), crosses() ? 1U : 0U) << sent_bytes();
+}
+
+TEST_P(Links, SubscribersThatShareACrossingEachHaveTheirPrescaleAndComeAndGoAlone) {
+  system.load_provider("source", "source", "neutral period_ms=1 count=90");
+  for (const std::string name : {"all", "third", "gone"}) system.load_client("sink", name);
+  system.wire("all.each", "source.newest");
+  system.wire("third.each", "source.newest", 3);
+  system.wire("gone.each", "source.newest");
+  const auto sum = system.watch("third.report");
+  system.unwire("gone.each");
+  system.state("source", "active");
+  system.eventually("received", [&] { return system.port("all.each").messages() == 90 && system.port("third.each").messages() == 30; });
+  const auto last = system.wait_for(sum, [](const auto& one) { return one.number() == 30; });
+  EXPECT_EQ(last.value(), 30 * (1 + 88) / 2.0) << "the first, then every third";
+  EXPECT_EQ(system.port("gone.each").messages(), 0U);
+}
+
+TEST_P(Links, LateSubscriberOfAServiceWithLastValueIsGivenItAloneThoughItSharesTheCrossing) {
+  system.load_provider("source", "source", "period_ms=1 count=1");
+  system.load_client("sink", "first");
+  system.wire("first.last", "source.last");
+  system.eventually("given", [&] { return system.port("first.last").messages() == 1; });
+  system.load_client("sink", "late");
+  system.wire("late.last", "source.last");
+  system.eventually("given", [&] { return system.port("late.last").messages() == 1; });
+  EXPECT_EQ(system.port("first.last").messages(), 1U);
+}
+
+TEST_P(Links, SlowConsumerLosesInItsOwnNameAndNobodyElseLoses) {
+  system.load_client("sink", "slow", "work_ms=20");
+  system.load_client("sink", "quick");
+  // 200 MB a second are more than what CURVE encrypts beside everything else.
+  const std::string payload = GetParam() == Transport::Tcp ? "20000" : "200000";
+  system.load_provider("source", "source", "neutral period_ms=1 count=200 payload=" + payload);
+  system.wire("slow.each", "source.newest");
+  system.wire("quick.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("received", [&] { return system.port("quick.each").messages() == 200; });
+  EXPECT_EQ(system.port("quick.each").dropped(), 0U);
+  EXPECT_EQ(system.port("source.newest").dropped(), 0U);
+  system.eventually("all accounted for", [&] {
+    const auto port = system.port("slow.each");
+    return port.dropped() > 50 && port.messages() + port.dropped() >= 200 - 22;
+  });
+}
+
+TEST_P(Links, ObjectsLargerThanEveryWindowArriveWhole) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=50 count=2 payload=20000000");
+  system.wire("sink.each", "source.newest");
+  const auto report = system.watch("sink.report");
+  system.state("source", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& one) { return one.number() == 2; }).payload(), "20000000");
+}
+
+TEST_P(Links, ObjectAboveTheCapOfALinkIsRefusedAtTheSenderAndCounted) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=1 count=1 payload=80000000");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("put", [&] { return system.port("source.newest").messages() == 1; });
+  if (!crosses()) return system.eventually("received", [&] { return system.port("sink.each").messages() == 1; });
+  EXPECT_EQ(system.port("source.newest").refused(), 1U);
+  EXPECT_EQ(system.port("sink.each").messages(), 0U);
+  EXPECT_EQ(system.group("main").links().too_large(), 1U);
+}
+
+TEST_P(Links, CarryNothingThatIsGarbledUnprovenOrNotGranted) {
+  push_to(2, 20, 300'000);
+  const auto snapshot = system.system().snapshot();
+  for (const auto& one : snapshot.groups()) {
+    EXPECT_EQ(one.links().garbled() + one.links().unproven() + one.links().not_granted(), 0U) << one.name();
+    EXPECT_EQ(one.links().peers(), crosses() ? 1U : 0U) << one.name();
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Links, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
+                         [](const auto& one) { return to_string(one.param); });
+
+// ---- processes that end ---------------------------------------------------------------------------------------
+
+class Processes : public testing::TestWithParam<Transport> {
+ protected:
+  RunningSystem system{GetParam()};
+};
+
+TEST_P(Processes, DeathOfAGroupIsNoticedWithin200Milliseconds) {
+  system.load_provider("source", "source", "period_ms=1");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("received", [&] { return system.port("sink.each").messages() > 5; });
+  const auto killed = std::chrono::steady_clock::now();
+  ::kill(system.group("far").process(), SIGKILL);
+  system.eventually("noticed", [&] { return system.instance("sink").mode() == "failed"; });
+  EXPECT_LT(std::chrono::steady_clock::now() - killed, std::chrono::milliseconds(200));
+  EXPECT_THAT(system.instance("sink").reason(), HasSubstr("killed by signal 9"));
+}
+
+TEST_P(Processes, DeathOfAGroupIsNoticedThoughAChildOfItsOwnHoldsItsSocket) {
+  system.load_client("sink", "sink", "leave_child=true");
+  const auto killed = std::chrono::steady_clock::now();
+  ::kill(system.group("far").process(), SIGKILL);
+  system.eventually("noticed", [&] { return system.instance("sink").mode() == "failed"; });
+  EXPECT_LT(std::chrono::steady_clock::now() - killed, std::chrono::milliseconds(200));
+}
+
+TEST_P(Processes, ClientThatDiesLeavesNothingAtItsProviderInAnotherGroup) {
+  system.load_in("near", "source", "source", "period_ms=1");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("received", [&] { return system.port("sink.each").messages() > 5; });
+  EXPECT_EQ(system.group("near").links().peers(), 1U);
+  ::kill(system.group("far").process(), SIGKILL);
+  system.eventually("noticed", [&] { return system.instance("sink").mode() == "failed"; });
+  system.eventually("let go", [&] { return system.group("near").links().peers() == 0; });
+  const auto sent = system.group("near").links().sent_bytes();
+  const auto put = system.port("source.newest").messages();
+  system.eventually("it goes on", [&] { return system.port("source.newest").messages() > put + 20; });
+  EXPECT_EQ(system.group("near").links().sent_bytes(), sent) << "to nobody";
+}
+
+TEST_P(Processes, ProviderThatDiesIsLostToItsClientInAnotherGroup) {
+  system.load_in("near", "source", "source", "period_ms=1");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("received", [&] { return system.port("sink.each").messages() > 5; });
+  const auto killed = std::chrono::steady_clock::now();
+  ::kill(system.group("near").process(), SIGKILL);
+  system.eventually("lost", [&] { return system.port("sink.each").connection() == control::LOST; });
+  EXPECT_LT(std::chrono::steady_clock::now() - killed, std::chrono::milliseconds(200));
+}
+
+TEST_P(Processes, RequestAboveTheCapOfALinkEndsWithASentence) {
+  system.load_provider("answerer", "answerer");
+  system.load_client("asker", "asker", "count=3 payload=80000000");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("asker.echo", "answerer.echo");
+  const auto end = system.wait_for(outcome, [](const auto& one) { return one.value() != static_cast<double>(Outcome::Unwired); });
+  EXPECT_EQ(end.value(), static_cast<double>(Outcome::Rejected));
+  EXPECT_EQ(end.payload(), "the message is larger than a link carries (64 MiB)");
+}
+
+TEST_P(Processes, GroupThatWouldUseUpTheDescriptorsIsRefusedInASentence) {
+  rlimit before{};
+  ::getrlimit(RLIMIT_NOFILE, &before);
+  const rlimit small{110, before.rlim_max};
+  ::setrlimit(RLIMIT_NOFILE, &small);
+  std::string refusal;
+  int made = 0;
+  try {
+    for (; made < 40; ++made) system.load_in("group" + std::to_string(made), "sink", "sink" + std::to_string(made));
+  } catch (const Error& error) {
+    refusal = error.what();
+  }
+  ::setrlimit(RLIMIT_NOFILE, &before);
+  EXPECT_GE(made, 2);
+  EXPECT_THAT(refusal, HasSubstr("another group would bring the host to the end of its descriptors"));
+  EXPECT_THAT(refusal, HasSubstr("ulimit -n"));
+  for (int i = 0; i < made; ++i) EXPECT_EQ(system.instance("sink" + std::to_string(i)).mode(), "active");
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Processes, testing::Values(Transport::Ipc),
+                         [](const auto& one) { return to_string(one.param); });
+
+}  // namespace
+}  // namespace fiona::conformance

@@ -1,0 +1,334 @@
+// Probes and those who watch them (docs/patterns.md, Monitoring), in the host's process and in a group.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <csignal>
+#include <future>
+
+#include "fiona/error.hpp"
+#include "fiona/hull_probes.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+
+control::Watch when(control::Comparison comparison, double value, const std::string& field = "") {
+  control::Watch watch;
+  auto& condition = *watch.mutable_condition();
+  condition.set_field(field);
+  condition.mutable_compared()->set_comparison(comparison);
+  condition.mutable_compared()->mutable_value()->set_number(value);
+  return watch;
+}
+control::Watch when_older_than(double age_ms) {
+  control::Watch watch;
+  watch.mutable_condition()->set_older_than_ms(age_ms);
+  return watch;
+}
+control::Watch when_it_changes() {
+  control::Watch watch;
+  watch.mutable_condition()->set_changes(true);
+  return watch;
+}
+
+class Monitoring : public testing::TestWithParam<Transport> {
+ protected:
+  void SetUp() override { system.load_client("gauge", "gauge", "level=1"); }
+
+  void level(double value) { system.set("gauge", "level=" + std::to_string(value)); }
+  SeenSample next(std::uint64_t watch) {
+    return system.wait_for(watch, [](const auto&) { return true; });
+  }
+  Error refusal(const std::function<void()>& request) {
+    try {
+      request();
+    } catch (const Error& error) {
+      return error;
+    }
+    return Error(ErrorCode::Failed, "it was taken");
+  }
+
+  RunningSystem system{GetParam()};
+};
+
+TEST_P(Monitoring, ProbesOfAComponentAreListedWithTypeUnitAndDoc) {
+  const auto probes = system.instance("gauge").probes();
+  std::vector<std::string> listed;
+  for (const auto& one : probes) listed.push_back(one.name() + " " + one.type() + " " + one.unit());
+  EXPECT_THAT(listed, testing::ElementsAre("level double m", "count int64 ", "open bool ", "word string ",
+                                           "report fiona.test.Sample ", "silent double s"));
+  EXPECT_EQ(probes[0].doc(), "how high it stands");
+  EXPECT_EQ(probes[0].value(), "1");
+  EXPECT_EQ(probes[2].value(), "true");
+}
+
+TEST_P(Monitoring, ProbeIsReadOnceAlsoWhenNobodyWatches) {
+  level(2.5);
+  EXPECT_EQ(system.read("gauge.level").value(), 2.5);
+  EXPECT_EQ(system.read("gauge.level").unit, "m");
+  EXPECT_EQ(system.read("gauge.report").value(), 2.5);
+}
+
+TEST_P(Monitoring, ProbeThatWasNeverSetHasNoValue) {
+  EXPECT_FALSE(system.read("gauge.silent").has_value);
+  EXPECT_EQ(system.instance("gauge").probes(5).age_ms(), -1);
+}
+
+TEST_P(Monitoring, HullProbesNeedNoCooperation) {
+  system.load_provider("source", "source", "period_ms=2");
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("a rate", [&] { return system.read("sink.each.rate").value() > 0; });
+  for (const HullProbe& one : hull_probes()) {
+    const std::string of = one.of == HullProbe::Of::Port ? "each." : one.of == HullProbe::Of::Task ? "poller." : "";
+    const auto value = system.read("sink." + of + std::string(one.name));
+    EXPECT_TRUE(value.has_value) << one.name;
+    EXPECT_EQ(value.unit, one.unit) << one.name;
+  }
+  EXPECT_EQ(system.read("sink.mode").payload(), "active");
+  EXPECT_GT(system.read("sink.poller.runs").value(), 0);
+  EXPECT_LT(system.read("sink.each.age").value(), 10'000);
+}
+
+TEST_P(Monitoring, HullProbesAreTheCountersThatShowPrints) {
+  system.load_provider("source", "source", "period_ms=1");
+  system.load_client("sink", "sink", "neutral");
+  system.wire("sink.each", "source.newest");
+  system.eventually("not active", [&] { return system.read("sink.each.not_active").value() > 3; });
+  system.state("source", "neutral");
+  system.eventually("the same", [&] {
+    return system.read("sink.poller.runs").value() == static_cast<double>(system.instance("sink").tasks(0).runs());
+  });
+  EXPECT_EQ(system.read("sink.each.dropped").value(), static_cast<double>(system.port("sink.each").dropped()));
+}
+
+TEST_P(Monitoring, PushModeGivesTheValueOfNowAndThenEach) {
+  const auto watch = system.watch("gauge.level");
+  EXPECT_EQ(next(watch).value(), 1);
+  level(2);
+  level(2);
+  level(3);
+  EXPECT_EQ(next(watch).value(), 2);
+  EXPECT_EQ(next(watch).value(), 2);
+  EXPECT_EQ(next(watch).value(), 3);
+}
+
+TEST_P(Monitoring, PrescalePassesEachNthValue) {
+  control::Watch each_third;
+  each_third.set_prescale(3);
+  const auto watch = system.watch("gauge.level", each_third);
+  for (int i = 2; i <= 7; ++i) level(i);
+  EXPECT_EQ(next(watch).value(), 1);
+  EXPECT_EQ(next(watch).value(), 4);
+  EXPECT_EQ(next(watch).value(), 7);
+}
+
+TEST_P(Monitoring, MinimumPeriodSkipsCountedAndKeepsTheNewest) {
+  control::Watch slowly;
+  slowly.set_min_period_ms(100);
+  const auto watch = system.watch("gauge.count", slowly);
+  system.set("gauge", "burst=1000 go=1");
+  const auto last = system.wait_for(watch, [](const auto& one) { return one.value() == 1000; });
+  EXPECT_EQ(last.counted + last.skipped, 1000U);
+  EXPECT_LT(last.counted, 100U);
+}
+
+TEST_P(Monitoring, AboveTellsWhenItBecomesTrueAndAgainAfterItWasFalse) {
+  const auto watch = system.watch("gauge.level", when(control::GREATER, 3));
+  for (const double value : {2.0, 3.0, 3.5, 4.0, 2.0, 2.5, 5.0, 6.0}) level(value);
+  EXPECT_EQ(next(watch).value(), 3.5);
+  EXPECT_EQ(next(watch).value(), 5);
+  level(1);
+  level(7);
+  EXPECT_EQ(next(watch).value(), 7);
+}
+
+TEST_P(Monitoring, BelowTellsWhenItBecomesTrueAndAgainAfterItWasFalse) {
+  const auto watch = system.watch("gauge.level", when(control::LESS, 0));
+  for (const double value : {-1.0, -2.0, 0.0, -3.0}) level(value);
+  EXPECT_EQ(next(watch).value(), -1);
+  EXPECT_EQ(next(watch).value(), -3);
+}
+
+TEST_P(Monitoring, ConditionThatHoldsAlreadyTellsAtOnce) {
+  level(9);
+  EXPECT_EQ(next(system.watch("gauge.level", when(control::GREATER, 3))).value(), 9);
+}
+
+TEST_P(Monitoring, ConditionOfAnObjectNamesAField) {
+  const auto watch = system.watch("gauge.report", when(control::GREATER, 3, "value"));
+  level(2);
+  level(4);
+  EXPECT_EQ(next(watch).value(), 4);
+}
+
+TEST_P(Monitoring, ConditionTakesTheUnitsOfTheProbe) {
+  auto above = when(control::GREATER, 300);
+  above.mutable_condition()->mutable_compared()->mutable_value()->set_unit("cm");
+  const auto watch = system.watch("gauge.level", above);
+  level(2.9);
+  level(3.1);
+  EXPECT_EQ(next(watch).value(), 3.1);
+}
+
+TEST_P(Monitoring, ChangesTellsEachValueThatDiffersFromTheOneBefore) {
+  const auto watch = system.watch("gauge.level", when_it_changes());
+  for (const double value : {1.0, 2.0, 2.0, 2.0, 1.0}) level(value);
+  EXPECT_EQ(next(watch).value(), 2);
+  EXPECT_EQ(next(watch).value(), 1);
+}
+
+TEST_P(Monitoring, AgeTellsOnceWhenNothingNewHasComeForSoLong) {
+  const auto watch = system.watch("gauge.level", when_older_than(20));
+  EXPECT_EQ(next(watch).value(), 1);
+  level(2);
+  EXPECT_EQ(next(watch).value(), 2);
+  EXPECT_EQ(next(system.watch("gauge.silent", when_older_than(20))).has_value, false);
+}
+
+TEST_P(Monitoring, ConditionsWorkOnPortsToo) {
+  system.load_provider("source", "source", "period_ms=2 count=20");
+  const auto above = system.watch("source.last", when(control::GREATER, 10, "number"));
+  EXPECT_EQ(next(above).number(), 11U);
+  const auto silent = system.watch("source.last", when_older_than(50));
+  EXPECT_EQ(next(silent).number(), 20U);
+}
+
+TEST_P(Monitoring, DetachEndsIt) {
+  const auto watch = system.watch("gauge.level");
+  const auto other = system.watch("gauge.level");
+  next(watch);
+  system.system().untap(watch);
+  level(2);
+  system.wait_for(other, [](const auto& one) { return one.value() == 2; });
+  EXPECT_TRUE(system.take(watch).empty());
+}
+
+TEST_P(Monitoring, AttachingNeverDisturbsTheComponent) {
+  std::vector<std::uint64_t> watches;
+  for (int i = 0; i < 4; ++i) watches.push_back(system.watch("gauge.count"));
+  const auto fails = system.watch("gauge.report", when(control::GREATER, 3, "payload"));
+  system.set("gauge", "burst=2000 go=1");
+  EXPECT_EQ(system.instance("gauge").mode(), "active");
+  for (const auto watch : watches) {
+    const auto last = system.wait_for(watch, [](const auto& one) { return one.value() == 2000; });
+    EXPECT_EQ(last.sequence, 2000U);
+  }
+  EXPECT_THAT(system.end_of(fails).what(), HasSubstr("'payload' does not compare with this value"));
+}
+
+TEST_P(Monitoring, EventIsNeverDroppedSilently) {
+  const auto watch = system.watch("gauge.count", when_it_changes());
+  system.set("gauge", "burst=60000 go=1");
+  std::uint64_t seen = 0;
+  SeenSample last;
+  system.eventually("the end of the burst", [&] {
+    for (const auto& one : system.take(watch)) {
+      ++seen;
+      EXPECT_GT(one.counted, last.counted);
+      last = one;
+    }
+    if (last.counted == 59'999) return true;
+    // What did not fit was the end of it: the next event shows the gap.
+    if (system.read("gauge.count").value() == 60'000 && last.counted > 0) system.set("gauge", "burst=1 go=2");
+    return last.counted > 59'999;
+  });
+  EXPECT_LE(seen, last.counted);
+}
+
+TEST_P(Monitoring, WorksInEveryLifeCycleState) {
+  for (const std::string mode : {"neutral", "deactivated", "active"}) {
+    system.state("gauge", mode);
+    EXPECT_EQ(system.read("gauge.level").value(), 1) << mode;
+    EXPECT_EQ(next(system.watch("gauge.level")).value(), 1) << mode;
+    EXPECT_EQ(next(system.watch("gauge.mode")).payload(), mode);
+  }
+  const auto mode = system.watch("gauge.mode", when_it_changes());
+  const auto error = system.watch("gauge.last_error", when_it_changes());
+  system.set("gauge", "fail_with=worn");
+  EXPECT_EQ(next(mode).payload(), "failed");
+  EXPECT_EQ(next(error).payload(), "worn");
+  EXPECT_EQ(system.read("gauge.level").value(), 1);
+  EXPECT_EQ(next(system.watch("gauge.level")).value(), 1);
+  EXPECT_EQ(next(system.watch("gauge.handler_time")).unit, "ms");
+}
+
+TEST_P(Monitoring, HandlerThatHangsIsSeenFromOutside) {
+  system.load_provider("source", "source", "period_ms=1");
+  system.load_client("sink", "sink", "work_ms=300");
+  const auto waiting = system.watch("sink.each.queue_depth", when(control::GREATER, 20));
+  system.wire("sink.each", "source.newest");
+  EXPECT_GT(next(waiting).value(), 20);
+}
+
+TEST_P(Monitoring, HullSamplesOnlyAsOftenAsItIsAsked) {
+  control::Watch often;
+  often.set_min_period_ms(10);
+  const auto slow = system.watch("gauge.queue_depth");
+  const auto fast = system.watch("gauge.queue_depth", often);
+  system.wait_for(slow, [](const auto& one) { return one.counted == 3; });
+  const auto fast_samples = system.take(fast);
+  ASSERT_FALSE(fast_samples.empty());
+  EXPECT_GT(fast_samples.back().counted, 8U);
+}
+
+TEST_P(Monitoring, WatcherIsToldThatTheInstanceWasUnloaded) {
+  const auto watch = system.watch("gauge.level");
+  const auto sampled = system.watch("gauge.handler_time");
+  system.unload("gauge");
+  EXPECT_EQ(system.end_of(watch).what(), "'gauge' was unloaded");
+  EXPECT_EQ(system.end_of(sampled).what(), "'gauge' was unloaded");
+}
+
+TEST_P(Monitoring, ExpectIsMetByTheValueOfNow) {
+  control::Expect request;
+  request.mutable_port()->set_instance("gauge");
+  request.mutable_port()->set_port("level");
+  request.set_comparison(control::GREATER_OR_EQUAL);
+  request.mutable_value()->set_number(1);
+  request.set_within_ms(5000);
+  std::promise<control::Reply> answered;
+  control::Watch watch;
+  *watch.mutable_port() = request.port();
+  const auto tap = system.system().new_tap();
+  const auto expected = system.system().expected(request);
+  system.system().waits().expect(1, 1, expected, tap, [&] { system.system().tap(tap, watch); },
+                                 [&](control::Reply reply) { answered.set_value(std::move(reply)); });
+  auto answer = answered.get_future();
+  system.eventually("met", [&] { return answer.wait_for(0s) == std::future_status::ready; });
+  EXPECT_EQ(answer.get().met().seen(), "1");
+}
+
+TEST_P(Monitoring, UnknownProbeGetsTheNearest) {
+  const Error error = refusal([&] { system.watch("gauge.levle"); });
+  EXPECT_EQ(error.code(), ErrorCode::NotFound);
+  EXPECT_EQ(error.text().what, "'gauge' has no port or probe 'levle'");
+  EXPECT_EQ(error.text().near.front(), "level");
+}
+
+TEST_P(Monitoring, WhatTheHullReadsIsNeverOld) {
+  const Error error = refusal([&] { system.watch("gauge.handler_time", when_older_than(20)); });
+  EXPECT_EQ(error.text().what, "gauge.handler_time is never old: the hull reads it when it is asked");
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Monitoring, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
+                         [](const auto& one) { return to_string(one.param); });
+
+TEST(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {
+  RunningSystem system(Transport::Ipc);
+  system.load_client("gauge", "gauge", "level=1");
+  const auto watch = system.watch("gauge.level");
+  const auto groups = system.system().snapshot().groups();
+  for (const auto& group : groups) {
+    if (group.name() == "far") ::kill(group.process(), SIGKILL);
+  }
+  EXPECT_THAT(system.end_of(watch).what(), HasSubstr("group 'far' killed by signal 9"));
+  EXPECT_THAT([&] { system.watch("gauge.level"); },
+              testing::ThrowsMessage<Error>(HasSubstr("'gauge' is lost: group 'far' killed by signal 9")));
+}
+
+}  // namespace
+}  // namespace fiona::conformance

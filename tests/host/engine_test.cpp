@@ -1,0 +1,318 @@
+// Transactions: all or nothing, taken back, planned, and remembered beyond the death of the process.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+
+#include "engine.hpp"
+#include "fiona/error.hpp"
+#include "mailbox.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::host {
+namespace {
+
+using conformance::RunningSystem;
+using conformance::TemporaryDirectory;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+control::PortName port_name(const std::string& text) {
+  return port_of({text.substr(0, text.find('.')), text.substr(text.find('.') + 1)});
+}
+
+control::Change load(const std::string& component, const std::string& name, const std::string& group = "") {
+  control::Change change;
+  change.mutable_load()->set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
+  change.mutable_load()->set_instance(name);
+  change.mutable_load()->set_group(group);
+  return change;
+}
+
+control::Change unload(const std::string& name) {
+  control::Change change;
+  change.mutable_unload()->set_instance(name);
+  return change;
+}
+
+control::Change wire(const std::string& client, const std::string& provider) {
+  control::Change change;
+  *change.mutable_wire()->mutable_client() = port_name(client);
+  *change.mutable_wire()->mutable_provider() = port_name(provider);
+  return change;
+}
+
+control::Change unwire(const std::string& client) {
+  control::Change change;
+  *change.mutable_unwire()->mutable_client() = port_name(client);
+  return change;
+}
+
+control::Change set(const std::string& name, const std::string& parameter, std::int64_t value) {
+  control::Change change;
+  change.mutable_set()->set_instance(name);
+  auto& argument = *change.mutable_set()->add_parameters();
+  argument.set_name(parameter);
+  argument.mutable_value()->set_integer(value);
+  return change;
+}
+
+control::Change state(const std::string& name, const std::string& mode) {
+  control::Change change;
+  change.mutable_state()->set_instance(name);
+  change.mutable_state()->set_mode(mode);
+  return change;
+}
+
+control::Change swap(const std::string& old, const std::string& next) {
+  control::Change change;
+  change.mutable_replace()->set_old(old);
+  change.mutable_replace()->set_next(next);
+  return change;
+}
+
+/// A step as the tests compare it: "wire sink.each to source.newest".
+std::string text(const control::Change& change) {
+  if (change.has_load()) return "load " + change.load().instance();
+  if (change.has_unload()) return "unload " + change.unload().instance();
+  if (change.has_wire()) return "wire " + text_of(change.wire().client()) + " to " + text_of(change.wire().provider());
+  if (change.has_unwire()) return "unwire " + text_of(change.unwire().client());
+  if (change.has_set()) return "set " + change.set().instance() + " " + change.set().parameters(0).name();
+  return "state " + change.state().instance() + " " + change.state().mode();
+}
+
+template <class List>
+std::vector<std::string> texts(const List& changes) {
+  std::vector<std::string> all;
+  for (const auto& change : changes) all.push_back(text(change));
+  return all;
+}
+
+class Transactions : public testing::TestWithParam<conformance::Transport> {
+ protected:
+  control::Reply transact(const std::vector<control::Change>& changes, bool whole = false, bool dry_run = false) {
+    control::Transact request;
+    request.mutable_changes()->Add(changes.begin(), changes.end());
+    request.set_whole(whole);
+    request.set_dry_run(dry_run);
+    return answer_of([&](Waits::Answer answer) { engine.transact("test", request, std::move(answer)); });
+  }
+  control::Reply undo(bool dry_run = false) {
+    control::Undo request;
+    request.set_dry_run(dry_run);
+    return answer_of([&](Waits::Answer answer) { engine.undo("test", request, std::move(answer)); });
+  }
+  control::Reply answer_of(const std::function<void(Waits::Answer)>& ask) {
+    std::optional<control::Reply> answered;
+    ask([&answered](const control::Reply& reply) { answered = reply; });
+    system.eventually("the answer", [&] {
+      for (const auto& job : work.take()) job();
+      return answered.has_value();
+    });
+    return *answered;
+  }
+  void make(const std::vector<control::Change>& changes) {
+    const auto reply = transact(changes);
+    ASSERT_TRUE(reply.has_done()) << reply.failure().what();
+  }
+  /// The steps that would make the running system out of nothing: what it is.
+  std::vector<std::string> whole() { return texts(Model::difference(Model(), system.system().model())); }
+  std::string group() const { return GetParam() == conformance::Transport::Process ? "" : "far"; }
+
+  TemporaryDirectory directory;
+  RunningSystem system{GetParam()};
+  Mailbox<std::function<void()>> work;
+  Engine engine{system.system(), directory.path / "journal", [this](std::function<void()> job) { work.push(std::move(job)); }};
+};
+
+TEST_P(Transactions, AllChangesAreMadeInTheirOrder) {
+  const auto reply = transact({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
+                               set("source", "payload", 7), state("source", "neutral")});
+  ASSERT_TRUE(reply.has_done()) << reply.failure().what();
+  EXPECT_EQ(reply.done().note(), "5 changes");
+  EXPECT_EQ(system.instance("source").mode(), "neutral");
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+}
+
+TEST_P(Transactions, OneThatCannotBeIsRefusedBeforeTheFirstIsMade) {
+  const auto reply = transact({load("source", "source"), wire("sink.each", "source.newest")});
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().change(), 2U);
+  EXPECT_EQ(reply.failure().what(), "there is no instance 'sink'");
+  EXPECT_EQ(system.system().snapshot().instances_size(), 0);
+  EXPECT_EQ(engine.journal(0).entries_size(), 0);
+}
+
+TEST_P(Transactions, OneThatFailsWhileItIsMadeTakesBackThoseBeforeIt) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), wire("sink.each", "one.newest")});
+  const auto before = whole();
+  const auto reply = transact({wire("sink.each", "two.newest"), set("one", "payload", 9), load("source", "three"),
+                               state("one", "neutral"), state("two", "no-such-mode")});
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().change(), 5U);
+  EXPECT_THAT(reply.failure().what(), HasSubstr("no-such-mode"));
+  EXPECT_EQ(whole(), before);
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "one");
+  EXPECT_EQ(system.instance("one").mode(), "active");
+  EXPECT_EQ(system.instance("one").set_parameters_size(), 0);
+  EXPECT_EQ(engine.journal(1).entries(0).state(), control::JournalEntry::ROLLED_BACK);
+}
+
+TEST_P(Transactions, UndoTakesBackOneAfterTheOther) {
+  make({load("source", "source")});
+  make({load("sink", "sink", group()), wire("sink.each", "source.newest")});
+  make({set("source", "payload", 9)});
+  make({unwire("sink.each")});
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_THAT(whole(), ElementsAre("load source", "load sink", "wire sink.each to source.newest"));
+  EXPECT_EQ(system.instance("source").set_parameters_size(), 1);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.instance("source").set_parameters_size(), 0);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_THAT(whole(), ElementsAre("load source"));
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_THAT(whole(), ElementsAre());
+  try {
+    undo();
+    FAIL() << "something was undone";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "there is nothing to undo");
+  }
+}
+
+TEST_P(Transactions, UndoOfAnUnloadGivesTheInstanceBackWithItsWiresParametersAndMode) {
+  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
+        set("source", "payload", 9), state("source", "neutral")});
+  make({unload("source")});
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+  EXPECT_EQ(system.instance("source").mode(), "neutral");
+  EXPECT_EQ(system.instance("source").set_parameters(0).value().integer(), 9);
+}
+
+TEST_P(Transactions, PlanShowsTheStepsAndWhatTakesThemBackAndChangesNothing) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), wire("sink.each", "one.newest"),
+        wire("sink.newest", "one.newest")});
+  const auto before = whole();
+  const auto reply = transact({swap("one", "two"), unload("one")}, false, true);
+  ASSERT_TRUE(reply.has_planned()) << reply.failure().what();
+  EXPECT_THAT(texts(reply.planned().steps()),
+              ElementsAre("wire sink.each to two.newest", "wire sink.newest to two.newest", "unload one"));
+  EXPECT_THAT(texts(reply.planned().reverse()),
+              ElementsAre("load one", "wire sink.each to one.newest", "wire sink.newest to one.newest"));
+  EXPECT_THAT(reply.planned().warnings(0), HasSubstr("what 'one' knows is lost"));
+  EXPECT_EQ(whole(), before);
+}
+
+TEST_P(Transactions, SwapMovesAllClientsAndTellsWhatItCost) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), load("sink", "other"),
+        wire("sink.each", "one.newest"), wire("other.each", "one.newest")});
+  const auto reply = transact({swap("one", "two")});
+  ASSERT_TRUE(reply.has_done()) << reply.failure().what();
+  EXPECT_EQ(reply.done().switched(), 2U);
+  EXPECT_EQ(reply.done().lost(), 0U);
+  EXPECT_EQ(system.port("one.newest").clients_size(), 0);
+  EXPECT_EQ(system.port("two.newest").clients_size(), 2);
+}
+
+TEST_P(Transactions, SwapToWhatDoesNotFitChangesNothingAndSaysWhy) {
+  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"), load("asker", "asker")});
+  const auto reply = transact({swap("source", "asker")});
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().what(), "'asker' has no port for SampleNewest of source.newest");
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "source");
+}
+
+TEST_P(Transactions, WholeMakesTheSystemEqualWithTheFewestSteps) {
+  const std::vector<control::Change> old = {load("source", "one"), load("source", "two"), load("sink", "sink", group()),
+                                            wire("sink.each", "one.newest"), set("one", "payload", 3)};
+  make(old);
+  const std::vector<control::Change> wanted = {load("source", "one"), load("sink", "sink", group()), load("sink", "more"),
+                                               wire("sink.newest", "one.newest"), wire("more.each", "one.newest")};
+  const auto planned = transact(wanted, true, true);
+  EXPECT_THAT(texts(planned.planned().steps()),
+              ElementsAre("unwire sink.each", "unload two", "load more", "set one payload", "wire more.each to one.newest",
+                          "wire sink.newest to one.newest"));
+  ASSERT_TRUE(transact(wanted, true).has_done());
+  EXPECT_EQ(transact(wanted, true).done().note(), "nothing to change");
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(transact(old, true, true).planned().steps_size(), 0);
+}
+
+TEST_P(Transactions, ManyAtOnceAreMadeInTheirOrderAndEachIsAnswered) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group())});
+  std::vector<control::Reply> answers;
+  for (int i = 0; i < 20; ++i) {
+    control::Transact request;
+    *request.add_changes() = wire("sink.each", i % 2 == 0 ? "one.newest" : "two.newest");
+    *request.add_changes() = state("one", i % 2 == 0 ? "neutral" : "active");
+    engine.transact("test", request, [&](const control::Reply& reply) { answers.push_back(reply); });
+  }
+  system.eventually("all answers", [&] {
+    for (const auto& job : work.take()) job();
+    return answers.size() == 20;
+  });
+  for (const auto& answer : answers) EXPECT_TRUE(answer.has_done()) << answer.failure().what();
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "two");
+  EXPECT_EQ(system.instance("one").mode(), "active");
+}
+
+TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
+  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"), set("source", "payload", 9)});
+  make({load("source", "spare")});
+  EXPECT_TRUE(undo().has_done());
+  // What a killed process leaves is what has been written: read beside the one that lives.
+  const auto changes = Journal::read(directory.path / "journal");
+  Model restored;
+  for (const auto& change : changes) restored.make(change, system.system().packages());
+  EXPECT_TRUE(Model::difference(restored, system.system().model()).empty());
+  EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
+}
+
+TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeIt) {
+  make({load("source", "source")});
+  make({load("source", "spare")});
+  std::ifstream stream(directory.path / "journal", std::ios::binary);
+  const std::string whole_text{std::istreambuf_iterator<char>(stream), {}};
+  std::size_t last = 3;
+  for (std::size_t size = whole_text.size(); size-- > 0;) {
+    std::ofstream(directory.path / "cut", std::ios::binary) << whole_text.substr(0, size);
+    const auto changes = texts(Journal::read(directory.path / "cut"));
+    ASSERT_LE(changes.size(), last);
+    last = changes.size();
+    ASSERT_TRUE(changes.empty() || changes.front() == "load source");
+  }
+  EXPECT_EQ(last, 0U);
+  for (std::size_t at = 0; at < whole_text.size(); at += 7) {
+    std::string damaged = whole_text;
+    damaged[at] ^= 0x10;
+    std::ofstream(directory.path / "cut", std::ios::binary) << damaged;
+    ASSERT_LE(Journal::read(directory.path / "cut").size(), 2U);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Over, Transactions, testing::Values(conformance::Transport::Process, conformance::Transport::Ipc),
+                         [](const auto& tested) { return to_string(tested.param); });
+
+TEST(Engine, ChangesThatWaitAreBounded) {
+  TemporaryDirectory directory;
+  RunningSystem system;
+  Mailbox<std::function<void()>> work;
+  Engine engine(system.system(), directory.path / "journal", [&](std::function<void()> job) { work.push(std::move(job)); });
+  system.load_provider("source", "source");
+  control::Transact request;
+  *request.add_changes() = state("source", "neutral");
+  *request.add_changes() = state("source", "active");
+  for (std::size_t i = 0; i <= Engine::kMaxWaiting; ++i) engine.transact("test", request, [](const control::Reply&) {});
+  try {
+    engine.transact("test", request, [](const control::Reply&) {});
+    FAIL() << "it was taken";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
+    EXPECT_EQ(error.text().what, "256 changes wait already");
+  }
+}
+
+}  // namespace
+}  // namespace fiona::host

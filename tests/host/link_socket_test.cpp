@@ -1,0 +1,205 @@
+// What a link lets in, and what it refuses and counts, seen by a peer by hand.
+#include <google/protobuf/wrappers.pb.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "link_keys.hpp"
+#include "link_socket.hpp"
+#include "raw_peer.hpp"
+
+namespace fiona::host {
+namespace {
+
+using google::protobuf::BytesValue;
+using testing::ElementsAre;
+
+const std::string kKey(kKeyBytes, 'k');
+
+/// Whether it came true within five seconds.
+template <class F>
+bool eventually(F fits) {
+  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(5);
+  while (!fits()) {
+    if (std::chrono::steady_clock::now() > end) return false;
+    std::this_thread::yield();
+  }
+  return true;
+}
+
+struct Noted final : LinkSocket::Receiver {
+  bool accepts(const std::string&, const wire::Frame&) override { return true; }
+  void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
+    const std::lock_guard lock(mutex);
+    wires.push_back(frame.wire());
+    bytes += object.size();
+  }
+  void on_refused(const std::string& reason) override {
+    const std::lock_guard lock(mutex);
+    refusal = reason;
+  }
+  std::vector<std::uint64_t> seen() {
+    const std::lock_guard lock(mutex);
+    return wires;
+  }
+
+  std::mutex mutex;
+  std::vector<std::uint64_t> wires;
+  std::size_t bytes = 0;
+  std::string refusal;
+};
+
+class ProvingLink : public testing::Test {
+ protected:
+  ProvingLink() { link.listen("inproc://link", kKey); }
+  ~ProvingLink() override { link.stop(); }
+
+  wire::Frame frame_of(std::uint64_t wire) {
+    wire::Frame frame;
+    frame.set_wire(wire);
+    frame.mutable_object()->set_sequence(1);
+    return frame;
+  }
+  LinkSocket::Sent put(const LinkSocket::Lane& lane, std::uint64_t wire, std::size_t payload) {
+    auto object = std::make_shared<BytesValue>();
+    object->mutable_value()->assign(payload, 'x');
+    wire::Frame frame = frame_of(wire);
+    return link.send(lane, frame, object, LinkSocket::Rule::MustFit);
+  }
+
+  Noted noted;
+  LinkCounters counters;
+  zmq::context_t context;
+  Pool pool{2};
+  LinkSocket link{pool, context, zmq::socket_type::router, counters, noted};
+};
+
+TEST_F(ProvingLink, HearsAPeerThatKnowsTheKey) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  peer.send(frame_of(7));
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 1; }));
+  EXPECT_THAT(noted.seen(), ElementsAre(7));
+  EXPECT_EQ(link.process_of("peer"), "peer");
+}
+
+TEST_F(ProvingLink, DropsAndCountsWhatComesBeforeTheProof) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.send(frame_of(7));
+  peer.send(RawPeer::Message{"nonsense"});
+  EXPECT_TRUE(eventually([&] { return counters.unproven == 2; }));
+  EXPECT_EQ(link.peers(), 0U);
+  EXPECT_TRUE(noted.seen().empty());
+}
+
+TEST_F(ProvingLink, RefusesAProofThatWasMadeWithAnotherKey) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(std::string(kKeyBytes, 'w'));
+  peer.send(frame_of(7));
+  EXPECT_TRUE(eventually([&] { return counters.unproven == 2; })) << "the proof, and the frame behind it";
+  EXPECT_EQ(link.peers(), 0U);
+}
+
+TEST_F(ProvingLink, KeyOfOneNameDoesNotProveAnother) {
+  RawPeer peer(context, "inproc://link", "peer");
+  wire::Frame proof;
+  proof.mutable_proof()->set_client("other");
+  proof.mutable_proof()->set_nonce(std::string(kNonceBytes, 'n'));
+  proof.mutable_proof()->set_proof(link_proof(link_key(kKey, "peer"), LinkSide::Client, std::string(kNonceBytes, 'n'), ""));
+  peer.send(proof);
+  EXPECT_TRUE(eventually([&] { return counters.unproven == 1; }));
+  EXPECT_EQ(link.peers(), 0U);
+}
+
+TEST_F(ProvingLink, ClientTurnsAwayFromAProviderThatDoesNotKnowItsKey) {
+  Noted client_noted;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
+  client.connect("inproc://link", "peer", link_key(std::string(kKeyBytes, 'w'), "peer"));
+  EXPECT_TRUE(eventually([&] {
+    const std::lock_guard lock(client_noted.mutex);
+    return client_noted.refusal == "the process that listens there does not know the system's key";
+  }));
+  EXPECT_EQ(client.peers(), 0U);
+  EXPECT_EQ(link.peers(), 0U);
+  client.stop();
+}
+
+TEST_F(ProvingLink, CarriesSmallAndLargeObjectsBetweenTwoOfItsKind) {
+  const std::string endpoint = "ipc://@fiona-link-test-" + std::to_string(::getpid());  // of no file
+  LinkSocket provider(pool, context, zmq::socket_type::router, counters, noted);
+  provider.listen(endpoint, kKey);
+  Noted client_noted;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
+  client.connect(endpoint, "peer", link_key(kKey, "peer"));
+  const auto lane = client.open_lane("");
+  std::size_t bytes = 0;
+  for (const std::size_t size : {64UL, 300'000UL, 64UL, 8'000'000UL}) {
+    auto object = std::make_shared<BytesValue>();
+    object->mutable_value()->assign(size, 'x');
+    bytes += object->ByteSizeLong();
+    wire::Frame frame = frame_of(size);
+    // The largest one waits for the lane to be empty.
+    EXPECT_TRUE(eventually([&] {
+      return client.send(lane, frame, object, LinkSocket::Rule::MustFit).what == LinkSocket::Sent::What::Ok;
+    }));
+  }
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 4; }));
+  EXPECT_THAT(noted.seen(), ElementsAre(64, 300'000, 64, 8'000'000)) << "in order";
+  EXPECT_EQ(noted.bytes, bytes);
+  client.stop();
+  provider.stop();
+}
+
+TEST_F(ProvingLink, HoldsTwoChunksInsideZeroMqAtMostSoThatASmallMessageComesRightBehindThem) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
+  const auto large = link.open_lane("peer");
+  const auto small = link.open_lane("peer");
+  put(large, 1, 8 * kChunkBytes);
+  const auto inside = counters.sent_messages.load();
+  EXPECT_LE(inside, 2U) << "the peer has read none yet";
+  put(small, 2, 64);
+  std::uint64_t before = 0;
+  while (peer.receive().wire() != 2) ++before;
+  EXPECT_LE(before, inside + 1);
+  EXPECT_GE(before, 1U);
+}
+
+TEST_F(ProvingLink, CountsWhatIsGarbledAndGoesOn) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  peer.send(RawPeer::Message{"nonsense"});
+  peer.send(RawPeer::Message{std::string_view("\xff\xff\xff\xff\0\0\0\0", 8)});
+  peer.send(RawPeer::Message{"a", "b", "c"});
+  peer.send(frame_of(7));
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 1; }));
+  EXPECT_EQ(counters.garbled, 3U);
+}
+
+TEST_F(ProvingLink, RefusesAnObjectAboveTheCapAtTheSender) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
+  const auto sent = put(link.open_lane("peer"), 1, kMaxObject);
+  EXPECT_EQ(sent.what, LinkSocket::Sent::What::TooLarge);
+  EXPECT_EQ(counters.too_large, 1U);
+  EXPECT_EQ(counters.sent_messages, 0U);
+}
+
+TEST_F(ProvingLink, ForgetsAProcessThatIsGone) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
+  link.forget("peer");
+  EXPECT_EQ(link.peers(), 0U);
+  EXPECT_EQ(link.open_lane("peer").peer, nullptr);
+}
+
+}  // namespace
+}  // namespace fiona::host
