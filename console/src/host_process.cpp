@@ -106,6 +106,8 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
                                  fmt::format("{}", kLifelineInHost)};
   if (launch.restore) words.push_back("--restore");
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
+  if (!launch.listen.empty()) words.insert(words.end(), {"--listen", "tcp://" + launch.listen});
+  for (const std::string& peer : launch.peers) words.insert(words.end(), {"--peer", peer});
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);

@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <sys/types.h>
 
@@ -15,6 +16,8 @@ struct HostLaunch {
   std::filesystem::path socket;
   std::string name;
   std::filesystem::path store;  ///< empty: the user's
+  std::string listen{};              ///< "ADDRESS:PORT"; empty: not over tcp
+  std::vector<std::string> peers{};  ///< "NAME=ADDRESS:PORT=KEY"
   bool restore = false;         ///< begins with the system of its last journal
 };
 

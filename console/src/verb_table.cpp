@@ -16,10 +16,10 @@ std::vector<Shape> forms(std::initializer_list<std::string_view> texts) { return
 
 std::vector<Verb> composing_verbs() {
   return {
-      {"load", forms({"load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]"}),
+      {"load", forms({"load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [PARAM=VALUE …]"}),
        "creates an instance of a plugin",
        "PLUGIN is publisher/name, name, name/component where a plugin has several, or the path of a library.\n"
-       "Without `as` the instance has the component's name; without `in` it lives in main; `at` is its first mode.",
+       "Without `as` the instance has the component's name; without `in` it lives in main; in HOST or HOST/GROUP on another host; `at` is its first mode.",
        Access::Compose, verbs::load},
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
@@ -123,13 +123,16 @@ std::vector<Verb> file_verbs() {
        Access::Observe, verbs::check},
       {"run",
        forms(
-           {"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR]"}),
+           {"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR] "
+            "[--listen ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …]"}),
        "starts a host and runs system files in it (from a shell)",
        "In a terminal the prompt follows; --headless lets the system run until it ends, --for T for that long on its "
        "clock.\n"
        "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
-       "4).",
+       "4).\n"
+       "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME. Both "
+       "need keys: keys make.",
        Access::Administer, verbs::run, false},
       {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
        "Replaces the file in one step; a saved system that is run and saved again is the same text.", Access::Compose,
@@ -162,6 +165,11 @@ std::vector<Verb> remaining_verbs() {
        "finds packages and installs them",
        "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.", Access::Administer,
        verbs::market, false},
+      {"keys", forms({"keys", "keys make", "keys show", "keys allow NAME KEY", "keys forget NAME"}),
+       "the key pair of this user's hosts, and which others may connect over tcp",
+       "Without a word: the hosts that may connect. `make` makes the pair, once; `show` prints the key that others are "
+       "given.",
+       Access::Administer, verbs::keys, false},
       {"help", forms({"help [VERB|exit|grammar]"}), "this, or one verb in full", "", Access::Observe, verbs::help},
       {"version", forms({"version"}), "the versions of console and host", "", Access::Observe, verbs::version},
   };

@@ -76,7 +76,8 @@ void ControlServer::poll_once(int lifeline, int signals) {
                             {outgoing_.descriptor(), POLLIN, 0},
                             {lifeline, POLLIN, 0},
                             {signals, POLLIN, 0},
-                            {work_.descriptor(), POLLIN, 0}};
+                            {work_.descriptor(), POLLIN, 0},
+                            {system_.hosts_descriptor(), POLLIN, 0}};
   const std::size_t fixed = waits.size();
   std::vector<std::uint64_t> ids;
   for (const auto& [id, client] : clients_) {
@@ -96,6 +97,9 @@ void ControlServer::poll_once(int lifeline, int signals) {
   for (const auto& event : events_.take()) on_event(event);
   for (const auto& work : work_.take()) work();
   for (auto& [client, reply] : outgoing_.take()) send(client, reply);
+  if (waits[6].revents != 0) {
+    for (const auto& line : system_.serve_hosts()) std::cerr << line << "\n";
+  }
   for (std::size_t i = 0; i < children.size(); ++i) {
     if (waits[fixed + ids.size() + i].revents != 0) system_.serve_group(*children[i]);
   }

@@ -26,6 +26,8 @@ class ControlServer {
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
   /// The exit code of the run.
   int serve(int lifeline, int signals);
+  /// Where it listens for a host that leads; empty: nowhere.
+  std::string listens() const { return system_.listens(); }
 
  private:
   struct Client;

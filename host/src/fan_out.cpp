@@ -52,7 +52,7 @@ Outcome FanOut::send(const Parcel& parcel, std::vector<std::uint64_t>& wires) {
   }
   frame_.mutable_object()->set_sequence(parcel.envelope.sequence);
   frame_.mutable_object()->set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
-  const auto sent = link_.send(lane_, frame_, parcel.envelope.object, LinkSocket::Rule::DropOldest, std::move(also));
+  const auto sent = link_->send(lane_, frame_, parcel.envelope.object, LinkSocket::Rule::DropOldest, std::move(also));
   auto& counters = provider_.counters();
   if (sent.lost > 0) counters.dropped.fetch_add(sent.lost, std::memory_order_relaxed);
   if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;
@@ -69,7 +69,7 @@ void FanOut::lease(bool held, const std::string& reason) {
   }
   frame.mutable_lease()->set_held(held);
   frame.mutable_lease()->set_reason(reason);
-  link_.send(lane_, frame);
+  link_->send(lane_, frame);
 }
 
 }  // namespace fiona::host

@@ -13,9 +13,9 @@ namespace fiona::host {
 /// All wires from one push port to the clients of one process: each message crosses once, and names those it is for.
 class FanOut final : public Sink {
  public:
-  FanOut(LinkSocket& link, LinkSocket::Lane lane, detail::PushProvider& provider)
-      : link_(link), lane_(std::move(lane)), provider_(provider) {}
-  ~FanOut() override { link_.close_lane(lane_); }
+  FanOut(std::shared_ptr<LinkSocket> link, LinkSocket::Lane lane, detail::PushProvider& provider)
+      : link_(std::move(link)), lane_(std::move(lane)), provider_(provider) {}
+  ~FanOut() override { link_->close_lane(lane_); }
 
   const LinkSocket::Lane& lane() const { return lane_; }
   /// [any thread] The wire receives what is put after `sequence`, every `prescale`-th, the first of it included.
@@ -38,7 +38,7 @@ class FanOut final : public Sink {
   };
   Outcome send(const Parcel& parcel, std::vector<std::uint64_t>& wires);
 
-  LinkSocket& link_;
+  const std::shared_ptr<LinkSocket> link_;
   const LinkSocket::Lane lane_;
   detail::PushProvider& provider_;
   mutable std::mutex mutex_;

@@ -31,7 +31,7 @@ class Group {
   virtual bool alive() const = 0;
   /// Its name towards the processes that it opens links to: where it listens, so that what both ends of a link count
   /// can be compared. No other process of the host has had it.
-  std::string link_name() const { return endpoint(); }
+  virtual std::string link_name() const { return endpoint(); }
   /// What its own links are opened with: each peer is given a key that is made of it and the peer's name.
   const std::string& link_key() const { return link_key_; }
   /// [control thread] Tells it that another process has gone; does not wait for it.
@@ -52,6 +52,7 @@ class MainGroup final : public Group {
   std::string endpoint() const override { return runtime_.endpoint(); }
   pid_t process() const override;
   bool alive() const override { return true; }
+  Links& links() { return runtime_.links(); }
   void peer_lost(const wire::PeerLost& gone) override;
   std::map<std::string, FrameCounts> frame_counts() { return runtime_.frame_counts(); }
 

@@ -25,7 +25,7 @@ inline constexpr std::size_t kFrameCost = 64;
 class PeerLanes {
  public:
   enum class Rule {
-    Control,     ///< no object: always taken
+    Control,     ///< always taken: no object, or one that its sender's credit bounds
     MustFit,     ///< refused when the lane is full
     DropOldest,  ///< a full lane loses its oldest, counted
   };
@@ -37,6 +37,7 @@ class PeerLanes {
     std::uint64_t wire = 0;
     std::shared_ptr<const std::vector<std::uint64_t>> also;  ///< further wires
     std::size_t next_chunk = 0;
+    std::shared_ptr<const void> receipt;  ///< goes when the item has, or is dropped
   };
   class Lane;
   struct Taken {

@@ -148,14 +148,43 @@ Payload::Payload(const Object& object) : size_(object.ByteSizeLong()) {
   object.SerializePartialToZeroCopyStream(&writer);
 }
 
-Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size) {
+Payload::Payload(const ObjectBytes& object) : size_(object.size()) {
+  object.each_piece([this](std::string_view piece) {
+    while (!piece.empty()) {
+      Block& chunk = chunks_.emplace_back(std::min(piece.size(), kChunkBytes));
+      std::memcpy(chunk.data(), piece.data(), chunk.size());
+      piece.remove_prefix(chunk.size());
+    }
+  });
+}
+
+namespace {
+
+/// The record with room for the object at its end.
+std::pair<Block, std::uint8_t*> begin_record(const wire::Frame& frame, std::size_t object_size) {
   const std::size_t frame_size = frame.ByteSizeLong();
   Block block(kRecordHead + frame_size + object_size);
   write_length(block.data(), frame_size);
   write_length(block.data() + 4, object_size);
   auto* end = frame.SerializeWithCachedSizesToArray(block.data() + kRecordHead);
+  return {std::move(block), end};
+}
+
+}  // namespace
+
+Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size) {
+  auto [block, end] = begin_record(frame, object_size);
   if (object) object->SerializeWithCachedSizesToArray(end);
-  return block;
+  return std::move(block);
+}
+
+Block make_record(const wire::Frame& frame, const ObjectBytes& object) {
+  auto [block, end] = begin_record(frame, object.size());
+  object.each_piece([&out = end](std::string_view piece) {
+    std::memcpy(out, piece.data(), piece.size());
+    out += piece.size();
+  });
+  return std::move(block);
 }
 
 // ---- what is received -----------------------------------------------------------------------------------------

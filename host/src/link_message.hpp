@@ -41,11 +41,36 @@ class Block {
   std::size_t size_ = 0;
 };
 
+/// An object as it has come, in one piece or in several, to be parsed.
+class ObjectBytes {
+ public:
+  ObjectBytes() = default;
+  ObjectBytes(std::string_view whole) : whole_(whole), size_(whole.size()) {}
+  ObjectBytes(const std::vector<zmq::message_t>& pieces, std::size_t size) : pieces_(&pieces), size_(size) {}
+
+  std::size_t size() const { return size_; }
+  bool parse_into(Object& object) const;
+  std::string to_string() const;
+  /// Calls `take` with each piece, in order.
+  template <class F>
+  void each_piece(F take) const {
+    if (!pieces_) return take(whole_);
+    for (const auto& piece : *pieces_) take(std::string_view(static_cast<const char*>(piece.data()), piece.size()));
+  }
+
+ private:
+  std::string_view whole_;
+  const std::vector<zmq::message_t>* pieces_ = nullptr;
+  std::size_t size_ = 0;
+};
+
 /// A serialised object that is too large for its record: pieces of at most `kChunkBytes`, written once and read by the
 /// links to all its receivers.
 class Payload {
  public:
   explicit Payload(const Object& object);
+  /// As it has come: to be passed on.
+  explicit Payload(const ObjectBytes& object);
   std::size_t size() const { return size_; }
   const std::vector<Block>& chunks() const { return chunks_; }
 
@@ -57,23 +82,7 @@ class Payload {
 
 /// A record: head, frame, and the object's bytes if it has any that travel inside.
 Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size);
-
-/// An object as it has come, in one piece or in several, to be parsed.
-class ObjectBytes {
- public:
-  ObjectBytes() = default;
-  ObjectBytes(std::string_view whole) : whole_(whole), size_(whole.size()) {}
-  ObjectBytes(const std::vector<zmq::message_t>& pieces, std::size_t size) : pieces_(&pieces), size_(size) {}
-
-  std::size_t size() const { return size_; }
-  bool parse_into(Object& object) const;
-  std::string to_string() const;
-
- private:
-  std::string_view whole_;
-  const std::vector<zmq::message_t>* pieces_ = nullptr;
-  std::size_t size_ = 0;
-};
+Block make_record(const wire::Frame& frame, const ObjectBytes& object);
 
 /// Puts together what one peer sends: records out of messages, and objects out of chunks. What it holds is bounded: one
 /// object for each wire that is accepted, of at most `kMaxObject`, and never more of it than has come.

@@ -63,6 +63,53 @@ struct LinkSocket::Gate {
   std::atomic<bool> waiting{false};
 };
 
+/// What has arrived from a peer and has not been credited yet, by lane.
+struct LinkSocket::Debts {
+  Debts(Pool& p, std::shared_ptr<Turn> t) : pool(p), turn(std::move(t)) {}
+
+  /// Whether it is time to pay: in portions, so that a stream of small messages does not double its traffic.
+  bool add(std::uint64_t lane, std::size_t size) {
+    const std::lock_guard lock(mutex);
+    const auto known = std::find_if(owed.begin(), owed.end(), [lane](const auto& one) { return one.first == lane; });
+    if (known != owed.end()) {
+      known->second += size;
+    } else {
+      owed.emplace_back(lane, size);
+    }
+    bytes += size;
+    return is_due();
+  }
+  bool is_due() const { return bytes >= kCreditPortion || owed.size() > kLanesOwed; }
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> take() {
+    const std::lock_guard lock(mutex);
+    bytes = 0;
+    return std::exchange(owed, {});
+  }
+  bool due() {
+    const std::lock_guard lock(mutex);
+    return is_due();
+  }
+
+  Pool& pool;
+  const std::shared_ptr<Turn> turn;
+  std::mutex mutex;  ///< the innermost: whoever lets go of a receipt may hold another link's
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> owed;
+  std::size_t bytes = 0;
+};
+
+/// What somebody still has of a peer's message.
+struct LinkSocket::Debt {
+  Debt(std::shared_ptr<Debts> d, std::uint64_t l, std::size_t b) : debts(std::move(d)), lane(l), bytes(b) {}
+  Debt(const Debt&) = delete;
+  Debt& operator=(const Debt&) = delete;
+  ~Debt() {
+    if (debts->add(lane, bytes)) debts->pool.submit(debts->turn);
+  }
+  const std::shared_ptr<Debts> debts;
+  const std::uint64_t lane;
+  const std::size_t bytes;
+};
+
 /// The bytes of one message inside ZeroMQ, and what is to be told when they have gone.
 struct LinkSocket::Release {
   std::shared_ptr<Gate> gate;
@@ -81,20 +128,24 @@ struct LinkSocket::Release {
 
 class LinkSocket::Peer {
  public:
-  Peer(std::string i, std::string p, std::shared_ptr<Gate> g, bool has_proved)
-      : identity(std::move(i)), process(std::move(p)), gate(std::move(g)), proven(has_proved), control(lanes.open()) {}
+  Peer(std::string i, std::string p, std::shared_ptr<Gate> g, std::shared_ptr<Debts> d, bool has_proved)
+      : identity(std::move(i)),
+        process(std::move(p)),
+        gate(std::move(g)),
+        debts(std::move(d)),
+        proven(has_proved),
+        control(lanes.open()) {}
 
   const std::string identity;
   const std::string process;
   const std::shared_ptr<Gate> gate;
+  const std::shared_ptr<Debts> debts;
   bool proven;
   bool gone = false;
   FrameCounts counts;
   PeerLanes lanes;
   const std::shared_ptr<PeerLanes::Lane> control;
-  FrameReader reader;                                           ///< the reader's
-  std::vector<std::pair<std::uint64_t, std::uint64_t>> owed;    ///< the reader's: credit by lane
-  std::size_t owed_bytes = 0;
+  FrameReader reader;  ///< the reader's
 };
 
 LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver,
@@ -139,12 +190,34 @@ void LinkSocket::connect(const std::string& endpoint, std::string name, std::str
   start();
 }
 
+void LinkSocket::listen_proven(const std::string& endpoint) {
+  curve_ = true;
+  socket_.set(zmq::sockopt::router_mandatory, 1);
+  socket_.bind(endpoint);
+  endpoint_ = socket_.get(zmq::sockopt::last_endpoint);
+  start();
+}
+
+void LinkSocket::connect_proven(const std::string& endpoint, std::string provider) {
+  curve_ = true;
+  socket_.connect(endpoint);
+  {
+    const std::lock_guard lock(mutex_);
+    add_peer("", std::move(provider), true);
+  }
+  start();
+}
+
 void LinkSocket::start() {
   watch_ = pool_.watch(socket_.get(zmq::sockopt::fd), [this] { take_turn(); });
   pool_.submit(turn_);  // what came before the watch gives no edge
 }
 
-void LinkSocket::stop() {
+void LinkSocket::stop(std::chrono::milliseconds linger) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (stopped_) return;
+  }
   watch_.reset();
   {
     const std::lock_guard lock(turn_->mutex);
@@ -152,6 +225,7 @@ void LinkSocket::stop() {
   }
   const std::lock_guard lock(mutex_);
   stopped_ = true;
+  socket_.set(zmq::sockopt::linger, static_cast<int>(linger.count()));
   socket_.close();
 }
 
@@ -159,7 +233,8 @@ void LinkSocket::stop() {
 
 std::shared_ptr<LinkSocket::Peer> LinkSocket::add_peer(const std::string& identity, std::string process, bool proven) {
   auto gate = std::make_shared<Gate>(pool_, turn_);
-  return peers_[identity] = std::make_shared<Peer>(identity, std::move(process), std::move(gate), proven);
+  auto debts = std::make_shared<Debts>(pool_, turn_);
+  return peers_[identity] = std::make_shared<Peer>(identity, std::move(process), std::move(gate), std::move(debts), proven);
 }
 
 std::shared_ptr<LinkSocket::Peer> LinkSocket::find(const std::string& peer) {
@@ -196,6 +271,14 @@ void LinkSocket::forget(const std::string& process) {
     entry.second->gone = true;
     return true;
   });
+}
+
+void LinkSocket::drop(const std::string& peer) {
+  const std::lock_guard lock(mutex_);
+  const auto found = peers_.find(peer);
+  if (found == peers_.end()) return;
+  found->second->gone = true;
+  peers_.erase(found);
 }
 
 LinkSocket::Lane LinkSocket::open_lane(const std::string& peer) {
@@ -270,6 +353,25 @@ LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const st
   return {taken.ok ? Sent::What::Ok : Sent::What::Full, taken.lost};
 }
 
+void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
+                         const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt) {
+  frame.clear_size();
+  const bool has_lane = frame.lane() != 0 && lane.lane;
+  frame.set_lane(has_lane ? lane.lane->id() : 0);
+  PeerLanes::Item item;
+  item.wire = frame.wire();
+  item.cost = has_lane ? object.size() + kFrameCost : 0;
+  item.payload = payload;
+  item.receipt = std::move(receipt);
+  if (payload && payload->chunks().size() > 1) frame.set_size(payload->size());
+  item.record = make_record(frame, payload ? ObjectBytes() : object);
+  const std::lock_guard lock(mutex_);
+  const auto known = lane.peer ? lane.peer : peers_.contains(peer) ? peers_[peer] : nullptr;
+  if (!known || known->gone) return;
+  known->lanes.offer(lane.lane ? *lane.lane : *known->control, std::move(item));
+  pump(*known);
+}
+
 void LinkSocket::tell(const std::string& peer, wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
   const auto found = peers_.find(peer);
@@ -316,9 +418,10 @@ bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   const std::size_t size = chunk ? chunk->size() : release->records.size();
   zmq::message_t body(data, size, &Release::done, release.release());
   try {
-    if (routed_) socket_.send(zmq::buffer(peer.identity), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
-    if (chunk) socket_.send(beside_frames, zmq::send_flags::sndmore | zmq::send_flags::dontwait);
-    socket_.send(body, zmq::send_flags::dontwait);
+    // A connection that is just not there takes none of the parts.
+    bool taken = !routed_ || socket_.send(zmq::buffer(peer.identity), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
+    if (taken && chunk) taken = socket_.send(beside_frames, zmq::send_flags::sndmore | zmq::send_flags::dontwait).has_value();
+    if (taken) socket_.send(body, zmq::send_flags::dontwait);
   } catch (const zmq::error_t&) {
     peer.gone = true;  // supervision reports that, not each message
     return false;
@@ -348,11 +451,18 @@ void LinkSocket::take_turn() {
   {
     const std::lock_guard lock(mutex_);
     if (stopped_) return;
-    for (const auto& [identity, peer] : peers_) pump(*peer);
+    for (const auto& [identity, peer] : peers_) {
+      if (peer->debts->due()) pay_locked(*peer);
+      pump(*peer);
+    }
   }
   const bool more = drain();
   if (on_dealt_with_) on_dealt_with_();
   if (more) pool_.submit(turn_);
+}
+
+void LinkSocket::read_now() {
+  if (drain()) pool_.submit(turn_);
 }
 
 /// Whether there may be more.
@@ -397,7 +507,7 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
   bool accepts(const wire::Frame& frame) override {
     if (link_.receiver_.accepts(peer_.identity, frame)) return true;
     link_.count_received(peer_);
-    if (frame.lane() != 0) link_.owe(peer_, frame.lane(), frame.size() + kFrameCost);
+    arrived(frame, frame.size());
     return false;
   }
   void on_frame(const wire::Frame& frame, const ObjectBytes& object) override {
@@ -407,12 +517,18 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
       for (int i = 0; i < lanes; ++i) peer_.lanes.credit(frame.credit().lane(i), frame.credit().bytes(i));
       return link_.pump(peer_);
     }
+    link_.sender_ = &peer_;
+    link_.arrived_ = {frame.lane(), object.size() + kFrameCost};
     link_.receiver_.on_frame(peer_.identity, frame, object);
     link_.count_received(peer_);
-    if (frame.lane() != 0) link_.owe(peer_, frame.lane(), object.size() + kFrameCost);
+    if (!std::exchange(link_.receipt_, nullptr)) arrived(frame, object.size());
   }
 
  private:
+  void arrived(const wire::Frame& frame, std::size_t bytes) {
+    if (frame.lane() != 0 && peer_.debts->add(frame.lane(), bytes + kFrameCost)) link_.pay(peer_);
+  }
+
   LinkSocket& link_;
   Peer& peer_;
 };
@@ -422,7 +538,13 @@ void LinkSocket::dispatch(const std::string& identity) {
   for (const auto& part : parts_) bytes += part.size();
   counters_.received_messages.fetch_add(1, std::memory_order_relaxed);
   counters_.received_bytes.fetch_add(bytes, std::memory_order_relaxed);
-  const auto peer = find(identity);
+  auto peer = find(identity);
+  if (!peer && curve_ && routed_ && !parts_.empty()) {
+    const char* user = zmq_msg_gets(parts_.front().handle(), "User-Id");
+    const std::lock_guard lock(mutex_);
+    if (user && *user) peer = add_peer(identity, user, true);
+  }
+  if (!peer && curve_) return void(++counters_.unproven);
   if (!peer || !peer->proven) return shake_hands(identity);
   Incoming incoming(*this, *peer);
   if (!peer->reader.read(parts_, incoming)) ++counters_.garbled;
@@ -434,27 +556,24 @@ void LinkSocket::count_received(Peer& peer) {
   ++peer.counts.received;
 }
 
-/// Credit goes back in portions, so that a stream of small messages does not double its traffic.
-void LinkSocket::owe(Peer& peer, std::uint64_t lane, std::size_t bytes) {
-  const auto known = std::find_if(peer.owed.begin(), peer.owed.end(), [lane](const auto& one) { return one.first == lane; });
-  if (known != peer.owed.end()) {
-    known->second += bytes;
-  } else {
-    peer.owed.emplace_back(lane, bytes);
-  }
-  peer.owed_bytes += bytes;
-  if (peer.owed_bytes >= kCreditPortion || peer.owed.size() > kLanesOwed) pay(peer);
+std::shared_ptr<const void> LinkSocket::receipt() {
+  if (arrived_.first == 0) return nullptr;
+  if (!receipt_) receipt_ = std::make_shared<const Debt>(sender_->debts, arrived_.first, arrived_.second);
+  return receipt_;
 }
 
 void LinkSocket::pay(Peer& peer) {
+  const std::lock_guard lock(mutex_);
+  pay_locked(peer);
+}
+
+void LinkSocket::pay_locked(Peer& peer) {
   wire::Frame frame;
-  for (const auto& [lane, bytes] : std::exchange(peer.owed, {})) {
+  for (const auto& [lane, bytes] : peer.debts->take()) {
     frame.mutable_credit()->add_lane(lane);
     frame.mutable_credit()->add_bytes(bytes);
   }
-  peer.owed_bytes = 0;
-  const std::lock_guard lock(mutex_);
-  tell_locked(peer, frame);
+  if (frame.has_credit()) tell_locked(peer, frame);
 }
 
 // ---- the proof of the key -------------------------------------------------------------------------------------

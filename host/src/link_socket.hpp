@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
@@ -43,7 +44,8 @@ struct FrameCounts {
 /// strand's thread sends; a pool thread receives. There is no link thread.
 ///
 /// To each peer it has lanes, of which at most two chunks are inside ZeroMQ at a time: what comes later may still
-/// overtake what waits. Nothing reaches the receiver before the peer has proved the key, and the other way round.
+/// overtake what waits. Nothing reaches the receiver before the peer has proved who it is, and the other way round: by
+/// the key of the link, or to the socket itself, which has CURVE and an allow-list.
 class LinkSocket {
  public:
   class Receiver {
@@ -80,8 +82,16 @@ class LinkSocket {
   void listen(const std::string& endpoint, std::string key);
   /// Goes to the process that listens there, as `name`, which has this `key` with it.
   void connect(const std::string& endpoint, std::string name, std::string key);
-  /// Stops reading and closes: after it returned the receiver is not called any more.
-  void stop();
+  /// To be given CURVE, before it listens or connects.
+  zmq::socket_t& socket() { return socket_; }
+  /// The same where CURVE proves both sides: peers have the names that the allow-list gives their keys.
+  void listen_proven(const std::string& endpoint);
+  void connect_proven(const std::string& endpoint, std::string provider);
+  /// Where it listens, with the port that was chosen.
+  std::string endpoint() const { return endpoint_; }
+  /// Stops reading and closes: after it returned the receiver is not called any more. What has been sent and has not
+  /// left yet may do so for as long as `linger`.
+  void stop(std::chrono::milliseconds linger = {});
 
   /// A new lane to a peer that has proved its key, or that is being connected to; its `peer` is null when there is none.
   Lane open_lane(const std::string& peer);
@@ -90,6 +100,14 @@ class LinkSocket {
   /// [any thread] Sends a frame with an object (null: none). Never waits: the lane is bounded.
   Sent send(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object = nullptr,
             Rule rule = Rule::Control, Wires also = nullptr);
+  /// [in on_frame] What has come counts as arrived, for its sender's credit, once the last copy of this goes.
+  std::shared_ptr<const void> receipt();
+  /// [any thread] Sends on what has come over another link, behind `receipt`: it is always taken, for the sender's
+  /// credit bounds it. Without a lane: as `tell`.
+  void forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
+               const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt);
+  /// [any thread] Handles what waits, on this thread: for whoever must not depend on the pool's threads being free.
+  void read_now();
   /// [any thread] Whether it is too large for any link; counted if so.
   bool refuses(const Object& object);
   /// [any thread] A frame of no lane in particular, behind whatever the peer is being told so.
@@ -100,11 +118,15 @@ class LinkSocket {
   void forget(const std::string& process);
   /// Of a process on a virtual clock: by the name that the peer has proved; of a connected link, empty.
   std::map<std::string, FrameCounts> frame_counts();
+  /// The connection is of no use: whatever waits for it goes.
+  void drop(const std::string& peer);
   /// Peers that have proved their key, now.
   std::size_t peers();
 
  private:
   struct Gate;
+  struct Debts;
+  struct Debt;
   struct Release;
   struct Turn;
   class Incoming;
@@ -118,8 +140,8 @@ class LinkSocket {
   void welcome(const std::string& peer, const wire::Frame& frame);
   void check_challenge(const wire::Frame& frame);
   void count_received(Peer& peer);
-  void owe(Peer& peer, std::uint64_t lane, std::size_t bytes);
   void pay(Peer& peer);
+  void pay_locked(Peer& peer);
   std::shared_ptr<Peer> find(const std::string& peer);
   std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
   void pump(Peer& peer);
@@ -135,6 +157,7 @@ class LinkSocket {
   const std::function<void()> on_dealt_with_;
   const bool routed_;
   const std::string secret_;  ///< of which the nonces for unknown peers are made
+  std::string endpoint_;
   std::string key_;
   std::string name_;
   std::string nonce_;
@@ -145,6 +168,10 @@ class LinkSocket {
   std::unique_ptr<Pool::Readable> watch_;
   std::unordered_map<std::string, std::shared_ptr<Peer>> peers_;
   std::vector<zmq::message_t> parts_;  ///< the reader's
+  std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled
+  Peer* sender_ = nullptr;               ///< the reader's, with what the receipt is for
+  std::pair<std::uint64_t, std::size_t> arrived_;
+  bool curve_ = false;
   bool stopped_ = false;
 };
 

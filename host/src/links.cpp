@@ -11,34 +11,37 @@ namespace {
 
 /// Wires that have ended are remembered, so that what was under way is not taken for a stranger's.
 constexpr std::size_t kEndedKept = 256;
+/// Endpoints of other hosts begin so.
+constexpr std::string_view kHost = "host:";
 
 }  // namespace
 
-class Links::Server final : public LinkSocket::Receiver {
+class Links::Receiver final : public LinkSocket::Receiver {
  public:
-  explicit Server(Links& links) : links_(links) {}
-  bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.server_accepts(peer, frame); }
+  explicit Receiver(Links& links) : links_(links) {}
+  void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
+  bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.accepts({link_.lock(), peer}, frame); }
   void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) override {
-    links_.on_server_frame(peer, frame, object);
+    links_.on_frame({link_.lock(), peer}, frame, object);
   }
-  void on_refused(const std::string&) override {}
+  void on_refused(const std::string& reason) override { links_.on_refused({link_.lock(), ""}, reason); }
 
  private:
   Links& links_;
+  std::weak_ptr<LinkSocket> link_;
 };
 
-class Links::Client final : public LinkSocket::Receiver {
+class Links::RelayLane {
  public:
-  Client(Links& links, std::string endpoint) : links_(links), endpoint_(std::move(endpoint)) {}
-  bool accepts(const std::string&, const wire::Frame& frame) override { return links_.client_accepts(endpoint_, frame); }
-  void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
-    links_.on_client_frame(endpoint_, frame, object);
-  }
-  void on_refused(const std::string& reason) override { links_.on_client_refused(endpoint_, reason); }
+  explicit RelayLane(const Hop& to) : link_(to.link), lane_(to.link->open_lane(to.peer)) {}
+  RelayLane(const RelayLane&) = delete;
+  RelayLane& operator=(const RelayLane&) = delete;
+  ~RelayLane() { link_->close_lane(lane_); }
+  const LinkSocket::Lane& lane() const { return lane_; }
 
  private:
-  Links& links_;
-  const std::string endpoint_;
+  const std::shared_ptr<LinkSocket> link_;
+  const LinkSocket::Lane lane_;
 };
 
 Links::Peer::Peer() = default;
@@ -51,8 +54,9 @@ Links::Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, On
       clock_(dynamic_cast<VirtualClock*>(&clock)),
       endpoint_(std::move(endpoint)),
       on_lost_(std::move(on_lost)),
-      receiver_(std::make_unique<Server>(*this)) {
-  server_ = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_, on_dealt_with());
+      receiver_(std::make_unique<Receiver>(*this)) {
+  server_ = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_, on_dealt_with());
+  receiver_->use(server_);
   server_->listen(endpoint_, std::move(key));
 }
 
@@ -60,14 +64,21 @@ Links::~Links() { stop(); }
 
 void Links::stop() {
   server_->stop();
-  for (auto& [endpoint, peer] : peers_) peer.link->stop();
+  std::vector<std::shared_ptr<LinkSocket>> own;
+  {
+    const std::lock_guard lock(mutex_);
+    for (auto& [endpoint, peer] : peers_) {
+      if (peer.receiver) own.push_back(peer.hop.link);
+    }
+  }
+  for (const auto& link : own) link->stop();
 }
 
 control::LinkStatus Links::status() {
   control::LinkStatus status = counters_.status();
   const std::lock_guard lock(mutex_);
   std::size_t peers = server_->peers();
-  for (auto& [endpoint, peer] : peers_) peers += peer.link->peers();
+  for (auto& [endpoint, peer] : peers_) peers += peer.receiver ? peer.hop.link->peers() : 1;
   status.set_peers(peers);
   return status;
 }
@@ -81,7 +92,7 @@ std::map<std::string, FrameCounts> Links::frame_counts() {
   const std::lock_guard lock(mutex_);
   auto all = server_->frame_counts();
   for (const auto& [endpoint, peer] : peers_) {
-    const FrameCounts ours = peer.link->frame_counts()[""];
+    const FrameCounts ours = peer.hop.link->frame_counts()[""];
     all[endpoint].sent += ours.sent;
     all[endpoint].received += ours.received;
   }
@@ -91,41 +102,51 @@ std::map<std::string, FrameCounts> Links::frame_counts() {
 void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
                     std::string client_name) {
   const std::lock_guard lock(mutex_);
-  grants_[wire] = Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), std::move(client_name), nullptr};
+  grants_[wire] =
+      Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), std::move(client_name), nullptr, {}};
 }
 
-LinkSocket& Links::connect(const Endpoint& endpoint) {
-  auto& peer = peers_[endpoint.address];
-  if (!peer.link) {
-    peer.client = std::make_unique<Client>(*this, endpoint.address);
-    peer.link = std::make_unique<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.client, on_dealt_with());
-    peer.link->connect(endpoint.address, endpoint.name, endpoint.key);
+/// Called with the lock held. Throws Error Unreachable for a host that is not connected.
+Hop Links::connect(const Endpoint& endpoint) {
+  const auto known = peers_.find(endpoint.address);
+  if (known != peers_.end()) return known->second.hop;
+  if (endpoint.address.starts_with(kHost)) {
+    throw Error(ErrorCode::Unreachable, {.what = "the other host is not connected", .where = endpoint.address, .next = "ls hosts"});
   }
-  return *peer.link;
+  Peer& peer = peers_[endpoint.address];
+  peer.receiver = std::make_unique<Receiver>(*this);
+  peer.hop.link =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.receiver, on_dealt_with());
+  peer.receiver->use(peer.hop.link);
+  peer.hop.link->connect(endpoint.address, endpoint.name, endpoint.key);
+  return peer.hop;
 }
 
 void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPort& client,
-                    const std::string& provider_name, const Endpoint& endpoint,
-                    const std::function<void()>& switch_over) {
+                    const std::string& provider_name, const Endpoint& endpoint, std::uint64_t replaces,
+                    std::uint32_t resumes_every, const std::function<void()>& switch_over) {
   std::unique_lock lock(mutex_);
-  LinkSocket& link = connect(endpoint);
-  const auto wire = std::make_shared<RemoteWire>(link, "", wire_id, client, client.full_name() + "<" + provider_name);
-  requirements_[wire_id] = Requirement{&client, endpoint.address, provider_name, wire, std::nullopt, false};
+  const Hop hop = connect(endpoint);
+  const std::string name = client.full_name() + "<" + provider_name;
+  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, client, name);
+  requirements_[wire_id] = Requirement{&client, endpoint.address, provider_name, hop, wire, std::nullopt, 0, false, false};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
-  const bool first = client.connection() != Connection::Connected;
+  const Connection before = client.connection();
+  const bool first = before != Connection::Connected;
   if (first) client.set_connection(Connection::Waiting, "opening the wire to " + provider_name);
   wire->ask(token);
 
   const auto has_answer = [&] {
     const auto found = requirements_.find(wire_id);
-    return found == requirements_.end() || found->second.refusal;
+    return found == requirements_.end() || found->second.lost || found->second.refusal;
   };
   answered_.wait_for(lock, kDefaultDeadline, has_answer);
   const auto found = requirements_.find(wire_id);
-  const std::string refusal = found == requirements_.end() ? "its process is gone"
-                                                           : found->second.refusal.value_or("its process does not answer");
+  const bool gone = found == requirements_.end() || found->second.lost;
+  const std::string refusal = gone ? "its process is gone" : found->second.refusal.value_or("its process does not answer");
   if (refusal.empty()) {
     lock.unlock();
+    if (resumes_every > 0) count_missed(wire_id, replaces, resumes_every);
     // The new one first: a request that is being made has somewhere to go at every moment.
     client.set_target(wire);
     if (switch_over) switch_over();
@@ -136,46 +157,160 @@ void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPor
   note_ended(wire_id);
   lock.unlock();
   wire->cut(refusal);
-  if (first) client.set_connection(Connection::Unwired, refusal);
+  if (first) client.set_connection(before == Connection::Lost ? Connection::Lost : Connection::Unwired, refusal);
   throw Error(ErrorCode::Unreachable, {.what = "the wire to " + provider_name + " did not open: " + refusal,
                                        .where = client.full_name(),
                                        .next = "ls hosts"});
 }
 
-void Links::refuse(const std::string& peer, std::uint64_t wire, const std::string& reason) {
+/// What the provider has put between the last message over the wire that was lost and the first over this one.
+void Links::count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every) {
+  const std::lock_guard lock(mutex_);
+  const auto now = requirements_.find(wire);
+  const auto before = requirements_.find(replaces);
+  if (now == requirements_.end() || before == requirements_.end() || !is_push(*now->second.client)) return;
+  const std::uint64_t last = std::max(before->second.from_sequence, before->second.wire->last_sequence());
+  if (now->second.from_sequence <= last) return;
+  now->second.client->counters().dropped.fetch_add((now->second.from_sequence - last) / every, std::memory_order_relaxed);
+}
+
+void Links::refuse(const Hop& from, std::uint64_t wire, const std::string& reason) {
   ++counters_.not_granted;
   wire::Frame frame = frame_for(wire);
   frame.mutable_refused()->set_reason(reason);
-  server_->tell(peer, frame);
+  from.link->tell(from.peer, frame);
 }
 
-void Links::open_for(const std::string& peer, const wire::Frame& frame) {
+/// Whether who sends it is the process of this name, or the host at this endpoint.
+bool Links::may_open(const Hop& from, const std::string& peer) {
+  if (from.link == server_) return server_->process_of(from.peer) == peer;
+  const auto host = peers_.find(peer);
+  return host != peers_.end() && peer.starts_with(kHost) && host->second.hop == from;
+}
+
+void Links::open_for(const Hop& from, const wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
+  if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), "unknown protocol version");
+  if (const auto relay = relays_.find(frame.wire()); relay != relays_.end()) return open_relay(from, frame, relay->second);
   const auto grant = grants_.find(frame.wire());
-  if (frame.open().version() != wire::VERSION_1) return refuse(peer, frame.wire(), "unknown protocol version");
   if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire ||
-      grant->second.peer != server_->process_of(peer)) {
-    return refuse(peer, frame.wire(), "the wire was not granted");
+      !may_open(from, grant->second.peer)) {
+    return refuse(from, frame.wire(), "the wire was not granted");
   }
   Grant& granted = grant->second;
-  granted.wire = wire_for(peer, frame.wire(), granted);
+  granted.client = from;
+  granted.wire = wire_for(from, frame.wire(), granted);
   granted.wire->open(granted.prescale);
 }
 
 /// The provider's end of a wire; those of a push port to the same process share what crosses.
-std::shared_ptr<RemoteWire> Links::wire_for(const std::string& peer, std::uint64_t wire, const Grant& grant) {
+std::shared_ptr<RemoteWire> Links::wire_for(const Hop& from, std::uint64_t wire, const Grant& grant) {
   ProvidedPort& provider = *grant.provider;
   const std::string name = grant.client_name + "<" + provider.full_name();
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
-  if (!push) return std::make_shared<RemoteWire>(*server_, peer, wire, provider, name);
-  auto& known = fan_outs_[{peer, &provider}];
+  if (!push) return std::make_shared<RemoteWire>(from.link, from.peer, wire, provider, name);
+  auto& known = fan_outs_[{from.link.get(), from.peer, &provider}];
   auto fan_out = known.lock();
   if (!fan_out) {
-    fan_out = std::make_shared<FanOut>(*server_, server_->open_lane(peer), *push);
+    fan_out = std::make_shared<FanOut>(from.link, from.link->open_lane(from.peer), *push);
     known = fan_out;
     std::erase_if(fan_outs_, [](const auto& entry) { return entry.second.expired(); });
   }
-  return std::make_shared<RemoteWire>(std::move(fan_out), *server_, peer, wire, provider, name);
+  return std::make_shared<RemoteWire>(std::move(fan_out), from.link, from.peer, wire, provider, name);
+}
+
+// ---- relays ---------------------------------------------------------------------------------------------------
+
+void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint) {
+  const std::lock_guard lock(mutex_);
+  relays_[wire] = Relay{std::move(token), std::move(peer), std::move(endpoint), {}, {}};
+}
+
+void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) {
+  if (relay.token != frame.open().token() || relay.client.hop.link || !may_open(from, relay.peer)) {
+    return refuse(from, frame.wire(), "the wire was not granted");
+  }
+  try {
+    relay.provider.hop = connect(relay.endpoint);
+  } catch (const Error& error) {
+    return refuse(from, frame.wire(), error.text().what);
+  }
+  relay.client.hop = from;
+  forward(from, relay.provider, frame, {}, nullptr);
+}
+
+/// Passes the frame on over those of its wires that are relayed here, each side's towards the other. What is left of it
+/// is for wires that end here; null: nothing is.
+const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest) {
+  const std::lock_guard lock(mutex_);
+  if (relays_.empty()) return &frame;
+  std::vector<std::uint64_t> ending;
+  std::vector<std::pair<Relay::Side*, wire::Frame>> ways;  // those of one hop share what crosses, as they did before
+  const auto sort = [&](std::uint64_t wire) {
+    const auto found = relays_.find(wire);
+    if (found == relays_.end()) return ending.push_back(wire);
+    Relay::Side& client = found->second.client;
+    Relay::Side& provider = found->second.provider;
+    if (!client.hop.link || (from != client.hop && from != provider.hop)) return note_foreign(wire);
+    Relay::Side& to = from == client.hop ? provider : client;
+    const auto way = std::find_if(ways.begin(), ways.end(), [&](const auto& one) { return one.first->hop == to.hop; });
+    if (way != ways.end()) return way->second.add_also(wire);
+    auto& passed = ways.emplace_back(&to, frame).second;
+    passed.set_wire(wire);
+    passed.clear_also();
+  };
+  sort(frame.wire());
+  for (const std::uint64_t wire : frame.also()) sort(wire);
+  const auto payload = object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
+  for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
+  if (frame.has_closed() || frame.has_refused()) {
+    for (const auto& [to, passed] : ways) note_ended(passed.wire());
+    for (const auto& [to, passed] : ways) relays_.erase(passed.wire());
+  }
+  if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
+  if (ending.empty()) return nullptr;
+  rest = frame;
+  rest.set_wire(ending.front());
+  rest.clear_also();
+  for (std::size_t i = 1; i < ending.size(); ++i) rest.add_also(ending[i]);
+  return &rest;
+}
+
+/// Called with the mutex held. A frame without an object goes behind the objects of its wire.
+void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+                    const std::shared_ptr<const Payload>& payload) {
+  if (frame.lane() != 0) {
+    auto& known = relay_lanes_[{from.link.get(), from.peer, frame.lane(), to.hop.link.get(), to.hop.peer}];
+    to.lane = known.lock();
+    if (!to.lane) {
+      known = to.lane = std::make_shared<RelayLane>(to.hop);
+      std::erase_if(relay_lanes_, [](const auto& entry) { return entry.second.expired(); });
+    }
+    for (const std::uint64_t other : frame.also()) {
+      Relay& relay = relays_.at(other);
+      (from == relay.client.hop ? relay.provider : relay.client).lane = to.lane;
+    }
+  }
+  const LinkSocket::Lane lane = to.lane ? to.lane->lane() : LinkSocket::Lane();
+  to.hop.link->forward(lane, to.hop.peer, frame, object, payload, from.link->receipt());
+}
+
+/// Called with the mutex held. The side that is left is told.
+void Links::lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason) {
+  for (auto it = relays_.begin(); it != relays_.end();) {
+    auto& [wire, relay] = *it;
+    const bool provider_gone = relay.endpoint.address == endpoint;
+    if (!provider_gone && relay.peer != name) {
+      ++it;
+      continue;
+    }
+    const Hop& left = provider_gone ? relay.client.hop : relay.provider.hop;
+    wire::Frame frame = frame_for(wire);
+    frame.mutable_closed()->set_reason(reason);
+    if (left.link) left.link->tell(left.peer, frame);
+    note_ended(wire);
+    it = relays_.erase(it);
+  }
 }
 
 // ---- frames ---------------------------------------------------------------------------------------------------
@@ -191,49 +326,55 @@ void Links::note_foreign(std::uint64_t wire) {
   if (std::find(ended_.rbegin(), ended_.rend(), wire) == ended_.rend()) ++counters_.not_granted;
 }
 
-std::shared_ptr<RemoteWire> Links::granted(const std::string& peer, std::uint64_t wire) {
+Links::End Links::end_of(const Hop& from, std::uint64_t wire) {
   const std::lock_guard lock(mutex_);
   const auto grant = grants_.find(wire);
-  if (grant != grants_.end() && grant->second.wire && grant->second.wire->peer() == peer) return grant->second.wire;
-  note_foreign(wire);
-  return nullptr;
-}
-
-std::shared_ptr<RemoteWire> Links::required(const std::string& endpoint, std::uint64_t wire) {
-  const std::lock_guard lock(mutex_);
+  if (grant != grants_.end() && grant->second.wire && grant->second.client == from) return {grant->second.wire, true};
   const auto requirement = requirements_.find(wire);
-  if (requirement != requirements_.end() && requirement->second.endpoint == endpoint) return requirement->second.wire;
+  const bool ours = requirement != requirements_.end() && !requirement->second.lost && requirement->second.provider == from;
+  if (ours) return {requirement->second.wire, false};
   note_foreign(wire);
-  return nullptr;
+  return {};
 }
 
-bool Links::server_accepts(const std::string& peer, const wire::Frame& frame) {
-  return granted(peer, frame.wire()) != nullptr;
+bool Links::accepts(const Hop& from, const wire::Frame& frame) {
+  const auto is_ours = [&](std::uint64_t wire) {
+    {
+      const std::lock_guard lock(mutex_);
+      const auto relay = relays_.find(wire);
+      const bool open = relay != relays_.end() && relay->second.client.hop.link;
+      if (open && (relay->second.client.hop == from || relay->second.provider.hop == from)) return true;
+    }
+    return end_of(from, wire).wire != nullptr;
+  };
+  return is_ours(frame.wire()) || std::any_of(frame.also().begin(), frame.also().end(), is_ours);
 }
 
-void Links::on_server_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) {
-  if (frame.has_open()) return open_for(peer, frame);
-  const auto wire = granted(peer, frame.wire());
-  if (!wire) return;
-  if (frame.has_closed()) return cut(frame.wire(), frame.closed().reason());
-  wire->on_frame(frame, object);
+void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object) {
+  if (frame.has_open()) return open_for(from, frame);
+  wire::Frame some;
+  const wire::Frame* rest = pass_on(from, frame, object, some);
+  if (!rest) return;
+  const End end = end_of(from, rest->wire());
+  if (!end.wire && rest->also().empty()) return;
+  if (!end.provides) return on_client_frame(from, *rest, end.wire, object);
+  if (rest->has_closed()) return cut(rest->wire(), rest->closed().reason());
+  end.wire->on_frame(*rest, object);
 }
 
-bool Links::client_accepts(const std::string& endpoint, const wire::Frame& frame) {
-  if (required(endpoint, frame.wire())) return true;
-  return std::any_of(frame.also().begin(), frame.also().end(),
-                     [&](std::uint64_t wire) { return required(endpoint, wire) != nullptr; });
-}
-
-void Links::on_client_frame(const std::string& endpoint, const wire::Frame& frame, const ObjectBytes& object) {
-  auto wire = required(endpoint, frame.wire());
-  if (wire && frame.has_opened()) return note_answer(frame.wire(), "");
-  if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason());
+void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire,
+                            const ObjectBytes& object) {
+  const auto required = [&](std::uint64_t number) {
+    const End end = end_of(from, number);
+    return end.provides ? nullptr : end.wire;
+  };
+  if (wire && frame.has_opened()) return note_answer(frame.wire(), "", frame.opened().from_sequence());
+  if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason(), 0);
   if (wire && frame.has_closed()) return on_closed(frame.wire(), frame.closed().reason());
   if (frame.also().empty() || !frame.has_object()) {
     if (wire) wire->on_frame(frame, object);
     for (const std::uint64_t other : frame.also()) {
-      if ((wire = required(endpoint, other))) wire->on_frame(frame, object);
+      if ((wire = required(other))) wire->on_frame(frame, object);
     }
     return;
   }
@@ -245,7 +386,7 @@ void Links::on_client_frame(const std::string& endpoint, const wire::Frame& fram
     one->on_object(frame, *parsed);
   };
   take(wire);
-  for (const std::uint64_t other : frame.also()) take(required(endpoint, other));
+  for (const std::uint64_t other : frame.also()) take(required(other));
 }
 
 /// The provider has ended the wire.
@@ -256,9 +397,11 @@ void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
     const std::lock_guard lock(mutex_);
     const auto found = requirements_.find(wire_id);
     if (found == requirements_.end()) return;
+    found->second.lost = true;
     wire = found->second.wire;
-    if (!found->second.retired) client = found->second.client;
+    if (!found->second.retired && found->second.refusal == "") client = found->second.client;
   }
+  answered_.notify_all();
   wire->cut(reason);
   if (!client) return;
   client->set_target(nullptr);
@@ -266,27 +409,37 @@ void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
   on_lost_(wire_id, reason);
 }
 
-void Links::on_client_refused(const std::string& endpoint, const std::string& reason) {
+void Links::on_refused(const Hop& from, const std::string& reason) {
   std::vector<std::uint64_t> waiting;
   {
     const std::lock_guard lock(mutex_);
     for (const auto& [wire, requirement] : requirements_) {
-      if (requirement.endpoint == endpoint) waiting.push_back(wire);
+      if (requirement.provider == from) waiting.push_back(wire);
     }
   }
-  for (const std::uint64_t wire : waiting) note_answer(wire, reason);
+  for (const std::uint64_t wire : waiting) note_answer(wire, reason, 0);
 }
 
-void Links::note_answer(std::uint64_t wire_id, const std::string& refusal) {
+void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, std::uint64_t from_sequence) {
   const std::lock_guard lock(mutex_);
   const auto found = requirements_.find(wire_id);
   if (found == requirements_.end() || found->second.refusal) return;
   found->second.refusal = refusal;
+  found->second.from_sequence = from_sequence;
   answered_.notify_all();
 }
 
 void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   std::unique_lock lock(mutex_);
+  if (const auto relay = relays_.find(wire_id); relay != relays_.end()) {
+    wire::Frame frame = frame_for(wire_id);
+    frame.mutable_closed()->set_reason(reason);
+    for (const Hop& hop : {relay->second.client.hop, relay->second.provider.hop}) {
+      if (hop.link) hop.link->tell(hop.peer, frame);
+    }
+    relays_.erase(relay);
+    return note_ended(wire_id);
+  }
   if (const auto found = grants_.find(wire_id); found != grants_.end()) {
     const auto wire = found->second.wire;
     grants_.erase(found);
@@ -335,22 +488,34 @@ void Links::release(const Hull& hull) {
 }
 
 void Links::peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason) {
+  lose(endpoint, name, reason);
+  server_->forget(name);
+}
+
+void Links::join(const std::string& endpoint, Hop hop) {
+  const std::lock_guard lock(mutex_);
+  peers_[endpoint].hop = std::move(hop);
+}
+
+void Links::part(const std::string& endpoint, const std::string& reason) { lose(endpoint, endpoint, reason); }
+
+void Links::lose(const std::string& endpoint, const std::string& name, const std::string& reason) {
   std::vector<std::pair<std::uint64_t, Requirement>> lost;
   std::vector<std::shared_ptr<RemoteWire>> served;
   Peer gone;
   {
     const std::lock_guard lock(mutex_);
-    for (auto it = requirements_.begin(); it != requirements_.end();) {
-      const bool ours = it->second.endpoint == endpoint;
-      if (ours) note_ended(it->first);
-      if (ours) lost.emplace_back(it->first, std::move(it->second));
-      it = ours ? requirements_.erase(it) : std::next(it);
+    for (auto& [id, requirement] : requirements_) {
+      if (requirement.endpoint == endpoint && !std::exchange(requirement.lost, true)) lost.emplace_back(id, requirement);
     }
+    std::erase_if(requirements_, [](const auto& entry) { return entry.second.lost && entry.second.retired; });
     for (auto it = grants_.begin(); it != grants_.end();) {
       const bool ours = it->second.peer == name;
       if (ours && it->second.wire) served.push_back(std::move(it->second.wire));
+      if (ours) note_ended(it->first);
       it = ours ? grants_.erase(it) : std::next(it);
     }
+    lose_relays(endpoint, name, reason);
     if (const auto peer = peers_.find(endpoint); peer != peers_.end()) {
       gone = std::move(peer->second);
       peers_.erase(peer);
@@ -358,18 +523,15 @@ void Links::peer_lost(const std::string& endpoint, const std::string& name, cons
   }
   answered_.notify_all();
   for (const auto& wire : served) wire->cut(reason);
-  server_->forget(name);
+  for (auto& [wire, requirement] : lost) requirement.wire->cut(reason);
+  // One that is being opened is told by who waits for it.
+  std::erase_if(lost, [](const auto& entry) { return entry.second.retired || entry.second.refusal != ""; });
   for (auto& [wire, requirement] : lost) {
-    requirement.wire->cut(reason);
-    if (requirement.retired) continue;
     requirement.client->set_target(nullptr);
     requirement.client->set_connection(Connection::Lost, reason);
   }
-  if (gone.link) gone.link->stop();
-  // A RemoteWire may still be referenced by a sink list for a moment; it is cut, and no longer touches the link.
-  for (auto& [wire, requirement] : lost) {
-    if (!requirement.retired) on_lost_(wire, reason);
-  }
+  if (gone.receiver) gone.hop.link->stop();
+  for (auto& [wire, requirement] : lost) on_lost_(wire, reason);
 }
 
 }  // namespace fiona::host

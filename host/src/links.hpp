@@ -7,11 +7,19 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <tuple>
 
 #include "fiona/clock.hpp"
 #include "remote_wire.hpp"
 
 namespace fiona::host {
+
+/// Where frames come from and go to: a socket, and on one that listens the peer's identity.
+struct Hop {
+  std::shared_ptr<LinkSocket> link;
+  std::string peer;
+  bool operator==(const Hop&) const = default;
+};
 
 /// The links of one process: its listening endpoint and its connections to peers.
 class Links {
@@ -28,7 +36,9 @@ class Links {
   void stop();
   /// What they have carried and refused since the process started.
   control::LinkStatus status();
-  /// Lets `peer` open `wire` to `provider` if it brings `token`.
+  /// Of all links of the process.
+  LinkCounters& counters() { return counters_; }
+  /// Lets `peer`, a process's name or another host's endpoint, open `wire` to `provider` if it brings `token`.
   void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
                std::string client_name);
   /// Where a link goes, and what opens it.
@@ -40,8 +50,13 @@ class Links {
   /// [control thread] Opens `wire` from `client` to the process behind `endpoint`; then calls `switch_over`,
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
   /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
+  /// `resumes_every` > 0: what the provider has put since the wire `replaces` was lost is counted as dropped.
   void require(std::uint64_t wire, const std::string& token, RequiredPort& client, const std::string& provider_name,
-               const Endpoint& endpoint, const std::function<void()>& switch_over);
+               const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+               const std::function<void()>& switch_over);
+  /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
+  /// is bounded: a sender has credit for it only once it has left.
+  void relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint);
   /// Ends a wire on this side and tells the peer.
   void cut(std::uint64_t wire, const std::string& reason);
   /// Another wire has taken this one's place at its client: it goes once its open requests have ended.
@@ -52,6 +67,13 @@ class Links {
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
   /// Of a process on a virtual clock: by where the peer listens, which is its name towards this process too.
   std::map<std::string, FrameCounts> frame_counts();
+  /// [any thread] Another host can be reached, at the endpoint "host:…", over a socket that is not owned here.
+  void join(const std::string& endpoint, Hop hop);
+  /// [any thread] The host behind `endpoint` is gone: the wires that go there are lost.
+  void part(const std::string& endpoint, const std::string& reason);
+  /// [any thread] What has come from there, or from a peer of a socket of ours.
+  bool accepts(const Hop& from, const wire::Frame& frame);
+  void on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object);
 
  private:
   struct Grant {
@@ -61,41 +83,68 @@ class Links {
     std::uint32_t prescale = 1;
     std::string client_name;
     std::shared_ptr<RemoteWire> wire;  ///< once opened
+    Hop client;                        ///< once opened
   };
   struct Requirement {
     RequiredPort* client = nullptr;
     std::string endpoint;
     std::string provider_name;
+    Hop provider;
     std::shared_ptr<RemoteWire> wire;
     std::optional<std::string> refusal;  ///< once the peer has answered; empty: open
+    std::uint64_t from_sequence = 0;     ///< once open: what was put after this comes
     bool retired = false;
+    bool lost = false;                   ///< its link is; kept until another wire takes its place, or it is cut
   };
-  class Server;
-  class Client;
+  /// What comes from one side in one lane leaves in one, so that its order stays.
+  class RelayLane;
+  struct Relay {
+    struct Side {
+      Hop hop;
+      std::shared_ptr<RelayLane> lane;  ///< towards it, once an object has gone there
+    };
+    std::string token;
+    std::string peer;
+    Endpoint endpoint;
+    Side client;  ///< once opened, as is the other
+    Side provider;
+  };
+  /// Of one lane of the hop where it comes from, to the other.
+  using RelayWay = std::tuple<LinkSocket*, std::string, std::uint64_t, LinkSocket*, std::string>;
+  class Receiver;
   struct Peer {
-    std::unique_ptr<Client> client;
-    std::unique_ptr<LinkSocket> link;
+    std::unique_ptr<Receiver> receiver;  ///< none: another host's, which is not ours
+    Hop hop;
     ~Peer();
     Peer();
     Peer(Peer&&) noexcept;
     Peer& operator=(Peer&&) noexcept;
   };
 
-  bool server_accepts(const std::string& peer, const wire::Frame& frame);
-  void on_server_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object);
-  bool client_accepts(const std::string& endpoint, const wire::Frame& frame);
-  void on_client_frame(const std::string& endpoint, const wire::Frame& frame, const ObjectBytes& object);
-  void on_client_refused(const std::string& endpoint, const std::string& reason);
+  /// The end of a wire that is here, as that peer may use it.
+  struct End {
+    std::shared_ptr<RemoteWire> wire;
+    bool provides = false;
+  };
+  void on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire, const ObjectBytes& object);
+  void on_refused(const Hop& from, const std::string& reason);
   void on_closed(std::uint64_t wire, const std::string& reason);
-  std::shared_ptr<RemoteWire> granted(const std::string& peer, std::uint64_t wire);
-  std::shared_ptr<RemoteWire> required(const std::string& endpoint, std::uint64_t wire);
+  End end_of(const Hop& from, std::uint64_t wire);
+  bool may_open(const Hop& from, const std::string& peer);
+  void open_relay(const Hop& from, const wire::Frame& frame, Relay& relay);
+  const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
+  void forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+               const std::shared_ptr<const Payload>& payload);
+  void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
+  void lose(const std::string& endpoint, const std::string& name, const std::string& reason);
+  void lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason);
   void note_foreign(std::uint64_t wire);
   void note_ended(std::uint64_t wire);
-  void open_for(const std::string& peer, const wire::Frame& frame);
-  std::shared_ptr<RemoteWire> wire_for(const std::string& peer, std::uint64_t wire, const Grant& grant);
-  void refuse(const std::string& peer, std::uint64_t wire, const std::string& reason);
-  void note_answer(std::uint64_t wire, const std::string& refusal);
-  LinkSocket& connect(const Endpoint& endpoint);
+  void open_for(const Hop& from, const wire::Frame& frame);
+  std::shared_ptr<RemoteWire> wire_for(const Hop& from, std::uint64_t wire, const Grant& grant);
+  void refuse(const Hop& from, std::uint64_t wire, const std::string& reason);
+  void note_answer(std::uint64_t wire, const std::string& refusal, std::uint64_t from_sequence);
+  Hop connect(const Endpoint& endpoint);
   std::function<void()> on_dealt_with() const;
 
   Pool& pool_;
@@ -107,12 +156,15 @@ class Links {
   std::condition_variable answered_;  ///< a requirement has its answer
   std::map<std::uint64_t, Grant> grants_;
   std::map<std::uint64_t, Requirement> requirements_;
+  std::map<std::uint64_t, Relay> relays_;
+  std::map<RelayWay, std::weak_ptr<RelayLane>> relay_lanes_;
   std::map<std::string, Peer> peers_;  ///< by endpoint
-  std::map<std::pair<std::string, const Port*>, std::weak_ptr<FanOut>> fan_outs_;  ///< by client process and provider
+  /// By client process and provider.
+  std::map<std::tuple<LinkSocket*, std::string, const Port*>, std::weak_ptr<FanOut>> fan_outs_;
   std::deque<std::uint64_t> ended_;  ///< wires whose last frames may still come
   LinkCounters counters_;
-  std::unique_ptr<Server> receiver_;
-  std::unique_ptr<LinkSocket> server_;
+  std::unique_ptr<Receiver> receiver_;
+  std::shared_ptr<LinkSocket> server_;
 };
 
 }  // namespace fiona::host

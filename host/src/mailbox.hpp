@@ -21,10 +21,11 @@ class Mailbox {
 
   int descriptor() const { return signal_.get(); }
 
-  /// [any thread]
-  void push(T value) {
+  /// [any thread] Not where `most` wait already.
+  void push(T value, std::size_t most = SIZE_MAX) {
     {
       const std::lock_guard lock(mutex_);
+      if (values_.size() >= most) return;
       values_.push_back(std::move(value));
     }
     signal();

@@ -100,6 +100,23 @@ const Model::Instance& Model::instance(const std::string& name) const {
               {.what = "there is no instance '" + name + "'", .next = "ls", .near = nearest_names(name, names())});
 }
 
+void Model::require_own(const std::string& name) const {
+  const Instance* found = find(name);
+  if (!found || !found->led || leader_.empty()) return;
+  throw Error(ErrorCode::NotAllowed, {.what = fmt::format("'{}' belongs to the system of host '{}', which leads this one", name, leader_),
+                                      .next = fmt::format("say it on host '{}'", leader_)});
+}
+
+void Model::take(const std::string& name, Instance instance) {
+  require_name(name, "an instance");
+  if (const Instance* taken = find(name)) {
+    throw Error(ErrorCode::Usage, {.what = "there is an instance '" + name + "' already", .found = taken->package->name});
+  }
+  instance.led = true;
+  instance.order = next_order_++;
+  instances_[name] = std::make_shared<const Instance>(std::move(instance));
+}
+
 std::vector<std::string> Model::names() const {
   std::vector<std::string> all;
   for (const auto& [name, one] : instances_) all.push_back(name);
@@ -192,7 +209,7 @@ void Model::load(const control::Load& request, const Packages& packages) {
   }
   auto made = std::make_shared<Instance>();
   *made = {request.plugin(), package, component, request.group().empty() ? "main" : request.group(), "", request.mode(),
-           nullptr, next_order_};
+           nullptr, next_order_, false};
   made->mode = mode_after_load(*made);
   made->parameters = default_parameters(*made);
   if (request.parameters_size() > 0) {
@@ -215,12 +232,15 @@ void Model::load(const control::Load& request, const Packages& packages) {
 
 void Model::unload(const control::Unload& request) {
   instance(request.instance());
+  require_own(request.instance());
   std::erase_if(wires_, [&](const auto& entry) { return entry.first.first == request.instance(); });
   instances_.erase(request.instance());
 }
 
 void Model::wire(const control::Wire& request) {
   port(request.client(), REQUIRES);
+  require_own(request.client().instance());
+  require_own(request.provider().instance());
   if (find(request.provider().instance())) {
     require_fit(request.client(), request.provider());
   } else {
@@ -231,12 +251,14 @@ void Model::wire(const control::Wire& request) {
 
 void Model::unwire(const control::Unwire& request) {
   port(request.client(), REQUIRES);
+  require_own(request.client().instance());
   if (wires_.erase(key_of(request.client())) == 1) return;
   const std::string name = text_of(request.client());
   throw Error(ErrorCode::NotFound, {.what = name + " has no wire", .where = name, .next = "ls wires"});
 }
 
 void Model::set(const control::Set& request) {
+  require_own(request.instance());
   auto draft = std::make_shared<Instance>(instance(request.instance()));
   draft->parameters = changed(request.instance(), draft->parameters, request.parameters(), "get " + request.instance());
   instances_[request.instance()] = std::move(draft);
@@ -287,6 +309,7 @@ void Model::set_host(const control::Set& request) {
 
 /// Whether the component may go there, only its life cycle can tell.
 void Model::state(const control::State& request) {
+  require_own(request.instance());
   auto draft = std::make_shared<Instance>(instance(request.instance()));
   draft->mode = request.mode() == "deactivated" ? "neutral" : request.mode();
   instances_[request.instance()] = std::move(draft);
@@ -384,11 +407,12 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
   std::map<std::uint64_t, std::string> leaving;
   std::map<std::uint64_t, std::string> coming;
   for (const auto& [name, one] : from.instances_) {
+    if (one->led) continue;
     const Instance* same = to.find(name);
     same && is_same(*one, *same) ? void(kept.insert(name)) : void(leaving[one->order] = name);
   }
   for (const auto& [name, one] : to.instances_) {
-    if (!kept.contains(name)) coming[one->order] = name;
+    if (!kept.contains(name) && !one->led) coming[one->order] = name;
   }
   for (const auto& [client, wire] : from.wires_) {
     if (kept.contains(client.first) && !to.wires_.contains(client)) *steps.emplace_back().mutable_unwire()->mutable_client() = port_of(client);
@@ -412,6 +436,7 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
     if (!there) steps.push_back(wiring_of(client, wire));
   }
   for (const auto& [name, one] : to.instances_) {
+    if (one->led) continue;
     const std::string before = kept.contains(name) ? from.instance(name).mode : mode_after_load(*one);
     if (before != one->mode) steps.push_back(state_of(name, one->mode));
   }

@@ -27,6 +27,7 @@ class Model {
     std::string mode_at_load;                  ///< as `load` asked; empty: the first
     std::shared_ptr<const Object> parameters;  ///< null: the component has none
     std::uint64_t order = 0;                   ///< of loading
+    bool led = false;                          ///< of the system of the host that leads this one
 
     const ComponentInterface& interface() const { return package->component(component); }
   };
@@ -54,6 +55,13 @@ class Model {
   /// Makes the change in the model. Throws Error, and changes nothing, when it cannot be: everything that can be told
   /// without running a component is told here.
   void make(const control::Change& change, const Packages& packages);
+  /// An instance that the host that leads this one has here. It belongs to no change of this system.
+  void take(const std::string& name, Instance instance);
+  void drop(const std::string& name) { instances_.erase(name); }
+  /// Who leads now, and alone may change what is its; empty: nobody.
+  void set_leader(std::string leader) { leader_ = std::move(leader); }
+  /// Throws Error NotAllowed for what is the leader's.
+  void require_own(const std::string& name) const;
   /// The change as steps that each do one thing: a swap as its wires.
   std::vector<control::Change> steps_of(const control::Change& change) const;
   /// The provider's port fits the client's; throws Error WiringInvalid naming both services and who would fit.
@@ -75,6 +83,7 @@ class Model {
 
   std::map<std::string, std::shared_ptr<const Instance>> instances_;
   std::map<PortKey, Wire> wires_;
+  std::string leader_;
   bool virtual_clock_ = false;
   double speed_ = 0;        ///< of a virtual clock
   std::string deliveries_;  ///< of a virtual clock

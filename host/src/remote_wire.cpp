@@ -71,14 +71,14 @@ class RemoteWire::RemoteReply final : public ReplySink {
     const auto rule = event.object ? LinkSocket::Rule::MustFit : LinkSocket::Rule::Control;
     const std::lock_guard lock(wire->mutex_);
     if (wire->cut_) return Outcome::Disconnected;
-    return wire->outcome_of(wire->link_.send(wire->lane_, frame, event.object, rule));
+    return wire->outcome_of(wire->link_->send(wire->lane_, frame, event.object, rule));
   }
 
  private:
   /// An answer that does not fit is refused with the reason in its place: the client does not wait for its deadline.
   static void send(RemoteWire& wire, wire::Frame& frame, const std::shared_ptr<const Object>& object) {
     if (!object) return wire.send_frame(frame);
-    const auto sent = wire.link_.send(wire.lane_, frame, object, LinkSocket::Rule::MustFit);
+    const auto sent = wire.link_->send(wire.lane_, frame, object, LinkSocket::Rule::MustFit);
     if (wire.outcome_of(sent) == Outcome::Ok) return;
     frame.clear_lane();
     frame.clear_size();
@@ -93,19 +93,19 @@ class RemoteWire::RemoteReply final : public ReplySink {
   std::atomic<bool> answered_{false};
 };
 
-RemoteWire::RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port, std::string name)
-    : RemoteWire(nullptr, link, std::move(peer), wire, port, std::move(name)) {}
+RemoteWire::RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name)
+    : RemoteWire(nullptr, std::move(link), std::move(peer), wire, port, std::move(name)) {}
 
-RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::string peer, std::uint64_t wire, Port& port,
-                       std::string name)
-    : link_(link),
+RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer,
+                       std::uint64_t wire, Port& port, std::string name)
+    : link_(std::move(link)),
       peer_(std::move(peer)),
       wire_(wire),
       port_(port),
       name_(std::move(name)),
       clock_(port.hull().clock()),
       fan_out_(std::move(fan_out)),
-      lane_(fan_out_ ? fan_out_->lane() : link_.open_lane(peer_)),
+      lane_(fan_out_ ? fan_out_->lane() : link_->open_lane(peer_)),
       inbox_(inbox_of(port)),
       object_rules_(port.service().object()),
       objects_(prototype_of(port.service().object())),
@@ -139,7 +139,7 @@ void RemoteWire::attached(std::uint64_t sequence) {
 
 Outcome RemoteWire::deliver(Parcel parcel) {
   if (fan_out_) return fan_out_->deliver_to(wire_, parcel);
-  if (parcel.reply && link_.refuses(*parcel.envelope.object)) {
+  if (parcel.reply && link_->refuses(*parcel.envelope.object)) {
     port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
     parcel.reply->answer(Outcome::Rejected, kRequestTooLarge, nullptr);
     return Outcome::Ok;
@@ -169,7 +169,7 @@ Outcome RemoteWire::deliver_locked(Parcel parcel) {
   if (parcel.reply) return request_locked(frame, std::move(parcel));
   frame.mutable_object()->set_sequence(parcel.envelope.sequence);
   frame.mutable_object()->set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
-  return outcome_of(link_.send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
+  return outcome_of(link_->send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
 }
 
 Outcome RemoteWire::request_locked(wire::Frame& frame, Parcel parcel) {
@@ -183,7 +183,7 @@ Outcome RemoteWire::request_locked(wire::Frame& frame, Parcel parcel) {
   };
   parcel.reply->set_on_abandon(give_up, clock_.staging());
   open_.emplace(id, std::move(parcel.reply));
-  const Outcome outcome = outcome_of(link_.send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
+  const Outcome outcome = outcome_of(link_->send(lane_, frame, parcel.envelope.object, LinkSocket::Rule::MustFit));
   if (outcome != Outcome::Ok) open_.erase(id);
   return outcome;
 }
@@ -355,6 +355,7 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;
+    if (!request) last_sequence_ = frame.object().sequence();
     if (request) {
       reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
       served_[frame.request().id()] = reply;
@@ -441,7 +442,7 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     }
     served_.clear();
   }
-  fan_out_ ? fan_out_->leave(wire_) : link_.close_lane(lane_);
+  fan_out_ ? fan_out_->leave(wire_) : link_->close_lane(lane_);
   for (auto& [id, reply] : open) reply->answer(Outcome::Disconnected, reason, nullptr);
   for (auto& reply : served) reply->abandon();
 }

@@ -28,15 +28,17 @@ struct ParsedObject {
 class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> {
  public:
   /// With a lane of its own. `name` orders deliveries in virtual time, as that of a LocalWire.
-  RemoteWire(LinkSocket& link, std::string peer, std::uint64_t wire, Port& port, std::string name);
+  RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name);
   /// Of a push provider: one of those that share what crosses.
-  RemoteWire(std::shared_ptr<FanOut> fan_out, LinkSocket& link, std::string peer, std::uint64_t wire, Port& port,
-             std::string name);
+  RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire,
+             Port& port, std::string name);
   ~RemoteWire() override;
 
   std::uint64_t wire() const { return wire_; }
   const std::string& peer() const { return peer_; }
   const Port& port() const { return port_; }
+  /// [any thread] Of the newest object that came; 0: none yet.
+  std::uint64_t last_sequence() const { return last_sequence_.load(); }
 
   /// Tells the provider to open it.
   void ask(const std::string& token);
@@ -82,9 +84,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void on_answer(const wire::Answer& answer, const ObjectBytes& object);
   void on_fired(const wire::Fired& fired, const ObjectBytes& object);
   void forget(std::uint64_t id);
-  void send_frame(wire::Frame& frame) { link_.send(lane_, frame); }
+  void send_frame(wire::Frame& frame) { link_->send(lane_, frame); }
 
-  LinkSocket& link_;
+  const std::shared_ptr<LinkSocket> link_;  ///< stopped, it may be used: nothing leaves
   const std::string peer_;
   const std::uint64_t wire_;
   Port& port_;
@@ -109,6 +111,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id
   std::unordered_map<std::uint64_t, std::weak_ptr<ReplySink>> served_;  ///< requests of the peer's
   std::uint64_t next_id_ = 1;
+  std::atomic<std::uint64_t> last_sequence_{0};
 };
 
 bool is_push(const Port& port);

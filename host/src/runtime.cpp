@@ -71,6 +71,7 @@ struct Runtime::Wire {
   std::shared_ptr<LocalWire> local;            ///< both ends here
   detail::PushProvider* provider = nullptr;    ///< of a local push
   RequiredPort* client = nullptr;              ///< of a local wire
+  const Hull* provider_hull = nullptr;
 };
 
 control::Failure failure_of(const Error& error) {
@@ -169,7 +170,8 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
       SwitchCost cost(required(wire.client()));
-      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), {wire.endpoint(), wire.name(), wire.key()}, [&] {
+      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), {wire.endpoint(), wire.name(), wire.key()},
+                     wire.replaces(), wire.resumes_every(), [&] {
         cost.begin();
         retire(wire.replaces());
       });
@@ -180,6 +182,9 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       return required(request.await().client())
           .set_connection(waits ? Connection::Waiting : Connection::Unwired, waits ? request.await().reason() : "unwired");
     }
+    case Request::kWireRelay:
+      return links_.relay(request.wire_relay().wire(), request.wire_relay().token(), request.wire_relay().peer(),
+                          {request.wire_relay().endpoint(), request.wire_relay().name(), request.wire_relay().key()});
     case Request::kCut: return cut(request.cut());
     case Request::kStatus: return status(*reply.mutable_status());
     case Request::kTap: return taps_.tap(request.tap(), *find(request.tap().watch().port().instance()).hull);
@@ -252,6 +257,17 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
   taps_.release(*instance.hull);
   links_.release(*instance.hull);
+  // Whoever asked has cut its wires, unless he did not know of the instance any more.
+  std::vector<std::uint64_t> left;
+  for (const auto& [id, wire] : wires_) {
+    if (wire.provider_hull == instance.hull.get() || &wire.client->hull() == instance.hull.get()) left.push_back(id);
+  }
+  for (const std::uint64_t id : left) {
+    wire::Cut cut_it;
+    cut_it.set_wire(id);
+    cut_it.set_reason("'" + request.instance() + "' has ended");
+    cut(cut_it);
+  }
   for (const auto& retired : retired_) {
     if (const auto wire = retired.lock()) wire->cut_from(*instance.hull);
   }
@@ -296,7 +312,7 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
   retire(request.replaces());
   client.set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
-  wires_[request.wire()] = Wire{std::move(local), push, &client};
+  wires_[request.wire()] = Wire{std::move(local), push, &client, &provider.hull()};
   cost.end(switched);
 }
 

@@ -32,6 +32,7 @@ class Runtime final : private HullEvents {
   wire::GroupMessage handle(const wire::GroupRequest& request);
   const std::string& endpoint() const { return links_.endpoint(); }
   std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
+  Links& links() { return links_; }
 
  private:
   struct Instance;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <iostream>
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
@@ -17,13 +18,6 @@ constexpr std::string_view kMain = "main";
 constexpr double kModeDeadline_ms = 10'000;
 constexpr double kGrace_ms = 1'000;
 
-wire::GroupRequest cut_of(std::uint64_t wire, const std::string& reason) {
-  wire::GroupRequest request;
-  request.mutable_cut()->set_wire(wire);
-  request.mutable_cut()->set_reason(reason);
-  return request;
-}
-
 std::string waiting_for(const std::string& provider) { return "there is no instance '" + provider + "' yet"; }
 
 }  // namespace
@@ -31,6 +25,12 @@ std::string waiting_for(const std::string& provider) { return "there is no insta
 System::System(Options options, OnEvent on_event)
     : options_(std::move(options)), on_event_(std::move(on_event)), packages_(options_.store) {
   use_clock(std::make_unique<SystemClock>());
+  if (!options_.hosts.any()) return;
+  if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers;
+  auto& main = dynamic_cast<MainGroup&>(*groups_.at(std::string(kMain)));
+  hosts_ = std::make_unique<HostLinks>(
+      options_.hosts, options_.name, *pool_, *clock_, main.links(), [this](wire::GroupMessage event) { deliver(event); },
+      [](const std::string& text) { std::cerr << text << "\n"; });
 }
 
 System::~System() { end_threads(); }
@@ -39,10 +39,12 @@ System::~System() { end_threads(); }
 /// after its last job has ended.
 void System::end_threads() {
   if (virtual_) virtual_->stop();  // it asks the groups how far they are
+  if (hosts_) hosts_->stop();
   groups_.clear();
   master_.reset();
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
+  hosts_.reset();
   pool_.reset();
   waits_.reset();
 }
@@ -63,7 +65,8 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
 /// Waits first, on the thread where it happened; then whoever else listens.
 void System::deliver(const wire::GroupMessage& event) {
   waits_->on_event(event, types_);
-  if (event.has_run_ended()) waits_->end_run(event.run_ended().exit_code(), event.run_ended().reason());
+  const bool led = tell_leader(event);
+  if (event.has_run_ended() && !led) waits_->end_run(event.run_ended().exit_code(), event.run_ended().reason());
   on_event_(event);
 }
 
@@ -73,6 +76,7 @@ Group& System::group(const std::string& name) {
   const std::string wanted = name.empty() ? std::string(kMain) : name;
   const auto found = groups_.find(wanted);
   if (found != groups_.end() && found->second->alive()) return *found->second;
+  if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
   require_descriptors_for_group(child_groups().size());
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
@@ -86,15 +90,15 @@ Group& System::group_of(const std::string& name, const Model& model) {
   const Model::Instance& one = model.instance(name);
   const auto lost = lost_.find(name);
   if (lost == lost_.end()) return group(one.group);
-  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second,
+  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second.reason,
                                        .where = name,
-                                       .next = "unload " + name + ", then load it again"});
+                                       .next = lost->second.away ? "ls hosts" : "unload " + name + ", then load it again"});
 }
 
 /// A process that was started for an instance that could not be made has no purpose.
 void System::retire_if_empty(const Group& target) {
   const std::string name = target.name();
-  if (!model_.uses_group(name) && name != kMain) groups_.erase(name);
+  if (!model_.uses_group(name) && name != kMain && host_of(name).empty()) groups_.erase(name);
 }
 
 // ---- instances ------------------------------------------------------------------------------------------------
@@ -121,13 +125,23 @@ control::Done System::load(const control::Load& request, const Model& next) {
   const std::string name = request.instance().empty() ? packages_.find(request.plugin()).component : request.instance();
   const Model::Instance& made = next.instance(name);
   Group& target = group(made.group);
+  create(target, name, made, request);
+  control::Done done;
+  done.set_note(fmt::format("{} {} as {}{}{}", made.package->name, made.package->version, name,
+                            target.name() == kMain ? "" : " in " + target.name(), connect_waiting(name, next)));
+  return done;
+}
+
+void System::create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request) {
   wire::GroupRequest create;
   auto& c = *create.mutable_create();
   c.set_instance(name);
   c.set_plugin(made.package->name);
   c.set_version(made.package->version);
-  c.set_library(made.package->library.string());
-  c.set_share(made.package->share.string());
+  if (host_of(target.name()).empty()) {  // another host has files of its own
+    c.set_library(made.package->library.string());
+    c.set_share(made.package->share.string());
+  }
   c.set_component(made.component);
   *c.mutable_interface() = made.package->interface;
   *c.mutable_parameters() = request.parameters();
@@ -139,10 +153,6 @@ control::Done System::load(const control::Load& request, const Model& next) {
     throw;
   }
   types_.add(made.package->name, made.package->types);
-  control::Done done;
-  done.set_note(fmt::format("{} {} as {}{}{}", made.package->name, made.package->version, name,
-                            target.name() == kMain ? "" : " in " + target.name(), connect_waiting(name, next)));
-  return done;
 }
 
 control::Done System::unload(const control::Unload& request) {
@@ -155,19 +165,24 @@ control::Done System::unload(const control::Unload& request) {
     if (is_client || is_provider) disconnect(client, it->second, name + " was unloaded");
     if (!is_client && is_provider) {
       dependents.push_back(text_of(client));
-      it->second = Wire{0, false, waiting_for(name)};
+      it->second = Wire{0, false, waiting_for(name), {}};
       await_provider(client, it->second.reason, model_);
     }
     it = is_client ? wires_.erase(it) : std::next(it);
   }
   control::Done done;
   std::string note = "unloaded " + name;
-  if (lost_.erase(name) == 0) {
-    wire::GroupRequest destroy;
-    destroy.mutable_destroy()->set_instance(name);
-    const auto reply = group(model_.instance(name).group).request(std::move(destroy));
-    if (!reply.done().note().empty()) note += "; " + reply.done().note();
+  wire::GroupRequest destroy;
+  destroy.mutable_destroy()->set_instance(name);
+  const std::string& at = model_.instance(name).group;
+  if (RemoteGroup* silent = silent_group(at)) {
+    silent->owe(std::move(destroy));
+    note += ", which its host will do when it is back";
+  } else if (!lost_.contains(name)) {
+    const auto reply = group(at).request(std::move(destroy));
+    if (!reply.done().note().empty() && host_of(at).empty()) note += "; " + reply.done().note();
   }
+  lost_.erase(name);
   if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));
   done.set_note(note);
   return done;
@@ -183,6 +198,7 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
   settle();
   const std::string name = request.instance();
   Group& target = group_of(name, model_);
+  model_.require_own(name);
   const std::uint64_t change = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
   const auto begin = [&] {
@@ -265,6 +281,10 @@ control::Done System::set(const control::Set& request, const Model& next) {
     group_of(request.instance(), next).request(std::move(change));
     return done;
   }
+  if (next.has_virtual_clock() && hosts_) {
+    throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one host, and this one works with others over tcp",
+                                        .next = "start it without --listen and --peer"});
+  }
   const bool records_anew = next.deliveries() != (deliveries_ ? deliveries_->file().string() : "");
   std::shared_ptr<DeliveryLog> log;  // first: a file that cannot be written changes nothing
   if (records_anew && !next.deliveries().empty()) log = std::make_shared<DeliveryLog>(next.deliveries());
@@ -346,11 +366,12 @@ std::pair<bool, std::string> System::has_mode(const std::string& name, const std
 
 /// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
 /// all is as before.
-System::Wire System::connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done) {
+System::Wire System::connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done,
+                             bool resumes) {
   const Model::Wire& wanted = *model.wire_of(client);
   Group& client_group = group_of(client.instance(), model);
   Group& provider_group = group_of(wanted.provider.instance(), model);
-  Wire wire{next_wire_++, &client_group == &provider_group, {}};
+  Wire wire{next_wire_++, &client_group == &provider_group, {}, {}};
   const auto note_cost = [&](const wire::GroupMessage& reply) {
     if (replaces == 0) return;
     done.set_switched(done.switched() + 1);
@@ -369,27 +390,37 @@ System::Wire System::connect(const control::PortName& client, const Model& model
     return wire;
   }
   const std::string token = os::random_token();
+  const std::vector<Group*> path = way(client_group, provider_group);
   auto& provide = *request.mutable_wire_provide();
   provide.set_wire(wire.id);
   provide.set_token(token);
   *provide.mutable_provider() = wanted.provider;
   *provide.mutable_client() = client;
   provide.set_prescale(wanted.prescale);
-  provide.set_peer(client_group.link_name());
+  provide.set_peer(known_as(*path[path.size() - 2], provider_group));
   provider_group.request(request);
-  auto& require = *request.mutable_wire_require();
-  require.set_wire(wire.id);
-  require.set_token(token);
-  *require.mutable_client() = client;
-  *require.mutable_provider() = wanted.provider;
-  require.set_endpoint(provider_group.endpoint());
-  require.set_replaces(replaces);
-  require.set_name(client_group.link_name());
-  require.set_key(link_key(provider_group.link_key(), client_group.link_name()));
   try {
+    for (std::size_t i = path.size() - 2; i > 0; --i) {
+      wire.relays.push_back(path[i]->name());
+      auto& relay = *request.mutable_wire_relay();
+      relay.set_wire(wire.id);
+      relay.set_token(token);
+      relay.set_peer(known_as(*path[i - 1], *path[i]));
+      set_endpoint(relay, endpoint_for(*path[i], *path[i + 1]));
+      path[i]->request(request);
+    }
+    auto& require = *request.mutable_wire_require();
+    require.set_wire(wire.id);
+    require.set_token(token);
+    *require.mutable_client() = client;
+    *require.mutable_provider() = wanted.provider;
+    require.set_replaces(replaces);
+    if (resumes) require.set_resumes_every(wanted.prescale);
+    set_endpoint(require, endpoint_for(client_group, *path[1]));
     note_cost(client_group.request(std::move(request)));
   } catch (...) {
-    if (provider_group.alive()) provider_group.request(cut_of(wire.id, "the wire did not open"));
+    for (const auto& relay : wire.relays) cut_at(relay, wire.id, "the wire did not open");
+    cut_at(provider_group.name(), wire.id, "the wire did not open");
     throw;
   }
   return wire;
@@ -399,11 +430,10 @@ void System::disconnect(const control::PortName& client, const Wire& wire, const
   if (wire.id == 0) return;
   // The client first: told by its host it is unwired; told by the provider it would be lost.
   for (const auto& name : {client.instance(), model_.wire_of(client)->provider.instance()}) {
-    const auto* one = model_.find(name);
-    if (!one || lost_.contains(name)) continue;
-    group(one->group).request(cut_of(wire.id, reason));
+    if (const auto* one = model_.find(name)) cut_at(one->group, wire.id, reason);
     if (wire.local) return;
   }
+  for (const auto& relay : wire.relays) cut_at(relay, wire.id, reason);
 }
 
 void System::await_provider(const control::PortName& client, const std::string& reason, const Model& model) {
@@ -448,7 +478,7 @@ control::Done System::wire(const control::Wire& request, const Model& next) {
   }
   if (const std::string& provider = wanted.provider.instance(); !next.find(provider)) {
     if (old != wires_.end()) disconnect(request.client(), old->second, waiting_for(provider));
-    const Wire waiting{0, false, waiting_for(provider)};
+    const Wire waiting{0, false, waiting_for(provider), {}};
     await_provider(request.client(), waiting.reason, next);
     wires_[key] = waiting;
     const auto near = nearest_names(provider, next.names());
@@ -457,7 +487,8 @@ control::Done System::wire(const control::Wire& request, const Model& next) {
     done.set_note(text_of(request.client()) + " waits for " + text_of(request.provider()));
     return done;
   }
-  wires_[key] = connect(request.client(), next, old == wires_.end() ? 0 : old->second.id, done);
+  const Wire made = connect(request.client(), next, old == wires_.end() ? 0 : old->second.id, done);
+  wires_[key] = made;
   done.set_note(text_of(request.client()) + " to " + text_of(request.provider()));
   return done;
 }
@@ -580,28 +611,50 @@ void System::lose(ChildGroup& gone) {
     if (one.get() != &gone && one->alive()) one->peer_lost(lost);
   }
   for (const std::string& name : model_.names()) {
-    if (model_.instance(name).group != gone.name() || !lost_.emplace(name, reason).second) continue;
-    wire::GroupMessage event;
-    event.mutable_mode_changed()->set_instance(name);
-    event.mutable_mode_changed()->set_mode(std::string(kModeFailed));
-    event.mutable_mode_changed()->set_reason(reason);
-    deliver(event);
+    const bool dies = model_.instance(name).group == gone.name() && lost_.emplace(name, Lost{reason}).second;
+    if (dies) tell_failed(name, reason);
   }
-  for (const auto& [tap, group] : taps_) {
-    if (group != gone.name()) continue;
-    wire::GroupMessage event;
-    event.mutable_tap_ended()->set_tap(tap);
-    *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
-    deliver(event);
-  }
-  std::erase_if(taps_, [&gone](const auto& tap) { return tap.second == gone.name(); });
+  end_taps(gone.name(), reason);
   if (master_) master_->remove(gone.endpoint());  // from here on virtual time goes on without it
   for (auto& [key, wire] : wires_) {
     const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
     const bool client_gone = model_.instance(key.first).group == gone.name();
     const bool provider_gone = model_.find(provider) && model_.instance(provider).group == gone.name();
     if (wire.id != 0 && (client_gone || provider_gone)) wire.reason = reason;
+    // Another host's process, which has lost nothing, must not go on sending to nobody.
+    const bool far = client_gone && !provider_gone && model_.find(provider) && !host_of_instance(provider).empty();
+    if (wire.id != 0 && far) cut_at(model_.instance(provider).group, wire.id, reason);
   }
+  wire::GroupMessage event;
+  event.mutable_group_ended()->set_group(gone.name());
+  event.mutable_group_ended()->set_reason(reason);
+  tell_leader(event);
+  // What was the leader's there is told; the names are his to use again.
+  for (const std::string& name : model_.names()) {
+    if (!model_.instance(name).led || model_.instance(name).group != gone.name()) continue;
+    note_led(name, false);
+    lost_.erase(name);
+    model_.drop(name);
+  }
+}
+
+void System::tell_failed(const std::string& instance, const std::string& reason) {
+  wire::GroupMessage event;
+  event.mutable_mode_changed()->set_instance(instance);
+  event.mutable_mode_changed()->set_mode(std::string(kModeFailed));
+  event.mutable_mode_changed()->set_reason(reason);
+  deliver(event);
+}
+
+void System::end_taps(const std::string& group, const std::string& reason) {
+  for (const auto& [tap, owner] : taps_) {
+    if (owner != group) continue;
+    wire::GroupMessage event;
+    event.mutable_tap_ended()->set_tap(tap);
+    *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
+    deliver(event);
+  }
+  std::erase_if(taps_, [&group](const auto& tap) { return tap.second == group; });
 }
 
 // ---- snapshot -------------------------------------------------------------------------------------------------
@@ -614,7 +667,8 @@ control::InstanceStatus System::status_of_lost(const std::string& name) const {
   status.set_component(one.component);
   status.set_version(one.package->version);
   status.set_mode(std::string(kModeFailed));
-  status.set_reason(lost_.at(name));
+  const auto lost = lost_.find(name);
+  status.set_reason(lost == lost_.end() ? "its process does not answer" : lost->second.reason);
   for (const auto& declared : one.interface().ports()) {
     auto& p = *status.add_ports();
     p.set_name(declared.name());
@@ -638,7 +692,7 @@ void System::complete_status(control::InstanceStatus& status) const {
         const Wire wire = known == wires_.end() ? Wire{} : known->second;
         *p.mutable_peer() = wanted.provider;
         p.set_prescale(wanted.prescale);
-        if (wire.id != 0) p.set_transport(wire.local ? "process" : "ipc");
+        if (wire.id != 0) p.set_transport(transport(client.first, wanted.provider.instance(), wire));
         if (wire.id != 0 && !wire.reason.empty()) p.set_connection(control::LOST);
         if (!wire.reason.empty()) p.set_reason(wire.reason);
       }
@@ -659,6 +713,7 @@ std::vector<control::InstanceStatus> System::status_of_group(Group& target, cont
     std::copy_if(reply.status().instances().begin(), reply.status().instances().end(), std::back_inserter(found),
                  [this](const auto& one) { return model_.find(one.name()) != nullptr; });
   } catch (const Error&) {
+    if (dynamic_cast<RemoteGroup*>(&target)) return found;  // its host will tell, or fall silent
     if (target.alive()) throw;
     if (auto* child = dynamic_cast<ChildGroup*>(&target)) lose(*child);
   }
@@ -683,7 +738,10 @@ control::System System::snapshot() {
     for (auto& in_group : status_of_group(*one, *status.mutable_links())) ordered[model_.instance(in_group.name()).order] = std::move(in_group);
     status.set_alive(one->alive());
   }
-  for (const auto& [name, reason] : lost_) ordered[model_.instance(name).order] = status_of_lost(name);
+  for (const std::string& name : model_.names()) {
+    const std::uint64_t order = model_.instance(name).order;
+    if (lost_.contains(name) || !ordered.contains(order)) ordered[order] = status_of_lost(name);
+  }
   std::map<std::string, const Interface*> interfaces;
   std::map<std::string, std::uint64_t> members;
   for (auto& [order, status] : ordered) {
@@ -697,6 +755,7 @@ control::System System::snapshot() {
     one = *interface;
     one.clear_descriptors();
   }
+  add_hosts(all);
   for (auto& status : *all.mutable_groups()) status.set_instances(members[status.name()]);
   return all;
 }

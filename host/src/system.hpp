@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <set>
 #include <string>
@@ -14,23 +15,34 @@
 #include "delivery_log.hpp"
 #include "fiona/pool.hpp"
 #include "group.hpp"
+#include "host_links.hpp"
 #include "model.hpp"
 #include "package.hpp"
+#include "remote_group.hpp"
 #include "types.hpp"
 #include "waits.hpp"
 
 namespace fiona::host {
 
+template <class WireMessage>
+void set_endpoint(WireMessage& message, const Links::Endpoint& to) {
+  message.set_endpoint(to.address);
+  message.set_name(to.name);
+  message.set_key(to.key);
+}
+
 /// A running system: instances in groups, and the wires between them. One model, changed by one thread.
 class System {
  public:
   struct Options {
-    std::string name;
-    std::filesystem::path store;
-    std::filesystem::path directory;  ///< for the sockets of links
+    std::string name{};
+    std::filesystem::path store{};
+    std::filesystem::path directory{};  ///< for the sockets of links
     std::size_t threads = 0;
     /// Of the machine's time: how long virtual time may stand for the same reason before whoever waits is told.
     std::chrono::milliseconds standstill{5000};
+    HostOptions hosts{};              ///< over tcp; by default none
+    std::filesystem::path plugins{};  ///< libraries that a leading host may have loaded though they are in no package
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -81,12 +93,24 @@ class System {
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
 
+  /// Readable when something has happened between hosts, then call `serve_hosts`; -1 without tcp.
+  int hosts_descriptor() const { return hosts_ ? hosts_->descriptor() : -1; }
+  /// What there is to tell people, line by line.
+  std::vector<std::string> serve_hosts();
+  /// Where it listens for a host that leads; empty: nowhere.
+  std::string listens() const { return hosts_ && hosts_->leader() ? hosts_->leader()->address() : ""; }
+
  private:
   /// A wire as it is; the model says what it is meant to be.
   struct Wire {
     std::uint64_t id = 0;  ///< 0: it waits for its provider
     bool local = false;
     std::string reason;  ///< why it waits, or was lost
+    std::vector<std::string> relays{};  ///< groups that pass it on
+  };
+  struct Lost {
+    std::string reason;
+    bool away = false;  ///< its host is silent: it may come back
   };
 
   control::Done load(const control::Load& request, const Model& next);
@@ -100,8 +124,12 @@ class System {
   Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
   void lose(ChildGroup& gone);
+  void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request);
+  void tell_failed(const std::string& instance, const std::string& reason);
+  void end_taps(const std::string& group, const std::string& reason);
   std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
-  Wire connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done);
+  Wire connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done,
+               bool resumes = false);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
   void await_provider(const control::PortName& client, const std::string& reason, const Model& model);
   std::string connect_waiting(const std::string& provider, const Model& next);
@@ -114,6 +142,38 @@ class System {
   control::InstanceStatus status_of_lost(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
   void deliver(const wire::GroupMessage& event);
+
+  // ---- with other hosts (system_hosts.cpp)
+  std::string host_of(const std::string& group) const;
+  std::string host_of_instance(const std::string& name) const;
+  Group& main_of(const std::string& host);
+  Group* remote_group(const std::string& name);
+  std::vector<RemoteGroup*> groups_of(const std::string& host);
+  RemoteGroup* silent_group(const std::string& group);
+  std::vector<Group*> way(Group& client, Group& provider);
+  std::string known_as(Group& who, Group& at);
+  Links::Endpoint endpoint_for(Group& at, Group& to);
+  void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
+  bool crosses(const Model::PortKey& client, const std::string& host);
+  std::string on_host_joined(const HostChange& change);
+  void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
+  void resume(RemoteGroup& group);
+  void resume_wires(const std::string& host);
+  void on_remote_group_ended(const HostChange& change);
+  wire::GroupMessage obey(const wire::HostRequest& order);
+  void obey_create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply);
+  wire::GroupMessage obey_in_group(wire::GroupRequest request, Group& group);
+  void check_order(const wire::GroupRequest& request);
+  Group& led_group(const std::string& endpoint);
+  Links::Endpoint led_endpoint(const std::string& endpoint, Group& at);
+  void require_led(const std::string& name);
+  void keep_led(wire::GroupStatusReply& status) const;
+  void drop_led();
+  std::string drop_led(const std::string& name);
+  void note_led(const std::string& instance, bool led);
+  bool tell_leader(const wire::GroupMessage& event);
+  void add_hosts(control::System& all);
+  const char* transport(const std::string& client, const std::string& provider, const Wire& wire) const;
 
   const Options options_;
   const OnEvent on_event_;
@@ -136,14 +196,19 @@ class System {
   std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
-  std::map<std::string, std::string> lost_;  ///< instances whose group is gone, and why
+  std::map<std::string, Lost> lost_;         ///< instances whose group is gone, and why
   std::map<Model::PortKey, Wire> wires_;     ///< by the client's port
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
+  // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
+  static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;
   std::uint64_t next_wire_ = 1;
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;
+  std::unique_ptr<HostLinks> hosts_;     ///< none: no tcp
+  std::mutex led_mutex_;
+  std::set<std::string> led_names_;      ///< guarded by led_mutex_: instances of the leader's system
 };
 
 }  // namespace fiona::host

@@ -201,7 +201,7 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
       after.resident_mib - warm.resident_mib, after.descriptors - warm.descriptors);
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Rewire, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Rewire, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& tested) { return to_string(tested.param); });
 
 }  // namespace

@@ -286,7 +286,7 @@ TEST_P(Calls, ActivationAtAProviderThatIsNotActiveIsNotMade) {
   EXPECT_EQ(outcome_of("activate"), Outcome::NotActive);
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Calls, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Calls, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& one) { return to_string(one.param); });
 
 }  // namespace

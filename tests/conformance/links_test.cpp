@@ -19,7 +19,7 @@ using testing::HasSubstr;
 class Links : public testing::TestWithParam<Transport> {
  protected:
   std::uint64_t sent_bytes() { return system.group("main").links().sent_bytes(); }
-  bool crosses() const { return GetParam() == Transport::Ipc; }
+  bool crosses() const { return GetParam() != Transport::Process; }
   /// Puts `count` samples of this payload, and waits until each of the sinks has them all.
   void push_to(int sinks, int count, std::size_t payload) {
     system.load_provider("source", "source", "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
@@ -124,7 +124,7 @@ TEST_P(Links, CarryNothingThatIsGarbledUnprovenOrNotGranted) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Links, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Links, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& one) { return to_string(one.param); });
 
 // ---- processes that end ---------------------------------------------------------------------------------------

@@ -314,7 +314,7 @@ TEST_P(Monitoring, WhatTheHullReadsIsNeverOld) {
   EXPECT_EQ(error.text().what, "gauge.handler_time is never old: the hull reads it when it is asked");
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Monitoring, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Monitoring, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& one) { return to_string(one.param); });
 
 TEST(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {

@@ -147,7 +147,7 @@ TEST_P(Patterns, LateSubscriberToASilentProviderIsToldSo) {
 
 TEST_P(Patterns, QueryGetsItsAnswer) {
   system.load_provider("answerer", "answerer");
-  system.load_client("asker", "asker", "count=20 period_ms=1 payload=1000");
+  system.load_client("asker", "asker", "period_ms=20 payload=1000");
   const auto outcome = system.watch("asker.outcome");
   system.wire("asker.echo", "answerer.echo");
   const auto report = system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Ok); });
@@ -292,7 +292,7 @@ TEST_P(Patterns, InstanceThatDoesNotFitAWireThatWaitsForItsNameIsRefused) {
   EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& tested) { return to_string(tested.param); });
 
 }  // namespace

@@ -241,10 +241,10 @@ TEST_P(Triggers, SendPortIsCalledByHand) {
   system.eventually("handled", [&] { return system.port("sink.orders").messages() == 1; });
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Triggers, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Triggers, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& one) { return to_string(one.param); });
 
-INSTANTIATE_TEST_SUITE_P(Over, State, testing::Values(Transport::Process, Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, State, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
                          [](const auto& one) { return to_string(one.param); });
 
 }  // namespace

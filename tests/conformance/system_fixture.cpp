@@ -1,11 +1,16 @@
 #include "system_fixture.hpp"
 
+#include <fcntl.h>
 #include <poll.h>
+#include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
+#include <fstream>
 #include <sstream>
 
 #include "fiona/error.hpp"
+#include "os/unix_socket.hpp"
 #include "fiona/probe.pb.h"
 #include "runtime.hpp"
 
@@ -56,7 +61,9 @@ TemporaryDirectory::~TemporaryDirectory() {
   std::filesystem::remove_all(path, ignored);
 }
 
-std::string to_string(Transport transport) { return transport == Transport::Process ? "Process" : "Ipc"; }
+std::string to_string(Transport transport) {
+  return transport == Transport::Process ? "Process" : transport == Transport::Ipc ? "Ipc" : "Tcp";
+}
 void PrintTo(Transport transport, std::ostream* out) { *out << to_string(transport); }
 
 SeenSample::SeenSample(const google::protobuf::Message& sample) : has_value(true) {
@@ -77,15 +84,85 @@ SeenSample::SeenSample(const google::protobuf::Message& sample) : has_value(true
   }
 }
 
-RunningSystem::RunningSystem(Transport transport) : RunningSystem(transport, 2, std::chrono::seconds(5)) {}
+OtherHost::OtherHost(const std::filesystem::path& directory, const std::string& name, Choice choice)
+    : directory_(directory / name), name_(name), choice_(std::move(choice)), keys_(directory_ / "keys") {
+  os::require_private_directory(directory_);
+  trust::KeyDirectory(keys_).make();
+  start();
+}
+
+void OtherHost::start() {
+  int ends[2];
+  if (::pipe2(ends, O_CLOEXEC) != 0) throw Error(ErrorCode::Failed, "no pipe");
+  const os::Descriptor ready(ends[0]);
+  os::Descriptor theirs(ends[1]);
+  const int output = ::open((directory_ / "said").c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+  const os::Descriptor log(output);
+  std::filesystem::path program = os::program_directory() / "fiona-host";
+  std::vector<std::string> words;
+  if (!choice_.network.empty()) {
+    words = {"netns", "exec", choice_.network, program.string()};
+    program = "/usr/sbin/ip";
+  }
+  const std::vector<std::string> own{"--name", name_, "--socket", (directory_ / "host.sock").string(), "--store", (directory_ / "store").string(),
+                                     "--keys", keys_.string(), "--listen", "tcp://" + choice_.listen, "--threads", "2", "--ready-fd", "3"};
+  words.insert(words.end(), own.begin(), own.end());
+  if (choice_.plugins) words.insert(words.end(), {"--plugins", std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path().string()});
+  process_ = std::make_unique<os::ChildProcess>(program, words, std::vector<std::pair<int, int>>{{log.get(), 2}, {theirs.get(), 3}});
+  theirs.reset();
+  std::string told;
+  char chunk[256];
+  for (ssize_t count = 0; (count = ::read(ready.get(), chunk, sizeof chunk)) > 0;) told.append(chunk, static_cast<std::size_t>(count));
+  if (!told.starts_with("READY\ntcp://")) throw Error(ErrorCode::Failed, "the other host did not start: " + told + said());
+  address_ = told.substr(std::string("READY\ntcp://").size());
+}
+
+void OtherHost::restart() {
+  process_.reset();
+  choice_.listen = address_;
+  start();
+}
+
+std::string OtherHost::said() const {
+  std::stringstream text;
+  text << std::ifstream(directory_ / "said").rdbuf();
+  return text.str();
+}
+
+host::HostOptions OtherHost::led_from(const std::filesystem::path& keys) const {
+  const trust::KeyDirectory ours(keys);
+  if (!ours.has_pair()) ours.make();
+  const auto allowed = trust::KeyDirectory(keys_).allowed();
+  const auto known = [&](const trust::AllowedHost& one) { return one.key == ours.pair().open; };
+  if (std::none_of(allowed.begin(), allowed.end(), known)) {
+    trust::KeyDirectory(keys_).allow(keys.filename().string(), ours.pair().open.text());
+  }
+  return {keys, "", {host::PeerAddress::from_text(name_ + "=" + address_ + "=" + trust::KeyDirectory(keys_).pair().open.text())}};
+}
+
+RunningSystem::RunningSystem(Transport transport)
+    : RunningSystem(transport, transport == Transport::Tcp ? "far" : "", {.threads = 2}) {}
 
 RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
-    : RunningSystem(Transport::Process, threads, standstill) {}
+    : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill}) {}
 
-RunningSystem::RunningSystem(Transport transport, std::size_t threads, std::chrono::milliseconds standstill)
+RunningSystem::RunningSystem(const host::HostOptions& hosts)
+    : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts}) {}
+
+RunningSystem::RunningSystem(Transport transport, const std::string& other, host::System::Options options)
     : transport_(transport),
-      system_(host::System::Options{"test", directory_.path / "store", directory_.path, threads, standstill},
-              [this](const wire::GroupMessage& event) { keep(event); }) {}
+      other_(other.empty() ? nullptr : std::make_unique<OtherHost>(directory_.path, other)),
+      system_(completed(std::move(options)), [this](const wire::GroupMessage& event) { keep(event); }) {
+  if (other_) join(other);
+}
+
+host::System::Options RunningSystem::completed(host::System::Options options) const {
+  options.name = "test";
+  options.store = directory_.path / "store";
+  options.directory = directory_.path;
+  if (other_) options.hosts = other_->led_from(directory_.path / "test");
+  return options;
+}
 
 SeenSample RunningSystem::seen(const wire::Tapped& tapped) {
   SeenSample sample;
@@ -117,8 +194,8 @@ control::Failure RunningSystem::end_of(std::uint64_t id) {
   return ended_[id];
 }
 
-void RunningSystem::load(const std::string& component, const std::string& name, const std::string& group,
-                         const std::string& parameters) {
+void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
+                            const std::string& parameters) {
   control::Change change;
   control::Load& request = *change.mutable_load();
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
@@ -143,16 +220,11 @@ control::Reply RunningSystem::let_pass(std::chrono::milliseconds time) {
 }
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
-  load(component, name, "", parameters);
+  load_in("", component, name, parameters);
 }
 
 void RunningSystem::load_client(const std::string& component, const std::string& name, const std::string& parameters) {
-  load(component, name, transport_ == Transport::Ipc ? "far" : "", parameters);
-}
-
-void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
-                            const std::string& parameters) {
-  load(component, name, group, parameters);
+  load_in(transport_ == Transport::Process ? "" : "far", component, name, parameters);
 }
 
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
@@ -231,8 +303,10 @@ void RunningSystem::serve_groups(std::chrono::milliseconds most) {
   const auto children = system_.child_groups();
   std::vector<pollfd> waits;
   for (auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
+  waits.push_back({system_.hosts_descriptor(), POLLIN, 0});
   ::poll(waits.data(), waits.size(), static_cast<int>(most.count()));
-  for (std::size_t i = 0; i < waits.size(); ++i) {
+  system_.serve_hosts();
+  for (std::size_t i = 0; i < children.size(); ++i) {
     if (waits[i].revents != 0) system_.serve_group(*children[i]);
   }
 }
@@ -280,6 +354,19 @@ control::InstanceStatus RunningSystem::instance(const std::string& name) {
     if (one.name() == name) return one;
   }
   throw Error(ErrorCode::NotFound, "no instance " + name);
+}
+
+control::HostStatus RunningSystem::host(const std::string& name) {
+  const auto snapshot = system_.snapshot();
+  for (const auto& one : snapshot.hosts()) {
+    if (one.name() == name) return one;
+  }
+  throw Error(ErrorCode::NotFound, "no host " + name);
+}
+
+void RunningSystem::join(const std::string& name) {
+  eventually("host " + name + " joins", [&] { return host(name).state() == "joined"; });
+  serve_groups(std::chrono::milliseconds(0));
 }
 
 control::GroupStatus RunningSystem::group(const std::string& name) {

@@ -11,12 +11,13 @@
 #include <string>
 #include <vector>
 
+#include "os/process.hpp"
 #include "system.hpp"
 
 namespace fiona::conformance {
 
 /// Between which places the wires of a test run.
-enum class Transport { Process, Ipc };
+enum class Transport { Process, Ipc, Tcp };
 std::string to_string(Transport transport);
 void PrintTo(Transport transport, std::ostream* out);
 
@@ -51,6 +52,40 @@ class SeenSample {
   std::string payload_;
 };
 
+/// A host in a process of its own, as `fiona run --listen` starts it, that lets the test's system lead it.
+class OtherHost {
+ public:
+  struct Choice {
+    std::string listen = "127.0.0.1:0";
+    bool plugins = true;      ///< may load the test's library
+    std::string network = ""; ///< a network namespace; empty: the test's own
+  };
+  /// Its keys and sockets go below `directory`.
+  OtherHost(const std::filesystem::path& directory, const std::string& name) : OtherHost(directory, name, Choice()) {}
+  OtherHost(const std::filesystem::path& directory, const std::string& name, Choice choice);
+
+  /// To be given to the system that leads it, whose keys are in `keys`; it is let in under the directory's name.
+  host::HostOptions led_from(const std::filesystem::path& keys) const;
+  /// "127.0.0.1:41234"
+  const std::string& address() const { return address_; }
+  const std::filesystem::path& keys() const { return keys_; }
+  pid_t process() const { return process_->id(); }
+  /// What it has said on standard error so far.
+  std::string said() const;
+  /// Again, at the same port.
+  void restart();
+
+ private:
+  void start();
+
+  const std::filesystem::path directory_;
+  const std::string name_;
+  Choice choice_;
+  const std::filesystem::path keys_;
+  std::string address_;
+  std::unique_ptr<os::ChildProcess> process_;
+};
+
 /// How a change of mode, or a call, ended, once it has.
 struct LaterAnswer {
   std::atomic<bool> ended{false};
@@ -58,12 +93,14 @@ struct LaterAnswer {
 };
 
 /// A running system in the test's process, with the test's components loaded as plugins. The provider's side lives in
-/// `main`; the client's side in `main` too, or behind ipc in a group.
+/// `main`; the client's side in `main` too, behind ipc in a group, or behind tcp on another host, "far".
 class RunningSystem {
  public:
   explicit RunningSystem(Transport transport = Transport::Process);
   /// With so many threads in each process, and this patience with a virtual clock.
   RunningSystem(std::size_t threads, std::chrono::milliseconds standstill);
+  /// Leads these hosts, or listens for one.
+  explicit RunningSystem(const host::HostOptions& hosts);
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
@@ -95,6 +132,10 @@ class RunningSystem {
   std::vector<SeenSample> take(std::uint64_t watch);
   control::PortStatus port(const std::string& name);
   control::InstanceStatus instance(const std::string& name);
+  /// Another host as this one sees it.
+  control::HostStatus host(const std::string& name);
+  /// Waits until it has joined.
+  void join(const std::string& name);
   control::GroupStatus group(const std::string& name);
   /// A probe, read once.
   SeenSample read(const std::string& probe);
@@ -105,14 +146,15 @@ class RunningSystem {
                   std::chrono::milliseconds deadline = std::chrono::seconds(10));
 
  private:
-  void load(const std::string& component, const std::string& name, const std::string& group, const std::string& parameters);
   void keep(const wire::GroupMessage& event);
   SeenSample seen(const wire::Tapped& tapped);
 
-  RunningSystem(Transport transport, std::size_t threads, std::chrono::milliseconds standstill);
+  RunningSystem(Transport transport, const std::string& other, host::System::Options options);
+  host::System::Options completed(host::System::Options options) const;
 
   const Transport transport_;
   const TemporaryDirectory directory_;
+  std::unique_ptr<OtherHost> other_;
   std::mutex mutex_;
   std::map<std::uint64_t, std::vector<SeenSample>> seen_;
   std::map<std::uint64_t, std::size_t> passed_;

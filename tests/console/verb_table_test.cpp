@@ -88,7 +88,7 @@ TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
 
 TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
   // Words that only the person knows: numbers, times, new names.
-  const std::set<std::string> free{"",     "N",    "T",     "VALUE",    "CODE",
+  const std::set<std::string> free{"ADDRESS:PORT", "NAME=ADDRESS:PORT=KEY", "KEY", "",     "N",    "T",     "VALUE",    "CODE",
                                    "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE", "FIELD=VALUE"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
@@ -184,7 +184,7 @@ TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
 
 TEST(Lines, AMissingWordIsNamed) {
   EXPECT_EQ(error_of("load"),
-            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP] [at MODE] [PARAM=VALUE …]");
+            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [PARAM=VALUE …]");
 }
 
 TEST(Lines, AMissingClauseIsNamed) {

@@ -80,12 +80,12 @@ class EndsAndPeer final : public LinkSocket::Receiver {
  public:
   EndsAndPeer() {
     bench_.start();
-    link_.listen("inproc://fuzz", kKey);
+    link_->listen("inproc://fuzz", kKey);
     peer_.emplace(context_, "inproc://fuzz", kPeer);
     peer_->prove(kKey);
-    while (link_.peers() == 0) std::this_thread::yield();
+    while (link_->peers() == 0) std::this_thread::yield();
   }
-  ~EndsAndPeer() override { link_.stop(); }
+  ~EndsAndPeer() override { link_->stop(); }
 
   void run(const std::vector<Message>& messages) {
     open_wires();
@@ -148,7 +148,8 @@ class EndsAndPeer final : public LinkSocket::Receiver {
   zmq::context_t context_;
   fiona::Pool pool_{2};
   LinkCounters counters_;
-  LinkSocket link_{pool_, context_, zmq::socket_type::router, counters_, *this};
+  const std::shared_ptr<LinkSocket> link_ =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *this);
   std::optional<RawPeer> peer_;
 };
 

@@ -90,8 +90,35 @@ void ls_services(Session& session) {
   session.out.table(table, "nothing is loaded, so no service is spoken");
 }
 
+/// What a host says of itself and of the hosts that it works with; keys by their first letters.
+void add_host(Table& table, const RunningHost& running, const control::System& system) {
+  constexpr std::size_t kShown = 8;
+  const std::string unix_socket = "unix:" + running.socket.string();
+  const std::uint64_t refused = system.refused_hosts();
+  table.add({running.name,
+             system.version(),
+             system.clock(),
+             {fmt::format("{}", system.instances_size()), system.instances_size()},
+             refused == 0 ? "ok" : fmt::format("ok, refused {} connections", refused),
+             system.listens().empty() ? unix_socket : unix_socket + " " + system.listens(),
+             system.key().substr(0, kShown),
+             "",
+             ""});
+  for (const auto& host : system.hosts()) {
+    table.add({fmt::format("{}>{}", running.name, host.name()),
+               host.version(),
+               fmt::format("{:+.1f} ms", host.clock_offset_ms()),
+               {fmt::format("{}", host.instances()), host.instances()},
+               host.reason().empty() ? "ok" : host.reason(),
+               host.address(),
+               host.key().substr(0, kShown),
+               host.state(),
+               {fmt::format("{:.0f} s", host.since_s()), host.since_s()}});
+  }
+}
+
 void ls_hosts(Session& session) {
-  Table table({"host", "version", "clock", "instances", "answer", "endpoint"});
+  Table table({"host", "version", "clock", "instances", "answer", "endpoint", "key", "state", "since"});
   for (const RunningHost& running : running_hosts()) {
     const std::string endpoint = "unix:" + running.socket.string();
     try {
@@ -99,15 +126,9 @@ void ls_hosts(Session& session) {
       control::Request request;
       request.mutable_snapshot();
       const control::Reply reply = client.call(std::move(request));
-      const control::System& system = reply.system();
-      table.add({running.name,
-                 system.version(),
-                 system.clock(),
-                 {fmt::format("{}", system.instances_size()), system.instances_size()},
-                 "ok",
-                 endpoint});
+      add_host(table, running, reply.system());
     } catch (const Error& problem) {
-      table.add({running.name, "", "", "", problem.text().what, endpoint});
+      table.add({running.name, "", "", "", problem.text().what, endpoint, "", "", ""});
     }
   }
   session.out.table(table, "no host runs\n  next: fiona run FILE");

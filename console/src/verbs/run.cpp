@@ -133,6 +133,12 @@ HostLaunch launch_of(const Line& line, const Options& options) {
                                                  : options.host;
   launch.socket = socket_of(launch.name);
   launch.store = options.store;
+  if (line.option("--listen") != nullptr) launch.listen = line.option("--listen")->text;
+  const auto [first, last] = line.options.equal_range("--peer");
+  for (auto peer = first; peer != last; ++peer) {
+    const auto& [name, value] = peer->second;
+    launch.peers.push_back(name.text.empty() ? value.text : name.text + "=" + value.text);
+  }
   launch.restore = line.has("--restore");
   if (answers(launch.socket)) {
     throw Error(ErrorCode::Failed,

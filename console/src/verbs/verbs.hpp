@@ -34,6 +34,7 @@ void expect(Session& session, const Line& line);
 void sleep(Session& session, const Line& line);
 void quit(Session& session, const Line& line);
 void market(Session& session, const Line& line);
+void keys(Session& session, const Line& line);
 void help(Session& session, const Line& line);
 void version(Session& session, const Line& line);
 

@@ -1,0 +1,50 @@
+#include "clock_offset.hpp"
+
+#include <algorithm>
+
+namespace fiona::host {
+namespace {
+
+constexpr std::size_t kTrips = 8;
+/// No time beyond: year 2043, and far from where sums overflow.
+constexpr std::int64_t kLatest_ns = 1LL << 61;
+/// A round trip longer than this tells nothing.
+constexpr std::int64_t kLongest_ns = 10'000'000'000;
+
+bool is_time(std::int64_t ns) { return ns >= 0 && ns < kLatest_ns; }
+
+}  // namespace
+
+wire::Beat ClockOffset::beat(std::int64_t now_ns) {
+  const std::lock_guard lock(mutex_);
+  wire::Beat beat;
+  beat.set_now_ns(now_ns);
+  beat.set_echo_ns(echo_ns_);
+  beat.set_heard_ns(heard_ns_);
+  return beat;
+}
+
+void ClockOffset::heard(const wire::Beat& beat, std::int64_t now_ns) {
+  if (!is_time(beat.now_ns()) || !is_time(beat.heard_ns()) || !is_time(beat.echo_ns())) return;
+  const std::lock_guard lock(mutex_);
+  echo_ns_ = beat.now_ns();
+  heard_ns_ = now_ns;
+  if (beat.echo_ns() == 0) return;
+  const std::int64_t kept_ns = beat.now_ns() - beat.heard_ns();
+  const std::int64_t trip_ns = now_ns - beat.echo_ns() - kept_ns;
+  if (kept_ns < 0 || kept_ns > kLongest_ns || trip_ns < 0 || trip_ns > kLongest_ns) return;
+  const std::int64_t ahead_ns = ((beat.heard_ns() - beat.echo_ns()) + (beat.now_ns() - now_ns)) / 2;
+  trips_.emplace_back(trip_ns, ahead_ns);
+  if (trips_.size() > kTrips) trips_.pop_front();
+  ahead_ns_ = std::min_element(trips_.begin(), trips_.end())->second;
+}
+
+std::int64_t ClockOffset::to_ours(std::int64_t theirs_ns) const { return is_time(theirs_ns) ? theirs_ns - ahead_ns_ : theirs_ns; }
+
+void ClockOffset::turn(wire::Frame& frame) const {
+  if (frame.has_object()) frame.mutable_object()->set_origin_ns(to_ours(frame.object().origin_ns()));
+  if (frame.has_request()) frame.mutable_request()->set_origin_ns(to_ours(frame.request().origin_ns()));
+  if (frame.has_fired()) frame.mutable_fired()->set_origin_ns(to_ours(frame.fired().origin_ns()));
+}
+
+}  // namespace fiona::host

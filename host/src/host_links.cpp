@@ -1,0 +1,96 @@
+#include "host_links.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+#include "fiona/error.hpp"
+#include "os/process.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// How exactly silence is noticed.
+constexpr std::chrono::milliseconds kTick{50};
+/// How often a leader is looked up in the allow-list again.
+constexpr std::chrono::seconds kCheckEvery{1};
+/// Requests of a leader that may wait; further ones get no answer.
+constexpr std::size_t kMaxChanges = 10'000;
+
+std::uint64_t random_number() {
+  const std::string bytes = os::random_token();
+  std::uint64_t number = 0;
+  std::memcpy(&number, bytes.data(), sizeof number);
+  return number;
+}
+
+}  // namespace
+
+HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& pool, Clock& clock, Links& links,
+                     OnEvent on_event, OnLog on_log)
+    : keys_(options.keys) {
+  if (!options.listen.empty() && !options.peers.empty()) {
+    throw Error(ErrorCode::Usage, {.what = "a host that leads others is not led: --peer and --listen do not go together",
+                                   .next = "give --listen to the hosts that are led, and --peer to the one that leads"});
+  }
+  for (std::size_t i = 0; i < options.peers.size(); ++i) {
+    const auto same = [&](const PeerAddress& other) { return other.name == options.peers[i].name; };
+    if (std::count_if(options.peers.begin(), options.peers.end(), same) == 1) continue;
+    throw Error(ErrorCode::Usage, "two peers have the name '" + options.peers[i].name + "'");
+  }
+  const auto post = [this](HostChange change) {
+    const bool droppable = change.what == HostChange::What::Request;
+    changes_.push(std::move(change), droppable ? kMaxChanges : SIZE_MAX);
+  };
+  around_ = std::make_unique<HostSurroundings>(HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_,
+                                                                std::move(on_event), post});
+  if (!options.listen.empty()) {
+    zap_ = std::make_unique<Zap>(context_, keys_, std::move(on_log));
+    leader_ = std::make_unique<LeaderLink>(*around_, options.listen);
+  }
+  for (const auto& peer : options.peers) peers_.push_back(std::make_unique<PeerLink>(*around_, peer));
+  thread_ = std::thread([this] { serve(); });
+}
+
+HostLinks::~HostLinks() { stop(); }
+
+void HostLinks::stop() {
+  stopping_ = true;
+  if (thread_.joinable()) thread_.join();
+  for (auto& peer : peers_) peer->stop();
+  if (leader_) leader_->stop();
+}
+
+void HostLinks::serve() {
+  while (!stopping_) {
+    if (zap_) {
+      std::array<zmq::pollitem_t, 1> waits{{{zap_->socket().handle(), 0, ZMQ_POLLIN, 0}}};
+      static_cast<void>(::zmq_poll(waits.data(), waits.size(), kTick.count()));  // interrupted or not: what waits is served
+      zap_->serve();
+    } else {
+      std::this_thread::sleep_for(kTick);
+    }
+    const auto now = std::chrono::steady_clock::now();
+    for (auto& peer : peers_) peer->tick(now);
+    if (leader_) leader_->tick(now);
+    if (leader_) check_leader(now);
+  }
+}
+
+/// `keys forget` ends a session that is open. A list that cannot be read lets nobody new in, and throws nobody out.
+void HostLinks::check_leader(std::chrono::steady_clock::time_point now) {
+  if (now - checked_ < kCheckEvery || leader_->leader().empty()) return;
+  checked_ = now;
+  try {
+    leader_->keep(keys_.allowed());
+  } catch (const Error&) {
+    return;
+  }
+}
+
+PeerLink* HostLinks::peer(const std::string& name) {
+  const auto found = std::find_if(peers_.begin(), peers_.end(), [&name](const auto& peer) { return peer->peer().name == name; });
+  return found == peers_.end() ? nullptr : found->get();
+}
+
+}  // namespace fiona::host

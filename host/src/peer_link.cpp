@@ -1,0 +1,332 @@
+#include "peer_link.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+namespace fiona::host {
+namespace {
+
+/// Connecting again: 0.4 s to 4 s, each plus up to 0.4 s by chance, so that 200 hosts together stay below 50 attempts a
+/// second (promises R20) and one is back within 5 s of a long outage. libzmq counts so where nobody listens; where
+/// somebody does and no handshake comes about, it begins again at 0.4 s, so that is counted here.
+constexpr int kReconnect_ms = 400;
+constexpr int kReconnectMost_ms = 4000;
+constexpr int kConnect_ms = 500;
+constexpr std::chrono::milliseconds kHelloEvery{400};
+/// Before one that refuses us is asked again.
+constexpr std::chrono::milliseconds kAfterRefusal{5000};
+/// How long the last word of a host that ends may take to leave.
+constexpr std::chrono::milliseconds kFarewell{200};
+
+using Steady = std::chrono::steady_clock;
+
+}  // namespace
+
+PeerAddress PeerAddress::from_text(const std::string& text) {
+  const std::size_t first = text.find('=');
+  const std::size_t last = text.rfind('=');
+  const std::string name = text.substr(0, first);
+  const std::string address = first == last ? "" : text.substr(first + 1, last - first - 1);
+  const auto key = first == last ? std::nullopt : trust::Key::from_text(text.substr(last + 1));
+  const std::size_t colon = address.rfind(':');
+  const auto fits = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
+  const bool named = !name.empty() && name.size() <= 40 && std::isalpha(static_cast<unsigned char>(name[0])) && name != "main" &&
+                     std::all_of(name.begin(), name.end(), fits);
+  if (named && key && colon != std::string::npos && colon > 0 && colon + 1 < address.size()) {
+    return {name, "tcp://" + address, *key};
+  }
+  throw Error(ErrorCode::Usage, {.what = "--peer does not say which host, where it listens and what its key is",
+                                 .expected = "NAME=HOST:PORT=KEY, a key of 64 hexadecimal digits; NAME begins with a letter and is not 'main'",
+                                 .found = text,
+                                 .next = "on the other host: fiona keys show"});
+}
+
+wire::HostFrame host_frame_of(const wire::Frame& frame, const ObjectBytes& object) {
+  if (object.size() == 0) return frame.host();
+  wire::HostFrame host;
+  if (!object.parse_into(host)) host.Clear();
+  return host;
+}
+
+/// What comes over one of the sockets that were tried.
+class PeerLink::Incoming final : public LinkSocket::Receiver {
+ public:
+  explicit Incoming(PeerLink& peer) : peer_(peer) {}
+  void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
+  bool accepts(const std::string&, const wire::Frame& frame) override { return peer_.accepts({link_.lock(), ""}, frame); }
+  void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
+    peer_.on_frame({link_.lock(), ""}, frame, object);
+  }
+  void on_refused(const std::string&) override {}
+
+ private:
+  PeerLink& peer_;
+  std::weak_ptr<LinkSocket> link_;
+};
+
+PeerLink::PeerLink(const HostSurroundings& around, PeerAddress peer)
+    : around_(around), peer_(std::move(peer)), random_(static_cast<std::minstd_rand::result_type>(around.run)) {}
+
+PeerLink::~PeerLink() { stop(); }
+
+void PeerLink::stop() {
+  if (joined()) {
+    wire::HostFrame frame;
+    frame.mutable_gone();
+    send(frame);
+  }
+  close(State::Connecting, "the host ends", std::chrono::hours(1), kFarewell);
+}
+
+void PeerLink::try_open(Steady::time_point now) {
+  try {
+    open();
+  } catch (const zmq::error_t& error) {
+    enter(State::Refused, "no connection to " + peer_.address + " can be made: " + error.what());
+    open_at_ = now + kAfterRefusal;
+  }
+}
+
+void PeerLink::open() {
+  auto incoming = std::make_unique<Incoming>(*this);
+  auto link = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::dealer, around_.links.counters(), *incoming);
+  incoming->use(link);
+  auto& socket = link->socket();
+  socket.set(zmq::sockopt::curve_serverkey, peer_.key.bytes());
+  socket.set(zmq::sockopt::curve_publickey, around_.keys.open.bytes());
+  socket.set(zmq::sockopt::curve_secretkey, around_.keys.secret.bytes());
+  socket.set(zmq::sockopt::immediate, true);  // nothing waits for a connection that may never come
+  socket.set(zmq::sockopt::reconnect_ivl, kReconnect_ms);
+  socket.set(zmq::sockopt::reconnect_ivl_max, kReconnectMost_ms);
+  socket.set(zmq::sockopt::connect_timeout, kConnect_ms);
+  socket.set(zmq::sockopt::handshake_ivl, kHandshake_ms);
+  socket.set(zmq::sockopt::ipv6, peer_.address.find('[') != std::string::npos);
+  const std::string watch = "inproc://peer-" + peer_.name + "-" + std::to_string(sockets_++);
+  zmq_socket_monitor(socket.handle(), watch.c_str(),
+                     ZMQ_EVENT_HANDSHAKE_FAILED_AUTH | ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL | ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL);
+  monitor_ = zmq::socket_t(around_.context, zmq::socket_type::pair);
+  monitor_.set(zmq::sockopt::linger, 0);
+  monitor_.connect(watch);
+  link->connect_proven(peer_.address, peer_.name);
+  const std::lock_guard lock(mutex_);
+  lane_ = link->open_lane("");
+  link_ = std::move(link);
+  incoming_ = std::move(incoming);
+  spoke_ = {};
+}
+
+/// Ends the socket, and with it the session: no frame comes from it when its wires are lost.
+void PeerLink::close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger) {
+  std::shared_ptr<LinkSocket> ended;
+  bool was_joined = false;
+  {
+    const std::lock_guard lock(mutex_);
+    was_joined = state_ == State::Joined;
+    ++session_;
+    end_.reset();
+    no_handshake_ = false;
+    ended = std::move(link_);
+    lane_ = {};
+    open_at_ = Steady::now() + pause;
+  }
+  enter(next, reason);
+  answered_.notify_all();
+  if (ended) ended->stop(linger);
+  monitor_.close();
+  if (!was_joined) return;
+  around_.links.part(endpoint(), reason);
+  around_.on_change({.what = HostChange::What::Lost, .host = peer_.name, .reason = reason, .group = {}, .request = {}});
+}
+
+void PeerLink::enter(State state, const std::string& reason) {
+  const std::lock_guard lock(mutex_);
+  if (state_ != state) since_ = Steady::now();
+  state_ = state;
+  reason_ = reason;
+}
+
+void PeerLink::tick(Steady::time_point now) {
+  if (!link_) return now >= open_at_ ? try_open(now) : void();
+  std::unique_lock lock(mutex_);
+  if (const auto reason = end_) {
+    const bool was_joined = state_ == State::Joined;
+    lock.unlock();
+    const std::chrono::milliseconds by_chance(random_() % 1000);
+    return close(was_joined ? State::Silent : State::Refused, *reason, was_joined ? by_chance / 5 : kAfterRefusal + by_chance);
+  }
+  if (no_handshake_) {
+    const State same = state_;
+    const std::chrono::milliseconds pause(std::min(kReconnect_ms << failures_, kReconnectMost_ms) + static_cast<int>(random_() % kReconnect_ms));
+    failures_ = std::min(failures_ + 1, 5);
+    lock.unlock();
+    return close(same, "no handshake: its key is not the one that --peer names, or it is no host of FIONA", pause);
+  }
+  const bool joined = state_ == State::Joined;
+  const bool silent = joined && now - heard_ > kSilence;
+  const auto quiet = now - spoke_;
+  lock.unlock();
+  if (!joined) {
+    read_monitor();
+    return quiet >= kHelloEvery ? say_hello() : void();
+  }
+  if (quiet >= kBeatEvery) beat();
+  if (!silent) return;
+  // The pool's threads may all be busy, and what the peer has said still lie in the socket.
+  link_->read_now();
+  lock.lock();
+  const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(Steady::now() - heard_);
+  lock.unlock();
+  if (silence > kSilence) close(State::Silent, "host '" + peer_.name + "' has been silent for " + std::to_string(silence.count()) + " ms", {});
+}
+
+/// Why no connection comes about, as far as libzmq tells.
+void PeerLink::read_monitor() {
+  zmq::message_t event;
+  while (monitor_ && monitor_.recv(event, zmq::recv_flags::dontwait)) {
+    std::uint16_t kind = 0;
+    if (event.size() >= sizeof kind) std::memcpy(&kind, event.data(), sizeof kind);
+    zmq::message_t address;
+    if (!monitor_.recv(address, zmq::recv_flags::dontwait)) return;
+    const std::lock_guard lock(mutex_);
+    if (kind == ZMQ_EVENT_HANDSHAKE_FAILED_AUTH) {
+      end_ = "it does not let us in: on it, fiona keys allow NAME " + around_.keys.open.text();
+    } else {
+      no_handshake_ = true;
+    }
+  }
+}
+
+void PeerLink::send(const wire::HostFrame& host) {
+  wire::Frame frame;
+  *frame.mutable_host() = host;
+  const std::lock_guard lock(mutex_);
+  if (link_) link_->tell("", frame);
+  spoke_ = Steady::now();
+}
+
+void PeerLink::say_hello() {
+  wire::HostFrame frame;
+  auto& hello = *frame.mutable_hello();
+  hello.set_version(wire::VERSION_1);
+  hello.set_name(around_.name);
+  hello.set_run(around_.run);
+  *hello.mutable_beat() = offset_.beat(now_ns());
+  send(frame);
+}
+
+void PeerLink::beat() {
+  wire::HostFrame frame;
+  *frame.mutable_beat() = offset_.beat(now_ns());
+  send(frame);
+}
+
+bool PeerLink::accepts(const Hop& hop, const wire::Frame& frame) {
+  return joined() && (frame.has_host() || around_.links.accepts(hop, frame));
+}
+
+void PeerLink::on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object) {
+  bool joined = false;
+  {
+    const std::lock_guard lock(mutex_);
+    heard_ = Steady::now();
+    joined = state_ == State::Joined;
+  }
+  if (given.has_host()) return on_host_frame(hop, host_frame_of(given, object));
+  if (given.wire() == 0 || !joined) return;  // a Lost of taps: their numbers have the gap
+  wire::Frame frame = given;
+  offset_.turn(frame);
+  around_.links.on_frame(hop, frame, object);
+}
+
+void PeerLink::on_host_frame(const Hop& hop, const wire::HostFrame& host) {
+  const bool joined = this->joined();
+  if (host.has_welcome() && !joined) return on_welcome(hop, host.welcome());
+  if (host.has_beat()) return offset_.heard(host.beat(), now_ns());
+  if (host.has_message() && joined) return on_message(host.message());
+  const std::lock_guard lock(mutex_);
+  if (host.has_refused() && !joined) end_ = host.refused().reason().substr(0, 500);
+  if (host.has_gone() && joined) end_ = "host '" + peer_.name + "' has not heard us";
+}
+
+void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
+  offset_.heard(welcome.beat(), now_ns());
+  bool same_run = false;
+  {
+    const std::lock_guard lock(mutex_);
+    same_run = run_ == welcome.run();
+    run_ = welcome.run();
+    failures_ = 0;
+    version_ = welcome.version().substr(0, 40);
+  }
+  around_.links.join(endpoint(), hop);
+  beat();  // before any wire: its times need what this tells
+  enter(State::Joined, "");
+  around_.on_change({.what = HostChange::What::Joined, .host = peer_.name, .reason = {}, .same_run = same_run, .group = {}, .request = {}});
+}
+
+void PeerLink::on_message(const wire::GroupMessage& given) {
+  wire::GroupMessage message = given;
+  if (message.has_tapped()) message.mutable_tapped()->set_origin_ns(offset_.to_ours(message.tapped().origin_ns()));
+  if (message.id() != 0) {
+    const std::lock_guard lock(mutex_);
+    const auto pending = pending_.find(message.id());
+    if (pending != pending_.end()) pending->second = std::move(message);
+    return answered_.notify_all();
+  }
+  if (message.has_group_ended()) {
+    return around_.on_change({.what = HostChange::What::GroupEnded, .host = peer_.name, .reason = message.group_ended().reason(),
+                              .group = message.group_ended().group(), .request = {}});
+  }
+  around_.on_event(std::move(message));
+}
+
+Error PeerLink::unreachable() const {
+  return Error(ErrorCode::Unreachable, {.what = "host '" + peer_.name + "' is not connected",
+                                        .where = peer_.address,
+                                        .found = reason_,
+                                        .next = "ls hosts"});
+}
+
+wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request, std::chrono::seconds deadline) {
+  wire::Frame frame;
+  frame.mutable_host();
+  const auto host = std::make_shared<wire::HostFrame>();
+  auto& asked = *host->mutable_request();
+  asked.set_group(group);
+  *asked.mutable_request() = request;
+  std::unique_lock lock(mutex_);
+  if (state_ != State::Joined || !link_) throw unreachable();
+  const std::uint64_t id = next_id_++;
+  const std::uint64_t session = session_;
+  asked.mutable_request()->set_id(id);
+  pending_[id] = std::nullopt;
+  link_->send(lane_, frame, host);
+  answered_.wait_for(lock, deadline, [&] { return pending_[id] || session_ != session; });
+  auto answer = std::move(pending_[id]);
+  pending_.erase(id);
+  if (answer) return std::move(*answer);
+  if (session_ != session) throw unreachable();
+  throw Error(ErrorCode::Unreachable, {.what = "host '" + peer_.name + "' does not answer", .found = "connected, but silent", .next = "ls hosts"});
+}
+
+bool PeerLink::joined() const {
+  const std::lock_guard lock(mutex_);
+  return state_ == State::Joined;
+}
+
+control::HostStatus PeerLink::status() const {
+  static constexpr const char* kStates[] = {"connecting", "joined", "silent", "refused"};
+  const std::lock_guard lock(mutex_);
+  control::HostStatus status;
+  status.set_name(peer_.name);
+  status.set_address(peer_.address);
+  status.set_key(peer_.key.text());
+  status.set_state(kStates[static_cast<std::size_t>(state_)]);
+  status.set_reason(reason_);
+  status.set_since_s(to_seconds(Steady::now() - since_));
+  status.set_version(version_);
+  status.set_clock_offset_ms(static_cast<double>(offset_.ahead_ns()) / 1e6);
+  return status;
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,136 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <random>
+#include <string>
+#include <zmq.hpp>
+
+#include "clock_offset.hpp"
+#include "fiona/clock.hpp"
+#include "fiona/error.hpp"
+#include "fiona/trust/host_keys.hpp"
+#include "links.hpp"
+
+namespace fiona::host {
+
+/// How the bounds of architecture 7 are kept over tcp: silence of a peer is noticed within 1.5 s.
+inline constexpr std::chrono::milliseconds kBeatEvery{200};
+inline constexpr std::chrono::milliseconds kSilence{1000};
+/// How long one that led, and went silent, keeps others from leading.
+inline constexpr std::chrono::milliseconds kLeadLease{1500};
+
+/// How long the proof of the keys may take.
+inline constexpr int kHandshake_ms = 3000;
+
+/// What has happened between hosts, for the thread that changes the system.
+struct HostChange {
+  enum class What { Joined, Lost, Left, GroupEnded, Request };
+  What what;
+  std::string host;
+  std::string reason;
+  bool same_run = false;                ///< joined: as before, so that what was there may still be
+  std::string group;                    ///< that has ended
+  std::uint64_t session = 0;            ///< that a request belongs to
+  wire::HostRequest request;
+};
+
+/// What both sides of a connection between hosts need.
+struct HostSurroundings {
+  std::string name;   ///< of this host
+  std::uint64_t run;  ///< of this host
+  trust::KeyPair keys;
+  Pool& pool;
+  Clock& clock;
+  Links& links;
+  zmq::context_t& context;
+  std::function<void(wire::GroupMessage)> on_event;  ///< [any thread] of instances that another host holds for us
+  std::function<void(HostChange)> on_change;         ///< [any thread]
+};
+
+/// A host that this one leads.
+struct PeerAddress {
+  std::string name;
+  std::string address;  ///< "tcp://HOST:PORT"
+  trust::Key key;
+  /// "NAME=HOST:PORT=KEY". Throws Error Usage.
+  static PeerAddress from_text(const std::string& text);
+};
+
+/// What a Frame says between hosts, which may be its object. One that does not parse is empty.
+wire::HostFrame host_frame_of(const wire::Frame& frame, const ObjectBytes& object);
+
+/// The connection to a host that this one leads. It is made anew, with a growing and jittered pause, until it holds;
+/// whatever was under way when it broke is told to have ended. Each time it joins is a session of its own.
+class PeerLink {
+ public:
+  PeerLink(const HostSurroundings& around, PeerAddress peer);
+  ~PeerLink();
+
+  const PeerAddress& peer() const { return peer_; }
+  /// Its name among the links of this host.
+  std::string endpoint() const { return "host:" + peer_.name; }
+  /// [the host links' thread] Beats, watches for silence, connects again.
+  void tick(std::chrono::steady_clock::time_point now);
+  /// [the host links' thread, or none any more]
+  void stop();
+
+  /// [control thread] Asks the host for something in one of its groups. Throws Error Unreachable when it is not
+  /// joined, leaves, or does not answer in time.
+  wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request, std::chrono::seconds deadline);
+  bool joined() const;
+  control::HostStatus status() const;
+
+ private:
+  class Incoming;
+  enum class State { Connecting, Joined, Silent, Refused };
+
+  void try_open(std::chrono::steady_clock::time_point now);
+  void open();
+  void close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger = {});
+  void read_monitor();
+  void say_hello();
+  void beat();
+  void send(const wire::HostFrame& frame);
+  bool accepts(const Hop& hop, const wire::Frame& frame);
+  void on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object);
+  void on_host_frame(const Hop& hop, const wire::HostFrame& host);
+  void on_welcome(const Hop& hop, const wire::HostWelcome& welcome);
+  void on_message(const wire::GroupMessage& message);
+  void enter(State state, const std::string& reason);
+  Error unreachable() const;
+  std::int64_t now_ns() const { return around_.clock.now().time_since_epoch().count(); }
+
+  const HostSurroundings& around_;
+  const PeerAddress peer_;
+  ClockOffset offset_;
+  mutable std::mutex mutex_;
+  std::condition_variable answered_;
+  std::unique_ptr<Incoming> incoming_;  ///< of the newest socket
+  std::shared_ptr<LinkSocket> link_;
+  LinkSocket::Lane lane_;  ///< of what is asked, in its order
+  zmq::socket_t monitor_;
+  std::uint64_t sockets_ = 0;
+  State state_ = State::Connecting;
+  std::string reason_;
+  std::chrono::steady_clock::time_point since_ = std::chrono::steady_clock::now();
+  std::chrono::steady_clock::time_point heard_{};
+  std::chrono::steady_clock::time_point spoke_{};
+  std::chrono::steady_clock::time_point open_at_{};
+  std::optional<std::string> end_;  ///< the session is to end, and why
+  bool no_handshake_ = false;         ///< the connection came about, and no more
+  int failures_ = 0;                  ///< so many times since it was joined last
+  std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last
+  std::string version_;
+  std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;
+  std::uint64_t session_ = 0;
+  std::uint64_t next_id_ = 1;
+  std::minstd_rand random_;
+};
+
+}  // namespace fiona::host

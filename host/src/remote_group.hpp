@@ -1,0 +1,44 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "group.hpp"
+#include "peer_link.hpp"
+
+namespace fiona::host {
+
+/// A group of another host that this one leads: "HOST" is its own process, "HOST/GROUP" a child of it.
+class RemoteGroup final : public Group {
+ public:
+  RemoteGroup(const std::string& name, PeerLink& peer, std::string group)
+      : Group(name), peer_(peer), group_(std::move(group)) {}
+
+  PeerLink& peer() const { return peer_; }
+  const std::string& host() const { return peer_.peer().name; }
+  /// On its host.
+  const std::string& group() const { return group_; }
+  /// As its own host knows it; for others there is the host's.
+  std::string endpoint() const override { return "group:" + group_; }
+  std::string link_name() const override { return endpoint(); }
+  pid_t process() const override { return 0; }
+  bool alive() const override { return end_.empty() && peer_.joined(); }
+  void peer_lost(const wire::PeerLost&) override {}
+
+  /// [control thread] Why it is gone for good; empty: its host may be silent, but it is thought to live.
+  const std::string& end() const { return end_; }
+  void end(std::string reason) { end_ = std::move(reason); }
+  /// [control thread] To be done when the host is back.
+  void owe(wire::GroupRequest request) { owed_.push_back(std::move(request)); }
+  std::vector<wire::GroupRequest> take_owed() { return std::exchange(owed_, {}); }
+
+ private:
+  wire::GroupMessage perform(const wire::GroupRequest& request) override;
+
+  PeerLink& peer_;
+  const std::string group_;
+  std::string end_;
+  std::vector<wire::GroupRequest> owed_;  ///< at most what there was of instances and wires when the host fell silent
+};
+
+}  // namespace fiona::host

@@ -1,0 +1,67 @@
+#include "zap.hpp"
+
+#include <vector>
+
+#include "fiona/error.hpp"
+
+namespace fiona::host {
+namespace {
+
+constexpr std::chrono::seconds kTellEvery{5};
+/// version, request, domain, address, identity, mechanism, credentials
+constexpr std::size_t kParts = 7;
+
+}  // namespace
+
+Zap::Zap(zmq::context_t& context, trust::KeyDirectory keys, OnRefused on_refused)
+    : keys_(std::move(keys)), on_refused_(std::move(on_refused)), socket_(context, zmq::socket_type::rep) {
+  socket_.set(zmq::sockopt::linger, 0);
+  socket_.bind("inproc://zeromq.zap.01");
+}
+
+/// Empty, with the reason, for one who is not let in. A list that cannot be read lets nobody in.
+std::string Zap::name_of(const std::string& credentials, std::string& why) const {
+  const auto key = trust::Key::from_bytes(credentials);
+  try {
+    for (const auto& host : keys_.allowed()) {
+      if (key && host.key == *key) return host.name;
+    }
+    why = "its key is not in the list of hosts that may connect";
+  } catch (const Error& error) {
+    why = error.text().what + " (" + error.text().where + ")";
+  }
+  return "";
+}
+
+void Zap::note_refusal(const std::string& address, const std::string& credentials, const std::string& why) {
+  ++refused_;
+  const auto now = std::chrono::steady_clock::now();
+  if (told_ != decltype(told_){} && now - told_ < kTellEvery) return;
+  told_ = now;
+  const auto key = trust::Key::from_bytes(credentials);
+  on_refused_("refused a host at " + address + ", " + std::to_string(refused_) + " times so far: " + why +
+              (key ? "; to let it in: fiona keys allow NAME " + key->text() : ""));
+}
+
+void Zap::serve() {
+  while (true) {
+    std::vector<std::string> parts;
+    bool more = true;
+    while (more) {
+      zmq::message_t part;
+      if (!socket_.recv(part, zmq::recv_flags::dontwait)) return;
+      if (parts.size() < kParts) parts.push_back(part.to_string());
+      more = part.more();
+    }
+    parts.resize(kParts);
+    std::string why = "it speaks " + parts[5] + ", not CURVE";
+    const std::string name = parts[5] == "CURVE" ? name_of(parts[6], why) : "";
+    if (name.empty()) note_refusal(parts[3], parts[6], why);
+    const std::vector<std::string> answer{"1.0", parts[1], name.empty() ? "400" : "200", name.empty() ? "not allowed" : "OK", name, ""};
+    for (std::size_t i = 0; i < answer.size(); ++i) {
+      socket_.send(zmq::buffer(answer[i]), i + 1 < answer.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+    }
+  }
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,437 @@
+// Several hosts over tcp: who is let in, who leads, and what a cut, a death and a return do.
+#include <arpa/inet.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <fmt/format.h>
+
+#include <array>
+#include <fstream>
+#include <set>
+#include <sstream>
+
+#include "fiona/error.hpp"
+#include "fiona/result.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::host {
+namespace {
+
+using namespace std::chrono_literals;
+using conformance::OtherHost;
+using conformance::RunningSystem;
+using conformance::TemporaryDirectory;
+using conformance::Transport;
+using testing::HasSubstr;
+using Steady = std::chrono::steady_clock;
+
+template <class F>
+Error error_of(F request) {
+  try {
+    request();
+  } catch (const Error& error) {
+    return error;
+  }
+  return Error(ErrorCode::Failed, "no error");
+}
+
+double ms_since(Steady::time_point begin) { return std::chrono::duration<double, std::milli>(Steady::now() - begin).count(); }
+
+/// The tcp sockets of a process that listen.
+std::size_t listening(pid_t process) {
+  std::set<std::string> inodes;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/fd")) {
+    std::error_code ignored;
+    const std::string target = std::filesystem::read_symlink(entry.path(), ignored).string();
+    if (target.starts_with("socket:[")) inodes.insert(target.substr(8, target.size() - 9));
+  }
+  std::size_t found = 0;
+  for (const std::string table : {"tcp", "tcp6"}) {
+    std::ifstream file("/proc/" + std::to_string(process) + "/net/" + table);
+    for (std::string line; std::getline(file, line);) {
+      std::istringstream words(line);
+      std::array<std::string, 10> column;
+      for (auto& one : column) words >> one;
+      if (column[3] == "0A" && inodes.contains(column[9])) ++found;
+    }
+  }
+  return found;
+}
+
+class Hosts : public testing::Test {
+ protected:
+  /// The source on this host puts every 5 ms; the sink on the other receives each.
+  static void wire_source_to_sink(RunningSystem& system) {
+    system.load_in("", "source", "source", "neutral period_ms=5");
+    system.load_in("far", "sink", "sink");
+    system.wire("sink.each", "source.newest");
+    system.state("source", "active");
+    system.eventually("messages come", [&] { return system.port("sink.each").messages() > 10; });
+  }
+  /// What was put before this moment has come, or has been counted as lost.
+  static void expect_nothing_lost_silently(RunningSystem& system) {
+    system.state("source", "neutral");
+    const auto put = system.port("source.newest").messages();
+    system.eventually("each message is accounted for", [&] {
+      const auto sink = system.port("sink.each");
+      return sink.messages() + sink.dropped() == put;
+    });
+  }
+  TemporaryDirectory directory;
+};
+
+TEST_F(Hosts, NoTcpSocketListensUnlessItIsAskedFor) {
+  RunningSystem closed(Transport::Ipc);
+  closed.load_client("sink", "sink");
+  EXPECT_EQ(listening(::getpid()), 0U);
+  const OtherHost open(directory.path, "far");
+  EXPECT_EQ(listening(open.process()), 1U) << "so that the count means something";
+}
+
+TEST_F(Hosts, TcpWithoutKeysIsRefusedInASentenceThatSaysHow) {
+  const Error error = error_of([&] { RunningSystem system(HostOptions{directory.path / "none", "tcp://127.0.0.1:0", {}}); });
+  EXPECT_EQ(error.text().what, "tcp needs keys, and this user has none");
+  EXPECT_EQ(error.text().next, "fiona keys make");
+}
+
+TEST_F(Hosts, HostThatLeadsIsNotLed) {
+  OtherHost other(directory.path, "far");
+  HostOptions both = other.led_from(directory.path / "test");
+  both.listen = "tcp://127.0.0.1:0";
+  EXPECT_THAT(error_of([&] { RunningSystem system(both); }).text().what, HasSubstr("--peer and --listen do not go together"));
+}
+
+TEST_F(Hosts, UnknownKeyIsRefusedCountedAndToldHowToBeLetIn) {
+  OtherHost other(directory.path, "far");
+  HostOptions stranger = other.led_from(directory.path / "known");
+  stranger.keys = directory.path / "stranger";
+  const std::string key = trust::KeyDirectory(stranger.keys).make().open.text();
+  RunningSystem system(stranger);
+  system.eventually("refused", [&] { return system.host("far").state() == "refused"; });
+  EXPECT_THAT(system.host("far").reason(), HasSubstr("fiona keys allow NAME " + key));
+  system.eventually("told on the other side", [&] { return other.said().find("refused a host at 127.0.0.1, 1 times so far") != std::string::npos; });
+  EXPECT_EQ(error_of([&] { system.load_in("far", "sink", "sink"); }).code(), ErrorCode::Unreachable);
+}
+
+TEST_F(Hosts, KeyThatIsAllowedLaterIsLetInWithoutARestart) {
+  OtherHost other(directory.path, "far");
+  HostOptions stranger = other.led_from(directory.path / "known");
+  stranger.keys = directory.path / "stranger";
+  const std::string key = trust::KeyDirectory(stranger.keys).make().open.text();
+  RunningSystem system(stranger);
+  system.eventually("refused", [&] { return system.host("far").state() == "refused"; });
+  trust::KeyDirectory(other.keys()).allow("stranger", key);
+  system.join("far");
+}
+
+TEST_F(Hosts, ForgottenKeyLosesItsSession) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  trust::KeyDirectory(other.keys()).forget("test");
+  system.eventually("out", [&] { return system.host("far").state() != "joined"; });
+}
+
+TEST_F(Hosts, HostWithAnotherKeyThanThePeerOptionSaysGetsNothing) {
+  OtherHost other(directory.path, "far");
+  HostOptions options = other.led_from(directory.path / "test");
+  options.peers[0].key = trust::KeyDirectory(directory.path / "impostor").make().open;
+  RunningSystem system(options);
+  system.eventually("noticed", [&] { return !system.host("far").reason().empty(); });
+  EXPECT_NE(system.host("far").state(), "joined");
+  EXPECT_THAT(system.host("far").reason(), HasSubstr("its key is not the one that --peer names"));
+}
+
+TEST_F(Hosts, SecondLeaderIsRefusedNamesTheFirstAndTakesOverWhenThatHasGone) {
+  OtherHost other(directory.path, "far");
+  auto first = std::make_unique<RunningSystem>(other.led_from(directory.path / "first"));
+  first->join("far");
+  first->load_in("far", "sink", "sink");
+  RunningSystem second(other.led_from(directory.path / "second"));
+  second.eventually("refused", [&] { return second.host("far").state() == "refused"; });
+  EXPECT_EQ(second.host("far").reason(), "host 'far' is led by 'first': one host leads at a time");
+  first.reset();
+  second.eventually("leads", [&] { return second.host("far").state() == "joined"; }, 20s);
+  second.load_in("far", "sink", "sink");
+  EXPECT_EQ(second.instance("sink").mode(), "active") << "what the first had left is gone";
+}
+
+TEST_F(Hosts, LibraryThatIsInNoPackageIsTakenOnlyFromTheDirectoryOfTheOtherHost) {
+  OtherHost other(directory.path, "far", {.plugins = false});
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  const Error error = error_of([&] { system.load_in("far", "sink", "sink"); });
+  EXPECT_EQ(error.text().what, "local/test-components is in no package, and host 'far' takes only what is installed on it");
+  EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
+}
+
+TEST_F(Hosts, UnknownHostIsNamedWithThoseThatThereAre) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  const Error error = error_of([&] { system.load_in("fra/group", "sink", "sink"); });
+  EXPECT_EQ(error.text().what, "there is no host 'fra'");
+  EXPECT_EQ(error.text().expected, "one of far");
+}
+
+TEST_F(Hosts, WiresOfGroupsArePassedOnByTheirHostsInBothDirections) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("near", "source", "here", "neutral period_ms=1 count=200");
+  system.load_in("far/deep", "sink", "there");
+  system.load_in("far/deep", "answerer", "answerer");
+  system.load_in("near", "asker", "asker", "neutral count=50 period_ms=1 payload=1000");
+  const auto report = system.watch("there.report");
+  const auto outcome = system.watch("asker.outcome");
+  system.wire("there.each", "here.newest");
+  system.wire("asker.echo", "answerer.echo");
+  EXPECT_EQ(system.port("there.each").transport(), "tcp");
+  system.state("here", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 200; }).value(), 200 * 201 / 2);
+  system.state("asker", "active");
+  system.wait_for(outcome, [](const auto& s) { return s.value() == static_cast<double>(Outcome::Ok) && s.payload() == "1000"; });
+}
+
+TEST_F(Hosts, PushToSeveralGroupsOfAnotherHostCrossesOnceInChunksAndArrivesWhole) {
+  constexpr std::size_t kPayload = 1'000'000;
+  constexpr int kCount = 20;
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("near", "source", "source", fmt::format("neutral period_ms=100 count={} payload={}", kCount, kPayload));
+  for (const std::string name : {"a", "b"}) system.load_in("far/deep", "sink", name);
+  system.load_in("far", "sink", "c");
+  const auto report = system.watch("a.report");
+  for (const std::string name : {"a", "b", "c"}) system.wire(name + ".each", "source.newest");
+  system.state("source", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() > 0; }).payload(), std::to_string(kPayload));
+  for (const std::string name : {"a", "b", "c"}) {
+    system.eventually("each message is accounted for", [&] {
+      const auto sink = system.port(name + ".each");
+      return sink.messages() + sink.dropped() == kCount;
+    });
+  }
+  EXPECT_EQ(system.group("main").links().sent_bytes() / (kPayload * kCount), 1U) << "one crossing for the three";
+  EXPECT_EQ(system.group("main").links().garbled() + system.group("main").links().not_granted(), 0U);
+}
+
+TEST_F(Hosts, EachQuestionHasAnOutcomeWhenMoreIsAskedThanRelaysHold) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far/deep", "answerer", "answerer");
+  system.load_in("near", "asker", "asker", "neutral count=50 period_ms=1 payload=1000000");
+  system.wire("asker.echo", "answerer.echo");
+  system.state("asker", "active");
+  system.eventually("each has ended", [&] { return system.port("asker.outcome").messages() == 50; });
+  EXPECT_EQ(system.host("far").state(), "joined");
+}
+
+TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far/deep", "sink", "sink");
+  system.load_in("", "source", "source", "period_ms=5");
+  system.wire("sink.each", "source.newest");
+  std::ifstream children("/proc/" + std::to_string(other.process()) + "/task/" + std::to_string(other.process()) + "/children");
+  pid_t group = 0;
+  children >> group;
+  ASSERT_GT(group, 0);
+  ::kill(group, SIGKILL);
+  system.eventually("told", [&] { return system.instance("sink").reason().find("killed by signal 9") != std::string::npos; });
+  EXPECT_EQ(system.instance("sink").mode(), "failed");
+  EXPECT_EQ(system.host("far").state(), "joined");
+  system.unload("sink");
+  system.load_in("far/deep", "sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("flows again", [&] { return system.port("sink.each").messages() > 0; });
+}
+
+TEST_F(Hosts, DeathOfAHostIsNoticedInTimeAndEndsItsWires) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source", "period_ms=5");
+  system.load_in("", "sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("messages come", [&] { return system.port("sink.each").messages() > 10; });
+  ::kill(other.process(), SIGKILL);
+  const auto begin = Steady::now();
+  system.eventually("lost", [&] { return system.port("sink.each").connection() == control::LOST; });
+  const double noticed_ms = ms_since(begin);
+  RecordProperty("noticed_ms", static_cast<int>(noticed_ms));
+  std::cout << "death of a host noticed after " << noticed_ms << " ms\n";
+  EXPECT_LT(noticed_ms, 2 * 1500.0);
+  EXPECT_THAT(system.port("sink.each").reason(), HasSubstr("host 'far' has been silent for 1"));
+  EXPECT_EQ(system.instance("source").mode(), "failed");
+  other.restart();
+  system.join("far");
+  EXPECT_EQ(system.instance("source").reason(), "host 'far' was started anew");
+  system.unload("source");
+  system.load_in("far", "source", "source", "period_ms=5");
+  system.wire("sink.each", "source.newest");
+  system.eventually("flows again", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
+}
+
+TEST_F(Hosts, HostThatFallsSilentAndComesBackGoesOnAndWhatWasMissedIsCounted) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  wire_source_to_sink(system);
+  ::kill(other.process(), SIGSTOP);
+  system.eventually("silent", [&] { return system.host("far").state() == "silent"; });
+  EXPECT_EQ(system.port("sink.each").connection(), control::LOST);
+  ::kill(other.process(), SIGCONT);
+  const auto begin = Steady::now();
+  system.eventually("back", [&] { return system.port("sink.each").connection() == control::CONNECTED; });
+  std::cout << "back after " << ms_since(begin) << " ms\n";
+  expect_nothing_lost_silently(system);
+  EXPECT_EQ(system.instance("sink").mode(), "active") << "it went on";
+}
+
+TEST_F(Hosts, WhatIsUnloadedWhileItsHostIsSilentIsGoneWhenThatIsBack) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  wire_source_to_sink(system);
+  ::kill(other.process(), SIGSTOP);
+  system.eventually("silent", [&] { return system.host("far").state() == "silent"; });
+  system.unload("sink");
+  ::kill(other.process(), SIGCONT);
+  system.join("far");
+  system.load_in("far", "sink", "sink");
+  EXPECT_EQ(system.instance("sink").mode(), "active") << "the name is free again";
+}
+
+TEST_F(Hosts, ForeignBytesOnThePortChangeNothing) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  wire_source_to_sink(system);
+  const std::string zmtp_null("\xff\0\0\0\0\0\0\0\1\x7f\3\0NULL", 16);
+  for (const std::string& bytes : {std::string("GET / HTTP/1.1\r\n\r\n"), std::string(100'000, '\xff'), std::string(5000, '\0'),
+                                   zmtp_null + std::string(48, '\0') + std::string(3000, 'x')}) {
+    const int client = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(other.address().substr(other.address().find(':') + 1))));
+    ASSERT_EQ(::connect(client, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
+    static_cast<void>(::send(client, bytes.data(), bytes.size(), MSG_NOSIGNAL));
+    ::close(client);
+  }
+  const auto so_far = system.port("sink.each").messages();
+  system.eventually("messages go on", [&] { return system.port("sink.each").messages() > so_far + 100; });
+  EXPECT_EQ(system.host("far").state(), "joined");
+  expect_nothing_lost_silently(system);
+  EXPECT_EQ(system.port("sink.each").dropped(), 0U);
+}
+
+/// A socket that takes connections and closes them: a host that is there and no host of ours.
+TEST_F(Hosts, HostsThatCannotJoinTryAgainAtMostSoOften) {
+  constexpr int kPeers = 50;
+  const int server = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  ASSERT_EQ(::bind(server, reinterpret_cast<sockaddr*>(&address), size), 0);
+  ASSERT_EQ(::listen(server, 512), 0);
+  ASSERT_EQ(::getsockname(server, reinterpret_cast<sockaddr*>(&address), &size), 0);
+  HostOptions options{directory.path / "keys", "", {}};
+  const std::string key = trust::KeyDirectory(options.keys).make().open.text();
+  for (int i = 0; i < kPeers; ++i) {
+    options.peers.push_back(PeerAddress::from_text("p" + std::to_string(i) + "=127.0.0.1:" + std::to_string(ntohs(address.sin_port)) + "=" + key));
+  }
+  RunningSystem system(options);
+  const auto begin = Steady::now();
+  int late = 0;
+  system.eventually("20 s pass", [&] {
+    for (int one = 0; (one = ::accept(server, nullptr, nullptr)) >= 0; ::close(one)) late += ms_since(begin) > 10'000;
+    return ms_since(begin) > 20'000;
+  }, 30s);
+  ::close(server);
+  std::cout << late / 10.0 << " attempts a second of " << kPeers << " hosts\n";
+  EXPECT_GT(late, 0);
+  EXPECT_LE(late / 10.0, 50.0 * kPeers / 200) << "200 hosts together at most 50 a second";
+}
+
+// ---- partitions -----------------------------------------------------------------------------------------------
+
+TEST(Peer, IsNamedWithAddressAndKey) {
+  const auto peer = PeerAddress::from_text("kitchen=10.0.0.2:7001=" + std::string(64, 'a'));
+  EXPECT_EQ(peer.name, "kitchen");
+  EXPECT_EQ(peer.address, "tcp://10.0.0.2:7001");
+  for (const std::string wrong : {"kitchen", "kitchen=10.0.0.2:7001", "=10.0.0.2:7001=", "main=h:1=", "k=h=", "k=h:="}) {
+    const std::string text = wrong.ends_with('=') ? wrong + std::string(64, 'a') : wrong;
+    EXPECT_EQ(error_of([&] { PeerAddress::from_text(text); }).code(), ErrorCode::Usage) << text;
+  }
+}
+
+/// A network namespace with a cable to this one, which can be pulled.
+class Cable {
+ public:
+  Cable() : name_("fi" + std::to_string(::getpid())) {
+    good_ = run("ip netns add " + name_) && run("ip link add " + name_ + "a type veth peer name " + name_ + "b netns " + name_) &&
+            run("ip addr add 10.231.77.1/30 dev " + name_ + "a") && run("ip link set " + name_ + "a up") &&
+            in("ip addr add 10.231.77.2/30 dev " + name_ + "b") && in("ip link set " + name_ + "b up") && in("ip link set lo up");
+  }
+  ~Cable() {
+    static_cast<void>(run("ip link del " + name_ + "a"));
+    static_cast<void>(run("ip netns del " + name_));
+  }
+  bool good() const { return good_; }
+  const std::string& name() const { return name_; }
+  void pull() { good_ = in("ip link set " + name_ + "b down"); }
+  void plug() { good_ = in("ip link set " + name_ + "b up"); }
+
+ private:
+  static bool run(const std::string& line) { return std::system((line + " 2>/dev/null").c_str()) == 0; }
+  bool in(const std::string& line) const { return run("ip netns exec " + name_ + " " + line); }
+  const std::string name_;
+  bool good_ = false;
+};
+
+class Partitions : public Hosts, public testing::WithParamInterface<std::pair<int, double>> {};
+
+TEST_P(Partitions, BothSidesShowTheFaultAndAreBackInTimeWithNothingLostSilently) {
+  const auto [seconds, back_s] = GetParam();
+  Cable cable;
+  if (!cable.good()) GTEST_SKIP() << "network namespaces need CAP_NET_ADMIN and the program ip";
+  OtherHost other(directory.path, "far", {.listen = "10.231.77.2:0", .network = cable.name()});
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  wire_source_to_sink(system);
+  cable.pull();
+  const auto pulled = Steady::now();
+  if (seconds > 1) {
+    system.eventually("noticed", [&] { return system.host("far").state() == "silent"; });
+    std::cout << "noticed after " << ms_since(pulled) << " ms\n";
+    EXPECT_LT(ms_since(pulled), 2 * 1500.0);
+    EXPECT_EQ(system.port("sink.each").connection(), control::LOST);
+  }
+  system.eventually("the outage ends", [&] { return ms_since(pulled) > 1000.0 * seconds; }, 20s);
+  cable.plug();
+  ASSERT_TRUE(cable.good());
+  const auto plugged = Steady::now();
+  system.eventually("the other side has shown it", [&] { return other.said().find("which leads, has been silent for 1") != std::string::npos; });
+  system.eventually("this side as well, and is back", [&] {
+    const auto port = system.port("sink.each");
+    return port.connection() == control::CONNECTED && port.dropped() > 0;
+  });
+  const double back_ms = ms_since(plugged);
+  std::cout << "an outage of " << seconds << " s: back after " << back_ms << " ms\n";
+  EXPECT_LT(back_ms, 2 * 1000 * back_s);
+  expect_nothing_lost_silently(system);
+}
+
+INSTANTIATE_TEST_SUITE_P(Of, Partitions, testing::Values(std::pair(1, 2.0), std::pair(10, 5.0)),
+                         [](const auto& one) { return std::to_string(one.param.first) + "Seconds"; });
+
+}  // namespace
+}  // namespace fiona::host
