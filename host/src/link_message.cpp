@@ -180,10 +180,7 @@ Block make_record(const wire::Frame& frame, const Object* object, std::size_t ob
 
 Block make_record(const wire::Frame& frame, const ObjectBytes& object) {
   auto [block, end] = begin_record(frame, object.size());
-  object.each_piece([&out = end](std::string_view piece) {
-    std::memcpy(out, piece.data(), piece.size());
-    out += piece.size();
-  });
+  object.each_piece([&out = end](std::string_view piece) { out = std::copy(piece.begin(), piece.end(), out); });
   return std::move(block);
 }
 

@@ -11,6 +11,7 @@ namespace {
 /// somebody does and no handshake comes about, it begins again at 0.4 s, so that is counted here.
 constexpr int kReconnect_ms = 400;
 constexpr int kReconnectMost_ms = 4000;
+constexpr int kRetryMost_ms = 5000;  ///< between attempts that end without a handshake, on average
 constexpr int kConnect_ms = 500;
 constexpr std::chrono::milliseconds kHelloEvery{400};
 /// Before one that refuses us is asked again.
@@ -65,7 +66,9 @@ class PeerLink::Incoming final : public LinkSocket::Receiver {
 };
 
 PeerLink::PeerLink(const HostSurroundings& around, PeerAddress peer)
-    : around_(around), peer_(std::move(peer)), random_(static_cast<std::minstd_rand::result_type>(around.run)) {}
+    : around_(around),
+      peer_(std::move(peer)),
+      random_(static_cast<std::minstd_rand::result_type>(around.run ^ std::hash<std::string>()(peer_.name))) {}
 
 PeerLink::~PeerLink() { stop(); }
 
@@ -156,7 +159,9 @@ void PeerLink::tick(Steady::time_point now) {
   }
   if (no_handshake_) {
     const State same = state_;
-    const std::chrono::milliseconds pause(std::min(kReconnect_ms << failures_, kReconnectMost_ms) + static_cast<int>(random_() % kReconnect_ms));
+    // From half to one and a half of it, so that hosts that began together do not go on together.
+    const auto mean_ms = static_cast<unsigned>(std::min(kReconnect_ms << failures_, kRetryMost_ms));
+    const std::chrono::milliseconds pause(mean_ms / 2 + random_() % mean_ms);
     failures_ = std::min(failures_ + 1, 5);
     lock.unlock();
     return close(same, "no handshake: its key is not the one that --peer names, or it is no host of FIONA", pause);
