@@ -11,6 +11,7 @@
 #include "group_clock.hpp"
 #include "mailbox.hpp"
 #include "os/message_stream.hpp"
+#include "os/process.hpp"
 #include "runtime.hpp"
 
 namespace {
@@ -113,6 +114,7 @@ int run(int argc, char** argv) {
 int main(int argc, char** argv) {
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
+  fiona::os::keep_freed_memory();
   try {
     return run(argc, argv);
   } catch (const std::exception& error) {

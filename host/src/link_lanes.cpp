@@ -131,7 +131,7 @@ void PeerLanes::take_chunk(Outgoing& out) {
     wire::Frame frame;
     frame.set_wire(item.wire);
     frame.mutable_more();
-    records_.push_back(make_record(frame, nullptr, 0));
+    records_.push_back(make_record(frame, ObjectBytes(item.payload->chunks()[item.next_chunk].inside)));
   }
   out.records = joined(records_);
   out.payload = item.payload;

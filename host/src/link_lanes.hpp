@@ -49,7 +49,7 @@ class PeerLanes {
     Block records;
     std::shared_ptr<const Payload> payload;
     std::size_t chunk = 0;
-    std::size_t bytes() const { return records.size() + (payload ? payload->chunks()[chunk].size() : 0); }
+    std::size_t bytes() const { return records.size() + (payload ? payload->chunks()[chunk].beside.size() : 0); }
   };
 
   /// A new lane. It goes when it is closed and empty.

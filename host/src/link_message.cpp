@@ -1,5 +1,6 @@
 #include "link_message.hpp"
 
+#include <google/protobuf/io/coded_stream.h>
 #include <google/protobuf/io/zero_copy_stream.h>
 
 #include <algorithm>
@@ -14,6 +15,10 @@ namespace {
 
 /// Blocks of at least this size are made in the size of a chunk, and kept.
 constexpr std::size_t kPooledFrom = kChunkBytes / 2;
+/// Of a chunk's bytes, those that are copied into its record.
+constexpr std::size_t kInsideBytes = 4096;
+/// A string of this size is sent from where it lies: the pieces of an object are not much smaller than chunks.
+constexpr std::size_t kAliasFrom = kChunkBytes / 2;
 /// 4 MiB for each process that sends large messages.
 constexpr std::size_t kKeptChunks = 16;
 
@@ -122,40 +127,105 @@ Block::~Block() {
   is_pooled(size_) ? shelf().put_back(data_) : ::operator delete(data_);
 }
 
-/// Gives protobuf one chunk after the other to write into.
+/// Takes what protobuf writes, in order: long strings as they lie in the object, the rest in blocks.
 class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream {
  public:
-  Writer(std::vector<Block>& chunks, std::size_t size) : chunks_(chunks), left_(size) {}
-  bool Next(void** data, int* size) override {
-    if (left_ == 0) return false;
-    Block& chunk = chunks_.emplace_back(std::min(left_, kChunkBytes));
-    left_ -= chunk.size();
-    *data = chunk.data();
-    *size = static_cast<int>(chunk.size());
+  explicit Writer(std::vector<Block>& blocks) : blocks_(blocks) {}
+
+  bool AllowsAliasing() const override { return true; }
+  bool WriteAliasedRaw(const void* data, int size) override {
+    std::string_view rest(static_cast<const char*>(data), static_cast<std::size_t>(size));
+    if (rest.size() >= kAliasFrom) {
+      end_own();
+      segments_.push_back(rest);
+      shown_ += rest.size();
+      return true;
+    }
+    while (!rest.empty()) {
+      void* to = nullptr;
+      int room = 0;
+      Next(&to, &room);
+      const std::size_t part = std::min(rest.size(), static_cast<std::size_t>(room));
+      std::memcpy(to, rest.data(), part);
+      BackUp(room - static_cast<int>(part));
+      rest.remove_prefix(part);
+    }
     return true;
   }
-  // The chunks have the object's exact size: what is not used is given back at the very end only, and is nothing.
-  void BackUp(int) override {}
-  std::int64_t ByteCount() const override { return 0; }
+  // Protobuf copies what fits into the room that it has been given: the first block is small, so that a long string
+  // does not.
+  bool Next(void** data, int* size) override {
+    if (blocks_.empty() || used_ == blocks_.back().size()) {
+      end_own();
+      blocks_.emplace_back(blocks_.empty() ? kInsideBytes : kChunkBytes);
+      begin_ = used_ = 0;
+    }
+    *data = blocks_.back().data() + used_;
+    *size = static_cast<int>(blocks_.back().size() - used_);
+    used_ = blocks_.back().size();
+    return true;
+  }
+  void BackUp(int count) override { used_ -= static_cast<std::size_t>(count); }
+  std::int64_t ByteCount() const override { return static_cast<std::int64_t>(shown_ + used_ - begin_); }
+
+  std::vector<std::string_view> take() {
+    end_own();
+    return std::move(segments_);
+  }
 
  private:
-  std::vector<Block>& chunks_;
-  std::size_t left_;
+  void end_own() {
+    if (used_ == begin_) return;
+    segments_.emplace_back(reinterpret_cast<const char*>(blocks_.back().data()) + begin_, used_ - begin_);
+    shown_ += used_ - begin_;
+    begin_ = used_;
+  }
+
+  std::vector<Block>& blocks_;
+  std::vector<std::string_view> segments_;
+  std::size_t shown_ = 0;  ///< bytes of the segments
+  std::size_t begin_ = 0;  ///< in the last block: what is in no segment yet
+  std::size_t used_ = 0;
 };
 
-Payload::Payload(const Object& object) : size_(object.ByteSizeLong()) {
-  Writer writer(chunks_, size_);
-  object.SerializePartialToZeroCopyStream(&writer);
+Payload::Payload(std::shared_ptr<const Object> object) : object_(std::move(object)), size_(object_->ByteSizeLong()) {
+  Writer writer(blocks_);
+  {
+    google::protobuf::io::CodedOutputStream coded(&writer);
+    coded.EnableAliasing(true);
+    object_->SerializeWithCachedSizes(&coded);
+  }
+  cut(writer.take());
+}
+
+/// Few bytes go inside the record of the chunk behind them.
+void Payload::cut(const std::vector<std::string_view>& segments) {
+  std::string inside;
+  for (std::string_view rest : segments) {
+    if (inside.size() + rest.size() <= kInsideBytes) {
+      inside += rest;
+      continue;
+    }
+    while (!rest.empty()) {
+      const std::string_view beside = rest.substr(0, kChunkBytes - inside.size());
+      rest.remove_prefix(beside.size());
+      chunks_.push_back({std::exchange(inside, {}), beside});
+    }
+  }
+  if (!inside.empty()) chunks_.push_back({std::move(inside), {}});
 }
 
 Payload::Payload(const ObjectBytes& object) : size_(object.size()) {
-  object.each_piece([this](std::string_view piece) {
+  std::vector<std::string_view> copies;
+  object.each_piece([&](std::string_view piece) {
     while (!piece.empty()) {
-      Block& chunk = chunks_.emplace_back(std::min(piece.size(), kChunkBytes));
-      std::memcpy(chunk.data(), piece.data(), chunk.size());
-      piece.remove_prefix(chunk.size());
+      Block& copy = blocks_.emplace_back(std::min(piece.size(), kChunkBytes));
+      std::memcpy(copy.data(), piece.data(), copy.size());
+      copies.emplace_back(reinterpret_cast<const char*>(copy.data()), copy.size());
+      piece.remove_prefix(copy.size());
     }
   });
+  cut(copies);
 }
 
 namespace {
@@ -221,12 +291,18 @@ bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver) {
 }
 
 bool FrameReader::take(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver) {
-  if (beside && !inside.empty()) return false;
   if (frame.has_more()) return go_on(frame, inside, beside, receiver);
-  const std::size_t here = beside ? beside->size() : inside.size();
+  const std::size_t here = inside.size() + (beside ? beside->size() : 0);
   if (frame.size() > here) return begin(frame, inside, beside, receiver);
   if (frame.size() != 0 && frame.size() != here) return false;
-  receiver.on_frame(frame, beside ? text_of(*beside) : inside);
+  if (!beside || inside.empty()) {
+    receiver.on_frame(frame, beside ? text_of(*beside) : inside);
+    return true;
+  }
+  Assembly both;
+  both.frame.set_size(here);
+  if (!add(both, inside, beside)) return false;
+  receiver.on_frame(frame, ObjectBytes(both.pieces, here));
   return true;
 }
 
@@ -256,11 +332,13 @@ bool FrameReader::go_on(const wire::Frame& frame, std::string_view inside, zmq::
 }
 
 bool FrameReader::add(Assembly& assembly, std::string_view inside, zmq::message_t* beside) {
-  zmq::message_t piece = beside ? std::move(*beside) : zmq::message_t(inside.data(), inside.size());
-  // Whole chunks and a rest: a peer that sent it byte by byte would make each byte cost a message.
-  if (piece.size() != std::min<std::size_t>(chunk_, assembly.frame.size() - assembly.received)) return false;
-  assembly.received += piece.size();
-  assembly.pieces.push_back(std::move(piece));
+  const std::size_t size = inside.size() + (beside ? beside->size() : 0);
+  // A peer that sent it byte by byte would make each byte cost a message.
+  if (size == 0 || size > chunk_ || ++assembly.messages > most_chunks(assembly.frame.size(), chunk_)) return false;
+  if (size > assembly.frame.size() - assembly.received) return false;
+  assembly.received += size;
+  if (!inside.empty()) assembly.pieces.emplace_back(inside.data(), inside.size());
+  if (beside) assembly.pieces.push_back(std::move(*beside));
   return true;
 }
 

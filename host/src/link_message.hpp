@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -64,25 +65,38 @@ class ObjectBytes {
   std::size_t size_ = 0;
 };
 
-/// A serialised object that is too large for its record: pieces of at most `kChunkBytes`, written once and read by the
-/// links to all its receivers.
+/// A serialised object that is too large for its record, in chunks that are read by the links to all its receivers. Its
+/// long strings and bytes are not copied: they are sent from where the object has them.
 class Payload {
  public:
-  explicit Payload(const Object& object);
+  /// What one message carries: a few bytes inside its record, the rest beside it. `kChunkBytes` together at most.
+  struct Chunk {
+    std::string inside;
+    std::string_view beside;
+    std::size_t size() const { return inside.size() + beside.size(); }
+  };
+
+  explicit Payload(std::shared_ptr<const Object> object);
   /// As it has come: to be passed on.
   explicit Payload(const ObjectBytes& object);
   std::size_t size() const { return size_; }
-  const std::vector<Block>& chunks() const { return chunks_; }
+  const std::vector<Chunk>& chunks() const { return chunks_; }
 
  private:
   class Writer;
+  void cut(const std::vector<std::string_view>& segments);
+
+  const std::shared_ptr<const Object> object_;  ///< whose strings the chunks may show
   std::size_t size_ = 0;
-  std::vector<Block> chunks_;
+  std::vector<Block> blocks_;
+  std::vector<Chunk> chunks_;
 };
 
 /// A record: head, frame, and the object's bytes if it has any that travel inside.
 Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size);
 Block make_record(const wire::Frame& frame, const ObjectBytes& object);
+/// How many messages an object may come in that is too large for one.
+constexpr std::size_t most_chunks(std::size_t object, std::size_t chunk = kChunkBytes) { return 8 * (object / chunk + 1); }
 
 /// Puts together what one peer sends: records out of messages, and objects out of chunks. What it holds is bounded: one
 /// object for each wire that is accepted, of at most `kMaxObject`, and never more of it than has come.
@@ -96,7 +110,7 @@ class FrameReader {
     virtual void on_frame(const wire::Frame& frame, const ObjectBytes& object) = 0;
   };
 
-  /// Chunks are of this size, but for the last of each object.
+  /// Chunks are of this size at most.
   explicit FrameReader(std::size_t chunk = kChunkBytes) : chunk_(chunk) {}
 
   /// One message's parts. False: it is garbled; what was whole before the fault has been passed on.
@@ -108,6 +122,7 @@ class FrameReader {
   struct Assembly {
     wire::Frame frame;
     std::size_t received = 0;
+    std::size_t messages = 0;
     std::vector<zmq::message_t> pieces;
   };
   bool take(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);

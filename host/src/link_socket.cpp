@@ -304,7 +304,7 @@ std::shared_ptr<const Payload> payload_of(const std::shared_ptr<const Object>& o
   thread_local std::weak_ptr<const Payload> last_payload;
   auto payload = last_payload.lock();
   if (payload && last_object.lock() == object) return payload;
-  payload = std::make_shared<const Payload>(*object);
+  payload = std::make_shared<const Payload>(object);
   last_object = object;
   last_payload = payload;
   return payload;
@@ -325,7 +325,7 @@ PeerLanes::Item LinkSocket::item_for(const Lane& lane, wire::Frame& frame, const
   if (size > kInlineBytes) {
     item.payload = payload_of(object);
     if (item.payload->chunks().size() > 1) frame.set_size(size);
-    item.record = make_record(frame, nullptr, 0);
+    item.record = make_record(frame, ObjectBytes(item.payload->chunks().front().inside));
   } else {
     item.record = make_record(frame, object.get(), size);
   }
@@ -364,7 +364,7 @@ void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame 
   item.payload = payload;
   item.receipt = std::move(receipt);
   if (payload && payload->chunks().size() > 1) frame.set_size(payload->size());
-  item.record = make_record(frame, payload ? ObjectBytes() : object);
+  item.record = make_record(frame, payload ? ObjectBytes(payload->chunks().front().inside) : object);
   const std::lock_guard lock(mutex_);
   const auto known = lane.peer ? lane.peer : peers_.contains(peer) ? peers_[peer] : nullptr;
   if (!known || known->gone) return;
@@ -409,13 +409,14 @@ bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   release->bytes = bytes;
   zmq::message_t beside_frames;
   Block records = std::move(out.records);
-  if (out.payload) beside_frames.rebuild(records.data(), records.size());
-  const Block* chunk = out.payload ? &out.payload->chunks()[out.chunk] : nullptr;
+  const std::string_view beside = out.payload ? out.payload->chunks()[out.chunk].beside : std::string_view();
+  const bool chunk = !beside.empty();
+  if (chunk) beside_frames.rebuild(records.data(), records.size());
   release->payload = std::move(out.payload);
   if (!chunk) release->records = std::move(records);
   // ZeroMQ only reads the bytes: they are not its own.
-  auto* data = const_cast<std::uint8_t*>(chunk ? chunk->data() : release->records.data());
-  const std::size_t size = chunk ? chunk->size() : release->records.size();
+  void* data = chunk ? const_cast<char*>(beside.data()) : static_cast<void*>(release->records.data());
+  const std::size_t size = chunk ? beside.size() : release->records.size();
   zmq::message_t body(data, size, &Release::done, release.release());
   try {
     // A connection that is just not there takes none of the parts.

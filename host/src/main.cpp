@@ -11,6 +11,7 @@
 
 #include "control_server.hpp"
 #include "fiona/error.hpp"
+#include "os/process.hpp"
 #include "os/unix_socket.hpp"
 
 namespace {
@@ -105,6 +106,7 @@ int main(int argc, char** argv) {
   Flags flags;
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
+  fiona::os::keep_freed_memory();
   try {
     flags = parse(argc, argv, description);
     if (flags.help) return std::cout << description, 0;

@@ -1,9 +1,11 @@
 // What goes next over a link (architecture, data plane): lanes in turn, chunks between small messages, bounds and loss.
+#include <google/protobuf/struct.pb.h>
 #include <google/protobuf/wrappers.pb.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cstring>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -33,9 +35,9 @@ PeerLanes::Item item_of(std::uint64_t wire, std::size_t payload, Rule rule = Rul
   item.wire = wire;
   item.cost = object.ByteSizeLong() + kFrameCost;
   if (object.ByteSizeLong() > kInlineBytes) {
-    item.payload = std::make_shared<const Payload>(object);
+    item.payload = std::make_shared<const Payload>(std::make_shared<BytesValue>(object));
     frame.set_size(object.ByteSizeLong());
-    item.record = make_record(frame, nullptr, 0);
+    item.record = make_record(frame, ObjectBytes(item.payload->chunks().front().inside));
   } else {
     item.record = make_record(frame, &object, object.ByteSizeLong());
   }
@@ -49,7 +51,10 @@ class Reader final : public FrameReader::Receiver {
   std::vector<std::string> read(PeerLanes::Outgoing& out) {
     std::vector<zmq::message_t> parts;
     parts.emplace_back(out.records.data(), out.records.size());
-    if (out.payload) parts.emplace_back(out.payload->chunks()[out.chunk].data(), out.payload->chunks()[out.chunk].size());
+    if (out.payload && !out.payload->chunks()[out.chunk].beside.empty()) {
+      const auto beside = out.payload->chunks()[out.chunk].beside;
+      parts.emplace_back(beside.data(), beside.size());
+    }
     seen_.clear();
     EXPECT_TRUE(reader_.read(parts, *this));
     if (seen_.empty()) seen_.push_back("chunk");
@@ -256,14 +261,93 @@ TEST(LinkChunks, OfWiresThatAreNotThePeersAreNotKept) {
   EXPECT_EQ(nobody.frames, 0);
 }
 
-TEST(LinkChunks, ChunkOfAnotherSizeEndsTheObject) {
+TEST(LinkChunks, ChunkThatIsEmptyOrTooLargeOrMoreThanTheObjectEndsIt) {
+  for (const std::size_t wrong : {std::size_t(0), kChunkBytes + 1, kChunkBytes}) {
+    FrameReader reader;
+    Nobody nobody;
+    EXPECT_TRUE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes - 1), kChunkBytes));
+    EXPECT_FALSE(read_chunk(reader, nobody, more_of(1), wrong));
+    EXPECT_EQ(reader.unfinished(), 0U);
+    EXPECT_EQ(nobody.frames, 0);
+  }
+}
+
+TEST(LinkChunks, ObjectByteByByteIsEnded) {
   FrameReader reader;
   Nobody nobody;
-  EXPECT_TRUE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), kChunkBytes));
+  EXPECT_TRUE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), 1));
+  for (std::size_t i = 1; i < most_chunks(2 * kChunkBytes); ++i) EXPECT_TRUE(read_chunk(reader, nobody, more_of(1), 1));
   EXPECT_FALSE(read_chunk(reader, nobody, more_of(1), 1));
   EXPECT_EQ(reader.unfinished(), 0U);
-  EXPECT_FALSE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), 1));
-  EXPECT_EQ(reader.unfinished(), 0U);
+}
+
+/// Fields of every size, in one object.
+google::protobuf::ListValue mixed_object(const std::vector<std::size_t>& sizes) {
+  google::protobuf::ListValue object;
+  for (const std::size_t size : sizes) object.add_values()->mutable_string_value()->assign(size, static_cast<char>('a' + size % 26));
+  return object;
+}
+
+/// Passes the payload through a reader.
+class Assembled final : public FrameReader::Receiver {
+ public:
+  Assembled(const Payload& payload, google::protobuf::Message& object) : object_(object) {
+    wire::Frame frame = first_of(1, payload.chunks().size() > 1 ? payload.size() : 0);
+    for (const auto& chunk : payload.chunks()) {
+      Block record = make_record(frame, ObjectBytes(chunk.inside));
+      std::vector<zmq::message_t> parts;
+      parts.emplace_back(record.data(), record.size());
+      if (!chunk.beside.empty()) parts.emplace_back(chunk.beside.data(), chunk.beside.size());
+      EXPECT_LE(chunk.size(), kChunkBytes);
+      EXPECT_TRUE(reader_.read(parts, *this));
+      frame = more_of(1);
+    }
+  }
+  int frames = 0;
+
+ private:
+  bool accepts(const wire::Frame&) override { return true; }
+  void on_frame(const wire::Frame&, const ObjectBytes& object) override {
+    ++frames;
+    EXPECT_TRUE(object.parse_into(object_));
+  }
+  FrameReader reader_;
+  google::protobuf::Message& object_;
+};
+
+TEST(LinkPayload, EveryMixtureOfFieldsArrivesAsItWas) {
+  std::mt19937 random(20261121);
+  for (int round = 0; round < 300; ++round) {
+    std::vector<std::size_t> sizes(1 + random() % 12);
+    for (auto& size : sizes) size = random() % (std::size_t(1) << random() % 20);
+    const auto object = std::make_shared<google::protobuf::ListValue>(mixed_object(sizes));
+    const Payload payload(object);
+    EXPECT_LE(payload.chunks().size(), most_chunks(payload.size()));
+    google::protobuf::ListValue arrived;
+    EXPECT_EQ(Assembled(payload, arrived).frames, payload.size() > 0 ? 1 : 0);
+    ASSERT_EQ(arrived.SerializeAsString(), object->SerializeAsString());
+  }
+}
+
+TEST(LinkPayload, LongStringsAreSentFromWhereTheObjectHasThem) {
+  const auto object = std::make_shared<google::protobuf::ListValue>(mixed_object({10, 1024 * 1024, 10}));
+  const std::string& longest = object->values(1).string_value();
+  const Payload payload(object);
+  std::size_t shown = 0;
+  for (const auto& chunk : payload.chunks()) {
+    const bool its = chunk.beside.data() >= longest.data() && chunk.beside.data() < longest.data() + longest.size();
+    if (its) shown += chunk.beside.size();
+  }
+  EXPECT_EQ(shown, longest.size());
+}
+
+TEST(LinkPayload, WhatIsPassedOnArrivesAsItWas) {
+  const auto object = std::make_shared<google::protobuf::ListValue>(mixed_object({10, 700'000, 20'000, 10}));
+  const std::string bytes = object->SerializeAsString();
+  const Payload payload{ObjectBytes(bytes)};
+  google::protobuf::ListValue arrived;
+  EXPECT_EQ(Assembled(payload, arrived).frames, 1);
+  EXPECT_EQ(arrived.SerializeAsString(), bytes);
 }
 
 TEST(LinkChunks, SecondObjectOfAWireBeforeTheFirstHasEndedIsRefused) {

@@ -1,6 +1,7 @@
 #include "os/process.hpp"
 
 #include <fcntl.h>
+#include <malloc.h>
 #include <signal.h>
 #include <spawn.h>
 #include <sys/random.h>
@@ -68,6 +69,12 @@ std::size_t descriptor_limit() {
 }
 
 std::filesystem::path program_directory() { return std::filesystem::read_symlink("/proc/self/exe").parent_path(); }
+
+void keep_freed_memory() {
+  constexpr int kKept = 8 * 1024 * 1024;
+  ::mallopt(M_TRIM_THRESHOLD, kKept);
+  ::mallopt(M_MMAP_THRESHOLD, kKept);
+}
 
 std::string random_token() {
   std::string token(16, '\0');
