@@ -37,13 +37,19 @@ std::shared_ptr<PeerLanes::Lane> PeerLanes::open() {
   return lane;
 }
 
-void PeerLanes::close(Lane& lane) {
-  if (lane.closed_) return;
+std::size_t PeerLanes::close(Lane& lane, Rest rest) {
+  if (lane.closed_) return 0;
+  std::size_t kept = lane.waiting_;
+  for (const auto& [id, other] : lanes_) kept += other->closed_ ? other->waiting_ : 0;
   lane.closed_ = true;
-  std::erase_if(lane.queue_, [](const Item& item) { return item.cost > 0 && item.next_chunk == 0; });
-  lane.lost_.clear();
-  lane.waiting_ = 0;
+  std::size_t lost = 0;
+  if (rest == Rest::IsLost || kept > kLaneWindow) {
+    lost = std::erase_if(lane.queue_, [](const Item& item) { return item.cost > 0 && item.next_chunk == 0; });
+    lane.lost_.clear();
+    lane.waiting_ = 0;
+  }
   update(lane);
+  return lost;
 }
 
 PeerLanes::Taken PeerLanes::offer(Lane& lane, Item item) {

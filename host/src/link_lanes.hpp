@@ -54,8 +54,10 @@ class PeerLanes {
 
   /// A new lane. It goes when it is closed and empty.
   std::shared_ptr<Lane> open();
-  /// Takes no more, and loses what waits for credit; what has begun, and what needs none, still goes.
-  void close(Lane& lane);
+  /// Takes no more. What has begun, and what needs no credit, still goes; what waits for credit is lost, or goes too
+  /// with `Rest::Goes`, as far as all lanes that are ending so keep no more than one window. Returns what was lost.
+  enum class Rest { IsLost, Goes };
+  std::size_t close(Lane& lane, Rest rest = Rest::IsLost);
   Taken offer(Lane& lane, Item item);
   void credit(std::uint64_t lane, std::size_t bytes);
   bool has_ready() const { return !small_.empty() || !large_.empty(); }

@@ -288,10 +288,10 @@ LinkSocket::Lane LinkSocket::open_lane(const std::string& peer) {
   return {found->second, found->second->lanes.open()};
 }
 
-void LinkSocket::close_lane(const Lane& lane) {
-  if (!lane.peer) return;
+std::size_t LinkSocket::close_lane(const Lane& lane, PeerLanes::Rest rest) {
+  if (!lane.peer) return 0;
   const std::lock_guard lock(mutex_);
-  lane.peer->lanes.close(*lane.lane);
+  return lane.peer->lanes.close(*lane.lane, rest);
 }
 
 // ---- sending --------------------------------------------------------------------------------------------------

@@ -95,8 +95,8 @@ class LinkSocket {
 
   /// A new lane to a peer that has proved its key, or that is being connected to; its `peer` is null when there is none.
   Lane open_lane(const std::string& peer);
-  /// [any thread] What has begun still goes, and so does what needs no credit.
-  void close_lane(const Lane& lane);
+  /// [any thread] As PeerLanes::close.
+  std::size_t close_lane(const Lane& lane, PeerLanes::Rest rest = PeerLanes::Rest::IsLost);
   /// [any thread] Sends a frame with an object (null: none). Never waits: the lane is bounded.
   Sent send(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object = nullptr,
             Rule rule = Rule::Control, Wires also = nullptr);

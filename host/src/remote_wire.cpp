@@ -442,7 +442,11 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     }
     served_.clear();
   }
-  fan_out_ ? fan_out_->leave(wire_) : link_->close_lane(lane_);
+  // What a client has sent has been accepted: it goes, though the wire does.
+  const bool sent = tell && port_.direction() == PortDirection::Requires && port_.service().pattern() == SEND;
+  const auto rest = sent ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;
+  const std::size_t lost = fan_out_ ? (fan_out_->leave(wire_), 0) : link_->close_lane(lane_, rest);
+  if (sent) port_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
   for (auto& [id, reply] : open) reply->answer(Outcome::Disconnected, reason, nullptr);
   for (auto& reply : served) reply->abandon();
 }

@@ -145,6 +145,45 @@ TEST(LinkLanes, LaneWithoutCreditStopsAndTheOthersDoNot) {
   EXPECT_GT(reader.bytes, before + 64);
 }
 
+/// Fills the lane's window and lets messages wait for credit behind it; returns how many were taken.
+int fill(PeerLanes& lanes, PeerLanes::Lane& lane, std::uint64_t wire) {
+  Reader reader;
+  int taken = 0;
+  while (lanes.offer(lane, item_of(wire, kLaneWindow / 8)).ok) {
+    ++taken;
+    while (!next_of(lanes, reader).empty()) continue;
+  }
+  return taken;
+}
+
+TEST(LinkLanes, LaneThatEndsGivesOutWhatItHadTakenAndTheFrameBehindIt) {
+  PeerLanes lanes;
+  Reader reader;
+  const auto lane = lanes.open();
+  fill(lanes, *lane, 1);
+  lanes.offer(*lane, item_of(1, 0, Rule::Control));
+  EXPECT_EQ(lanes.close(*lane, PeerLanes::Rest::Goes), 0U);
+  EXPECT_FALSE(lanes.has_ready());
+  const std::uint64_t id = lane->id();
+  for (int i = 0; i < 100 && lanes.lanes() > 0; ++i) {
+    lanes.credit(id, kLaneWindow / 8);
+    while (!next_of(lanes, reader).empty()) continue;
+  }
+  EXPECT_EQ(lanes.lanes(), 0U);
+  EXPECT_GE(reader.bytes, 7 * kLaneWindow / 8);
+}
+
+TEST(LinkLanes, LanesThatEndKeepOneWindowTogether) {
+  PeerLanes lanes;
+  const auto first = lanes.open();
+  const auto second = lanes.open();
+  fill(lanes, *first, 1);
+  fill(lanes, *second, 2);
+  EXPECT_EQ(lanes.close(*first, PeerLanes::Rest::Goes), 0U);
+  EXPECT_GT(lanes.close(*second, PeerLanes::Rest::Goes), 0U);
+  EXPECT_EQ(lanes.lanes(), 1U);
+}
+
 TEST(LinkLanes, FullLaneOfAPushLosesItsOldestAndTellsEachClientBeforeTheNextMessage) {
   PeerLanes lanes;
   Reader reader;
