@@ -40,14 +40,6 @@ std::uint32_t number_at(std::string_view text, std::size_t at) {
   return number;
 }
 
-std::string record_of(const control::JournalEntry& entry) {
-  const std::string body = entry.SerializeAsString();
-  std::string record;
-  append(record, static_cast<std::uint32_t>(body.size()));
-  append(record, checksum(body));
-  return record + body;
-}
-
 [[noreturn]] void fail(const std::filesystem::path& file) {
   throw Error(ErrorCode::Failed, {.what = fmt::format("the journal cannot be written: {}", std::strerror(errno)),
                                   .where = file.string(),
@@ -69,6 +61,14 @@ void write_all(int descriptor, std::string_view bytes, const std::filesystem::pa
 }
 
 }  // namespace
+
+std::string Journal::record_of(const control::JournalEntry& entry) {
+  const std::string body = entry.SerializeAsString();
+  std::string record;
+  append(record, static_cast<std::uint32_t>(body.size()));
+  append(record, checksum(body));
+  return record + body;
+}
 
 Journal::Journal(std::filesystem::path file) : file_(std::move(file)) {
   if (file_.empty()) return;
@@ -174,12 +174,15 @@ void Journal::fold(const Model& now) {
 std::vector<control::Change> Journal::read(const std::filesystem::path& file) {
   std::ifstream stream(file, std::ios::binary);
   if (!stream) throw Error(ErrorCode::NotFound, {.what = "there is no journal", .where = file.string()});
-  const std::string text{std::istreambuf_iterator<char>(stream), {}};
+  return changes_in(std::string{std::istreambuf_iterator<char>(stream), {}});
+}
+
+std::vector<control::Change> Journal::changes_in(std::string_view text) {
   std::map<std::uint64_t, control::JournalEntry> entries;
   for (std::size_t at = 0; at + kHeadBytes <= text.size();) {
     const std::size_t size = number_at(text, at);
     if (size > kMaxRecord || size > text.size() - at - kHeadBytes) break;
-    const std::string_view body(text.data() + at + kHeadBytes, size);
+    const std::string_view body = text.substr(at + kHeadBytes, size);
     control::JournalEntry entry;
     if (checksum(body) != number_at(text, at + 4) || !entry.ParseFromArray(body.data(), static_cast<int>(size))) break;
     entries[entry.number()] = std::move(entry);

@@ -5,7 +5,10 @@
 #include <deque>
 #include <filesystem>
 #include <mutex>
+#include <string>
+#include <string_view>
 #include <thread>
+#include <vector>
 
 #include "fiona/control.pb.h"
 #include "model.hpp"
@@ -41,6 +44,9 @@ class Journal {
   /// The changes that give the system back that a journal ends with: what was under way counts as not begun. Throws Error
   /// NotFound if there is no such file.
   static std::vector<control::Change> read(const std::filesystem::path& file);
+  /// The same of the bytes of one.
+  static std::vector<control::Change> changes_in(std::string_view bytes);
+  static std::string record_of(const control::JournalEntry& entry);
 
  private:
   control::JournalEntry* find(std::uint64_t number);
