@@ -126,8 +126,8 @@ std::vector<Verb> file_verbs() {
            {"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR] "
             "[--listen ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …]"}),
        "starts a host and runs system files in it (from a shell)",
-       "In a terminal the prompt follows; --headless lets the system run until it ends, --for T for that long on its "
-       "clock.\n"
+       "Without FILE the system begins empty. In a terminal the prompt follows; --headless lets the system run until it "
+       "ends, --for T for that long on its clock.\n"
        "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"

@@ -156,15 +156,14 @@ void run(Session& session, const Line& line) {
   if (session.setting != Setting::Shell)
     throw line.error(line.verb, {.what = "run starts a host and belongs to a shell",
                                  .next = "source FILE runs the lines in this host"});
-  if (line.positional.empty() && !line.has("--restore"))
-    throw line.error(line.verb, {.what = "run needs FILE, or --restore", .next = "help run"});
   const Word* duration = line.option("--for");
   if (duration != nullptr) duration_ms(*duration, line.words);
   const std::vector<Line> lines = lines_to_run(line);
   const HostLaunch launch = launch_of(line, session.options);
   HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
   session.connect(launch.socket);
-  session.host().set_author(line.positional.empty() ? "restore" : fmt::format("script {}", line.positional[0].text));
+  if (!line.positional.empty()) session.host().set_author(fmt::format("script {}", line.positional[0].text));
+  if (line.positional.empty() && line.has("--restore")) session.host().set_author("restore");
   const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json &&
                       ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
   try {
