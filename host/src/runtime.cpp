@@ -61,7 +61,10 @@ control::Connection to_proto(Connection connection) { return static_cast<control
 }  // namespace
 
 struct Runtime::Instance {
-  wire::Create made_from;
+  std::string plugin;
+  std::string version;
+  std::string component;
+  std::string mode_at_load;
   std::string doc;
   std::unique_ptr<Hull> hull;
 };
@@ -219,7 +222,10 @@ void Runtime::create(const wire::Create& request) {
                                       .near = known});
   }
   auto instance = std::make_unique<Instance>();
-  instance->made_from = request;
+  instance->plugin = request.plugin();
+  instance->version = request.version();
+  instance->component = request.component();
+  instance->mode_at_load = request.mode();
   instance->doc = entry->doc;
   instance->hull = std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, *this, request.share()});
   Hull& hull = *instance->hull;
@@ -447,9 +453,9 @@ void Runtime::status(wire::GroupStatusReply& reply) {
     const Hull& hull = *instance->hull;
     auto& status = *reply.add_instances();
     status.set_name(name);
-    status.set_plugin(instance->made_from.plugin());
-    status.set_component(instance->made_from.component());
-    status.set_version(instance->made_from.version());
+    status.set_plugin(instance->plugin);
+    status.set_component(instance->component);
+    status.set_version(instance->version);
     status.set_mode(hull.mode());
     for (const auto& mode : hull.main_modes()) status.add_modes(mode);
     status.set_reason(hull.reason());
@@ -459,7 +465,7 @@ void Runtime::status(wire::GroupStatusReply& reply) {
       status.mutable_pending()->set_blocked_s(to_seconds(now - pending->since));
     }
     status.set_doc(instance->doc);
-    status.set_mode_at_load(instance->made_from.mode());
+    status.set_mode_at_load(instance->mode_at_load);
     for (Port* port : hull.ports()) fill_port(*status.add_ports(), *port, now);
     if (hull.parameters()) {
       for (auto& one : hull.parameters()->status()) *status.add_parameters() = std::move(one);

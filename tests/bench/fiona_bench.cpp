@@ -12,6 +12,7 @@
 #include "bare_limits.hpp"
 #include "os/process.hpp"
 #include "probe_cost.hpp"
+#include "system_cost.hpp"
 #include "system_fixture.hpp"
 
 namespace {
@@ -86,6 +87,22 @@ Latency stream_across(const Load& load, std::size_t counters, std::size_t window
   return slowest;
 }
 
+/// A cost that has no bare limit beside it.
+struct Cost {
+  const char* name;
+  double at_most;
+  const char* unit;
+  std::function<double()> measure;
+};
+
+bool run(const Cost& cost) {
+  const double figure = cost.measure();
+  const bool ok = figure <= cost.at_most;
+  std::printf("%-44s %5.2f %s   <= %.2f %s   %s\n", cost.name, figure, cost.unit, cost.at_most, cost.unit, ok ? "ok" : "short");
+  std::fflush(stdout);
+  return ok;
+}
+
 double median(std::vector<double> values) {
   std::sort(values.begin(), values.end());
   return values[values.size() / 2];
@@ -146,10 +163,23 @@ int main(int argc, char** argv) {
       {"stream 1 MiB to 8 of a group / bare ZeroMQ", 1.0, {1024 * 1024, 200, 0}, stream(8, 3), zeromq_stream(8)},
       {"probe set, nobody watches / lock and clock", 2.0, small, fiona::bench::set_of_probe, fiona::bench::locked_store},
   };
+  const Cost costs[] = {
+      {"idle instance with four ports, heap", 32, "KiB", fiona::bench::instance_kib},
+      {"group with one instance, PSS", 2.5, "MiB", fiona::bench::group_mib},
+      {"start of 100 components in main", 1, "s", [] { return fiona::bench::start_s(100, 0); }},
+      {"start of 100 components in 10 groups", 1, "s", [] { return fiona::bench::start_s(100, 10); }},
+      {"start of 100 components in 100 groups", 1, "s", [] { return fiona::bench::start_s(100, 100); }},
+      {"start of 1000 components in main", 30, "s", [] { return fiona::bench::start_s(1000, 0); }},
+      {"start of 1000 components in 100 groups", 30, "s", [] { return fiona::bench::start_s(1000, 100); }},
+  };
+  const auto wanted = [&only](std::string_view name) { return name.find(only) != std::string_view::npos; };
   bool all = true;
   try {
     for (const Goal& goal : goals) {
-      if (std::string_view(goal.name).find(only) != std::string_view::npos) all = run(goal) && all;
+      if (wanted(goal.name)) all = run(goal) && all;
+    }
+    for (const Cost& cost : costs) {
+      if (wanted(cost.name)) all = run(cost) && all;
     }
   } catch (const std::exception& error) {
     std::fprintf(stderr, "error: %s\n", error.what());
