@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstdio>
@@ -140,6 +141,7 @@ class Partner {
   ~Partner() {
     ::pclose(process_);
     std::filesystem::remove(path_);
+    std::filesystem::remove(path_.string() + ".end");
   }
   Partner(const Partner&) = delete;
   Partner& operator=(const Partner&) = delete;
@@ -226,6 +228,78 @@ int count_zeromq(const std::string& endpoint, std::size_t messages, std::size_t 
   }
   for (auto& thread : threads) thread.join();
   std::printf("%.0f\n", *std::max_element(each_ns.begin(), each_ns.end()));
+  return 0;
+}
+
+Latency connect_to_queue(const Load& load) {
+  std::mutex mutex;
+  std::vector<Queue*> subscribers;
+  std::atomic<bool> ends{false};
+  std::thread publisher([&] {
+    auto next = std::chrono::steady_clock::now();
+    while (!ends) {
+      next += std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double, std::milli>(load.period_ms));
+      std::this_thread::sleep_until(next);
+      auto message = std::make_shared<Message>();
+      message->payload.assign(load.bytes, 'x');
+      const std::lock_guard lock(mutex);
+      for (Queue* one : subscribers) one->push(message);
+    }
+  });
+  std::vector<std::int64_t> latencies;
+  for (std::size_t i = 0; i < load.messages; ++i) {
+    Queue queue;
+    const std::int64_t begun_ns = steady_ns();
+    {
+      const std::lock_guard lock(mutex);
+      subscribers.push_back(&queue);
+    }
+    queue.pop();
+    latencies.push_back(steady_ns() - begun_ns);
+    const std::lock_guard lock(mutex);
+    subscribers.clear();
+  }
+  ends = true;
+  publisher.join();
+  return summarise(std::move(latencies));
+}
+
+Latency connect_over_zeromq(const Load& load, const std::string& self) {
+  Partner partner(self, "--zeromq-publisher", " " + std::to_string(load.period_ms));
+  zmq::context_t context;
+  zmq::socket_t end(context, zmq::socket_type::pair);
+  end.connect(partner.endpoint() + ".end");
+  const auto first_message = [&] {
+    zmq::socket_t socket(context, zmq::socket_type::sub);
+    socket.connect(partner.endpoint());
+    socket.set(zmq::sockopt::subscribe, "");
+    zmq::message_t message;
+    if (!socket.recv(message)) throw std::runtime_error("no message");
+  };
+  first_message();  // the publisher's process has to start
+  std::vector<std::int64_t> latencies;
+  for (std::size_t i = 0; i < load.messages; ++i) {
+    const std::int64_t begun_ns = steady_ns();
+    first_message();
+    latencies.push_back(steady_ns() - begun_ns);
+  }
+  end.send(zmq::message_t(), zmq::send_flags::none);
+  return summarise(std::move(latencies));
+}
+
+int publish_zeromq(const std::string& endpoint, double period_ms) {
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::pub);
+  socket.bind(endpoint);
+  zmq::socket_t end(context, zmq::socket_type::pair);
+  end.bind(endpoint + ".end");
+  auto next = std::chrono::steady_clock::now();
+  zmq::message_t word;
+  while (!end.recv(word, zmq::recv_flags::dontwait)) {
+    next += std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double, std::milli>(period_ms));
+    std::this_thread::sleep_until(next);
+    socket.send(zmq::message_t(64), zmq::send_flags::none);
+  }
   return 0;
 }
 

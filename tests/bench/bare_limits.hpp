@@ -41,4 +41,12 @@ int answer_zeromq(const std::string& endpoint);
 Latency stream_through_zeromq(const Load& load, std::size_t receivers, const std::string& self);
 int count_zeromq(const std::string& endpoint, std::size_t messages, std::size_t receivers);
 
+/// From the call that connects to the first message of a publisher that sends every `load.period_ms`, `load.messages`
+/// times over: a queue that is added to the publisher's list under its lock, in one process.
+Latency connect_to_queue(const Load& load);
+/// The same: a new SUB socket over ipc, the publisher in another process.
+Latency connect_over_zeromq(const Load& load, const std::string& self);
+/// The publisher's side: until something is said to it.
+int publish_zeromq(const std::string& endpoint, double period_ms);
+
 }  // namespace fiona::bench

@@ -64,6 +64,24 @@ Latency query_across(const Load& load) {
   return {system.wait_for(report, [](const auto&) { return true; }, std::chrono::seconds(60)).value(), 0};
 }
 
+/// From the command that wires to the consumer's first message.
+Latency wire_to_first_message(const Load& load, Transport transport) {
+  RunningSystem system(transport);
+  system.load_client("stopwatch", "stopwatch", "count=1");
+  system.load_provider("pacer", "pacer", "payload=" + std::to_string(load.bytes) + " period_ms=" + std::to_string(load.period_ms) +
+                                             " count=1000000000");
+  const auto report = system.watch("stopwatch.report");
+  std::vector<std::int64_t> latencies;
+  for (std::size_t i = 0; i <= load.messages; ++i) {
+    const std::int64_t begun_ns = fiona::bench::steady_ns();
+    system.wire("stopwatch.samples", "pacer.samples");
+    const auto first = system.wait_for(report, [&](const auto& sample) { return static_cast<std::int64_t>(sample.number()) > begun_ns; });
+    if (i > 0) latencies.push_back(static_cast<std::int64_t>(first.number()) - begun_ns);  // the first makes the link
+    system.unwire("stopwatch.samples");
+  }
+  return fiona::bench::summarise(std::move(latencies));
+}
+
 /// The slowest of the counters says how long each message took; `window` messages may be under way.
 Latency stream_across(const Load& load, std::size_t counters, std::size_t window) {
   RunningSystem system(Transport::Ipc);
@@ -137,6 +155,7 @@ int main(int argc, char** argv) {
   if (argc == 5 && std::string(argv[1]) == "--zeromq-counter") {
     return fiona::bench::count_zeromq(argv[2], static_cast<std::size_t>(std::stoul(argv[3])), static_cast<std::size_t>(std::stoul(argv[4])));
   }
+  if (argc == 4 && std::string(argv[1]) == "--zeromq-publisher") return fiona::bench::publish_zeromq(argv[2], std::stod(argv[3]));
   const std::string self = argv[0];
   const std::string only = argc == 2 ? argv[1] : "";
   const Load small{64, 2000, 0.5};
@@ -151,6 +170,11 @@ int main(int argc, char** argv) {
   const auto stream = [](std::size_t counters, std::size_t window) {
     return [counters, window](const Load& load) { return stream_across(load, counters, window); };
   };
+  const Load rewired{64, 100, 0.2};
+  const auto wire_to_first = [](Transport transport) {
+    return [transport](const Load& load) { return wire_to_first_message(load, transport); };
+  };
+  const auto zeromq_connect = [&self](const Load& load) { return fiona::bench::connect_over_zeromq(load, self); };
   const Goal goals[] = {
       {"push 64 B, one process, p50 / queue", 2.0, small, in_process, fiona::bench::through_queue},
       {"push 1 MiB, one process, p50 / queue", 2.0, large, in_process, fiona::bench::through_queue},
@@ -161,6 +185,8 @@ int main(int argc, char** argv) {
       {"stream 64 B, two groups / bare ZeroMQ", 1 / 0.5, {64, 300'000, 0}, stream(1, 8000), zeromq_stream(1)},
       {"stream 1 MiB, two groups / bare ZeroMQ", 1 / 0.85, {1024 * 1024, 400, 0}, stream(1, 3), zeromq_stream(1)},
       {"stream 1 MiB to 8 of a group / bare ZeroMQ", 1.0, {1024 * 1024, 200, 0}, stream(8, 3), zeromq_stream(8)},
+      {"wire to first message, one process / queue", 2.5, rewired, wire_to_first(Transport::Process), fiona::bench::connect_to_queue},
+      {"wire to first message, two groups / ZeroMQ", 0.5, rewired, wire_to_first(Transport::Ipc), zeromq_connect},
       {"probe set, nobody watches / lock and clock", 2.0, small, fiona::bench::set_of_probe, fiona::bench::locked_store},
   };
   const Cost costs[] = {

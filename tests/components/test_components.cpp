@@ -497,18 +497,20 @@ class Pacer final : public Component {
   Timer next_{*this, &Pacer::put_next};
 };
 
-/// The receiving half: after `count` messages reports the median latency in `value`, the 99th percentile in `sent_ns`.
+/// The receiving half: after `count` messages reports the median latency in `value`, the 99th percentile in `sent_ns`,
+/// and in `number` when the last one came.
 class Stopwatch final : public Component {
  public:
   using Component::Component;
 
  private:
   void on_sample(const Sample& sample) {
-    latencies_ns_.push_back(steady_ns() - sample.sent_ns());
+    const std::int64_t came_ns = steady_ns();
+    latencies_ns_.push_back(came_ns - sample.sent_ns());
     if (latencies_ns_.size() < params_->count()) return;
     std::sort(latencies_ns_.begin(), latencies_ns_.end());
     Sample report;
-    report.set_number(latencies_ns_.size());
+    report.set_number(static_cast<std::uint64_t>(came_ns));
     report.set_value(static_cast<double>(latencies_ns_[latencies_ns_.size() / 2]));
     report.set_sent_ns(latencies_ns_[latencies_ns_.size() * 99 / 100]);
     latencies_ns_.clear();
