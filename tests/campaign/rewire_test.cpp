@@ -1,13 +1,9 @@
 // Promise R7: rewiring under load is exact. Ten tickers and ten witnesses; a model of who was wired to whom, in which
 // order, says what each witness may have heard. FIONA_REWIRES sets how many rewires; FIONA_SEED which.
-#include <dirent.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
-#include <cstdlib>
-#include <fstream>
 #include <iostream>
 #include <random>
 
@@ -15,6 +11,7 @@
 #include <fmt/ranges.h>
 #include <google/protobuf/dynamic_message.h>
 
+#include "campaign.hpp"
 #include "engine.hpp"
 #include "fiona/result.hpp"
 #include "mailbox.hpp"
@@ -30,11 +27,6 @@ constexpr int kWitnesses = 10;
 constexpr int kQuiet = 2;  ///< of the witnesses: ask nothing, so that eight ask
 /// Rewires after which the process has what it needs, and what it uses must stay.
 constexpr int kWarmUp = 50;
-
-int number_from(const char* variable, int otherwise) {
-  const char* text = std::getenv(variable);
-  return text && *text ? std::atoi(text) : otherwise;
-}
 
 /// A field of a message of which the test does not link the type.
 class Seen {
@@ -58,28 +50,6 @@ class Seen {
   const google::protobuf::FieldDescriptor* field(const char* name) const { return message_.GetDescriptor()->FindFieldByName(name); }
   const google::protobuf::Message& message_;
 };
-
-/// What all processes of the test hold.
-struct Holdings {
-  long descriptors = 0;
-  double resident_mib = 0;
-};
-
-Holdings holdings(host::System& system) {
-  Holdings all;
-  const auto snapshot = system.snapshot();
-  for (const auto& group : snapshot.groups()) {
-    const std::string process = "/proc/" + std::to_string(group.process());
-    if (DIR* directory = ::opendir((process + "/fd").c_str())) {
-      while (::readdir(directory)) ++all.descriptors;
-      ::closedir(directory);
-    }
-    long pages = 0, resident = 0;
-    std::ifstream(process + "/statm") >> pages >> resident;
-    all.resident_mib += static_cast<double>(resident * ::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
-  }
-  return all;
-}
 
 class Rewire : public testing::TestWithParam<Transport> {
  protected:
@@ -156,14 +126,14 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
   std::vector<double> took_ms;
   Holdings warm;
   for (int i = 0; i < rewires + kWarmUp; ++i) {
-    if (i == kWarmUp) warm = holdings(system.system());
+    if (i == kWarmUp) warm = holdings(processes(system.system()));
     const bool question = pick(2) == 0;
     const int client = question ? kQuiet + pick(kWitnesses - kQuiet) : pick(kWitnesses);
     took_ms.push_back(rewire(client, question ? "echo" : "samples", pick(kTickers)));
     // Now and then time enough for samples to come, mostly none.
     system.serve_groups(std::chrono::milliseconds(pick(4)));
   }
-  const Holdings after = holdings(system.system());
+  const Holdings after = holdings(processes(system.system()));
 
   for (int i = kQuiet; i < kWitnesses; ++i) system.set(witness(i), "asks=false");
   for (int i = 0; i < kTickers; ++i) system.set(ticker(i), "period_ms=10000");
