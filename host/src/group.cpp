@@ -56,16 +56,16 @@ wire::GroupMessage Group::request(wire::GroupRequest request) {
   return reply;
 }
 
-void require_descriptors_for_group(std::size_t groups) {
-  const std::size_t links = kPerPeer * (groups + 1);
+void require_descriptors_for(const std::string& newcomer, std::size_t peers) {
+  const std::size_t links = kPerPeer * (peers + 1);
   const std::size_t needed = kReserve + links + std::max(os::open_descriptors() + kPerGroup, kGroupBase);
   const std::size_t limit = os::descriptor_limit();
   if (needed <= limit) return;
   throw Error(ErrorCode::NotAllowed,
-              {.what = "another group would bring the host to the end of its descriptors",
-               .expected = "room for " + std::to_string(needed) + ": those that are open, and links to each group",
-               .found = "a limit of " + std::to_string(limit) + ", with " + std::to_string(groups) + " groups",
-               .next = "load into a group that is there, or raise the limit before the host starts: ulimit -n " +
+              {.what = newcomer + " would bring the host to the end of its descriptors",
+               .expected = "room for " + std::to_string(needed) + ": those that are open, and links to each process",
+               .found = "a limit of " + std::to_string(limit) + ", with " + std::to_string(peers) + " other processes",
+               .next = "use a group that is there, or raise the limit before the host starts: ulimit -n " +
                        std::to_string(4 * needed)});
 }
 

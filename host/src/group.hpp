@@ -62,9 +62,9 @@ class MainGroup final : public Group {
   Runtime runtime_;
 };
 
-/// Throws Error NotAllowed when one group more than `groups` could bring this process or a group to the end of its
-/// descriptors: ZeroMQ ends a process that cannot accept a connection.
-void require_descriptors_for_group(std::size_t groups);
+/// Throws Error NotAllowed when one more process than `peers` (groups, and clients that no host has started) could bring
+/// this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
+void require_descriptors_for(const std::string& newcomer, std::size_t peers);
 
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
