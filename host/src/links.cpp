@@ -189,7 +189,7 @@ bool Links::may_open(const Hop& from, const std::string& peer) {
 
 void Links::open_for(const Hop& from, const wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
-  if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), "unknown protocol version");
+  if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), kUnknownVersion);
   if (const auto relay = relays_.find(frame.wire()); relay != relays_.end()) return open_relay(from, frame, relay->second);
   const auto grant = grants_.find(frame.wire());
   if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire ||
