@@ -56,6 +56,8 @@ wire::GroupMessage Group::request(wire::GroupRequest request) {
   return reply;
 }
 
+void Group::tell(wire::GroupRequest request) { perform(request); }
+
 void require_descriptors_for(const std::string& newcomer, std::size_t peers) {
   const std::size_t links = kPerPeer * (peers + 1);
   const std::size_t needed = kReserve + links + std::max(os::open_descriptors() + kPerGroup, kGroupBase);
@@ -124,7 +126,7 @@ void ChildGroup::pass_on(const wire::GroupMessage& event) {
   if (master_) master_->event_seen(endpoint_);
 }
 
-/// With the next number and, for a virtual clock, the time.
+/// With the next number and, for a virtual clock, the time. `wait_for` passes over an answer that nobody waits for.
 bool ChildGroup::send(wire::GroupRequest& request) {
   request.set_id(next_id_++);
   request.set_now_ns(clock_.now().time_since_epoch().count());
@@ -132,11 +134,10 @@ bool ChildGroup::send(wire::GroupRequest& request) {
   return alive() && stream_->send(request);
 }
 
-/// The answer is not waited for: `wait_for` passes over it.
 void ChildGroup::peer_lost(const wire::PeerLost& gone) {
   wire::GroupRequest request;
   *request.mutable_peer_lost() = gone;
-  send(request);
+  tell(std::move(request));
 }
 
 bool ChildGroup::wait_readable(std::chrono::steady_clock::time_point deadline) const {

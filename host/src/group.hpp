@@ -25,6 +25,8 @@ class Group {
   /// [control thread] Does it and returns the answer. Throws Error: what the group refused, or Unreachable when the
   /// group did not answer in time or is gone.
   wire::GroupMessage request(wire::GroupRequest request);
+  /// [control thread] Does it when it comes to it: nobody waits for that, or is told that it was refused.
+  virtual void tell(wire::GroupRequest request);
 
   virtual std::string endpoint() const = 0;
   virtual pid_t process() const = 0;
@@ -83,6 +85,7 @@ class ChildGroup final : public Group {
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
   bool alive() const override { return end_.empty(); }
+  void tell(wire::GroupRequest request) override { send(request); }
   void peer_lost(const wire::PeerLost& gone) override;
 
   /// Readable when it has said something, and when it has ended.

@@ -580,7 +580,7 @@ void System::untap(std::uint64_t id) {
   if (owner == groups_.end() || !owner->second->alive()) return;
   wire::GroupRequest request;
   request.mutable_untap()->set_tap(id);
-  owner->second->request(std::move(request));
+  owner->second->tell(std::move(request));
 }
 
 // ---- the processes of groups ----------------------------------------------------------------------------------
