@@ -102,7 +102,8 @@ std::map<std::string, FrameCounts> Links::frame_counts() {
 void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
                     std::string client_name, bool attached) {
   const std::lock_guard lock(mutex_);
-  grants_[wire] = Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), std::move(client_name), attached, nullptr, {}};
+  grants_[wire] = Grant{std::move(token),       std::move(peer), &provider, std::max(1U, prescale),
+                        std::move(client_name), attached,        nullptr,   {}};
 }
 
 /// Called with the lock held. Throws Error Unreachable for a host that is not connected.

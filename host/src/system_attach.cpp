@@ -35,8 +35,9 @@ void require_speaks(const control::Attach& request, const std::string& service, 
 
 control::Attached System::attach(std::uint64_t owner, const control::Attach& request) {
   if (virtual_) {
-    throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock waits for its own processes only: nobody outside may take part",
-                                        .next = "attach to a host with the system clock"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "a virtual clock waits for its own processes only: nobody outside may take part",
+                 .next = "attach to a host with the system clock"});
   }
   require_name(request.client(), "a client");
   const control::PortName& provider = request.provider();
@@ -44,16 +45,20 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
   const std::string& speaks = model_.port(provider, PROVIDES).service();
   model_.require_own(provider.instance());
   const auto* service = Types::service(*instance.package->types, speaks);
-  if (!service) throw Error(ErrorCode::WiringInvalid, text_of(provider) + " speaks " + speaks + ", which is unknown to the host");
+  if (!service) {
+    throw Error(ErrorCode::WiringInvalid, text_of(provider) + " speaks " + speaks + ", which is unknown to the host");
+  }
   const ServiceContract contract = ServiceInfo(*service).contract();
   require_speaks(request, speaks, contract);
   if (const std::string host = host_of(instance.group); !host.empty()) {
     throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} is on host '{}'", text_of(provider), host),
                                         .next = "attach there"});
   }
-  const auto held = std::count_if(attachments_.begin(), attachments_.end(), [owner](const auto& one) { return one.second.owner == owner; });
+  const auto held = std::count_if(attachments_.begin(), attachments_.end(),
+                                  [owner](const auto& one) { return one.second.owner == owner; });
   if (held >= kMostAttached) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("this connection holds {} wires already", held), .next = "detach one"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("this connection holds {} wires already", held), .next = "detach one"});
   }
   require_descriptors_for("another client", child_groups().size() + attached_names());
   Group& group = group_of(provider.instance(), model_);

@@ -17,7 +17,8 @@ class RawPeer {
  public:
   using Message = std::vector<std::string_view>;  ///< its parts
 
-  RawPeer(zmq::context_t& context, const std::string& endpoint, const std::string& name) : RawPeer(context, endpoint, name, name) {}
+  RawPeer(zmq::context_t& context, const std::string& endpoint, const std::string& name)
+      : RawPeer(context, endpoint, name, name) {}
   RawPeer(zmq::context_t& context, const std::string& endpoint, std::string name, const std::string& routing_id)
       : name_(std::move(name)), socket_(context, zmq::socket_type::dealer) {
     socket_.set(zmq::sockopt::routing_id, routing_id);

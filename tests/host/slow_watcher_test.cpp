@@ -129,7 +129,8 @@ TEST_P(WatcherThatGoes, DoesNotHoldUpTheHostThoughTheGroupThatItWatchedHangs) {
   control::Reply reply;
   while (!(reply = receive()).has_system()) continue;
   const auto& system = reply.system();
-  const auto group = std::find_if(system.groups().begin(), system.groups().end(), [](const auto& one) { return one.name() == GetParam(); });
+  const auto group = std::find_if(system.groups().begin(), system.groups().end(),
+                                  [](const auto& one) { return one.name() == GetParam(); });
   ASSERT_NE(group, system.groups().end());
   const pid_t hangs = group->process();
   ASSERT_EQ(::kill(hangs, SIGSTOP), 0);

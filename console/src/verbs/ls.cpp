@@ -48,7 +48,8 @@ void ls_plugins(Session& session) {
 }
 
 /// The wire of a process outside, as far as its provider knows.
-void add_attached(Table& table, const control::AttachedClient& client, const std::string& provider, const control::PortStatus& port) {
+void add_attached(Table& table, const control::AttachedClient& client, const std::string& provider,
+                  const control::PortStatus& port) {
   table.add({client.name(),
              provider,
              short_name(port.service()),
