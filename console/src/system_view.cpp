@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <fiona/hull_probes.hpp>
 
@@ -73,6 +74,13 @@ std::vector<ProbeInfo> probes_of(const control::InstanceStatus& instance) { retu
 std::vector<ProbeInfo> probes_of(const fiona::ComponentInterface& component) { return probes_of_any(component); }
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
+
+std::string clients_text(const control::PortStatus& port) {
+  std::vector<std::string> clients;
+  for (const auto& client : port.clients()) clients.push_back(text_of(client));
+  for (const auto& client : port.attached()) clients.push_back(client.name() + " (attached)");
+  return fmt::format("{}", fmt::join(clients, ", "));
+}
 
 std::string short_name(std::string_view full_name) {
   const std::size_t dot = full_name.rfind('.');

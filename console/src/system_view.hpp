@@ -29,6 +29,8 @@ std::vector<ProbeInfo> probes_of(const fiona::ComponentInterface& component);
 const control::PortStatus& port_at(const control::System& system, const Word& word, const Line& line);
 
 std::string text_of(const control::PortName& name);
+/// Who uses a provided port: "nav.location, viewer (attached)".
+std::string clients_text(const control::PortStatus& port);
 /// "LocationProvider" of "fiona.localisation.LocationProvider".
 std::string short_name(std::string_view full_name);
 /// "ok", "failed: …", "lost nav.imu", "waiting nav.imu": the worst first.

@@ -15,7 +15,7 @@ bool is_unserved(const control::PortStatus& port) {
   return port.direction() == fiona::REQUIRES && port.connection() != control::CONNECTED;
 }
 bool is_unused(const control::PortStatus& port) {
-  return port.direction() == fiona::PROVIDES && port.clients().empty();
+  return port.direction() == fiona::PROVIDES && port.clients().empty() && port.attached().empty();
 }
 
 void add_running(WhiteSpot& spot, const control::System& system) {

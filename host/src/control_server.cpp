@@ -135,6 +135,8 @@ void ControlServer::drop_client(std::uint64_t id) {
     if (it->first.first == id) system_.untap(it->second);
     it = it->first.first == id ? expect_taps_.erase(it) : std::next(it);
   }
+  std::erase_if(attached_, [id](const auto& entry) { return entry.second.first == id; });
+  system_.detach_all(id);
   clients_.erase(id);
 }
 
@@ -191,6 +193,14 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     case Request::kSleep: system_.waits().sleep(client, request.id(), request.sleep(), answer_to(client)); return false;
     case Request::kRun: system_.waits().run(client, request.id(), answer_to(client)); return false;
     case Request::kCall: system_.call(client, request.id(), request.call(), answer_to(client)); return false;
+    case Request::kAttach:
+      *reply.mutable_attached() = system_.attach(client, request.attach());
+      attached_[reply.attached().wire()] = {client, request.id()};
+      return true;
+    case Request::kDetach:
+      system_.detach(client, request.detach().wire());
+      attached_.erase(request.detach().wire());
+      return done("");
     case Request::kQuit: exit_code_ = request.quit().exit_code(); return done("");
     case Request::WHAT_NOT_SET: break;
   }
@@ -237,13 +247,26 @@ bool ControlServer::start_wait_mode(std::uint64_t client, const control::Request
 void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tapped()) on_tapped(event.tapped());
   if (event.has_tap_ended()) on_tap_ended(event.tap_ended());
-  if (event.has_wire_lost()) system_.on_wire_lost(event.wire_lost().wire(), event.wire_lost().reason());
+  if (event.has_wire_lost()) on_wire_lost(event.wire_lost());
   if (event.has_logged()) std::cerr << event.logged().instance() << ": " << event.logged().text() << "\n";
   // One that fails while it is being loaded is told to whoever loads it.
   const bool failed = event.has_mode_changed() && event.mode_changed().mode() == kModeFailed;
   if (failed && system_.has_instance(event.mode_changed().instance())) {
     std::cerr << event.mode_changed().instance() << ": failed: " << event.mode_changed().reason() << "\n";
   }
+}
+
+/// Whoever was given its client's end is told.
+void ControlServer::on_wire_lost(const wire::WireLost& lost) {
+  system_.on_wire_lost(lost.wire(), lost.reason());
+  const auto found = attached_.find(lost.wire());
+  if (found == attached_.end()) return;
+  const auto [client, request] = found->second;
+  attached_.erase(found);
+  control::Reply reply;
+  reply.set_id(request);
+  *reply.mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = "the wire has ended: " + lost.reason()}));
+  send(client, reply);
 }
 
 void ControlServer::on_tapped(const wire::Tapped& tapped) {

@@ -58,6 +58,7 @@ class ControlServer {
   Waits::Answer numbered(std::uint64_t client, std::uint64_t request);
   void begin_restoring();
   void send(std::uint64_t client, const control::Reply& reply);
+  void on_wire_lost(const wire::WireLost& lost);
   void on_event(const wire::GroupMessage& event);
   void on_tapped(const wire::Tapped& tapped);
   void on_tap_ended(const wire::TapEnded& ended);
@@ -77,6 +78,7 @@ class ControlServer {
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
   std::map<std::uint64_t, Watched> watches_;  ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
+  std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;  ///< wire -> (client, request)
   std::uint64_t next_client_ = 1;
   std::optional<int> exit_code_;
 };

@@ -56,16 +56,18 @@ wire::GroupMessage Group::request(wire::GroupRequest request) {
   return reply;
 }
 
-void require_descriptors_for_group(std::size_t groups) {
-  const std::size_t links = kPerPeer * (groups + 1);
+void Group::tell(wire::GroupRequest request) { perform(request); }
+
+void require_descriptors_for(const std::string& newcomer, std::size_t peers) {
+  const std::size_t links = kPerPeer * (peers + 1);
   const std::size_t needed = kReserve + links + std::max(os::open_descriptors() + kPerGroup, kGroupBase);
   const std::size_t limit = os::descriptor_limit();
   if (needed <= limit) return;
   throw Error(ErrorCode::NotAllowed,
-              {.what = "another group would bring the host to the end of its descriptors",
-               .expected = "room for " + std::to_string(needed) + ": those that are open, and links to each group",
-               .found = "a limit of " + std::to_string(limit) + ", with " + std::to_string(groups) + " groups",
-               .next = "load into a group that is there, or raise the limit before the host starts: ulimit -n " +
+              {.what = newcomer + " would bring the host to the end of its descriptors",
+               .expected = "room for " + std::to_string(needed) + ": those that are open, and links to each process",
+               .found = "a limit of " + std::to_string(limit) + ", with " + std::to_string(peers) + " other processes",
+               .next = "use a group that is there, or raise the limit before the host starts: ulimit -n " +
                        std::to_string(4 * needed)});
 }
 
@@ -124,7 +126,7 @@ void ChildGroup::pass_on(const wire::GroupMessage& event) {
   if (master_) master_->event_seen(endpoint_);
 }
 
-/// With the next number and, for a virtual clock, the time.
+/// With the next number and, for a virtual clock, the time. `wait_for` passes over an answer that nobody waits for.
 bool ChildGroup::send(wire::GroupRequest& request) {
   request.set_id(next_id_++);
   request.set_now_ns(clock_.now().time_since_epoch().count());
@@ -132,11 +134,10 @@ bool ChildGroup::send(wire::GroupRequest& request) {
   return alive() && stream_->send(request);
 }
 
-/// The answer is not waited for: `wait_for` passes over it.
 void ChildGroup::peer_lost(const wire::PeerLost& gone) {
   wire::GroupRequest request;
   *request.mutable_peer_lost() = gone;
-  send(request);
+  tell(std::move(request));
 }
 
 bool ChildGroup::wait_readable(std::chrono::steady_clock::time_point deadline) const {

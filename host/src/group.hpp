@@ -25,6 +25,8 @@ class Group {
   /// [control thread] Does it and returns the answer. Throws Error: what the group refused, or Unreachable when the
   /// group did not answer in time or is gone.
   wire::GroupMessage request(wire::GroupRequest request);
+  /// [control thread] Does it when it comes to it: nobody waits for that, or is told that it was refused.
+  virtual void tell(wire::GroupRequest request);
 
   virtual std::string endpoint() const = 0;
   virtual pid_t process() const = 0;
@@ -62,9 +64,9 @@ class MainGroup final : public Group {
   Runtime runtime_;
 };
 
-/// Throws Error NotAllowed when one group more than `groups` could bring this process or a group to the end of its
-/// descriptors: ZeroMQ ends a process that cannot accept a connection.
-void require_descriptors_for_group(std::size_t groups);
+/// Throws Error NotAllowed when one more process than `peers` (groups, and clients that no host has started) could bring
+/// this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
+void require_descriptors_for(const std::string& newcomer, std::size_t peers);
 
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
@@ -83,6 +85,7 @@ class ChildGroup final : public Group {
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
   bool alive() const override { return end_.empty(); }
+  void tell(wire::GroupRequest request) override { send(request); }
   void peer_lost(const wire::PeerLost& gone) override;
 
   /// Readable when it has said something, and when it has ended.

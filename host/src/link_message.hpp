@@ -20,6 +20,8 @@ inline constexpr std::size_t kChunkBytes = 256 * 1024;
 inline constexpr std::size_t kMaxObject = 64 * 1024 * 1024;
 /// An object up to this size travels inside its record and may share a ZeroMQ message with others.
 inline constexpr std::size_t kInlineBytes = 16 * 1024;
+/// What a link or wire of another version is told.
+inline constexpr const char* kUnknownVersion = "unknown protocol version: this side speaks 1";
 /// A record begins with the lengths of its frame and of the object's bytes in it, 4 bytes each, little endian.
 inline constexpr std::size_t kRecordHead = 8;
 

@@ -14,6 +14,8 @@ constexpr int kReadsPerTurn = 64;
 constexpr std::size_t kMostInside_messages = 8;
 /// ZeroMQ's own bound, for answers to peers that have proved nothing and do not read.
 constexpr int kSendMark = 64;
+/// And for peers that send more than their credit: it reads no more from one of whom so many messages wait to be read.
+constexpr int kReceiveMark = 256;
 /// The room that a chunk's message has for the frames beside it.
 constexpr std::size_t kFrameRoom = 64 * 1024;
 /// Lanes whose credit is paid back together.
@@ -160,7 +162,7 @@ LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type typ
       turn_(std::make_shared<Turn>(*this)) {
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::sndhwm, kSendMark);
-  socket_.set(zmq::sockopt::rcvhwm, 0);  // bounded by the sender's credit, which counts bytes
+  socket_.set(zmq::sockopt::rcvhwm, kReceiveMark);
   socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(kChunkBytes + kFrameRoom));
 }
 
@@ -266,6 +268,10 @@ std::map<std::string, FrameCounts> LinkSocket::frame_counts() {
 
 void LinkSocket::forget(const std::string& process) {
   const std::lock_guard lock(mutex_);
+  forget_locked(process);
+}
+
+void LinkSocket::forget_locked(const std::string& process) {
   std::erase_if(peers_, [&](const auto& entry) {
     if (entry.second->process != process) return false;
     entry.second->gone = true;
@@ -592,6 +598,7 @@ void LinkSocket::shake_hands(const std::string& peer) {
   if (parts_.size() == 1) reader.read(parts_, single);
   if (routed_ && (single.frame.has_hello() || single.frame.has_proof())) return welcome(peer, single.frame);
   if (!routed_ && single.frame.has_challenge()) return check_challenge(single.frame);
+  if (!routed_ && single.frame.has_refused()) return receiver_.on_refused(single.frame.refused().reason());
   ++counters_.unproven;
 }
 
@@ -599,20 +606,27 @@ void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
   const bool hello = frame.has_hello();
   const std::string& name = hello ? frame.hello().client() : frame.proof().client();
   const std::string& nonce = hello ? frame.hello().nonce() : frame.proof().nonce();
+  wire::Frame answer;
+  if (hello && frame.hello().version() != wire::VERSION_1) {
+    answer.mutable_refused()->set_reason(kUnknownVersion);
+    const std::lock_guard lock(mutex_);
+    return send_plain(peer, answer);
+  }
+  if (nonce.size() != kNonceBytes) return void(++counters_.unproven);
   const std::string key = link_key(key_, name);
   const std::string ours = derived_nonce(secret_, peer + nonce + name);
-  if (hello && frame.hello().version() == wire::VERSION_1) {
-    wire::Frame answer;
+  if (hello) {
     answer.mutable_challenge()->set_nonce(ours);
     answer.mutable_challenge()->set_proof(link_proof(key, LinkSide::Provider, nonce, ours));
     const std::lock_guard lock(mutex_);
     return send_plain(peer, answer);
   }
-  if (hello || !same_proof(frame.proof().proof(), link_proof(key, LinkSide::Client, nonce, ours))) {
+  if (!same_proof(frame.proof().proof(), link_proof(key, LinkSide::Client, nonce, ours))) {
     ++counters_.unproven;
     return;
   }
   const std::lock_guard lock(mutex_);
+  forget_locked(name);  // a process has one link: what it leaves behind does not add up
   add_peer(peer, name, true);
 }
 

@@ -144,6 +144,7 @@ class LinkSocket {
   void pay_locked(Peer& peer);
   std::shared_ptr<Peer> find(const std::string& peer);
   std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
+  void forget_locked(const std::string& process);
   void pump(Peer& peer);
   bool send_out(Peer& peer, PeerLanes::Outgoing& out);
   void send_plain(const std::string& peer, const wire::Frame& frame);

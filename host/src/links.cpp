@@ -100,10 +100,10 @@ std::map<std::string, FrameCounts> Links::frame_counts() {
 }
 
 void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
-                    std::string client_name) {
+                    std::string client_name, bool attached) {
   const std::lock_guard lock(mutex_);
-  grants_[wire] =
-      Grant{std::move(token), std::move(peer), &provider, std::max(1U, prescale), std::move(client_name), nullptr, {}};
+  grants_[wire] = Grant{std::move(token),       std::move(peer), &provider, std::max(1U, prescale),
+                        std::move(client_name), attached,        nullptr,   {}};
 }
 
 /// Called with the lock held. Throws Error Unreachable for a host that is not connected.
@@ -190,7 +190,7 @@ bool Links::may_open(const Hop& from, const std::string& peer) {
 
 void Links::open_for(const Hop& from, const wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
-  if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), "unknown protocol version");
+  if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), kUnknownVersion);
   if (const auto relay = relays_.find(frame.wire()); relay != relays_.end()) return open_relay(from, frame, relay->second);
   const auto grant = grants_.find(frame.wire());
   if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire ||
@@ -442,10 +442,12 @@ void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   }
   if (const auto found = grants_.find(wire_id); found != grants_.end()) {
     const auto wire = found->second.wire;
+    const bool attached = found->second.attached;
     grants_.erase(found);
     note_ended(wire_id);
     lock.unlock();
     if (wire) wire->cut(reason, true);
+    if (attached) on_lost_(wire_id, reason);
     return;
   }
   const auto found = requirements_.find(wire_id);

@@ -39,8 +39,9 @@ class Links {
   /// Of all links of the process.
   LinkCounters& counters() { return counters_; }
   /// Lets `peer`, a process's name or another host's endpoint, open `wire` to `provider` if it brings `token`.
+  /// `attached`: it is no process of a host, and `on_lost` is told when the wire ends.
   void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
-               std::string client_name);
+               std::string client_name, bool attached = false);
   /// Where a link goes, and what opens it.
   struct Endpoint {
     std::string address;
@@ -82,6 +83,7 @@ class Links {
     ProvidedPort* provider = nullptr;
     std::uint32_t prescale = 1;
     std::string client_name;
+    bool attached = false;
     std::shared_ptr<RemoteWire> wire;  ///< once opened
     Hop client;                        ///< once opened
   };

@@ -24,6 +24,8 @@ class RemoteGroup final : public Group {
   pid_t process() const override { return 0; }
   bool alive() const override { return end_.empty() && peer_.joined(); }
   void peer_lost(const wire::PeerLost&) override {}
+  /// What a silent host could not be told is owed to it.
+  void tell(wire::GroupRequest request) override;
 
   /// [control thread] Why it is gone for good; empty: its host may be silent, but it is thought to live.
   const std::string& end() const { return end_; }
@@ -38,7 +40,7 @@ class RemoteGroup final : public Group {
   PeerLink& peer_;
   const std::string group_;
   std::string end_;
-  std::vector<wire::GroupRequest> owed_;  ///< at most what there was of instances and wires when the host fell silent
+  std::vector<wire::GroupRequest> owed_;  ///< at most what there was of instances, wires and taps when the host fell silent
 };
 
 }  // namespace fiona::host

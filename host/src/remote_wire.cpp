@@ -119,7 +119,6 @@ RemoteWire::~RemoteWire() = default;
 void RemoteWire::ask(const std::string& token) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_open()->set_version(wire::VERSION_1);
-  frame.mutable_open()->set_wire(wire_);
   frame.mutable_open()->set_token(token);
   send_frame(frame);
 }

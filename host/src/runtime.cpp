@@ -168,7 +168,7 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kWireProvide: {
       const auto& wire = request.wire_provide();
       return links_.provide(wire.wire(), wire.token(), wire.peer(), provided(wire.provider()), wire.prescale(),
-                            text_of(wire.client()));
+                            wire.attached() ? wire.client().instance() : text_of(wire.client()), wire.attached());
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();

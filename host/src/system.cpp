@@ -78,7 +78,7 @@ Group& System::group(const std::string& name) {
   if (found != groups_.end() && found->second->alive()) return *found->second;
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
-  require_descriptors_for_group(child_groups().size());
+  require_descriptors_for("another group", child_groups().size() + attached_names());
   const std::string endpoint = "ipc://" + (options_.directory / fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++)).string();
   if (virtual_) virtual_->lead(*master_);
   const ChildGroup::Start start{endpoint, *clock_, master_.get(), options_.threads};
@@ -510,6 +510,7 @@ void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
   for (auto& [client, wire] : wires_) {
     if (wire.id == id) wire.reason = reason;
   }
+  end_attachment(id);
 }
 
 // ---- watching -------------------------------------------------------------------------------------------------
@@ -579,7 +580,7 @@ void System::untap(std::uint64_t id) {
   if (owner == groups_.end() || !owner->second->alive()) return;
   wire::GroupRequest request;
   request.mutable_untap()->set_tap(id);
-  owner->second->request(std::move(request));
+  owner->second->tell(std::move(request));
 }
 
 // ---- the processes of groups ----------------------------------------------------------------------------------
@@ -615,6 +616,7 @@ void System::lose(ChildGroup& gone) {
     if (dies) tell_failed(name, reason);
   }
   end_taps(gone.name(), reason);
+  lose_attachments(gone.name(), reason);
   if (master_) master_->remove(gone.endpoint());  // from here on virtual time goes on without it
   for (auto& [key, wire] : wires_) {
     const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
@@ -698,6 +700,7 @@ void System::complete_status(control::InstanceStatus& status) const {
       }
       if (wanted.provider.instance() == status.name() && wanted.provider.port() == p.name()) *p.add_clients() = port_of(client);
     }
+    add_attached(status.name(), p);
   }
 }
 

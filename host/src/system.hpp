@@ -79,6 +79,12 @@ class System {
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
 
+  /// Gives a process outside the client's end of a wire, for as long as `owner` holds it. When it ends before, there is
+  /// a WireLost event.
+  control::Attached attach(std::uint64_t owner, const control::Attach& request);
+  void detach(std::uint64_t owner, std::uint64_t wire);
+  void detach_all(std::uint64_t owner);
+
   Clock& clock() { return *clock_; }
   /// While virtual time is held: waits until all processes have done what they were told, so that the next line finds
   /// the same state each time. Bounded by `standstill`.
@@ -107,6 +113,14 @@ class System {
     bool local = false;
     std::string reason;  ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
+  };
+  /// A wire whose client is a process outside.
+  struct Attachment {
+    std::uint64_t owner = 0;
+    std::string peer;  ///< its name towards the provider's process
+    control::PortName provider;
+    std::string group;  ///< the provider's
+    control::AttachedClient client;
   };
   struct Lost {
     std::string reason;
@@ -142,6 +156,12 @@ class System {
   control::InstanceStatus status_of_lost(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
   void deliver(const wire::GroupMessage& event);
+
+  // ---- with processes outside (system_attach.cpp)
+  std::size_t attached_names() const;
+  void add_attached(const std::string& instance, control::PortStatus& port) const;
+  void end_attachment(std::uint64_t wire);
+  void lose_attachments(const std::string& group, const std::string& reason);
 
   // ---- with other hosts (system_hosts.cpp)
   std::string host_of(const std::string& group) const;
@@ -198,6 +218,7 @@ class System {
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::map<std::string, Lost> lost_;         ///< instances whose group is gone, and why
   std::map<Model::PortKey, Wire> wires_;     ///< by the client's port
+  std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.

@@ -105,6 +105,83 @@ TEST_F(ProvingLink, RefusesAProofThatWasMadeWithAnotherKey) {
   EXPECT_EQ(link.peers(), 0U);
 }
 
+TEST_F(ProvingLink, TellsALinkOfAnotherVersionWhichOneItSpeaks) {
+  RawPeer peer(context, "inproc://link", "peer");
+  wire::Frame hello;
+  hello.mutable_hello()->set_version(static_cast<wire::Version>(2));
+  hello.mutable_hello()->set_client("peer");
+  hello.mutable_hello()->set_nonce(std::string(kNonceBytes, 'n'));
+  peer.send(hello);
+  EXPECT_EQ(peer.receive().refused().reason(), "unknown protocol version: this side speaks 1");
+  peer.prove(kKey);
+  peer.send(frame_of(7));
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 1; }));
+}
+
+TEST_F(ProvingLink, ClientTurnsAwayFromAProviderOfAnotherVersion) {
+  const std::string endpoint = "inproc://other";
+  zmq::socket_t provider(context, zmq::socket_type::router);
+  provider.bind(endpoint);
+  Noted client_noted;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
+  client.connect(endpoint, "peer", link_key(kKey, "peer"));
+  zmq::message_t identity;
+  zmq::message_t hello;
+  ASSERT_TRUE(provider.recv(identity) && provider.recv(hello));
+  wire::Frame refused;
+  refused.mutable_refused()->set_reason("unknown protocol version: this side speaks 3");
+  const Block record = make_record(refused, nullptr, 0);
+  provider.send(identity, zmq::send_flags::sndmore);
+  provider.send(zmq::buffer(record.data(), record.size()), zmq::send_flags::none);
+  EXPECT_TRUE(eventually([&] {
+    const std::lock_guard lock(client_noted.mutex);
+    return client_noted.refusal == "unknown protocol version: this side speaks 3";
+  }));
+  EXPECT_EQ(client.peers(), 0U);
+  client.stop();
+}
+
+TEST_F(ProvingLink, NonceOfAnotherLengthProvesNothing) {
+  RawPeer peer(context, "inproc://link", "peer");
+  for (const std::size_t length : {std::size_t{0}, kNonceBytes - 1, kNonceBytes + 1}) {
+    wire::Frame hello;
+    hello.mutable_hello()->set_version(wire::VERSION_1);
+    hello.mutable_hello()->set_client("peer");
+    hello.mutable_hello()->set_nonce(std::string(length, 'n'));
+    peer.send(hello);
+  }
+  EXPECT_TRUE(eventually([&] { return counters.unproven == 3; }));
+}
+
+TEST_F(ProvingLink, ListensToTheNewestLinkOfANameAlone) {
+  RawPeer older(context, "inproc://link", "peer");
+  older.prove(kKey);
+  older.send(frame_of(1));
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 1; }));
+  RawPeer newer(context, "inproc://link", "peer", "another routing id");
+  newer.prove(kKey);
+  newer.send(frame_of(2));
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 2; }));
+  older.send(frame_of(3));
+  EXPECT_TRUE(eventually([&] { return counters.unproven == 1; }));
+  EXPECT_EQ(link.peers(), 1U);
+  EXPECT_THAT(noted.seen(), ElementsAre(1, 2));
+}
+
+TEST_F(ProvingLink, ReadsAheadOnlySoMuchOfAPeerThatIgnoresItsCredit) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  const Block record = make_record(frame_of(7), nullptr, 0);
+  const std::string_view message(reinterpret_cast<const char*>(record.data()), record.size());
+  int sent = 0;
+  {
+    const std::lock_guard lock(noted.mutex);  // the reader stands
+    while (sent < 10'000 && peer.try_send({message})) ++sent;
+  }
+  EXPECT_LT(sent, 10'000);
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == static_cast<std::size_t>(sent); })) << "and nothing is lost";
+}
+
 TEST_F(ProvingLink, KeyOfOneNameDoesNotProveAnother) {
   RawPeer peer(context, "inproc://link", "peer");
   wire::Frame proof;

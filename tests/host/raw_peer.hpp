@@ -17,9 +17,11 @@ class RawPeer {
  public:
   using Message = std::vector<std::string_view>;  ///< its parts
 
-  RawPeer(zmq::context_t& context, const std::string& endpoint, std::string name)
+  RawPeer(zmq::context_t& context, const std::string& endpoint, const std::string& name)
+      : RawPeer(context, endpoint, name, name) {}
+  RawPeer(zmq::context_t& context, const std::string& endpoint, std::string name, const std::string& routing_id)
       : name_(std::move(name)), socket_(context, zmq::socket_type::dealer) {
-    socket_.set(zmq::sockopt::routing_id, name_);
+    socket_.set(zmq::sockopt::routing_id, routing_id);
     socket_.set(zmq::sockopt::rcvtimeo, 5000);
     socket_.set(zmq::sockopt::rcvhwm, 0);
     socket_.set(zmq::sockopt::linger, 0);
@@ -45,6 +47,10 @@ class RawPeer {
     std::string text(reinterpret_cast<const char*>(record.data()), record.size());
     text += object;
     send(Message{text});
+  }
+  /// Whether it could be sent at once.
+  bool try_send(const Message& message) {
+    return socket_.send(zmq::buffer(message.front()), zmq::send_flags::dontwait).has_value();
   }
   void send(const Message& message) {
     for (std::size_t i = 0; i < message.size(); ++i) {

@@ -1,10 +1,12 @@
 // Somebody who watches and does not read: nobody waits for him, and he is told what he lost.
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstring>
 #include <thread>
 
@@ -22,6 +24,9 @@ class SlowWatcher : public testing::TestWithParam<std::string> {
   SlowWatcher() : server_(socket_path(), System::Options{"slow", directory_.path / "store", directory_.path, 2}) {
     if (::pipe2(lifeline_, O_CLOEXEC) != 0) throw std::runtime_error("no pipe");
     serving_ = std::thread([this] { server_.serve(lifeline_[0], -1); });
+    connect();
+  }
+  void connect() {
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
     std::strncpy(address.sun_path, socket_path().c_str(), sizeof address.sun_path - 1);
@@ -105,6 +110,42 @@ TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
   EXPECT_LT(samples, accounted) << "nothing was lost: the watcher was not slow";
 }
 
+using WatcherThatGoes = SlowWatcher;
+
+TEST_P(WatcherThatGoes, DoesNotHoldUpTheHostThoughTheGroupThatItWatchedHangs) {
+  auto change = request();
+  auto& load = *change.mutable_transact()->add_changes()->mutable_load();
+  load.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/gauge");
+  load.set_group(GetParam());
+  send(change);
+  receive();
+  auto watch = request();
+  watch.mutable_watch()->mutable_port()->set_instance("gauge");
+  watch.mutable_watch()->mutable_port()->set_port("level");
+  send(watch);
+  auto look = request();
+  look.mutable_snapshot();
+  send(look);
+  control::Reply reply;
+  while (!(reply = receive()).has_system()) continue;
+  const auto& system = reply.system();
+  const auto group = std::find_if(system.groups().begin(), system.groups().end(),
+                                  [](const auto& one) { return one.name() == GetParam(); });
+  ASSERT_NE(group, system.groups().end());
+  const pid_t hangs = group->process();
+  ASSERT_EQ(::kill(hangs, SIGSTOP), 0);
+  stream_.reset();
+  connect();
+  const auto begun = std::chrono::steady_clock::now();
+  auto ask = request();
+  ask.mutable_journal();
+  send(ask);
+  EXPECT_TRUE(receive().has_journal());
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, 5s);
+  EXPECT_EQ(::kill(hangs, SIGCONT), 0);
+}
+
+INSTANTIATE_TEST_SUITE_P(In, WatcherThatGoes, testing::Values("far"), [](const auto& one) { return one.param; });
 INSTANTIATE_TEST_SUITE_P(In, SlowWatcher, testing::Values("main", "far"), [](const auto& one) { return one.param; });
 
 }  // namespace

@@ -47,11 +47,25 @@ void ls_plugins(Session& session) {
   for (const std::string& problem : catalogue.problems()) session.out.remark(problem);
 }
 
+/// The wire of a process outside, as far as its provider knows.
+void add_attached(Table& table, const control::AttachedClient& client, const std::string& provider,
+                  const control::PortStatus& port) {
+  table.add({client.name(),
+             provider,
+             short_name(port.service()),
+             "attached",
+             {fmt::format("{}", client.prescale()), client.prescale()},
+             {rate_text(port.rate_hz()), port.rate_hz()},
+             {age_text(port.age_ms()), port.age_ms()},
+             ""});
+}
+
 void ls_wires(Session& session) {
   const control::System system = session.snapshot();
   Table table({"client", "provider", "service", "connection", "every", "rate", "age", "dropped"});
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
+      for (const auto& client : port.attached()) add_attached(table, client, instance.name() + "." + port.name(), port);
       if (port.direction() != fiona::REQUIRES || port.connection() == control::UNWIRED) continue;
       table.add({instance.name() + "." + port.name(),
                  text_of(port.peer()),

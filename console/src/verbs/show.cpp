@@ -20,15 +20,13 @@ void show_ports(Session& session, const control::InstanceStatus& instance) {
   Table table({"port", "direction", "service", "pattern", "connection", "peer", "messages", "rate", "age", "doc"});
   for (const auto& port : instance.ports()) {
     const bool required = port.direction() == fiona::REQUIRES;
-    std::vector<std::string> clients;
-    for (const auto& client : port.clients()) clients.push_back(text_of(client));
     table.add({port.name(),
                required ? (port.optional() ? "requires, optional" : "requires") : "provides",
                short_name(port.service()),
                pattern_text(port.pattern()),
                required ? connection_text(port) : "",
                required ? (port.peer().instance().empty() ? "" : text_of(port.peer()))
-                        : fmt::format("{}", fmt::join(clients, ", ")),
+                        : clients_text(port),
                {fmt::format("{}", port.messages()), port.messages()},
                {rate_text(port.rate_hz()), port.rate_hz()},
                {age_text(port.age_ms()), port.age_ms()},
@@ -133,9 +131,7 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
   if (required && !port.peer().instance().empty()) facts.add({"wired to", text_of(port.peer())});
   if (required && port.prescale() > 1) facts.add({"every", {fmt::format("{}", port.prescale()), port.prescale()}});
   if (required && !port.transport().empty()) facts.add({"transport", port.transport()});
-  std::vector<std::string> clients;
-  for (const auto& client : port.clients()) clients.push_back(text_of(client));
-  if (!required) facts.add({"clients", fmt::format("{}", fmt::join(clients, ", "))});
+  if (!required) facts.add({"clients", clients_text(port)});
   for (const auto& [name, count] : {std::pair{"messages", port.messages()},
                                     {"superseded", port.superseded()},
                                     {"dropped", port.dropped()},
