@@ -352,8 +352,10 @@ TEST_P(Alternatives, QueriesAndSendsGoToTheOneThatServesAndEndOnceEachThoughItIs
 
 TEST_P(Alternatives, ARequestThatIsOpenWhenTheBetterOneIsBackEndsWhereItWasPut) {
   system.load_provider("beacon", "b");
-  system.load_client("navigator", "nav", "asks_ms=2 manner=later");
+  system.load_client("navigator", "nav", "manner=later");
   system.wire_to_several("nav.echo", {"a.echo", "b.echo"}, 20);
+  until_served_by("b.echo", "echo");
+  system.set("nav", "asks_ms=2");
   const auto answered_by = [&](const std::string& name) { return system.read("nav.answered_by").payload() == name; };
   system.eventually("answers of b", [&] { return answered_by("b"); });
   system.load_provider("beacon", "a");

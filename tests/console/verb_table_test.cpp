@@ -196,7 +196,7 @@ TEST(Lines, AWordAfterAKeywordIsNeeded) {
 }
 
 TEST(Lines, AKeywordThatDoesNotBelongIsRefusedWithTheWayToQuoteIt) {
-  EXPECT_NE(error_of("swap a for c else e").find("column 12: 'else' does not belong to swap here"),
+  EXPECT_NE(error_of("swap a for c else e").find("column 14: 'else' does not belong to swap here"),
             std::string::npos);
 }
 
