@@ -218,9 +218,12 @@ void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, 
     add_slot(found, slots[std::min(line.positional.size(), slots.size() - 1)], asked);
   if (line.positional.size() < slots.size() && slots[line.positional.size()].required) return;
   for (const Clause& clause : shape.clauses()) {
-    if (!line.clauses.contains(clause.keyword)) found.push_back(clause.keyword);
+    if (!line.clauses.contains(clause.keyword) || clause.slot.repeated) found.push_back(clause.keyword);
   }
-  if (shape.takes_arguments()) {
+  for (const std::string& name : shape.argument_names()) {
+    if (line.argument(name) == nullptr) found.push_back(name + "=");
+  }
+  if (shape.takes_arguments() && shape.argument_names().empty()) {
     for (const std::string& name : parameters(asked)) found.push_back(name + "=");
   }
   if (!word.starts_with('-')) return;

@@ -8,6 +8,8 @@
 namespace fiona::console {
 namespace {
 
+constexpr double kUsualHold_ms = 3000;  // of a wire that says nothing else
+
 control::Change load_of(const control::InstanceStatus& instance) {
   control::Change change;
   control::Load& load = *change.mutable_load();
@@ -23,6 +25,13 @@ control::Change load_of(const control::InstanceStatus& instance) {
   return change;
 }
 
+void add_alternatives(const control::PortStatus& port, control::Wire& wire) {
+  if (port.providers().empty()) return;
+  *wire.mutable_provider() = port.providers(0).provider();
+  for (int i = 1; i < port.providers_size(); ++i) *wire.add_alternatives() = port.providers(i).provider();
+  if (port.hold_ms() != kUsualHold_ms) wire.set_hold_ms(port.hold_ms());
+}
+
 std::string wire_lines(const control::InstanceStatus& instance) {
   std::string lines;
   for (const auto& port : instance.ports()) {
@@ -32,6 +41,7 @@ std::string wire_lines(const control::InstanceStatus& instance) {
     change.mutable_wire()->mutable_client()->set_port(port.name());
     *change.mutable_wire()->mutable_provider() = port.peer();
     change.mutable_wire()->set_prescale(port.prescale());
+    add_alternatives(port, *change.mutable_wire());
     lines += line_of(change) + "\n";
   }
   return lines;

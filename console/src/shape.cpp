@@ -90,6 +90,10 @@ class Binder {
   void take_argument(const WordLine::Item& item) {
     if (!shape_.takes_arguments())
       fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text)});
+    const std::vector<std::string>& names = shape_.argument_names();
+    if (!names.empty() && std::find(names.begin(), names.end(), item.name->text) == names.end())
+      fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text),
+                              .near = nearest_names(item.name->text, names)});
     const auto same = [&item](const TypedArgument& known) { return known.name.text == item.name->text; };
     if (std::any_of(line_.arguments.begin(), line_.arguments.end(), same))
       fail(item.name->place, {.what = fmt::format("{} is given twice", item.name->text)});
@@ -133,7 +137,7 @@ class Binder {
     if (clause == nullptr)
       fail(keyword.place, {.what = fmt::format("'{}' does not belong to {} here", keyword.text, line_.verb.text),
                            .next = fmt::format("a name that is a keyword is written in quotes: \"{}\"", keyword.text)});
-    if (line_.clauses.contains(keyword.text))
+    if (line_.clauses.contains(keyword.text) && !clause->slot.repeated)
       fail(keyword.place, {.what = fmt::format("'{}' is given twice", keyword.text)});
     const bool there = at_ + 1 < items().size() && !items()[at_ + 1].name;
     if (!there)
@@ -224,6 +228,9 @@ Shape::Shape(std::string_view form) : text_(form) {
     } else if (word.text == "PARAM=VALUE" || word.text == "FIELD=VALUE") {
       takes_arguments_ = true;
       needs_arguments_ = !word.optional;
+    } else if (const std::size_t equals = word.text.find('='); equals != std::string::npos) {
+      takes_arguments_ = true;
+      argument_names_.push_back(word.text.substr(0, equals));
     } else {
       positional_.push_back({split(word.text, '|'), !word.optional, word.repeated});
     }
@@ -245,6 +252,16 @@ const OptionSlot* Shape::find_option(std::string_view name) const {
 const Word* Line::clause(std::string_view keyword) const {
   const auto found = clauses.find(keyword);
   return found == clauses.end() ? nullptr : &found->second.front();
+}
+
+std::vector<Word> Line::clause_words(std::string_view keyword) const {
+  const auto found = clauses.find(keyword);
+  return found == clauses.end() ? std::vector<Word>{} : found->second;
+}
+
+const Word* Line::argument(std::string_view name) const {
+  const auto found = std::find_if(arguments.begin(), arguments.end(), [name](const auto& one) { return one.name.text == name; });
+  return found == arguments.end() ? nullptr : &found->value;
 }
 
 const Word* Line::option(std::string_view name) const {

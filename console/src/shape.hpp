@@ -44,6 +44,8 @@ class Shape {
   const std::vector<Clause>& clauses() const { return clauses_; }
   const std::vector<OptionSlot>& options() const { return options_; }
   bool takes_arguments() const { return takes_arguments_; }
+  /// Those that it takes (`[hold=T]`); empty: whatever the host knows, if any.
+  const std::vector<std::string>& argument_names() const { return argument_names_; }
   bool needs_arguments() const { return needs_arguments_; }
 
   const Clause* find_clause(std::string_view keyword) const;
@@ -54,6 +56,7 @@ class Shape {
   std::vector<Slot> positional_;
   std::vector<Clause> clauses_;
   std::vector<OptionSlot> options_;
+  std::vector<std::string> argument_names_;
   bool takes_arguments_ = false;
   bool needs_arguments_ = false;
 };
@@ -76,6 +79,10 @@ struct Line {
   bool has(std::string_view option) const { return options.contains(option); }
   /// The word after the keyword, the first of several; null: it is not there.
   const Word* clause(std::string_view keyword) const;
+  /// All of them.
+  std::vector<Word> clause_words(std::string_view keyword) const;
+  /// The value of `name=…`; null: it is not there.
+  const Word* argument(std::string_view name) const;
   const Word* option(std::string_view name) const;
 
   /// The named arguments as the host takes them.

@@ -168,26 +168,42 @@ class Checker {
 
   void take_wire(const Line& line) {
     const Word& client = line.positional[0];
-    const Word& provider = *line.clause("to");
     const auto* required = port_of(line, client);
-    const auto* provided = port_of(line, provider);
     if (const Word* every = line.clause("every")) count_of(*every, line.words);
     if (required != nullptr && required->direction() != fiona::REQUIRES)
       throw line.error(
           client, {.what = fmt::format("{} is a provided port", client.text), .expected = "wire REQUIRED to PROVIDED"},
           ErrorCode::WiringInvalid);
+    std::vector<Word> providers = line.clause_words("else");
+    if (const Word* hold = line.argument("hold")) check_hold(line, *hold, providers.empty());
+    providers.insert(providers.begin(), *line.clause("to"));
+    for (auto one = providers.begin(); one != providers.end(); ++one) {
+      if (std::any_of(providers.begin(), one, [&](const Word& other) { return other.text == one->text; }))
+        throw line.error(*one, {.what = fmt::format("{} is named twice", one->text), .expected = "each alternative once, the best first"});
+      check_provider(line, required, *one);
+    }
+    wired_.insert(client.text);
+  }
+
+  static void check_hold(const Line& line, const Word& hold, bool alone) {
+    const double hold_ms = duration_ms(hold, line.words);
+    if (alone) throw line.error(hold, {.what = "a hold time is for a wire with alternatives", .next = "else INSTANCE.PORT"});
+    if (hold_ms > 3'600'000) throw line.error(hold, {.what = "the hold time is out of range", .expected = "0s .. 1h"});
+  }
+
+  void check_provider(const Line& line, const fiona::PortInterface* required, const Word& provider) {
+    const auto* provided = port_of(line, provider);
     if (provided != nullptr && provided->direction() != fiona::PROVIDES)
       throw line.error(
           provider,
           {.what = fmt::format("{} is a required port", provider.text), .expected = "wire REQUIRED to PROVIDED"},
           ErrorCode::WiringInvalid);
-    if (required != nullptr && provided != nullptr) check_contract(line, *required, *provided);
-    wired_.insert(client.text);
+    if (required != nullptr && provided != nullptr) check_contract(line, *required, provider, *provided);
   }
 
-  void check_contract(const Line& line, const fiona::PortInterface& required, const fiona::PortInterface& provided) {
+  void check_contract(const Line& line, const fiona::PortInterface& required, const Word& provider,
+                      const fiona::PortInterface& provided) {
     const Word& client = line.positional[0];
-    const Word& provider = *line.clause("to");
     const auto found = service_of(instance_of(line, client), required.service());
     const auto offered = service_of(instance_of(line, provider), provided.service());
     std::optional<std::string> difference;

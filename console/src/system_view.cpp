@@ -100,6 +100,20 @@ std::string connection_text(const control::PortStatus& port) {
   }
 }
 
+std::string alternative_text(const control::ProviderStatus& provider) {
+  const std::string name = text_of(provider.provider());
+  if (provider.fit()) return name + (provider.serves() ? " serves" : " ready");
+  if (provider.reason().empty()) return name + " unknown";
+  // The reason begins with the name: "gps.location has been silent for 500 ms".
+  return provider.reason().starts_with(name) ? provider.reason() : name + ": " + provider.reason();
+}
+
+std::string alternatives_text(const control::PortStatus& port) {
+  std::string text;
+  for (const auto& provider : port.providers()) text += (text.empty() ? "" : "; ") + alternative_text(provider);
+  return text;
+}
+
 std::string health_text(const control::InstanceStatus& instance) {
   if (instance.mode() == "failed") return instance.reason().empty() ? "failed" : "failed: " + instance.reason();
   for (const auto connection : {control::LOST, control::WAITING}) {

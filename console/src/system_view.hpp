@@ -37,6 +37,10 @@ std::string short_name(std::string_view full_name);
 std::string health_text(const control::InstanceStatus& instance);
 /// "connected", "waiting: provider is not active".
 std::string connection_text(const control::PortStatus& port);
+/// One of the providers of a port with alternatives: "wifi.location serves", "gps.location has been silent for 500 ms".
+std::string alternative_text(const control::ProviderStatus& provider);
+/// All of them, in their order; empty: it has no alternatives.
+std::string alternatives_text(const control::PortStatus& port);
 /// "50 Hz", "0.2 Hz", "-".
 std::string rate_text(double rate_hz);
 /// The lines of a text that is not empty.

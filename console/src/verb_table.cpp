@@ -23,10 +23,14 @@ std::vector<Verb> composing_verbs() {
        Access::Compose, verbs::load},
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
-      {"wire", forms({"wire INSTANCE.PORT to INSTANCE.PORT [every N]"}), "connects a required port to a provided one",
+      {"wire", forms({"wire INSTANCE.PORT to INSTANCE.PORT [else INSTANCE.PORT …] [every N] [hold=T]"}),
+       "connects a required port to a provided one",
        "Checked before it is done; a port that has a wire already gets the new one without a gap. Where no instance has "
        "the provider's name yet, the wire waits for it.\n"
-       "`every N` passes each N-th message of a push.",
+       "`every N` passes each N-th message of a push.\n"
+       "`else` names who serves while those before are not there, silent for longer than their lease, or say that what "
+       "they say is not valid; all are connected all the time. A better one serves again once it has been fit for the hold "
+       "time, 3s unless `hold` says otherwise: wire nav.location to fusion.location else wifi.location hold=5s.",
        Access::Compose, verbs::wire},
       {"unwire", forms({"unwire INSTANCE.PORT"}), "takes the wire of a required port away", "", Access::Compose,
        verbs::unwire},

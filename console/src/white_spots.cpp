@@ -46,12 +46,23 @@ void add_known(WhiteSpot& spot, const Catalogue& catalogue) {
   }
 }
 
+/// Of a port that is served: those that could not take over.
+void add_missing_alternatives(std::vector<WhiteSpot>& spots, const control::InstanceStatus& instance, const control::PortStatus& port) {
+  if (port.connection() != control::CONNECTED) return;
+  for (const auto& provider : port.providers()) {
+    if (provider.connection() == control::CONNECTED) continue;
+    const std::string state = "served, an alternative is missing";
+    spots.push_back({true, false, instance.name() + "." + port.name(), port.service(), state, {{"alternative", alternative_text(provider), ""}}});
+  }
+}
+
 }  // namespace
 
 std::vector<WhiteSpot> white_spots(const control::System& system, const Catalogue& catalogue) {
   std::vector<WhiteSpot> spots;
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
+      add_missing_alternatives(spots, instance, port);
       if (!is_unserved(port) && !is_unused(port)) continue;
       const bool required = port.direction() == fiona::REQUIRES;
       WhiteSpot& spot = spots.emplace_back(WhiteSpot{required,

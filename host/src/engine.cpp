@@ -49,7 +49,8 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   const std::string& name = step.unload().instance();
   std::vector<std::string> clients;
   for (const auto& [client, wire] : before.wires()) {
-    if (wire.provider.instance() == name && client.first != name) clients.push_back(client.first + "." + client.second);
+    // Who has another provider goes on with that one.
+    if (wire.uses(name) && wire.providers.size() == 1 && client.first != name) clients.push_back(client.first + "." + client.second);
   }
   std::string text = "what '" + name + "' knows is lost: loaded again it begins anew";
   if (!clients.empty()) text += fmt::format("; these wait meanwhile: {}", fmt::join(clients, ", "));

@@ -122,18 +122,20 @@ Hop Links::connect(const Endpoint& endpoint) {
   return peer.hop;
 }
 
-void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPort& client,
-                    const std::string& provider_name, const Endpoint& endpoint, std::uint64_t replaces,
-                    std::uint32_t resumes_every, const std::function<void()>& switch_over) {
+void Links::require(std::uint64_t wire_id, const std::string& token, const std::shared_ptr<WireEnd>& client,
+                    const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+                    const std::function<void()>& switch_over) {
+  RequiredPort& port = client->port();
+  const std::string& provider_name = client->provider();
   std::unique_lock lock(mutex_);
   const Hop hop = connect(endpoint);
-  const std::string name = client.full_name() + "<" + provider_name;
-  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, client, name);
-  requirements_[wire_id] = Requirement{&client, endpoint.address, provider_name, hop, wire, std::nullopt, 0, false, false};
+  const std::string name = port.full_name() + "<" + provider_name;
+  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name, is_push(port) ? client : nullptr);
+  requirements_[wire_id] = Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, false};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
-  const Connection before = client.connection();
+  const Connection before = client->connection();
   const bool first = before != Connection::Connected;
-  if (first) client.set_connection(Connection::Waiting, "opening the wire to " + provider_name);
+  if (first) client->set_connection(Connection::Waiting, "opening the wire to " + provider_name);
   wire->ask(token);
 
   const auto has_answer = [&] {
@@ -148,18 +150,18 @@ void Links::require(std::uint64_t wire_id, const std::string& token, RequiredPor
     lock.unlock();
     if (resumes_every > 0) count_missed(wire_id, replaces, resumes_every);
     // The new one first: a request that is being made has somewhere to go at every moment.
-    client.set_target(wire);
+    if (!is_push(port)) client->set_target(wire);
     if (switch_over) switch_over();
-    client.set_connection(Connection::Connected, provider_name);
+    client->set_connection(Connection::Connected, provider_name);
     return wire->admit();
   }
   if (found != requirements_.end()) requirements_.erase(found);
   note_ended(wire_id);
   lock.unlock();
   wire->cut(refusal);
-  if (first) client.set_connection(before == Connection::Lost ? Connection::Lost : Connection::Unwired, refusal);
+  if (first) client->set_connection(before == Connection::Lost ? Connection::Lost : Connection::Unwired, refusal);
   throw Error(ErrorCode::Unreachable, {.what = "the wire to " + provider_name + " did not open: " + refusal,
-                                       .where = client.full_name(),
+                                       .where = port.full_name(),
                                        .next = "ls hosts"});
 }
 
@@ -168,10 +170,10 @@ void Links::count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32
   const std::lock_guard lock(mutex_);
   const auto now = requirements_.find(wire);
   const auto before = requirements_.find(replaces);
-  if (now == requirements_.end() || before == requirements_.end() || !is_push(*now->second.client)) return;
+  if (now == requirements_.end() || before == requirements_.end() || !is_push(now->second.client->port())) return;
   const std::uint64_t last = std::max(before->second.from_sequence, before->second.wire->last_sequence());
   if (now->second.from_sequence <= last) return;
-  now->second.client->counters().dropped.fetch_add((now->second.from_sequence - last) / every, std::memory_order_relaxed);
+  now->second.client->port().counters().dropped.fetch_add((now->second.from_sequence - last) / every, std::memory_order_relaxed);
 }
 
 void Links::refuse(const Hop& from, std::uint64_t wire, const std::string& reason) {
@@ -392,7 +394,7 @@ void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shar
 /// The provider has ended the wire.
 void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
   std::shared_ptr<RemoteWire> wire;
-  RequiredPort* client = nullptr;
+  std::shared_ptr<WireEnd> client;
   {
     const std::lock_guard lock(mutex_);
     const auto found = requirements_.find(wire_id);
@@ -483,7 +485,7 @@ void Links::release(const Hull& hull) {
       if (&grant.provider->hull() == &hull) left.push_back(id);
     }
     for (const auto& [id, requirement] : requirements_) {
-      if (&requirement.client->hull() == &hull) left.push_back(id);
+      if (&requirement.client->port().hull() == &hull) left.push_back(id);
     }
   }
   for (const std::uint64_t id : left) cut(id, "'" + hull.name() + "' has ended");

@@ -52,8 +52,7 @@ class Links {
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
   /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
   /// `resumes_every` > 0: what the provider has put since the wire `replaces` was lost is counted as dropped.
-  void require(std::uint64_t wire, const std::string& token, RequiredPort& client, const std::string& provider_name,
-               const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+  void require(std::uint64_t wire, const std::string& token, const std::shared_ptr<WireEnd>& client, const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
                const std::function<void()>& switch_over);
   /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
   /// is bounded: a sender has credit for it only once it has left.
@@ -88,9 +87,8 @@ class Links {
     Hop client;                        ///< once opened
   };
   struct Requirement {
-    RequiredPort* client = nullptr;
+    std::shared_ptr<WireEnd> client;
     std::string endpoint;
-    std::string provider_name;
     Hop provider;
     std::shared_ptr<RemoteWire> wire;
     std::optional<std::string> refusal;  ///< once the peer has answered; empty: open

@@ -61,9 +61,8 @@ bool is_same(const Model::Instance& a, const Model::Instance& b) {
   return a.package == b.package && a.component == b.component && a.group == b.group;
 }
 
-bool is_same(const Model::Wire& a, const Model::Wire& b) {
-  return key_of(a.provider) == key_of(b.provider) && a.prescale == b.prescale;
-}
+/// The longest hold time of a wire with alternatives.
+constexpr double kMostHold_ms = 3'600'000;
 
 }  // namespace
 
@@ -77,6 +76,16 @@ control::PortName port_of(const Model::PortKey& key) {
 }
 
 std::string text_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
+
+bool Model::Wire::uses(const std::string& instance) const {
+  return std::any_of(providers.begin(), providers.end(), [&](const auto& one) { return one.instance() == instance; });
+}
+
+bool Model::Wire::operator==(const Wire& other) const {
+  const auto same = [](const auto& a, const auto& b) { return key_of(a) == key_of(b); };
+  return std::equal(providers.begin(), providers.end(), other.providers.begin(), other.providers.end(), same) &&
+         prescale == other.prescale && hold_ms == other.hold_ms;
+}
 
 void require_name(const std::string& name, std::string_view kind) {
   const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
@@ -147,6 +156,28 @@ const PortInterface& Model::port(const control::PortName& name, Direction direct
                                     .next = "show " + name.instance(),
                                     .near = nearest_names(name.port(), fitting)});
 }
+
+namespace {
+
+void check_alternatives(const control::Wire& request, const Model::Wire& made) {
+  const std::string client = text_of(request.client());
+  for (auto one = made.providers.begin(); one != made.providers.end(); ++one) {
+    const auto same = [&](const auto& other) { return key_of(other) == key_of(*one); };
+    if (std::none_of(made.providers.begin(), one, same)) continue;
+    throw Error(ErrorCode::Usage, {.what = text_of(*one) + " is named twice", .where = client,
+                                   .expected = "each alternative once, the best first"});
+  }
+  if (!request.has_hold_ms()) return;
+  if (made.providers.size() == 1) {
+    throw Error(ErrorCode::Usage, {.what = "a hold time is for a wire with alternatives", .where = client,
+                                   .next = fmt::format("wire {} to {} else OTHER.PORT hold=…", client, text_of(request.provider()))});
+  }
+  if (made.hold_ms >= 0 && made.hold_ms <= kMostHold_ms) return;
+  throw Error(ErrorCode::Usage, {.what = "the hold time is out of range", .where = client, .expected = "0s .. 1h",
+                                 .found = fmt::format("{:g} ms", made.hold_ms)});
+}
+
+}  // namespace
 
 const Model::Wire* Model::wire_of(const control::PortName& client) const {
   const auto found = wires_.find(key_of(client));
@@ -219,7 +250,9 @@ void Model::load(const control::Load& request, const Packages& packages) {
   instances_[name] = std::move(made);
   try {
     for (const auto& [client, wire] : wires_) {
-      if (wire.provider.instance() == name) require_fit(port_of(client), wire.provider);
+      for (const auto& provider : wire.providers) {
+        if (provider.instance() == name) require_fit(port_of(client), provider);
+      }
     }
   } catch (const Error& error) {
     instances_.erase(name);
@@ -240,13 +273,19 @@ void Model::unload(const control::Unload& request) {
 void Model::wire(const control::Wire& request) {
   port(request.client(), REQUIRES);
   require_own(request.client().instance());
-  require_own(request.provider().instance());
-  if (find(request.provider().instance())) {
-    require_fit(request.client(), request.provider());
-  } else {
-    require_name(request.provider().instance(), "an instance");
+  Wire made{{request.provider()}, std::max(1U, request.prescale())};
+  made.providers.insert(made.providers.end(), request.alternatives().begin(), request.alternatives().end());
+  if (request.has_hold_ms()) made.hold_ms = request.hold_ms();
+  check_alternatives(request, made);
+  for (const auto& provider : made.providers) {
+    require_own(provider.instance());
+    if (find(provider.instance())) {
+      require_fit(request.client(), provider);
+    } else {
+      require_name(provider.instance(), "an instance");
+    }
   }
-  wires_[key_of(request.client())] = Wire{request.provider(), std::max(1U, request.prescale())};
+  wires_[key_of(request.client())] = std::move(made);
 }
 
 void Model::unwire(const control::Unwire& request) {
@@ -315,6 +354,21 @@ void Model::state(const control::State& request) {
   instances_[request.instance()] = std::move(draft);
 }
 
+namespace {
+
+control::Change wiring_of(const Model::PortKey& client, const Model::Wire& wire) {
+  control::Change change;
+  control::Wire& request = *change.mutable_wire();
+  *request.mutable_client() = port_of(client);
+  *request.mutable_provider() = wire.providers.front();
+  request.mutable_alternatives()->Add(wire.providers.begin() + 1, wire.providers.end());
+  if (wire.prescale > 1) request.set_prescale(wire.prescale);
+  if (wire.providers.size() > 1 && wire.hold_ms != Model::Wire::kHold_ms) request.set_hold_ms(wire.hold_ms);
+  return change;
+}
+
+}  // namespace
+
 // ---- swap -----------------------------------------------------------------------------------------------------
 
 /// The port of `next` that can take the place of this one: the one of its name, or the only one of its service.
@@ -341,11 +395,18 @@ std::vector<control::Change> Model::steps_of(const control::Change& change) cons
   instance(swap.next());
   std::vector<control::Change> steps;
   for (const auto& [client, wire] : wires_) {
-    if (wire.provider.instance() != swap.old()) continue;
-    control::Wire& step = *steps.emplace_back().mutable_wire();
-    *step.mutable_client() = port_of(client);
-    *step.mutable_provider() = counterpart(wire.provider, swap.next());
-    step.set_prescale(wire.prescale);
+    if (!wire.uses(swap.old())) continue;
+    Wire moved = wire;
+    for (auto& provider : moved.providers) {
+      if (provider.instance() == swap.old()) provider = counterpart(provider, swap.next());
+    }
+    // One that was an alternative already is there once, in the better place.
+    auto& all = moved.providers;
+    for (auto one = all.begin(); one != all.end(); ++one) {
+      const std::string name = text_of(*one);
+      all.erase(std::remove_if(one + 1, all.end(), [&](const auto& other) { return text_of(other) == name; }), all.end());
+    }
+    steps.push_back(wiring_of(client, moved));
   }
   if (!steps.empty()) return steps;
   throw Error(ErrorCode::NotFound, {.what = "nobody uses '" + swap.old() + "'", .where = swap.old(), .next = "ls wires"});
@@ -371,14 +432,6 @@ control::Change state_of(const std::string& name, const std::string& mode) {
   control::Change change;
   change.mutable_state()->set_instance(name);
   change.mutable_state()->set_mode(mode);
-  return change;
-}
-
-control::Change wiring_of(const Model::PortKey& client, const Model::Wire& wire) {
-  control::Change change;
-  *change.mutable_wire()->mutable_client() = port_of(client);
-  *change.mutable_wire()->mutable_provider() = wire.provider;
-  if (wire.prescale > 1) change.mutable_wire()->set_prescale(wire.prescale);
   return change;
 }
 
@@ -432,7 +485,7 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
   }
   for (const auto& [client, wire] : to.wires_) {
     const auto old = from.wires_.find(client);
-    const bool there = kept.contains(client.first) && old != from.wires_.end() && is_same(old->second, wire);
+    const bool there = kept.contains(client.first) && old != from.wires_.end() && old->second == wire;
     if (!there) steps.push_back(wiring_of(client, wire));
   }
   for (const auto& [name, one] : to.instances_) {

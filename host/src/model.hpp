@@ -32,8 +32,13 @@ class Model {
     const ComponentInterface& interface() const { return package->component(component); }
   };
   struct Wire {
-    control::PortName provider;
+    std::vector<control::PortName> providers{};  ///< the first, and its alternatives in their order
     std::uint32_t prescale = 1;
+    double hold_ms = kHold_ms;  ///< before a better provider serves again
+    static constexpr double kHold_ms = 3000;
+
+    bool uses(const std::string& instance) const;
+    bool operator==(const Wire& other) const;
   };
   using PortKey = std::pair<std::string, std::string>;  ///< instance, port
 

@@ -93,11 +93,12 @@ class RemoteWire::RemoteReply final : public ReplySink {
   std::atomic<bool> answered_{false};
 };
 
-RemoteWire::RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name)
-    : RemoteWire(nullptr, std::move(link), std::move(peer), wire, port, std::move(name)) {}
+RemoteWire::RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name,
+                       std::shared_ptr<WireEnd> end)
+    : RemoteWire(nullptr, std::move(link), std::move(peer), wire, port, std::move(name), std::move(end)) {}
 
 RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer,
-                       std::uint64_t wire, Port& port, std::string name)
+                       std::uint64_t wire, Port& port, std::string name, std::shared_ptr<WireEnd> end)
     : link_(std::move(link)),
       peer_(std::move(peer)),
       wire_(wire),
@@ -107,6 +108,7 @@ RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSock
       fan_out_(std::move(fan_out)),
       lane_(fan_out_ ? fan_out_->lane() : link_->open_lane(peer_)),
       inbox_(inbox_of(port)),
+      end_(std::move(end)),
       object_rules_(port.service().object()),
       objects_(prototype_of(port.service().object())),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
@@ -279,9 +281,8 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
     case wire::Frame::kLease: {
       const bool held = frame.lease().held();
       return take_in_turn(nullptr, held ? kSpeaks : kSilent, [self = shared_from_this(), held, reason = frame.lease().reason()] {
-        auto* client = dynamic_cast<RequiredPort*>(&self->port_);
         const std::lock_guard lock(self->mutex_);
-        if (client && !self->cut_) client->set_lease(held, reason);
+        if (self->end_ && !self->cut_) self->end_->set_lease(held, reason);
       });
     }
     case wire::Frame::kLost:
@@ -363,7 +364,8 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
       const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
       Envelope envelope{object.object, request ? frame.request().id() : frame.object().sequence(),
                         TimePoint(Duration(origin_ns)), object.bytes};
-      outcome = inbox_->push({std::move(envelope), reply, frame.request().continuous(), 0});
+      Parcel parcel{std::move(envelope), reply, frame.request().continuous(), 0};
+      outcome = end_ ? end_->push(std::move(parcel)) : inbox_->push(std::move(parcel));
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
   }

@@ -27,11 +27,13 @@ struct ParsedObject {
 /// A wire as the side sees it whose peer is in another process.
 class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> {
  public:
-  /// With a lane of its own. `name` orders deliveries in virtual time, as that of a LocalWire.
-  RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name);
+  /// With a lane of its own. `name` orders deliveries in virtual time, as that of a LocalWire. `end`: of a
+  /// push client.
+  RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name,
+             std::shared_ptr<WireEnd> end = nullptr);
   /// Of a push provider: one of those that share what crosses.
   RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire,
-             Port& port, std::string name);
+             Port& port, std::string name, std::shared_ptr<WireEnd> end = nullptr);
   ~RemoteWire() override;
 
   std::uint64_t wire() const { return wire_; }
@@ -96,6 +98,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   const std::shared_ptr<FanOut> fan_out_;
   const LinkSocket::Lane lane_;
   Inbox* const inbox_;  ///< where the peer's objects go; null: none come
+  const std::shared_ptr<WireEnd> end_;  ///< of a push client: through which they go there
   const ObjectRules object_rules_;
   ObjectPool objects_;
   const std::optional<ObjectRules> answer_rules_;

@@ -73,7 +73,7 @@ struct Runtime::Instance {
 struct Runtime::Wire {
   std::shared_ptr<LocalWire> local;            ///< both ends here
   detail::PushProvider* provider = nullptr;    ///< of a local push
-  RequiredPort* client = nullptr;              ///< of a local wire
+  std::shared_ptr<WireEnd> client;             ///< of a local wire
   const Hull* provider_hull = nullptr;
 };
 
@@ -172,19 +172,19 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     }
     case Request::kWireRequire: {
       const auto& wire = request.wire_require();
-      SwitchCost cost(required(wire.client()));
-      links_.require(wire.wire(), wire.token(), required(wire.client()), text_of(wire.provider()), {wire.endpoint(), wire.name(), wire.key()},
+      RequiredPort& client = required(wire.client());
+      SwitchCost cost(client);
+      links_.require(wire.wire(), wire.token(), client.end_for(text_of(wire.provider())), {wire.endpoint(), wire.name(), wire.key()},
                      wire.replaces(), wire.resumes_every(), [&] {
         cost.begin();
         retire(wire.replaces());
       });
       return cost.end(*reply.mutable_switched());
     }
-    case Request::kAwait: {
-      const bool waits = !request.await().reason().empty();
-      return required(request.await().client())
-          .set_connection(waits ? Connection::Waiting : Connection::Unwired, waits ? request.await().reason() : "unwired");
-    }
+    case Request::kAwait:
+      return required(request.await().client()).end_for(text_of(request.await().provider()))
+          ->set_connection(Connection::Waiting, request.await().reason());
+    case Request::kArrange: return arrange(request.arrange(), *reply.mutable_switched());
     case Request::kWireRelay:
       return links_.relay(request.wire_relay().wire(), request.wire_relay().token(), request.wire_relay().peer(),
                           {request.wire_relay().endpoint(), request.wire_relay().name(), request.wire_relay().key()});
@@ -266,7 +266,7 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   // Whoever asked has cut its wires, unless he did not know of the instance any more.
   std::vector<std::uint64_t> left;
   for (const auto& [id, wire] : wires_) {
-    if (wire.provider_hull == instance.hull.get() || &wire.client->hull() == instance.hull.get()) left.push_back(id);
+    if (wire.provider_hull == instance.hull.get() || &wire.client->port().hull() == instance.hull.get()) left.push_back(id);
   }
   for (const std::uint64_t id : left) {
     wire::Cut cut_it;
@@ -308,28 +308,41 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
   ProvidedPort& provider = provided(request.provider());
   RequiredPort& client = required(request.client());
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
-  Inbox& inbox = push ? *client.inbox() : *provider.inbox();
+  const auto end = client.end_for(provider.full_name());
   const std::string name = client.full_name() + "<" + provider.full_name();
-  auto local = std::make_shared<LocalWire>(name, inbox, push ? request.prescale() : 1);
+  auto local = push ? std::make_shared<LocalWire>(name, end, request.prescale())
+                    : std::make_shared<LocalWire>(name, *provider.inbox());
   SwitchCost cost(client);
   cost.begin();
   // The new one first: a request that is being made has somewhere to go at every moment.
-  if (!push) client.set_target(local);
+  if (!push) end->set_target(local);
   retire(request.replaces());
-  client.set_connection(Connection::Connected, provider.full_name());
+  end->set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
-  wires_[request.wire()] = Wire{std::move(local), push, &client, &provider.hull()};
+  wires_[request.wire()] = Wire{std::move(local), push, end, &provider.hull()};
   cost.end(switched);
+}
+
+void Runtime::arrange(const wire::Arrange& request, wire::Switched& switched) {
+  RequiredPort& client = required(request.client());
+  std::vector<std::string> providers;
+  for (const auto& name : request.providers()) providers.push_back(text_of(name));
+  const std::chrono::duration<double, std::milli> hold(request.hold_ms());
+  SwitchCost cost(client);
+  cost.begin();
+  client.arrange(providers, std::chrono::duration_cast<Duration>(hold));
+  cost.end(switched);
+  for (const std::uint64_t wire : request.retires()) retire(wire);
 }
 
 void Runtime::cut(const wire::Cut& request) {
   const auto found = wires_.find(request.wire());
   if (found == wires_.end()) return links_.cut(request.wire(), request.reason());
-  RequiredPort& client = *found->second.client;
-  client.set_target(nullptr);
+  const auto client = found->second.client;
+  client->set_target(nullptr);
   found->second.local->cut();
   retire(request.wire());
-  client.set_connection(Connection::Unwired, request.reason());
+  client->set_connection(Connection::Unwired, request.reason());
 }
 
 /// Lets go of a wire whose client goes on with another one, or with none. What is on its way over a local wire still
@@ -441,6 +454,16 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
     status.set_connection(to_proto(required->connection()));
     status.set_reason(required->connection_reason());
     status.set_since_s(to_seconds(now - required->connection_since()));
+    status.set_flaps(required->flaps());
+    for (const auto& one : required->alternatives()) {
+      auto& provider = *status.add_providers();
+      provider.mutable_provider()->set_instance(one.provider.substr(0, one.provider.find('.')));
+      provider.mutable_provider()->set_port(one.provider.substr(one.provider.find('.') + 1));
+      provider.set_connection(to_proto(one.connection));
+      provider.set_reason(one.reason);
+      provider.set_fit(one.fit);
+      provider.set_serves(one.serves);
+    }
   }
 }
 

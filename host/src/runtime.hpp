@@ -44,6 +44,7 @@ class Runtime final : private HullEvents {
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
   void set_mode(const wire::SetMode& request);
   void wire_local(const wire::WireLocal& request, wire::Switched& switched);
+  void arrange(const wire::Arrange& request, wire::Switched& switched);
   void cut(const wire::Cut& request);
   void retire(std::uint64_t wire);
   void call(const wire::Call& request);

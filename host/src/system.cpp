@@ -8,6 +8,7 @@
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/hull_probes.hpp"
+#include "fiona/probe.pb.h"
 #include "link_keys.hpp"
 
 namespace fiona::host {
@@ -161,12 +162,13 @@ control::Done System::unload(const control::Unload& request) {
   for (auto it = wires_.begin(); it != wires_.end();) {
     const control::PortName client = port_of(it->first);
     const bool is_client = client.instance() == name;
-    const bool is_provider = model_.wire_of(client)->provider.instance() == name;
+    const bool is_provider = it->second.provider.instance() == name;
     if (is_client || is_provider) disconnect(client, it->second, name + " was unloaded");
     if (!is_client && is_provider) {
-      dependents.push_back(text_of(client));
-      it->second = Wire{0, false, waiting_for(name), {}};
-      await_provider(client, it->second.reason, model_);
+      const bool alone = model_.wire_of(client)->providers.size() == 1;
+      dependents.push_back(text_of(client) + (alone ? "" : ", which has alternatives"));
+      it->second = Wire{it->second.provider, 0, false, waiting_for(name), {}};
+      await_provider(client, it->second, model_);
     }
     it = is_client ? wires_.erase(it) : std::next(it);
   }
@@ -224,11 +226,24 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
   waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
 }
 
+/// The provider of a wired port; of several the one that serves now.
+control::PortName System::served_by(const control::PortName& client) {
+  const Model::Wire& wire = *model_.wire_of(client);
+  if (wire.providers.size() == 1) return wire.providers.front();
+  control::PortName probe = client;
+  probe.set_port(client.port() + ".serving");
+  probe::Text serving;
+  serving.ParseFromString(read(probe).object());
+  const auto found = std::find_if(wire.providers.begin(), wire.providers.end(),
+                                  [&](const auto& one) { return text_of(one) == serving.value(); });
+  return found == wire.providers.end() ? wire.providers.front() : *found;
+}
+
 /// What a call by hand reaches: the port or trigger that is named, of a required port the provider at its wire's end.
 control::PortName System::callee(const control::PortName& name) {
   for (const auto& one : model_.instance(name.instance()).interface().ports()) {
     if (one.name() != name.port() || one.direction() != REQUIRES) continue;
-    if (const auto* wire = model_.wire_of(name)) return wire->provider;
+    if (model_.wire_of(name)) return served_by(name);
     throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: there is nobody to call", .next = "spots"});
   }
   return name;
@@ -366,12 +381,12 @@ std::pair<bool, std::string> System::has_mode(const std::string& name, const std
 
 /// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
 /// all is as before.
-System::Wire System::connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done,
-                             bool resumes) {
-  const Model::Wire& wanted = *model.wire_of(client);
+System::Wire System::connect(const control::PortName& client, const control::PortName& provider, const Model& model,
+                             std::uint64_t replaces, control::Done& done, bool resumes) {
+  const std::uint32_t prescale = model.wire_of(client)->prescale;
   Group& client_group = group_of(client.instance(), model);
-  Group& provider_group = group_of(wanted.provider.instance(), model);
-  Wire wire{next_wire_++, &client_group == &provider_group, {}, {}};
+  Group& provider_group = group_of(provider.instance(), model);
+  Wire wire{provider, next_wire_++, &client_group == &provider_group, {}, {}};
   const auto note_cost = [&](const wire::GroupMessage& reply) {
     if (replaces == 0) return;
     done.set_switched(done.switched() + 1);
@@ -383,8 +398,8 @@ System::Wire System::connect(const control::PortName& client, const Model& model
     auto& local = *request.mutable_wire_local();
     local.set_wire(wire.id);
     *local.mutable_client() = client;
-    *local.mutable_provider() = wanted.provider;
-    local.set_prescale(wanted.prescale);
+    *local.mutable_provider() = provider;
+    local.set_prescale(prescale);
     local.set_replaces(replaces);
     note_cost(client_group.request(std::move(request)));
     return wire;
@@ -394,9 +409,9 @@ System::Wire System::connect(const control::PortName& client, const Model& model
   auto& provide = *request.mutable_wire_provide();
   provide.set_wire(wire.id);
   provide.set_token(token);
-  *provide.mutable_provider() = wanted.provider;
+  *provide.mutable_provider() = provider;
   *provide.mutable_client() = client;
-  provide.set_prescale(wanted.prescale);
+  provide.set_prescale(prescale);
   provide.set_peer(known_as(*path[path.size() - 2], provider_group));
   provider_group.request(request);
   try {
@@ -413,9 +428,9 @@ System::Wire System::connect(const control::PortName& client, const Model& model
     require.set_wire(wire.id);
     require.set_token(token);
     *require.mutable_client() = client;
-    *require.mutable_provider() = wanted.provider;
+    *require.mutable_provider() = provider;
     require.set_replaces(replaces);
-    if (resumes) require.set_resumes_every(wanted.prescale);
+    if (resumes) require.set_resumes_every(prescale);
     set_endpoint(require, endpoint_for(client_group, *path[1]));
     note_cost(client_group.request(std::move(request)));
   } catch (...) {
@@ -429,18 +444,19 @@ System::Wire System::connect(const control::PortName& client, const Model& model
 void System::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
   if (wire.id == 0) return;
   // The client first: told by its host it is unwired; told by the provider it would be lost.
-  for (const auto& name : {client.instance(), model_.wire_of(client)->provider.instance()}) {
+  for (const auto& name : {client.instance(), wire.provider.instance()}) {
     if (const auto* one = model_.find(name)) cut_at(one->group, wire.id, reason);
     if (wire.local) return;
   }
   for (const auto& relay : wire.relays) cut_at(relay, wire.id, reason);
 }
 
-void System::await_provider(const control::PortName& client, const std::string& reason, const Model& model) {
+void System::await_provider(const control::PortName& client, const Wire& wire, const Model& model) {
   if (lost_.contains(client.instance())) return;
   wire::GroupRequest request;
   *request.mutable_await()->mutable_client() = client;
-  request.mutable_await()->set_reason(reason);
+  *request.mutable_await()->mutable_provider() = wire.provider;
+  request.mutable_await()->set_reason(wire.reason);
   group_of(client.instance(), model).request(std::move(request));
 }
 
@@ -450,11 +466,10 @@ std::string System::connect_waiting(const std::string& provider, const Model& ne
   std::string note;
   for (auto& [key, wire] : wires_) {
     const control::PortName client = port_of(key);
-    const Model::Wire* wanted = next.wire_of(client);
-    if (wire.id != 0 || !wanted || wanted->provider.instance() != provider) continue;
+    if (wire.id != 0 || wire.provider.instance() != provider || !next.wire_of(client)) continue;
     try {
       control::Done ignored;
-      wire = connect(client, next, 0, ignored);
+      wire = connect(client, wire.provider, next, 0, ignored);
       connected.push_back(text_of(client));
     } catch (const Error& error) {
       wire.reason = error.text().what;
@@ -465,42 +480,117 @@ std::string System::connect_waiting(const std::string& provider, const Model& ne
 }
 
 control::Done System::wire(const control::Wire& request, const Model& next) {
-  const Model::PortKey key = key_of(request.client());
   const Model::Wire* before = model_.wire_of(request.client());
   const Model::Wire& wanted = *next.wire_of(request.client());
-  const auto old = wires_.find(key);
-  control::Done done;
-  const bool unchanged = before && old->second.reason.empty() && before->prescale == wanted.prescale &&
-                         text_of(before->provider) == text_of(wanted.provider);
-  if (unchanged) {
+  const auto [first, last] = wires_.equal_range(key_of(request.client()));
+  const bool all_well = std::all_of(first, last, [](const auto& one) { return one.second.reason.empty(); });
+  if (before && all_well && *before == wanted) {
+    control::Done done;
     done.set_note("wired so already");
     return done;
   }
-  if (const std::string& provider = wanted.provider.instance(); !next.find(provider)) {
-    if (old != wires_.end()) disconnect(request.client(), old->second, waiting_for(provider));
-    const Wire waiting{0, false, waiting_for(provider), {}};
-    await_provider(request.client(), waiting.reason, next);
-    wires_[key] = waiting;
-    const auto near = nearest_names(provider, next.names());
-    done.add_warnings(text_of(request.client()) + " waits: " + waiting.reason +
-                      (near.empty() ? "" : fmt::format("; did you mean {}?", fmt::join(near, ", "))));
-    done.set_note(text_of(request.client()) + " waits for " + text_of(request.provider()));
-    return done;
-  }
-  const Wire made = connect(request.client(), next, old == wires_.end() ? 0 : old->second.id, done);
-  wires_[key] = made;
-  done.set_note(text_of(request.client()) + " to " + text_of(request.provider()));
+  const bool several = wanted.providers.size() > 1 || (before && before->providers.size() > 1);
+  control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next);
+  std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") + text_of(request.provider());
+  for (const auto& provider : request.alternatives()) note += " else " + text_of(provider);
+  done.set_note(note);
   return done;
 }
 
-control::Done System::unwire(const control::Unwire& request) {
-  const auto found = wires_.find(key_of(request.client()));
-  if (found->second.id == 0) {
-    // Cut from nothing: the port is told that it waits no longer.
-    await_provider(request.client(), "", model_);
+namespace {
+
+std::string waiting_warning(const control::PortName& client, const std::string& provider, const Model& next) {
+  const auto near = nearest_names(provider, next.names());
+  return text_of(client) + " waits: " + waiting_for(provider) +
+         (near.empty() ? "" : fmt::format("; did you mean {}?", fmt::join(near, ", ")));
+}
+
+}  // namespace
+
+control::Done System::wire_one(const control::PortName& client, const Model& next) {
+  const control::PortName& provider = next.wire_of(client)->providers.front();
+  const auto old = wires_.find(key_of(client));
+  control::Done done;
+  Wire made{provider, 0, false, waiting_for(provider.instance()), {}};
+  if (next.find(provider.instance())) {
+    made = connect(client, provider, next, old == wires_.end() ? 0 : old->second.id, done);
+  } else {
+    if (old != wires_.end()) disconnect(client, old->second, made.reason);
+    await_provider(client, made, next);
+    done.add_warnings(waiting_warning(client, provider.instance(), next));
   }
-  disconnect(request.client(), found->second, "unwired");
-  wires_.erase(found);
+  wires_.erase(key_of(client));
+  wires_.emplace(key_of(client), std::move(made));
+  return done;
+}
+
+/// Those that it keeps stay as they are. The new ones are opened before those that go are let go of, so that at every
+/// moment somebody serves. One that does not open waits: that is what its alternatives are for.
+control::Done System::wire_several(const control::PortName& client, const Model& next) {
+  const Model::Wire& wanted = *next.wire_of(client);
+  const Model::Wire* before = model_.wire_of(client);
+  const bool as_before = before && before->prescale == wanted.prescale;
+  std::vector<Wire> old;
+  for (auto [it, last] = wires_.equal_range(key_of(client)); it != last; ++it) old.push_back(it->second);
+  std::vector<control::PortName> meanwhile = wanted.providers;
+  std::vector<std::uint64_t> retires;
+  for (const Wire& one : old) {
+    const auto same = [&](const auto& name) { return key_of(name) == key_of(one.provider); };
+    if (std::any_of(wanted.providers.begin(), wanted.providers.end(), same)) continue;
+    meanwhile.push_back(one.provider);
+    if (one.id != 0) retires.push_back(one.id);
+  }
+  control::Done done;
+  arrange(client, meanwhile, wanted.hold_ms, {}, next, nullptr);
+  std::vector<Wire> now;
+  for (const auto& provider : wanted.providers) {
+    const Wire* known = wire_to(key_of(client), provider);
+    const bool stays = known && known->reason.empty() && as_before;
+    now.push_back(stays ? *known : open_or_wait(client, provider, next, known ? *known : Wire{provider}, done));
+  }
+  arrange(client, wanted.providers, wanted.hold_ms, retires, next, &done);
+  wires_.erase(key_of(client));
+  for (Wire& one : now) wires_.emplace(key_of(client), std::move(one));
+  return done;
+}
+
+System::Wire System::open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
+                                  const Wire& old, control::Done& done) {
+  Wire waiting{provider, 0, false, waiting_for(provider.instance()), {}};
+  try {
+    if (next.find(provider.instance())) return connect(client, provider, next, old.id, done);
+    done.add_warnings(waiting_warning(client, provider.instance(), next));
+  } catch (const Error& error) {
+    waiting.reason = error.text().what;
+    done.add_warnings(fmt::format("{} waits for {}: {}", text_of(client), text_of(provider), waiting.reason));
+  }
+  disconnect(client, old, waiting.reason);
+  await_provider(client, waiting, next);
+  return waiting;
+}
+
+void System::arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
+                     const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost) {
+  wire::GroupRequest request;
+  auto& arrange = *request.mutable_arrange();
+  *arrange.mutable_client() = client;
+  arrange.mutable_providers()->Add(providers.begin(), providers.end());
+  arrange.set_hold_ms(hold_ms);
+  arrange.mutable_retires()->Add(retires.begin(), retires.end());
+  const auto reply = group_of(client.instance(), model).request(std::move(request));
+  if (!cost || retires.empty()) return;
+  cost->set_switched(cost->switched() + static_cast<std::uint32_t>(retires.size()));
+  cost->set_gap_ms(std::max(cost->gap_ms(), static_cast<double>(reply.switched().gap_ns()) / 1e6));
+  cost->set_lost(cost->lost() + reply.switched().lost());
+}
+
+control::Done System::unwire(const control::Unwire& request) {
+  const auto [first, last] = wires_.equal_range(key_of(request.client()));
+  // Of several, or cut from nothing: the port is told that it has none from now on.
+  const bool tells = std::next(first) != last || first->second.id == 0;
+  if (tells && !lost_.contains(request.client().instance())) arrange(request.client(), {}, Model::Wire::kHold_ms, {}, model_, nullptr);
+  for (auto it = first; it != last; ++it) disconnect(request.client(), it->second, "unwired");
+  wires_.erase(first, last);
   control::Done done;
   done.set_note(text_of(request.client()) + " unwired");
   return done;
@@ -518,8 +608,7 @@ void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
 void System::tap(std::uint64_t id, const control::Watch& request) {
   const control::PortName& name = request.port();
   control::PortName target = name;
-  const auto* wire = model_.wire_of(name);
-  if (wire && model_.find(wire->provider.instance())) target = wire->provider;
+  if (model_.wire_of(name) && model_.find(served_by(name).instance())) target = served_by(name);
   const auto& ports = model_.instance(target.instance()).interface().ports();
   const bool unwired = std::any_of(ports.begin(), ports.end(), [&](const PortInterface& p) {
     return p.name() == target.port() && p.direction() == REQUIRES;
@@ -619,7 +708,7 @@ void System::lose(ChildGroup& gone) {
   lose_attachments(gone.name(), reason);
   if (master_) master_->remove(gone.endpoint());  // from here on virtual time goes on without it
   for (auto& [key, wire] : wires_) {
-    const std::string& provider = model_.wire_of(port_of(key))->provider.instance();
+    const std::string& provider = wire.provider.instance();
     const bool client_gone = model_.instance(key.first).group == gone.name();
     const bool provider_gone = model_.find(provider) && model_.instance(provider).group == gone.name();
     if (wire.id != 0 && (client_gone || provider_gone)) wire.reason = reason;
@@ -684,21 +773,44 @@ control::InstanceStatus System::status_of_lost(const std::string& name) const {
   return status;
 }
 
+const System::Wire* System::wire_to(const Model::PortKey& client, const control::PortName& provider) const {
+  const auto [first, last] = wires_.equal_range(client);
+  const auto found = std::find_if(first, last, [&](const auto& one) { return key_of(one.second.provider) == key_of(provider); });
+  return found == last ? nullptr : &found->second;
+}
+
+/// A required port's wires, as they are meant to be and as they are.
+void System::complete_port(const Model::PortKey& client, const Model::Wire& wanted, control::PortStatus& status) const {
+  status.set_prescale(wanted.prescale);
+  *status.mutable_peer() = wanted.providers.front();
+  const Wire* wire = wire_to(client, wanted.providers.front());
+  if (wanted.providers.size() == 1) {
+    if (wire && wire->id != 0) status.set_transport(transport(client.first, *wire));
+    if (wire && wire->id != 0 && !wire->reason.empty()) status.set_connection(control::LOST);
+    if (wire && !wire->reason.empty()) status.set_reason(wire->reason);
+    return;
+  }
+  status.set_hold_ms(wanted.hold_ms);
+  if (status.providers().empty()) {  // its process is gone
+    for (const auto& provider : wanted.providers) *status.add_providers()->mutable_provider() = provider;
+  }
+  for (auto& one : *status.mutable_providers()) {
+    wire = wire_to(client, one.provider());
+    if (wire && wire->id != 0) one.set_transport(transport(client.first, *wire));
+    if (!one.serves() || !one.fit()) continue;
+    *status.mutable_peer() = one.provider();
+    status.set_transport(one.transport());
+  }
+}
+
 /// What only the whole system knows: groups, wires seen from both ends.
 void System::complete_status(control::InstanceStatus& status) const {
   status.set_group(model_.instance(status.name()).group);
   for (auto& p : *status.mutable_ports()) {
     for (const auto& [client, wanted] : model_.wires()) {
-      if (client.first == status.name() && client.second == p.name()) {
-        const auto known = wires_.find(client);
-        const Wire wire = known == wires_.end() ? Wire{} : known->second;
-        *p.mutable_peer() = wanted.provider;
-        p.set_prescale(wanted.prescale);
-        if (wire.id != 0) p.set_transport(transport(client.first, wanted.provider.instance(), wire));
-        if (wire.id != 0 && !wire.reason.empty()) p.set_connection(control::LOST);
-        if (!wire.reason.empty()) p.set_reason(wire.reason);
-      }
-      if (wanted.provider.instance() == status.name() && wanted.provider.port() == p.name()) *p.add_clients() = port_of(client);
+      if (client.first == status.name() && client.second == p.name()) complete_port(client, wanted, p);
+      const auto is_this = [&](const auto& one) { return one.instance() == status.name() && one.port() == p.name(); };
+      if (std::any_of(wanted.providers.begin(), wanted.providers.end(), is_this)) *p.add_clients() = port_of(client);
     }
     add_attached(status.name(), p);
   }

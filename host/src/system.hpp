@@ -107,11 +107,12 @@ class System {
   std::string listens() const { return hosts_ && hosts_->leader() ? hosts_->leader()->address() : ""; }
 
  private:
-  /// A wire as it is; the model says what it is meant to be.
+  /// A wire as it is; the model says what it is meant to be. One to each provider of a port with alternatives.
   struct Wire {
+    control::PortName provider{};
     std::uint64_t id = 0;  ///< 0: it waits for its provider
     bool local = false;
-    std::string reason;  ///< why it waits, or was lost
+    std::string reason{};  ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
   };
   /// A wire whose client is a process outside.
@@ -130,6 +131,12 @@ class System {
   control::Done load(const control::Load& request, const Model& next);
   control::Done unload(const control::Unload& request);
   control::Done wire(const control::Wire& request, const Model& next);
+  control::Done wire_one(const control::PortName& client, const Model& next);
+  control::Done wire_several(const control::PortName& client, const Model& next);
+  Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next, const Wire& old,
+                    control::Done& done);
+  void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
+               const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
   control::Done unwire(const control::Unwire& request);
   control::Done set(const control::Set& request, const Model& next);
 
@@ -142,11 +149,12 @@ class System {
   void tell_failed(const std::string& instance, const std::string& reason);
   void end_taps(const std::string& group, const std::string& reason);
   std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
-  Wire connect(const control::PortName& client, const Model& model, std::uint64_t replaces, control::Done& done,
-               bool resumes = false);
+  Wire connect(const control::PortName& client, const control::PortName& provider, const Model& model,
+               std::uint64_t replaces, control::Done& done, bool resumes = false);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
-  void await_provider(const control::PortName& client, const std::string& reason, const Model& model);
+  void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
   std::string connect_waiting(const std::string& provider, const Model& next);
+  control::PortName served_by(const control::PortName& client);
   control::PortName callee(const control::PortName& name);
   void use_clock(std::unique_ptr<Clock> clock);
   void record_to(std::shared_ptr<DeliveryLog> log);
@@ -155,6 +163,8 @@ class System {
   void end_threads();
   control::InstanceStatus status_of_lost(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
+  void complete_port(const Model::PortKey& client, const Model::Wire& wanted, control::PortStatus& status) const;
+  const Wire* wire_to(const Model::PortKey& client, const control::PortName& provider) const;
   void deliver(const wire::GroupMessage& event);
 
   // ---- with processes outside (system_attach.cpp)
@@ -174,7 +184,7 @@ class System {
   std::string known_as(Group& who, Group& at);
   Links::Endpoint endpoint_for(Group& at, Group& to);
   void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
-  bool crosses(const Model::PortKey& client, const std::string& host);
+  bool crosses(const Model::PortKey& client, const Wire& wire, const std::string& host);
   std::string on_host_joined(const HostChange& change);
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
   void resume(RemoteGroup& group);
@@ -193,7 +203,7 @@ class System {
   void note_led(const std::string& instance, bool led);
   bool tell_leader(const wire::GroupMessage& event);
   void add_hosts(control::System& all);
-  const char* transport(const std::string& client, const std::string& provider, const Wire& wire) const;
+  const char* transport(const std::string& client, const Wire& wire) const;
 
   const Options options_;
   const OnEvent on_event_;
@@ -217,7 +227,7 @@ class System {
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::map<std::string, Lost> lost_;         ///< instances whose group is gone, and why
-  std::map<Model::PortKey, Wire> wires_;     ///< by the client's port
+  std::multimap<Model::PortKey, Wire> wires_;        ///< by the client's port
   std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
   std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with

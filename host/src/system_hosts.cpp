@@ -124,9 +124,9 @@ void System::cut_at(const std::string& name, std::uint64_t wire, const std::stri
   }
 }
 
-bool System::crosses(const Model::PortKey& client, const std::string& host) {
+bool System::crosses(const Model::PortKey& client, const Wire& wire, const std::string& host) {
   const std::string from = host_of_instance(client.first);
-  const std::string to = host_of_instance(model_.wire_of(port_of(client))->provider.instance());
+  const std::string to = host_of_instance(wire.provider.instance());
   return from != to && (from == host || to == host);
 }
 
@@ -140,7 +140,7 @@ void System::on_host_lost(const std::string& host, const std::string& reason, bo
   }
   for (auto& [key, wire] : wires_) {
     const bool inside = host_of_instance(key.first) == host;
-    if (wire.id != 0 && (crosses(key, host) || (for_good && inside))) wire.reason = reason;
+    if (wire.id != 0 && (crosses(key, wire, host) || (for_good && inside))) wire.reason = reason;
   }
   if (!for_good) return;
   for (auto* group : groups_of(host)) {
@@ -191,16 +191,16 @@ void System::resume(RemoteGroup& group) {
 void System::resume_wires(const std::string& host) {
   for (auto& [key, wire] : wires_) {
     const control::PortName client = port_of(key);
-    const std::string& provider = model_.wire_of(client)->provider.instance();
-    const bool touched = wire.id != 0 ? crosses(key, host) : host_of_instance(key.first) == host || host_of_instance(provider) == host;
+    const std::string provider = wire.provider.instance();
+    const bool touched = wire.id != 0 ? crosses(key, wire, host) : host_of_instance(key.first) == host || host_of_instance(provider) == host;
     if (wire.reason.empty() || !touched || lost_.contains(key.first) || lost_.contains(provider)) continue;
     try {
       if (!model_.find(provider)) {
-        await_provider(client, wire.reason, model_);
+        await_provider(client, wire, model_);
         continue;
       }
       control::Done ignored;
-      wire = connect(client, model_, wire.id, ignored, wire.id != 0);
+      wire = connect(client, wire.provider, model_, wire.id, ignored, wire.id != 0);
     } catch (const Error& error) {
       wire.reason = error.text().what;
     }
@@ -230,7 +230,7 @@ void System::on_remote_group_ended(const HostChange& change) {
     }
     end_taps(group->name(), change.reason);
     for (auto& [key, wire] : wires_) {
-      const auto* provider = model_.find(model_.wire_of(port_of(key))->provider.instance());
+      const auto* provider = model_.find(wire.provider.instance());
       const bool client_gone = model_.instance(key.first).group == group->name();
       const bool provider_gone = provider && provider->group == group->name();
       if (wire.id == 0 || (!client_gone && !provider_gone)) continue;
@@ -270,9 +270,9 @@ std::vector<std::string> System::serve_hosts() {
   return said;
 }
 
-const char* System::transport(const std::string& client, const std::string& provider, const Wire& wire) const {
+const char* System::transport(const std::string& client, const Wire& wire) const {
   if (wire.local) return "process";
-  return host_of_instance(client) != host_of_instance(provider) ? "tcp" : "ipc";
+  return host_of_instance(client) != host_of_instance(wire.provider.instance()) ? "tcp" : "ipc";
 }
 
 void System::add_hosts(control::System& all) {
@@ -381,6 +381,9 @@ void System::check_order(const wire::GroupRequest& request) {
     case Request::kCall: require_led(request.call().target().instance()); return number(request.call().run());
     case Request::kRead: return require_led(request.read().probe().instance());
     case Request::kAwait: return require_led(request.await().client().instance());
+    case Request::kArrange:
+      for (const std::uint64_t wire : request.arrange().retires()) number(wire);
+      return require_led(request.arrange().client().instance());
     case Request::kCut: return number(request.cut().wire());
     case Request::kUntap: return number(request.untap().tap());
     case Request::kWireRelay: return number(request.wire_relay().wire());

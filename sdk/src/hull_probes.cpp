@@ -30,6 +30,23 @@ Value port_queue(const Hull&, Port* port, const Task*) {
   return inbox ? Value(static_cast<std::int64_t>(inbox->depth())) : std::nullopt;
 }
 
+/// Of a required port with alternatives; null otherwise.
+const RequiredPort* chooser(const Port* port) {
+  const auto* required = dynamic_cast<const RequiredPort*>(port);
+  return required && !required->alternatives().empty() ? required : nullptr;
+}
+Value serving(const Hull&, Port* port, const Task*) {
+  const auto* required = chooser(port);
+  if (!required) return std::nullopt;
+  const auto all = required->alternatives();
+  const auto found = std::find_if(all.begin(), all.end(), [](const auto& one) { return one.serves && one.fit; });
+  return found == all.end() ? std::string() : found->provider;
+}
+Value flaps(const Hull&, Port* port, const Task*) {
+  const auto* required = chooser(port);
+  return required ? Value(static_cast<std::int64_t>(required->flaps())) : std::nullopt;
+}
+
 const HullProbe kProbes[] = {
     {Of::Instance, "mode", "string", "", "the mode it is in", nullptr},
     {Of::Instance, "last_error", "string", "", "why it failed; empty: it has not", nullptr},
@@ -49,6 +66,8 @@ const HullProbe kProbes[] = {
      [](const Hull&, Port* port, const Task*) { return count(port->counters().refused); }},
     {Of::Port, "not_active", "int64", "", "came in a mode that does not serve the port",
      [](const Hull&, Port* port, const Task*) { return count(port->counters().not_active); }},
+    {Of::Port, "serving", "string", "", "of a port with alternatives: whose messages it gets; empty: none is fit", serving},
+    {Of::Port, "flaps", "int64", "", "of a port with alternatives: how often who served was fit no longer", flaps},
     {Of::Task, "runs", "int64", "", "how often it ran",
      [](const Hull&, Port*, const Task* task) -> Value { return static_cast<std::int64_t>(task->runs()); }},
     {Of::Task, "overruns", "int64", "", "periods that passed while it or the strand was busy",

@@ -18,6 +18,16 @@ constexpr std::chrono::milliseconds kTurn{2};
 
 std::size_t cost(const Parcel& parcel) { return parcel.envelope.bytes + kMessageOverhead; }
 
+bool is_push(const ServiceInfo& service) {
+  return service.pattern() == PUSH_NEWEST || service.pattern() == PUSH_TIMED;
+}
+
+/// The field in which a pushed object says itself whether it is valid; null: it has none.
+const google::protobuf::FieldDescriptor* validity_of(const ServiceInfo& service) {
+  const auto* field = is_push(service) ? service.object().FindFieldByName("is_valid") : nullptr;
+  return field && field->cpp_type() == field->CPPTYPE_BOOL && !field->is_repeated() ? field : nullptr;
+}
+
 }  // namespace
 
 std::string_view to_string(Connection connection) {
@@ -92,10 +102,7 @@ Inbox::Inbox(Port& port, Delivery delivery, Handler handler)
 
 Inbox::~Inbox() = default;
 
-bool Inbox::is_push() const {
-  const Pattern pattern = port_.service().pattern();
-  return pattern == PUSH_NEWEST || pattern == PUSH_TIMED;
-}
+bool Inbox::is_push() const { return fiona::is_push(port_.service()); }
 
 Outcome Inbox::push(Parcel parcel) {
   // An acknowledged send: the wire passes on what is returned here, and nothing is left to answer later.
@@ -300,7 +307,14 @@ std::optional<Outcome> Target::deliver(const Parcel& parcel) {
 }  // namespace detail
 
 RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-    : Port(owner, name, PortDirection::Requires, service, options), calls_(hull().clock(), hull().shared_strand()) {}
+    : Port(owner, name, PortDirection::Requires, service, options),
+      calls_(hull().clock(), hull().shared_strand()),
+      is_push_(is_push(service)),
+      validity_(validity_of(service)),
+      ends_{std::make_shared<WireEnd>(*this, "")},
+      serving_(ends_.front()) {
+  serving_->open_ = !keeps_last();
+}
 
 void RequiredPort::cancel_calls(bool on) {
   cancelled_ = on;
@@ -317,35 +331,32 @@ std::optional<Outcome> RequiredPort::obstacle() const {
   return std::nullopt;
 }
 
-void RequiredPort::set_connection(Connection connection, std::string reason) {
-  const std::lock_guard lock(reason_mutex_);
-  before_silence_.reset();
-  enter(connection, std::move(reason));
-}
-
-void RequiredPort::set_lease(bool held, const std::string& reason) {
-  const std::lock_guard lock(reason_mutex_);
-  if (held && before_silence_) return enter(Connection::Connected, *std::exchange(before_silence_, std::nullopt));
-  if (held || connection() != Connection::Connected) return;
-  before_silence_ = reason_;
-  enter(Connection::Lost, reason_ + " " + reason);
-}
-
-/// Called with the mutex held.
-void RequiredPort::enter(Connection connection, std::string reason) {
+/// Called with the mutex held. `news`: for the log.
+void RequiredPort::enter(Connection connection, std::string reason, std::string news) {
   reason_ = std::move(reason);
   connection_.store(connection);
   since_ns_.store(hull().clock().now().time_since_epoch().count());
-  hull().strand().post([this, connection] { on_connection(connection); });
+  on_entering(connection);
+  hull().strand().post([this, connection, news = std::move(news)] {
+    if (!news.empty()) hull().events().logged(hull().name(), LogLevel::Warning, full_name() + ": " + news);
+    on_connection(connection);
+  });
 }
 
 std::string RequiredPort::connection_reason() const {
-  const std::lock_guard lock(reason_mutex_);
+  const std::lock_guard lock(mutex_);
   return reason_;
 }
 
-LocalWire::LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale)
-    : name_(std::move(name)), prescale_(prescale == 0 ? 1 : prescale), inbox_(&inbox), clock_(inbox.port().hull().clock()) {}
+LocalWire::LocalWire(std::string name, Inbox& inbox)
+    : name_(std::move(name)), prescale_(1), inbox_(&inbox), clock_(inbox.port().hull().clock()) {}
+
+LocalWire::LocalWire(std::string name, std::shared_ptr<WireEnd> end, std::uint32_t prescale)
+    : name_(std::move(name)),
+      prescale_(std::max(1U, prescale)),
+      end_(std::move(end)),
+      inbox_(end_->port().inbox()),
+      clock_(end_->port().hull().clock()) {}
 
 Outcome LocalWire::deliver(Parcel parcel) {
   std::unique_lock lock(mutex_);
@@ -383,6 +394,7 @@ void LocalWire::give_up_in_turn(const std::shared_ptr<ReplySink>& reply) {
 /// Called with the mutex held, so that after `cut` nothing is under way.
 Outcome LocalWire::hand_over(Parcel parcel) {
   if (!inbox_) return Outcome::Disconnected;
+  if (end_) return end_->push(std::move(parcel));
   const auto receipt = inbox_->port().service().pattern() == SEND ? parcel.reply : nullptr;
   const Outcome outcome = inbox_->push(std::move(parcel));
   if (receipt) receipt->answer(outcome, {}, nullptr);
@@ -392,8 +404,7 @@ Outcome LocalWire::hand_over(Parcel parcel) {
 void LocalWire::lease(bool held, const std::string& reason) {
   const auto tell = [self = shared_from_this(), held, reason] {
     const std::lock_guard lock(self->mutex_);
-    auto* client = self->inbox_ ? dynamic_cast<RequiredPort*>(&self->inbox_->port()) : nullptr;
-    if (client) client->set_lease(held, reason);
+    if (self->inbox_ && self->end_) self->end_->set_lease(held, reason);
   };
   if (!clock_.staging()) return tell();
   std::unique_lock lock(mutex_);

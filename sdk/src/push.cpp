@@ -120,10 +120,13 @@ PushClient::PushClient(Component& owner, std::string_view name, const ServiceInf
                        Inbox::Handler handler)
     : RequiredPort(owner, name, service, options), inbox_(*this, options.delivery, std::move(handler)) {}
 
+/// At once: on the strand it would come after the first value of the new provider, and take that for an old one.
+void PushClient::on_entering(Connection connection) {
+  connection == Connection::Connected ? inbox_.mark_stale() : inbox_.empty_slot();
+}
+
 void PushClient::on_connection(Connection connection) {
-  if (connection == Connection::Connected) return inbox_.mark_stale();
-  inbox_.empty_slot();
-  if (connection != Connection::Waiting) calls().finish_all(Outcome::Disconnected, connection_reason());
+  if (connection == Connection::Unwired || connection == Connection::Lost) calls().finish_all(Outcome::Disconnected, connection_reason());
 }
 
 Async<Result<Envelope>> PushClient::next(Duration within) {

@@ -11,7 +11,8 @@
 namespace {
 
 /// What a test is about: the first of these that its name, "Suite.Sentence", contains.
-constexpr std::array<std::pair<std::string_view, std::string_view>, 24> kTopics{{
+constexpr std::array<std::pair<std::string_view, std::string_view>, 25> kTopics{{
+    {"Alternatives", "alternatives"},
     {"State.", "state"},           {"Triggers.", "trigger"},      {"Monitoring", "monitoring"},
     {"Links.", "links"},           {"Processes.", "links"},
     {"Prescale", "push"},          {"Lease", "push"},             {"Send", "send"},

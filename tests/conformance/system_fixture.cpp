@@ -236,6 +236,18 @@ void RunningSystem::wire(const std::string& client, const std::string& provider,
   system_.perform(change);
 }
 
+control::Done RunningSystem::wire_to_several(const std::string& client, const std::vector<std::string>& providers, double hold_ms,
+                                             std::uint32_t every) {
+  control::Change change;
+  control::Wire& request = *change.mutable_wire();
+  *request.mutable_client() = port_name(client);
+  *request.mutable_provider() = port_name(providers.front());
+  for (std::size_t i = 1; i < providers.size(); ++i) *request.add_alternatives() = port_name(providers[i]);
+  request.set_prescale(every);
+  if (hold_ms >= 0) request.set_hold_ms(hold_ms);
+  return system_.perform(change);
+}
+
 void RunningSystem::unwire(const std::string& client) {
   control::Change change;
   control::Unwire& request = *change.mutable_unwire();

@@ -109,6 +109,9 @@ class RunningSystem {
   void load_in(const std::string& group, const std::string& component, const std::string& name,
                const std::string& parameters = "");
   void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
+  /// To the first of these that is fit. A negative hold time: the usual one.
+  control::Done wire_to_several(const std::string& client, const std::vector<std::string>& providers, double hold_ms = -1,
+                                std::uint32_t every = 1);
   void unwire(const std::string& client);
   void set(const std::string& instance, const std::string& parameters);
   void state(const std::string& instance, const std::string& mode);

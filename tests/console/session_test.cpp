@@ -535,6 +535,74 @@ TEST_F(ConsoleTest, ShowOfNothingNamesWhatIsNear) {
   EXPECT_NE(error_of("show wlak").find("did you mean: walk"), std::string::npos);
 }
 
+/// nav takes fusion's, while walk is silent.
+control::System system_with_alternatives() {
+  control::System system = wired_system();
+  auto* need = system.mutable_instances(1)->mutable_ports(0);
+  need->mutable_peer()->set_instance("fusion");
+  for (const char* name : {"walk", "fusion", "gps"}) {
+    auto* provider = need->add_providers();
+    provider->mutable_provider()->set_instance(name);
+    provider->mutable_provider()->set_port("imu");
+  }
+  need->mutable_providers(0)->set_connection(control::LOST);
+  need->mutable_providers(0)->set_reason("walk.imu has been silent for 300 ms");
+  need->mutable_providers(1)->set_connection(control::CONNECTED);
+  need->mutable_providers(1)->set_fit(true);
+  need->mutable_providers(1)->set_serves(true);
+  need->mutable_providers(2)->set_connection(control::WAITING);
+  need->mutable_providers(2)->set_reason("gps.imu: there is no instance 'gps' yet");
+  need->set_hold_ms(1500);
+  need->set_flaps(2);
+  return system;
+}
+
+TEST_F(ConsoleTest, AWireMayNameAlternativesInTheirOrder) {
+  session().run(split_line("wire nav.imu to walk.imu else fusion.imu else gps.imu every 5 hold=1500ms"));
+  const control::Wire wire = requests()[0].transact().changes(0).wire();
+  EXPECT_EQ(wire.provider().instance(), "walk");
+  ASSERT_EQ(wire.alternatives_size(), 2);
+  EXPECT_EQ(wire.alternatives(0).instance(), "fusion");
+  EXPECT_EQ(wire.alternatives(1).instance(), "gps");
+  EXPECT_EQ(wire.prescale(), 5U);
+  EXPECT_EQ(wire.hold_ms(), 1500);
+}
+
+TEST_F(ConsoleTest, ListsWhoServesAPortAndHowItsAlternativesAre) {
+  script = [](const auto&) { return system_reply(system_with_alternatives()); };
+  session().run(split_line("ls wires --json"));
+  EXPECT_NE(out.find("\"alternatives\":\"walk.imu has been silent for 300 ms; fusion.imu serves; gps.imu: there is no "
+                     "instance 'gps' yet\""),
+            std::string::npos)
+      << out;
+  EXPECT_NE(out.find("\"flaps\":2"), std::string::npos) << out;
+  EXPECT_NE(out.find("\"provider\":\"fusion.imu\""), std::string::npos) << out;
+}
+
+TEST_F(ConsoleTest, ShowsEachProviderOfAPortWithTheHoldTimeAndTheFlaps) {
+  script = [](const auto&) { return system_reply(system_with_alternatives()); };
+  session().run(split_line("show nav.imu"));
+  EXPECT_NE(out.find("provider    fusion.imu serves\n"), std::string::npos) << out;
+  EXPECT_NE(out.find("hold        1.5 s\n"), std::string::npos) << out;
+  EXPECT_NE(out.find("flaps       2\n"), std::string::npos) << out;
+}
+
+TEST(SavedSystem, KeepsTheOrderOfAlternativesWhoeverServes) {
+  EXPECT_NE(saved_system(system_with_alternatives())
+                .find("wire nav.imu to walk.imu else fusion.imu else gps.imu every 5 hold=1.5s\n"),
+            std::string::npos);
+}
+
+TEST(WhiteSpots, NameTheAlternativesThatAreMissing) {
+  const TemporaryDirectory directory;
+  const auto spots = white_spots(system_with_alternatives(), Catalogue(directory.path()));
+  std::vector<std::string> missing;
+  for (const auto& spot : spots) {
+    if (spot.reason == "served, an alternative is missing") missing.push_back(spot.fillers.at(0).what);
+  }
+  EXPECT_EQ(missing, (std::vector<std::string>{"walk.imu has been silent for 300 ms", "gps.imu: there is no instance 'gps' yet"}));
+}
+
 TEST(SavedSystem, IsTheSameTextForTheSameSystem) {
   EXPECT_EQ(saved_system(wired_system()), saved_system(wired_system()));
 }

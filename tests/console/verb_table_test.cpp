@@ -196,8 +196,23 @@ TEST(Lines, AWordAfterAKeywordIsNeeded) {
 }
 
 TEST(Lines, AKeywordThatDoesNotBelongIsRefusedWithTheWayToQuoteIt) {
-  EXPECT_NE(error_of("wire a.b to c.d else e.f").find("column 17: 'else' does not belong to wire here"),
+  EXPECT_NE(error_of("swap a for c else e").find("column 14: 'else' does not belong to swap here"),
             std::string::npos);
+}
+
+TEST(Lines, AClauseThatMayBeRepeatedTakesAWordEachTimeOrSeveralAtOnce) {
+  const auto others = [](const char* text) {
+    Texts found;
+    for (const Word& word : read_line(split_line(text)).clause_words("else")) found.push_back(word.text);
+    return found;
+  };
+  EXPECT_EQ(others("wire a.b to c.d else e.f else g.h every 5"), (Texts{"e.f", "g.h"}));
+  EXPECT_EQ(others("wire a.b to c.d else e.f g.h"), (Texts{"e.f", "g.h"}));
+  EXPECT_EQ(others("wire a.b to c.d"), Texts{});
+}
+
+TEST(Lines, AnArgumentThatTheVerbDoesNotKnowIsRefused) {
+  EXPECT_NE(error_of("wire a.b to c.d else e.f hodl=3s").find("column 26: wire takes no hodl=…"), std::string::npos);
 }
 
 TEST(Lines, OneWordTooManyIsRefused) {
@@ -280,7 +295,12 @@ TEST(Completion, OffersTheEndOfAWireThatFits) {
 }
 
 TEST(Completion, OffersKeywordsWhenTheWordsBeforeAreThere) {
-  EXPECT_EQ(candidates("wire nav.imu "), (Texts{"every", "to"}));
+  EXPECT_EQ(candidates("wire nav.imu "), (Texts{"else", "every", "hold=", "to"}));
+}
+
+TEST(Completion, OffersProvidersAfterElseAndElseAgain) {
+  EXPECT_EQ(candidates("wire nav.imu to walk.imu else "), Texts{"walk.imu"});
+  EXPECT_EQ(candidates("wire nav.imu to walk.imu else walk.imu "), (Texts{"else", "every", "hold="}));
 }
 
 TEST(Completion, KnowsParametersAndTheirValues) {

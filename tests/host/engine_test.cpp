@@ -75,7 +75,11 @@ control::Change swap(const std::string& old, const std::string& next) {
 std::string text(const control::Change& change) {
   if (change.has_load()) return "load " + change.load().instance();
   if (change.has_unload()) return "unload " + change.unload().instance();
-  if (change.has_wire()) return "wire " + text_of(change.wire().client()) + " to " + text_of(change.wire().provider());
+  if (change.has_wire()) {
+    std::string line = "wire " + text_of(change.wire().client()) + " to " + text_of(change.wire().provider());
+    for (const auto& other : change.wire().alternatives()) line += " else " + text_of(other);
+    return line;
+  }
   if (change.has_unwire()) return "unwire " + text_of(change.unwire().client());
   if (change.has_set()) return "set " + change.set().instance() + " " + change.set().parameters(0).name();
   return "state " + change.state().instance() + " " + change.state().mode();
@@ -246,6 +250,57 @@ TEST_P(Transactions, SwapMovesAllClientsAndTellsWhatItCost) {
   EXPECT_EQ(reply.done().lost(), 0U);
   EXPECT_EQ(system.port("one.newest").clients_size(), 0);
   EXPECT_EQ(system.port("two.newest").clients_size(), 2);
+}
+
+TEST_P(Transactions, UndoGivesAlternativesBackInTheirOrderAndTakesThemAway) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), wire("sink.each", "one.newest")});
+  control::Change several = wire("sink.each", "two.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("one.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("three.newest");
+  several.mutable_wire()->set_hold_ms(500);
+  make({several});
+  make({unwire("sink.each")});
+  EXPECT_THAT(texts(undo(true).planned().steps()), ElementsAre("wire sink.each to two.newest else one.newest else three.newest"));
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.port("sink.each").hold_ms(), 500);
+  EXPECT_EQ(system.port("sink.each").providers_size(), 3);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_THAT(whole(), ElementsAre("load one", "load two", "load sink", "wire sink.each to one.newest"));
+  EXPECT_TRUE(system.port("sink.each").providers().empty());
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+}
+
+TEST_P(Transactions, AnAlternativeThatIsUnloadedWaitsAndUndoConnectsIt) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group())});
+  control::Change several = wire("sink.each", "one.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("two.newest");
+  make({several});
+  make({unload("one")});
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+  EXPECT_EQ(system.port("sink.each").providers(0).connection(), control::WAITING);
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "two");
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.port("sink.each").providers(0).connection(), control::CONNECTED);
+}
+
+TEST_P(Transactions, SwapPutsTheNewOneInThePlaceOfAnAlternative) {
+  make({load("source", "one"), load("source", "two"), load("source", "three"), load("sink", "sink", group())});
+  control::Change several = wire("sink.each", "one.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("two.newest");
+  make({several});
+  EXPECT_THAT(texts(transact({swap("two", "three")}, false, true).planned().steps()),
+              ElementsAre("wire sink.each to one.newest else three.newest"));
+  EXPECT_THAT(texts(transact({swap("one", "two")}, false, true).planned().steps()), ElementsAre("wire sink.each to two.newest"));
+}
+
+TEST_P(Transactions, AFailureTakesAlternativesBack) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), wire("sink.each", "one.newest")});
+  control::Change several = wire("sink.each", "two.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("one.newest");
+  EXPECT_TRUE(transact({several, state("one", "nowhere")}).has_failure());
+  EXPECT_TRUE(system.port("sink.each").providers().empty());
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "one");
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
 }
 
 TEST_P(Transactions, SwapToWhatDoesNotFitChangesNothingAndSaysWhy) {

@@ -409,12 +409,10 @@ TEST_P(Partitions, BothSidesShowTheFaultAndAreBackInTimeWithNothingLostSilently)
   wire_source_to_sink(system);
   cable.pull();
   const auto pulled = Steady::now();
-  if (seconds > 1) {
-    system.eventually("noticed", [&] { return system.host("far").state() == "silent"; });
-    std::cout << "noticed after " << ms_since(pulled) << " ms\n";
-    EXPECT_LT(ms_since(pulled), 2 * 1500.0);
-    EXPECT_EQ(system.port("sink.each").connection(), control::LOST);
-  }
+  system.eventually("noticed", [&] { return system.host("far").state() == "silent"; });
+  std::cout << "noticed after " << ms_since(pulled) << " ms\n";
+  EXPECT_LT(ms_since(pulled), 2 * 1500.0);
+  EXPECT_EQ(system.port("sink.each").connection(), control::LOST);
   system.eventually("the outage ends", [&] { return ms_since(pulled) > 1000.0 * seconds; }, 20s);
   cable.plug();
   ASSERT_TRUE(cable.good());
@@ -430,7 +428,7 @@ TEST_P(Partitions, BothSidesShowTheFaultAndAreBackInTimeWithNothingLostSilently)
   expect_nothing_lost_silently(system);
 }
 
-INSTANTIATE_TEST_SUITE_P(Of, Partitions, testing::Values(std::pair(1, 2.0), std::pair(10, 5.0)),
+INSTANTIATE_TEST_SUITE_P(Of, Partitions, testing::Values(std::pair(2, 2.0), std::pair(10, 5.0)),
                          [](const auto& one) { return std::to_string(one.param.first) + "Seconds"; });
 
 }  // namespace

@@ -90,8 +90,9 @@ void wire(Hull& client, std::string_view in, Hull& provider, std::string_view ou
   auto& required = dynamic_cast<RequiredPort&>(*client.find_port(in));
   auto& provided = dynamic_cast<detail::PushProvider&>(*provider.find_port(out));
   const std::string name = required.full_name() + "<" + provided.full_name();
-  required.set_connection(Connection::Connected, provided.full_name());
-  provided.attach(std::make_shared<LocalWire>(name, *required.inbox(), 1));
+  const auto end = required.end_for(provided.full_name());
+  end->set_connection(Connection::Connected, provided.full_name());
+  provided.attach(std::make_shared<LocalWire>(name, end, 1));
 }
 
 /// Three producers, two relays, one recorder, for 500 virtual milliseconds on so many threads.

@@ -183,7 +183,7 @@ class Link:
             frame = wire_pb2.Frame.FromString(rest[8:8 + frame_size])
             inside = rest[8 + frame_size:8 + frame_size + inside_size]
             rest = rest[8 + frame_size + inside_size:]
-            self.take(frame, parts[1] if not rest and len(parts) == 2 else inside)
+            self.take(frame, inside + (parts[1] if not rest and len(parts) == 2 else b""))
 
     def take(self, frame, piece):
         if frame.HasField("more"):

@@ -29,6 +29,8 @@ void wire(Session& session, const Line& line) {
   const Word& provider = *line.clause("to");
   *wire.mutable_client() = port_name(line.positional[0], line.words);
   *wire.mutable_provider() = port_name(provider, line.words);
+  for (const Word& other : line.clause_words("else")) *wire.add_alternatives() = port_name(other, line.words);
+  if (const Word* hold = line.argument("hold")) wire.set_hold_ms(duration_ms(*hold, line.words));
   if (const Word* every = line.clause("every")) wire.set_prescale(count_of(*every, line.words));
   make(session, line, std::move(change), fmt::format("wired {} to {}", line.positional[0].text, provider.text));
 }

@@ -131,6 +131,12 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
   if (required && !port.peer().instance().empty()) facts.add({"wired to", text_of(port.peer())});
   if (required && port.prescale() > 1) facts.add({"every", {fmt::format("{}", port.prescale()), port.prescale()}});
   if (required && !port.transport().empty()) facts.add({"transport", port.transport()});
+  for (const auto& one : port.providers())
+    facts.add({"provider", fmt::format("{}{}{}", alternative_text(one), one.transport().empty() ? "" : ", over ", one.transport())});
+  if (!port.providers().empty()) {
+    facts.add({"hold", {fmt::format("{:g} s", port.hold_ms() / 1000), port.hold_ms()}});
+    facts.add({"flaps", {fmt::format("{}", port.flaps()), port.flaps()}});
+  }
   if (!required) facts.add({"clients", clients_text(port)});
   for (const auto& [name, count] : {std::pair{"messages", port.messages()},
                                     {"superseded", port.superseded()},

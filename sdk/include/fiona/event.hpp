@@ -81,9 +81,9 @@ class EventClient : public RequiredPort {
   EventClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
               Handler handler);
   ~EventClient() override;
-  void set_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
 
  protected:
+  void use_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
   struct EventCall : Call {
     Envelope event;
   };

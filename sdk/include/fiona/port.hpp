@@ -22,6 +22,7 @@ namespace fiona {
 class ActivityHold;
 class Component;
 class Hull;
+class RequiredPort;
 
 enum class PortDirection { Provides, Requires };
 
@@ -277,15 +278,59 @@ class ProvidedPort : public Port {
   }
 };
 
-/// A port that requires: it has one wire.
+/// The client's end of a wire: what its provider says, and how the wire is, reach the port through here. Of a port with
+/// alternatives only the end that serves lets messages through. All functions [any thread].
+class WireEnd final : public std::enable_shared_from_this<WireEnd> {
+ public:
+  WireEnd(RequiredPort& port, std::string provider) : port_(port), provider_(std::move(provider)) {}
+
+  RequiredPort& port() const { return port_; }
+  /// "instance.port"; empty: the port has not been wired.
+  const std::string& provider() const { return provider_; }
+
+  /// Of a push: into the port's inbox, if this end serves.
+  Outcome push(Parcel parcel);
+  /// Where the messages of a send, query or event client go while this end serves; null: nowhere.
+  void set_target(std::shared_ptr<Sink> target);
+  /// Called by the host's wiring. What that means to waits and calls: patterns.md's table.
+  void set_connection(Connection connection, std::string reason);
+  /// The provider of a connected wire is silent, or speaks again.
+  void set_lease(bool held, const std::string& reason);
+  /// Of an end that is to take the place of a port's only one: the port's.
+  Connection connection() const;
+
+ private:
+  friend class RequiredPort;
+  // guarded by the port's mutex
+  bool is_live() const { return connection_ == Connection::Connected && !silence_; }
+  bool is_fit() const { return is_live() && valid_; }
+  std::string unfitness() const;
+
+  RequiredPort& port_;
+  const std::string provider_;
+  std::atomic<bool> open_{false};  ///< it is the port's only one: nothing has to be asked
+  Connection connection_ = Connection::Unwired;
+  std::string reason_ = "not wired";
+  std::optional<std::string> silence_;  ///< why, of a provider that is silent
+  bool valid_ = true;                   ///< as its last object says
+  bool heard_ = false;                  ///< it has said something since it was connected
+  TimePoint fit_since_{};               ///< and heard
+  std::shared_ptr<Sink> target_;
+  std::optional<Envelope> last_;        ///< of a service that has a last value
+};
+
+/// A port that requires. It has one wire, or one to each of several providers, of which the first that is fit serves:
+/// connected, not silent for longer than its lease, and its last object valid (`is_valid`, where its type has that).
+/// When who serves is fit no longer, the next one serves at once; a better one serves again after it has spoken, and
+/// been fit without a break for the hold time.
 class RequiredPort : public Port {
  public:
+  static constexpr Duration kDefaultHold = std::chrono::seconds(3);
+
   RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
 
   /// The inbox of a push client; null for send and query.
   virtual Inbox* inbox() { return nullptr; }
-  /// [any thread] Where a send or query client's messages go from now on; null: nowhere.
-  virtual void set_target(std::shared_ptr<Sink> /*target*/) {}
   void close() override { on_connection(Connection::Unwired); }
 
   /// [strand] While on, every call of this port that waits or is made ends with Cancelled. The same for all ports:
@@ -295,15 +340,35 @@ class RequiredPort : public Port {
 
   /// [any thread]
   Connection connection() const { return connection_.load(); }
-  /// [any thread] Called by the host's wiring. Leaving Connected ends waits as patterns.md's table says.
-  void set_connection(Connection connection, std::string reason);
   std::string connection_reason() const;
-  /// [any thread] The provider at the other end of a connected wire is silent, or speaks again: Lost, or Connected.
-  void set_lease(bool held, const std::string& reason);
   /// [any thread] When it entered its connection state, on the instance's clock.
   TimePoint connection_since() const { return TimePoint(Duration(since_ns_.load())); }
 
+  /// [any thread] The end for a wire from this provider: of one that it was arranged for, or one that takes the place of
+  /// the port's only end once it is connected.
+  std::shared_ptr<WireEnd> end_for(const std::string& provider);
+  /// [any thread] From now on these are its providers, the best first; none: it is wired no longer. Those that it has
+  /// already stay as they are. Called by the host's wiring.
+  void arrange(const std::vector<std::string>& providers, Duration hold);
+
+  /// One of several providers.
+  struct Alternative {
+    std::string provider;
+    Connection connection = Connection::Unwired;
+    std::string reason;  ///< why it is not fit
+    bool fit = false;
+    bool serves = false;
+  };
+  /// [any thread] In their order; empty: it has no alternatives.
+  std::vector<Alternative> alternatives() const;
+  /// [any thread] How often who served, or was about to serve again, was fit no longer.
+  std::uint64_t flaps() const { return flaps_.load(std::memory_order_relaxed); }
+
  protected:
+  /// [any thread] Where the messages of a send, query or event client go from now on; null: nowhere.
+  virtual void use_target(std::shared_ptr<Sink> /*target*/) {}
+  /// [any thread] The connection changes, before anything more arrives.
+  virtual void on_entering(Connection) {}
   /// [strand] The connection has changed.
   virtual void on_connection(Connection) {}
   void on_inactive() override { calls_.finish_all(Outcome::NotActive); }
@@ -313,21 +378,53 @@ class RequiredPort : public Port {
 
  private:
   friend class Hull;
+  friend class WireEnd;
+  using Ends = std::vector<std::shared_ptr<WireEnd>>;
+
+  // alternatives.cpp; all but the first with the mutex
+  void arm_return();
+  bool owns(const WireEnd& end) const;
+  bool adopts(WireEnd& end);
+  bool keeps_last() const { return service().contract().last_value(); }
+  void connected(WireEnd& end, Connection connection, std::string reason);
+  void leased(WireEnd& end, bool held, const std::string& reason);
+  Outcome take(WireEnd& end, Parcel parcel);
+  template <class Change>
+  void change(WireEnd& end, const Change& make);
+  void choose();
+  std::shared_ptr<WireEnd> best() const;
+  TimePoint next_return() const;
+  void serve(const std::shared_ptr<WireEnd>& chosen, bool again);
+  void serve_only();
+  void enter_unfit();
+  bool says_valid(const Object& object) const;
+  /// Of a provider that has not pushed anything since it was connected nothing is known: it takes nobody's place.
+  bool may_return(const WireEnd& end) const { return end.is_fit() && (end.heard_ || !is_push_); }
+  void enter(Connection connection, std::string reason, std::string news = {});
+
   detail::Calls calls_;
   bool cancelled_ = false;  ///< strand only
   std::atomic<Connection> connection_{Connection::Unwired};
   std::atomic<std::int64_t> since_ns_{0};
-  void enter(Connection connection, std::string reason);
+  std::atomic<std::uint64_t> flaps_{0};
+  const bool is_push_;
+  const google::protobuf::FieldDescriptor* const validity_;  ///< `is_valid` of its objects; null: they have none
 
-  mutable std::mutex reason_mutex_;
+  mutable std::mutex mutex_;
   std::string reason_ = "not wired";
-  std::optional<std::string> before_silence_;  ///< the reason while connected, of a port that is lost to silence
+  Ends ends_;                         ///< never empty
+  std::shared_ptr<WireEnd> serving_;  ///< one of them
+  Duration hold_ = kDefaultHold;
+  TimerId return_timer_ = 0;          ///< strand only
 };
 
 /// A wire within one process: hands parcels to the inbox at its end, every `prescale`-th of a push.
 class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWire> {
  public:
-  LocalWire(std::string name, Inbox& inbox, std::uint32_t prescale);
+  /// Of a send, query or event: to the provider's inbox.
+  LocalWire(std::string name, Inbox& inbox);
+  /// Of a push: to the client's end.
+  LocalWire(std::string name, std::shared_ptr<WireEnd> end, std::uint32_t prescale);
   Outcome deliver(Parcel parcel) override;
   void lease(bool held, const std::string& reason) override;
   /// [any thread] After it returned nothing more reaches the inbox.
@@ -343,6 +440,7 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
 
   const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
   const std::uint32_t prescale_;
+  const std::shared_ptr<WireEnd> end_;  ///< of a push
   std::mutex mutex_;
   Inbox* inbox_;  ///< null once cut
   Clock& clock_;

@@ -66,6 +66,7 @@ class PushClient : public RequiredPort {
 
  protected:
   std::optional<Inbox::Newest> newest() { return inbox_.newest(); }
+  void on_entering(Connection connection) override;
   void on_connection(Connection connection) override;
 
   struct NextCall : Call {

@@ -25,9 +25,9 @@ class QueryClient : public RequiredPort {
 
   QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
   ~QueryClient() override;
-  void set_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
 
  protected:
+  void use_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
   struct Answer {
     Outcome outcome = Outcome::NoData;
     std::string reason;

@@ -19,9 +19,9 @@ class SendClient : public RequiredPort {
  public:
   SendClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
       : RequiredPort(owner, name, service, options), rules_(service.object()) {}
-  void set_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
 
  protected:
+  void use_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
   Outcome send_object(std::shared_ptr<const Object> object);
   Async<Result<Acknowledged>> send_and_wait(std::shared_ptr<const Object> object, Duration within);
   void on_connection(Connection connection) override;

@@ -155,8 +155,9 @@ class Bench : private HullEvents {
     auto sink = std::make_shared<Collector>();
     if (auto* provider = dynamic_cast<detail::PushProvider*>(&port)) provider->attach(sink);
     if (auto* client = dynamic_cast<RequiredPort*>(&port)) {
-      client->set_target(sink);
-      client->set_connection(Connection::Connected, "on the bench");
+      const auto end = client->end_for("bench");
+      end->set_target(sink);
+      end->set_connection(Connection::Connected, "on the bench");
     }
     collectors_.emplace(port.name(), std::move(sink));
   }
