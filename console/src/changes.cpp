@@ -1,8 +1,11 @@
 #include "changes.hpp"
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include "grammar.hpp"
+#include "system_view.hpp"
 
 namespace fiona::console {
 namespace {
@@ -19,6 +22,7 @@ std::string load_line(const control::Load& load) {
   if (!load.instance().empty()) line += " as " + typed_text(load.instance());
   if (!load.group().empty() && load.group() != "main") line += " in " + typed_text(load.group());
   if (!load.mode().empty()) line += " at " + typed_text(load.mode());
+  for (const auto& right : load.rights()) line += " with " + typed_text(right);
   return with_arguments(std::move(line), load.parameters());
 }
 
@@ -34,6 +38,43 @@ std::vector<std::string> lines_of(const google::protobuf::RepeatedPtrField<contr
   std::vector<std::string> lines;
   for (const auto& change : changes) lines.push_back(line_of(change));
   return lines;
+}
+
+/// "distance median 1.4 m, most 3.9 m": the first few, the rest is for programs.
+std::string agreement_text(const control::Agreement& one) {
+  constexpr int kShown = 4;
+  std::string text;
+  for (int i = 0; i < std::min(kShown, one.differences_size()); ++i) {
+    const auto& difference = one.differences(i);
+    const std::string unit = difference.unit().empty() ? "" : " " + difference.unit();
+    text += fmt::format("{}{} median {:.3g}{}, max {:.3g}{}", text.empty() ? "" : "; ", difference.field(), difference.median(), unit,
+                        difference.most(), unit);
+  }
+  const bool all_valid = one.old_valid() == one.old_messages() && one.next_valid() == one.next_messages();
+  if (!text.empty() && all_valid) return text;
+  return fmt::format("{}{}{} messages ({} valid) and {} ({} valid)", text, text.empty() ? "" : "; ", one.old_messages(), one.old_valid(),
+                     one.next_messages(), one.next_valid());
+}
+
+std::string agreements_text(const control::Done& done) {
+  std::string text;
+  for (const auto& one : done.agreements()) {
+    const std::string names = done.agreements_size() == 1 ? "" : fmt::format(", {} and {}", text_of(one.old()), text_of(one.next()));
+    text += fmt::format("{}{:g} s together{}: {}", text.empty() ? "" : "\n", done.watched_s(), names, agreement_text(one));
+  }
+  return text;
+}
+
+nlohmann::json agreement_facts(const control::Agreement& one) {
+  nlohmann::json facts{{"old", text_of(one.old())},           {"next", text_of(one.next())},
+                       {"old_messages", one.old_messages()}, {"next_messages", one.next_messages()},
+                       {"old_valid", one.old_valid()},       {"next_valid", one.next_valid()},
+                       {"differences", nlohmann::json::array()}};
+  for (const auto& difference : one.differences()) {
+    facts["differences"].push_back({{"field", difference.field()}, {"unit", difference.unit()}, {"median", difference.median()},
+                                    {"max", difference.most()}, {"compared", difference.compared()}});
+  }
+  return facts;
 }
 
 void tell_plan(Session& session, const control::Planned& planned) {
@@ -61,7 +102,8 @@ std::string line_of(const control::Change& change) {
     case control::Change::kState:
       return fmt::format("state {} {}", typed_text(change.state().instance()), typed_text(change.state().mode()));
     case control::Change::kReplace:
-      return fmt::format("swap {} for {}", typed_text(change.replace().old()), typed_text(change.replace().next()));
+      return fmt::format("swap {} for {}{}", typed_text(change.replace().old()), typed_text(change.replace().next()),
+                         change.replace().watch_ms() > 0 ? fmt::format(" watch {:g}ms", change.replace().watch_ms()) : "");
     case control::Change::WHAT_NOT_SET: break;
   }
   return "# a change that this console does not know";
@@ -72,6 +114,8 @@ void tell(Session& session, const control::Reply& reply, const std::string& othe
   const control::Done& done = reply.done();
   std::string note = done.note().empty() ? otherwise : done.note();
   nlohmann::json facts = nlohmann::json::object();
+  for (const auto& one : done.agreements()) facts["agreements"].push_back(agreement_facts(one));
+  if (done.agreements_size() > 0) note = agreements_text(done) + "\n" + note;
   if (done.entry() != 0) facts["entry"] = done.entry();
   if (done.switched() > 0) {
     note += fmt::format("; switched {} wire{}, gap {:.3g} ms, lost {}", done.switched(), done.switched() == 1 ? "" : "s",
@@ -89,7 +133,7 @@ void make(Session& session, const Line& line, control::Change change, const std:
     return;
   }
   control::Request request;
-  const bool waits = change.has_state();
+  const bool waits = change.has_state() || change.replace().watch_ms() > 0;
   *request.mutable_transact()->add_changes() = std::move(change);
   const std::string place = line.words.origin.empty() ? "" : place_text(line.words, line.verb.place);
   tell(session, waits ? session.host().call_waiting(std::move(request)) : session.call(std::move(request)), otherwise, place);

@@ -23,6 +23,7 @@ void apply(CommandLine& command, const std::string& name, const std::string& val
   if (name == "-q") command.manner.quiet = true;
   if (name == "-v") command.manner.verbose = true;
   if (name == "--at") command.options.at = value;
+  if (name == "--control") command.options.control = true;
   if (name == "--host") command.options.host = value;
   if (name == "--store") command.options.store = value;
   if (name == "--timeout") {

@@ -91,9 +91,9 @@ void throw_failure(const control::Failure& failure) {
   throw RefusedChange(code_of(failure.code()), std::move(text), failure.change());
 }
 
-ControlClient::ControlClient(Reactor& reactor, std::filesystem::path socket, std::chrono::milliseconds timeout)
-    : reactor_(reactor), path_(std::move(socket)), timeout_(timeout) {
-  connect(timeout);
+ControlClient::ControlClient(Reactor& reactor, Endpoint endpoint, std::chrono::milliseconds timeout, bool control)
+    : reactor_(reactor), endpoint_(std::move(endpoint)), timeout_(timeout) {
+  connect(control);
 }
 
 ControlClient::~ControlClient() {
@@ -101,19 +101,31 @@ ControlClient::~ControlClient() {
   close();
 }
 
-void ControlClient::connect(std::chrono::milliseconds timeout) {
+void ControlClient::connect(bool control) {
+  if (endpoint_.remote) {
+    remote_ = std::make_unique<RemoteLink>(*endpoint_.remote, control);
+    remote_->await_welcome(reactor_, timeout_);
+    socket_ = remote_->descriptor();
+  } else {
+    connect_here();
+  }
+  reactor_.add(socket_, [this] { receive(); });
+}
+
+void ControlClient::connect_here() {
   const auto refuse = [this](const std::string& why) {
     throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers: " + why,
-                                                  .where = "unix:" + path_.string(),
+                                                  .where = endpoint_.text(),
                                                   .next = "start one: fiona run FILE"});
   };
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
-  if (path_.native().size() >= sizeof address.sun_path) refuse("the socket's path is too long");
-  std::memcpy(address.sun_path, path_.c_str(), path_.native().size());
+  const std::string& path = endpoint_.socket.native();
+  if (path.size() >= sizeof address.sun_path) refuse("the socket's path is too long");
+  std::memcpy(address.sun_path, path.c_str(), path.size());
   socket_ = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (socket_ < 0) refuse(std::strerror(errno));
-  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  const auto deadline = std::chrono::steady_clock::now() + timeout_;
   // A unix socket with a full backlog gives EAGAIN instead of a pending connection.
   while (::connect(socket_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
     const int problem = errno;
@@ -126,7 +138,6 @@ void ControlClient::connect(std::chrono::milliseconds timeout) {
     if (again)
       reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(10));
   }
-  reactor_.add(socket_, [this] { receive(); });
 }
 
 void ControlClient::send(const control::Request& request) {
@@ -138,8 +149,7 @@ void ControlClient::send(const control::Request& request) {
       rest.remove_prefix(static_cast<std::size_t>(sent));
     } else if (closed() || (errno != EAGAIN && errno != EINTR) || !Reactor::wait_writable(socket_, deadline)) {
       throw Error(ErrorCode::Unreachable,
-                  ErrorText{.what = closed() ? "the host has gone" : "the host does not take the request",
-                            .where = "unix:" + path_.string()});
+                  ErrorText{.what = closed() ? farewell() : "the host does not take the request", .where = endpoint_.text()});
     }
   }
 }
@@ -169,9 +179,14 @@ void ControlClient::arrived(const control::Reply& reply) {
 void ControlClient::close() {
   if (closed()) return;
   reactor_.remove(socket_);
-  ::close(socket_);
+  if (!remote_) ::close(socket_);
   socket_ = -1;
   if (on_closed_) on_closed_();
+}
+
+std::string ControlClient::farewell() const {
+  const std::string reason = remote_ ? remote_->reason() : "";
+  return reason.empty() ? "the host has gone" : "the host has gone: " + reason;
 }
 
 std::uint64_t ControlClient::begin(control::Request request, Answer answer) {
@@ -219,8 +234,8 @@ control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& r
   forget(id);
   if (!here) {
     throw Error(ErrorCode::Unreachable,
-                ErrorText{.what = in_time ? "the host has gone" : "the host does not answer in time",
-                          .where = "unix:" + path_.string(),
+                ErrorText{.what = in_time ? farewell() : "the host does not answer in time",
+                          .where = endpoint_.text(),
                           .next = in_time ? "fiona ls hosts" : "more time: --timeout 10s"});
   }
   if (reply.has_failure()) throw_failure(reply.failure());

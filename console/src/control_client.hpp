@@ -2,15 +2,16 @@
 
 #include <chrono>
 #include <cstdint>
-#include <filesystem>
 #include <functional>
 #include <map>
+#include <memory>
 #include <string>
 #include <string_view>
 
 #include <fiona/error.hpp>
 
 #include "fiona/control.pb.h"
+#include "locations.hpp"
 #include "reactor.hpp"
 
 namespace fiona::console {
@@ -36,8 +37,9 @@ class ControlClient {
  public:
   using Answer = std::function<void(const control::Reply&)>;
 
-  /// Connects to the unix socket. Throws fiona::Error (Unreachable).
-  ControlClient(Reactor& reactor, std::filesystem::path socket, std::chrono::milliseconds timeout);
+  /// Connects; over tcp, `control` asks for all that the key may, and not only to look. Throws fiona::Error (Unreachable,
+  /// NotAllowed).
+  ControlClient(Reactor& reactor, Endpoint endpoint, std::chrono::milliseconds timeout, bool control = false);
   ControlClient(const ControlClient&) = delete;
   ControlClient& operator=(const ControlClient&) = delete;
   ~ControlClient();
@@ -64,10 +66,15 @@ class ControlClient {
 
   void set_timeout(std::chrono::milliseconds timeout) { timeout_ = timeout; }
   void set_author(std::string author) { author_ = std::move(author); }
-  const std::filesystem::path& path() const { return path_; }
+  const Endpoint& endpoint() const { return endpoint_; }
+  /// Null unless it goes over tcp.
+  const RemoteLink* remote() const { return remote_.get(); }
+  /// "the host has gone", and why, if that is known.
+  std::string farewell() const;
 
  private:
-  void connect(std::chrono::milliseconds timeout);
+  void connect(bool control);
+  void connect_here();
   void send(const control::Request& request);
   void receive();
   void close();
@@ -75,9 +82,10 @@ class ControlClient {
   control::Reply wait_for(std::uint64_t id, const control::Reply& reply, const bool& here, SteadyTime deadline);
 
   Reactor& reactor_;
-  const std::filesystem::path path_;
+  const Endpoint endpoint_;
   std::chrono::milliseconds timeout_;
   std::string author_ = "console";
+  std::unique_ptr<RemoteLink> remote_;  ///< owns the socket
   int socket_ = -1;
   std::uint64_t last_id_ = 0;
   FrameReader frames_;

@@ -13,6 +13,7 @@ namespace fiona::console {
 namespace {
 
 constexpr std::size_t kMostBytes = 16U << 20U;  // of a script: as much as one control message may be
+constexpr std::size_t kMostComment = 4096;     // of one line, bytes; what is longer loses its end
 constexpr std::array<std::string_view, 9> kKeywords{"as", "in", "to", "else", "for", "with", "at", "every", "when"};
 
 std::shared_ptr<const std::vector<std::string>> physical_lines(std::string_view text) {
@@ -116,8 +117,18 @@ std::vector<WordLine> split_script(std::string_view text, const std::string& ori
   const WordLine frame = frame_of(text, origin);
   Scanner scanner(text, frame);
   std::vector<WordLine> lines;
+  std::string above;
   while (!scanner.at_end()) {
-    if (auto line = next_line(scanner, frame)) lines.push_back(std::move(*line));
+    auto line = next_line(scanner, frame);
+    const std::string comment = scanner.take_comment();
+    const bool fits = above.size() + comment.size() < kMostComment;
+    if (!line) {
+      above = comment.empty() ? "" : fits ? above + comment + "\n" : above;
+      continue;
+    }
+    line->comment = std::exchange(above, {}) + (fits ? comment : "");
+    if (line->comment.ends_with('\n')) line->comment.pop_back();
+    lines.push_back(std::move(*line));
   }
   return lines;
 }

@@ -17,6 +17,7 @@ struct HostLaunch {
   std::string name;
   std::filesystem::path store;  ///< empty: the user's
   std::string listen{};              ///< "ADDRESS:PORT"; empty: not over tcp
+  std::string serve{};               ///< "ADDRESS:PORT" for consoles; empty: none over tcp
   std::vector<std::string> peers{};  ///< "NAME=ADDRESS:PORT=KEY"
   bool restore = false;         ///< begins with the system of its last journal
 };

@@ -91,18 +91,36 @@ std::vector<RunningHost> running_hosts() {
   return hosts;
 }
 
-fs::path chosen_socket(const std::string& at, const std::string& host) {
+namespace {
+
+RemoteAddress remote_address(const std::string& at) {
+  const std::size_t equals = at.rfind('=');
+  const auto key = equals == std::string::npos ? std::nullopt : trust::Key::from_text(at.substr(equals + 1));
+  if (key && trust::is_address(at.substr(0, equals))) return {at.substr(0, equals), at.substr(0, equals), *key};
+  std::vector<std::string> names;
+  for (const trust::KnownHost& known : trust::KeyDirectory().known()) {
+    if (known.name == at || known.address == at) return {known.name, known.address, known.key};
+    names.push_back(known.name);
+  }
+  throw Error(ErrorCode::Usage, ErrorText{.what = "this endpoint is not understood",
+                                          .expected = "unix:PATH, ADDRESS:PORT=KEY, or a name that is known",
+                                          .found = at,
+                                          .next = "fiona keys know NAME ADDRESS:PORT KEY",
+                                          .near = nearest_names(at, names)});
+}
+
+}  // namespace
+
+Endpoint chosen_endpoint(const std::string& at, const std::string& host) {
   constexpr std::string_view kUnix = "unix:";
-  if (!at.empty() && !at.starts_with(kUnix))
-    throw Error(ErrorCode::Usage,
-                ErrorText{.what = "this endpoint is not understood", .expected = "unix:PATH", .found = at});
-  if (!at.empty()) return at.substr(kUnix.size());
+  if (at.starts_with(kUnix)) return {at.substr(kUnix.size())};
+  if (!at.empty()) return {{}, remote_address(at)};
   const std::vector<RunningHost> hosts = running_hosts();
   std::vector<std::string> names;
   for (const RunningHost& running : hosts) names.push_back(running.name);
   if (!host.empty()) {
     const fs::path socket = socket_of(host);
-    if (std::find(names.begin(), names.end(), host) != names.end()) return socket;
+    if (std::find(names.begin(), names.end(), host) != names.end()) return {socket};
     throw Error(ErrorCode::Unreachable, ErrorText{.what = fmt::format("no host '{}' runs", host),
                                                   .found = fmt::format("{}", fmt::join(names, ", ")),
                                                   .next = fmt::format("fiona run FILE --host {}", host),
@@ -115,7 +133,7 @@ fs::path chosen_socket(const std::string& at, const std::string& host) {
                                             .found = fmt::format("{}", fmt::join(names, ", ")),
                                             .next = fmt::format("name one: fiona --host {} …", names.front())});
   }
-  return hosts.front().socket;
+  return {hosts.front().socket};
 }
 
 fs::path history_file() {

@@ -1,9 +1,12 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "remote_link.hpp"
 
 namespace fiona::console {
 
@@ -25,9 +28,17 @@ std::vector<RunningHost> running_hosts();
 /// Whether somebody listens on the socket.
 bool answers(const std::filesystem::path& socket);
 
-/// The socket that `at` ("unix:PATH") or `host` names, or that of the only host that runs. Throws fiona::Error:
-/// Unreachable where none runs, Usage where several do, or the endpoint is of another kind.
-std::filesystem::path chosen_socket(const std::string& at, const std::string& host);
+/// Where a host is: behind a socket of this machine, or over tcp.
+struct Endpoint {
+  std::filesystem::path socket{};
+  std::optional<RemoteAddress> remote{};
+  /// "unix:PATH", "tcp://ADDRESS:PORT".
+  std::string text() const { return remote ? "tcp://" + remote->address : "unix:" + socket.string(); }
+};
+
+/// What `at` ("unix:PATH", "ADDRESS:PORT=KEY", a name of `keys know`) or `host` names, or the only host that runs. Throws
+/// fiona::Error: Unreachable where none runs, Usage where several do, or the endpoint is of another kind.
+Endpoint chosen_endpoint(const std::string& at, const std::string& host);
 
 /// $XDG_STATE_HOME/fiona/history, else ~/.local/state/fiona/history; empty without a home.
 std::filesystem::path history_file();

@@ -4,10 +4,9 @@
 
 #include <fmt/format.h>
 
-#include "catalogue.hpp"
-#include "completion.hpp"
 #include "grammar.hpp"
 #include "line_editor.hpp"
+#include "living_names.hpp"
 #include "locations.hpp"
 #include "verb_table.hpp"
 #include "watch_list.hpp"
@@ -15,63 +14,7 @@
 namespace fiona::console {
 namespace {
 
-constexpr std::chrono::milliseconds kCompletionLimit{150};
-constexpr std::chrono::seconds kSnapshotLife{1};
-
-/// Names from the running host, asked at most once a second and never for longer than the limit.
-class LivingNames final : public Names {
- public:
-  explicit LivingNames(Session& session) : session_(session) {}
-
-  const control::System* system() override {
-    const auto now = std::chrono::steady_clock::now();
-    if (asked_ && now - *asked_ < kSnapshotLife) return known_ ? &system_ : nullptr;
-    asked_ = now;
-    known_ = false;
-    if (!session_.connected()) return nullptr;
-    control::Request request;
-    request.mutable_snapshot();
-    system_ = session_.host().call(std::move(request), kCompletionLimit).system();
-    known_ = true;
-    return &system_;
-  }
-
-  std::vector<std::string> plugins() override {
-    std::vector<std::string> names;
-    const Catalogue catalogue(session_.options.store);
-    for (const KnownPlugin& plugin : catalogue.plugins()) {
-      if (plugin.installed) names.insert(names.end(), {plugin.manifest.name(), plugin.name()});
-    }
-    return names;
-  }
-
-  std::vector<std::string> packages() override {
-    std::vector<std::string> names;
-    const Catalogue catalogue(session_.options.store);
-    for (const KnownPlugin& plugin : catalogue.plugins()) names.push_back(plugin.name());
-    return names;
-  }
-
-  std::vector<std::string> files(std::string_view begin) override {
-    namespace fs = std::filesystem;
-    const std::size_t slash = begin.rfind('/');
-    const std::string directory = slash == std::string_view::npos ? "" : std::string(begin.substr(0, slash + 1));
-    std::vector<std::string> names;
-    std::error_code problem;
-    constexpr std::size_t kMost = 10'000;
-    for (const auto& entry : fs::directory_iterator(directory.empty() ? "." : directory, problem)) {
-      if (names.size() < kMost)
-        names.push_back(directory + entry.path().filename().string() + (entry.is_directory(problem) ? "/" : ""));
-    }
-    return names;
-  }
-
- private:
-  Session& session_;
-  control::System system_;
-  bool known_ = false;
-  std::optional<SteadyTime> asked_;
-};
+constexpr std::chrono::milliseconds kRetryPeriod{500};
 
 class Prompt {
  public:
@@ -88,16 +31,18 @@ class Prompt {
   Prompt(const Prompt&) = delete;
   Prompt& operator=(const Prompt&) = delete;
   ~Prompt() {
+    if (session_.connected()) session_.host().on_closed(nullptr);
     if (run_ && session_.connected()) session_.host().forget(*run_);
+    if (retry_) session_.reactor.cancel_timer(*retry_);
     session_.setting = setting_;
     session_.out.exchange_sink(std::move(before_));
   }
 
   void serve() {
-    session_.host().set_author("console");
+    attach();
     if (options_.let_run) let_run();
     while (!session_.finished && !left_) {
-      if (!session_.connected()) return gone();
+      if (has_ended()) return;
       try {
         serve_line();
       } catch (const Interrupted&) {
@@ -113,8 +58,8 @@ class Prompt {
                                    : more            ? "     > "
                                    : session_.batch ? fmt::format("fiona({})> ", session_.batch->changes.size())
                                                      : "fiona> ",
-                                   [this] { return !session_.connected(); });
-    if (!session_.connected()) return;
+                                   [this] { return has_ended(); });
+    if (has_ended()) return;
     if (asking_) return take_answer(line);
     if (!line) return leave();
     typed_ += (more ? "\n" : "") + *line;
@@ -175,9 +120,44 @@ class Prompt {
                                     : "Ctrl-D leaves");
   }
 
-  void gone() const {
-    if (options_.started_host) return;  // its own exit code says why
-    throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host has gone", .next = "fiona ls hosts"});
+  /// A host that this process started; its own exit code says why.
+  bool has_ended() const { return options_.started_host && !session_.connected(); }
+
+  void attach() {
+    ControlClient& host = session_.host();
+    endpoint_ = host.endpoint();
+    host.set_author("console");
+    if (const RemoteLink* remote = host.remote())
+      session_.out.remark(fmt::format("this console may {} at host '{}'", remote->level(), remote->host()));
+    if (!options_.started_host) host.on_closed([this] { lost(); });
+  }
+
+  void lost() {
+    if (ending_ || session_.finished) return;
+    session_.out.remark(fmt::format("{}; this prompt goes on when it is back, Ctrl-D leaves", session_.farewell()));
+    retry_later();
+  }
+
+  void retry_later() {
+    retry_ = session_.reactor.add_timer(std::chrono::steady_clock::now() + kRetryPeriod, [this] { retry(); });
+  }
+
+  void retry() {
+    retry_.reset();
+    if (!session_.connected() && !endpoint_.remote && !answers(endpoint_.socket)) return retry_later();
+    try {
+      if (!session_.connected()) {
+        session_.disconnect();  // what was watched there is watched no more
+        session_.connect(endpoint_);
+      }
+      attach();
+    } catch (const Error&) {
+      return retry_later();
+    } catch (const Interrupted&) {
+      retry_later();
+      throw;
+    }
+    session_.out.remark("the host is back");
   }
 
   Session& session_;
@@ -187,6 +167,8 @@ class Prompt {
   Output::Sink before_;
   const Setting setting_;
   std::string typed_;
+  Endpoint endpoint_;
+  std::optional<std::uint64_t> retry_;
   std::optional<std::uint64_t> run_;
   bool asking_ = false;
   bool ending_ = false;  // by a line of ours, which needs no news about it

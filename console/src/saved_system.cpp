@@ -4,6 +4,8 @@
 
 #include "changes.hpp"
 #include "grammar.hpp"
+#include "inert.hpp"
+#include "system_view.hpp"
 
 namespace fiona::console {
 namespace {
@@ -21,6 +23,7 @@ control::Change load_of(const control::InstanceStatus& instance) {
   load.set_instance(instance.name());
   load.set_group(instance.group());
   load.set_mode(instance.mode_at_load());
+  *load.mutable_rights() = instance.rights();
   *load.mutable_parameters() = instance.set_parameters();
   return change;
 }
@@ -57,7 +60,10 @@ bool is_main_mode(const control::InstanceStatus& instance) {
 std::string saved_system(const control::System& system) {
   std::string text;
   if (system.clock() == "virtual") text += fmt::format("set host clock=virtual speed={:g}\n", system.speed());
-  for (const auto& instance : system.instances()) text += line_of(load_of(instance)) + "\n";
+  for (const auto& instance : system.instances()) {
+    for (const std::string& line : split_lines(instance.comment())) text += "# " + inert(line) + "\n";
+    text += line_of(load_of(instance)) + "\n";
+  }
   for (const auto& instance : system.instances()) text += wire_lines(instance);
   for (const auto& instance : system.instances()) {
     const std::string first = instance.modes().empty() ? "active" : instance.modes(0);

@@ -17,6 +17,12 @@ bool is_name_character(char c) {
   return is_letter(c) || (c >= '0' && c <= '9') || c == '.' || c == '-' || c == '[' || c == ']';
 }
 
+std::string_view trimmed(std::string_view text) {
+  while (!text.empty() && is_blank(text.front())) text.remove_prefix(1);
+  while (!text.empty() && is_blank(text.back())) text.remove_suffix(1);
+  return text;
+}
+
 }  // namespace
 
 void Scanner::advance() {
@@ -49,7 +55,9 @@ void Scanner::skip_blanks() {
     if (is_blank(peek())) advance();
   }
   if (peek() == '#') {
+    const std::string_view begin = text_.substr(1);
     while (!at_end() && peek() != '\n') advance();
+    comment_ = trimmed(begin.substr(0, begin.size() - text_.size()));
   }
 }
 

@@ -3,6 +3,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "grammar.hpp"
@@ -33,6 +34,8 @@ class Scanner {
 
   /// Past blanks, continuations and a comment.
   void skip_blanks();
+  /// The last comment that was passed, without its mark and the blanks around it; once.
+  std::string take_comment() { return std::exchange(comment_, {}); }
 
   bool at_word_end() const;
 
@@ -58,6 +61,7 @@ class Scanner {
   std::string_view text_;
   const WordLine& frame_;
   Place place_;
+  std::string comment_;
 };
 
 /// The elements of a word of kind List, each with its place in the line.

@@ -35,14 +35,18 @@ class LineOptions {
 
  private:
   void take_endpoint(const Line& line) {
-    for (const char* name : {"--at", "--host"}) {
-      const Word* given = line.option(name);
-      if (given == nullptr) continue;
+    for (const char* name : {"--at", "--host", "--control"}) {
+      const auto found = line.options.find(name);
+      if (found == line.options.end()) continue;
+      const auto& [key, word] = found->second;
+      const std::string given = key.text.empty() ? word.text : key.text + "=" + word.text;  // ADDRESS:PORT=KEY
       if (session_.setting != Setting::Shell)
-        throw line.error(*given,
-                         {.what = fmt::format("{} chooses the host when `fiona` starts, not in the middle", name),
-                          .next = fmt::format("from a shell: fiona {} {} …", name, given->text)});
-      (std::string_view(name) == "--at" ? session_.options.at : session_.options.host) = given->text;
+        throw line.error(given.empty() ? line.verb : word,
+                         {.what = fmt::format("{} {} when `fiona` starts, not in the middle", name, given.empty() ? "is said" : "chooses the host"),
+                          .next = fmt::format("from a shell: fiona {}{}{} …", name, given.empty() ? "" : " ", given)});
+      if (std::string_view(name) == "--at") session_.options.at = given;
+      if (std::string_view(name) == "--host") session_.options.host = given;
+      if (std::string_view(name) == "--control") session_.options.control = true;
     }
   }
 
@@ -85,7 +89,7 @@ Session::Session(Reactor& reactor_in, Output& output, Options options_in)
 Session::~Session() = default;
 
 ControlClient& Session::host() {
-  if (!connected()) connect(chosen_socket(options.at, options.host));
+  if (!connected()) connect(chosen_endpoint(options.at, options.host));
   client_->set_timeout(options.timeout);  // of this line
   return *client_;
 }
@@ -96,8 +100,8 @@ ControlClient* Session::host_if_running() {
   return &host();
 }
 
-void Session::connect(const std::filesystem::path& socket) {
-  client_ = std::make_unique<ControlClient>(reactor, socket, options.timeout);
+void Session::connect(const Endpoint& endpoint) {
+  client_ = std::make_unique<ControlClient>(reactor, endpoint, options.timeout, options.control);
 }
 
 void Session::disconnect() {

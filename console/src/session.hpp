@@ -25,10 +25,11 @@ enum class Setting {
 
 /// What the process was told about which host and how to talk.
 struct Options {
-  std::string at;               ///< "unix:PATH"; empty: found in the run-time directory
+  std::string at;               ///< "unix:PATH", "ADDRESS:PORT=KEY", a known name; empty: found in the run-time directory
   std::string host;             ///< its name; empty: the one that runs
   std::filesystem::path store;  ///< empty: the user's
   std::chrono::milliseconds timeout{2000};
+  bool control = false;         ///< over tcp: all that the key may, and not only to look
 };
 
 /// Changes that were collected, each with the line that asked for it.
@@ -58,8 +59,10 @@ class Session {
   /// The connection if a host can be found, for verbs that know more with one.
   ControlClient* host_if_running();
 
-  void connect(const std::filesystem::path& socket);
+  void connect(const Endpoint& endpoint);
   void disconnect();
+  /// "the host has gone", and why, if that is known.
+  std::string farewell() const { return client_ ? client_->farewell() : "the host has gone"; }
   bool connected() const { return client_ != nullptr && !client_->closed(); }
 
   control::Reply call(control::Request request) { return host().call(std::move(request)); }

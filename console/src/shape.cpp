@@ -83,8 +83,13 @@ class Binder {
   void take(const WordLine::Item& item) {
     if (item.name) return take_argument(item);
     if (item.word.kind == WordKind::Plain && is_option(item.word.text)) return take_option(item.word);
-    if (item.word.kind == WordKind::Plain && is_keyword(item.word.text)) return take_clause(item.word);
+    if (item.word.kind == WordKind::Plain && begins_clause(item.word.text)) return take_clause(item.word);
     take_positional(item.word);
+  }
+
+  /// A word that is a keyword in this form only may also be a name, where one is still to come.
+  bool begins_clause(const std::string& word) const {
+    return is_keyword(word) || (shape_.find_clause(word) != nullptr && line_.positional.size() >= shape_.positional().size());
   }
 
   void take_argument(const WordLine::Item& item) {
@@ -145,6 +150,9 @@ class Binder {
                            .expected = fmt::format("{} {}", keyword.text, fmt::join(clause->slot.choices, "|"))});
     auto& words = line_.clauses[keyword.text];
     words.push_back(items()[++at_].word);
+    if (!clause->slot.accepts(words.back()))
+      fail(words.back().place, {.what = fmt::format("'{}' cannot follow '{}'", words.back().text, keyword.text),
+                                .expected = fmt::format("{} {}", keyword.text, fmt::join(clause->slot.choices, "|"))});
     while (clause->slot.repeated && at_ + 1 < items().size() && is_bare_word(items()[at_ + 1])) {
       words.push_back(items()[++at_].word);
     }
@@ -212,6 +220,17 @@ bool Slot::accepts(const Word& word) const {
                                                [&word](const std::string& choice) { return word.is_plain(choice); });
 }
 
+namespace {
+
+/// `[watch T]`: a keyword of this form alone.
+bool is_own_keyword(const std::vector<FormWord>& words, std::size_t at) {
+  const FormWord& word = words[at];
+  const bool followed = at + 1 < words.size() && words[at + 1].optional && is_placeholder(words[at + 1].text);
+  return word.optional && followed && !is_placeholder(word.text) && word.text.find('|') == std::string::npos;
+}
+
+}  // namespace
+
 Shape::Shape(std::string_view form) : text_(form) {
   std::vector<FormWord> words = form_words(form);
   for (std::size_t i = 1; i < words.size(); ++i) {
@@ -223,7 +242,7 @@ Shape::Shape(std::string_view form) : text_(form) {
     if (is_option(word.text)) {
       const bool has_value = i + 1 < words.size() && words[i + 1].optional && is_placeholder(words[i + 1].text);
       options_.push_back({word.text, has_value ? take_slot() : Slot{{}, false, false}});
-    } else if (is_keyword(word.text)) {
+    } else if (is_keyword(word.text) || is_own_keyword(words, i)) {
       clauses_.push_back({word.text, take_slot()});
     } else if (word.text == "PARAM=VALUE" || word.text == "FIELD=VALUE") {
       takes_arguments_ = true;

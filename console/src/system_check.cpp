@@ -88,7 +88,20 @@ class Checker {
     instances_[name] = {known};
     if (!is_path) check_found(line, plugin, found);
     if (const Word* mode = line.clause("at")) check_mode(line, *mode, instances_[name]);
+    check_rights(line, plugin, known);
     check_parameters(line, instances_[name]);
+  }
+
+  void check_rights(const Line& line, const Word& plugin, const KnownComponent& known) {
+    if (known.component == nullptr) return;
+    const auto& asked = known.component->rights();
+    const Word* granted = line.clause("with");
+    if (granted == nullptr && !asked.empty()) {
+      result_.remarks.push_back(fmt::format("{}: {} asks for the right '{}' and does not get it: load {} with {}",
+                                            place_text(line.words, plugin.place), plugin.text, asked[0], plugin.text, asked[0]));
+    }
+    if (granted == nullptr || std::find(asked.begin(), asked.end(), granted->text) != asked.end()) return;
+    throw line.error(*granted, {.what = fmt::format("{} has no use for the right '{}'", plugin.text, granted->text)});
   }
 
   void check_found(const Line& line, const Word& plugin, const std::vector<KnownComponent>& found) const {

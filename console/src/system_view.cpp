@@ -53,6 +53,9 @@ const control::PortStatus& port_at(const control::System& system, const Word& wo
 
 namespace {
 
+const std::string& name_of(const control::TaskStatus& task) { return task.task().name(); }
+const std::string& name_of(const fiona::TaskInterface& task) { return task.name(); }
+
 template <class Owner>
 std::vector<ProbeInfo> probes_of_any(const Owner& instance) {
   std::vector<ProbeInfo> found;
@@ -63,7 +66,7 @@ std::vector<ProbeInfo> probes_of_any(const Owner& instance) {
   for (const HullProbe& one : hull_probes()) {
     if (one.of == HullProbe::Of::Instance) add("", one);
     for (int i = 0; one.of == HullProbe::Of::Port && i < instance.ports_size(); ++i) add(instance.ports(i).name() + ".", one);
-    for (int i = 0; one.of == HullProbe::Of::Task && i < instance.tasks_size(); ++i) add(instance.tasks(i).name() + ".", one);
+    for (int i = 0; one.of == HullProbe::Of::Task && i < instance.tasks_size(); ++i) add(name_of(instance.tasks(i)) + ".", one);
   }
   return found;
 }
@@ -115,6 +118,7 @@ std::string alternatives_text(const control::PortStatus& port) {
 }
 
 std::string health_text(const control::InstanceStatus& instance) {
+  if (instance.silent_s() > 0) return "silent: " + instance.reason();
   if (instance.mode() == "failed") return instance.reason().empty() ? "failed" : "failed: " + instance.reason();
   for (const auto connection : {control::LOST, control::WAITING}) {
     for (const auto& port : instance.ports()) {
@@ -142,6 +146,11 @@ std::vector<std::string> split_lines(std::string_view text) {
     text.remove_prefix(std::min(end + 1, text.size()));
   }
   return lines;
+}
+
+std::string latency_text(double latency_ms) {
+  if (latency_ms < 1) return fmt::format("{:.0f} us", 1000 * latency_ms);
+  return latency_ms < 10 ? fmt::format("{:.1f} ms", latency_ms) : age_text(latency_ms);
 }
 
 std::string age_text(double age_ms) {

@@ -47,5 +47,7 @@ std::string rate_text(double rate_hz);
 std::vector<std::string> split_lines(std::string_view text);
 /// "12 ms", "3.4 s", "never".
 std::string age_text(double age_ms);
+/// "85 us", "1.2 ms", "34 ms".
+std::string latency_text(double latency_ms);
 
 }  // namespace fiona::console

@@ -24,6 +24,7 @@ class Table {
 
   void add(std::vector<Cell> row) { rows_.push_back(std::move(row)); }
   bool empty() const { return rows_.empty(); }
+  std::size_t size() const { return rows_.size(); }
 
   /// The lines, inert, the header first; trailing blanks are cut. Without `header` only the rows.
   std::vector<std::string> lines(bool header = true) const;

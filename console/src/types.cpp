@@ -18,6 +18,9 @@ namespace {
 namespace pb = google::protobuf;
 
 constexpr int kDeepest = 16;
+/// Of one table of fields, and of one plugin's protos: types that have each other several times over grow without end.
+constexpr std::size_t kMostRows = 1000;
+constexpr int kMostFiles = 1000;
 
 /// Adds a file after those that it needs; files that the set lacks come from the platform.
 class PoolBuilder {
@@ -164,7 +167,7 @@ class Flattener {
     }
     if (element != nullptr) {
       const int index = std::atoi(element->c_str() + path.size() + 1);
-      if (index < size) found.push_back({*element, scalar_text(object, field, index), unit});
+      if (index >= 0 && index < size) found.push_back({*element, scalar_text(object, field, index), unit});
       return;
     }
     std::vector<std::string> texts;
@@ -207,9 +210,10 @@ void add_fields(Table& table, const pb::Descriptor& type, const std::string& pre
                 std::vector<const pb::Descriptor*> above) {
   if (std::find(above.begin(), above.end(), &type) != above.end() || above.size() > kDeepest) return;
   above.push_back(&type);
-  for (int i = 0; i < type.field_count(); ++i) {
+  for (int i = 0; i < type.field_count() && table.size() <= kMostRows; ++i) {
     const pb::FieldDescriptor& field = *type.field(i);
     const auto& options = field.options();
+    if (table.size() == kMostRows) return table.add({"…", "", "", "", "the type has more fields"});
     table.add({prefix + field.name(), type_text(field), options.GetExtension(fiona::unit), range_text(field),
                options.GetExtension(fiona::doc)});
     if (field.message_type() != nullptr)
@@ -222,6 +226,11 @@ void add_fields(Table& table, const pb::Descriptor& type, const std::string& pre
 TypeSet::TypeSet(const pb::FileDescriptorSet& files)
     : pool_(std::make_unique<pb::DescriptorPool>()), factory_(std::make_unique<pb::DynamicMessageFactory>()) {
   PoolBuilder builder(files, *pool_);
+  if (files.file_size() > kMostFiles) {
+    throw Error(ErrorCode::Failed, {.what = "too many protos to read their types",
+                                    .expected = fmt::format("at most {} files", kMostFiles),
+                                    .found = fmt::format("{} files", files.file_size())});
+  }
   for (const auto& file : files.file()) builder.add(file.name());
 }
 

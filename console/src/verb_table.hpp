@@ -5,19 +5,14 @@
 #include <string_view>
 #include <vector>
 
+#include <fiona/trust/access.hpp>
+
 #include "session.hpp"
 #include "shape.hpp"
 
 namespace fiona::console {
 
-/// What a verb may be used for, from 0 (nothing) to 9 (everything); one policy for console, scripts, pages and
-/// components compares with it.
-enum class Access : std::uint8_t {
-  Observe = 1,     ///< sees what runs
-  Operate = 4,     ///< changes modes and parameters
-  Compose = 6,     ///< loads, wires, saves
-  Administer = 9,  ///< installs, starts and ends hosts
-};
+using trust::Access;
 
 /// One row of the table: parser, help and completion come from it.
 struct Verb {
@@ -27,7 +22,7 @@ struct Verb {
   std::vector<Shape> forms;
   std::string does;  ///< one line
   std::string more;  ///< what else there is to know; lines
-  Access access;
+  Access access;  ///< what the host asks for where the verb does the most that it can
   Handler handler;
   bool in_transaction = true;  ///< may stand between `begin` and `commit`
   bool takes_line = false;     ///< what follows is another line
@@ -49,8 +44,5 @@ const std::vector<GlobalOption>& global_options();
 /// The line read by the form of its verb that fits best. Throws LineError: no such verb (with near names), or the first
 /// word that does not belong.
 Line read_line(const WordLine& words);
-
-/// "operate (4)".
-std::string access_text(Access access);
 
 }  // namespace fiona::console

@@ -1,11 +1,12 @@
 #include "clock_offset.hpp"
 
-#include <algorithm>
+#include <cstdlib>
 
 namespace fiona::host {
 namespace {
 
-constexpr std::size_t kTrips = 8;
+/// How far two clocks wander apart: a nanosecond in so many.
+constexpr std::int64_t kWander_ns = 20'000;
 /// No time beyond: year 2043, and far from where sums overflow.
 constexpr std::int64_t kLatest_ns = 1LL << 61;
 /// A round trip longer than this tells nothing.
@@ -34,9 +35,13 @@ void ClockOffset::heard(const wire::Beat& beat, std::int64_t now_ns) {
   const std::int64_t trip_ns = now_ns - beat.echo_ns() - kept_ns;
   if (kept_ns < 0 || kept_ns > kLongest_ns || trip_ns < 0 || trip_ns > kLongest_ns) return;
   const std::int64_t ahead_ns = ((beat.heard_ns() - beat.echo_ns()) + (beat.now_ns() - now_ns)) / 2;
-  trips_.emplace_back(trip_ns, ahead_ns);
-  if (trips_.size() > kTrips) trips_.pop_front();
-  ahead_ns_ = std::min_element(trips_.begin(), trips_.end())->second;
+  const std::int64_t error_ns = trip_ns / 2;
+  const std::int64_t best_error_ns = best_ ? best_->error_ns + (now_ns - best_->at_ns) / kWander_ns : 0;
+  // Two that cannot both be true: one of the clocks has jumped.
+  const bool jumped = best_ && std::abs(ahead_ns - best_->ahead_ns) > error_ns + best_error_ns;
+  if (best_ && error_ns > best_error_ns && !jumped) return;
+  best_ = Trip{error_ns, ahead_ns, now_ns};
+  ahead_ns_ = ahead_ns;
 }
 
 std::int64_t ClockOffset::to_ours(std::int64_t theirs_ns) const { return is_time(theirs_ns) ? theirs_ns - ahead_ns_ : theirs_ns; }

@@ -2,16 +2,16 @@
 
 #include <atomic>
 #include <cstdint>
-#include <deque>
 #include <mutex>
-#include <utility>
+#include <optional>
 
 #include "fiona/wire.pb.h"
 
 namespace fiona::host {
 
-/// How far another host's timeline is ahead of ours, from the beats that go to and fro: of the last few round trips the
-/// shortest counts, half of it at most is the error (Mills, RFC 5905, section 8).
+/// How far another host's timeline is ahead of ours, from the beats that go to and fro. Half of a round trip at most is
+/// its error (Mills, RFC 5905, section 8), and that of an old one grows by what clocks wander: what has the smallest error
+/// now counts. So a way that becomes slow does not make the ages wrong that a quick one has told.
 class ClockOffset {
  public:
   /// [any thread] The next beat to send.
@@ -28,7 +28,12 @@ class ClockOffset {
   std::mutex mutex_;
   std::int64_t echo_ns_ = 0;
   std::int64_t heard_ns_ = 0;
-  std::deque<std::pair<std::int64_t, std::int64_t>> trips_;  ///< round trip, ahead
+  struct Trip {
+    std::int64_t error_ns = 0;
+    std::int64_t ahead_ns = 0;
+    std::int64_t at_ns = 0;
+  };
+  std::optional<Trip> best_;
   std::atomic<std::int64_t> ahead_ns_{0};
 };
 

@@ -5,15 +5,23 @@
 
 #include <cstdio>
 #include <iostream>
+#include <set>
 #include <vector>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 
 namespace fiona::host {
 namespace {
 
-/// Consoles and pages at once; further ones are turned away.
-constexpr std::size_t kMaxClients = 64;
+/// Consoles and pages at once, beside those over tcp; further ones are turned away.
+constexpr std::size_t kMaxClients = 64 + RemoteConsoles::kMost;
+/// What may wait to be done for those over tcp.
+constexpr std::size_t kMaxRemoteWork = 1000;
+/// Requests of one client that are answered later, and its watches.
+constexpr std::size_t kMaxOpen = 1000;
+/// Of what a console over tcp says for the journal.
+constexpr std::size_t kMaxAuthor = 100;
 std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
 
 /// Unsent bytes above which a slow watcher loses samples, counted.
@@ -24,22 +32,41 @@ constexpr int kTimeWatch_ms = 500;
 }  // namespace
 
 struct ControlServer::Client {
-  explicit Client(os::Descriptor socket) : stream(std::move(socket)) {}
+  Client(os::Descriptor socket, Rights given) : stream(std::move(socket)), rights(std::move(given)) {}
   os::MessageStream stream;
+  const Rights rights;
+  std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
 };
 
 ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore)
     : listener_(socket),
+      remote_(serve_remote(options)),
       system_(std::move(options), [this](const wire::GroupMessage& event) {
         if (!event.has_tapped()) return events_.push(event);
         events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
       }),
       restored_(restore ? Journal::read(journal_of(socket)) : std::vector<control::Change>()),
-      engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }) {
+      engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }),
+      masters_(system_, engine_, [this](std::function<void()> work) { work_.push(std::move(work)); }) {
   if (restore) begin_restoring();
 }
 
 ControlServer::~ControlServer() = default;
+
+std::unique_ptr<RemoteConsoles> ControlServer::serve_remote(const System::Options& options) {
+  if (options.hosts.serve.empty()) return nullptr;
+  const auto on_console = [this](os::Descriptor socket, const Rights& rights) {
+    // Closed where it cannot be handed on, which tells the console.
+    const auto handed = std::make_shared<os::Descriptor>(std::move(socket));
+    work_.push([this, handed, rights] { add_client(std::move(*handed), rights); }, kMaxRemoteWork);
+  };
+  const auto on_log = [this](const std::string& text) { work_.push([text] { std::cerr << text << "\n"; }, kMaxRemoteWork); };
+  return std::make_unique<RemoteConsoles>(options.hosts.serve, trust::KeyDirectory(options.hosts.keys), options.name, on_console, on_log);
+}
+
+void ControlServer::add_client(os::Descriptor socket, Rights rights) {
+  clients_.emplace(next_client_++, std::make_unique<Client>(std::move(socket), std::move(rights)));
+}
 
 /// The system as a journal tells of it is made before the host says that it is there; one that cannot be is an error.
 void ControlServer::begin_restoring() {
@@ -65,7 +92,7 @@ void ControlServer::begin_restoring() {
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
   system_.waits().end_run(*exit_code_, "quit");
-  for (auto& [client, reply] : outgoing_.take()) send(client, reply);
+  for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
   for (auto& [id, client] : clients_) client->stream.flush();
   return *exit_code_;
 }
@@ -87,7 +114,8 @@ void ControlServer::poll_once(int lifeline, int signals) {
   }
   const auto children = system_.child_groups();
   for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
-  if (::poll(waits.data(), waits.size(), system_.has_virtual_clock() ? kTimeWatch_ms : -1) < 0) return;
+  const int groups_ms = children.empty() ? -1 : static_cast<int>(kWatchEvery.count());
+  if (::poll(waits.data(), waits.size(), system_.has_virtual_clock() ? kTimeWatch_ms : groups_ms) < 0) return;
   system_.watch_time();
 
   if (waits[3].revents != 0 || waits[4].revents != 0) {
@@ -96,7 +124,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
   }
   for (const auto& event : events_.take()) on_event(event);
   for (const auto& work : work_.take()) work();
-  for (auto& [client, reply] : outgoing_.take()) send(client, reply);
+  for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
   if (waits[6].revents != 0) {
     for (const auto& line : system_.serve_hosts()) std::cerr << line << "\n";
   }
@@ -106,6 +134,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
     if (waits[fixed + i].revents != 0) serve_client(ids[i]);
   }
+  system_.watch_groups();
   send_held();
   if (waits[0].revents != 0) accept_clients();
 }
@@ -113,15 +142,20 @@ void ControlServer::poll_once(int lifeline, int signals) {
 void ControlServer::accept_clients() {
   while (auto socket = listener_.accept()) {
     if (clients_.size() >= kMaxClients) continue;
-    clients_.emplace(next_client_++, std::make_unique<Client>(std::move(socket)));
+    add_client(std::move(socket), {});
   }
 }
 
 void ControlServer::serve_client(std::uint64_t id) {
   auto& stream = clients_.at(id)->stream;
+  const Rights& rights = clients_.at(id)->rights;
   const bool open = stream.receive() && stream.flush();
   control::Request request;
-  while (!exit_code_ && stream.next(request)) perform(id, request);
+  while (!exit_code_ && stream.next(request)) {
+    // The journal tells who it was, and not who it says it was.
+    if (rights.is_remote()) request.set_author(rights.name + ": " + request.author().substr(0, kMaxAuthor));
+    perform(id, request);
+  }
   if (!open || stream.closed()) drop_client(id);
 }
 
@@ -149,11 +183,20 @@ void ControlServer::send(std::uint64_t id, const control::Reply& reply) {
   if (client != clients_.end()) client->second->stream.send(reply);
 }
 
-Waits::Answer ControlServer::answer_to(std::uint64_t client) {
-  return [this, client](control::Reply reply) { outgoing_.push({client, std::move(reply)}); };
+/// What was answered at once has never been among those that are open.
+void ControlServer::send_last(std::uint64_t client, const control::Reply& reply) {
+  forget_open(client, reply.id());
+  send(client, reply);
 }
 
-Waits::Answer ControlServer::numbered(std::uint64_t client, std::uint64_t request) {
+void ControlServer::forget_open(std::uint64_t client, std::uint64_t request) {
+  const auto asking = clients_.find(client);
+  if (asking == clients_.end()) return;
+  auto& open = asking->second->open;
+  if (const auto found = open.find(request); found != open.end()) open.erase(found);
+}
+
+Waits::Answer ControlServer::answer_to(std::uint64_t client, std::uint64_t request) {
   return [this, client, request](control::Reply reply) {
     reply.set_id(request);
     outgoing_.push({client, std::move(reply)});
@@ -164,8 +207,14 @@ void ControlServer::perform(std::uint64_t client, const control::Request& reques
   control::Reply reply;
   bool answered = true;
   try {
+    auto& asking = *clients_.at(client);
+    require(asking.rights, request);
+    if (asking.open.size() >= kMaxOpen && !request.has_unwatch()) {
+      throw Error(ErrorCode::Failed, {.what = "this console waits for " + std::to_string(kMaxOpen) + " answers already", .next = "watch stop"});
+    }
     system_.settle();
     answered = dispatch(client, request, reply);
+    if (!answered) asking.open.insert(request.id());
   } catch (...) {
     *reply.mutable_failure() = failure_of_exception();
   }
@@ -180,19 +229,22 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     return true;
   };
   switch (request.what_case()) {
-    case Request::kTransact: engine_.transact(request.author(), request.transact(), numbered(client, request.id())); return false;
-    case Request::kUndo: engine_.undo(request.author(), request.undo(), numbered(client, request.id())); return false;
+    case Request::kTransact: engine_.transact(request.author(), request.transact(), answer_to(client, request.id())); return false;
+    case Request::kUndo: engine_.undo(request.author(), request.undo(), answer_to(client, request.id())); return false;
     case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
-    case Request::kSnapshot: *reply.mutable_system() = system_.snapshot(); return true;
+    case Request::kSnapshot:
+      *reply.mutable_system() = system_.snapshot();
+      if (remote_) remote_->describe(*reply.mutable_system());
+      return true;
     case Request::kDescribe: *reply.mutable_description() = system_.types().describe(request.describe().name()); return true;
     case Request::kWatch: start_watch(client, request); return false;
     case Request::kRead: *reply.mutable_sample() = sample_of(system_.read(request.read().probe()), false); return true;
     case Request::kUnwatch: stop_watch(client, request.unwatch().watch()); return done("");
     case Request::kWaitMode: return start_wait_mode(client, request, reply);
     case Request::kExpect: start_expect(client, request); return false;
-    case Request::kSleep: system_.waits().sleep(client, request.id(), request.sleep(), answer_to(client)); return false;
-    case Request::kRun: system_.waits().run(client, request.id(), answer_to(client)); return false;
-    case Request::kCall: system_.call(client, request.id(), request.call(), answer_to(client)); return false;
+    case Request::kSleep: system_.waits().sleep(client, request.id(), request.sleep(), answer_to(client, request.id())); return false;
+    case Request::kRun: system_.waits().run(client, request.id(), answer_to(client, request.id())); return false;
+    case Request::kCall: system_.call(client, request.id(), request.call(), answer_to(client, request.id())); return false;
     case Request::kAttach:
       *reply.mutable_attached() = system_.attach(client, request.attach());
       attached_[reply.attached().wire()] = {client, request.id()};
@@ -218,6 +270,7 @@ void ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
     if (it->second.client != client || it->second.request != request) continue;
     system_.untap(it->first);
     watches_.erase(it);
+    forget_open(client, request);
     return;
   }
 }
@@ -231,7 +284,7 @@ void ControlServer::start_expect(std::uint64_t client, const control::Request& r
     system_.tap(tap, watch);
     expect_taps_[{client, request.id()}] = tap;
   };
-  system_.waits().expect(client, request.id(), expect, tap, begin, answer_to(client));
+  system_.waits().expect(client, request.id(), expect, tap, begin, answer_to(client, request.id()));
 }
 
 bool ControlServer::start_wait_mode(std::uint64_t client, const control::Request& request, control::Reply& reply) {
@@ -240,13 +293,14 @@ bool ControlServer::start_wait_mode(std::uint64_t client, const control::Request
     reply.mutable_met()->set_seen(mode);
     return true;
   }
-  system_.waits().wait_mode(client, request.id(), request.wait_mode(), answer_to(client));
+  system_.waits().wait_mode(client, request.id(), request.wait_mode(), answer_to(client, request.id()));
   return false;
 }
 
 void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tapped()) on_tapped(event.tapped());
   if (event.has_tap_ended()) on_tap_ended(event.tap_ended());
+  if (event.has_asked()) masters_.serve(event.asked());
   if (event.has_wire_lost()) on_wire_lost(event.wire_lost());
   if (event.has_logged()) std::cerr << event.logged().instance() << ": " << event.logged().text() << "\n";
   // One that fails while it is being loaded is told to whoever loads it.
@@ -325,7 +379,7 @@ void ControlServer::on_tap_ended(const wire::TapEnded& ended) {
   control::Reply reply;
   reply.set_id(found->second.request);
   *reply.mutable_failure() = ended.failure();
-  send(found->second.client, reply);
+  send_last(found->second.client, reply);
   system_.untap(ended.tap());
   watches_.erase(found);
 }

@@ -7,16 +7,20 @@
 #include <optional>
 #include <string>
 
+#include "access.hpp"
 #include "engine.hpp"
 #include "mailbox.hpp"
+#include "masters.hpp"
 #include "os/message_stream.hpp"
 #include "os/unix_socket.hpp"
+#include "remote_consoles.hpp"
 #include "system.hpp"
 
 namespace fiona::host {
 
-/// Serves the control protocol on a unix socket: the one thread that changes the system. Requests are done in the order
-/// in which they come; answers to waits and watches come when they come.
+/// Serves the control protocol on a unix socket, and over tcp where it is told to: the one thread that changes the system.
+/// Requests are done in the order in which they come; answers to waits and watches come when they come. What a client may
+/// ask for follows from its level; those on the unix socket are the host's own user, and may everything.
 class ControlServer {
  public:
   /// Its journal is kept beside the socket; `restore`: begins with the system that the last journal there ends with.
@@ -28,6 +32,8 @@ class ControlServer {
   int serve(int lifeline, int signals);
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return system_.listens(); }
+  /// Where it serves consoles over tcp; empty: nowhere.
+  std::string serves() const { return remote_ ? remote_->address() : ""; }
 
  private:
   struct Client;
@@ -44,7 +50,9 @@ class ControlServer {
     control::Reply reply;
   };
 
+  std::unique_ptr<RemoteConsoles> serve_remote(const System::Options& options);
   void accept_clients();
+  void add_client(os::Descriptor socket, Rights rights);
   void serve_client(std::uint64_t id);
   void drop_client(std::uint64_t id);
   void perform(std::uint64_t client, const control::Request& request);
@@ -54,8 +62,9 @@ class ControlServer {
   void stop_watch(std::uint64_t client, std::uint64_t request);
   void start_expect(std::uint64_t client, const control::Request& request);
   bool start_wait_mode(std::uint64_t client, const control::Request& request, control::Reply& reply);
-  Waits::Answer answer_to(std::uint64_t client);
-  Waits::Answer numbered(std::uint64_t client, std::uint64_t request);
+  Waits::Answer answer_to(std::uint64_t client, std::uint64_t request);
+  void send_last(std::uint64_t client, const control::Reply& reply);
+  void forget_open(std::uint64_t client, std::uint64_t request);
   void begin_restoring();
   void send(std::uint64_t client, const control::Reply& reply);
   void on_wire_lost(const wire::WireLost& lost);
@@ -72,9 +81,11 @@ class ControlServer {
   Mailbox<Outgoing> outgoing_;
   Mailbox<std::function<void()>> work_;  ///< for the control thread
   os::UnixListener listener_;
+  std::unique_ptr<RemoteConsoles> remote_;
   System system_;
   const std::vector<control::Change> restored_;  ///< read before the journal begins anew
   Engine engine_;
+  Masters masters_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
   std::map<std::uint64_t, Watched> watches_;  ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap

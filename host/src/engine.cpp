@@ -4,8 +4,8 @@
 
 #include <algorithm>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
-#include "runtime.hpp"
 
 namespace fiona::host {
 
@@ -16,6 +16,7 @@ struct Engine::Transaction {
   bool is_undo = false;
   std::uint64_t undoes = 0;
   Waits::Answer answer;
+  std::optional<std::chrono::steady_clock::time_point> expires;
 
   std::vector<control::Change> steps;
   std::vector<control::Change> reverse;
@@ -41,6 +42,16 @@ control::Reply reply_of(const control::Failure& failure) {
   control::Reply reply;
   *reply.mutable_failure() = failure;
   return reply;
+}
+
+/// How long two may be compared.
+constexpr double kLeastWatch_ms = 100;
+constexpr double kMostWatch_ms = 3'600'000;
+
+void require_time_to_watch(const control::Replace& swap) {
+  if (swap.watch_ms() >= kLeastWatch_ms && swap.watch_ms() <= kMostWatch_ms) return;
+  throw Error(ErrorCode::Usage, {.what = "the time to compare is out of range", .where = swap.old(), .expected = "100ms .. 1h",
+                                 .found = fmt::format("{:g} ms", swap.watch_ms())});
 }
 
 /// What a step will do that cannot be taken back, or that others will feel.
@@ -72,12 +83,58 @@ Engine::Engine(System& system, std::filesystem::path journal, Later later)
 
 Engine::~Engine() { *self_ = nullptr; }
 
-void Engine::transact(const std::string& author, const control::Transact& request, Waits::Answer answer) {
+void Engine::transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
+                      std::optional<std::chrono::milliseconds> within) {
   auto transaction = std::make_shared<Transaction>();
   transaction->author = author;
   transaction->request = request;
   transaction->answer = std::move(answer);
-  enqueue(std::move(transaction));
+  if (within) transaction->expires = std::chrono::steady_clock::now() + *within;
+  if (!compare_first(transaction)) enqueue(std::move(transaction));
+}
+
+/// False where nothing is to be compared. Everything else that can be told beforehand is told before, too.
+bool Engine::compare_first(const TransactionPtr& transaction) {
+  std::vector<control::Replace> swaps;
+  double longest_ms = 0;
+  for (const auto& change : transaction->request.changes()) {
+    if (!change.has_replace() || change.replace().watch_ms() == 0) continue;
+    require_time_to_watch(change.replace());
+    longest_ms = std::max(longest_ms, change.replace().watch_ms());
+    swaps.push_back(change.replace());
+  }
+  if (swaps.empty() || transaction->request.dry_run()) return false;
+  Transaction trial = *transaction;
+  plan(trial);
+  if (trial.failure) throw_failure(*trial.failure);
+  if (comparing_ >= kMaxComparing) {
+    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} comparisons are under way already", comparing_), .next = "swap without watch"});
+  }
+  const auto taps = std::make_shared<std::vector<std::uint64_t>>();
+  *taps = system_.compare(swaps, longest_ms, [later = later_, alive = std::weak_ptr(self_), transaction, taps](control::Reply reply) {
+    later([alive, transaction, taps, reply = std::move(reply)] {
+      const auto self = alive.lock();
+      if (!self || !*self) return;
+      for (const std::uint64_t tap : *taps) (*self)->system_.untap(tap);
+      (*self)->compared(transaction, reply);
+    });
+  });
+  ++comparing_;
+  return true;
+}
+
+void Engine::compared(const TransactionPtr& transaction, const control::Reply& reply) {
+  --comparing_;
+  if (reply.has_failure()) transaction->failure = reply.failure();
+  if (reply.has_ended()) transaction->failure = failure_of(Error(ErrorCode::Failed, {.what = "the run has ended: nothing was swapped"}));
+  if (transaction->failure) return finish(transaction);
+  transaction->done = reply.done();
+  try {
+    enqueue(transaction);
+  } catch (...) {
+    transaction->failure = failure_of_exception();
+    finish(transaction);
+  }
 }
 
 void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer) {
@@ -138,6 +195,9 @@ void Engine::plan(Transaction& transaction) const {
 }
 
 void Engine::begin(const TransactionPtr& transaction) {
+  if (transaction->expires && std::chrono::steady_clock::now() > *transaction->expires) {
+    transaction->failure = failure_of(Error(ErrorCode::Unreachable, {.what = "the changes before it took too long: it was not begun", .next = "journal"}));
+  }
   if (transaction->is_undo) choose_what_to_undo(*transaction);
   if (!transaction->failure) plan(*transaction);
   if (transaction->failure) return finish(transaction);

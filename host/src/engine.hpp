@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -20,14 +21,18 @@ class Engine {
  public:
   /// Transactions that may wait; further ones are refused.
   static constexpr std::size_t kMaxWaiting = 256;
+  /// Comparisons before a swap that may be under way.
+  static constexpr std::size_t kMaxComparing = 16;
 
   /// `later` hands work to the control thread, from any thread.
   using Later = std::function<void(std::function<void()>)>;
   Engine(System& system, std::filesystem::path journal, Later later);
   ~Engine();
 
-  /// Answered with Done or Planned, or with why nothing has changed.
-  void transact(const std::string& author, const control::Transact& request, Waits::Answer answer);
+  /// Answered with Done or Planned, or with why nothing has changed. A swap that is to be watched is compared first, which
+  /// holds up nobody. One that has not begun `within` is refused; none: it waits for its turn.
+  void transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
+                std::optional<std::chrono::milliseconds> within = std::nullopt);
   void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);
   control::JournalEntries journal(std::uint32_t last) const;
 
@@ -35,6 +40,8 @@ class Engine {
   struct Transaction;
   using TransactionPtr = std::shared_ptr<Transaction>;
 
+  bool compare_first(const TransactionPtr& transaction);
+  void compared(const TransactionPtr& transaction, const control::Reply& reply);
   void enqueue(TransactionPtr transaction);
   void begin(const TransactionPtr& transaction);
   void choose_what_to_undo(Transaction& transaction) const;
@@ -51,6 +58,7 @@ class Engine {
   const std::shared_ptr<Engine*> self_;  ///< null once it is gone: what comes later finds nobody
   std::deque<TransactionPtr> waiting_;
   TransactionPtr current_;
+  std::size_t comparing_ = 0;
 };
 
 }  // namespace fiona::host

@@ -4,9 +4,9 @@
 
 namespace fiona::host {
 
-void FanOut::join(std::uint64_t wire, std::uint64_t sequence, std::uint32_t prescale) {
+void FanOut::join(std::uint64_t wire, std::uint64_t sequence, std::uint32_t prescale, bool each) {
   const std::lock_guard lock(mutex_);
-  members_[wire] = Member{sequence, std::max(1U, prescale), 0};
+  members_[wire] = Member{sequence, std::max(1U, prescale), 0, each, {}};
 }
 
 void FanOut::leave(std::uint64_t wire) {
@@ -27,6 +27,7 @@ Outcome FanOut::deliver_to(std::uint64_t wire, const Parcel& parcel) {
   const auto member = members_.find(wire);
   if (member == members_.end()) return Outcome::Disconnected;
   if (!member->second.takes_next()) return Outcome::Ok;
+  member->second.room.sent(Inbox::cost_of(parcel.envelope.bytes));
   takers_.assign(1, wire);
   return send(parcel, takers_);
 }
@@ -34,20 +35,57 @@ Outcome FanOut::deliver_to(std::uint64_t wire, const Parcel& parcel) {
 Outcome FanOut::deliver(Parcel parcel) {
   const std::lock_guard lock(mutex_);
   takers_.clear();
+  const bool shared = shares_room();
   for (auto& [wire, member] : members_) {
-    if (parcel.envelope.sequence > member.after && member.takes_next()) takers_.push_back(wire);
+    const bool takes = parcel.envelope.sequence > member.after && member.takes_next();
+    if (takes) takers_.push_back(wire);
+    if (takes || shared) member.room.sent(Inbox::cost_of(parcel.envelope.bytes));
   }
   return takers_.empty() ? Outcome::Ok : send(parcel, takers_);
 }
 
+bool FanOut::has_room(std::size_t bytes, const std::function<void()>& notice) {
+  const std::lock_guard lock(mutex_);
+  const std::size_t cost = Inbox::cost_of(bytes);
+  bool room = true;
+  std::vector<std::uint64_t> asked;
+  for (auto& [wire, member] : members_) {
+    if (!member.each || member.room.holds(cost) || (!member.is_next() && !shares_room())) continue;
+    room = false;
+    if (member.room.ask()) asked.push_back(wire);
+  }
+  if (room) return true;
+  notice_ = notice;
+  if (asked.empty()) return false;
+  wire::Frame frame;
+  address(frame, asked);
+  frame.mutable_room()->set_bytes(cost);
+  link_->send(lane_, frame);
+  return false;
+}
+
+void FanOut::on_room(std::uint64_t wire, std::size_t room) {
+  std::function<void()> notice;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto member = members_.find(wire);
+    if (member == members_.end() || !member->second.room.told(room)) return;
+    notice = notice_;
+  }
+  if (notice) notice();
+}
+
+void FanOut::address(wire::Frame& frame, const std::vector<std::uint64_t>& wires) const {
+  frame.set_wire(wires.front());
+  frame.mutable_also()->Assign(wires.begin() + 1, wires.end());
+}
+
 /// Called with the mutex held, so that the order stays.
 Outcome FanOut::send(const Parcel& parcel, std::vector<std::uint64_t>& wires) {
-  frame_.set_wire(wires.front());
-  frame_.clear_also();
+  address(frame_, wires);
   frame_.clear_size();
   LinkSocket::Wires also;
   if (wires.size() > 1) {
-    frame_.mutable_also()->Add(wires.begin() + 1, wires.end());
     also = std::make_shared<const std::vector<std::uint64_t>>(wires.begin() + 1, wires.end());
   }
   frame_.mutable_object()->set_sequence(parcel.envelope.sequence);

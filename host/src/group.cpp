@@ -1,22 +1,43 @@
 #include "group.hpp"
 
+#include <fmt/format.h>
 #include <poll.h>
 #include <sys/epoll.h>
 #include <unistd.h>
 
 #include <algorithm>
-
 #include <thread>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
+#include "os/unix_socket.hpp"
 
 namespace fiona::host {
 namespace {
 
-/// A request may hold a life-cycle call, which has ten seconds of its own.
-constexpr std::chrono::seconds kRequestDeadline{12};
+using Steady = std::chrono::steady_clock;
+using std::chrono::milliseconds;
+
+/// Of a life-cycle call, which has ten seconds of its own; of one that waits for a strand or a link, which have two.
+constexpr milliseconds kLifeCycleRequest{12'000};
+constexpr milliseconds kWaitingRequest{3'000};
+/// Of all others, which a process that does not hang answers at once.
+constexpr milliseconds kRequest{2'000};
 constexpr std::chrono::seconds kReadyDeadline{5};
+/// A process that stands still for so long hangs. A second is what it may take until its consumers know.
+constexpr milliseconds kHangs{600};
+
+milliseconds patience_with(const wire::GroupRequest& request) {
+  switch (request.what_case()) {
+    case wire::GroupRequest::kCreate:
+    case wire::GroupRequest::kDestroy: return kLifeCycleRequest;
+    case wire::GroupRequest::kSetParameters:
+    case wire::GroupRequest::kWireRequire: return kWaitingRequest;
+    default: return kRequest;
+  }
+}
+
 /// Where a group finds its socket.
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
@@ -51,12 +72,31 @@ os::Descriptor either_readable(int first, int second) {
 Group::Group(std::string name) : name_(std::move(name)), link_key_(random_bytes(kKeyBytes)) {}
 
 wire::GroupMessage Group::request(wire::GroupRequest request) {
-  wire::GroupMessage reply = perform(request);
+  const milliseconds patience = patience_with(request);
+  request.set_expires_ns(std::chrono::nanoseconds((Steady::now() + patience).time_since_epoch()).count());
+  wire::GroupMessage reply = perform(request, patience);
   if (reply.has_failure()) throw_failure(reply.failure());
   return reply;
 }
 
-void Group::tell(wire::GroupRequest request) { perform(request); }
+void Group::tell(wire::GroupRequest request) { perform(request, patience_with(request)); }
+
+void Group::inform(wire::GroupRequest request) {
+  if (silent_since()) return tell(std::move(request));
+  wire::GroupMessage reply;
+  try {
+    reply = perform(request, patience_with(request));
+  } catch (const Error&) {
+    return;  // it is gone, or has it before it and does it when it comes to it
+  }
+  if (reply.has_failure()) throw_failure(reply.failure());
+}
+
+std::optional<wire::GroupStatusReply> Group::status(milliseconds) {
+  wire::GroupRequest request;
+  request.mutable_status();
+  return perform(request, patience_with(request)).status();
+}
 
 void require_descriptors_for(const std::string& newcomer, std::size_t peers) {
   const std::size_t links = kPerPeer * (peers + 1);
@@ -78,7 +118,7 @@ MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::
       runtime_(pool, clock, libraries, std::move(endpoint), link_key(), std::move(on_event)) {}
 
 /// What was sent or staged on this thread, which is no strand's, is seen by a virtual clock once it looks.
-wire::GroupMessage MainGroup::perform(const wire::GroupRequest& request) {
+wire::GroupMessage MainGroup::perform(const wire::GroupRequest& request, milliseconds) {
   auto reply = runtime_.handle(request);
   if (clock_) clock_->reconsider();
   return reply;
@@ -87,13 +127,18 @@ wire::GroupMessage MainGroup::perform(const wire::GroupRequest& request) {
 void MainGroup::peer_lost(const wire::PeerLost& gone) {
   wire::GroupRequest request;
   *request.mutable_peer_lost() = gone;
-  perform(request);
+  tell(std::move(request));
 }
 
 pid_t MainGroup::process() const { return ::getpid(); }
 
 ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event)
-    : Group(std::move(name)), endpoint_(start.endpoint), clock_(start.clock), master_(start.master), on_event_(std::move(on_event)) {
+    : Group(std::move(name)),
+      endpoint_(start.endpoint),
+      clock_(start.clock),
+      master_(start.master),
+      on_event_(std::move(on_event)),
+      watched_(start.watched && !start.master) {
   auto [ours, theirs] = os::socket_pair();
   std::vector<std::string> arguments{"--name", this->name(), "--endpoint", endpoint_, "--threads", std::to_string(start.threads)};
   for (auto& argument : clock_arguments(clock_)) arguments.push_back(std::move(argument));
@@ -110,7 +155,7 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   welcome.mutable_welcome()->set_key(link_key());
   stream_->send(welcome);
   // An exit with code 0 before it says ready is a failure too.
-  const auto ready = wait_for(0, kReadyDeadline);
+  const auto ready = wait_for(0, Steady::now() + kReadyDeadline);
   if (ready && ready->has_ready()) return;
   if (master_) master_->remove(endpoint_);
   throw Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
@@ -140,9 +185,9 @@ void ChildGroup::peer_lost(const wire::PeerLost& gone) {
   tell(std::move(request));
 }
 
-bool ChildGroup::wait_readable(std::chrono::steady_clock::time_point deadline) const {
+bool ChildGroup::wait_readable(Time deadline) const {
   while (true) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
+    const auto left = std::chrono::ceil<milliseconds>(deadline - Steady::now()).count();
     pollfd wait{wake_.get(), POLLIN, 0};
     const int ready = ::poll(&wait, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 60'000)));
     if (ready > 0) return true;
@@ -168,8 +213,7 @@ void ChildGroup::note_end() {
 }
 
 /// The message with this id, passing on events meanwhile; none when the deadline passes or the process ends.
-std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::chrono::seconds deadline) {
-  const auto end = std::chrono::steady_clock::now() + deadline;
+std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time deadline) {
   wire::GroupMessage message;
   std::optional<wire::GroupMessage> found;
   bool ended = false;
@@ -178,38 +222,90 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, std::ch
     while (stream_->next(message)) {
       if (message.id() == id && (id != 0 || message.has_ready())) {
         found = message;
-      } else if (message.id() == 0) {
-        pass_on(message);
       }
+      take(message);
     }
     if (found) return found;
     if (ended) {
       note_end();
       return std::nullopt;
     }
-    if (!wait_readable(end)) return std::nullopt;
-    ended = !receive();
+    const Time now = Steady::now();
+    const bool readable = wait_readable(watched_ ? std::min(deadline, now + kWatchEvery) : deadline);
+    if (!readable && now >= deadline) return std::nullopt;
+    watch(now);
+    ended = !alive() || (readable && !receive());
   }
 }
 
-wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request) {
+/// A process that is stopped says nothing, not even that its lease has run out. Virtual time has a watchdog of its own.
+void ChildGroup::watch(Time now) {
+  if (!watched_ || !alive()) return;
+  if (!child_->is_stopped()) return still_since_.reset();
+  if (!still_since_) still_since_ = now;
+  const auto still = std::chrono::duration_cast<milliseconds>(now - *still_since_);
+  if (still < kHangs) return;
+  child_->kill();
+  note_end();
+  end_ = "stood still for " + std::to_string(still.count()) + " ms, and was ended";
+}
+
+/// An event, or a late answer: whoever asked waits no more, but the process answers again.
+void ChildGroup::take(const wire::GroupMessage& message) {
+  if (message.id() == 0 && !message.has_ready()) pass_on(message);
+  if (unanswered_ && message.id() == unanswered_->id) unanswered_.reset();
+}
+
+Error ChildGroup::unreachable() const {
+  ErrorText text{.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls"};
+  if (alive() && unanswered_) {
+    text.found = fmt::format("silent for {:.1f} s", std::chrono::duration<double>(Steady::now() - unanswered_->since).count());
+    text.next = fmt::format("wait for it, or end its process: kill -KILL {}", child_->id());
+  }
+  return Error(ErrorCode::Unreachable, std::move(text));
+}
+
+/// One that is silent is not asked again: that would only queue up before it. But a machine with too much to do is silent
+/// too, so it has the time of a request before its silence counts.
+wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request, milliseconds deadline) {
+  if (unanswered_) wait_for(unanswered_->id, unanswered_->since + kRequest);
   wire::GroupRequest numbered = request;
-  if (send(numbered)) {
-    if (auto reply = wait_for(numbered.id(), kRequestDeadline)) return std::move(*reply);
+  if (!unanswered_ && send(numbered)) {
+    unanswered_ = {numbered.id(), Steady::now()};
+    if (auto reply = wait_for(numbered.id(), unanswered_->since + deadline)) return std::move(*reply);
   }
   if (stream_->closed()) note_end();
-  throw Error(ErrorCode::Unreachable, {.what = "group '" + name() + "' does not answer",
-                                       .found = alive() ? "alive, but silent" : end_,
-                                       .next = "ls hosts"});
+  throw unreachable();
+}
+
+void ChildGroup::require_answer() {
+  wire::GroupRequest ping;
+  ping.mutable_ping();
+  perform(ping, kRequest);
+}
+
+void ChildGroup::ask_status() {
+  if (unanswered_) wait_for(unanswered_->id, unanswered_->since);  // which may have come by now
+  wire::GroupRequest request;
+  request.mutable_status();
+  if (!unanswered_ && send(request)) unanswered_ = {request.id(), Steady::now()};
+}
+
+std::optional<wire::GroupStatusReply> ChildGroup::status(milliseconds patience) {
+  const auto reply = unanswered_ ? wait_for(unanswered_->id, unanswered_->since + patience) : std::nullopt;
+  if (stream_->closed()) note_end();  // as asking may have shown already
+  return reply && reply->has_status() ? std::optional(reply->status()) : std::nullopt;
+}
+
+std::optional<ChildGroup::Time> ChildGroup::silent_since() const {
+  return unanswered_ ? std::optional(unanswered_->since) : std::nullopt;
 }
 
 bool ChildGroup::serve() {
   if (!alive()) return false;
   const bool open = receive();
   wire::GroupMessage message;
-  while (stream_->next(message)) {
-    if (message.id() == 0) pass_on(message);
-  }
+  while (stream_->next(message)) take(message);
   if (!open || stream_->closed()) note_end();
   return alive();
 }

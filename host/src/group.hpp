@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <functional>
 #include <memory>
@@ -7,6 +8,7 @@
 #include <string>
 
 #include "clock_master.hpp"
+#include "fiona/error.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
 #include "runtime.hpp"
@@ -23,10 +25,21 @@ class Group {
 
   const std::string& name() const { return name_; }
   /// [control thread] Does it and returns the answer. Throws Error: what the group refused, or Unreachable when the
-  /// group did not answer in time or is gone.
+  /// group is gone, or did not answer in the time that such a request may take: then it does not begin it any more.
   wire::GroupMessage request(wire::GroupRequest request);
   /// [control thread] Does it when it comes to it: nobody waits for that, or is told that it was refused.
   virtual void tell(wire::GroupRequest request);
+  /// [control thread] For what is to be so whether or not somebody waits: does it before this returns if the group answers,
+  /// and otherwise once it does. A group that is gone has nothing to do. Throws Error: what the group refused.
+  void inform(wire::GroupRequest request);
+  /// [control thread] Throws Error Unreachable if it does not answer.
+  virtual void require_answer() {}
+  /// [control thread] Asks for its status, so that several groups find it out at the same time.
+  virtual void ask_status() {}
+  /// [control thread] What it was asked for; none if it is gone, or has not answered that for so long.
+  virtual std::optional<wire::GroupStatusReply> status(std::chrono::milliseconds patience);
+  /// Since when it has not answered; none: it answers, as far as is known.
+  virtual std::optional<std::chrono::steady_clock::time_point> silent_since() const { return std::nullopt; }
 
   virtual std::string endpoint() const = 0;
   virtual pid_t process() const = 0;
@@ -40,7 +53,7 @@ class Group {
   virtual void peer_lost(const wire::PeerLost& gone) = 0;
 
  protected:
-  virtual wire::GroupMessage perform(const wire::GroupRequest& request) = 0;
+  virtual wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) = 0;
 
  private:
   const std::string name_;
@@ -59,7 +72,7 @@ class MainGroup final : public Group {
   std::map<std::string, FrameCounts> frame_counts() { return runtime_.frame_counts(); }
 
  private:
-  wire::GroupMessage perform(const wire::GroupRequest& request) override;
+  wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
   VirtualClock* const clock_;  ///< null: the system's
   Runtime runtime_;
 };
@@ -68,15 +81,21 @@ class MainGroup final : public Group {
 /// this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
 void require_descriptors_for(const std::string& newcomer, std::size_t peers);
 
+/// How often groups are looked at, whether they stand still.
+inline constexpr std::chrono::milliseconds kWatchEvery{100};
+
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
  public:
+  using Time = std::chrono::steady_clock::time_point;
+
   /// How its process is started. A virtual clock is followed through `master`; the system's is shared by its origin.
   struct Start {
     std::string endpoint;
     const Clock& clock;
     ClockMaster* master = nullptr;
     std::size_t threads = 0;  ///< of its pool; 0: one per core
+    bool watched = true;      ///< ended when it stands still
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
@@ -87,19 +106,32 @@ class ChildGroup final : public Group {
   bool alive() const override { return end_.empty(); }
   void tell(wire::GroupRequest request) override { send(request); }
   void peer_lost(const wire::PeerLost& gone) override;
+  void require_answer() override;
+  void ask_status() override;
+  std::optional<wire::GroupStatusReply> status(std::chrono::milliseconds patience) override;
+  std::optional<Time> silent_since() const override;
 
   /// Readable when it has said something, and when it has ended.
   int descriptor() const { return wake_.get(); }
   /// [control thread] Passes on the events that have come. False once the process is gone.
   bool serve();
+  /// [control thread] Ends it once it has stood still for too long: its consumers are to be told within a second.
+  void watch(Time now);
   /// How it ended; empty while it lives.
   const std::string& end() const { return end_; }
 
  private:
-  wire::GroupMessage perform(const wire::GroupRequest& request) override;
-  bool wait_readable(std::chrono::steady_clock::time_point deadline) const;
+  /// A request whose answer has not come: until it comes nothing more is asked for.
+  struct Unanswered {
+    std::uint64_t id = 0;
+    Time since{};
+  };
+  wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
+  bool wait_readable(Time deadline) const;
   bool receive();
-  std::optional<wire::GroupMessage> wait_for(std::uint64_t id, std::chrono::seconds deadline);
+  std::optional<wire::GroupMessage> wait_for(std::uint64_t id, Time deadline);
+  void take(const wire::GroupMessage& message);
+  Error unreachable() const;
   void note_end();
   bool send(wire::GroupRequest& request);
   void pass_on(const wire::GroupMessage& event);
@@ -110,8 +142,11 @@ class ChildGroup final : public Group {
   const Runtime::OnEvent on_event_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;
+  const bool watched_;
+  std::optional<Time> still_since_;
   os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
+  std::optional<Unanswered> unanswered_;
   std::string end_;
 };
 

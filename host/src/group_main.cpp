@@ -4,9 +4,11 @@
 
 #include <google/protobuf/stubs/logging.h>
 
+#include <chrono>
 #include <iostream>
 #include <string>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "group_clock.hpp"
 #include "mailbox.hpp"
@@ -26,10 +28,22 @@ constexpr int kClockSocket = 4;
 constexpr std::size_t kSlowHost = 1024 * 1024;
 constexpr std::chrono::seconds kWelcomeDeadline{5};
 
+/// What a process that was stopped finds before it: whoever asked has been told that it was not done.
+bool has_expired(const fiona::wire::GroupRequest& request) {
+  return request.expires_ns() != 0 && std::chrono::steady_clock::now().time_since_epoch() > std::chrono::nanoseconds(request.expires_ns());
+}
+
+fiona::wire::GroupMessage expired() {
+  fiona::wire::GroupMessage reply;
+  *reply.mutable_failure() = fiona::host::failure_of(fiona::Error(fiona::ErrorCode::Unreachable, "nobody waits for that any more"));
+  return reply;
+}
+
 /// Does one request; a virtual clock is told of its beginning and end.
 fiona::wire::GroupMessage handle(Runtime& runtime, GroupClock* clock, const fiona::wire::GroupRequest& request) {
   if (clock) clock->begin_request(fiona::TimePoint(fiona::Duration(request.now_ns())));
-  auto reply = runtime.handle(request);
+  auto reply = has_expired(request) ? expired() : runtime.handle(request);
+  reply.set_id(request.id());
   if (clock) clock->end_request(request.id());
   return reply;
 }

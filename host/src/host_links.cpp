@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <utility>
 
 #include "fiona/error.hpp"
 #include "os/process.hpp"
@@ -45,7 +46,7 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
   around_ = std::make_unique<HostSurroundings>(HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_,
                                                                 std::move(on_event), post});
   if (!options.listen.empty()) {
-    zap_ = std::make_unique<Zap>(context_, keys_, std::move(on_log));
+    zap_ = std::make_unique<Zap>(context_, Zap::hosts(keys_), std::move(on_log));
     leader_ = std::make_unique<LeaderLink>(*around_, options.listen);
   }
   for (const auto& peer : options.peers) peers_.push_back(std::make_unique<PeerLink>(*around_, peer));
@@ -61,7 +62,17 @@ void HostLinks::stop() {
   if (leader_) leader_->stop();
 }
 
+/// Silence is a peer's only while this host could listen. A machine that was suspended, or stood still as a virtual one may,
+/// would otherwise take everybody for dead the moment that it goes on.
+void HostLinks::forgive(std::chrono::steady_clock::time_point now) {
+  const auto stood_still = now - std::exchange(ticked_, now) - 2 * kTick;
+  if (stood_still <= std::chrono::steady_clock::duration::zero()) return;
+  for (auto& peer : peers_) peer->forgive(stood_still);
+  if (leader_) leader_->forgive(stood_still);
+}
+
 void HostLinks::serve() {
+  ticked_ = std::chrono::steady_clock::now();
   while (!stopping_) {
     if (zap_) {
       std::array<zmq::pollitem_t, 1> waits{{{zap_->socket().handle(), 0, ZMQ_POLLIN, 0}}};
@@ -71,6 +82,7 @@ void HostLinks::serve() {
       std::this_thread::sleep_for(kTick);
     }
     const auto now = std::chrono::steady_clock::now();
+    forgive(now);
     for (auto& peer : peers_) peer->tick(now);
     if (leader_) leader_->tick(now);
     if (leader_) check_leader(now);

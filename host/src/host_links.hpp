@@ -19,6 +19,8 @@ struct HostOptions {
   std::filesystem::path keys;      ///< the directory; empty: the user's
   std::string listen;              ///< "tcp://ADDRESS:PORT"; empty: at nothing
   std::vector<PeerAddress> peers;
+  std::string serve{};             ///< "tcp://ADDRESS:PORT" for consoles; empty: none over tcp
+  /// Whether it works with other hosts.
   bool any() const { return !listen.empty() || !peers.empty(); }
 };
 
@@ -49,6 +51,7 @@ class HostLinks {
 
  private:
   void serve();
+  void forgive(std::chrono::steady_clock::time_point now);
   void check_leader(std::chrono::steady_clock::time_point now);
 
   const trust::KeyDirectory keys_;
@@ -59,6 +62,7 @@ class HostLinks {
   std::unique_ptr<LeaderLink> leader_;
   std::vector<std::unique_ptr<PeerLink>> peers_;
   std::chrono::steady_clock::time_point checked_{};
+  std::chrono::steady_clock::time_point ticked_{};
   std::atomic<bool> stopping_{false};
   std::thread thread_;
 };

@@ -9,11 +9,11 @@ namespace {
 
 using Steady = std::chrono::steady_clock;
 
-/// The leader among the links of this host.
-constexpr std::string_view kEndpoint = "host:";
-/// Connections that nobody ends: libzmq's own heartbeat clears them away.
-constexpr int kHeartbeat_ms = 1000;
-constexpr int kHeartbeatTimeout_ms = 3000;
+/// Connections that nobody ends: the kernel clears them away. Not libzmq's heartbeat, which aborts the process when a
+/// peer has gone of whom more was there than had been read.
+constexpr int kAliveEvery_s = 1;
+constexpr int kAliveMissed = 3;
+constexpr int kUnheard_ms = 3000;
 
 }  // namespace
 
@@ -24,8 +24,11 @@ LeaderLink::LeaderLink(const HostSurroundings& around, const std::string& addres
   socket.set(zmq::sockopt::curve_secretkey, around_.keys.secret.bytes());
   socket.set(zmq::sockopt::zap_domain, std::string("fiona"));
   socket.set(zmq::sockopt::handshake_ivl, kHandshake_ms);
-  socket.set(zmq::sockopt::heartbeat_ivl, kHeartbeat_ms);
-  socket.set(zmq::sockopt::heartbeat_timeout, kHeartbeatTimeout_ms);
+  socket.set(zmq::sockopt::tcp_keepalive, 1);
+  socket.set(zmq::sockopt::tcp_keepalive_idle, kAliveEvery_s);
+  socket.set(zmq::sockopt::tcp_keepalive_intvl, kAliveEvery_s);
+  socket.set(zmq::sockopt::tcp_keepalive_cnt, kAliveMissed);
+  socket.set(zmq::sockopt::tcp_maxrt, kUnheard_ms);
   socket.set(zmq::sockopt::ipv6, address.find('[') != std::string::npos);
   try {
     if (!address.starts_with("tcp://")) throw zmq::error_t(EPROTONOSUPPORT);
@@ -72,7 +75,7 @@ void LeaderLink::end(const std::string& reason) {
     session_->since = Steady::now();
     name = session_->name;
   }
-  around_.links.part(std::string(kEndpoint), reason);
+  around_.links.part(std::string(Links::kHost), reason);
   link_->drop(peer);
   around_.on_change({.what = HostChange::What::Lost, .host = name, .reason = reason, .group = {}, .request = {}});
 }
@@ -91,6 +94,11 @@ void LeaderLink::keep(const std::vector<trust::AllowedHost>& allowed) {
   const std::string name = leader();
   const bool kept = std::any_of(allowed.begin(), allowed.end(), [&name](const auto& host) { return host.name == name; });
   if (!name.empty() && !kept) end("host '" + name + "' is no longer allowed to connect");
+}
+
+void LeaderLink::forgive(Steady::duration time) {
+  const std::lock_guard lock(mutex_);
+  if (session_) session_->heard = std::min(session_->heard + time, Steady::now());
 }
 
 void LeaderLink::tick(Steady::time_point now) {
@@ -174,7 +182,7 @@ void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello)
     const std::lock_guard lock(mutex_);
     session_ = Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(), false, ""};
     if (!resumes) offset_ = std::make_unique<ClockOffset>();
-    around_.links.join(std::string(kEndpoint), {link_, peer});
+    around_.links.join(std::string(Links::kHost), {link_, peer});
     around_.on_change({.what = HostChange::What::Joined, .host = name, .reason = {}, .same_run = resumes, .group = {}, .request = {}});
   }
   offset_->heard(hello.beat(), now_ns());

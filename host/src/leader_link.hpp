@@ -23,6 +23,8 @@ class LeaderLink final : public LinkSocket::Receiver {
   const std::string& address() const { return address_; }
   /// [the host links' thread] Beats, watches for silence.
   void tick(std::chrono::steady_clock::time_point now);
+  /// For so long the leader could not be heard, by no fault of its own.
+  void forgive(std::chrono::steady_clock::duration time);
   /// [the host links' thread, or none any more]
   void stop();
   /// [the host links' thread] Ends the session of a leader who is not among these any more.

@@ -188,7 +188,8 @@ class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream 
   std::size_t used_ = 0;
 };
 
-Payload::Payload(std::shared_ptr<const Object> object) : object_(std::move(object)), size_(object_->ByteSizeLong()) {
+Payload::Payload(std::shared_ptr<const Object> object, std::size_t chunk)
+    : object_(std::move(object)), chunk_(chunk), size_(object_->ByteSizeLong()) {
   Writer writer(blocks_);
   {
     google::protobuf::io::CodedOutputStream coded(&writer);
@@ -207,7 +208,7 @@ void Payload::cut(const std::vector<std::string_view>& segments) {
       continue;
     }
     while (!rest.empty()) {
-      const std::string_view beside = rest.substr(0, kChunkBytes - inside.size());
+      const std::string_view beside = rest.substr(0, chunk_ - inside.size());
       rest.remove_prefix(beside.size());
       chunks_.push_back({std::exchange(inside, {}), beside});
     }
@@ -215,7 +216,7 @@ void Payload::cut(const std::vector<std::string_view>& segments) {
   if (!inside.empty()) chunks_.push_back({std::move(inside), {}});
 }
 
-Payload::Payload(const ObjectBytes& object) : size_(object.size()) {
+Payload::Payload(const ObjectBytes& object) : chunk_(kChunkBytes), size_(object.size()) {
   std::vector<std::string_view> copies;
   object.each_piece([&](std::string_view piece) {
     while (!piece.empty()) {
@@ -274,6 +275,8 @@ std::string ObjectBytes::to_string() const {
 bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver) {
   if (parts.empty() || parts.size() > 2) return false;
   std::string_view rest = text_of(parts.front());
+  scratch_->arena.Reset();
+  auto& frame = *google::protobuf::Arena::CreateMessage<wire::Frame>(&scratch_->arena);
   do {
     if (rest.size() < kRecordHead) return false;
     const auto* head = reinterpret_cast<const std::uint8_t*>(rest.data());
@@ -281,11 +284,11 @@ bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver) {
     const std::size_t object_size = read_length(head + 4);
     rest.remove_prefix(kRecordHead);
     if (frame_size > rest.size() || object_size > rest.size() - frame_size) return false;
-    if (!frame_.ParseFromArray(rest.data(), static_cast<int>(frame_size))) return false;
+    if (!frame.ParseFromArray(rest.data(), static_cast<int>(frame_size))) return false;
     const auto inside = rest.substr(frame_size, object_size);
     rest.remove_prefix(frame_size + object_size);
     zmq::message_t* beside = rest.empty() && parts.size() == 2 ? &parts.back() : nullptr;
-    if (!take(frame_, inside, beside, receiver)) return false;
+    if (!take(frame, inside, beside, receiver)) return false;
   } while (!rest.empty());
   return true;
 }

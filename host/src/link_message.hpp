@@ -8,14 +8,18 @@
 #include <vector>
 #include <zmq.hpp>
 
+#include <google/protobuf/arena.h>
+
 #include "fiona/service.hpp"
 #include "fiona/wire.pb.h"
 
 namespace fiona::host {
 
 /// The most of an object that one ZeroMQ message carries (architecture 7.5): what a large message may put before a
-/// small one.
+/// small one. Between processes of one host an image of 1 MiB takes less time than a chunk does over a network, and each
+/// chunk wakes a thread at both ends.
 inline constexpr std::size_t kChunkBytes = 256 * 1024;
+inline constexpr std::size_t kLocalChunkBytes = 1024 * 1024 + 16 * 1024;
 /// The largest object that goes over a link.
 inline constexpr std::size_t kMaxObject = 64 * 1024 * 1024;
 /// An object up to this size travels inside its record and may share a ZeroMQ message with others.
@@ -71,17 +75,18 @@ class ObjectBytes {
 /// long strings and bytes are not copied: they are sent from where the object has them.
 class Payload {
  public:
-  /// What one message carries: a few bytes inside its record, the rest beside it. `kChunkBytes` together at most.
+  /// What one message carries: a few bytes inside its record, the rest beside it. A chunk together at most.
   struct Chunk {
     std::string inside;
     std::string_view beside;
     std::size_t size() const { return inside.size() + beside.size(); }
   };
 
-  explicit Payload(std::shared_ptr<const Object> object);
+  explicit Payload(std::shared_ptr<const Object> object, std::size_t chunk = kChunkBytes);
   /// As it has come: to be passed on.
   explicit Payload(const ObjectBytes& object);
   std::size_t size() const { return size_; }
+  std::size_t chunk() const { return chunk_; }
   const std::vector<Chunk>& chunks() const { return chunks_; }
 
  private:
@@ -89,6 +94,7 @@ class Payload {
   void cut(const std::vector<std::string_view>& segments);
 
   const std::shared_ptr<const Object> object_;  ///< whose strings the chunks may show
+  const std::size_t chunk_;
   std::size_t size_ = 0;
   std::vector<Block> blocks_;
   std::vector<Chunk> chunks_;
@@ -132,8 +138,13 @@ class FrameReader {
   bool go_on(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
   bool add(Assembly& assembly, std::string_view inside, zmq::message_t* beside);
 
+  /// Of the frames of one message: their memory is used again for the next one's.
+  struct Scratch {
+    alignas(8) char first[1024];
+    google::protobuf::Arena arena{first, sizeof first};
+  };
   const std::size_t chunk_;
-  wire::Frame frame_;  ///< used again for each record
+  const std::unique_ptr<Scratch> scratch_ = std::make_unique<Scratch>();
   std::unordered_map<std::uint64_t, Assembly> assemblies_;  ///< by the wire that the object's first frame names
 };
 

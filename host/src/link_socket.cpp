@@ -3,23 +3,15 @@
 #include <algorithm>
 
 #include "link_keys.hpp"
+#include "link_peer.hpp"
 
 namespace fiona::host {
 namespace {
 
-/// Messages read before the pool thread serves someone else.
-constexpr int kReadsPerTurn = 64;
-/// ZeroMQ is given more for a peer while it holds one chunk at most, so never holds more than two; and while it holds
-/// fewer messages than this, so that small ones that come while it is busy are sent together.
-constexpr std::size_t kMostInside_messages = 8;
 /// ZeroMQ's own bound, for answers to peers that have proved nothing and do not read.
 constexpr int kSendMark = 64;
 /// And for peers that send more than their credit: it reads no more from one of whom so many messages wait to be read.
 constexpr int kReceiveMark = 256;
-/// The room that a chunk's message has for the frames beside it.
-constexpr std::size_t kFrameRoom = 64 * 1024;
-/// Lanes whose credit is paid back together.
-constexpr std::size_t kLanesOwed = 16;
 
 }  // namespace
 
@@ -36,120 +28,6 @@ control::LinkStatus LinkCounters::status() const {
   return status;
 }
 
-/// Reads, and sends what had to wait; outlives its socket while it is queued.
-struct LinkSocket::Turn final : Runnable {
-  explicit Turn(LinkSocket& l) : link(&l) {}
-  void run() override {
-    const std::lock_guard lock(mutex);
-    if (link) link->take_turn();
-  }
-  std::mutex mutex;
-  LinkSocket* link;
-};
-
-/// What of a peer's is inside ZeroMQ. ZeroMQ tells from its own thread what it has let go of.
-struct LinkSocket::Gate {
-  Gate(Pool& p, std::shared_ptr<Turn> t) : pool(p), turn(std::move(t)) {}
-  bool has_room() const { return messages < kMostInside_messages && bytes <= kChunkBytes + kFrameRoom; }
-  /// Whether more may go in; if not, the turn comes when something has left.
-  bool enter_or_wait() {
-    if (has_room()) return true;
-    waiting = true;
-    return has_room() && waiting.exchange(false);
-  }
-
-  Pool& pool;
-  const std::shared_ptr<Turn> turn;
-  std::atomic<std::size_t> messages{0};
-  std::atomic<std::size_t> bytes{0};
-  std::atomic<bool> waiting{false};
-};
-
-/// What has arrived from a peer and has not been credited yet, by lane.
-struct LinkSocket::Debts {
-  Debts(Pool& p, std::shared_ptr<Turn> t) : pool(p), turn(std::move(t)) {}
-
-  /// Whether it is time to pay: in portions, so that a stream of small messages does not double its traffic.
-  bool add(std::uint64_t lane, std::size_t size) {
-    const std::lock_guard lock(mutex);
-    const auto known = std::find_if(owed.begin(), owed.end(), [lane](const auto& one) { return one.first == lane; });
-    if (known != owed.end()) {
-      known->second += size;
-    } else {
-      owed.emplace_back(lane, size);
-    }
-    bytes += size;
-    return is_due();
-  }
-  bool is_due() const { return bytes >= kCreditPortion || owed.size() > kLanesOwed; }
-  std::vector<std::pair<std::uint64_t, std::uint64_t>> take() {
-    const std::lock_guard lock(mutex);
-    bytes = 0;
-    return std::exchange(owed, {});
-  }
-  bool due() {
-    const std::lock_guard lock(mutex);
-    return is_due();
-  }
-
-  Pool& pool;
-  const std::shared_ptr<Turn> turn;
-  std::mutex mutex;  ///< the innermost: whoever lets go of a receipt may hold another link's
-  std::vector<std::pair<std::uint64_t, std::uint64_t>> owed;
-  std::size_t bytes = 0;
-};
-
-/// What somebody still has of a peer's message.
-struct LinkSocket::Debt {
-  Debt(std::shared_ptr<Debts> d, std::uint64_t l, std::size_t b) : debts(std::move(d)), lane(l), bytes(b) {}
-  Debt(const Debt&) = delete;
-  Debt& operator=(const Debt&) = delete;
-  ~Debt() {
-    if (debts->add(lane, bytes)) debts->pool.submit(debts->turn);
-  }
-  const std::shared_ptr<Debts> debts;
-  const std::uint64_t lane;
-  const std::size_t bytes;
-};
-
-/// The bytes of one message inside ZeroMQ, and what is to be told when they have gone.
-struct LinkSocket::Release {
-  std::shared_ptr<Gate> gate;
-  Block records;
-  std::shared_ptr<const Payload> payload;
-  std::size_t bytes = 0;
-
-  static void done(void*, void* hint) {
-    const std::unique_ptr<Release> self(static_cast<Release*>(hint));
-    if (!self->gate) return;
-    self->gate->bytes -= self->bytes;
-    self->gate->messages -= 1;
-    if (self->gate->waiting.exchange(false)) self->gate->pool.submit(self->gate->turn);
-  }
-};
-
-class LinkSocket::Peer {
- public:
-  Peer(std::string i, std::string p, std::shared_ptr<Gate> g, std::shared_ptr<Debts> d, bool has_proved)
-      : identity(std::move(i)),
-        process(std::move(p)),
-        gate(std::move(g)),
-        debts(std::move(d)),
-        proven(has_proved),
-        control(lanes.open()) {}
-
-  const std::string identity;
-  const std::string process;
-  const std::shared_ptr<Gate> gate;
-  const std::shared_ptr<Debts> debts;
-  bool proven;
-  bool gone = false;
-  FrameCounts counts;
-  PeerLanes lanes;
-  const std::shared_ptr<PeerLanes::Lane> control;
-  FrameReader reader;  ///< the reader's
-};
-
 LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver,
                        std::function<void()> on_dealt_with)
     : pool_(pool),
@@ -163,7 +41,7 @@ LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type typ
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::sndhwm, kSendMark);
   socket_.set(zmq::sockopt::rcvhwm, kReceiveMark);
-  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(kChunkBytes + kFrameRoom));
+  bound_parts();
 }
 
 LinkSocket::~LinkSocket() { stop(); }
@@ -193,7 +71,7 @@ void LinkSocket::connect(const std::string& endpoint, std::string name, std::str
 }
 
 void LinkSocket::listen_proven(const std::string& endpoint) {
-  curve_ = true;
+  be_proven();
   socket_.set(zmq::sockopt::router_mandatory, 1);
   socket_.bind(endpoint);
   endpoint_ = socket_.get(zmq::sockopt::last_endpoint);
@@ -201,7 +79,7 @@ void LinkSocket::listen_proven(const std::string& endpoint) {
 }
 
 void LinkSocket::connect_proven(const std::string& endpoint, std::string provider) {
-  curve_ = true;
+  be_proven();
   socket_.connect(endpoint);
   {
     const std::lock_guard lock(mutex_);
@@ -209,6 +87,15 @@ void LinkSocket::connect_proven(const std::string& endpoint, std::string provide
   }
   start();
 }
+
+/// Only what comes from other hosts proves itself so.
+void LinkSocket::be_proven() {
+  curve_ = true;
+  chunk_ = kChunkBytes;
+  bound_parts();
+}
+
+void LinkSocket::bound_parts() { socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(chunk_ + kFrameRoom)); }
 
 void LinkSocket::start() {
   watch_ = pool_.watch(socket_.get(zmq::sockopt::fd), [this] { take_turn(); });
@@ -234,7 +121,7 @@ void LinkSocket::stop(std::chrono::milliseconds linger) {
 // ---- peers and lanes ------------------------------------------------------------------------------------------
 
 std::shared_ptr<LinkSocket::Peer> LinkSocket::add_peer(const std::string& identity, std::string process, bool proven) {
-  auto gate = std::make_shared<Gate>(pool_, turn_);
+  auto gate = std::make_shared<Gate>(pool_, turn_, chunk_);
   auto debts = std::make_shared<Debts>(pool_, turn_);
   return peers_[identity] = std::make_shared<Peer>(identity, std::move(process), std::move(gate), std::move(debts), proven);
 }
@@ -305,12 +192,12 @@ std::size_t LinkSocket::close_lane(const Lane& lane, PeerLanes::Rest rest) {
 namespace {
 
 /// The object's bytes, written once though it goes to several processes: one after the other, on the same thread.
-std::shared_ptr<const Payload> payload_of(const std::shared_ptr<const Object>& object) {
+std::shared_ptr<const Payload> payload_of(const std::shared_ptr<const Object>& object, std::size_t chunk) {
   thread_local std::weak_ptr<const Object> last_object;
   thread_local std::weak_ptr<const Payload> last_payload;
   auto payload = last_payload.lock();
-  if (payload && last_object.lock() == object) return payload;
-  payload = std::make_shared<const Payload>(object);
+  if (payload && payload->chunk() == chunk && last_object.lock() == object) return payload;
+  payload = std::make_shared<const Payload>(object, chunk);
   last_object = object;
   last_payload = payload;
   return payload;
@@ -329,7 +216,7 @@ PeerLanes::Item LinkSocket::item_for(const Lane& lane, wire::Frame& frame, const
     frame.set_lane(lane.lane->id());
   }
   if (size > kInlineBytes) {
-    item.payload = payload_of(object);
+    item.payload = payload_of(object, chunk_);
     if (item.payload->chunks().size() > 1) frame.set_size(size);
     item.record = make_record(frame, ObjectBytes(item.payload->chunks().front().inside));
   } else {
@@ -451,201 +338,5 @@ void LinkSocket::send_plain(const std::string& peer, const wire::Frame& frame) {
 }
 
 bool LinkSocket::has_input() { return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0; }
-
-// ---- receiving ------------------------------------------------------------------------------------------------
-
-void LinkSocket::take_turn() {
-  {
-    const std::lock_guard lock(mutex_);
-    if (stopped_) return;
-    for (const auto& [identity, peer] : peers_) {
-      if (peer->debts->due()) pay_locked(*peer);
-      pump(*peer);
-    }
-  }
-  const bool more = drain();
-  if (on_dealt_with_) on_dealt_with_();
-  if (more) pool_.submit(turn_);
-}
-
-void LinkSocket::read_now() {
-  if (drain()) pool_.submit(turn_);
-}
-
-/// Whether there may be more.
-bool LinkSocket::drain() {
-  const std::lock_guard draining(drain_mutex_);
-  for (int reads = 0; reads < kReadsPerTurn; ++reads) {
-    std::string peer;
-    {
-      const std::lock_guard lock(mutex_);
-      if (stopped_ || !receive(peer)) return false;
-    }
-    dispatch(peer);
-  }
-  return true;
-}
-
-/// One message into `parts_`. To the end: ZeroMQ has no edge for what is left.
-bool LinkSocket::receive(std::string& peer) {
-  parts_.clear();
-  try {
-    zmq::message_t part;
-    if (!socket_.recv(part, zmq::recv_flags::dontwait)) return false;
-    if (routed_) peer = part.to_string();
-    bool more = part.more();
-    if (!routed_) parts_.push_back(std::move(part));
-    while (more) {
-      if (!socket_.recv(part, zmq::recv_flags::dontwait)) return false;
-      more = part.more();
-      if (parts_.size() < 3) parts_.push_back(std::move(part));
-    }
-    return true;
-  } catch (const zmq::error_t&) {
-    return false;
-  }
-}
-
-/// What a proven peer sends, on its way to the receiver; credit stays here.
-class LinkSocket::Incoming final : public FrameReader::Receiver {
- public:
-  Incoming(LinkSocket& link, Peer& peer) : link_(link), peer_(peer) {}
-
-  bool accepts(const wire::Frame& frame) override {
-    if (link_.receiver_.accepts(peer_.identity, frame)) return true;
-    link_.count_received(peer_);
-    arrived(frame, frame.size());
-    return false;
-  }
-  void on_frame(const wire::Frame& frame, const ObjectBytes& object) override {
-    if (frame.has_credit()) {
-      const std::lock_guard lock(link_.mutex_);
-      const int lanes = std::min(frame.credit().lane_size(), frame.credit().bytes_size());
-      for (int i = 0; i < lanes; ++i) peer_.lanes.credit(frame.credit().lane(i), frame.credit().bytes(i));
-      return link_.pump(peer_);
-    }
-    link_.sender_ = &peer_;
-    link_.arrived_ = {frame.lane(), object.size() + kFrameCost};
-    link_.receiver_.on_frame(peer_.identity, frame, object);
-    link_.count_received(peer_);
-    if (!std::exchange(link_.receipt_, nullptr)) arrived(frame, object.size());
-  }
-
- private:
-  void arrived(const wire::Frame& frame, std::size_t bytes) {
-    if (frame.lane() != 0 && peer_.debts->add(frame.lane(), bytes + kFrameCost)) link_.pay(peer_);
-  }
-
-  LinkSocket& link_;
-  Peer& peer_;
-};
-
-void LinkSocket::dispatch(const std::string& identity) {
-  std::size_t bytes = 0;
-  for (const auto& part : parts_) bytes += part.size();
-  counters_.received_messages.fetch_add(1, std::memory_order_relaxed);
-  counters_.received_bytes.fetch_add(bytes, std::memory_order_relaxed);
-  auto peer = find(identity);
-  if (!peer && curve_ && routed_ && !parts_.empty()) {
-    const char* user = zmq_msg_gets(parts_.front().handle(), "User-Id");
-    const std::lock_guard lock(mutex_);
-    if (user && *user) peer = add_peer(identity, user, true);
-  }
-  if (!peer && curve_) return void(++counters_.unproven);
-  if (!peer || !peer->proven) return shake_hands(identity);
-  Incoming incoming(*this, *peer);
-  if (!peer->reader.read(parts_, incoming)) ++counters_.garbled;
-}
-
-void LinkSocket::count_received(Peer& peer) {
-  if (!on_dealt_with_) return;
-  const std::lock_guard lock(mutex_);
-  ++peer.counts.received;
-}
-
-std::shared_ptr<const void> LinkSocket::receipt() {
-  if (arrived_.first == 0) return nullptr;
-  if (!receipt_) receipt_ = std::make_shared<const Debt>(sender_->debts, arrived_.first, arrived_.second);
-  return receipt_;
-}
-
-void LinkSocket::pay(Peer& peer) {
-  const std::lock_guard lock(mutex_);
-  pay_locked(peer);
-}
-
-void LinkSocket::pay_locked(Peer& peer) {
-  wire::Frame frame;
-  for (const auto& [lane, bytes] : peer.debts->take()) {
-    frame.mutable_credit()->add_lane(lane);
-    frame.mutable_credit()->add_bytes(bytes);
-  }
-  if (frame.has_credit()) tell_locked(peer, frame);
-}
-
-// ---- the proof of the key -------------------------------------------------------------------------------------
-
-/// Of somebody who has proved nothing yet: only the proof itself is looked at.
-void LinkSocket::shake_hands(const std::string& peer) {
-  struct Single final : FrameReader::Receiver {
-    bool accepts(const wire::Frame&) override { return false; }
-    void on_frame(const wire::Frame& one, const ObjectBytes& object) override {
-      if (object.size() == 0) frame = one;
-    }
-    wire::Frame frame;
-  } single;
-  FrameReader reader;
-  if (parts_.size() == 1) reader.read(parts_, single);
-  if (routed_ && (single.frame.has_hello() || single.frame.has_proof())) return welcome(peer, single.frame);
-  if (!routed_ && single.frame.has_challenge()) return check_challenge(single.frame);
-  if (!routed_ && single.frame.has_refused()) return receiver_.on_refused(single.frame.refused().reason());
-  ++counters_.unproven;
-}
-
-void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
-  const bool hello = frame.has_hello();
-  const std::string& name = hello ? frame.hello().client() : frame.proof().client();
-  const std::string& nonce = hello ? frame.hello().nonce() : frame.proof().nonce();
-  wire::Frame answer;
-  if (hello && frame.hello().version() != wire::VERSION_1) {
-    answer.mutable_refused()->set_reason(kUnknownVersion);
-    const std::lock_guard lock(mutex_);
-    return send_plain(peer, answer);
-  }
-  if (nonce.size() != kNonceBytes) return void(++counters_.unproven);
-  const std::string key = link_key(key_, name);
-  const std::string ours = derived_nonce(secret_, peer + nonce + name);
-  if (hello) {
-    answer.mutable_challenge()->set_nonce(ours);
-    answer.mutable_challenge()->set_proof(link_proof(key, LinkSide::Provider, nonce, ours));
-    const std::lock_guard lock(mutex_);
-    return send_plain(peer, answer);
-  }
-  if (!same_proof(frame.proof().proof(), link_proof(key, LinkSide::Client, nonce, ours))) {
-    ++counters_.unproven;
-    return;
-  }
-  const std::lock_guard lock(mutex_);
-  forget_locked(name);  // a process has one link: what it leaves behind does not add up
-  add_peer(peer, name, true);
-}
-
-void LinkSocket::check_challenge(const wire::Frame& frame) {
-  const auto& challenge = frame.challenge();
-  if (!same_proof(challenge.proof(), link_proof(key_, LinkSide::Provider, nonce_, challenge.nonce()))) {
-    ++counters_.unproven;
-    return receiver_.on_refused("the process that listens there does not know the system's key");
-  }
-  wire::Frame answer;
-  answer.mutable_proof()->set_client(name_);
-  answer.mutable_proof()->set_nonce(nonce_);
-  answer.mutable_proof()->set_proof(link_proof(key_, LinkSide::Client, nonce_, challenge.nonce()));
-  const std::lock_guard lock(mutex_);
-  send_plain("", answer);
-  const auto provider = peers_.find("");
-  if (provider == peers_.end()) return;
-  provider->second->proven = true;
-  pump(*provider->second);
-}
 
 }  // namespace fiona::host

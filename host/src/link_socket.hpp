@@ -71,6 +71,7 @@ class LinkSocket {
     std::size_t lost = 0;  ///< older messages that had to go for it, once for each of their wires
   };
 
+  /// `pool` outlives `context`: until that has ended ZeroMQ lets go of what was sent, and the pool is told.
   /// `on_dealt_with` (a process on a virtual clock has it): called, holding no lock, when what has come is dealt with.
   /// Then lanes have no bound and no credit: what one round sends is handed out in the next, which bounds it, and what
   /// is lost must not depend on the speed of threads. So each frame that was taken arrives, or its peer is gone.
@@ -131,6 +132,8 @@ class LinkSocket {
   struct Turn;
   class Incoming;
 
+  void be_proven();
+  void bound_parts();
   void start();
   void take_turn();
   bool drain();
@@ -173,6 +176,7 @@ class LinkSocket {
   Peer* sender_ = nullptr;               ///< the reader's, with what the receipt is for
   std::pair<std::uint64_t, std::size_t> arrived_;
   bool curve_ = false;
+  std::size_t chunk_ = kLocalChunkBytes;
   bool stopped_ = false;
 };
 

@@ -12,7 +12,6 @@ namespace {
 /// Wires that have ended are remembered, so that what was under way is not taken for a stranger's.
 constexpr std::size_t kEndedKept = 256;
 /// Endpoints of other hosts begin so.
-constexpr std::string_view kHost = "host:";
 
 }  // namespace
 
@@ -29,19 +28,6 @@ class Links::Receiver final : public LinkSocket::Receiver {
  private:
   Links& links_;
   std::weak_ptr<LinkSocket> link_;
-};
-
-class Links::RelayLane {
- public:
-  explicit RelayLane(const Hop& to) : link_(to.link), lane_(to.link->open_lane(to.peer)) {}
-  RelayLane(const RelayLane&) = delete;
-  RelayLane& operator=(const RelayLane&) = delete;
-  ~RelayLane() { link_->close_lane(lane_); }
-  const LinkSocket::Lane& lane() const { return lane_; }
-
- private:
-  const std::shared_ptr<LinkSocket> link_;
-  const LinkSocket::Lane lane_;
 };
 
 Links::Peer::Peer() = default;
@@ -130,7 +116,7 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
   std::unique_lock lock(mutex_);
   const Hop hop = connect(endpoint);
   const std::string name = port.full_name() + "<" + provider_name;
-  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name, is_push(port) ? client : nullptr);
+  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name, port.service().is_push() ? client : nullptr);
   requirements_[wire_id] = Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, false};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
   const Connection before = client->connection();
@@ -150,7 +136,7 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
     lock.unlock();
     if (resumes_every > 0) count_missed(wire_id, replaces, resumes_every);
     // The new one first: a request that is being made has somewhere to go at every moment.
-    if (!is_push(port)) client->set_target(wire);
+    if (!port.service().is_push()) client->set_target(wire);
     if (switch_over) switch_over();
     client->set_connection(Connection::Connected, provider_name);
     return wire->admit();
@@ -170,7 +156,7 @@ void Links::count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32
   const std::lock_guard lock(mutex_);
   const auto now = requirements_.find(wire);
   const auto before = requirements_.find(replaces);
-  if (now == requirements_.end() || before == requirements_.end() || !is_push(now->second.client->port())) return;
+  if (now == requirements_.end() || before == requirements_.end() || !now->second.client->port().service().is_push()) return;
   const std::uint64_t last = std::max(before->second.from_sequence, before->second.wire->last_sequence());
   if (now->second.from_sequence <= last) return;
   now->second.client->port().counters().dropped.fetch_add((now->second.from_sequence - last) / every, std::memory_order_relaxed);
@@ -202,7 +188,7 @@ void Links::open_for(const Hop& from, const wire::Frame& frame) {
   Grant& granted = grant->second;
   granted.client = from;
   granted.wire = wire_for(from, frame.wire(), granted);
-  granted.wire->open(granted.prescale);
+  granted.wire->open(granted.prescale, frame.open().each());
 }
 
 /// The provider's end of a wire; those of a push port to the same process share what crosses.
@@ -221,100 +207,6 @@ std::shared_ptr<RemoteWire> Links::wire_for(const Hop& from, std::uint64_t wire,
   return std::make_shared<RemoteWire>(std::move(fan_out), from.link, from.peer, wire, provider, name);
 }
 
-// ---- relays ---------------------------------------------------------------------------------------------------
-
-void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint) {
-  const std::lock_guard lock(mutex_);
-  relays_[wire] = Relay{std::move(token), std::move(peer), std::move(endpoint), {}, {}};
-}
-
-void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) {
-  if (relay.token != frame.open().token() || relay.client.hop.link || !may_open(from, relay.peer)) {
-    return refuse(from, frame.wire(), "the wire was not granted");
-  }
-  try {
-    relay.provider.hop = connect(relay.endpoint);
-  } catch (const Error& error) {
-    return refuse(from, frame.wire(), error.text().what);
-  }
-  relay.client.hop = from;
-  forward(from, relay.provider, frame, {}, nullptr);
-}
-
-/// Passes the frame on over those of its wires that are relayed here, each side's towards the other. What is left of it
-/// is for wires that end here; null: nothing is.
-const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest) {
-  const std::lock_guard lock(mutex_);
-  if (relays_.empty()) return &frame;
-  std::vector<std::uint64_t> ending;
-  std::vector<std::pair<Relay::Side*, wire::Frame>> ways;  // those of one hop share what crosses, as they did before
-  const auto sort = [&](std::uint64_t wire) {
-    const auto found = relays_.find(wire);
-    if (found == relays_.end()) return ending.push_back(wire);
-    Relay::Side& client = found->second.client;
-    Relay::Side& provider = found->second.provider;
-    if (!client.hop.link || (from != client.hop && from != provider.hop)) return note_foreign(wire);
-    Relay::Side& to = from == client.hop ? provider : client;
-    const auto way = std::find_if(ways.begin(), ways.end(), [&](const auto& one) { return one.first->hop == to.hop; });
-    if (way != ways.end()) return way->second.add_also(wire);
-    auto& passed = ways.emplace_back(&to, frame).second;
-    passed.set_wire(wire);
-    passed.clear_also();
-  };
-  sort(frame.wire());
-  for (const std::uint64_t wire : frame.also()) sort(wire);
-  const auto payload = object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
-  for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
-  if (frame.has_closed() || frame.has_refused()) {
-    for (const auto& [to, passed] : ways) note_ended(passed.wire());
-    for (const auto& [to, passed] : ways) relays_.erase(passed.wire());
-  }
-  if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
-  if (ending.empty()) return nullptr;
-  rest = frame;
-  rest.set_wire(ending.front());
-  rest.clear_also();
-  for (std::size_t i = 1; i < ending.size(); ++i) rest.add_also(ending[i]);
-  return &rest;
-}
-
-/// Called with the mutex held. A frame without an object goes behind the objects of its wire.
-void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
-                    const std::shared_ptr<const Payload>& payload) {
-  if (frame.lane() != 0) {
-    auto& known = relay_lanes_[{from.link.get(), from.peer, frame.lane(), to.hop.link.get(), to.hop.peer}];
-    to.lane = known.lock();
-    if (!to.lane) {
-      known = to.lane = std::make_shared<RelayLane>(to.hop);
-      std::erase_if(relay_lanes_, [](const auto& entry) { return entry.second.expired(); });
-    }
-    for (const std::uint64_t other : frame.also()) {
-      Relay& relay = relays_.at(other);
-      (from == relay.client.hop ? relay.provider : relay.client).lane = to.lane;
-    }
-  }
-  const LinkSocket::Lane lane = to.lane ? to.lane->lane() : LinkSocket::Lane();
-  to.hop.link->forward(lane, to.hop.peer, frame, object, payload, from.link->receipt());
-}
-
-/// Called with the mutex held. The side that is left is told.
-void Links::lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason) {
-  for (auto it = relays_.begin(); it != relays_.end();) {
-    auto& [wire, relay] = *it;
-    const bool provider_gone = relay.endpoint.address == endpoint;
-    if (!provider_gone && relay.peer != name) {
-      ++it;
-      continue;
-    }
-    const Hop& left = provider_gone ? relay.client.hop : relay.provider.hop;
-    wire::Frame frame = frame_for(wire);
-    frame.mutable_closed()->set_reason(reason);
-    if (left.link) left.link->tell(left.peer, frame);
-    note_ended(wire);
-    it = relays_.erase(it);
-  }
-}
-
 // ---- frames ---------------------------------------------------------------------------------------------------
 
 /// Called with the mutex held.
@@ -330,6 +222,10 @@ void Links::note_foreign(std::uint64_t wire) {
 
 Links::End Links::end_of(const Hop& from, std::uint64_t wire) {
   const std::lock_guard lock(mutex_);
+  return end_of_locked(from, wire);
+}
+
+Links::End Links::end_of_locked(const Hop& from, std::uint64_t wire) {
   const auto grant = grants_.find(wire);
   if (grant != grants_.end() && grant->second.wire && grant->second.client == from) return {grant->second.wire, true};
   const auto requirement = requirements_.find(wire);
@@ -353,11 +249,17 @@ bool Links::accepts(const Hop& from, const wire::Frame& frame) {
 }
 
 void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object) {
+  const InUse::Scope use(ports_in_use_);
   if (frame.has_open()) return open_for(from, frame);
   wire::Frame some;
-  const wire::Frame* rest = pass_on(from, frame, object, some);
-  if (!rest) return;
-  const End end = end_of(from, rest->wire());
+  const wire::Frame* rest = &frame;
+  End end;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!relays_.empty()) rest = pass_on(from, frame, object, some);
+    if (!rest) return;
+    end = end_of_locked(from, rest->wire());
+  }
   if (!end.wire && rest->also().empty()) return;
   if (!end.provides) return on_client_frame(from, *rest, end.wire, object);
   if (rest->has_closed()) return cut(rest->wire(), rest->closed().reason());
@@ -370,8 +272,8 @@ void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shar
     const End end = end_of(from, number);
     return end.provides ? nullptr : end.wire;
   };
-  if (wire && frame.has_opened()) return note_answer(frame.wire(), "", frame.opened().from_sequence());
-  if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason(), 0);
+  if (wire && frame.has_opened()) return note_answer(frame.wire(), "", frame.opened());
+  if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason());
   if (wire && frame.has_closed()) return on_closed(frame.wire(), frame.closed().reason());
   if (frame.also().empty() || !frame.has_object()) {
     if (wire) wire->on_frame(frame, object);
@@ -419,19 +321,21 @@ void Links::on_refused(const Hop& from, const std::string& reason) {
       if (requirement.provider == from) waiting.push_back(wire);
     }
   }
-  for (const std::uint64_t wire : waiting) note_answer(wire, reason, 0);
+  for (const std::uint64_t wire : waiting) note_answer(wire, reason);
 }
 
-void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, std::uint64_t from_sequence) {
+void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, const wire::Opened& opened) {
   const std::lock_guard lock(mutex_);
   const auto found = requirements_.find(wire_id);
   if (found == requirements_.end() || found->second.refusal) return;
   found->second.refusal = refusal;
-  found->second.from_sequence = from_sequence;
+  found->second.from_sequence = opened.from_sequence();
+  found->second.client->set_cycle(std::max(Duration::zero(), Duration(opened.cycle_ns())));
   answered_.notify_all();
 }
 
 void Links::cut(std::uint64_t wire_id, const std::string& reason) {
+  const InUse::Scope use(ports_in_use_);
   std::unique_lock lock(mutex_);
   if (const auto relay = relays_.find(wire_id); relay != relays_.end()) {
     wire::Frame frame = frame_for(wire_id);
@@ -473,7 +377,7 @@ void Links::retire(std::uint64_t wire_id) {
     found->second.retired = true;
     wire = found->second.wire;
   }
-  if (is_push(wire->port())) return cut(wire_id, "another provider has taken its place");
+  if (wire->port().service().is_push()) return cut(wire_id, "another provider has taken its place");
   wire->drain([this, wire_id] { cut(wire_id, "another provider has taken its place"); });
 }
 
@@ -489,6 +393,8 @@ void Links::release(const Hull& hull) {
     }
   }
   for (const std::uint64_t id : left) cut(id, "'" + hull.name() + "' has ended");
+  // Another thread may have taken one of its wires out of reach just before, and not yet be done with the port.
+  ports_in_use_.wait_for_end();
 }
 
 void Links::peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason) {
@@ -507,6 +413,7 @@ void Links::lose(const std::string& endpoint, const std::string& name, const std
   std::vector<std::pair<std::uint64_t, Requirement>> lost;
   std::vector<std::shared_ptr<RemoteWire>> served;
   Peer gone;
+  const InUse::Scope use(ports_in_use_);
   {
     const std::lock_guard lock(mutex_);
     for (auto& [id, requirement] : requirements_) {

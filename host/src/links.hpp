@@ -7,9 +7,11 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <tuple>
 
 #include "fiona/clock.hpp"
+#include "in_use.hpp"
 #include "remote_wire.hpp"
 
 namespace fiona::host {
@@ -25,6 +27,8 @@ struct Hop {
 class Links {
  public:
   using OnLost = std::function<void(std::uint64_t wire, const std::string& reason)>;
+  /// What the endpoint of another host begins with; alone it is the one that leads this one.
+  static constexpr std::string_view kHost = "host:";
 
   /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for them.
   /// On a virtual clock, what comes takes its turn there.
@@ -61,7 +65,8 @@ class Links {
   void cut(std::uint64_t wire, const std::string& reason);
   /// Another wire has taken this one's place at its client: it goes once its open requests have ended.
   void retire(std::uint64_t wire);
-  /// The ports of `hull` are going: so does what is left of their wires.
+  /// [control thread] The ports of `hull` are going: so does what is left of their wires. After it returned no thread
+  /// of a link uses them.
   void release(const Hull& hull);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
@@ -130,6 +135,7 @@ class Links {
   void on_refused(const Hop& from, const std::string& reason);
   void on_closed(std::uint64_t wire, const std::string& reason);
   End end_of(const Hop& from, std::uint64_t wire);
+  End end_of_locked(const Hop& from, std::uint64_t wire);
   bool may_open(const Hop& from, const std::string& peer);
   void open_relay(const Hop& from, const wire::Frame& frame, Relay& relay);
   const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
@@ -143,7 +149,7 @@ class Links {
   void open_for(const Hop& from, const wire::Frame& frame);
   std::shared_ptr<RemoteWire> wire_for(const Hop& from, std::uint64_t wire, const Grant& grant);
   void refuse(const Hop& from, std::uint64_t wire, const std::string& reason);
-  void note_answer(std::uint64_t wire, const std::string& refusal, std::uint64_t from_sequence);
+  void note_answer(std::uint64_t wire, const std::string& refusal, const wire::Opened& opened = {});
   Hop connect(const Endpoint& endpoint);
   std::function<void()> on_dealt_with() const;
 
@@ -152,6 +158,7 @@ class Links {
   zmq::context_t context_;
   const std::string endpoint_;
   const OnLost on_lost_;
+  InUse ports_in_use_;  ///< by threads of links, and by who cuts
   std::mutex mutex_;
   std::condition_variable answered_;  ///< a requirement has its answer
   std::map<std::uint64_t, Grant> grants_;

@@ -24,6 +24,7 @@ struct Flags {
   std::string store;
   std::string keys;
   std::string listen;
+  std::string serve;
   std::vector<std::string> peers;
   std::string plugins;
   std::size_t threads = 0;
@@ -41,8 +42,9 @@ Flags parse(int argc, char** argv, options::options_description& description) {
   add("socket", options::value(&flags.socket), "where it listens for consoles");
   add("store", options::value(&flags.store), "the installed packages");
   add("listen", options::value(&flags.listen), "tcp://ADDRESS:PORT where a host that leads may connect; port 0: a free one");
+  add("serve", options::value(&flags.serve), "tcp://ADDRESS:PORT where consoles on other machines may connect; port 0: a free one");
   add("peer", options::value(&flags.peers), "NAME=HOST:PORT=KEY, a host that this one leads; may be repeated");
-  add("keys", options::value(&flags.keys), "the directory of the key pair and of the hosts that may connect");
+  add("keys", options::value(&flags.keys), "the directory of the key pair and of the hosts and consoles that may connect");
   add("plugins", options::value(&flags.plugins), "libraries in no package that a leading host may have loaded");
   add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
   add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
@@ -85,7 +87,7 @@ int serve(const Flags& flags) {
   fiona::os::require_private_directory(socket.parent_path());
   const std::filesystem::path store =
       flags.store.empty() ? fiona::marketplace::Store::default_directory() : std::filesystem::path(flags.store);
-  fiona::host::HostOptions hosts{flags.keys, flags.listen, {}};
+  fiona::host::HostOptions hosts{flags.keys, flags.listen, {}, flags.serve};
   for (const auto& peer : flags.peers) hosts.peers.push_back(fiona::host::PeerAddress::from_text(peer));
   fiona::host::System::Options options{.name = flags.name,
                                        .store = store,
@@ -95,6 +97,7 @@ int serve(const Flags& flags) {
                                        .plugins = flags.plugins};
   fiona::host::ControlServer server(socket, std::move(options), flags.restore);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
+  if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";
   tell(flags.ready, "READY\n" + server.listens());
   return server.serve(flags.lifeline, signals);
 }

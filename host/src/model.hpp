@@ -8,8 +8,10 @@
 #include <utility>
 #include <vector>
 
+#include "clock_settings.hpp"
 #include "fiona/control.pb.h"
 #include "fiona/message.hpp"
+#include "names.hpp"
 #include "package.hpp"
 
 namespace fiona::host {
@@ -27,9 +29,15 @@ class Model {
     std::string mode_at_load;                  ///< as `load` asked; empty: the first
     std::shared_ptr<const Object> parameters;  ///< null: the component has none
     std::uint64_t order = 0;                   ///< of loading
+    std::vector<std::string> rights{};         ///< that it was granted
+    std::string comment{};                     ///< of its system file
     bool led = false;                          ///< of the system of the host that leads this one
 
     const ComponentInterface& interface() const { return package->component(component); }
+    /// The mode that loading it brings it to.
+    std::string mode_after_load() const;
+    /// Null: the component has none.
+    std::shared_ptr<Object> default_parameters() const;
   };
   struct Wire {
     std::vector<control::PortName> providers{};  ///< the first, and its alternatives in their order
@@ -39,12 +47,14 @@ class Model {
 
     bool uses(const std::string& instance) const;
     bool operator==(const Wire& other) const;
+    /// What makes it so.
+    control::Change change_for(const PortKey& client) const;
   };
-  using PortKey = std::pair<std::string, std::string>;  ///< instance, port
 
   const Instance* find(const std::string& name) const;
   std::vector<std::string> names() const;
-  bool uses_group(const std::string& group) const;
+  /// Those in this group.
+  std::vector<std::string> names_in(const std::string& group) const;
   /// Throws Error NotFound with the nearest names.
   const Instance& instance(const std::string& name) const;
   /// The port of an instance. Throws Error: no such instance or port, or one of the other direction.
@@ -52,10 +62,7 @@ class Model {
   const Wire* wire_of(const control::PortName& client) const;
   /// By the client's port.
   const std::map<PortKey, Wire>& wires() const { return wires_; }
-  bool has_virtual_clock() const { return virtual_clock_; }
-  double speed() const { return speed_; }
-  /// The file in which each delivery of a virtual clock is recorded; empty: none.
-  const std::string& deliveries() const { return deliveries_; }
+  const ClockSettings& clock() const { return clock_; }
 
   /// Makes the change in the model. Throws Error, and changes nothing, when it cannot be: everything that can be told
   /// without running a component is told here.
@@ -67,8 +74,12 @@ class Model {
   void set_leader(std::string leader) { leader_ = std::move(leader); }
   /// Throws Error NotAllowed for what is the leader's.
   void require_own(const std::string& name) const;
+  /// What loads an instance as it is meant to be now.
+  control::Load load_of(const std::string& name) const;
   /// The change as steps that each do one thing: a swap as its wires.
   std::vector<control::Change> steps_of(const control::Change& change) const;
+  /// The ports that clients would be moved from by a swap, each with the one that takes its place.
+  std::vector<std::pair<control::PortName, control::PortName>> replaced_by(const control::Replace& swap) const;
   /// The provider's port fits the client's; throws Error WiringInvalid naming both services and who would fit.
   void require_fit(const control::PortName& client, const control::PortName& provider) const;
 
@@ -83,24 +94,15 @@ class Model {
   void set(const control::Set& request);
   void set_host(const control::Set& request);
   void state(const control::State& request);
+  void require_waiting_fit(const std::string& name) const;
   std::string providers_of(const std::string& service) const;
   control::PortName counterpart(const control::PortName& provider, const std::string& next) const;
 
   std::map<std::string, std::shared_ptr<const Instance>> instances_;
   std::map<PortKey, Wire> wires_;
   std::string leader_;
-  bool virtual_clock_ = false;
-  double speed_ = 0;        ///< of a virtual clock
-  std::string deliveries_;  ///< of a virtual clock
+  ClockSettings clock_;
   std::uint64_t next_order_ = 1;
 };
-
-Model::PortKey key_of(const control::PortName& name);
-control::PortName port_of(const Model::PortKey& key);
-/// "nav.location".
-std::string text_of(const control::PortName& name);
-
-/// A name that can be typed and has no meaning of its own; throws Error Usage otherwise.
-void require_name(const std::string& name, std::string_view kind);
 
 }  // namespace fiona::host

@@ -36,7 +36,7 @@ Package Packages::library(const std::filesystem::path& file) const {
   std::string name = file.stem().string();
   if (name.starts_with("lib")) name = name.substr(3);
   const auto description = file.parent_path() / (name + ".interface.textproto");
-  Package found{"local/" + name, "0", std::filesystem::absolute(file), {}, {}, nullptr, nullptr};
+  Package found{"local/" + name, "0", std::filesystem::absolute(file), {}, {}, {}, nullptr, nullptr};
   std::ifstream stream(description);
   std::stringstream text;
   text << stream.rdbuf();
@@ -45,6 +45,7 @@ Package Packages::library(const std::filesystem::path& file) const {
                                       .where = description.string(),
                                       .next = "fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona-describe " + file.string()});
   }
+  for (const auto& one : found.interface.components()) found.rights.insert(found.rights.end(), one.rights().begin(), one.rights().end());
   const auto share = file.parent_path() / (name + ".share");
   if (std::filesystem::is_directory(share)) found.share = share;
   return found;
@@ -83,7 +84,8 @@ Packages::Choice Packages::find(const std::string& text) const {
     wanted = text.substr(slash + 1);
   }
   const auto installed = store_.find(plugin);
-  Package found{installed.name(), installed.manifest.version(), installed.library, installed.share, installed.interface(), nullptr,
+  Package found{installed.name(), installed.manifest.version(), installed.library, installed.share, installed.interface(),
+                {installed.manifest.rights().begin(), installed.manifest.rights().end()}, nullptr,
                 std::make_shared<marketplace::PackageHold>(store_.hold(installed))};
   std::string component = choose_component(found.interface, found.name, wanted);
   return {shared(std::move(found)), std::move(component)};

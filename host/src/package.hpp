@@ -5,6 +5,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "fiona/marketplace/store.hpp"
 #include "types.hpp"
@@ -18,6 +19,7 @@ struct Package {
   std::filesystem::path library;
   std::filesystem::path share;
   Interface interface;
+  std::vector<std::string> rights;  ///< that its manifest asks for; of a library without one, those that it uses
   std::shared_ptr<const Types::Source> types;
   std::shared_ptr<marketplace::PackageHold> hold;  ///< keeps an installed one from being removed
 

@@ -6,18 +6,24 @@
 namespace fiona::host {
 namespace {
 
-/// Connecting again: 0.4 s to 4 s, each plus up to 0.4 s by chance, so that 200 hosts together stay below 50 attempts a
-/// second (promises R20) and one is back within 5 s of a long outage. libzmq counts so where nobody listens; where
-/// somebody does and no handshake comes about, it begins again at 0.4 s, so that is counted here.
-constexpr int kReconnect_ms = 400;
-constexpr int kReconnectMost_ms = 4000;
-constexpr int kRetryMost_ms = 5000;  ///< between attempts that end without a handshake, on average
-constexpr int kConnect_ms = 500;
+/// Connecting again is done here and not by libzmq, whose pauses would bring 200 hosts back in step. After a session, the
+/// first attempt begins after 0.2 to 0.6 s and the next one 0.5 to 1.5 s later, so that a short outage costs 2 s. The
+/// third spreads the crowd; from then on there is one every 4.2 to 4.7 s, so that a long outage costs 5 s and 200 hosts
+/// together make less than 50 attempts a second.
+constexpr PeerLink::Pause kAfterSession{200, 400};
+constexpr PeerLink::Pause kAfterFirst{500, 1000};
+constexpr PeerLink::Pause kAfterSecond{1500, 3200};
+constexpr PeerLink::Pause kLater{4200, 500};
+/// From one attempt to the next at one that refuses us.
+constexpr PeerLink::Pause kAfterRefusal{5000, 1000};
+/// An attempt that nobody has answered lives until the next one begins, but so long at least; one that is connected has
+/// the time of the handshake, and as much again for the first words.
+constexpr std::chrono::milliseconds kConnect{1000};
 constexpr std::chrono::milliseconds kHelloEvery{400};
-/// Before one that refuses us is asked again.
-constexpr std::chrono::milliseconds kAfterRefusal{5000};
 /// How long the last word of a host that ends may take to leave.
 constexpr std::chrono::milliseconds kFarewell{200};
+
+constexpr const char* kNoHandshake = "no handshake: its key is not the one that --peer names, or it is no host of FIONA";
 
 using Steady = std::chrono::steady_clock;
 
@@ -78,15 +84,25 @@ void PeerLink::stop() {
     frame.mutable_gone();
     send(frame);
   }
-  close(State::Connecting, "the host ends", std::chrono::hours(1), kFarewell);
+  close(State::Connecting, "the host ends", Steady::now() + std::chrono::hours(1), kFarewell);
+}
+
+std::chrono::milliseconds PeerLink::by_chance(const Pause& pause) {
+  return std::chrono::milliseconds(pause.least_ms + random_() % pause.spread_ms);
 }
 
 void PeerLink::try_open(Steady::time_point now) {
+  {
+    const std::lock_guard lock(mutex_);
+    const int tries = std::exchange(tries_, std::min(tries_ + 1, 2));
+    next_attempt_ = now + by_chance(state_ == State::Refused ? kAfterRefusal : tries == 0 ? kAfterFirst : tries == 1 ? kAfterSecond : kLater);
+    give_up_at_ = std::max(next_attempt_, now + kConnect);
+  }
   try {
     open();
   } catch (const zmq::error_t& error) {
     enter(State::Refused, "no connection to " + peer_.address + " can be made: " + error.what());
-    open_at_ = now + kAfterRefusal;
+    open_at_ = now + by_chance(kAfterRefusal);
   }
 }
 
@@ -99,14 +115,13 @@ void PeerLink::open() {
   socket.set(zmq::sockopt::curve_publickey, around_.keys.open.bytes());
   socket.set(zmq::sockopt::curve_secretkey, around_.keys.secret.bytes());
   socket.set(zmq::sockopt::immediate, true);  // nothing waits for a connection that may never come
-  socket.set(zmq::sockopt::reconnect_ivl, kReconnect_ms);
-  socket.set(zmq::sockopt::reconnect_ivl_max, kReconnectMost_ms);
-  socket.set(zmq::sockopt::connect_timeout, kConnect_ms);
+  socket.set(zmq::sockopt::reconnect_ivl, -1);
   socket.set(zmq::sockopt::handshake_ivl, kHandshake_ms);
   socket.set(zmq::sockopt::ipv6, peer_.address.find('[') != std::string::npos);
   const std::string watch = "inproc://peer-" + peer_.name + "-" + std::to_string(sockets_++);
   zmq_socket_monitor(socket.handle(), watch.c_str(),
-                     ZMQ_EVENT_HANDSHAKE_FAILED_AUTH | ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL | ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL);
+                     ZMQ_EVENT_CONNECTED | ZMQ_EVENT_CLOSED | ZMQ_EVENT_DISCONNECTED | ZMQ_EVENT_HANDSHAKE_SUCCEEDED |
+                         ZMQ_EVENT_HANDSHAKE_FAILED_AUTH | ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL | ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL);
   monitor_ = zmq::socket_t(around_.context, zmq::socket_type::pair);
   monitor_.set(zmq::sockopt::linger, 0);
   monitor_.connect(watch);
@@ -119,7 +134,7 @@ void PeerLink::open() {
 }
 
 /// Ends the socket, and with it the session: no frame comes from it when its wires are lost.
-void PeerLink::close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger) {
+void PeerLink::close(State next, const std::string& reason, Steady::time_point open_at, std::chrono::milliseconds linger) {
   std::shared_ptr<LinkSocket> ended;
   bool was_joined = false;
   {
@@ -128,13 +143,18 @@ void PeerLink::close(State next, const std::string& reason, std::chrono::millise
     ++session_;
     end_.reset();
     no_handshake_ = false;
+    closed_ = false;
     ended = std::move(link_);
     lane_ = {};
-    open_at_ = Steady::now() + pause;
+    open_at_ = open_at;
   }
   enter(next, reason);
   answered_.notify_all();
-  if (ended) ended->stop(linger);
+  if (ended) {
+    // libzmq's own thread waits for ever where it has something to tell and the monitor is gone.
+    zmq_socket_monitor(ended->socket().handle(), nullptr, 0);
+    ended->stop(linger);
+  }
   monitor_.close();
   if (!was_joined) return;
   around_.links.part(endpoint(), reason);
@@ -148,32 +168,35 @@ void PeerLink::enter(State state, const std::string& reason) {
   reason_ = reason;
 }
 
+void PeerLink::forgive(Steady::duration time) {
+  const std::lock_guard lock(mutex_);
+  heard_ = std::min(heard_ + time, Steady::now());
+}
+
 void PeerLink::tick(Steady::time_point now) {
   if (!link_) return now >= open_at_ ? try_open(now) : void();
+  read_monitor(now);
   std::unique_lock lock(mutex_);
-  if (const auto reason = end_) {
-    const bool was_joined = state_ == State::Joined;
-    lock.unlock();
-    const std::chrono::milliseconds by_chance(random_() % 1000);
-    return close(was_joined ? State::Silent : State::Refused, *reason, was_joined ? by_chance / 5 : kAfterRefusal + by_chance);
-  }
-  if (no_handshake_) {
-    const State same = state_;
-    // From half to one and a half of it, so that hosts that began together do not go on together.
-    const auto mean_ms = static_cast<unsigned>(std::min(kReconnect_ms << failures_, kRetryMost_ms));
-    const std::chrono::milliseconds pause(mean_ms / 2 + random_() % mean_ms);
-    failures_ = std::min(failures_ + 1, 5);
-    lock.unlock();
-    return close(same, "no handshake: its key is not the one that --peer names, or it is no host of FIONA", pause);
-  }
   const bool joined = state_ == State::Joined;
+  if (const auto reason = end_) {
+    lock.unlock();
+    if (joined) return close(State::Silent, *reason, now + by_chance(kAfterSession));
+    return close(State::Refused, *reason, now + by_chance(kAfterRefusal));
+  }
+  if (joined && closed_) {
+    lock.unlock();
+    return close(State::Silent, "the connection to host '" + peer_.name + "' has ended", now + by_chance(kAfterSession));
+  }
+  if (!joined && (closed_ || no_handshake_ || now > give_up_at_)) {
+    const State same = state_;
+    const std::string reason = no_handshake_ ? kNoHandshake : reason_;
+    lock.unlock();
+    return close(same, reason, next_attempt_);
+  }
   const bool silent = joined && now - heard_ > kSilence;
   const auto quiet = now - spoke_;
   lock.unlock();
-  if (!joined) {
-    read_monitor();
-    return quiet >= kHelloEvery ? say_hello() : void();
-  }
+  if (!joined) return quiet >= kHelloEvery ? say_hello() : void();
   if (quiet >= kBeatEvery) beat();
   if (!silent) return;
   // The pool's threads may all be busy, and what the peer has said still lie in the socket.
@@ -181,11 +204,11 @@ void PeerLink::tick(Steady::time_point now) {
   lock.lock();
   const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(Steady::now() - heard_);
   lock.unlock();
-  if (silence > kSilence) close(State::Silent, "host '" + peer_.name + "' has been silent for " + std::to_string(silence.count()) + " ms", {});
+  if (silence > kSilence) close(State::Silent, "host '" + peer_.name + "' has been silent for " + std::to_string(silence.count()) + " ms", now + by_chance(kAfterSession));
 }
 
-/// Why no connection comes about, as far as libzmq tells.
-void PeerLink::read_monitor() {
+/// How the connection comes about, or why not, as far as libzmq tells.
+void PeerLink::read_monitor(Steady::time_point now) {
   zmq::message_t event;
   while (monitor_ && monitor_.recv(event, zmq::recv_flags::dontwait)) {
     std::uint16_t kind = 0;
@@ -193,10 +216,13 @@ void PeerLink::read_monitor() {
     zmq::message_t address;
     if (!monitor_.recv(address, zmq::recv_flags::dontwait)) return;
     const std::lock_guard lock(mutex_);
-    if (kind == ZMQ_EVENT_HANDSHAKE_FAILED_AUTH) {
-      end_ = "it does not let us in: on it, fiona keys allow NAME " + around_.keys.open.text();
-    } else {
-      no_handshake_ = true;
+    switch (kind) {
+      case ZMQ_EVENT_CONNECTED: give_up_at_ = now + 2 * std::chrono::milliseconds(kHandshake_ms); break;
+      case ZMQ_EVENT_HANDSHAKE_SUCCEEDED: spoke_ = {}; break;
+      case ZMQ_EVENT_HANDSHAKE_FAILED_AUTH: end_ = "it does not let us in: on it, fiona keys allow NAME " + around_.keys.open.text(); break;
+      case ZMQ_EVENT_CLOSED:
+      case ZMQ_EVENT_DISCONNECTED: closed_ = true; break;
+      default: no_handshake_ = true; break;
     }
   }
 }
@@ -258,9 +284,9 @@ void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
   bool same_run = false;
   {
     const std::lock_guard lock(mutex_);
-    same_run = run_ == welcome.run();
+    same_run = !run_ || run_ == welcome.run();  // at first nothing is there that could be of another run
     run_ = welcome.run();
-    failures_ = 0;
+    tries_ = 0;
     version_ = welcome.version().substr(0, 40);
   }
   around_.links.join(endpoint(), hop);

@@ -72,11 +72,19 @@ class PeerLink {
   PeerLink(const HostSurroundings& around, PeerAddress peer);
   ~PeerLink();
 
+  /// How long it waits, and by how much longer it may, as chance will have it.
+  struct Pause {
+    unsigned least_ms;
+    unsigned spread_ms;
+  };
+
   const PeerAddress& peer() const { return peer_; }
   /// Its name among the links of this host.
-  std::string endpoint() const { return "host:" + peer_.name; }
+  std::string endpoint() const { return std::string(Links::kHost) + peer_.name; }
   /// [the host links' thread] Beats, watches for silence, connects again.
   void tick(std::chrono::steady_clock::time_point now);
+  /// For so long the peer could not be heard, by no fault of its own.
+  void forgive(std::chrono::steady_clock::duration time);
   /// [the host links' thread, or none any more]
   void stop();
 
@@ -92,8 +100,9 @@ class PeerLink {
 
   void try_open(std::chrono::steady_clock::time_point now);
   void open();
-  void close(State next, const std::string& reason, std::chrono::milliseconds pause, std::chrono::milliseconds linger = {});
-  void read_monitor();
+  void close(State next, const std::string& reason, std::chrono::steady_clock::time_point open_at, std::chrono::milliseconds linger = {});
+  void read_monitor(std::chrono::steady_clock::time_point now);
+  std::chrono::milliseconds by_chance(const Pause& pause);
   void say_hello();
   void beat();
   void send(const wire::HostFrame& frame);
@@ -124,7 +133,10 @@ class PeerLink {
   std::chrono::steady_clock::time_point open_at_{};
   std::optional<std::string> end_;  ///< the session is to end, and why
   bool no_handshake_ = false;         ///< the connection came about, and no more
-  int failures_ = 0;                  ///< so many times since it was joined last
+  bool closed_ = false;               ///< the connection has ended, or was not taken
+  int tries_ = 0;                     ///< since it was joined last; counted to two
+  std::chrono::steady_clock::time_point next_attempt_{};  ///< at the earliest, if this one fails
+  std::chrono::steady_clock::time_point give_up_at_{};
   std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last
   std::string version_;
   std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;

@@ -1,25 +1,44 @@
 #include "remote_group.hpp"
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 
 namespace fiona::host {
 namespace {
 
-/// As of a child group, and a second for the way.
-constexpr std::chrono::seconds kRemoteDeadline{13};
+/// More than a host gives a group of its own, for the way; and before one that was silent is asked for its status again.
+constexpr std::chrono::seconds kWay{1};
+constexpr std::chrono::seconds kPause{2};
 
 }  // namespace
 
 void RemoteGroup::tell(wire::GroupRequest request) {
   try {
-    perform(request);
+    Group::tell(request);
   } catch (const Error&) {
     if (end_.empty() && !alive()) owe(std::move(request));
   }
 }
 
-wire::GroupMessage RemoteGroup::perform(const wire::GroupRequest& request) {
-  if (end_.empty()) return peer_.request(group_, request, kRemoteDeadline);
+std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseconds patience) {
+  const auto now = std::chrono::steady_clock::now();
+  if (!alive() || (silent_since_ && now < ask_again_)) return std::nullopt;
+  wire::GroupRequest request;
+  request.mutable_status();
+  try {
+    const auto reply = perform(request, patience);
+    if (reply.has_failure()) throw_failure(reply.failure());
+    silent_since_.reset();
+    return reply.status();
+  } catch (const Error&) {  // its host will tell, or fall silent
+    if (!silent_since_) silent_since_ = now;
+    ask_again_ = std::chrono::steady_clock::now() + kPause;
+    return std::nullopt;
+  }
+}
+
+wire::GroupMessage RemoteGroup::perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) {
+  if (end_.empty()) return peer_.request(group_, request, std::chrono::duration_cast<std::chrono::seconds>(deadline) + kWay);
   throw Error(ErrorCode::Unreachable, {.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls hosts"});
 }
 

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "group.hpp"
+#include "orders.hpp"
 #include "peer_link.hpp"
 
 namespace fiona::host {
@@ -19,13 +20,15 @@ class RemoteGroup final : public Group {
   /// On its host.
   const std::string& group() const { return group_; }
   /// As its own host knows it; for others there is the host's.
-  std::string endpoint() const override { return "group:" + group_; }
+  std::string endpoint() const override { return std::string(kGroupEndpoint) + group_; }
   std::string link_name() const override { return endpoint(); }
   pid_t process() const override { return 0; }
   bool alive() const override { return end_.empty() && peer_.joined(); }
   void peer_lost(const wire::PeerLost&) override {}
   /// What a silent host could not be told is owed to it.
   void tell(wire::GroupRequest request) override;
+  std::optional<wire::GroupStatusReply> status(std::chrono::milliseconds patience) override;
+  std::optional<std::chrono::steady_clock::time_point> silent_since() const override { return silent_since_; }
 
   /// [control thread] Why it is gone for good; empty: its host may be silent, but it is thought to live.
   const std::string& end() const { return end_; }
@@ -35,11 +38,13 @@ class RemoteGroup final : public Group {
   std::vector<wire::GroupRequest> take_owed() { return std::exchange(owed_, {}); }
 
  private:
-  wire::GroupMessage perform(const wire::GroupRequest& request) override;
+  wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
 
   PeerLink& peer_;
   const std::string group_;
   std::string end_;
+  std::optional<std::chrono::steady_clock::time_point> silent_since_;  ///< it was asked for its status
+  std::chrono::steady_clock::time_point ask_again_{};
   std::vector<wire::GroupRequest> owed_;  ///< at most what there was of instances, wires and taps when the host fell silent
 };
 

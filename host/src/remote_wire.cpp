@@ -20,17 +20,7 @@ const Object& prototype_of(const google::protobuf::Descriptor& type) {
   return *google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type);
 }
 
-Inbox* inbox_of(Port& port) {
-  if (auto* provided = dynamic_cast<ProvidedPort*>(&port)) return provided->inbox();
-  return dynamic_cast<RequiredPort&>(port).inbox();
-}
-
 }  // namespace
-
-bool is_push(const Port& port) {
-  const Pattern pattern = port.service().pattern();
-  return pattern == PUSH_NEWEST || pattern == PUSH_TIMED;
-}
 
 wire::Frame frame_for(std::uint64_t wire) {
   wire::Frame frame;
@@ -105,16 +95,17 @@ RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSock
       port_(port),
       name_(std::move(name)),
       clock_(port.hull().clock()),
+      room_name_(name_ + "/room"),
       fan_out_(std::move(fan_out)),
       lane_(fan_out_ ? fan_out_->lane() : link_->open_lane(peer_)),
-      inbox_(inbox_of(port)),
+      inbox_(port.inbox()),
       end_(std::move(end)),
       object_rules_(port.service().object()),
       objects_(prototype_of(port.service().object())),
       answer_rules_(port.service().answer() ? std::optional<ObjectRules>(std::in_place, *port.service().answer())
                                             : std::nullopt),
       answers_(prototype_of(port.service().answer() ? *port.service().answer() : port.service().object())),
-      admitted_(port.direction() == PortDirection::Provides || !is_push(port)) {}
+      admitted_(port.direction() == PortDirection::Provides || !port.service().is_push()) {}
 
 RemoteWire::~RemoteWire() = default;
 
@@ -122,20 +113,23 @@ void RemoteWire::ask(const std::string& token) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_open()->set_version(wire::VERSION_1);
   frame.mutable_open()->set_token(token);
+  frame.mutable_open()->set_each(end_ && inbox_->receives_each());
   send_frame(frame);
 }
 
-void RemoteWire::open(std::uint32_t prescale) {
+void RemoteWire::open(std::uint32_t prescale, bool each) {
   prescale_ = prescale;
-  if (!fan_out_) return attached(0);
+  each_ = each;
+  if (!fan_out_) return attached(0, Duration::zero());
   dynamic_cast<detail::PushProvider&>(port_).attach(fan_out_, *this);
 }
 
-void RemoteWire::attached(std::uint64_t sequence) {
+void RemoteWire::attached(std::uint64_t sequence, Duration cycle) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_opened()->set_from_sequence(sequence);
+  frame.mutable_opened()->set_cycle_ns(cycle.count());
   send_frame(frame);
-  if (fan_out_) fan_out_->join(wire_, sequence, prescale_);
+  if (fan_out_) fan_out_->join(wire_, sequence, prescale_, each_);
 }
 
 Outcome RemoteWire::deliver(Parcel parcel) {
@@ -230,9 +224,10 @@ void RemoteWire::on_object(const wire::Frame& frame, const ParsedObject& object)
 
 /// Keeps what a push puts before `admit`; it loses its oldest beyond what a lane holds, as it would in any other queue.
 bool RemoteWire::keep(const wire::Frame& frame, const ParsedObject& object) {
+  if (admitted_) return false;
   const std::lock_guard lock(mutex_);
   if (admitted_) return false;
-  if (!frame.has_object() && !frame.has_lease() && !frame.has_lost()) return true;
+  if (!frame.has_object() && !frame.has_lease() && !frame.has_lost() && !frame.has_room()) return true;
   kept_bytes_ += object.bytes + kFrameCost;
   kept_.push_back({frame, object});
   while (kept_bytes_ > kLaneWindow && kept_.size() > 1) {
@@ -286,11 +281,12 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
       });
     }
     case wire::Frame::kLost:
-      if (port_.direction() == PortDirection::Requires && is_push(port_)) {
+      if (port_.direction() == PortDirection::Requires && port_.service().is_push()) {
         port_.counters().dropped.fetch_add(frame.lost().messages(), std::memory_order_relaxed);
       }
       return;
     case wire::Frame::kFired: return on_fired(frame.fired(), object);
+    case wire::Frame::kRoom: return on_room(frame.room().bytes());
     case wire::Frame::kCancel: return on_cancel(frame.cancel().id());
     default: return;
   }
@@ -299,6 +295,35 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
 void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job job) {
   if (!clock_.staging()) return job();
   clock_.stage({name_, ++staged_, object, word, std::move(job)});
+}
+
+/// From the provider: it asks. From the client: it answers.
+void RemoteWire::on_room(std::size_t bytes) {
+  if (!fan_out_) {
+    if (!end_) return;
+    return take_in_turn(nullptr, kAsksRoom, [self = shared_from_this(), bytes] { self->answer_room(bytes); });
+  }
+  if (!clock_.staging()) return fan_out_->on_room(wire_, bytes);
+  clock_.stage({room_name_, ++rooms_staged_, nullptr, kHasRoom, [self = shared_from_this(), bytes] { self->fan_out_->on_room(self->wire_, bytes); }});
+}
+
+void RemoteWire::answer_room(std::size_t cost) {
+  std::optional<std::size_t> room;
+  {
+    const std::lock_guard lock(mutex_);
+    if (cut_) return;
+    room = end_->room(cost, weak_from_this(), [weak = weak_from_this()](std::size_t now) {
+      if (const auto self = weak.lock()) self->tell_room(now);
+    });
+  }
+  if (room) tell_room(*room);
+}
+
+void RemoteWire::tell_room(std::size_t room) {
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_room()->set_bytes(room);
+  const std::lock_guard lock(mutex_);
+  if (!cut_) send_frame(frame);
 }
 
 /// From the client: it gave up. From the provider: it knows that we did.
@@ -352,9 +377,10 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   std::string refusal = object.refusal.value_or("");
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
+  bool acknowledged = false;
   {
     const std::lock_guard lock(mutex_);
-    if (cut_) return;
+    if (cut_) return;  // the port may have gone since
     if (!request) last_sequence_ = frame.object().sequence();
     if (request) {
       reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
@@ -368,10 +394,11 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
       outcome = end_ ? end_->push(std::move(parcel)) : inbox_->push(std::move(parcel));
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
+    if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+    acknowledged = port_.service().pattern() == SEND;
   }
-  if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
-  const bool ends = outcome != Outcome::Ok || port_.service().pattern() == SEND;
+  const bool ends = outcome != Outcome::Ok || acknowledged;
   if (reply && ends) reply->answer(outcome, std::move(refusal), nullptr);
 }
 

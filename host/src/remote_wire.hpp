@@ -46,11 +46,12 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void ask(const std::string& token);
   /// Tells the client that it is open. Of a push provider, this also subscribes: the client is told "from sequence n"
   /// before the first message leaves.
-  void open(std::uint32_t prescale);
+  /// `each`: as the client says when it opens it, see FanOut::join.
+  void open(std::uint32_t prescale, bool each);
   /// [any thread] Towards the peer.
   Outcome deliver(Parcel parcel) override;
   void lease(bool held, const std::string& reason) override;
-  void attached(std::uint64_t sequence) override;
+  void attached(std::uint64_t sequence, Duration cycle) override;
   /// [any thread] From the peer. On a client's side nothing gets through before `admit`: it is kept, as much as a lane
   /// may hold.
   void on_frame(const wire::Frame& frame, const ObjectBytes& object);
@@ -83,6 +84,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void cancel(std::uint64_t id);
   void on_cancel(std::uint64_t id);
   void on_given_up(std::uint64_t id);
+  void on_room(std::size_t bytes);
+  void answer_room(std::size_t cost);
+  void tell_room(std::size_t room);
   void on_answer(const wire::Answer& answer, const ObjectBytes& object);
   void on_fired(const wire::Fired& fired, const ObjectBytes& object);
   void forget(std::uint64_t id);
@@ -95,6 +99,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   const std::string name_;
   Clock& clock_;
   std::atomic<std::uint64_t> staged_{0};
+  const std::string room_name_;  ///< orders what is said of room in virtual time
+  std::atomic<std::uint64_t> rooms_staged_{0};
   const std::shared_ptr<FanOut> fan_out_;
   const LinkSocket::Lane lane_;
   Inbox* const inbox_;  ///< where the peer's objects go; null: none come
@@ -107,7 +113,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   bool cut_ = false;
   bool drains_ = false;  ///< takes no more: another wire has its place
   std::uint32_t prescale_ = 1;
-  bool admitted_;
+  bool each_ = false;
+  std::atomic<bool> admitted_;  ///< set under the mutex
   std::deque<Kept> kept_;  ///< what came before `admit`
   std::size_t kept_bytes_ = 0;
   std::function<void()> drained_;
@@ -117,7 +124,6 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::atomic<std::uint64_t> last_sequence_{0};
 };
 
-bool is_push(const Port& port);
 /// An empty frame of this wire.
 wire::Frame frame_for(std::uint64_t wire);
 

@@ -3,30 +3,35 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <vector>
 
 #include "fiona/clock.hpp"
 #include "fiona/hull.hpp"
+#include "fiona/local_wire.hpp"
 #include "fiona/pool.hpp"
 #include "fiona/wire.pb.h"
+#include "instance_events.hpp"
 #include "links.hpp"
 #include "plugin_library.hpp"
 #include "taps.hpp"
 
 namespace fiona::host {
 
+/// How long a life-cycle call of a component may take before the host gives up on it.
+inline constexpr Duration kLifeCycleDeadline = std::chrono::seconds(10);
+
 /// What holds the instances of one process, in the host itself and in each of its groups alike. It knows nothing of
 /// the system: it does what the host's requests say, and reports what happens.
-class Runtime final : private HullEvents {
+class Runtime final {
  public:
-  /// [any thread] An event; called on whichever thread saw it, and must not wait.
-  using OnEvent = std::function<void(wire::GroupMessage)>;
+  using OnEvent = InstanceEvents::OnEvent;
 
   /// `link_key`: what other processes must prove to know, before anything they send is looked at.
   Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key, OnEvent on_event);
-  ~Runtime() override;
+  ~Runtime();
+  Runtime(const Runtime&) = delete;
+  Runtime& operator=(const Runtime&) = delete;
 
   /// [control thread] Does what is asked. What cannot be done is in the message, as a Failure.
   wire::GroupMessage handle(const wire::GroupRequest& request);
@@ -35,34 +40,59 @@ class Runtime final : private HullEvents {
   Links& links() { return links_; }
 
  private:
-  struct Instance;
-  struct Wire;
+  struct Instance {
+    std::string plugin;
+    std::string version;
+    std::string component;
+    std::string mode_at_load;
+    std::string doc;
+    std::unique_ptr<Hull> hull;
+  };
+  /// A wire within this process.
+  struct Wire {
+    std::shared_ptr<LocalWire> local;
+    detail::PushProvider* provider = nullptr;  ///< of a push
+    std::shared_ptr<WireEnd> client;
+    const Hull* provider_hull = nullptr;
+  };
   class CallReply;
 
   void dispatch(const wire::GroupRequest& request, wire::GroupMessage& reply);
+  Instance& find(const std::string& name);
+  void emit(wire::GroupMessage message) { on_event_(std::move(message)); }
+
+  // ---- runtime_instances.cpp
   void create(const wire::Create& request);
-  void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
+  void set_parameters(const wire::SetParameters& request);
   void set_mode(const wire::SetMode& request);
+  void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
+
+  // ---- runtime_wires.cpp
   void wire_local(const wire::WireLocal& request, wire::Switched& switched);
+  void wire_provide(const wire::WireProvide& request);
+  void wire_require(const wire::WireRequire& request, wire::Switched& switched);
+  void wire_relay(const wire::WireRelay& request);
+  void await(const wire::Await& request);
   void arrange(const wire::Arrange& request, wire::Switched& switched);
   void cut(const wire::Cut& request);
   void retire(std::uint64_t wire);
-  void call(const wire::Call& request);
-  void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
-  void status(wire::GroupStatusReply& reply);
-
-  Instance& find(const std::string& name);
+  void end_wires(const Hull& hull);
   ProvidedPort& provided(const control::PortName& name);
   RequiredPort& required(const control::PortName& name);
-  void emit(wire::GroupMessage message) { on_event_(std::move(message)); }
 
-  void mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) override;
-  void run_ended(const std::string& instance, int exit_code, const std::string& reason) override;
-  void logged(const std::string& instance, LogLevel level, std::string_view text) override;
+  // ---- runtime_calls.cpp
+  void call(const wire::Call& request);
+  void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
+  void answered(const wire::Answered& answer);
+
+  // ---- runtime_status.cpp
+  void status(wire::GroupStatusReply& reply);
+  static control::InstanceStatus status_of(const Instance& instance, TimePoint now);
 
   Pool& pool_;
   Clock& clock_;
   const OnEvent on_event_;
+  InstanceEvents events_;
   PluginLibraries& libraries_;
   std::map<std::string, std::unique_ptr<Instance>> instances_;
   std::map<std::uint64_t, Wire> wires_;
@@ -70,11 +100,5 @@ class Runtime final : private HullEvents {
   Taps taps_;
   Links links_;
 };
-
-control::Failure failure_of(const Error& error);
-/// The exception being handled, as a Failure. Call inside a catch block.
-control::Failure failure_of_exception();
-/// The other way round. [[noreturn]]
-[[noreturn]] void throw_failure(const control::Failure& failure);
 
 }  // namespace fiona::host

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <functional>
 #include <map>
@@ -11,8 +12,7 @@
 #include <vector>
 
 #include "fiona/control.pb.h"
-#include "clock_master.hpp"
-#include "delivery_log.hpp"
+#include "comparison.hpp"
 #include "fiona/pool.hpp"
 #include "group.hpp"
 #include "host_links.hpp"
@@ -20,18 +20,13 @@
 #include "package.hpp"
 #include "remote_group.hpp"
 #include "types.hpp"
+#include "virtual_time.hpp"
 #include "waits.hpp"
 
 namespace fiona::host {
 
-template <class WireMessage>
-void set_endpoint(WireMessage& message, const Links::Endpoint& to) {
-  message.set_endpoint(to.address);
-  message.set_name(to.name);
-  message.set_key(to.key);
-}
-
-/// A running system: instances in groups, and the wires between them. One model, changed by one thread.
+/// A running system: instances in groups, and the wires between them. One model, changed by one thread. Each subject has
+/// a source of its own: the headings of the private parts name them.
 class System {
  public:
   struct Options {
@@ -41,8 +36,11 @@ class System {
     std::size_t threads = 0;
     /// Of the machine's time: how long virtual time may stand for the same reason before whoever waits is told.
     std::chrono::milliseconds standstill{5000};
+    /// How long all groups together may take to tell their status, before one is shown as silent.
+    std::chrono::milliseconds patience{300};
     HostOptions hosts{};              ///< over tcp; by default none
     std::filesystem::path plugins{};  ///< libraries that a leading host may have loaded though they are in no package
+    bool ends_hung_groups = true;     ///< those whose process stands still
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -61,6 +59,17 @@ class System {
   void note_state(const control::State& request);
   /// Uses a query or send port, or a trigger; answered with how it ended.
   void call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer);
+
+  /// What both say of the ports that the swaps would move is compared for so long on the system's clock. Answered with
+  /// Done, its agreements in it, or with why none of them should be made: what would take over says nothing valid. What
+  /// is returned is to be untapped then.
+  std::vector<std::uint64_t> compare(const std::vector<control::Replace>& swaps, double within_ms, Waits::Answer answer);
+
+  /// [control thread] Answers what a component has asked for; nobody is told if it has gone meanwhile.
+  void answer(const wire::Asked& asked, const control::Reply& reply);
+  /// Whether it was the instance of this name that asked, as far as its own host can tell; an instance that another host
+  /// leads asks that one.
+  bool has_asked(const wire::Asked& asked) const;
 
   control::System snapshot();
   const Types& types() const { return types_; }
@@ -92,9 +101,11 @@ class System {
   /// Call it at least once a second while the clock is virtual: ends all waits with an error that names what runs when
   /// virtual time has stood too long.
   void watch_time();
-  bool has_virtual_clock() const { return virtual_ != nullptr; }
+  bool has_virtual_clock() const { return virtual_time_ != nullptr; }
   /// The groups that are child processes: poll their descriptors, call `serve_group` when readable.
   std::vector<ChildGroup*> child_groups();
+  /// Call it every `kWatchEvery` while there are groups: ends those that hang.
+  void watch_groups();
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
@@ -126,10 +137,37 @@ class System {
   struct Lost {
     std::string reason;
     bool away = false;  ///< its host is silent: it may come back
+    std::chrono::steady_clock::time_point since = std::chrono::steady_clock::now();
   };
 
+  // ---- system.cpp
+  void use_clock(std::unique_ptr<Clock> clock);
+  void end_threads();
+  void deliver(const wire::GroupMessage& event);
+  void deliver_from(const std::string& group, wire::GroupMessage event);
+
+  // ---- system_groups.cpp
+  Group& group(const std::string& name);
+  /// Of an instance that lives; throws Error Unreachable otherwise.
+  Group& group_of(const std::string& instance, const Model& model);
+  void retire_if_empty(const Group& target);
+  void lose_if_gone(const std::string& group);
+  void lose(ChildGroup& gone);
+  void tell_others(const ChildGroup& gone, const std::string& reason);
+  void tell_failed(const std::string& instance, const std::string& reason);
+
+  // ---- system_instances.cpp
   control::Done load(const control::Load& request, const Model& next);
+  void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request);
   control::Done unload(const control::Unload& request);
+  std::string destroyed(Group& target, wire::GroupRequest destroy);
+  control::Done set(const control::Set& request, const Model& next);
+
+  // ---- system_calls.cpp
+  control::PortName callee(const control::PortName& name);
+  control::Called called(const wire::CallEnded& ended, TimePoint begun) const;
+
+  // ---- system_wires.cpp
   control::Done wire(const control::Wire& request, const Model& next);
   control::Done wire_one(const control::PortName& client, const Model& next);
   control::Done wire_several(const control::PortName& client, const Model& next);
@@ -137,73 +175,78 @@ class System {
                     control::Done& done);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
+  static void add_cost(control::Done& done, const wire::Switched& switched, std::uint32_t wires);
   control::Done unwire(const control::Unwire& request);
-  control::Done set(const control::Set& request, const Model& next);
+  std::string connect_waiting(const std::string& provider, const Model& next);
+  std::vector<std::string> leave_wires(const std::string& instance);
+  void lose_wires(const std::string& gone, const std::string& reason);
+  const Wire* wire_to(const PortKey& client, const control::PortName& provider) const;
+  control::PortName served_by(const control::PortName& client);
 
-  Group& group(const std::string& name);
-  /// Of an instance that lives; throws Error Unreachable otherwise.
-  Group& group_of(const std::string& instance, const Model& model);
-  void retire_if_empty(const Group& target);
-  void lose(ChildGroup& gone);
-  void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request);
-  void tell_failed(const std::string& instance, const std::string& reason);
-  void end_taps(const std::string& group, const std::string& reason);
-  std::vector<control::InstanceStatus> status_of_group(Group& target, control::LinkStatus& links);
+  // ---- system_connect.cpp
   Wire connect(const control::PortName& client, const control::PortName& provider, const Model& model,
                std::uint64_t replaces, control::Done& done, bool resumes = false);
+  wire::GroupMessage open_along(const std::vector<Group*>& path, wire::WireRequire require, std::uint32_t prescale,
+                                std::vector<std::string>& relays);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
   void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
-  std::string connect_waiting(const std::string& provider, const Model& next);
-  control::PortName served_by(const control::PortName& client);
-  control::PortName callee(const control::PortName& name);
-  void use_clock(std::unique_ptr<Clock> clock);
-  void record_to(std::shared_ptr<DeliveryLog> log);
-  std::uint64_t progress() const;
-  Error standstill() const;
-  void end_threads();
-  control::InstanceStatus status_of_lost(const std::string& name) const;
-  void complete_status(control::InstanceStatus& status) const;
-  void complete_port(const Model::PortKey& client, const Model::Wire& wanted, control::PortStatus& status) const;
-  const Wire* wire_to(const Model::PortKey& client, const control::PortName& provider) const;
-  void deliver(const wire::GroupMessage& event);
+  void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
+  std::vector<Group*> way(Group& client, Group& provider);
+  std::string known_as(Group& who, Group& at);
+  Links::Endpoint endpoint_for(Group& at, Group& to);
+  const char* transport(const std::string& client, const Wire& wire) const;
 
-  // ---- with processes outside (system_attach.cpp)
+  // ---- system_taps.cpp
+  void end_taps(const std::string& group, const std::string& reason);
+
+  // ---- system_status.cpp
+  std::map<std::uint64_t, control::InstanceStatus> status_of_groups(control::System& all);
+  control::InstanceStatus status_as_asked_for(const std::string& name) const;
+  void complete_status(control::InstanceStatus& status) const;
+  void complete_port(const PortKey& client, const Model::Wire& wanted, control::PortStatus& status) const;
+
+  // ---- system_time.cpp
+  void set_clock(const ClockSettings& next);
+
+  // ---- system_attach.cpp
   std::size_t attached_names() const;
   void add_attached(const std::string& instance, control::PortStatus& port) const;
   void end_attachment(std::uint64_t wire);
   void lose_attachments(const std::string& group, const std::string& reason);
 
-  // ---- with other hosts (system_hosts.cpp)
+  // ---- system_hosts.cpp
   std::string host_of(const std::string& group) const;
   std::string host_of_instance(const std::string& name) const;
+  void add_hosts(control::System& all);
+
+  // ---- system_leading.cpp
   Group& main_of(const std::string& host);
-  Group* remote_group(const std::string& name);
   std::vector<RemoteGroup*> groups_of(const std::string& host);
   RemoteGroup* silent_group(const std::string& group);
-  std::vector<Group*> way(Group& client, Group& provider);
-  std::string known_as(Group& who, Group& at);
-  Links::Endpoint endpoint_for(Group& at, Group& to);
-  void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
-  bool crosses(const Model::PortKey& client, const Wire& wire, const std::string& host);
+  Group* remote_group(const std::string& name);
   std::string on_host_joined(const HostChange& change);
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
+  bool crosses(const PortKey& client, const Wire& wire, const std::string& host);
   void resume(RemoteGroup& group);
+  std::optional<std::set<std::string>> instances_of(RemoteGroup& group);
   void resume_wires(const std::string& host);
   void on_remote_group_ended(const HostChange& change);
+
+  // ---- system_led.cpp
   wire::GroupMessage obey(const wire::HostRequest& order);
-  void obey_create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply);
+  Links::Endpoint led_endpoint(const std::string& endpoint, Group& at);
   wire::GroupMessage obey_in_group(wire::GroupRequest request, Group& group);
+  void keep_led(wire::GroupStatusReply& status) const;
+  void require_led(const std::string& name);
   void check_order(const wire::GroupRequest& request);
   Group& led_group(const std::string& endpoint);
-  Links::Endpoint led_endpoint(const std::string& endpoint, Group& at);
-  void require_led(const std::string& name);
-  void keep_led(wire::GroupStatusReply& status) const;
+  Packages::Choice own_package(const wire::Create& create) const;
+  void obey_create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply);
   void drop_led();
   std::string drop_led(const std::string& name);
   void note_led(const std::string& instance, bool led);
+  void forget_led(const std::string& group);
   bool tell_leader(const wire::GroupMessage& event);
-  void add_hosts(control::System& all);
-  const char* transport(const std::string& client, const Wire& wire) const;
 
   const Options options_;
   const OnEvent on_event_;
@@ -212,24 +255,14 @@ class System {
   Model model_;
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
   std::unique_ptr<Clock> clock_;
-  VirtualClock* virtual_ = nullptr;  ///< the clock, if it is one
-  std::unique_ptr<ClockMaster> master_;  ///< of a virtual clock
-  std::shared_ptr<DeliveryLog> deliveries_;
-  /// Since when virtual time stands at this progress, by the machine's clock.
-  struct Standing {
-    std::uint64_t progress = 0;
-    std::chrono::steady_clock::time_point since{};
-    bool asked = false;
-  };
-  Standing standing_;
-  std::optional<std::uint64_t> unsettled_;  ///< the progress at which `settle` gave up
+  std::unique_ptr<VirtualTime> virtual_time_;  ///< none: the clock is the system's
   std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
-  std::map<std::string, Lost> lost_;         ///< instances whose group is gone, and why
-  std::multimap<Model::PortKey, Wire> wires_;        ///< by the client's port
+  std::map<std::string, Lost> lost_;  ///< instances whose group is gone, and why
+  std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
-  std::map<std::uint64_t, std::string> taps_;                  ///< tap -> group
+  std::map<std::uint64_t, std::string> taps_;  ///< tap -> group
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
   static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;
@@ -237,9 +270,9 @@ class System {
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;
-  std::unique_ptr<HostLinks> hosts_;     ///< none: no tcp
+  std::unique_ptr<HostLinks> hosts_;  ///< none: no tcp
   std::mutex led_mutex_;
-  std::set<std::string> led_names_;      ///< guarded by led_mutex_: instances of the leader's system
+  std::set<std::string> led_names_;  ///< guarded by led_mutex_: instances of the leader's system
 };
 
 }  // namespace fiona::host

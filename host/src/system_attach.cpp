@@ -34,7 +34,7 @@ void require_speaks(const control::Attach& request, const std::string& service, 
 }  // namespace
 
 control::Attached System::attach(std::uint64_t owner, const control::Attach& request) {
-  if (virtual_) {
+  if (has_virtual_clock()) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = "a virtual clock waits for its own processes only: nobody outside may take part",
                  .next = "attach to a host with the system clock"});

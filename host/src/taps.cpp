@@ -2,9 +2,9 @@
 
 #include <fmt/format.h>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "field_compare.hpp"
-#include "runtime.hpp"
 
 namespace fiona::host {
 namespace {

@@ -4,10 +4,11 @@
 
 #include <vector>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "field_compare.hpp"
-#include "runtime.hpp"
+#include "names.hpp"
 
 namespace fiona::host {
 
@@ -30,8 +31,6 @@ struct Waits::Wait {
 namespace {
 
 Duration from_ms(double ms) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms)); }
-
-std::string name_of(const control::PortName& name) { return name.instance() + "." + name.port(); }
 
 }  // namespace
 
@@ -121,7 +120,7 @@ void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect&
   time_out_after(wait, within_ms, [request, within_ms, weak = std::weak_ptr(wait)] {
     const auto expired = weak.lock();
     const std::string seen = expired ? expired->seen : "";
-    const std::string port = name_of(request.port());
+    const std::string port = text_of(request.port());
     return failure_reply(ErrorCode::Failed,
                          {.what = fmt::format("{} was not as expected within {} ms",
                                               request.field().empty() ? port : port + "." + request.field(), within_ms),
@@ -231,9 +230,9 @@ void Waits::on_event(const wire::GroupMessage& event, const Types& types) {
     const std::lock_guard lock(mutex_);
     for (const auto& wait : waits_) {
       std::optional<control::Reply> reply;
-      if (wait->end_of) reply = wait->end_of(event);
       if (event.has_mode_changed()) reply = reply_to_mode(*wait, event.mode_changed());
       if (event.has_tapped()) reply = reply_to_value(*wait, event.tapped(), types);
+      if (wait->end_of) reply = wait->end_of(event);
       if (event.has_tap_ended() && wait->expect && wait->tap == event.tap_ended().tap()) {
         *reply.emplace().mutable_failure() = event.tap_ended().failure();
       }

@@ -9,6 +9,7 @@
 
 #include "fiona/clock.hpp"
 #include "fiona/control.pb.h"
+#include "fiona/error.hpp"
 #include "fiona/wire.pb.h"
 #include "types.hpp"
 

@@ -11,10 +11,28 @@ constexpr std::chrono::seconds kTellEvery{5};
 /// version, request, domain, address, identity, mechanism, credentials
 constexpr std::size_t kParts = 7;
 
+template <class Entries>
+std::string name_in(const Entries& list, const trust::Key& key) {
+  for (const auto& one : list) {
+    if (one.key == key) return one.name;
+  }
+  return "";
+}
+
 }  // namespace
 
-Zap::Zap(zmq::context_t& context, trust::KeyDirectory keys, OnRefused on_refused)
-    : keys_(std::move(keys)), on_refused_(std::move(on_refused)), socket_(context, zmq::socket_type::rep) {
+Zap::Policy Zap::hosts(trust::KeyDirectory keys) {
+  const auto name_of = [keys = std::move(keys)](const trust::Key& key) { return name_in(keys.allowed(), key); };
+  return {name_of, "host", "fiona keys allow NAME KEY"};
+}
+
+Zap::Policy Zap::consoles(trust::KeyDirectory keys) {
+  const auto name_of = [keys = std::move(keys)](const trust::Key& key) { return name_in(keys.consoles(), key); };
+  return {name_of, "console", "fiona keys allow NAME KEY as observe"};
+}
+
+Zap::Zap(zmq::context_t& context, Policy policy, OnRefused on_refused)
+    : policy_(std::move(policy)), on_refused_(std::move(on_refused)), socket_(context, zmq::socket_type::rep) {
   socket_.set(zmq::sockopt::linger, 0);
   socket_.bind("inproc://zeromq.zap.01");
 }
@@ -23,10 +41,8 @@ Zap::Zap(zmq::context_t& context, trust::KeyDirectory keys, OnRefused on_refused
 std::string Zap::name_of(const std::string& credentials, std::string& why) const {
   const auto key = trust::Key::from_bytes(credentials);
   try {
-    for (const auto& host : keys_.allowed()) {
-      if (key && host.key == *key) return host.name;
-    }
-    why = "its key is not in the list of hosts that may connect";
+    if (const std::string name = key ? policy_.name_of(*key) : ""; !name.empty()) return name;
+    why = "its key is not in the list of " + policy_.noun + "s that may connect";
   } catch (const Error& error) {
     why = error.text().what + " (" + error.text().where + ")";
   }
@@ -39,8 +55,10 @@ void Zap::note_refusal(const std::string& address, const std::string& credential
   if (told_ != decltype(told_){} && now - told_ < kTellEvery) return;
   told_ = now;
   const auto key = trust::Key::from_bytes(credentials);
-  on_refused_("refused a host at " + address + ", " + std::to_string(refused_) + " times so far: " + why +
-              (key ? "; to let it in: fiona keys allow NAME " + key->text() : ""));
+  std::string command = policy_.command;
+  if (key) command.replace(command.find("KEY"), 3, key->text());
+  on_refused_("refused a " + policy_.noun + " at " + address + ", " + std::to_string(refused_) + " times so far: " + why +
+              (key ? "; to let it in: " + command : ""));
 }
 
 void Zap::serve() {

@@ -11,14 +11,22 @@
 
 namespace fiona::host {
 
-/// Answers libzmq's question who may connect (ZAP 1.0, rfc.zeromq.org/spec/27): the keys of the allow-list, which is
-/// read anew for each connection. Whoever is let in is known by the list's name for him.
+/// Answers libzmq's question who may connect (ZAP 1.0, rfc.zeromq.org/spec/27): the keys of a list, which is read anew for
+/// each connection. Whoever is let in is known by the list's name for him.
 class Zap {
  public:
   using OnRefused = std::function<void(const std::string& text)>;
+  /// Whom it lets in.
+  struct Policy {
+    std::function<std::string(const trust::Key&)> name_of;  ///< empty: not in the list. Throws Error if that cannot be read
+    std::string noun;     ///< "host"
+    std::string command;  ///< what lets one in, but for its key
+  };
+  static Policy hosts(trust::KeyDirectory keys);
+  static Policy consoles(trust::KeyDirectory keys);
 
   /// Before any socket of `context` listens with CURVE. `on_refused` hears of refusals at most every 5 s.
-  Zap(zmq::context_t& context, trust::KeyDirectory keys, OnRefused on_refused);
+  Zap(zmq::context_t& context, Policy policy, OnRefused on_refused);
 
   zmq::socket_t& socket() { return socket_; }
   /// [one thread] Answers what has been asked.
@@ -30,7 +38,7 @@ class Zap {
   std::string name_of(const std::string& credentials, std::string& why) const;
   void note_refusal(const std::string& address, const std::string& credentials, const std::string& why);
 
-  const trust::KeyDirectory keys_;
+  const Policy policy_;
   const OnRefused on_refused_;
   zmq::socket_t socket_;
   std::atomic<std::uint64_t> refused_{0};

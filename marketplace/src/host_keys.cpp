@@ -20,7 +20,7 @@ namespace fiona::trust {
 namespace {
 
 constexpr std::string_view kPairHead = "fiona-host-key 1 ";
-constexpr std::size_t kMaxAllowed = 1000;  ///< hosts in the list
+constexpr std::size_t kMaxEntries = 1000;  ///< of a list
 
 std::filesystem::path default_directory() {
   const auto variable = [](const char* name) {
@@ -68,6 +68,14 @@ Key open_of(const Key& secret) {
 }
 
 }  // namespace
+
+bool is_address(const std::string& text) {
+  const std::size_t colon = text.rfind(':');
+  const auto digit = [](char c) { return c >= '0' && c <= '9'; };
+  const bool port = colon != std::string::npos && colon > 0 && colon + 1 < text.size() && text.size() - colon <= 6 &&
+                    std::all_of(text.begin() + static_cast<std::ptrdiff_t>(colon) + 1, text.end(), digit);
+  return port && text.size() <= 300 && std::all_of(text.begin(), text.end(), [](char c) { return c > ' ' && c < '\x7f' && c != '='; });
+}
 
 std::optional<Key> Key::from_text(std::string_view text) {
   Key key;
@@ -141,32 +149,6 @@ KeyPair KeyDirectory::pair() const {
   return {*secret, open_of(*secret)};
 }
 
-std::vector<AllowedHost> KeyDirectory::allowed() const {
-  std::vector<AllowedHost> hosts;
-  if (!std::filesystem::exists(allowed_file())) return hosts;
-  std::ifstream file(allowed_file());
-  if (!file) fail("the list of hosts that may connect cannot be read", allowed_file());
-  std::size_t number = 0;
-  for (std::string line; std::getline(file, line);) {
-    ++number;
-    if (line.empty() || line.starts_with('#')) continue;
-    std::istringstream words(line);
-    std::string name;
-    std::string key;
-    std::string more;
-    words >> name >> key;
-    const auto parsed = Key::from_text(key);
-    if (!is_host_name(name) || !parsed || words >> more || hosts.size() >= kMaxAllowed) {
-      throw Error(ErrorCode::Failed, {.what = "the list of hosts that may connect is damaged: nobody may until it is mended",
-                                      .where = allowed_file().string() + ":" + std::to_string(number),
-                                      .expected = "NAME and a key of 64 hexadecimal digits, at most " + std::to_string(kMaxAllowed) + " lines",
-                                      .next = "mend the line, or remove it"});
-    }
-    hosts.push_back({name, *parsed});
-  }
-  return hosts;
-}
-
 void KeyDirectory::replace(const std::filesystem::path& file, const std::string& text) const {
   std::error_code ignored;
   std::filesystem::create_directories(directory_.parent_path(), ignored);
@@ -175,52 +157,159 @@ void KeyDirectory::replace(const std::filesystem::path& file, const std::string&
   write_new(beside, text);
   if (::rename(beside.c_str(), file.c_str()) != 0) {
     ::unlink(beside.c_str());
-    fail("the list of hosts that may connect cannot be replaced", file);
+    fail("the list cannot be replaced", file);
   }
   sync_directory(directory_);
 }
 
 namespace {
 
-std::string text_of(const std::vector<AllowedHost>& hosts) {
-  std::string text = "# Hosts that may connect to hosts of this user: NAME KEY. Changed by: fiona keys allow, fiona keys forget\n";
-  for (const auto& host : hosts) text += host.name + " " + host.key.text() + "\n";
+using Words = std::vector<std::string>;
+
+/// A file of lines that begin with a name; one of their words is a key.
+struct List {
+  const char* file;
+  const char* head;      ///< its first line, for people
+  const char* what;      ///< it is a list of
+  const char* damage;    ///< what follows if it cannot be read
+  const char* line;      ///< what each line has
+  std::size_t words;
+  std::size_t key;       ///< the word that is one
+};
+constexpr List kHosts{"hosts.allowed", "Hosts that may connect to hosts of this user: NAME KEY. Changed by: fiona keys allow, fiona keys forget",
+                      "hosts that may connect", "nobody may until it is mended", "NAME and a key of 64 hexadecimal digits", 2, 1};
+constexpr List kConsoles{"consoles.allowed", "Consoles that may connect to hosts of this user: NAME KEY LEVEL. Changed by: fiona keys allow … as, fiona keys forget",
+                         "consoles that may connect", "none may until it is mended",
+                         "NAME, a key of 64 hexadecimal digits, and observe, operate, compose or administer", 3, 1};
+constexpr List kKnown{"hosts.known", "Hosts on other machines: NAME ADDRESS:PORT KEY. Changed by: fiona keys know, fiona keys forget",
+                      "known hosts", "none is known until it is mended", "NAME, ADDRESS:PORT and a key of 64 hexadecimal digits", 3, 2};
+
+bool fits(const List& list, const Words& words) {
+  return words.size() == list.words && is_host_name(words[0]) && Key::from_text(words[list.key]) &&
+         (list.file != kConsoles.file || access_of(words[2])) && (list.file != kKnown.file || is_address(words[1]));
+}
+
+std::vector<Words> read(const List& list, const std::filesystem::path& path) {
+  std::vector<Words> entries;
+  if (!std::filesystem::exists(path)) return entries;
+  std::ifstream file(path);
+  if (!file) fail("the list of " + std::string(list.what) + " cannot be read", path);
+  std::size_t number = 0;
+  for (std::string line; std::getline(file, line);) {
+    ++number;
+    if (line.empty() || line.starts_with('#')) continue;
+    std::istringstream text(line);
+    Words words;
+    for (std::string word; text >> word;) words.push_back(word);
+    if (!fits(list, words) || entries.size() >= kMaxEntries) {
+      throw Error(ErrorCode::Failed, {.what = "the list of " + std::string(list.what) + " is damaged: " + list.damage,
+                                      .where = path.string() + ":" + std::to_string(number),
+                                      .expected = std::string(list.line) + ", at most " + std::to_string(kMaxEntries) + " lines",
+                                      .next = "mend the line, or remove it"});
+    }
+    entries.push_back(std::move(words));
+  }
+  return entries;
+}
+
+std::string text_of(const List& list, const std::vector<Words>& entries) {
+  std::string text = "# " + std::string(list.head) + "\n";
+  for (const auto& words : entries) {
+    for (std::size_t i = 0; i < words.size(); ++i) text += (i == 0 ? "" : " ") + words[i];
+    text += "\n";
+  }
   return text;
+}
+
+void check_name_and_key(const std::string& name, const std::string& key) {
+  if (!is_host_name(name)) {
+    throw Error(ErrorCode::Usage, {.what = "'" + name + "' is no name of a host", .expected = "letters, digits, '-' and '_', at most 40"});
+  }
+  if (Key::from_text(key)) return;
+  throw Error(ErrorCode::Usage, {.what = "this is no key of a host",
+                                 .expected = "64 hexadecimal digits",
+                                 .found = key.substr(0, 80),
+                                 .next = "on the other host: fiona keys show"});
+}
+
+/// One of this name, and one with this key.
+void refuse_second(const List& list, const std::vector<Words>& entries, const Words& added) {
+  for (const auto& words : entries) {
+    const bool same_key = Key::from_text(words[list.key]) == Key::from_text(added[list.key]);
+    if (words[0] != added[0] && !same_key) continue;
+    const std::string noun = list.file == kConsoles.file ? "console" : "host";
+    throw Error(ErrorCode::NotAllowed, {.what = words[0] == added[0] ? "there is a " + noun + " '" + words[0] + "' in the list already"
+                                                                     : "the key is in the list already, as '" + words[0] + "'",
+                                        .found = words[0] + " " + words[list.key],
+                                        .next = "fiona keys forget " + words[0]});
+  }
 }
 
 }  // namespace
 
-void KeyDirectory::allow(const std::string& name, const std::string& text) const {
-  if (!is_host_name(name)) {
-    throw Error(ErrorCode::Usage, {.what = "'" + name + "' is no name of a host", .expected = "letters, digits, '-' and '_', at most 40"});
+std::vector<AllowedHost> KeyDirectory::allowed() const {
+  std::vector<AllowedHost> hosts;
+  for (const auto& words : read(kHosts, directory_ / kHosts.file)) hosts.push_back({words[0], *Key::from_text(words[1])});
+  return hosts;
+}
+
+std::vector<AllowedConsole> KeyDirectory::consoles() const {
+  std::vector<AllowedConsole> consoles;
+  for (const auto& words : read(kConsoles, directory_ / kConsoles.file)) {
+    consoles.push_back({words[0], *Key::from_text(words[1]), *access_of(words[2])});
   }
-  const auto key = Key::from_text(text);
-  if (!key) {
-    throw Error(ErrorCode::Usage, {.what = "this is no key of a host",
-                                   .expected = "64 hexadecimal digits",
-                                   .found = text.substr(0, 80),
-                                   .next = "on the other host: fiona keys show"});
+  return consoles;
+}
+
+std::vector<KnownHost> KeyDirectory::known() const {
+  std::vector<KnownHost> hosts;
+  for (const auto& words : read(kKnown, directory_ / kKnown.file)) hosts.push_back({words[0], words[1], *Key::from_text(words[2])});
+  return hosts;
+}
+
+void KeyDirectory::allow(const std::string& name, const std::string& key) const {
+  check_name_and_key(name, key);
+  auto entries = read(kHosts, directory_ / kHosts.file);
+  const Words added{name, Key::from_text(key)->text()};
+  refuse_second(kHosts, entries, added);
+  entries.push_back(added);
+  replace(directory_ / kHosts.file, text_of(kHosts, entries));
+}
+
+void KeyDirectory::allow_console(const std::string& name, const std::string& key, Access level) const {
+  check_name_and_key(name, key);
+  auto entries = read(kConsoles, directory_ / kConsoles.file);
+  const Words added{name, Key::from_text(key)->text(), access_name(level)};
+  std::erase_if(entries, [&added](const Words& one) { return one[0] == added[0] && Key::from_text(one[1]) == Key::from_text(added[1]); });
+  refuse_second(kConsoles, entries, added);
+  entries.push_back(added);
+  replace(directory_ / kConsoles.file, text_of(kConsoles, entries));
+}
+
+void KeyDirectory::know(const std::string& name, const std::string& address, const std::string& key) const {
+  check_name_and_key(name, key);
+  if (!is_address(address)) {
+    throw Error(ErrorCode::Usage, {.what = "this does not say where a host serves consoles", .expected = "ADDRESS:PORT", .found = address.substr(0, 80)});
   }
-  auto hosts = allowed();
-  for (const auto& host : hosts) {
-    if (host.name != name && host.key != *key) continue;
-    throw Error(ErrorCode::NotAllowed, {.what = host.name == name ? "there is a host '" + name + "' in the list already"
-                                                                  : "the key is in the list already, as '" + host.name + "'",
-                                        .found = host.name + " " + host.key.text(),
-                                        .next = "fiona keys forget " + host.name});
-  }
-  hosts.push_back({name, *key});
-  replace(allowed_file(), text_of(hosts));
+  auto entries = read(kKnown, directory_ / kKnown.file);
+  const Words added{name, address, Key::from_text(key)->text()};
+  // Two hosts of one user have one key, so a key may stand here twice.
+  std::erase_if(entries, [&name](const Words& one) { return one[0] == name; });
+  entries.push_back(added);
+  replace(directory_ / kKnown.file, text_of(kKnown, entries));
 }
 
 void KeyDirectory::forget(const std::string& name) const {
-  auto hosts = allowed();
   std::vector<std::string> names;
-  for (const auto& host : hosts) names.push_back(host.name);
-  if (std::erase_if(hosts, [&name](const auto& host) { return host.name == name; }) == 0) {
-    throw Error(ErrorCode::NotFound, {.what = "no host '" + name + "' may connect", .next = "fiona keys", .near = nearest_names(name, names)});
+  bool found = false;
+  for (const List& list : {kHosts, kConsoles, kKnown}) {
+    auto entries = read(list, directory_ / list.file);
+    for (const auto& words : entries) names.push_back(words[0]);
+    if (std::erase_if(entries, [&name](const Words& words) { return words[0] == name; }) == 0) continue;
+    replace(directory_ / list.file, text_of(list, entries));
+    found = true;
   }
-  replace(allowed_file(), text_of(hosts));
+  if (!found) throw Error(ErrorCode::NotFound, {.what = "no host '" + name + "' may connect", .next = "fiona keys", .near = nearest_names(name, names)});
 }
 
 }  // namespace fiona::trust

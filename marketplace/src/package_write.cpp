@@ -131,6 +131,17 @@ std::string archived(const std::string& manifest, const std::vector<Member>& mem
   return tar;
 }
 
+/// What the code uses must stand where its users read it.
+void check_rights(const Manifest& manifest, const Interface& interface) {
+  for (const auto& component : interface.components()) {
+    for (const auto& right : component.rights()) {
+      if (std::find(manifest.rights().begin(), manifest.rights().end(), right) != manifest.rights().end()) continue;
+      refuse("component '" + component.name() + "' uses the right '" + right + "', and the manifest does not ask for it",
+             std::string(kManifestFile), "rights: \"" + right + "\"");
+    }
+  }
+}
+
 std::string packed(const PackageSource& source, const PackageLimits& limits) {
   Manifest manifest = parse_manifest(source.manifest, std::string(kManifestFile));
   check_unpacked(manifest);
@@ -139,6 +150,7 @@ std::string packed(const PackageSource& source, const PackageLimits& limits) {
     refuse("a planned interface has nothing to pack", std::string(kInterfaceFile), {},
            "build the component and describe it: fiona plugin describe LIBRARY");
   }
+  check_rights(manifest, interface);
   const std::vector<Member> members = collect(source, manifest, limits);
   manifest.set_abi(interface.abi());
   list_files(members, manifest);

@@ -10,44 +10,6 @@
 
 namespace fiona {
 
-// ---- the end of a wire ----------------------------------------------------------------------------------------
-
-Outcome WireEnd::push(Parcel parcel) {
-  if (open_.load(std::memory_order_acquire)) return port_.inbox()->push(std::move(parcel));
-  const std::lock_guard lock(port_.mutex_);
-  return port_.take(*this, std::move(parcel));
-}
-
-void WireEnd::set_target(std::shared_ptr<Sink> target) {
-  const std::lock_guard lock(port_.mutex_);
-  const bool is_new = target != nullptr;
-  target_ = std::move(target);
-  const bool mine = is_new ? port_.adopts(*this) : port_.owns(*this);
-  if (mine && port_.serving_.get() == this) port_.use_target(target_);
-}
-
-void WireEnd::set_connection(Connection connection, std::string reason) {
-  const std::lock_guard lock(port_.mutex_);
-  const bool comes = connection == Connection::Connected || connection == Connection::Waiting;
-  if (comes ? port_.adopts(*this) : port_.owns(*this)) port_.connected(*this, connection, std::move(reason));
-}
-
-void WireEnd::set_lease(bool held, const std::string& reason) {
-  const std::lock_guard lock(port_.mutex_);
-  if (port_.owns(*this)) port_.leased(*this, held, reason);
-}
-
-Connection WireEnd::connection() const {
-  const std::lock_guard lock(port_.mutex_);
-  if (port_.ends_.size() == 1) return port_.connection();
-  return silence_ ? Connection::Lost : connection_;
-}
-
-std::string WireEnd::unfitness() const {
-  if (connection_ != Connection::Connected) return provider_.empty() ? reason_ : provider_ + ": " + reason_;
-  return silence_ ? *silence_ : reason_ + " says that it is not valid";
-}
-
 // ---- the ends of a port ---------------------------------------------------------------------------------------
 
 std::shared_ptr<WireEnd> RequiredPort::end_for(const std::string& provider) {
@@ -98,6 +60,17 @@ std::vector<RequiredPort::Alternative> RequiredPort::alternatives() const {
     all.push_back({end->provider_, connection, end->is_fit() ? "" : end->unfitness(), end->is_fit(), end == serving_});
   }
   return all;
+}
+
+Result<Duration> RequiredPort::provider_cycle() const {
+  const std::lock_guard lock(mutex_);
+  if (connection() == Connection::Connected) return serving_->cycle_ > Duration::zero() ? serving_->cycle_ : Result<Duration>(Outcome::NoData);
+  return {connection() == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected, reason_};
+}
+
+void RequiredPort::repeat_last() {
+  const std::lock_guard lock(mutex_);
+  if (connection() == Connection::Connected && serving_->last_) inbox()->push(Parcel{*serving_->last_, nullptr});
 }
 
 void RequiredPort::connected(WireEnd& end, Connection connection, std::string reason) {

@@ -34,10 +34,9 @@ TimePoint SystemClock::now() const { return start_ + Duration(std::chrono::stead
 TimerId SystemClock::schedule(TimePoint at, const std::shared_ptr<Strand>& strand, Job job) {
   const std::lock_guard lock(mutex_);
   const TimerId id = next_id_++;
-  const bool earliest = entries_.empty() || at < entries_.begin()->first.first;
   entries_.emplace(Key{at, id}, Entry{strand, std::move(job)});
   times_.emplace(id, at);
-  if (earliest) changed_.notify_all();
+  if (at < wakes_at_) changed_.notify_all();
   return id;
 }
 
@@ -55,14 +54,10 @@ void SystemClock::cancel(TimerId timer) {
 void SystemClock::serve() {
   std::unique_lock lock(mutex_);
   while (!stopping_) {
-    if (entries_.empty()) {
-      changed_.wait(lock);
-      continue;
-    }
     const auto first = entries_.begin();
-    const auto due = steady_start_ + (first->first.first - start_);
-    if (std::chrono::steady_clock::now() < due) {
-      changed_.wait_until(lock, due);
+    const TimePoint due = first == entries_.end() ? TimePoint::max() : first->first.first;
+    if (now() < due) {
+      wait_until(due, lock);
       continue;
     }
     Entry entry = std::move(first->second);
@@ -73,6 +68,14 @@ void SystemClock::serve() {
     entry = Entry{};
     lock.lock();
   }
+}
+
+/// Sleeps on though a timer is cancelled: most are, as the deadlines of calls that end in time, and the next one is
+/// later.
+void SystemClock::wait_until(TimePoint due, std::unique_lock<std::mutex>& lock) {
+  wakes_at_ = due;
+  due == TimePoint::max() ? changed_.wait(lock) : void(changed_.wait_until(lock, steady_start_ + (due - start_)));
+  wakes_at_ = TimePoint::min();
 }
 
 }  // namespace fiona

@@ -45,9 +45,22 @@ class SilentEvents final : public HullEvents {
   void mode_changed(const std::string&, const std::string&, const std::string&) override {}
   void run_ended(const std::string&, int, const std::string&) override {}
   void logged(const std::string&, LogLevel, std::string_view) override {}
+  void asked(const std::string&, std::uint64_t, const control::Request&) override {}
 };
 
 }  // namespace
+
+TaskInterface interface_of(const Task& task) {
+  const When& when = task.when();
+  TaskInterface interface;
+  interface.set_name(task.name());
+  interface.set_start(static_cast<TaskStart>(when.kind()));
+  interface.set_period_ms(1e3 * to_seconds(when.period()));
+  interface.set_of(when.of());
+  if (when.kind() == When::Kind::OnPort) interface.set_every(when.every());
+  interface.set_activity(task.activity());
+  return interface;
+}
 
 TriggerInterface interface_of(const detail::TriggerBase& trigger) {
   TriggerInterface interface;
@@ -87,14 +100,10 @@ ComponentInterface interface_of(const Hull& hull, std::string_view component, st
     one.set_name(mode.name);
     one.mutable_activities()->Add(mode.activities.begin(), mode.activities.end());
   }
-  for (const Task* task : hull.tasks()) {
-    auto& one = *interface.add_tasks();
-    one.set_name(task->name());
-    one.set_period_ms(std::chrono::duration<double, std::milli>(task->period()).count());
-    one.set_activity(task->activity());
-  }
+  for (const Task* task : hull.tasks()) *interface.add_tasks() = interface_of(*task);
   for (const auto* trigger : hull.triggers()) *interface.add_triggers() = interface_of(*trigger);
   for (const auto* probe : hull.probes()) *interface.add_probes() = interface_of(*probe);
+  if (hull.asks_to_be_master()) interface.add_rights("master");
   return interface;
 }
 
@@ -137,6 +146,9 @@ std::string interface_difference(const ComponentInterface& declared, const Compo
   }
   if (declared.parameters() != packaged.parameters()) {
     return "its parameters are '" + declared.parameters() + "'; its interface says '" + packaged.parameters() + "'";
+  }
+  if (declared.rights_size() > packaged.rights_size()) {
+    return "it uses the right '" + declared.rights(0) + "'; its interface does not say so";
   }
   return {};
 }

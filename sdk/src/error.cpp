@@ -44,10 +44,14 @@ Error::Error(ErrorCode code, ErrorText text) : code_(code), text_(std::move(text
 
 std::vector<std::string> nearest_names(std::string_view typed, std::span<const std::string> known) {
   std::vector<std::pair<std::size_t, std::string>> ranked;
+  const std::size_t most = std::max<std::size_t>(1, typed.size() / 3);
   for (const auto& name : known) {
-    const std::size_t distance = edit_distance(typed, name);
     const bool prefix = typed.size() >= 2 && name.starts_with(typed);
-    if (prefix || distance <= std::max<std::size_t>(1, typed.size() / 3)) ranked.emplace_back(prefix ? 0 : distance, name);
+    // At least so far apart: what came over a network may be megabytes, and is not to cost the product of both lengths.
+    const std::size_t apart = std::max(typed.size(), name.size()) - std::min(typed.size(), name.size());
+    if (!prefix && apart > most) continue;
+    const std::size_t distance = prefix ? 0 : edit_distance(typed, name);
+    if (distance <= most) ranked.emplace_back(distance, name);
   }
   std::sort(ranked.begin(), ranked.end());
   std::vector<std::string> names;

@@ -6,12 +6,11 @@
 
 #include "fiona/hull_probes.hpp"
 #include "fiona/port.hpp"
+#include "own_thread.hpp"
 
 namespace fiona {
-namespace {
 
-/// What is being thrown, as a reason. Call inside a catch block.
-std::string reason_of_exception() {
+std::string detail::reason_of_exception() {
   try {
     throw;
   } catch (const Error& error) {
@@ -23,26 +22,32 @@ std::string reason_of_exception() {
   }
 }
 
-}  // namespace
-
 Hull::Hull(std::string name, Surroundings surroundings)
     : name_(std::move(name)),
       surroundings_(std::move(surroundings)),
       strand_(std::make_shared<Strand>(name_, surroundings_.executor, surroundings_.clock)),
       mode_probe_(std::make_unique<TextProbe>(*this, "mode")),
       error_probe_(std::make_unique<TextProbe>(*this, "last_error")) {
+  mode_since_ = clock().now();
   tell_mode();
 }
 
 Hull::~Hull() {
   end_taps();
   strand_->close();
-  if (tap_strand_) tap_strand_->close();
+  if (side_strand_) side_strand_->close();
+}
+
+const std::shared_ptr<Strand>& Hull::side_strand() {
+  const std::lock_guard lock(taps_mutex_);
+  if (!side_strand_) side_strand_ = std::make_shared<Strand>(name_ + "/side", surroundings_.executor, clock());
+  return side_strand_;
 }
 
 void Hull::create(const Factory& factory) {
   component_ = factory(*this);
   check_activities();
+  for (Task* task : tasks_) task->attach();
 }
 
 void Hull::add(Port& port) {
@@ -65,6 +70,19 @@ void Hull::add(detail::ProbeBase& probe) {
   }
   require_free_name(name);
   probes_.push_back(&probe);
+}
+
+void Hull::add(Master& master) {
+  if (master_) {
+    throw Error(ErrorCode::Usage, {.what = "a component is master once", .where = name_, .next = "keep one member of fiona::Master"});
+  }
+  master_ = &master;
+}
+
+void Hull::answer(std::uint64_t number, control::Reply reply) {
+  strand_->post([this, number, reply = std::move(reply)]() mutable {
+    if (master_) master_->take(number, std::move(reply));
+  });
 }
 
 void Hull::require_free_name(std::string_view name) const {
@@ -98,6 +116,19 @@ Port* Hull::find_port(std::string_view name) const {
 std::string Hull::mode() const {
   const std::lock_guard lock(mutex_);
   return mode_;
+}
+
+std::size_t Hull::queue_depth() const {
+  std::size_t depth = strand_->waiting_jobs();
+  for (Port* port : ports_) {
+    if (const Inbox* inbox = port->inbox()) depth += inbox->depth();
+  }
+  return depth;
+}
+
+TimePoint Hull::mode_since() const {
+  const std::lock_guard lock(mutex_);
+  return mode_since_;
 }
 
 std::string Hull::reason() const {
@@ -137,14 +168,14 @@ void Hull::start_component() {
 }
 
 void Hull::cancel_calls(bool on, std::optional<Pattern> pattern) {
-  for (const Pattern one : {SEND, QUERY, PUSH_NEWEST, PUSH_TIMED, EVENT}) {
+  for (const Pattern one : kCallPatterns) {
     if (pattern && one != *pattern) continue;
     on ? void(cancelled_.insert(one)) : void(cancelled_.erase(one));
   }
   if (!on) return;
+  if (master_ && !pattern) master_->calls_.finish_all(Outcome::Cancelled);
   for (Port* port : ports_) {
-    auto* client = dynamic_cast<RequiredPort*>(port);
-    if (client && client->calls_are_cancelled()) client->calls_.finish_all(Outcome::Cancelled);
+    if (port->calls_are_cancelled()) port->calls_.finish_all(Outcome::Cancelled);
   }
 }
 
@@ -153,6 +184,7 @@ void Hull::fail(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     if (mode_ == kModeFailed || mode_ == kModeShutdown) return;
     mode_ = kModeFailed;
+    mode_since_ = clock().now();
     reason_ = reason;
   }
   active_.store(false, std::memory_order_release);
@@ -162,38 +194,55 @@ void Hull::fail(const std::string& reason) {
   events().mode_changed(name_, std::string(kModeFailed), reason);
 }
 
-bool Hull::shut_down(Duration deadline) {
-  const auto end = [this] {
-    leave_activities(kModeShutdown);
-    drop_changes();
-    for (Port* port : ports_) port->close();
-    if (started_) guarded([this] { component_->on_stop(); });
-    {
-      const std::lock_guard lock(mutex_);
-      if (mode_ != kModeFailed) mode_ = kModeShutdown;
-    }
-    strand_->close();
-    spawned_.clear();
-    component_.reset();
-    ports_.clear();
-    tasks_.clear();
-    triggers_.clear();
-    probes_.clear();
-    timers_.clear();
-    params_ = nullptr;
-  };
+std::optional<std::string> Hull::shut_down(Duration deadline) {
+  using Threads = std::vector<std::pair<std::string, std::shared_ptr<OwnThread::Shared>>>;
   end_taps();
-  if (!component_ || strand_->call(end, deadline)) return true;
+  if (!component_) return std::nullopt;
+  const auto until = std::chrono::steady_clock::now() + deadline;
+  const auto threads = std::make_shared<Threads>();
+  const auto stop = [this, threads] {
+    drop_changes();  // before what they wait for is let go
+    leave_activities(kModeShutdown);
+    for (Port* port : ports_) port->close();
+    for (Task* task : tasks_) {
+      if (task->own_) threads->emplace_back(task->name(), task->own_);
+    }
+  };
+  std::optional<std::string> runs;
+  if (!strand_->call(stop, deadline)) runs = "its handler";
+  for (std::size_t i = 0; !runs && i < threads->size(); ++i) {
+    if (!threads->at(i).second->wait_for_end(until)) runs = "its task '" + threads->at(i).first + "'";
+  }
+  if (!runs && !strand_->call([this] { destroy_component(); }, deadline)) runs = "its handler";
+  if (!runs) return std::nullopt;
   strand_->close();
   static_cast<void>(component_.release());
-  return false;
+  return runs;
+}
+
+void Hull::destroy_component() {
+  if (started_) guarded([this] { component_->on_stop(); });
+  {
+    const std::lock_guard lock(mutex_);
+    if (mode_ != kModeFailed) mode_ = kModeShutdown;
+  }
+  strand_->close();
+  spawned_.clear();
+  component_.reset();
+  ports_.clear();
+  tasks_.clear();
+  triggers_.clear();
+  probes_.clear();
+  timers_.clear();
+  params_ = nullptr;
+  master_ = nullptr;
 }
 
 void Hull::guarded(const std::function<void()>& work) {
   try {
     work();
   } catch (...) {
-    fail(reason_of_exception());
+    fail(detail::reason_of_exception());
   }
 }
 
@@ -202,7 +251,7 @@ Async<> Hull::watched(Async<> work, std::list<Async<>>::iterator* self, Job then
   try {
     co_await work;
   } catch (...) {
-    fail(reason_of_exception());
+    fail(detail::reason_of_exception());
   }
   // A coroutine cannot destroy itself: that is left to the strand's next job.
   strand_->post([this, place, then = std::move(then)]() mutable {

@@ -13,11 +13,6 @@ using Value = std::optional<HullProbe::Value>;
 
 double milliseconds(Duration duration) { return 1e3 * to_seconds(duration); }
 
-Inbox* inbox_of(Port& port) {
-  if (auto* provided = dynamic_cast<ProvidedPort*>(&port)) return provided->inbox();
-  return dynamic_cast<RequiredPort&>(port).inbox();
-}
-
 Value count(const std::atomic<std::uint64_t>& counter) {
   return static_cast<std::int64_t>(counter.load(std::memory_order_relaxed));
 }
@@ -26,7 +21,7 @@ Value age(const Hull& hull, Port* port, const Task*) {
   return age ? Value(milliseconds(*age)) : std::nullopt;
 }
 Value port_queue(const Hull&, Port* port, const Task*) {
-  Inbox* inbox = inbox_of(*port);
+  Inbox* inbox = port->inbox();
   return inbox ? Value(static_cast<std::int64_t>(inbox->depth())) : std::nullopt;
 }
 
@@ -53,7 +48,7 @@ const HullProbe kProbes[] = {
     {Of::Instance, "handler_time", "double", "ms", "time spent in its handlers and tasks so far",
      [](const Hull& hull, Port*, const Task*) -> Value { return milliseconds(hull.strand().busy_time()); }},
     {Of::Instance, "queue_depth", "int64", "", "pieces of work that wait for its strand",
-     [](const Hull& hull, Port*, const Task*) -> Value { return static_cast<std::int64_t>(hull.strand().queue_depth()); }},
+     [](const Hull& hull, Port*, const Task*) -> Value { return static_cast<std::int64_t>(hull.queue_depth()); }},
     {Of::Port, "rate", "double", "Hz", "messages a second, over the last second or so",
      [](const Hull& hull, Port* port, const Task*) -> Value { return port->counters().rate_now_hz(hull.clock().now()); }},
     {Of::Port, "age", "double", "ms", "of the newest message", age},
@@ -70,9 +65,9 @@ const HullProbe kProbes[] = {
     {Of::Port, "flaps", "int64", "", "of a port with alternatives: how often who served was fit no longer", flaps},
     {Of::Task, "runs", "int64", "", "how often it ran",
      [](const Hull&, Port*, const Task* task) -> Value { return static_cast<std::int64_t>(task->runs()); }},
-    {Of::Task, "overruns", "int64", "", "periods that passed while it or the strand was busy",
+    {Of::Task, "overruns", "int64", "", "how often it should have started while it or the strand was busy",
      [](const Hull&, Port*, const Task* task) -> Value { return static_cast<std::int64_t>(task->overruns()); }},
-    {Of::Task, "late", "double", "ms", "how long after its time the last run began",
+    {Of::Task, "late", "double", "ms", "how long after what started it the last run began",
      [](const Hull&, Port*, const Task* task) -> Value { return milliseconds(task->late()); }},
 };
 
@@ -130,7 +125,7 @@ Hull::TapPoint Hull::tap_point(std::string_view name) const {
   for (const HullProbe& one : hull_probes()) {
     if (one.name != last || !one.read) continue;
     if (one.of == Of::Instance && of.empty()) return {.counted = &one};
-    if (one.of == Of::Port && port && (one.read != port_queue || inbox_of(*port))) return {.counted = &one, .of_port = port};
+    if (one.of == Of::Port && port && (one.read != port_queue || port->inbox())) return {.counted = &one, .of_port = port};
     if (one.of == Of::Task && task != tasks_.end()) return {.counted = &one, .of_task = *task};
   }
   const auto known = tappable_names();
@@ -178,11 +173,9 @@ std::shared_ptr<Tap> Hull::tap(std::string_view name, TapTerms terms, std::share
                                    .expected = "a port, or a probe that the component sets",
                                    .next = point.of_port ? "watch " + name_ + "." + point.of_port->name() + ".age when above 1000" : ""});
   }
-  std::shared_ptr<Tap> made;
+  const auto made = std::make_shared<Tap>(full_name, std::move(terms), side_strand(), std::move(watcher));
   {
     const std::lock_guard lock(taps_mutex_);
-    if (!tap_strand_) tap_strand_ = std::make_shared<Strand>(name_ + "/tap", surroundings_.executor, clock());
-    made = std::make_shared<Tap>(full_name, std::move(terms), tap_strand_, std::move(watcher));
     taps_.push_back(made);
   }
   Tap::Sample sample;

@@ -55,6 +55,21 @@ void Hull::check_activities() const {
   for (const auto* trigger : triggers_) require(trigger->name(), trigger->activity());
 }
 
+/// Virtual time stands while anything runs, which a free running task always does; and when its results came would
+/// depend on the machine.
+void Hull::check_clock(std::string_view mode) const {
+  if (!clock().staging()) return;
+  for (const Task* task : tasks_) {
+    if (!task->is_free_running() || !serves(mode, task->activity())) continue;
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "'" + name_ + "' cannot go to " + std::string(mode) + " on a virtual clock",
+                 .where = name_,
+                 .expected = "a mode without its task '" + task->name() + "'",
+                 .found = "that task runs in a thread of its own, for which virtual time cannot wait",
+                 .next = "set host clock=system"});
+  }
+}
+
 /// A change of mode that was asked for.
 struct Hull::ModeChange {
   std::string to;
@@ -88,6 +103,7 @@ void Hull::check_transition(std::string_view to) const {
 
 void Hull::change_mode(std::string_view mode, Duration deadline, ModeDone done) {
   check_transition(mode);
+  check_clock(mode);
   const auto change = std::make_shared<ModeChange>(ModeChange{std::string(mode), std::move(done), 0});
   strand_->post([this, change, deadline] {
     changes_.push_back(change);
@@ -119,9 +135,14 @@ void Hull::withdraw(const std::shared_ptr<ModeChange>& change) {
   deactivated_ = mode() == kModeDeactivated || std::any_of(changes_.begin(), changes_.end(), to_deactivated);
   const std::string by = pending ? ": blocked by " + pending->blocked_by : "";
   advance_changes();
+  for (Task* task : tasks_) task->resume();
   change->done(Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' did not change its mode to " + change->to + " in time" + by,
                                               .where = name_,
                                               .next = "state " + name_ + " deactivated, which cancels what waits"}));
+}
+
+void Hull::abandon_changes() {
+  strand_->post([this] { drop_changes(); });
 }
 
 /// The instance shuts down, which waits for nobody.
@@ -135,9 +156,8 @@ void Hull::drop_changes() {
 /// Neutral waits for what runs; deactivated ends its waits first, so that it comes to an end.
 void Hull::cancel_for_deactivation() {
   deactivated_ = true;
-  for (Port* port : ports_) {
-    if (auto* client = dynamic_cast<RequiredPort*>(port)) client->calls_.finish_all(Outcome::Cancelled);
-  }
+  if (master_) master_->calls_.finish_all(Outcome::Cancelled);
+  for (Port* port : ports_) port->calls_.finish_all(Outcome::Cancelled);
 }
 
 void Hull::advance_changes() {
@@ -148,7 +168,12 @@ void Hull::advance_changes() {
       const std::lock_guard lock(mutex_);
       pending_ = blocked;
     }
-    if (blocked) return;
+    if (blocked) {
+      for (Task* task : tasks_) {
+        if (!serves(change->to, task->activity())) task->ask_to_stop();
+      }
+      return;
+    }
     changes_.pop_front();
     clock().cancel(change->deadline);
     enter(change->to);
@@ -159,8 +184,8 @@ void Hull::advance_changes() {
 }
 
 std::optional<Hull::PendingChange> Hull::blocked_by(const std::string& to) const {
-  for (const auto& [activity, held] : held_) {
-    if (!serves(to, activity)) return PendingChange{to, held.by, held.since};
+  for (const auto& [number, held] : held_) {
+    if (!serves(to, held.activity)) return PendingChange{to, held.by, held.since};
   }
   return std::nullopt;
 }
@@ -171,16 +196,12 @@ bool Hull::is_leaving(std::string_view activity) const {
 
 std::optional<ActivityHold> Hull::acquire(std::string_view activity, std::string_view by) {
   if (!serves(mode(), activity) || is_leaving(activity)) return std::nullopt;
-  auto found = held_.find(activity);
-  if (found == held_.end()) found = held_.emplace(activity, Held{0, std::string(by), clock().now()}).first;
-  ++found->second.count;
-  return ActivityHold(*this, std::string(activity));
+  held_.emplace(next_hold_, Held{std::string(activity), std::string(by), clock().now()});
+  return ActivityHold(*this, next_hold_++);
 }
 
-void Hull::release(const std::string& activity) {
-  const auto found = held_.find(activity);
-  if (found == held_.end() || --found->second.count > 0) return;
-  held_.erase(found);
+void Hull::release(std::uint64_t hold) {
+  held_.erase(hold);
   if (!changes_.empty()) strand_->post([this] { advance_changes(); });
 }
 
@@ -197,6 +218,7 @@ void Hull::enter(std::string_view to) {
   {
     const std::lock_guard lock(mutex_);
     mode_ = to;
+    mode_since_ = clock().now();
   }
   tell_mode();
   active_.store(serves(to, ""), std::memory_order_release);
@@ -213,6 +235,7 @@ void Hull::leave_activities(std::string_view to) {
   if (!serves(to, "")) {
     active_.store(false, std::memory_order_release);
     for (Timer* timer : timers_) timer->cancel();
+    if (master_) master_->calls_.finish_all(Outcome::NotActive);
   }
   for (Task* task : tasks_) {
     if (!serves(to, task->activity())) task->stop();

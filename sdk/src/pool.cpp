@@ -1,100 +1,207 @@
-#include <utility>  // before Asio's coroutine support, which g++ 12 needs
-
 #include "fiona/pool.hpp"
 
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
 #include <algorithm>
-#include <boost/asio/defer.hpp>
-#include <boost/asio/executor_work_guard.hpp>
-#include <boost/asio/io_context.hpp>
-#include <boost/asio/posix/stream_descriptor.hpp>
-#include <boost/asio/post.hpp>
+#include <cerrno>
+#include <cstdint>
+#include <deque>
 #include <mutex>
+#include <system_error>
 #include <thread>
+#include <unordered_map>
+#include <utility>
 #include <vector>
 
 namespace fiona {
+namespace {
 
-namespace asio = boost::asio;
+/// Pieces of work that a thread does before it looks for a descriptor that has become readable.
+constexpr int kWorkPerLook = 16;
+/// What epoll gives for the word that there is work; watches have other keys.
+constexpr std::uint64_t kWork = 0;
+/// What it gives when nothing has happened.
+constexpr std::uint64_t kNothing = ~std::uint64_t{0};
 
+/// The pool in whose callback of a watched descriptor this thread is, if in any.
+thread_local const void* receiving = nullptr;
+
+int checked(int result, const char* call) {
+  if (result < 0) throw std::system_error(errno, std::generic_category(), call);
+  return result;
+}
+
+}  // namespace
+
+/// A descriptor that is closed at its end.
+class Pool::Descriptor {
+ public:
+  explicit Descriptor(int number) : number_(number) {}
+  ~Descriptor() { ::close(number_); }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  int number() const { return number_; }
+
+ private:
+  const int number_;
+};
+
+/// A watched descriptor; outlives its guard while a thread is about to call it.
+struct Pool::Watch {
+  Watch(int watched, std::function<void()> call) : descriptor(watched), ready(std::move(call)) {}
+
+  const int descriptor;
+  const std::function<void()> ready;
+  std::mutex mutex;  ///< held during a call
+  bool stopped = false;
+};
+
+/// Idle threads all wait in one epoll, for descriptors and for the word that there is work. The kernel wakes one of
+/// them for each, so that a message that comes costs one wake-up: nobody has to be told to wait in its place.
 struct Pool::Threads {
-  asio::io_context context;
-  asio::executor_work_guard<asio::io_context::executor_type> work = asio::make_work_guard(context);
+  void serve();
+  bool run_one(std::unique_lock<std::mutex>& lock);
+  std::uint64_t look(int timeout_ms) const;
+  void call(std::uint64_t key, std::unique_lock<std::mutex>& lock);
+  void tell() const;
+  void wake_one();
+  void control(int operation, std::uint64_t key, int descriptor, std::uint32_t events) const;
+
+  const Descriptor epoll{checked(::epoll_create1(EPOLL_CLOEXEC), "epoll_create1")};
+  const Descriptor word{checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")};
+  std::mutex mutex;
+  std::deque<std::shared_ptr<Runnable>> work;
+  std::unordered_map<std::uint64_t, std::shared_ptr<Watch>> watches;
+  std::uint64_t next_key = kWork + 1;
+  std::size_t idle = 0;  ///< threads that wait, or are about to
+  bool told = false;     ///< and none of them has heard yet
+  bool stopping = false;
   std::vector<std::thread> threads;
 };
 
-Pool::Pool(std::size_t threads) : threads_(std::make_unique<Threads>()) {
-  if (threads == 0) threads = std::max(2U, std::thread::hardware_concurrency());
-  for (std::size_t i = 0; i < threads; ++i) {
-    threads_->threads.emplace_back([this] { threads_->context.run(); });
+void Pool::Threads::control(int operation, std::uint64_t key, int descriptor, std::uint32_t events) const {
+  epoll_event event{};
+  event.events = events;
+  event.data.u64 = key;
+  checked(::epoll_ctl(epoll.number(), operation, descriptor, &event), "epoll_ctl");
+}
+
+/// A descriptor that nobody reads, edge-triggered: each writing wakes one thread.
+void Pool::Threads::tell() const {
+  const std::uint64_t one = 1;
+  checked(static_cast<int>(::write(word.number(), &one, sizeof one)), "write to an eventfd");
+}
+
+/// Called with the lock held. Whoever hears it wakes the next if there is still more.
+void Pool::Threads::wake_one() {
+  if (idle == 0 || told) return;
+  told = true;
+  tell();
+}
+
+void Pool::Threads::serve() {
+  std::unique_lock lock(mutex);
+  while (!stopping) {
+    int done = 0;
+    while (done < kWorkPerLook && run_one(lock)) ++done;
+    const bool rests = work.empty();
+    idle += rests ? 1 : 0;
+    lock.unlock();
+    const std::uint64_t key = look(rests ? -1 : 0);
+    lock.lock();
+    idle -= rests ? 1 : 0;
+    if (key == kWork) told = false;
+    if (key != kWork && key != kNothing) call(key, lock);
   }
+}
+
+bool Pool::Threads::run_one(std::unique_lock<std::mutex>& lock) {
+  if (stopping || work.empty()) return false;
+  auto next = std::move(work.front());
+  work.pop_front();
+  if (!work.empty()) wake_one();
+  lock.unlock();
+  next->run();
+  next = nullptr;
+  lock.lock();
+  return true;
+}
+
+std::uint64_t Pool::Threads::look(int timeout_ms) const {
+  epoll_event event{};
+  return ::epoll_wait(epoll.number(), &event, 1, timeout_ms) == 1 ? event.data.u64 : kNothing;
+}
+
+void Pool::Threads::call(std::uint64_t key, std::unique_lock<std::mutex>& lock) {
+  const auto found = watches.find(key);
+  if (found == watches.end()) return;
+  const auto watch = found->second;
+  lock.unlock();
+  {
+    const std::lock_guard calling(watch->mutex);
+    if (!watch->stopped) {
+      receiving = this;
+      watch->ready();
+      receiving = nullptr;
+      control(EPOLL_CTL_MOD, key, watch->descriptor, EPOLLIN | EPOLLONESHOT);
+    }
+  }
+  lock.lock();
+}
+
+Pool::Pool(std::size_t threads) : threads_(std::make_unique<Threads>()) {
+  threads_->control(EPOLL_CTL_ADD, kWork, threads_->word.number(), EPOLLIN | EPOLLET);
+  if (threads == 0) threads = std::max(2U, std::thread::hardware_concurrency());
+  for (std::size_t i = 0; i < threads; ++i) threads_->threads.emplace_back([this] { threads_->serve(); });
 }
 
 Pool::~Pool() {
-  threads_->context.stop();
+  {
+    const std::lock_guard lock(threads_->mutex);
+    threads_->stopping = true;
+  }
+  threads_->control(EPOLL_CTL_MOD, kWork, threads_->word.number(), EPOLLIN);  // from now on it wakes everyone
+  threads_->tell();
   for (auto& thread : threads_->threads) thread.join();
 }
 
-namespace {
-
-/// Whether this thread is in the callback of a watched descriptor.
-thread_local bool receiving = false;
-
-}  // namespace
-
 void Pool::submit(std::shared_ptr<Runnable> runnable) {
-  auto run = [runnable = std::move(runnable)] { runnable->run(); };
+  const std::lock_guard lock(threads_->mutex);
+  threads_->work.push_back(std::move(runnable));
   // What a received message causes runs next on the thread that received it: to wake another costs as much as the work.
-  receiving ? asio::defer(threads_->context, std::move(run)) : asio::post(threads_->context, std::move(run));
+  if (receiving != threads_.get()) threads_->wake_one();
 }
 
-namespace {
-
-/// Waits, calls, waits again; outlives its guard while a call is under way.
-class Watch : public std::enable_shared_from_this<Watch> {
+class Pool::WatchGuard final : public Readable {
  public:
-  Watch(asio::io_context& context, int descriptor, std::function<void()> ready)
-      : descriptor_(context, descriptor), ready_(std::move(ready)) {}
-
-  void wait() {
-    descriptor_.async_wait(asio::posix::descriptor_base::wait_read,
-                           [self = shared_from_this()](const boost::system::error_code& error) { self->on_readable(error); });
-  }
-  /// The descriptor's owner may close it as soon as this has returned, so it is not only cancelled but given back.
-  void stop() {
-    const std::lock_guard lock(mutex_);
-    stopped_ = true;
-    descriptor_.release();
+  WatchGuard(Threads& threads, std::uint64_t key, std::shared_ptr<Watch> watch)
+      : threads_(threads), key_(key), watch_(std::move(watch)) {}
+  /// The descriptor's owner may close it as soon as this has returned.
+  ~WatchGuard() override {
+    {
+      const std::lock_guard calling(watch_->mutex);
+      watch_->stopped = true;
+      threads_.control(EPOLL_CTL_DEL, key_, watch_->descriptor, 0);
+    }
+    const std::lock_guard lock(threads_.mutex);
+    threads_.watches.erase(key_);
   }
 
  private:
-  void on_readable(const boost::system::error_code& error) {
-    const std::lock_guard lock(mutex_);
-    if (stopped_ || error) return;
-    receiving = true;
-    ready_();
-    receiving = false;
-    wait();
-  }
-
-  std::mutex mutex_;
-  bool stopped_ = false;
-  asio::posix::stream_descriptor descriptor_;
-  const std::function<void()> ready_;
-};
-
-class WatchGuard final : public Pool::Readable {
- public:
-  explicit WatchGuard(std::shared_ptr<Watch> watch) : watch_(std::move(watch)) { watch_->wait(); }
-  ~WatchGuard() override { watch_->stop(); }
-
- private:
+  Threads& threads_;
+  const std::uint64_t key_;
   const std::shared_ptr<Watch> watch_;
 };
 
-}  // namespace
-
 std::unique_ptr<Pool::Readable> Pool::watch(int descriptor, std::function<void()> ready) {
-  return std::make_unique<WatchGuard>(std::make_shared<Watch>(threads_->context, descriptor, std::move(ready)));
+  const auto watch = std::make_shared<Watch>(descriptor, std::move(ready));
+  const std::lock_guard lock(threads_->mutex);
+  const std::uint64_t key = threads_->next_key++;
+  threads_->watches.emplace(key, watch);
+  threads_->control(EPOLL_CTL_ADD, key, descriptor, EPOLLIN | EPOLLONESHOT);
+  return std::make_unique<WatchGuard>(*threads_, key, watch);
 }
 
 }  // namespace fiona

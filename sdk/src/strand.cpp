@@ -153,11 +153,9 @@ void Strand::close() {
   ready_.clear();
 }
 
-std::size_t Strand::queue_depth() const {
+std::size_t Strand::waiting_jobs() const {
   const std::lock_guard lock(mutex_);
-  std::size_t depth = jobs_.size();
-  for (const Inbox* inbox : ready_) depth += inbox->queue_.size();
-  return depth;
+  return jobs_.size();
 }
 
 }  // namespace fiona

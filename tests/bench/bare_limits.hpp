@@ -7,14 +7,14 @@
 
 namespace fiona::bench {
 
-/// One series of paced messages.
+/// One series of messages, paced where it says so.
 struct Load {
   std::size_t bytes = 64;
   std::size_t messages = 2000;
   double period_ms = 0.5;
 };
 
-/// Latencies from just before the send call to the receiver, nanoseconds.
+/// Nanoseconds: latencies from just before the send call to the receiver, or what each message of a stream took.
 struct Latency {
   double median_ns = 0;
   double p99_ns = 0;
@@ -23,30 +23,39 @@ struct Latency {
 Latency summarise(std::vector<std::int64_t> latencies_ns);
 std::int64_t steady_ns();
 
-/// A shared_ptr through a queue with mutex and condition variable to another thread: the least that a hand-over to
-/// another strand can cost.
+// ---- in one process: the least that a hand-over to another strand can cost (bare_queue.cpp)
+
+/// A shared_ptr through a queue with mutex and condition variable to another thread.
 Latency through_queue(const Load& load);
-
-/// The same bytes through a bare ZeroMQ PUSH/PULL pair over ipc to another process (`self`, started as receiver).
-Latency through_zeromq(const Load& load, const std::string& self);
-/// The receiver's side; prints the two figures. The exit code.
-int receive_zeromq(const std::string& endpoint, std::size_t messages);
-
-/// A round trip over a bare REQ/REP pair over ipc, the answer as large as the question, back to back.
-Latency query_through_zeromq(const Load& load, const std::string& self);
-int answer_zeromq(const std::string& endpoint);
-
-/// Time for each message of a stream at full speed to `receivers` of one process, each filled anew, none lost: bare
-/// PUB/SUB over ipc that waits where a queue is full.
-Latency stream_through_zeromq(const Load& load, std::size_t receivers, const std::string& self);
-int count_zeromq(const std::string& endpoint, std::size_t messages, std::size_t receivers);
-
+/// There and back through two of them, back to back, either message filled anew.
+Latency round_trip_through_queues(const Load& load);
+/// Time for each message of a stream at full speed to `receivers` threads with a queue each, filled once, at most
+/// `window` ahead of the slowest.
+Latency stream_through_queues(const Load& load, std::size_t receivers, std::size_t window);
 /// From the call that connects to the first message of a publisher that sends every `load.period_ms`, `load.messages`
-/// times over: a queue that is added to the publisher's list under its lock, in one process.
+/// times over: a queue that is added to the publisher's list under its lock.
 Latency connect_to_queue(const Load& load);
-/// The same: a new SUB socket over ipc, the publisher in another process.
-Latency connect_over_zeromq(const Load& load, const std::string& self);
-/// The publisher's side: until something is said to it.
-int publish_zeromq(const std::string& endpoint, double period_ms);
+
+// ---- between processes: bare ZeroMQ (bare_zeromq.cpp)
+
+/// How two processes are connected, and the program that is the other one.
+struct Medium {
+  std::string self;
+  bool tcp = false;  ///< with CURVE, over the loopback; else ipc
+};
+
+/// The same bytes through a PUSH/PULL pair.
+Latency through_zeromq(const Load& load, const Medium& medium);
+/// A round trip over a REQ/REP pair, the answer as large as the question, back to back.
+Latency query_through_zeromq(const Load& load, const Medium& medium);
+/// Time for each message of a stream at full speed to `receivers` of one process, each filled anew, none lost:
+/// PUB/SUB that waits where a queue is full.
+Latency stream_through_zeromq(const Load& load, std::size_t receivers, const Medium& medium);
+/// As `connect_to_queue`: a new SUB socket, the publisher in another process.
+Latency connect_over_zeromq(const Load& load, const Medium& medium);
+
+/// What the other process does, where the first of these arguments of the program names something of the above: its
+/// exit code. Else -1.
+int other_side(int argc, char** argv);
 
 }  // namespace fiona::bench

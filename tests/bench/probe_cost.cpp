@@ -22,6 +22,7 @@ class NoEvents final : public HullEvents {
   void mode_changed(const std::string&, const std::string&, const std::string&) override {}
   void run_ended(const std::string&, int, const std::string&) override {}
   void logged(const std::string&, LogLevel, std::string_view) override {}
+  void asked(const std::string&, std::uint64_t, const control::Request&) override {}
 };
 
 /// The median over rounds of what one of many takes.

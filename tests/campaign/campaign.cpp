@@ -3,11 +3,28 @@
 #include <dirent.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <fstream>
 #include <string>
 
+#include <fmt/format.h>
+
+#include "fiona/error.hpp"
+
 namespace fiona::conformance {
+
+namespace {
+
+long threads_of(const std::string& process) {
+  std::ifstream file(process + "/status");
+  for (std::string line; std::getline(file, line);) {
+    if (line.starts_with("Threads:")) return std::stol(line.substr(8));
+  }
+  return 0;
+}
+
+}  // namespace
 
 int number_from(const char* variable, int otherwise) {
   const char* text = std::getenv(variable);
@@ -26,14 +43,101 @@ Holdings holdings(const std::vector<pid_t>& processes) {
   for (const pid_t id : processes) {
     const std::string process = "/proc/" + std::to_string(id);
     if (DIR* directory = ::opendir((process + "/fd").c_str())) {
-      while (::readdir(directory)) ++all.descriptors;
+      while (const dirent* entry = ::readdir(directory)) {
+        ++all.descriptors;
+        char target[64] = {};
+        const ssize_t size = ::readlinkat(::dirfd(directory), entry->d_name, target, sizeof target - 1);
+        if (size > 0 && std::string(target).starts_with("socket:")) ++all.sockets;
+      }
       ::closedir(directory);
     }
+    all.threads += threads_of(process);
     long pages = 0, resident = 0;
     std::ifstream(process + "/statm") >> pages >> resident;
     all.resident_mib += static_cast<double>(resident * ::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
   }
   return all;
+}
+
+std::unique_ptr<google::protobuf::Message> ask(RunningSystem& system, const std::string& trigger,
+                                               const std::string& arguments) {
+  const auto called = system.call(trigger, arguments);
+  if (called.outcome() != "ok")
+    throw Error(ErrorCode::Failed, trigger + ": " + called.outcome() + ", " + called.reason());
+  auto object = system.system().types().make(called.result().type());
+  object->ParseFromString(called.result().object());
+  return object;
+}
+
+namespace {
+
+Sighting sighting_from(RunningSystem& system, const std::string& lookout, const std::string& arguments) {
+  const auto object = ask(system, lookout + ".testify", arguments);
+  const Seen said(*object);
+  Sighting seen;
+  seen.seen_ns = said.fixed("seen_ns");
+  seen.blank_ns = said.fixed("blank_ns");
+  seen.lost_ns = said.fixed("lost_ns");
+  seen.last_ns = said.fixed("last_ns");
+  seen.sees = said.flag("sees");
+  seen.oldest_shown_ms = said.real("oldest_shown_ms");
+  seen.oldest_heard_ms = said.real("oldest_heard_ms");
+  seen.longest_over_ms = said.real("longest_over_ms");
+  seen.heard = said.number("heard");
+  seen.asked = said.number("asked");
+  seen.open = said.number("open");
+  seen.outcomes = said.numbers("outcomes");
+  return seen;
+}
+
+}  // namespace
+
+Sighting sighting(RunningSystem& system, const std::string& lookout) { return sighting_from(system, lookout, ""); }
+Sighting take_sighting(RunningSystem& system, const std::string& lookout) {
+  return sighting_from(system, lookout, "manner=forget");
+}
+
+std::int64_t now_ns() { return Steady::now().time_since_epoch().count(); }
+
+void let_be(RunningSystem& system, std::chrono::milliseconds time) {
+  const auto end = Steady::now() + time;
+  system.eventually(
+      "the time passes", [end] { return Steady::now() >= end; }, time + std::chrono::seconds(10));
+}
+
+double allowed(double bound, bool in_full) {
+#ifdef __SANITIZE_ADDRESS__
+  return in_full ? 2 * bound : 6 * bound;
+#else
+  return in_full ? bound : 3 * bound;
+#endif
+}
+
+Pulse::Pulse()
+    : thread_([this] {
+        while (!stopping_) {
+          const std::int64_t begun_ns = now_ns();
+          std::this_thread::sleep_for(std::chrono::milliseconds(2));
+          longest_ns_ = std::max(longest_ns_.load(), now_ns() - begun_ns - 2'000'000);
+        }
+      }) {}
+
+Pulse::~Pulse() {
+  stopping_ = true;
+  thread_.join();
+}
+
+double Times::longest() const { return all_.empty() ? 0 : *std::max_element(all_.begin(), all_.end()); }
+
+std::string Times::text(const std::string& what, double bound_ms) const {
+  if (all_.empty()) return what + ": none";
+  auto sorted = all_;
+  std::sort(sorted.begin(), sorted.end());
+  const auto at = [&](std::size_t percent) {
+    return sorted[std::min(sorted.size() - 1, sorted.size() * percent / 100)];
+  };
+  return fmt::format("{}, {} times: p50 {:.1f} ms, p99 {:.1f} ms, longest {:.1f} ms (bound {:.0f} ms)", what,
+                     sorted.size(), at(50), at(99), sorted.back(), bound_ms);
 }
 
 }  // namespace fiona::conformance

@@ -9,47 +9,18 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <google/protobuf/dynamic_message.h>
 
 #include "campaign.hpp"
 #include "engine.hpp"
 #include "fiona/result.hpp"
 #include "mailbox.hpp"
-#include "system_fixture.hpp"
 
 namespace fiona::conformance {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
 constexpr int kTickers = 10;
 constexpr int kWitnesses = 10;
 constexpr int kQuiet = 2;  ///< of the witnesses: ask nothing, so that eight ask
-/// Rewires after which the process has what it needs, and what it uses must stay.
-constexpr int kWarmUp = 50;
-
-/// A field of a message of which the test does not link the type.
-class Seen {
- public:
-  Seen(const google::protobuf::Message& message) : message_(message) {}  // NOLINT: reads like the message
-  std::uint64_t number(const char* name) const { return reflect().GetUInt64(message_, field(name)); }
-  double real(const char* name) const { return reflect().GetDouble(message_, field(name)); }
-  std::vector<std::uint64_t> numbers(const char* name) const {
-    std::vector<std::uint64_t> all;
-    for (int i = 0; i < reflect().FieldSize(message_, field(name)); ++i) all.push_back(reflect().GetRepeatedUInt64(message_, field(name), i));
-    return all;
-  }
-  std::vector<Seen> messages(const char* name) const {
-    std::vector<Seen> all;
-    for (int i = 0; i < reflect().FieldSize(message_, field(name)); ++i) all.emplace_back(reflect().GetRepeatedMessage(message_, field(name), i));
-    return all;
-  }
-
- private:
-  const google::protobuf::Reflection& reflect() const { return *message_.GetReflection(); }
-  const google::protobuf::FieldDescriptor* field(const char* name) const { return message_.GetDescriptor()->FindFieldByName(name); }
-  const google::protobuf::Message& message_;
-};
 
 class Rewire : public testing::TestWithParam<Transport> {
  protected:
@@ -73,19 +44,12 @@ class Rewire : public testing::TestWithParam<Transport> {
     *wire.mutable_client() = host::port_of({witness(client), port});
     *wire.mutable_provider() = host::port_of({ticker(provider), port == "echo" ? "echo" : "samples"});
     if (port == "samples") history[static_cast<std::size_t>(client)].push_back(static_cast<std::uint64_t>(provider));
-    const auto begun = Clock::now();
+    const auto begun = Steady::now();
     control::Reply answered;
     engine.transact("campaign", request, [&answered](const control::Reply& reply) { answered = reply; });
     if (!answered.has_done()) ADD_FAILURE() << answered.failure().what();
     lost += answered.done().lost();
-    return std::chrono::duration<double, std::milli>(Clock::now() - begun).count();
-  }
-  std::unique_ptr<google::protobuf::Message> ask(const std::string& trigger) {
-    const auto called = system.call(trigger);
-    EXPECT_EQ(called.outcome(), "ok") << called.reason();
-    auto object = system.system().types().make(called.result().type());
-    object->ParseFromString(called.result().object());
-    return object;
+    return std::chrono::duration<double, std::milli>(Steady::now() - begun).count();
   }
   /// What was heard is what the model allows: runs without a gap, each under a wiring of its own, in their order.
   void check_samples(int client, const Seen& testimony) {
@@ -139,16 +103,16 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
   for (int i = 0; i < kTickers; ++i) system.set(ticker(i), "period_ms=10000");
   system.eventually("all questions have ended", [&] {
     for (int i = kQuiet; i < kWitnesses; ++i) {
-      if (Seen(*ask(witness(i) + ".testify")).number("open") > 0) return false;
+      if (Seen(*ask(system, witness(i) + ".testify")).number("open") > 0) return false;
     }
     return true;
   });
   std::uint64_t answered = 0;
-  for (int i = 0; i < kTickers; ++i) answered += Seen(*ask(ticker(i) + ".report")).number("answered");
+  for (int i = 0; i < kTickers; ++i) answered += Seen(*ask(system, ticker(i) + ".report")).number("answered");
   double longest_gap_ms = 0;
   std::uint64_t heard = 0;
   for (int i = 0; i < kWitnesses; ++i) {
-    const auto testimony = ask(witness(i) + ".testify");
+    const auto testimony = ask(system, witness(i) + ".testify");
     check_samples(i, *testimony);
     check_questions(i, *testimony);
     longest_gap_ms = std::max(longest_gap_ms, Seen(*testimony).real("longest_gap_ms"));

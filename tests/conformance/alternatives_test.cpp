@@ -381,8 +381,7 @@ TEST_P(Alternatives, AnActivationIsMadeAgainAtTheOneThatServes) {
   system.wait_for(rings, [&](const auto& ring) { return ring.number() > next.number() + 3; });
 }
 
-INSTANTIATE_TEST_SUITE_P(Wires, Alternatives, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
-                         [](const auto& of) { return to_string(of.param); });
+FIONA_OVER_EVERY_TRANSPORT(Alternatives);
 
 // ---- on a virtual clock ---------------------------------------------------------------------------------------
 

@@ -124,8 +124,7 @@ TEST_P(Links, CarryNothingThatIsGarbledUnprovenOrNotGranted) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Links, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
-                         [](const auto& one) { return to_string(one.param); });
+FIONA_OVER_EVERY_TRANSPORT(Links);
 
 // ---- processes that end ---------------------------------------------------------------------------------------
 
@@ -209,8 +208,7 @@ TEST_P(Processes, GroupThatWouldUseUpTheDescriptorsIsRefusedInASentence) {
   for (int i = 0; i < made; ++i) EXPECT_EQ(system.instance("sink" + std::to_string(i)).mode(), "active");
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Processes, testing::Values(Transport::Ipc),
-                         [](const auto& one) { return to_string(one.param); });
+FIONA_OVER(Processes, Transport::Ipc);
 
 }  // namespace
 }  // namespace fiona::conformance

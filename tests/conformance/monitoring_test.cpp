@@ -315,8 +315,7 @@ TEST_P(Monitoring, WhatTheHullReadsIsNeverOld) {
   EXPECT_EQ(error.text().what, "gauge.handler_time is never old: the hull reads it when it is asked");
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Monitoring, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
-                         [](const auto& one) { return to_string(one.param); });
+FIONA_OVER_EVERY_TRANSPORT(Monitoring);
 
 TEST(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {
   RunningSystem system(Transport::Ipc);

@@ -1,4 +1,4 @@
-// The sentences of docs/patterns.md that hold today, each run over every transport.
+// Sentences of docs/patterns.md, one after the other, each run over every transport.
 #include <gtest/gtest.h>
 
 #include "fiona/error.hpp"
@@ -8,14 +8,17 @@
 namespace fiona::conformance {
 namespace {
 
-class Patterns : public testing::TestWithParam<Transport> {
- protected:
-  RunningSystem system{GetParam()};
-};
+// A suite for each row of the table that is printed at the end; rules_test.cpp and the others have more of them.
+using Rules = OverTransports;
+using Send = OverTransports;
+using Query = OverTransports;
+using PushNewest = OverTransports;
+using PushTimed = OverTransports;
+using Wiring = OverTransports;
 
 double value_of(Outcome outcome) { return static_cast<double>(outcome); }
 
-TEST_P(Patterns, PushEachDeliversEveryMessageOnceInOrder) {
+TEST_P(PushNewest, PushEachDeliversEveryMessageOnceInOrder) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "neutral period_ms=1 count=200");
   system.wire("sink.each", "source.newest");
@@ -26,7 +29,7 @@ TEST_P(Patterns, PushEachDeliversEveryMessageOnceInOrder) {
   EXPECT_EQ(last.value(), 200 * 201 / 2) << "the sum of the numbers 1 to 200: none lost, none twice";
 }
 
-TEST_P(Patterns, PrescaleDeliversTheFirstPutAfterSubscribingThenEveryNth) {
+TEST_P(PushNewest, PrescaleDeliversTheFirstPutAfterSubscribingThenEveryNth) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "neutral period_ms=1 count=100");
   system.wire("sink.each", "source.newest", 10);
@@ -37,7 +40,7 @@ TEST_P(Patterns, PrescaleDeliversTheFirstPutAfterSubscribingThenEveryNth) {
   EXPECT_EQ(last.value(), 1 + 11 + 21 + 31 + 41 + 51 + 61 + 71 + 81 + 91);
 }
 
-TEST_P(Patterns, NewestSubscriptionKeepsOneValueAndCountsTheSuperseded) {
+TEST_P(PushNewest, NewestSubscriptionKeepsOneValueAndCountsTheSuperseded) {
   system.load_client("sink", "sink", "work_ms=50");
   system.load_provider("source", "source", "period_ms=1 count=300");
   system.wire("sink.newest", "source.newest");
@@ -46,7 +49,7 @@ TEST_P(Patterns, NewestSubscriptionKeepsOneValueAndCountsTheSuperseded) {
   EXPECT_EQ(system.port("sink.newest").dropped(), 0U);
 }
 
-TEST_P(Patterns, ServiceWithLastValueGivesItToALateSubscriber) {
+TEST_P(PushNewest, ServiceWithLastValueGivesItToALateSubscriber) {
   system.load_provider("source", "source", "period_ms=1 count=1");
   system.eventually("put", [&] { return system.port("source.last").messages() == 1; });
   system.load_client("sink", "sink");
@@ -55,7 +58,7 @@ TEST_P(Patterns, ServiceWithLastValueGivesItToALateSubscriber) {
   EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).value(), 1);
 }
 
-TEST_P(Patterns, ServiceWithoutLastValueGivesALateSubscriberNothing) {
+TEST_P(PushNewest, ServiceWithoutLastValueGivesALateSubscriberNothing) {
   system.load_provider("source", "source", "period_ms=1 count=1");
   system.eventually("put", [&] { return system.port("source.newest").messages() == 1; });
   system.load_client("sink", "sink");
@@ -64,7 +67,7 @@ TEST_P(Patterns, ServiceWithoutLastValueGivesALateSubscriberNothing) {
   EXPECT_EQ(system.port("sink.each").messages(), 0U);
 }
 
-TEST_P(Patterns, PushTimedProducesOnceAPeriodWhileActive) {
+TEST_P(PushTimed, PushTimedProducesOnceAPeriodWhileActive) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "count=1");
   system.wire("sink.timed", "source.timed");
@@ -78,7 +81,7 @@ TEST_P(Patterns, PushTimedProducesOnceAPeriodWhileActive) {
   EXPECT_EQ(system.instance("source").tasks(0).runs(), after);
 }
 
-TEST_P(Patterns, LatestDoesNotConsume) {
+TEST_P(PushNewest, LatestDoesNotConsume) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "neutral period_ms=1 count=5");
   const auto report = system.watch("sink.latest_report");
@@ -89,7 +92,7 @@ TEST_P(Patterns, LatestDoesNotConsume) {
   EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).number(), 5U) << "read again, the same value";
 }
 
-TEST_P(Patterns, LatestKeepsTheOldValueMarkedStaleUntilTheNewProviderSpeaks) {
+TEST_P(PushNewest, LatestKeepsTheOldValueMarkedStaleUntilTheNewProviderSpeaks) {
   system.load_client("sink", "sink");
   system.load_provider("source", "first", "neutral period_ms=1 count=5");
   system.load_provider("source", "second", "neutral period_ms=1 count=7");
@@ -102,7 +105,7 @@ TEST_P(Patterns, LatestKeepsTheOldValueMarkedStaleUntilTheNewProviderSpeaks) {
   system.wait_for(report, [](const auto& s) { return s.number() == 5 && s.value() == 1; });
 }
 
-TEST_P(Patterns, ProviderThatIsSilentForLongerThanItsLeaseIsLostAndFoundAtItsNextPut) {
+TEST_P(PushNewest, ProviderThatIsSilentForLongerThanItsLeaseIsLostAndFoundAtItsNextPut) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "period_ms=1 count=5");
   system.wire("sink.leased", "source.leased");
@@ -114,7 +117,7 @@ TEST_P(Patterns, ProviderThatIsSilentForLongerThanItsLeaseIsLostAndFoundAtItsNex
   system.eventually("found", [&] { return system.port("sink.leased").connection() == control::CONNECTED; });
 }
 
-TEST_P(Patterns, LeaseIsRenewedByStillValidAndNotByTheHull) {
+TEST_P(PushNewest, LeaseIsRenewedByStillValidAndNotByTheHull) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "period_ms=1 count=5 vouch=true");
   system.wire("sink.leased", "source.leased");
@@ -126,7 +129,7 @@ TEST_P(Patterns, LeaseIsRenewedByStillValidAndNotByTheHull) {
   system.eventually("lost", [&] { return system.port("sink.leased").connection() == control::LOST; });
 }
 
-TEST_P(Patterns, ProviderThatLeavesItsModeIsLostToItsSubscribersAtOnce) {
+TEST_P(PushNewest, ProviderThatLeavesItsModeIsLostToItsSubscribersAtOnce) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source");
   system.wire("sink.leased", "source.leased");
@@ -135,7 +138,7 @@ TEST_P(Patterns, ProviderThatLeavesItsModeIsLostToItsSubscribersAtOnce) {
   EXPECT_EQ(system.port("sink.leased").reason(), "source.leased is not active");
 }
 
-TEST_P(Patterns, LateSubscriberToASilentProviderIsToldSo) {
+TEST_P(PushNewest, LateSubscriberToASilentProviderIsToldSo) {
   system.load_provider("source", "source", "period_ms=1 count=5");
   system.load_client("sink", "first");
   system.wire("first.leased", "source.leased");
@@ -145,7 +148,7 @@ TEST_P(Patterns, LateSubscriberToASilentProviderIsToldSo) {
   system.eventually("lost", [&] { return system.port("late.leased").connection() == control::LOST; });
 }
 
-TEST_P(Patterns, QueryGetsItsAnswer) {
+TEST_P(Query, QueryGetsItsAnswer) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "period_ms=20 payload=1000");
   const auto outcome = system.watch("asker.outcome");
@@ -154,7 +157,7 @@ TEST_P(Patterns, QueryGetsItsAnswer) {
   EXPECT_EQ(report.payload(), "1000");
 }
 
-TEST_P(Patterns, ProviderMayAnswerLater) {
+TEST_P(Query, ProviderMayAnswerLater) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "manner=later period_ms=20");
   const auto outcome = system.watch("asker.outcome");
@@ -162,7 +165,7 @@ TEST_P(Patterns, ProviderMayAnswerLater) {
   system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Ok); });
 }
 
-TEST_P(Patterns, ReplyDroppedWithoutAnswerIsRejectedNoAnswer) {
+TEST_P(Query, ReplyDroppedWithoutAnswerIsRejectedNoAnswer) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "manner=drop period_ms=20");
   const auto outcome = system.watch("asker.outcome");
@@ -171,7 +174,7 @@ TEST_P(Patterns, ReplyDroppedWithoutAnswerIsRejectedNoAnswer) {
   EXPECT_EQ(report.payload(), "no answer");
 }
 
-TEST_P(Patterns, RefusalCarriesItsReason) {
+TEST_P(Query, RefusalCarriesItsReason) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "manner=error period_ms=20");
   const auto outcome = system.watch("asker.outcome");
@@ -180,7 +183,7 @@ TEST_P(Patterns, RefusalCarriesItsReason) {
   EXPECT_EQ(report.payload(), "asked to refuse");
 }
 
-TEST_P(Patterns, QueryEndsAtItsDeadline) {
+TEST_P(Query, QueryEndsAtItsDeadline) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "neutral manner=never count=3");
   const auto outcome = system.watch("asker.outcome");
@@ -189,13 +192,13 @@ TEST_P(Patterns, QueryEndsAtItsDeadline) {
   system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Timeout); });
 }
 
-TEST_P(Patterns, QueryOnAPortWithoutWireIsUnwired) {
+TEST_P(Query, QueryOnAPortWithoutWireIsUnwired) {
   system.load_client("asker", "asker", "period_ms=10");
   const auto outcome = system.watch("asker.outcome");
   EXPECT_EQ(system.wait_for(outcome, [](const auto&) { return true; }).value(), value_of(Outcome::Unwired));
 }
 
-TEST_P(Patterns, PendingQueryEndsDisconnectedWhenTheWireIsCut) {
+TEST_P(Query, PendingQueryEndsDisconnectedWhenTheWireIsCut) {
   system.load_provider("answerer", "answerer");
   system.load_client("asker", "asker", "manner=never period_ms=20");
   const auto outcome = system.watch("asker.outcome");
@@ -205,7 +208,7 @@ TEST_P(Patterns, PendingQueryEndsDisconnectedWhenTheWireIsCut) {
   system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::Disconnected); });
 }
 
-TEST_P(Patterns, ProviderOutsideItsModeAnswersNotActiveAtOnce) {
+TEST_P(Query, ProviderOutsideItsModeAnswersNotActiveAtOnce) {
   system.load_provider("answerer", "answerer");
   system.state("answerer", "neutral");
   system.load_client("asker", "asker", "period_ms=20");
@@ -214,7 +217,7 @@ TEST_P(Patterns, ProviderOutsideItsModeAnswersNotActiveAtOnce) {
   system.wait_for(outcome, [](const auto& s) { return s.value() == value_of(Outcome::NotActive); });
 }
 
-TEST_P(Patterns, SendReachesTheReceiverInOrder) {
+TEST_P(Send, SendReachesTheReceiverInOrder) {
   system.load_client("sink", "receiver");
   system.load_provider("source", "sender", "neutral period_ms=1 count=100");
   const auto report = system.watch("receiver.report");
@@ -224,7 +227,7 @@ TEST_P(Patterns, SendReachesTheReceiverInOrder) {
   EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 100; }).value(), 5050);
 }
 
-TEST_P(Patterns, HandlerThatThrowsFailsItsInstanceAndNobodyElse) {
+TEST_P(Rules, HandlerThatThrowsFailsItsInstanceAndNobodyElse) {
   system.load_provider("source", "source", "period_ms=1");
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
@@ -234,7 +237,7 @@ TEST_P(Patterns, HandlerThatThrowsFailsItsInstanceAndNobodyElse) {
   EXPECT_EQ(system.instance("sink").mode(), "active");
 }
 
-TEST_P(Patterns, OneMebibyteArrivesWhole) {
+TEST_P(Rules, OneMebibyteArrivesWhole) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "period_ms=5 payload=1048576");
   const auto report = system.watch("sink.report");
@@ -244,7 +247,7 @@ TEST_P(Patterns, OneMebibyteArrivesWhole) {
   }
 }
 
-TEST_P(Patterns, UnloadingAProviderSaysWhoWaitsForIt) {
+TEST_P(Wiring, UnloadingAProviderSaysWhoWaitsForIt) {
   system.load_provider("source", "source");
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
@@ -255,7 +258,7 @@ TEST_P(Patterns, UnloadingAProviderSaysWhoWaitsForIt) {
   EXPECT_EQ(system.port("sink.each").reason(), "there is no instance 'source' yet");
 }
 
-TEST_P(Patterns, WireWaitsForItsProviderAndResolvesWhenThatAppears) {
+TEST_P(Wiring, WireWaitsForItsProviderAndResolvesWhenThatAppears) {
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
   EXPECT_EQ(system.instance("sink").mode(), "active");
@@ -267,7 +270,7 @@ TEST_P(Patterns, WireWaitsForItsProviderAndResolvesWhenThatAppears) {
   EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).number(), 1U);
 }
 
-TEST_P(Patterns, WireThatWaitsGoesOnWithAnotherInstanceOfTheName) {
+TEST_P(Wiring, WireThatWaitsGoesOnWithAnotherInstanceOfTheName) {
   system.load_provider("source", "source");
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
@@ -277,7 +280,7 @@ TEST_P(Patterns, WireThatWaitsGoesOnWithAnotherInstanceOfTheName) {
   system.eventually("goes on", [&] { return system.port("sink.each").messages() > before + 2; });
 }
 
-TEST_P(Patterns, InstanceThatDoesNotFitAWireThatWaitsForItsNameIsRefused) {
+TEST_P(Wiring, InstanceThatDoesNotFitAWireThatWaitsForItsNameIsRefused) {
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.timed");
   try {
@@ -292,8 +295,12 @@ TEST_P(Patterns, InstanceThatDoesNotFitAWireThatWaitsForItsNameIsRefused) {
   EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Patterns, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
-                         [](const auto& tested) { return to_string(tested.param); });
+FIONA_OVER_EVERY_TRANSPORT(Rules);
+FIONA_OVER_EVERY_TRANSPORT(Send);
+FIONA_OVER_EVERY_TRANSPORT(Query);
+FIONA_OVER_EVERY_TRANSPORT(PushNewest);
+FIONA_OVER_EVERY_TRANSPORT(PushTimed);
+FIONA_OVER_EVERY_TRANSPORT(Wiring);
 
 }  // namespace
 }  // namespace fiona::conformance

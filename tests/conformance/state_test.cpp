@@ -137,6 +137,47 @@ TEST_P(State, DeactivatedCancelsWhatWaitsAndIsThenNeutral) {
   expect_runs("steers");
 }
 
+TEST_P(State, NeutralIsPoliteAndWaitsForWhatRuns) {
+  hold_steering();
+  const auto change = system.begin_state("mover", "neutral");
+  system.eventually("pending", [&] { return system.instance("mover").has_pending(); });
+  EXPECT_EQ(system.instance("mover").pending().to(), "neutral");
+  EXPECT_EQ(system.instance("mover").pending().blocked_by(), "task 'steer'");
+  EXPECT_GT(system.instance("mover").pending().blocked_s(), 0);
+  EXPECT_FALSE(change->ended);
+  system.state("source", "active");
+  system.eventually("the change", [&] { return change->ended.load(); });
+  EXPECT_EQ(system.instance("mover").mode(), "neutral");
+}
+
+TEST_P(State, ComponentThatDeclaresNoModesHasOneAndIsInItAfterLoad) {
+  system.load_client("sink", "sink");
+  const auto instance = system.instance("sink");
+  EXPECT_THAT(std::vector<std::string>(instance.modes().begin(), instance.modes().end()), ElementsAre("active"));
+  EXPECT_EQ(instance.mode(), "active");
+  system.load_client("sink", "other", "neutral");
+  EXPECT_EQ(system.instance("other").mode(), "neutral") << "as the line says";
+}
+
+TEST_P(State, FailedLeadsToShutdownOnlyAndKeepsItsReason) {
+  EXPECT_EQ(system.call("mover.turn", "manner=throw").outcome(), "rejected");
+  EXPECT_EQ(system.instance("mover").mode(), "failed");
+  for (const std::string mode : {"drive", "park", "neutral", "deactivated"}) EXPECT_NE(refusal_of(mode), "") << mode;
+  EXPECT_EQ(system.instance("mover").reason(), "the wheel came off");
+  system.unload("mover");
+  system.load_client("mover", "mover");
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+}
+
+TEST_P(State, UnloadJumpsTheQueueAndAnswersWhoWaitsInIt) {
+  hold_steering();
+  const auto change = system.begin_state("mover", "park");
+  system.eventually("pending", [&] { return system.instance("mover").has_pending(); });
+  system.unload("mover");
+  system.eventually("answered", [&] { return change->ended.load(); });
+  EXPECT_THAT(change->reply.failure().what(), HasSubstr("'mover' was unloaded")) << change->reply.ShortDebugString();
+}
+
 TEST_P(State, UnloadDoesNotWaitForAnActivity) {
   hold_steering();
   const auto start = std::chrono::steady_clock::now();
@@ -241,11 +282,9 @@ TEST_P(Triggers, SendPortIsCalledByHand) {
   system.eventually("handled", [&] { return system.port("sink.orders").messages() == 1; });
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Triggers, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
-                         [](const auto& one) { return to_string(one.param); });
+FIONA_OVER_EVERY_TRANSPORT(Triggers);
 
-INSTANTIATE_TEST_SUITE_P(Over, State, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),
-                         [](const auto& one) { return to_string(one.param); });
+FIONA_OVER_EVERY_TRANSPORT(State);
 
 }  // namespace
 }  // namespace fiona::conformance

@@ -12,11 +12,9 @@
 #include "fiona/error.hpp"
 #include "os/unix_socket.hpp"
 #include "fiona/probe.pb.h"
-#include "runtime.hpp"
+#include "failure.hpp"
 
 namespace fiona::conformance {
-namespace {
-
 control::PortName port_name(const std::string& text) {
   control::PortName name;
   name.set_instance(text.substr(0, text.find('.')));
@@ -24,9 +22,7 @@ control::PortName port_name(const std::string& text) {
   return name;
 }
 
-/// "a=1 b=text" as arguments.
-template <class List>
-void add_arguments(const std::string& text, List& list) {
+void add_arguments(const std::string& text, google::protobuf::RepeatedPtrField<control::Argument>& list) {
   std::istringstream words(text);
   for (std::string word; words >> word;) {
     if (word.find('=') == std::string::npos) continue;
@@ -48,8 +44,6 @@ void add_arguments(const std::string& text, List& list) {
     }
   }
 }
-
-}  // namespace
 
 TemporaryDirectory::TemporaryDirectory() {
   std::string name = (std::filesystem::temp_directory_path() / "fiona-test-XXXXXX").string();
@@ -79,6 +73,7 @@ SeenSample::SeenSample(const google::protobuf::Message& sample) : has_value(true
     const auto& type = *sample.GetDescriptor();
     const auto& reflect = *sample.GetReflection();
     number_ = reflect.GetUInt64(sample, type.FindFieldByName("number"));
+    sent_ns_ = reflect.GetInt64(sample, type.FindFieldByName("sent_ns"));
     value_ = reflect.GetDouble(sample, type.FindFieldByName("value"));
     payload_ = reflect.GetString(sample, type.FindFieldByName("payload"));
   }
@@ -141,12 +136,15 @@ host::HostOptions OtherHost::led_from(const std::filesystem::path& keys) const {
 }
 
 RunningSystem::RunningSystem(Transport transport)
-    : RunningSystem(transport, transport == Transport::Tcp ? "far" : "", {.threads = 2}) {}
+    : RunningSystem(transport, transport == Transport::Tcp ? "far" : "", {.threads = 2, .ends_hung_groups = false}) {}
 
 RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
     : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts)
+    : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts, .ends_hung_groups = false}) {}
+
+RunningSystem::RunningSystem(const host::HostOptions& hosts, EndsHungGroups)
     : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts}) {}
 
 RunningSystem::RunningSystem(Transport transport, const std::string& other, host::System::Options options)
@@ -160,6 +158,7 @@ host::System::Options RunningSystem::completed(host::System::Options options) co
   options.name = "test";
   options.store = directory_.path / "store";
   options.directory = directory_.path;
+  options.patience = std::chrono::seconds(10);  // how busy the machine is, no test is about
   if (other_) options.hosts = other_->led_from(directory_.path / "test");
   return options;
 }
@@ -321,6 +320,7 @@ void RunningSystem::serve_groups(std::chrono::milliseconds most) {
   for (std::size_t i = 0; i < children.size(); ++i) {
     if (waits[i].revents != 0) system_.serve_group(*children[i]);
   }
+  system_.watch_groups();
 }
 
 void RunningSystem::eventually(const std::string& what, const std::function<bool()>& fits,
@@ -388,6 +388,8 @@ control::GroupStatus RunningSystem::group(const std::string& name) {
   }
   throw Error(ErrorCode::NotFound, "no group " + name);
 }
+
+pid_t RunningSystem::far_process() { return other_ ? other_->process() : group("far").process(); }
 
 control::PortStatus RunningSystem::port(const std::string& name) {
   const auto wanted = port_name(name);

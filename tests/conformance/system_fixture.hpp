@@ -1,5 +1,7 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <atomic>
 #include <condition_variable>
 #include <filesystem>
@@ -20,6 +22,11 @@ namespace fiona::conformance {
 enum class Transport { Process, Ipc, Tcp };
 std::string to_string(Transport transport);
 void PrintTo(Transport transport, std::ostream* out);
+
+/// "nav.location".
+control::PortName port_name(const std::string& text);
+/// "a=1 b=text" as arguments; a word without = is passed over.
+void add_arguments(const std::string& text, google::protobuf::RepeatedPtrField<control::Argument>& list);
 
 /// A directory of its own, removed at the end.
 struct TemporaryDirectory {
@@ -43,11 +50,13 @@ class SeenSample {
   std::uint64_t counted = 0;  ///< by the tap, from 1
   std::uint64_t skipped = 0;  ///< by the tap so far
   std::uint64_t number() const { return number_; }
+  std::int64_t sent_ns() const { return sent_ns_; }
   double value() const { return value_; }
   const std::string& payload() const { return payload_; }
 
  private:
   std::uint64_t number_ = 0;
+  std::int64_t sent_ns_ = 0;
   double value_ = 0;
   std::string payload_;
 };
@@ -101,6 +110,9 @@ class RunningSystem {
   RunningSystem(std::size_t threads, std::chrono::milliseconds standstill);
   /// Leads these hosts, or listens for one.
   explicit RunningSystem(const host::HostOptions& hosts);
+  /// Ends groups that hang, as a host does; other systems here leave alone those that a test has stopped.
+  struct EndsHungGroups {};
+  RunningSystem(const host::HostOptions& hosts, EndsHungGroups);
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
@@ -140,6 +152,8 @@ class RunningSystem {
   /// Waits until it has joined.
   void join(const std::string& name);
   control::GroupStatus group(const std::string& name);
+  /// Of the client's side, where that is not the test's own: the group, or the other host.
+  pid_t far_process();
   /// A probe, read once.
   SeenSample read(const std::string& probe);
   /// Waits until the tap has ended; why.
@@ -165,4 +179,16 @@ class RunningSystem {
   host::System system_;  ///< last: its threads use the rest until it has ended
 };
 
+/// What most tests run in: a system whose wires go over the transport that the test is run for.
+class OverTransports : public ::testing::TestWithParam<Transport> {
+ protected:
+  RunningSystem system{GetParam()};
+};
+
 }  // namespace fiona::conformance
+
+/// Runs the tests of a suite over these transports, and names each run after its own.
+#define FIONA_OVER(suite, ...)                                         \
+  INSTANTIATE_TEST_SUITE_P(Over, suite, ::testing::Values(__VA_ARGS__), \
+                           [](const auto& run) { return to_string(run.param); })
+#define FIONA_OVER_EVERY_TRANSPORT(suite) FIONA_OVER(suite, Transport::Process, Transport::Ipc, Transport::Tcp)

@@ -117,6 +117,36 @@ TEST(VirtualTimeGroups, TheDeliveryLogIsTheSameInOneProcessAndInGroups) {
   }
 }
 
+/// Four consumers of different appetite, one of which hears every third sample, and who waits for them.
+std::string paced_deliveries(std::size_t threads, const Placement& place) {
+  const TemporaryDirectory directory;
+  const auto file = directory.path / "deliveries";
+  {
+    RunningSystem system(threads, 5s);
+    system.set("host", "clock=virtual deliveries=" + file.string());
+    system.load_in(place(0), "pourer", "pourer", "count=60 payload=300000 deadline_ms=40");
+    for (int n = 1; n <= 4; ++n) {
+      const std::string name = "s" + std::to_string(n);
+      system.load_in(place(n), "sipper", name, "sip_ms=" + std::to_string(n));
+      system.wire(name + ".samples", "pourer.samples", n == 3 ? 3 : 1);
+      system.wire(name + ".never", "pourer.never");
+    }
+    const auto reply = system.let_pass(300ms);
+    EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
+    EXPECT_EQ(system.port("s4.samples").messages(), 60U);
+    EXPECT_EQ(system.port("s4.samples").dropped(), 0U);
+  }
+  return text_of_file(file);
+}
+
+TEST(VirtualTimeGroups, WaitingForRoomIsInTheDeliveryLogAndTheSameEverywhere) {
+  const std::string expected = paced_deliveries(1, in_main);
+  EXPECT_THAT(expected, HasSubstr("asks_room"));
+  for (const auto& place : {Placement(in_main), Placement(in_two_groups), Placement(in_three)}) {
+    EXPECT_EQ(first_difference(expected, paced_deliveries(8, place)), "");
+  }
+}
+
 TEST(VirtualTimeGroups, WatchingLeavesTheDeliveryLogAsItIs) {
   const std::string expected = deliveries(5, 2, in_three);
   ASSERT_GT(lines_of(expected), 1000U);
@@ -179,6 +209,20 @@ TEST(VirtualTimeGroups, WhatIsLoadedLaterBeginsAtTheSystemsTime) {
   running.load_in("far", "source", "source", "period_ms=5");
   EXPECT_EQ(expected_after_ms(running, "source.newest", 3), 10);
   EXPECT_EQ(to_milliseconds(running.system().clock().now()), 1010);
+}
+
+TEST(VirtualTimeProcess, AModeWithAFreeRunningTaskIsRefusedAndTheOthersAreNot) {
+  RunningSystem running(2, 5s);
+  running.set("host", "clock=virtual");
+  try {
+    running.load_in("", "toiler", "toiler");
+    FAIL() << "it was loaded";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "'toiler' cannot go to toil on a virtual clock");
+    EXPECT_EQ(error.text().found, "that task runs in a thread of its own, for which virtual time cannot wait");
+  }
+  running.load_in("", "toiler", "toiler", "neutral");
+  EXPECT_EQ(running.instance("toiler").mode(), "neutral");
 }
 
 // ---- time that cannot go on -----------------------------------------------------------------------------------

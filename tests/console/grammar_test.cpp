@@ -36,6 +36,21 @@ TEST(Grammar, ACommentEndsTheLine) { EXPECT_EQ(texts(split_line("ls # everything
 
 TEST(Grammar, AHashInsideAWordIsNoComment) { EXPECT_EQ(texts(split_line("show a#b")), (Texts{"show", "a#b"})); }
 
+TEST(Grammar, ALineKeepsTheCommentRightAboveItAndAtItsEnd) {
+  const auto lines = split_script("# the system\n\n#  the phone \n# of a visitor\nload a # seeded\nload b\n", "a.fiona");
+  ASSERT_EQ(lines.size(), 2U);
+  EXPECT_EQ(lines[0].comment, "the phone\nof a visitor\nseeded");
+  EXPECT_EQ(lines[1].comment, "");
+}
+
+TEST(Grammar, ACommentIsCutRatherThanKeptWithoutBound) {
+  std::string text;
+  for (int i = 0; i < 1000; ++i) text += "# a line of ten\n";
+  const auto lines = split_script(text + "load a\n", "a.fiona");
+  EXPECT_LE(lines.at(0).comment.size(), 4096U);
+  EXPECT_GT(lines.at(0).comment.size(), 4000U);
+}
+
 TEST(Grammar, ALineOfACommentIsEmpty) { EXPECT_TRUE(split_line("# nothing").empty()); }
 
 TEST(Grammar, EscapesInsideQuotesAreWhatTheySay) {

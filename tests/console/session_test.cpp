@@ -618,7 +618,7 @@ TEST(Endpoint, NobodyListeningIsUnreachableWithTheNextStep) {
   const TemporaryDirectory directory;
   Reactor reactor;
   try {
-    const ControlClient client(reactor, directory.path() / "main.sock", 100ms);
+    const ControlClient client(reactor, Endpoint{directory.path() / "main.sock"}, 100ms);
     FAIL() << "it connected";
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ErrorCode::Unreachable);

@@ -13,7 +13,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-std::string error_of(const std::string& text) {
+std::string refusal_of_line(const std::string& text) {
   try {
     read_line(split_line(text));
   } catch (const LineError& error) {
@@ -179,24 +179,24 @@ TEST(Lines, WhatIsNoConditionIsRefusedWithThoseThatAre) {
 TEST(Lines, ANegativeNumberIsNoOption) { EXPECT_EQ(line_of("expect nav.location.x > -5").positional[2].text, "-5"); }
 
 TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
-  EXPECT_EQ(error_of("lod x"), "column 1: there is no verb 'lod'\n  did you mean: load\n  next: help");
+  EXPECT_EQ(refusal_of_line("lod x"), "column 1: there is no verb 'lod'\n  did you mean: load\n  next: help");
 }
 
 TEST(Lines, AMissingWordIsNamed) {
-  EXPECT_EQ(error_of("load"),
-            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [PARAM=VALUE …]");
+  EXPECT_EQ(refusal_of_line("load"),
+            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with master] [PARAM=VALUE …]");
 }
 
 TEST(Lines, AMissingClauseIsNamed) {
-  EXPECT_NE(error_of("wire a.b").find("wire needs 'to INSTANCE.PORT'"), std::string::npos);
+  EXPECT_NE(refusal_of_line("wire a.b").find("wire needs 'to INSTANCE.PORT'"), std::string::npos);
 }
 
 TEST(Lines, AWordAfterAKeywordIsNeeded) {
-  EXPECT_NE(error_of("load x as").find("column 8: a word is missing after 'as'"), std::string::npos);
+  EXPECT_NE(refusal_of_line("load x as").find("column 8: a word is missing after 'as'"), std::string::npos);
 }
 
 TEST(Lines, AKeywordThatDoesNotBelongIsRefusedWithTheWayToQuoteIt) {
-  EXPECT_NE(error_of("swap a for c else e").find("column 14: 'else' does not belong to swap here"),
+  EXPECT_NE(refusal_of_line("swap a for c else e").find("column 14: 'else' does not belong to swap here"),
             std::string::npos);
 }
 
@@ -212,39 +212,39 @@ TEST(Lines, AClauseThatMayBeRepeatedTakesAWordEachTimeOrSeveralAtOnce) {
 }
 
 TEST(Lines, AnArgumentThatTheVerbDoesNotKnowIsRefused) {
-  EXPECT_NE(error_of("wire a.b to c.d else e.f hodl=3s").find("column 26: wire takes no hodl=…"), std::string::npos);
+  EXPECT_NE(refusal_of_line("wire a.b to c.d else e.f hodl=3s").find("column 26: wire takes no hodl=…"), std::string::npos);
 }
 
 TEST(Lines, OneWordTooManyIsRefused) {
-  EXPECT_NE(error_of("unload a b").find("column 10: 'b' is one word too many"), std::string::npos);
+  EXPECT_NE(refusal_of_line("unload a b").find("column 10: 'b' is one word too many"), std::string::npos);
 }
 
 TEST(Lines, AWordThatIsNoneOfTheChoicesGetsTheNearest) {
-  EXPECT_EQ(error_of("ls wirse"),
+  EXPECT_EQ(refusal_of_line("ls wirse"),
             "column 4: 'wirse' cannot stand here\n  expected: instances, plugins, wires, services, hosts\n  did you "
             "mean: wires");
 }
 
 TEST(Lines, AnArgumentGivenTwiceIsRefused) {
-  EXPECT_NE(error_of("set a x=1 x=2").find("column 11: x is given twice"), std::string::npos);
+  EXPECT_NE(refusal_of_line("set a x=1 x=2").find("column 11: x is given twice"), std::string::npos);
 }
 
 TEST(Lines, AnArgumentWhereNoneIsTakenIsRefused) {
-  EXPECT_NE(error_of("ls x=1").find("column 4: ls takes no x=…"), std::string::npos);
+  EXPECT_NE(refusal_of_line("ls x=1").find("column 4: ls takes no x=…"), std::string::npos);
 }
 
 TEST(Lines, AnUnknownOptionGetsTheNearest) {
-  EXPECT_NE(error_of("run a --headles").find("did you mean: --headless"), std::string::npos);
+  EXPECT_NE(refusal_of_line("run a --headles").find("did you mean: --headless"), std::string::npos);
 }
 
 TEST(Lines, SetNeedsSomethingToSet) {
-  EXPECT_NE(error_of("set a").find("set needs at least one name=value"), std::string::npos);
+  EXPECT_NE(refusal_of_line("set a").find("set needs at least one name=value"), std::string::npos);
 }
 
 TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(line_of("watch stop nav.location").positional.size(), 2U);
   EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
-  EXPECT_EQ(error_of("market instal a"),
+  EXPECT_EQ(refusal_of_line("market instal a"),
             "column 8: market cannot 'instal'\n  expected: search, info, install\n  did you mean: install\n  next: "
             "help market");
 }

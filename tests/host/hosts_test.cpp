@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 #include <sys/socket.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -13,6 +14,7 @@
 #include <set>
 #include <sstream>
 
+#include "cable.hpp"
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
 #include "system_fixture.hpp"
@@ -21,11 +23,13 @@ namespace fiona::host {
 namespace {
 
 using namespace std::chrono_literals;
+using conformance::Cable;
 using conformance::OtherHost;
 using conformance::RunningSystem;
 using conformance::TemporaryDirectory;
 using conformance::Transport;
 using testing::HasSubstr;
+using testing::Not;
 using Steady = std::chrono::steady_clock;
 
 template <class F>
@@ -252,7 +256,7 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
   system.eventually("flows again", [&] { return system.port("sink.each").messages() > 0; });
 }
 
-TEST_F(Hosts, DeathOfAHostIsNoticedInTimeAndEndsItsWires) {
+TEST_F(Hosts, DeathOfAHostIsNoticedAndEndsItsWires) {
   OtherHost other(directory.path, "far");
   RunningSystem system(other.led_from(directory.path / "test"));
   system.join("far");
@@ -266,9 +270,8 @@ TEST_F(Hosts, DeathOfAHostIsNoticedInTimeAndEndsItsWires) {
   const double noticed_ms = ms_since(begin);
   RecordProperty("noticed_ms", static_cast<int>(noticed_ms));
   std::cout << "death of a host noticed after " << noticed_ms << " ms\n";
-  EXPECT_LT(noticed_ms, 2 * 1500.0);
-  EXPECT_THAT(system.port("sink.each").reason(), HasSubstr("host 'far' has been silent for 1"));
-  EXPECT_EQ(system.instance("source").mode(), "failed");
+  EXPECT_EQ(system.port("sink.each").reason(), "the connection to host 'far' has ended");
+  system.eventually("failed", [&] { return system.instance("source").mode() == "failed"; });
   other.restart();
   system.join("far");
   EXPECT_EQ(system.instance("source").reason(), "host 'far' was started anew");
@@ -292,6 +295,27 @@ TEST_F(Hosts, HostThatFallsSilentAndComesBackGoesOnAndWhatWasMissedIsCounted) {
   std::cout << "back after " << ms_since(begin) << " ms\n";
   expect_nothing_lost_silently(system);
   EXPECT_EQ(system.instance("sink").mode(), "active") << "it went on";
+}
+
+/// A machine that is suspended, or a virtual one whose processors are taken away.
+TEST_F(Hosts, MachineThatStandsStillTakesNobodyForDeadWhenItGoesOn) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  const pid_t all[] = {::getpid(), other.process()};
+  const pid_t stopper = ::fork();
+  if (stopper == 0) {
+    for (const pid_t one : all) ::kill(one, SIGSTOP);
+    ::usleep(2'000'000);
+    for (const pid_t one : all) ::usleep(100'000), ::kill(one, SIGCONT);
+    ::_exit(0);
+  }
+  ASSERT_EQ(::waitpid(stopper, nullptr, 0), stopper);
+  const auto begun = Steady::now();
+  system.eventually("it would have been noticed", [&] { return Steady::now() - begun > 1500ms; });
+  EXPECT_EQ(system.host("far").state(), "joined");
+  EXPECT_GT(system.host("far").since_s(), 3) << "it was lost meanwhile";
+  EXPECT_THAT(other.said(), Not(HasSubstr("silent")));
 }
 
 TEST_F(Hosts, WhatIsUnloadedWhileItsHostIsSilentIsGoneWhenThatIsBack) {
@@ -352,13 +376,13 @@ TEST_F(Hosts, HostsThatCannotJoinTryAgainAtMostSoOften) {
   const auto begin = Steady::now();
   int late = 0;
   system.eventually("20 s pass", [&] {
-    for (int one = 0; (one = ::accept(server, nullptr, nullptr)) >= 0; ::close(one)) late += ms_since(begin) > 10'000;
+    for (int one = 0; (one = ::accept(server, nullptr, nullptr)) >= 0; ::close(one)) late += ms_since(begin) > 2'000;
     return ms_since(begin) > 20'000;
   }, 30s);
   ::close(server);
-  std::cout << late / 10.0 << " attempts a second of " << kPeers << " hosts\n";
+  std::cout << late / 18.0 << " attempts a second of " << kPeers << " hosts\n";
   EXPECT_GT(late, 0);
-  EXPECT_LE(late / 10.0, 50.0 * kPeers / 200) << "200 hosts together at most 50 a second";
+  EXPECT_LE(late / 18.0, 50.0 * kPeers / 200) << "200 hosts together at most 50 a second";
 }
 
 // ---- partitions -----------------------------------------------------------------------------------------------
@@ -373,37 +397,13 @@ TEST(Peer, IsNamedWithAddressAndKey) {
   }
 }
 
-/// A network namespace with a cable to this one, which can be pulled.
-class Cable {
- public:
-  Cable() : name_("fi" + std::to_string(::getpid())) {
-    good_ = run("ip netns add " + name_) && run("ip link add " + name_ + "a type veth peer name " + name_ + "b netns " + name_) &&
-            run("ip addr add 10.231.77.1/30 dev " + name_ + "a") && run("ip link set " + name_ + "a up") &&
-            in("ip addr add 10.231.77.2/30 dev " + name_ + "b") && in("ip link set " + name_ + "b up") && in("ip link set lo up");
-  }
-  ~Cable() {
-    static_cast<void>(run("ip link del " + name_ + "a"));
-    static_cast<void>(run("ip netns del " + name_));
-  }
-  bool good() const { return good_; }
-  const std::string& name() const { return name_; }
-  void pull() { good_ = in("ip link set " + name_ + "b down"); }
-  void plug() { good_ = in("ip link set " + name_ + "b up"); }
+/// How soon is for the campaign, which has the machine for itself.
+class Partitions : public Hosts, public testing::WithParamInterface<std::chrono::seconds> {};
 
- private:
-  static bool run(const std::string& line) { return std::system((line + " 2>/dev/null").c_str()) == 0; }
-  bool in(const std::string& line) const { return run("ip netns exec " + name_ + " " + line); }
-  const std::string name_;
-  bool good_ = false;
-};
-
-class Partitions : public Hosts, public testing::WithParamInterface<std::pair<int, double>> {};
-
-TEST_P(Partitions, BothSidesShowTheFaultAndAreBackInTimeWithNothingLostSilently) {
-  const auto [seconds, back_s] = GetParam();
+TEST_P(Partitions, BothSidesShowTheFaultAndAreBackWithNothingLostSilently) {
   Cable cable;
-  if (!cable.good()) GTEST_SKIP() << "network namespaces need CAP_NET_ADMIN and the program ip";
-  OtherHost other(directory.path, "far", {.listen = "10.231.77.2:0", .network = cable.name()});
+  if (!cable.missing().empty()) GTEST_SKIP() << cable.missing();
+  OtherHost other(directory.path, "far", {.listen = cable.there() + ":0", .network = cable.network()});
   RunningSystem system(other.led_from(directory.path / "test"));
   system.join("far");
   wire_source_to_sink(system);
@@ -411,25 +411,21 @@ TEST_P(Partitions, BothSidesShowTheFaultAndAreBackInTimeWithNothingLostSilently)
   const auto pulled = Steady::now();
   system.eventually("noticed", [&] { return system.host("far").state() == "silent"; });
   std::cout << "noticed after " << ms_since(pulled) << " ms\n";
-  EXPECT_LT(ms_since(pulled), 2 * 1500.0);
   EXPECT_EQ(system.port("sink.each").connection(), control::LOST);
-  system.eventually("the outage ends", [&] { return ms_since(pulled) > 1000.0 * seconds; }, 20s);
+  system.eventually("the outage ends", [&] { return Steady::now() - pulled > GetParam(); }, 20s);
   cable.plug();
-  ASSERT_TRUE(cable.good());
   const auto plugged = Steady::now();
   system.eventually("the other side has shown it", [&] { return other.said().find("which leads, has been silent for 1") != std::string::npos; });
   system.eventually("this side as well, and is back", [&] {
     const auto port = system.port("sink.each");
     return port.connection() == control::CONNECTED && port.dropped() > 0;
   });
-  const double back_ms = ms_since(plugged);
-  std::cout << "an outage of " << seconds << " s: back after " << back_ms << " ms\n";
-  EXPECT_LT(back_ms, 2 * 1000 * back_s);
+  std::cout << "an outage of " << GetParam().count() << " s: back after " << ms_since(plugged) << " ms\n";
   expect_nothing_lost_silently(system);
 }
 
-INSTANTIATE_TEST_SUITE_P(Of, Partitions, testing::Values(std::pair(2, 2.0), std::pair(10, 5.0)),
-                         [](const auto& one) { return std::to_string(one.param.first) + "Seconds"; });
+INSTANTIATE_TEST_SUITE_P(Of, Partitions, testing::Values(2s, 10s),
+                         [](const auto& one) { return std::to_string(one.param.count()) + "Seconds"; });
 
 }  // namespace
 }  // namespace fiona::host

@@ -74,8 +74,8 @@ class ProvingLink : public testing::Test {
 
   Noted noted;
   LinkCounters counters;
-  zmq::context_t context;
   Pool pool{2};
+  zmq::context_t context;
   LinkSocket link{pool, context, zmq::socket_type::router, counters, noted};
 };
 
@@ -238,7 +238,7 @@ TEST_F(ProvingLink, HoldsTwoChunksInsideZeroMqAtMostSoThatASmallMessageComesRigh
   ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
   const auto large = link.open_lane("peer");
   const auto small = link.open_lane("peer");
-  put(large, 1, 8 * kChunkBytes);
+  put(large, 1, 8 * kLocalChunkBytes);
   const auto inside = counters.sent_messages.load();
   EXPECT_LE(inside, 2U) << "the peer has read none yet";
   put(small, 2, 64);

@@ -191,7 +191,7 @@ TEST_F(Parameters, UnknownNameGetsTheNearest) {
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->code(), ErrorCode::NotFound);
   EXPECT_EQ(error->text().what, "there is no parameter 'periodms'");
-  EXPECT_EQ(error->text().expected, "one of period_ms, count, payload, fail_with, vouch");
+  EXPECT_EQ(error->text().expected, "one of period_ms, count, payload, fail_with, vouch, value, hang_ms");
   EXPECT_THAT(error->text().near, ElementsAre("period_ms"));
   EXPECT_EQ(value("count"), "3");
 }
@@ -408,8 +408,9 @@ TEST_F(Death, FailsTheInstancesOfTheGroupWithTheReason) {
   load_far("answerer", "answerer");
   system.load_provider("sink", "sink");
   kill_far();
-  system.eventually("failed", [&] { return system.instance("source").mode() == "failed"; });
-  EXPECT_EQ(system.instance("source").reason(), "group 'far' killed by signal 9 (Killed)");
+  const std::string reason = "group 'far' killed by signal 9 (Killed)";
+  system.eventually(reason, [&] { return system.instance("source").reason() == reason; });
+  EXPECT_EQ(system.instance("source").mode(), "failed");
   EXPECT_EQ(system.instance("answerer").mode(), "failed");
   EXPECT_EQ(system.instance("sink").mode(), "active");
 }

@@ -97,6 +97,52 @@ TEST_F(Keys, ForgettingAnUnknownHostNamesTheNearest) {
   EXPECT_THAT(error_of([&] { keys.forget("kitchn"); }).text().near, ::testing::ElementsAre("kitchen"));
 }
 
+TEST_F(Keys, AConsoleIsNoHostAndAHostNoConsole) {
+  keys.allow("office", std::string(64, 'a'));
+  EXPECT_TRUE(keys.consoles().empty());
+  keys.allow_console("desk", std::string(64, 'b'), Access::Operate);
+  EXPECT_EQ(keys.allowed().size(), 1U);
+  ASSERT_EQ(keys.consoles().size(), 1U);
+  EXPECT_EQ(keys.consoles()[0].name, "desk");
+  EXPECT_EQ(keys.consoles()[0].level, Access::Operate);
+  keys.allow_console("office", std::string(64, 'a'), Access::Observe);
+  EXPECT_EQ(keys.consoles().size(), 2U) << "one key may be both, if it is said twice";
+}
+
+TEST_F(Keys, AConsoleThatIsAllowedAgainGetsTheNewLevelAndAnotherKeyDoesNot) {
+  keys.allow_console("desk", std::string(64, 'b'), Access::Operate);
+  keys.allow_console("desk", std::string(64, 'B'), Access::Compose);
+  ASSERT_EQ(keys.consoles().size(), 1U);
+  EXPECT_EQ(keys.consoles()[0].level, Access::Compose);
+  const Error error = error_of([&] { keys.allow_console("desk", std::string(64, 'c'), Access::Administer); });
+  EXPECT_EQ(error.text().what, "there is a console 'desk' in the list already");
+}
+
+TEST_F(Keys, AListOfConsolesWithAnUnknownLevelLetsNoneIn) {
+  write("consoles.allowed", "desk " + std::string(64, 'b') + " king\n");
+  const Error error = error_of([&] { keys.consoles(); });
+  EXPECT_EQ(error.text().what, "the list of consoles that may connect is damaged: none may until it is mended");
+  EXPECT_THAT(error.text().where, HasSubstr("consoles.allowed:1"));
+}
+
+TEST_F(Keys, AKnownHostIsFoundByItsNameAndTheLastAddressCounts) {
+  keys.know("kitchen", "192.168.1.20:7002", std::string(64, 'a'));
+  keys.know("kitchen", "[fe80::1]:7002", std::string(64, 'a'));
+  ASSERT_EQ(keys.known().size(), 1U);
+  EXPECT_EQ(keys.known()[0].address, "[fe80::1]:7002");
+  for (const char* wrong : {"", "kitchen", ":7002", "kitchen:", "kitchen:http", "kitchen:123456", "a b:1", "a=b:1"}) {
+    EXPECT_EQ(error_of([&] { keys.know("kitchen", wrong, std::string(64, 'a')); }).code(), ErrorCode::Usage) << wrong;
+  }
+}
+
+TEST_F(Keys, ForgettingTakesANameFromEachList) {
+  keys.allow("office", std::string(64, 'a'));
+  keys.allow_console("office", std::string(64, 'a'), Access::Observe);
+  keys.know("office", "office:7002", std::string(64, 'a'));
+  keys.forget("office");
+  EXPECT_TRUE(keys.allowed().empty() && keys.consoles().empty() && keys.known().empty());
+}
+
 TEST_F(Keys, DamagedListNamesTheLineAndLetsNobodyIn) {
   write("hosts.allowed", "# people may write here\nfirst " + std::string(64, 'a') + "\nsecond zz\n");
   const Error error = error_of([&] { keys.allowed(); });

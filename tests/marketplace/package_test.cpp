@@ -96,6 +96,18 @@ TEST(Package, AManifestThatSaysWhatPackingWritesIsRefused) {
                "  next: take them out of the manifest");
 }
 
+TEST(Package, ARightThatTheCodeUsesMustStandInTheManifest) {
+  const Scratch scratch;
+  auto source = plugin_source(scratch.path(), "steps", "1.0.0");
+  source.interface.insert(source.interface.find(" ports"), " rights: 'master'");
+  EXPECT_STREQ(error_of([&] { pack(source); }).what(),
+               "manifest.textproto: component 'steps' uses the right 'master', and the manifest does not ask for it\n"
+               "  expected: rights: \"master\"\n"
+               "  next: correct it and pack again");
+  source.manifest += " rights: 'master'";
+  EXPECT_NO_THROW(pack(source));
+}
+
 TEST(Package, APluginNeedsALibrary) {
   const Scratch scratch;
   auto source = plugin_source(scratch.path(), "steps", "1.0.0");

@@ -1,9 +1,12 @@
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <functional>
 #include <iterator>
+#include <limits>
 #include <memory>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -14,6 +17,7 @@
 #include <fiona/error.hpp>
 
 #include "accuracy.hpp"
+#include "level_tracker.hpp"
 #include "radio_filter.hpp"
 #include "radio_map_file.hpp"
 #include "radio_map_learner.hpp"
@@ -33,6 +37,7 @@ struct Building {
     int level;
   };
   std::vector<Mast> masts;
+  double ceiling_db = 18.0;
 
   explicit Building(const std::string& prefix = "aa00") {
     for (int level = 0; level < 2; ++level) {
@@ -44,10 +49,10 @@ struct Building {
     }
   }
 
-  /// Log-distance path loss, a ceiling of 18 dB, and nothing below -85 dBm.
-  static double rssi_dbm(const Mast& mast, int level, double x_m, double y_m) {
+  /// Log-distance path loss and a ceiling; nothing below -85 dBm is heard.
+  double rssi_dbm(const Mast& mast, int level, double x_m, double y_m) const {
     const double distance_m = std::hypot(mast.x_m - x_m, mast.y_m - y_m, 2.0);
-    return -38.0 - 30.0 * std::log10(distance_m) - 18.0 * std::abs(mast.level - level);
+    return -38.0 - 30.0 * std::log10(distance_m) - ceiling_db * std::abs(mast.level - level);
   }
 
   template <typename Use>
@@ -421,6 +426,125 @@ TEST(RadioFilter, FindsAWalkerAgainWhoWasCarriedToAnotherLevel) {
   EXPECT_LT(walker.error_m(), 4.0);
 }
 
+Building with_thin_ceiling() {
+  Building building;
+  building.ceiling_db = 12.0;
+  return building;
+}
+
+/// From 14 m to 46 m one walk went on level 0, with a phone that listed only what it heard well; on level 1 many went.
+std::shared_ptr<const RadioMap> map_with_a_gap() {
+  const Building building = with_thin_ceiling();
+  RadioMapLearner learner;
+  Random random(7);
+  for (int level = 0; level < 2; ++level) {
+    for (double y_m = 2.0; y_m < 30.0; y_m += 4.0) {
+      learner.begin_walk();
+      for (double x_m = 0.0; x_m <= 60.0; x_m += 1.0) {
+        const bool gap = level == 0 && x_m > 14.0 && x_m < 46.0;
+        if (gap && y_m != 14.0) continue;
+        learner.path(level, x_m, y_m);
+        learner.sweep(Radio::WiFi, level, x_m, y_m);
+        building.sweep(level, x_m, y_m, random, [&](const std::string& id, double rssi_dbm) {
+          if (!gap || rssi_dbm > -60.0) learner.heard(id, Radio::WiFi, level, x_m, y_m, rssi_dbm);
+        });
+      }
+    }
+  }
+  return std::make_shared<const RadioMap>(learner.learn("gap"));
+}
+
+TEST(RadioFilter, KnowsTheLevelWhereItsSurveyHasAGap) {
+  const Building building = with_thin_ceiling();
+  const auto map = map_with_a_gap();
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    RadioFilter filter(map);
+    Walker(filter, building, 0, 26.0, 14.0, seed).walk(3, 0.0);
+    ASSERT_TRUE(filter.estimate().is_valid()) << seed;
+    EXPECT_EQ(filter.estimate().level, 0) << seed;
+    EXPECT_GT(filter.estimate().level_probability, 0.8) << seed;
+  }
+}
+
+TEST(RadioFilter, KnowsTheLevelAboveTheGapToo) {
+  const Building building = with_thin_ceiling();
+  const auto map = map_with_a_gap();
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    RadioFilter filter(map);
+    Walker walker(filter, building, 1, 26.0, 14.0, seed);
+    walker.walk(3, 0.0);
+    EXPECT_EQ(filter.estimate().level, 1) << seed;
+    EXPECT_LT(walker.error_m(), 6.0) << seed;
+  }
+}
+
+TEST(LevelTracker, WeighsEvidenceByBayesRule) {
+  LevelTracker tracker(2);
+  tracker.observe(0.0, std::vector{std::log(3.0), 0.0});
+  EXPECT_NEAR(tracker.probability()[0], 0.75, 1e-12);
+  tracker.observe(0.0, std::vector{std::log(3.0), 0.0});
+  EXPECT_NEAR(tracker.probability()[0], 0.9, 1e-12);
+  EXPECT_EQ(tracker.best(), 0u);
+}
+
+TEST(LevelTracker, AMoveBetweenLevelsForgetsWhatCameBefore) {
+  LevelTracker tracker(4);
+  for (int i = 0; i < 1000; ++i) tracker.observe(0.0, std::vector{5.0, 0.0, 0.0, 0.0});
+  tracker.observe(1.0, std::vector{0.0, 0.0, 0.0, std::log(2.0)});
+  EXPECT_NEAR(tracker.probability()[3], 0.4, 1e-12);
+  EXPECT_NEAR(tracker.probability()[0], 0.2, 1e-12);
+}
+
+TEST(LevelTracker, LongCertaintyDoesNotKeepItFromAnotherLevel) {
+  LevelTracker tracker(2);
+  for (int i = 0; i < 1000; ++i) tracker.observe(1e-3, std::vector{20.0, 0.0});
+  for (int i = 0; i < 3; ++i) tracker.observe(1e-3, std::vector{0.0, 5.0});
+  EXPECT_EQ(tracker.best(), 1u);
+}
+
+TEST(LevelTracker, ALevelWithoutCellsIsNeverTheBest) {
+  LevelTracker tracker(2);
+  for (int i = 0; i < 3; ++i) tracker.observe(0.1, std::vector{-std::numeric_limits<double>::infinity(), -1000.0});
+  EXPECT_EQ(tracker.best(), 1u);
+  EXPECT_EQ(tracker.probability()[1], 1.0);
+}
+
+/// What one row says of both levels that exceeds by so much the strongest expectation on one of them.
+std::vector<double> excess(const RadioMap& map, double above_strongest_db, std::size_t level_index) {
+  const std::uint32_t number = *map.find("aa0055");
+  const double rssi_dbm = map.transmitters[number].spans.at(level_index).strongest_dbm + above_strongest_db;
+  const HeardRow row{number, static_cast<float>(rssi_dbm), 1.0f};
+  std::vector<double> levels(map.levels.size(), 0.0);
+  RadioLikelihood(map).add_excess({&row, 1}, 0.0, levels);
+  return levels;
+}
+
+TEST(RadioLikelihood, ARowSpeaksAgainstALevelThatNowhereExpectsItSoStrong) {
+  const auto levels = excess(*learnt_map(), 12.0, 1);  // two standard deviations
+  EXPECT_NEAR(levels[1] - levels[0], -2.0, 0.1);
+}
+
+TEST(RadioLikelihood, ARowThatBothLevelsExpectSomewhereDoesNotTellThemApart) {
+  const auto levels = excess(*learnt_map(), -5.0, 1);
+  EXPECT_DOUBLE_EQ(levels[0], levels[1]);
+}
+
+TEST(RadioLikelihood, OneImpossiblyStrongRowIsAnOutlierNotAProof) {
+  const LikelihoodOptions options;
+  const double outlier = options.outlier_density * options.sd_db * std::sqrt(2.0 * std::numbers::pi);
+  EXPECT_NEAR(excess(*learnt_map(), 100.0, 0)[1], std::log(outlier), 1e-6);
+}
+
+TEST(RadioLikelihood, TheMeanOverALevelIsOfLikelihoodsNotOfTheirLogarithms) {
+  const auto& map = *learnt_map();
+  std::vector<float> field(map.cells.size(), -1e4f);
+  field[map.levels[0].first_cell] = 3.0f;
+  std::fill(field.begin() + map.levels[1].first_cell, field.end(), 2.0f);
+  const auto means = RadioLikelihood(map).log_mean_by_level(field);
+  EXPECT_NEAR(means[0], 3.0 - std::log(map.levels[0].cell_count), 1e-6);
+  EXPECT_NEAR(means[1], 2.0, 1e-6);
+}
+
 TEST(RadioFilter, SaysWhenTheMapIsOfAnotherBuilding) {
   const Building elsewhere("bb00");
   RadioFilter filter(learnt_map());
@@ -561,7 +685,7 @@ Journey survey_journey(const Building& building, int level, double y_m, std::uin
     journey.told.push_back({time, StepInput{time, 1.0, 0.15, 0.0, 0.1}});
     if (t_s % 2 != 0) continue;
     for (std::uint32_t i = 0; i < building.masts.size(); ++i) {
-      const double rssi = Building::rssi_dbm(building.masts[i], level, t_s, y_m) + 4.0 * random.normal();
+      const double rssi = building.rssi_dbm(building.masts[i], level, t_s, y_m) + 4.0 * random.normal();
       if (rssi > -85.0) journey.told.push_back({time, Journey::Row{i, Radio::WiFi, static_cast<float>(rssi), time}});
     }
   }

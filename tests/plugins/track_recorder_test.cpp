@@ -90,7 +90,7 @@ void put_truth(Recorder& recorder, CommLocation location) {
   recorder.put<LocationProvider>("truth", std::move(location));
 }
 
-bool stop(Recorder& recorder) { return recorder.hull().shut_down(2s); }
+bool stop(Recorder& recorder) { return !recorder.hull().shut_down(2s); }
 
 TEST_F(TrackRecorderTest, TheCsvHasALineForEachValidLocation) {
   Recorder recorder("rec");

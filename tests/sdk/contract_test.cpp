@@ -402,29 +402,5 @@ TEST(ErrorRendering, PutsEachPartOnALineOfItsOwn) {
                "nav.loc: no such port\n  expected: a port\n  found: nothing\n  did you mean: location, locate\n  next: show nav");
 }
 
-TEST(MessagePool, GivesAMessageBackClearedWhenItsLastOwnerLetGo) {
-  MessagePool<Number> pool;
-  auto first = pool.acquire();
-  first->set_value(7);
-  const Number* place = first.get();
-  auto second_owner = first;
-  first.reset();
-  EXPECT_NE(pool.acquire().get(), place) << "it still has an owner";
-  second_owner.reset();
-  const auto again = pool.acquire();
-  EXPECT_EQ(again.get(), place);
-  EXPECT_EQ(again->value(), 0U);
-}
-
-TEST(MessagePool, MessagesMayOutliveIt) {
-  std::shared_ptr<Number> message;
-  {
-    MessagePool<Number> pool;
-    message = pool.acquire();
-  }
-  message->set_value(3);
-  EXPECT_EQ(message->value(), 3U);
-}
-
 }  // namespace
 }  // namespace fiona::sdk_test

@@ -27,8 +27,9 @@ class Meter final : public Component {
  public:
   using Component::Component;
   void tick() {}
-  void on_number(const Number&) {}
+  void on_number(const Number&) { depths.push_back(hull().queue_depth()); }
 
+  std::vector<std::size_t> depths;  ///< as it was while each number was handled
   Probe<double> level{*this, "level", {.unit = "m", .doc = "how high it stands"}};
   Probe<float> ratio{*this, "ratio"};
   Probe<std::uint64_t> count{*this, "count"};
@@ -319,6 +320,7 @@ TEST_F(Probes, MessagesThatWaitAreSeenInQueueDepth) {
   EXPECT_EQ(read("queue_depth"), 5);
   executor.help();
   EXPECT_EQ(read("numbers_in.queue_depth"), 0);
+  EXPECT_THAT(meter->depths, ElementsAre(4, 3, 2, 1, 0));
 }
 
 TEST_F(Probes, ModeAndLastErrorAreToldTheMomentTheyChange) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <memory>
 #include <string>
 #include <utility>
@@ -7,8 +8,18 @@
 
 #include "fiona/component.hpp"
 #include "fiona/hull.hpp"
+#include "fiona/sdk_test/objects.pb.h"
 
 namespace fiona::sdk_test {
+
+/// Far more than any step of these tests takes: reached only when something hangs.
+constexpr std::chrono::seconds kLimit(20);
+
+inline Number numbered(std::uint64_t value) {
+  Number number;
+  number.set_value(value);
+  return number;
+}
 
 /// Keeps what an instance told its surroundings.
 class KeptEvents final : public HullEvents {
@@ -19,6 +30,7 @@ class KeptEvents final : public HullEvents {
   }
   void run_ended(const std::string&, int, const std::string&) override {}
   void logged(const std::string&, LogLevel, std::string_view) override {}
+  void asked(const std::string&, std::uint64_t, const control::Request&) override {}
   std::vector<std::string> modes() const {
     const std::lock_guard lock(mutex_);
     return modes_;
@@ -43,7 +55,7 @@ class Made {
   }
   ~Made() {
     // A hull leaves a component that it cannot end to its caller; here nothing of it runs any more.
-    if (!hull.shut_down(std::chrono::seconds(5))) delete component;
+    if (hull.shut_down(std::chrono::seconds(5))) delete component;
   }
   C* operator->() const { return component; }
 

@@ -195,14 +195,14 @@ class WireProtocol(WireProtocolCase):
         self.assertEqual(frame.lease.reason, "has been silent for 100 ms")
 
     def test_a_stream_of_large_objects_goes_on_while_credit_is_given(self):
-        size = 600_000  # three chunks
+        size = 1_500_000  # two chunks
         count = 3 * wire_client.WINDOW // size
         self.load("source", "src", "far", period_ms=40.0, payload=size)
         link, wire, start = self.attach("src.newest", NEWEST)
         for sequence in range(start + 1, start + count + 1):
             found, sample, lost = self.next_object(link, wire)
             self.assertEqual((found, lost, len(sample.payload)), (sequence, 0, size))
-        self.assertGreater(link.messages, 3 * count)
+        self.assertGreaterEqual(link.messages, 2 * count)
 
     def test_without_credit_one_window_comes_and_what_is_lost_then_is_told_exactly(self):
         self.load("source", "src", period_ms=0.2, payload=100_000)

@@ -12,6 +12,8 @@ void load(Session& session, const Line& line) {
   if (const Word* name = line.clause("as")) load.set_instance(name->text);
   if (const Word* group = line.clause("in")) load.set_group(group->text);
   if (const Word* mode = line.clause("at")) load.set_mode(mode->text);
+  for (const Word& right : line.clause_words("with")) load.add_rights(right.text);
+  load.set_comment(line.words.comment);
   for (control::Argument& argument : line.control_arguments()) *load.add_parameters() = std::move(argument);
   const std::string name = load.instance().empty() ? load.plugin() : load.instance();
   make(session, line, std::move(change), fmt::format("loaded {}", name));

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "../help_texts.hpp"
 #include "../locations.hpp"
 #include "../verb_table.hpp"
 #include "verbs.hpp"
@@ -13,21 +14,6 @@
 
 namespace fiona::console::verbs {
 namespace {
-
-constexpr std::string_view kExitCodes =
-    "0  done\n1  failed\n2  not understood\n3  something named does not exist\n"
-    "4  ports do not fit, or white spots remain with --strict\n5  a signature or hash does not match\n"
-    "6  versions or requirements cannot be met together\n7  nobody answered in time\n8  not allowed\n"
-    "9  a component failed\n130  interrupted";
-
-constexpr std::string_view kGrammar =
-    "One command a line; the same at the prompt, in a system file and in the shell.\n"
-    "# begins a comment; a trailing \\ goes on with the next line.\n"
-    "\"x y\" is one word; inside: \\\" \\\\ \\n \\t \\u{e9}\n"
-    "name=value: a word, a quoted text, a number with an optional unit (200ms, 1.5m, 30deg),\n"
-    "true or false, a list [a, b], or protobuf text {x: 1}.\n"
-    "Keywords: as in to else for with at every; as a name, a keyword is quoted.\n"
-    "In the shell one argument is a line (fiona 'set a name=\"x y\"'), several are ready words (fiona set a rate=5).";
 
 void help_for(Session& session, const Verb& verb) {
   std::vector<std::string> forms;
@@ -55,7 +41,7 @@ void help_all(Session& session) {
   }
   session.out.text("");
   session.out.table(options, "");
-  session.out.text("\nMore: help VERB, help grammar, help exit");
+  session.out.text("\nMore: help VERB, help grammar, help patterns, help exit");
 }
 
 }  // namespace
@@ -64,9 +50,11 @@ void help(Session& session, const Line& line) {
   if (line.positional.empty()) return help_all(session);
   const Word& about = line.positional[0];
   if (const Verb* verb = find_verb(about.text)) return help_for(session, *verb);
-  const std::string_view text = about.text == "exit" ? kExitCodes : about.text == "grammar" ? kGrammar : "";
-  if (text.empty()) {
-    std::vector<std::string> known{"exit", "grammar"};
+  const auto& topics = help_topics();
+  const auto topic = std::find_if(topics.begin(), topics.end(), [&about](const HelpTopic& one) { return one.name == about.text; });
+  if (topic == topics.end()) {
+    std::vector<std::string> known;
+    for (const HelpTopic& one : topics) known.emplace_back(one.name);
     for (const Verb& verb : verb_rows()) known.push_back(verb.name);
     throw line.error(about,
                      {.what = fmt::format("there is no help on '{}'", about.text),
@@ -74,8 +62,8 @@ void help(Session& session, const Line& line) {
                       .near = nearest_names(about.text, known)},
                      ErrorCode::NotFound);
   }
-  session.out.object({{"help", about.text}, {"text", text}});
-  session.out.text(text);
+  session.out.object({{"help", about.text}, {"text", topic->text}});
+  session.out.text(topic->text);
 }
 
 void version(Session& session, const Line&) {

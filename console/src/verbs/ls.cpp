@@ -107,21 +107,24 @@ void ls_services(Session& session) {
 }
 
 /// What a host says of itself and of the hosts that it works with; keys by their first letters.
-void add_host(Table& table, const RunningHost& running, const control::System& system) {
+void add_host(Table& table, const std::string& name, const Endpoint& endpoint, const control::System& system) {
   constexpr std::size_t kShown = 8;
-  const std::string unix_socket = "unix:" + running.socket.string();
-  const std::uint64_t refused = system.refused_hosts();
-  table.add({running.name,
+  const std::uint64_t refused = system.refused_hosts() + system.refused_consoles();
+  std::string where = endpoint.text();
+  for (const std::string& also : {system.listens(), system.serves()}) {
+    if (!also.empty() && also != endpoint.text()) where += " " + also;
+  }
+  table.add({name,
              system.version(),
              system.clock(),
              {fmt::format("{}", system.instances_size()), system.instances_size()},
              refused == 0 ? "ok" : fmt::format("ok, refused {} connections", refused),
-             system.listens().empty() ? unix_socket : unix_socket + " " + system.listens(),
+             where,
              system.key().substr(0, kShown),
              "",
              ""});
   for (const auto& host : system.hosts()) {
-    table.add({fmt::format("{}>{}", running.name, host.name()),
+    table.add({fmt::format("{}>{}", name, host.name()),
                host.version(),
                fmt::format("{:+.1f} ms", host.clock_offset_ms()),
                {fmt::format("{}", host.instances()), host.instances()},
@@ -131,20 +134,36 @@ void add_host(Table& table, const RunningHost& running, const control::System& s
                host.state(),
                {fmt::format("{:.0f} s", host.since_s()), host.since_s()}});
   }
+  for (const auto& console : system.consoles()) {
+    table.add({fmt::format("{}<{}", name, console.name()),
+               "",
+               "",
+               "",
+               "ok",
+               console.address(),
+               console.key().substr(0, kShown),
+               trust::access_text(static_cast<trust::Access>(console.level())),
+               {fmt::format("{:.0f} s", console.since_s()), console.since_s()}});
+  }
 }
 
 void ls_hosts(Session& session) {
   Table table({"host", "version", "clock", "instances", "answer", "endpoint", "key", "state", "since"});
+  if (!session.options.at.empty()) {
+    const control::System system = session.snapshot();
+    add_host(table, system.host(), session.host().endpoint(), system);
+    return session.out.table(table, "");
+  }
   for (const RunningHost& running : running_hosts()) {
-    const std::string endpoint = "unix:" + running.socket.string();
+    const Endpoint endpoint{running.socket};
     try {
-      ControlClient client(session.reactor, running.socket, session.options.timeout);
+      ControlClient client(session.reactor, endpoint, session.options.timeout);
       control::Request request;
       request.mutable_snapshot();
       const control::Reply reply = client.call(std::move(request));
-      add_host(table, running, reply.system());
+      add_host(table, running.name, endpoint, reply.system());
     } catch (const Error& problem) {
-      table.add({running.name, "", "", "", problem.text().what, endpoint, "", "", ""});
+      table.add({running.name, "", "", "", problem.text().what, endpoint.text(), "", "", ""});
     }
   }
   session.out.table(table, "no host runs\n  next: fiona run FILE");

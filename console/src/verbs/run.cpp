@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -8,6 +10,7 @@
 #include "../locations.hpp"
 #include "../prompt.hpp"
 #include "../script.hpp"
+#include "../service_manager.hpp"
 #include "../system_view.hpp"
 #include "../white_spots.hpp"
 #include "verbs.hpp"
@@ -94,8 +97,43 @@ void end_host(Session& session, int code) {
   session.finished = code;
 }
 
+/// Tells what started this process as a service that the system runs, and while it does gives it a sign of life: each
+/// time that the host has given one.
+class Service {
+ public:
+  explicit Service(Session& session) : session_(session) {
+    manager_.tell("READY=1\nSTATUS=the system runs");
+    if (manager_.watchdog_period()) beat();
+  }
+  Service(const Service&) = delete;
+  Service& operator=(const Service&) = delete;
+  ~Service() {
+    manager_.tell("STOPPING=1");
+    if (timer_) session_.reactor.cancel_timer(*timer_);
+    if (asked_ && session_.connected()) session_.host().forget(*asked_);
+  }
+
+ private:
+  void beat() {
+    timer_ = session_.reactor.add_timer(std::chrono::steady_clock::now() + *manager_.watchdog_period(), [this] { beat(); });
+    if (asked_ || !session_.connected()) return;  // it has not answered yet: no sign of life
+    control::Request request;
+    request.mutable_snapshot();
+    asked_ = session_.host().begin(std::move(request), [this](const control::Reply&) {
+      manager_.tell("WATCHDOG=1");
+      session_.host().forget(*std::exchange(asked_, std::nullopt));
+    });
+  }
+
+  Session& session_;
+  const ServiceManager manager_;
+  std::optional<std::uint64_t> timer_;
+  std::optional<std::uint64_t> asked_;
+};
+
 /// Lets the system run until a component ends it, somebody quits, or the time is over.
 void run_headless(Session& session, const Word* duration, const Line& line) {
+  const Service service(session);
   control::Request request;
   if (duration != nullptr) {
     request.mutable_sleep()->set_duration_ms(duration_ms(*duration, line.words));
@@ -134,6 +172,7 @@ HostLaunch launch_of(const Line& line, const Options& options) {
   launch.socket = socket_of(launch.name);
   launch.store = options.store;
   if (line.option("--listen") != nullptr) launch.listen = line.option("--listen")->text;
+  if (line.option("--serve") != nullptr) launch.serve = line.option("--serve")->text;
   const auto [first, last] = line.options.equal_range("--peer");
   for (auto peer = first; peer != last; ++peer) {
     const auto& [name, value] = peer->second;
@@ -161,7 +200,7 @@ void run(Session& session, const Line& line) {
   const std::vector<Line> lines = lines_to_run(line);
   const HostLaunch launch = launch_of(line, session.options);
   HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
-  session.connect(launch.socket);
+  session.connect({launch.socket});
   if (!line.positional.empty()) session.host().set_author(fmt::format("script {}", line.positional[0].text));
   if (line.positional.empty() && line.has("--restore")) session.host().set_author("restore");
   const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json &&

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <chrono>
 #include <utility>
 
 #include <fmt/format.h>
@@ -81,6 +82,16 @@ std::string mode_text(const control::InstanceStatus& instance) {
                      pending.blocked_s());
 }
 
+/// "every 100 ms", "on scans, every 4": what starts a task.
+std::string when_text(const fiona::TaskInterface& task) {
+  switch (task.start()) {
+    case fiona::ON_PORT: return task.every() > 1 ? fmt::format("on {}, every {}", task.of(), task.every()) : "on " + task.of();
+    case fiona::AFTER_TASK: return "after " + task.of();
+    case fiona::FREE_RUNNING: return "free running";
+    default: return fmt::format("every {:g} ms", task.period_ms());
+  }
+}
+
 void show_instance(Session& session, const control::InstanceStatus& instance) {
   Table facts({"fact", "value"});
   facts.add({"instance", instance.name()});
@@ -90,7 +101,8 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
   if (!instance.reason().empty()) facts.add({"reason", instance.reason()});
   facts.add({"modes", fmt::format("{}", fmt::join(instance.modes(), ", "))});
   facts.add({"group", instance.group()});
-  facts.add({"handlers", {fmt::format("{:.1f} ms of CPU time", instance.handler_ms()), instance.handler_ms()}});
+  if (!instance.rights().empty()) facts.add({"rights", fmt::format("{}", fmt::join(instance.rights(), ", "))});
+  facts.add({"handlers", {fmt::format("{:.1f} ms busy", instance.handler_ms()), instance.handler_ms()}});
   facts.add({"queue", {fmt::format("{}", instance.queue_depth()), instance.queue_depth()}});
   if (!instance.doc().empty()) facts.add({"doc", instance.doc()});
   session.out.table(facts, "", false);
@@ -102,11 +114,11 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
                     parameter.doc()});
   if (!parameters.empty()) session.out.text("");
   session.out.table(parameters, "");
-  Table tasks({"task", "activity", "period", "runs", "overruns"});
+  Table tasks({"task", "activity", "when", "runs", "overruns"});
   for (const auto& task : instance.tasks())
-    tasks.add({task.name(),
-               task.activity(),
-               {fmt::format("{:g} ms", task.period_ms()), task.period_ms()},
+    tasks.add({task.task().name(),
+               task.task().activity(),
+               when_text(task.task()),
                {fmt::format("{}", task.runs()), task.runs()},
                {fmt::format("{}", task.overruns()), task.overruns()}});
   if (!tasks.empty()) session.out.text("");
@@ -119,6 +131,26 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
   session.out.table(triggers, "");
 }
 
+/// How far back the journal is searched for who made a wire.
+constexpr std::uint32_t kEntriesSearched = 200;
+
+/// Who wired the port as it is wired, and when; empty where the journal does not say so (any more).
+std::string wired_by_text(Session& session, const std::string& client) {
+  control::Request request;
+  request.mutable_journal()->set_last(kEntriesSearched);
+  const control::Reply reply = session.call(std::move(request));
+  const auto& entries = reply.journal().entries();
+  const auto wires = [&client](const control::Change& step) { return step.has_wire() && text_of(step.wire().client()) == client; };
+  for (auto entry = entries.rbegin(); entry != entries.rend(); ++entry) {
+    if (entry->state() != control::JournalEntry::DONE) continue;
+    if (std::none_of(entry->steps().begin(), entry->steps().end(), wires)) continue;
+    const auto now = std::chrono::system_clock::now().time_since_epoch();
+    const double ago_ms = std::chrono::duration<double, std::milli>(now).count() - static_cast<double>(entry->time_ms());
+    return fmt::format("{}, {} ago (journal {})", entry->author(), age_text(std::max(0.0, ago_ms)), entry->number());
+  }
+  return "";
+}
+
 void show_port(Session& session, const control::InstanceStatus& instance, const control::PortStatus& port) {
   const bool required = port.direction() == fiona::REQUIRES;
   Table facts({"fact", "value"});
@@ -129,6 +161,8 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
   if (!port.activity().empty()) facts.add({"activity", port.activity()});
   if (required) facts.add({"connection", fmt::format("{}, for {:.1f} s", connection_text(port), port.since_s())});
   if (required && !port.peer().instance().empty()) facts.add({"wired to", text_of(port.peer())});
+  const std::string wired_by = required ? wired_by_text(session, instance.name() + "." + port.name()) : "";
+  if (!wired_by.empty()) facts.add({"wired by", wired_by});
   if (required && port.prescale() > 1) facts.add({"every", {fmt::format("{}", port.prescale()), port.prescale()}});
   if (required && !port.transport().empty()) facts.add({"transport", port.transport()});
   for (const auto& one : port.providers())
@@ -145,6 +179,10 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
     facts.add({name, {fmt::format("{}", count), count}});
   facts.add({"rate", {rate_text(port.rate_hz()), port.rate_hz()}});
   facts.add({"age", {age_text(port.age_ms()), port.age_ms()}});
+  if (port.latency_p50_ms() > 0) {
+    facts.add({"p50", {latency_text(port.latency_p50_ms()) + " of latency", port.latency_p50_ms()}});
+    facts.add({"p99", {latency_text(port.latency_p99_ms()) + " of latency", port.latency_p99_ms()}});
+  }
   if (!port.doc().empty()) facts.add({"doc", port.doc()});
   session.out.table(facts, "", false);
   session.out.text(fmt::format("\nmore: show {}", short_name(port.service())));

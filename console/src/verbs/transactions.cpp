@@ -70,6 +70,7 @@ void swap(Session& session, const Line& line) {
   control::Change change;
   change.mutable_replace()->set_old(line.positional[0].text);
   change.mutable_replace()->set_next(line.clause("for")->text);
+  if (const Word* watch = line.clause("watch")) change.mutable_replace()->set_watch_ms(duration_ms(*watch, line.words));
   make(session, line, std::move(change), fmt::format("swapped {}", line.positional[0].text));
 }
 

@@ -24,7 +24,10 @@ void call(Session& session, const Line& line);
 void ls(Session& session, const Line& line);
 void show(Session& session, const Line& line);
 void spots(Session& session, const Line& line);
+void why(Session& session, const Line& line);
 void watch(Session& session, const Line& line);
+void graph(Session& session, const Line& line);
+void top(Session& session, const Line& line);
 void check(Session& session, const Line& line);
 void run(Session& session, const Line& line);
 void save(Session& session, const Line& line);
@@ -35,7 +38,10 @@ void sleep(Session& session, const Line& line);
 void quit(Session& session, const Line& line);
 void market(Session& session, const Line& line);
 void keys(Session& session, const Line& line);
+void complete(Session& session, const Line& line);
+void doctor(Session& session, const Line& line);
 void help(Session& session, const Line& line);
+void paths(Session& session, const Line& line);
 void version(Session& session, const Line& line);
 
 }  // namespace fiona::console::verbs

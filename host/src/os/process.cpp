@@ -57,6 +57,15 @@ std::string ChildProcess::end() {
   return end_;
 }
 
+bool ChildProcess::is_stopped() const {
+  siginfo_t info{};
+  return end_.empty() && ::waitid(P_PID, static_cast<id_t>(id_), &info, WSTOPPED | WNOHANG | WNOWAIT) == 0 && info.si_pid == id_;
+}
+
+void ChildProcess::kill() {
+  if (end().empty()) ::kill(id_, SIGKILL);
+}
+
 std::size_t open_descriptors() {
   const auto all = std::filesystem::directory_iterator("/proc/self/fd");
   return static_cast<std::size_t>(std::distance(begin(all), end(all))) - 1;  // the iterator's own

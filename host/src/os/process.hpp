@@ -27,6 +27,9 @@ class ChildProcess {
   int descriptor() const { return handle_.get(); }
   /// "exited with code 3", "killed by signal 11 (Segmentation fault)"; empty while it runs. Reaps.
   std::string end();
+  /// Whether it has been stopped, by SIGSTOP or from a terminal, and not gone on since.
+  bool is_stopped() const;
+  void kill();
 
  private:
   pid_t id_ = -1;

@@ -18,10 +18,18 @@ constexpr double kWidestSpread_m = 17.0;  // of the particles; beyond it an esti
 constexpr double kOffsetNoise_db2 = 9.0;
 constexpr double kOffsetDrift_db2 = 0.02;
 
+std::size_t index_of_largest(const std::vector<double>& values) {
+  return static_cast<std::size_t>(std::max_element(values.begin(), values.end()) - values.begin());
+}
+
 }  // namespace
 
 RadioFilter::RadioFilter(std::shared_ptr<const RadioMap> map, const FilterOptions& options)
-    : map_(std::move(map)), options_(options), likelihood_(*map_, options.likelihood), random_(options.seed) {}
+    : map_(std::move(map)),
+      options_(options),
+      likelihood_(*map_, options.likelihood),
+      levels_(map_->levels.size()),
+      random_(options.seed) {}
 
 void RadioFilter::step(const StepInput& step) {
   past_steps_.push_back(
@@ -139,6 +147,7 @@ void RadioFilter::use_pending() {
     cumulated(slice.field, log_mean);
     slice.outside = static_cast<float>(log_mean);
   }
+  follow_level(slices, total, temper, dt_s);
   if (particles_.empty()) {
     start(total);
   } else {
@@ -240,15 +249,24 @@ void RadioFilter::resample(std::size_t count, std::vector<Particle>& into) {
   while (into.size() < count) into.push_back(into.empty() ? particles_.back() : into.back());
 }
 
+void RadioFilter::follow_level(const std::vector<Slice>& slices, const std::vector<float>& total, float temper,
+                               double dt_s) {
+  std::vector<double> excess(map_->levels.size(), 0.0);
+  for (const Slice& slice : slices) likelihood_.add_excess(slice.rows, offset_db_, excess);
+  std::vector<double> evidence = likelihood_.log_mean_by_level(total);
+  for (std::size_t i = 0; i < evidence.size(); ++i) evidence[i] += temper * excess[i];
+  levels_.observe(-std::expm1(-options_.jump_rate_per_s * dt_s), evidence);
+}
+
 void RadioFilter::learn_offset(const std::vector<Slice>& slices) {
   const Estimate at = estimate();
   if (!at.is_valid()) return;
-  const auto level_index = map_->level_index(at.level);
+  const auto level_index = index_of_largest(particles_by_level());
   double sum = 0.0, weights = 0.0;
   for (const Slice& slice : slices) {
     const Eigen::Vector2d moved = moved_since(slice.heard);
     const auto [mean, weight] =
-        likelihood_.deviation_db(slice.rows, *level_index, at.x_m - moved.x(), at.y_m - moved.y());
+        likelihood_.deviation_db(slice.rows, level_index, at.x_m - moved.x(), at.y_m - moved.y());
     sum += weight * mean;
     weights += weight;
   }
@@ -257,6 +275,12 @@ void RadioFilter::learn_offset(const std::vector<Slice>& slices) {
   const double gain = offset_variance_ / (offset_variance_ + kOffsetNoise_db2);
   offset_db_ += gain * (sum / weights - offset_db_);
   offset_variance_ *= 1.0 - gain;
+}
+
+std::vector<double> RadioFilter::particles_by_level() const {
+  std::vector<double> result(map_->levels.size(), 0.0);
+  for (const Particle& p : particles_) result[p.level_index] += p.weight;
+  return result;
 }
 
 Estimate RadioFilter::estimate() const {
@@ -269,15 +293,15 @@ Estimate RadioFilter::estimate() const {
   }
   if (particles_.empty()) return result;
 
-  std::vector<double> on_level(map_->levels.size(), 0.0);
-  for (const Particle& p : particles_) on_level[p.level_index] += p.weight;
-  const auto best = static_cast<std::size_t>(std::max_element(on_level.begin(), on_level.end()) - on_level.begin());
-  result.level = map_->levels[best].level;
-  result.level_probability = on_level[best];
-  for (std::size_t i = 0; i < on_level.size(); ++i) {
+  result.level = map_->levels[levels_.best()].level;
+  result.level_probability = levels_.probability()[levels_.best()];
+  for (std::size_t i = 0; i < map_->levels.size(); ++i) {
     const double difference = map_->levels[i].level - result.level;
-    result.level_variance += on_level[i] * difference * difference;
+    result.level_variance += levels_.probability()[i] * difference * difference;
   }
+  // Levels lie above each other: the position holds where the particles are on another level than the receiver.
+  const auto on_level = particles_by_level();
+  const std::size_t best = index_of_largest(on_level);
   Eigen::Vector2d mean = Eigen::Vector2d::Zero();
   for (const Particle& p : particles_) {
     if (p.level_index == best) mean += p.weight / on_level[best] * Eigen::Vector2d(p.x_m, p.y_m);

@@ -11,6 +11,7 @@
 
 #include <Eigen/Core>
 
+#include "level_tracker.hpp"
 #include "radio_likelihood.hpp"
 #include "radio_map.hpp"
 #include "random.hpp"
@@ -127,13 +128,16 @@ class RadioFilter {
   void resample(std::size_t count, std::vector<Particle>& into);
   Particle sample_from(const std::vector<double>& cumulated);
   std::vector<double> cumulated(const std::vector<float>& total, double& log_mean) const;
+  void follow_level(const std::vector<Slice>& slices, const std::vector<float>& total, float temper, double dt_s);
   void learn_offset(const std::vector<Slice>& slices);
+  std::vector<double> particles_by_level() const;
   Eigen::Vector2d moved_since(Time since) const;
   void forget_old(Time now);
 
   std::shared_ptr<const RadioMap> map_;
   FilterOptions options_;
   RadioLikelihood likelihood_;
+  LevelTracker levels_;
   Random random_;
   std::vector<Particle> particles_;
   std::vector<Particle> scratch_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 
 namespace fiona::radio {
@@ -45,6 +46,35 @@ void RadioLikelihood::add_silence(std::span<float> field) const {
   const auto silence = map_.silence();
   const auto weight = static_cast<float>(options_.silence_weight);
   for (std::size_t cell = 0; cell < field.size(); ++cell) field[cell] += weight * silence[cell];
+}
+
+std::vector<double> RadioLikelihood::log_mean_by_level(std::span<const float> field) const {
+  std::vector<double> result;
+  for (const Level& level : map_.levels) {
+    const auto cells = field.subspan(level.first_cell, level.cell_count);
+    const double largest = cells.empty() ? 0.0 : *std::max_element(cells.begin(), cells.end());
+    double sum = 0.0;
+    for (const float value : cells) sum += std::exp(value - largest);
+    result.push_back(cells.empty() ? -std::numeric_limits<double>::infinity()
+                                   : largest + std::log(sum / static_cast<double>(cells.size())));
+  }
+  return result;
+}
+
+void RadioLikelihood::add_excess(std::span<const HeardRow> rows, double offset_db, std::span<double> levels) const {
+  const double outlier = options_.outlier_density * options_.sd_db * std::sqrt(2.0 * std::numbers::pi);
+  std::vector<double> strongest_dbm(levels.size());
+  for (const HeardRow& row : rows) {
+    std::fill(strongest_dbm.begin(), strongest_dbm.end(), options_.quietest_dbm);
+    for (const auto& span : map_.transmitters[row.transmitter].spans) {
+      double& strongest = strongest_dbm[span.level_index];
+      strongest = std::max<double>(strongest, span.strongest_dbm);
+    }
+    for (std::size_t level = 0; level < levels.size(); ++level) {
+      const double z = std::max(0.0, row.rssi_dbm - offset_db - strongest_dbm[level]) / options_.sd_db;
+      levels[level] += row.weight * std::log(std::exp(-0.5 * z * z) + outlier);
+    }
+  }
 }
 
 float RadioLikelihood::at(std::span<const float> field, std::size_t level_index, double x_m, double y_m,

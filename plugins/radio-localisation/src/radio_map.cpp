@@ -1,8 +1,19 @@
 #include "radio_map.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace fiona::radio {
+namespace {
+
+float strongest_dbm(const std::vector<Expectation>& expectations, const Transmitter::Span& span) {
+  std::uint8_t least_q = std::numeric_limits<std::uint8_t>::max();
+  for (std::uint32_t i = span.begin; i < span.end; ++i) least_q = std::min(least_q, expectations[i].rssi_q);
+  return -0.5f * static_cast<float>(least_q);
+}
+
+}  // namespace
 
 std::string normalised_id(std::string_view id) {
   std::string result;
@@ -18,8 +29,9 @@ void RadioMap::index() {
   by_id_.clear();
   silence_.assign(cells.size(), 0.0f);
   for (std::uint32_t number = 0; number < transmitters.size(); ++number) {
-    const Transmitter& transmitter = transmitters[number];
+    Transmitter& transmitter = transmitters[number];
     by_id_.emplace(transmitter.id, number);
+    for (auto& span : transmitter.spans) span.strongest_dbm = strongest_dbm(expectations, span);
     if (transmitter.radio != Radio::WiFi) continue;
     for (const auto& span : transmitter.spans) {
       const std::uint32_t first = levels[span.level_index].first_cell;

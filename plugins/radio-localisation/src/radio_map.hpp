@@ -53,6 +53,7 @@ struct Transmitter {
   struct Span {
     std::uint32_t level_index;
     std::uint32_t begin, end;  ///< into RadioMap::expectations
+    float strongest_dbm = 0;   ///< expected anywhere on the level; not stored, see RadioMap::index()
   };
   std::vector<Span> spans;
 };

@@ -31,7 +31,7 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   const std::chrono::milliseconds time(to_milliseconds(imu.origin));
   const auto step = tracker_->feed(
       {time, vector(*phone.acceleration_g), vector(*phone.rotation_deg_s), vector(*phone.magnetic_gauss)});
-  if (!step) return;
+  if (!step) return steps_.still_valid();  // who stands still is not lost
   const bool follows = last_step_ && step->time - *last_step_ <= kLongestStep;
   localisation::CommStep message;
   message.set_t_begin(follows ? last_step_->count() : step->time.count());

@@ -31,6 +31,9 @@ struct Call {
 /// The calls of one port that wait. All functions [strand].
 class Calls {
  public:
+  /// It is ended by somebody else.
+  static constexpr Duration kNoDeadline = Duration::max();
+
   Calls(Clock& clock, std::shared_ptr<Strand> strand) : clock_(clock), strand_(std::move(strand)) {}
 
   /// Suspends `caller` until the call ends; with Timeout after `within`. A call that has ended before resumes by a job

@@ -86,6 +86,7 @@ class SystemClock final : public Clock {
   };
   using Key = std::pair<TimePoint, TimerId>;
   void serve();
+  void wait_until(TimePoint due, std::unique_lock<std::mutex>& lock);
 
   std::chrono::steady_clock::time_point steady_start_;
   TimePoint start_;
@@ -94,6 +95,7 @@ class SystemClock final : public Clock {
   std::map<Key, Entry> entries_;
   std::map<TimerId, TimePoint> times_;
   TimerId next_id_ = 1;
+  TimePoint wakes_at_ = TimePoint::min();  ///< while the thread sleeps
   bool stopping_ = false;
   std::thread thread_;
 };

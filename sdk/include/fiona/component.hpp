@@ -7,6 +7,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/event.hpp"
+#include "fiona/master.hpp"
 #include "fiona/modes.hpp"
 #include "fiona/params.hpp"
 #include "fiona/probe.hpp"

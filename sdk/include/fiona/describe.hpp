@@ -8,7 +8,8 @@ namespace fiona {
 /// Whether libfiona-msgs carries this proto file: no plugin may.
 bool is_platform_proto(const std::string& file);
 
-/// What a trigger or probe declares.
+/// What a task, trigger or probe declares.
+TaskInterface interface_of(const Task& task);
 TriggerInterface interface_of(const detail::TriggerBase& trigger);
 ProbeInterface interface_of(const detail::ProbeBase& probe);
 

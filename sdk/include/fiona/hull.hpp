@@ -28,26 +28,34 @@ class HullEvents {
   virtual void mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) = 0;
   virtual void run_ended(const std::string& instance, int exit_code, const std::string& reason) = 0;
   virtual void logged(const std::string& instance, LogLevel level, std::string_view text) = 0;
+  /// The component asks the host for something; `Hull::answer` brings the answer.
+  virtual void asked(const std::string& instance, std::uint64_t number, const control::Request& request) = 0;
 };
 
 class Hull;
 
+namespace detail {
+
+/// What is being thrown, as a reason. Call inside a catch block.
+std::string reason_of_exception();
+
+}  // namespace detail
+
 /// Running work that holds an activity; while one lives no change of mode leaves it. [strand]
 class ActivityHold {
  public:
-  ActivityHold(Hull& hull, std::string activity) : hull_(&hull), activity_(std::move(activity)) {}
-  ActivityHold(ActivityHold&& other) noexcept
-      : hull_(std::exchange(other.hull_, nullptr)), activity_(std::move(other.activity_)) {}
+  ActivityHold(Hull& hull, std::uint64_t number) : hull_(&hull), number_(number) {}
+  ActivityHold(ActivityHold&& other) noexcept : hull_(std::exchange(other.hull_, nullptr)), number_(other.number_) {}
   ActivityHold& operator=(ActivityHold&& other) noexcept {
     std::swap(hull_, other.hull_);
-    std::swap(activity_, other.activity_);
+    std::swap(number_, other.number_);
     return *this;
   }
   ~ActivityHold();
 
  private:
   Hull* hull_;
-  std::string activity_;
+  std::uint64_t number_;
 };
 
 /// The component hull (document 2.1.1): between a component's inside and the system. Hosts and test benches use it;
@@ -78,12 +86,15 @@ class Hull {
   /// if the change was not made by the deadline and was withdrawn. It is not called once the strand has been closed.
   using ModeDone = std::function<void(const std::optional<Error>&)>;
   void change_mode(std::string_view mode, Duration deadline, ModeDone done);
+  /// [any thread] It is to be shut down: changes that wait are answered before anything that they wait for ends.
+  void abandon_changes();
   /// [any thread but the strand] The same, waiting for it at most for `deadline` of the machine's own time.
   void set_mode(std::string_view mode, Duration deadline);
-  /// [any thread but the strand] Closes the ports, cancels tasks, runs on_stop, drains; then the component is
-  /// destroyed. False if the strand did not come free within `deadline`: the component is then leaked on purpose,
-  /// since destroying it under a running handler would take the process down.
-  bool shut_down(Duration deadline);
+  /// [any thread but the strand] Closes the ports, cancels tasks, waits for their threads, runs on_stop, drains; then the
+  /// component is destroyed. If strand and threads did not come free within `deadline`, says what still runs ("its
+  /// handler"): the component is then leaked on purpose, since destroying it under what runs would
+  /// take the process down; the hull, which that still uses, is the caller's to keep.
+  std::optional<std::string> shut_down(Duration deadline);
 
   /// [any thread] Fails the instance with a reason; the first reason stays.
   void fail(const std::string& reason);
@@ -91,6 +102,8 @@ class Hull {
   const std::string& name() const { return name_; }
   std::string mode() const;
   std::string reason() const;
+  /// [any thread] When it entered its mode, on its clock.
+  TimePoint mode_since() const;
   bool is_active() const { return active_.load(std::memory_order_acquire); }
   std::vector<std::string> main_modes() const;
   const std::vector<MainMode>& modes() const { return modes_; }
@@ -107,15 +120,23 @@ class Hull {
   Clock& clock() const { return surroundings_.clock; }
   Strand& strand() const { return *strand_; }
   const std::shared_ptr<Strand>& shared_strand() const { return strand_; }
+  /// [any thread] Beside the component's: for what goes on though a handler of it hangs.
+  const std::shared_ptr<Strand>& side_strand();
   HullEvents& events() const { return surroundings_.events; }
   const std::filesystem::path& share() const { return surroundings_.share; }
 
   /// Fixed once the component has been made.
   const std::vector<Port*>& ports() const { return ports_; }
+  /// [any thread] Pieces of work that wait for its strand: jobs, and messages in front of handlers.
+  std::size_t queue_depth() const;
   const std::vector<Task*>& tasks() const { return tasks_; }
   detail::ParamsBase* parameters() const { return params_; }
   const std::vector<detail::TriggerBase*>& triggers() const { return triggers_; }
   const std::vector<detail::ProbeBase*>& probes() const { return probes_; }
+  /// Whether it asks for the right to change the system.
+  bool asks_to_be_master() const { return master_ != nullptr; }
+  /// [any thread] The host's answer to what it asked with this number.
+  void answer(std::uint64_t number, control::Reply reply);
   /// Null when there is none.
   Port* find_port(std::string_view name) const;
   detail::TriggerBase* find_trigger(std::string_view name) const;
@@ -141,6 +162,7 @@ class Hull {
   /// [strand] While on, the calls of all ports, or of those of a pattern, end with Cancelled.
   void cancel_calls(bool on, std::optional<Pattern> pattern = std::nullopt);
   bool calls_are_cancelled(Pattern pattern) const { return deactivated_ || cancelled_.contains(pattern); }
+  bool all_calls_are_cancelled() const { return deactivated_ || cancelled_.size() == std::size(kCallPatterns); }
 
   /// [strand] Whether a change waits that leaves this activity: nothing new begins in it.
   bool is_leaving(std::string_view activity) const;
@@ -152,6 +174,7 @@ class Hull {
   void guarded(const std::function<void()>& work);
 
  private:
+  static constexpr Pattern kCallPatterns[] = {SEND, QUERY, PUSH_NEWEST, PUSH_TIMED, EVENT};
   friend class Port;
   friend class Task;
   friend class Timer;
@@ -160,10 +183,11 @@ class Hull {
   friend class detail::ProbeBase;
   friend class ActivityHold;
   friend class Modes;
+  friend class Master;
   struct ModeChange;
   struct TapPoint;
   struct Held {
-    std::size_t count = 0;
+    std::string activity;
     std::string by;
     TimePoint since;
   };
@@ -183,6 +207,7 @@ class Hull {
   void add(Port& port);
   void add(detail::TriggerBase& trigger);
   void add(detail::ProbeBase& probe);
+  void add(Master& master);
   void require_free_name(std::string_view name) const;
   TapPoint tap_point(std::string_view name) const;
   std::vector<std::string> tappable_names() const;
@@ -190,14 +215,16 @@ class Hull {
   void tell_mode();
   void declare(std::vector<MainMode> modes);
   void check_activities() const;
+  void check_clock(std::string_view mode) const;
   void cancel_for_deactivation();
   void advance_changes();
   void drop_changes();
   void withdraw(const std::shared_ptr<ModeChange>& change);
   std::optional<PendingChange> blocked_by(const std::string& to) const;
-  void release(const std::string& activity);
+  void release(std::uint64_t hold);
   void enter(std::string_view mode);
   void start_component();
+  void destroy_component();
   Error failure() const;
   void leave_activities(std::string_view to);
   void check_transition(std::string_view to) const;
@@ -214,21 +241,24 @@ class Hull {
   const std::unique_ptr<TextProbe> mode_probe_;
   const std::unique_ptr<TextProbe> error_probe_;
   std::mutex taps_mutex_;
-  std::shared_ptr<Strand> tap_strand_;  ///< of those who watch, made for the first of them
+  std::shared_ptr<Strand> side_strand_;  ///< made for the first who needs it
   std::vector<std::shared_ptr<Tap>> taps_;
   std::set<Timer*> timers_;
   detail::ParamsBase* params_ = nullptr;
+  Master* master_ = nullptr;
   std::list<Async<>> spawned_;  ///< strand only
-  std::set<Pattern> cancelled_;  ///< strand only, as are the next three
+  std::set<Pattern> cancelled_;  ///< strand only, as are the next four
   bool deactivated_ = false;
   std::deque<std::shared_ptr<ModeChange>> changes_;
-  std::map<std::string, Held, std::less<>> held_;
+  std::map<std::uint64_t, Held> held_;  ///< by age
+  std::uint64_t next_hold_ = 1;
   std::vector<MainMode> modes_{{std::string(kModeActive), {}}};  ///< fixed once the component has been made
   std::unique_ptr<Component> component_;
   bool started_ = false;
 
   mutable std::mutex mutex_;
   std::string mode_{kModeInit};
+  TimePoint mode_since_;
   std::string reason_;
   std::optional<PendingChange> pending_;
   std::optional<ErrorText> refusal_;  ///< what on_start threw, kept whole for whoever asked for the mode
@@ -236,7 +266,7 @@ class Hull {
 };
 
 inline ActivityHold::~ActivityHold() {
-  if (hull_) hull_->release(activity_);
+  if (hull_) hull_->release(number_);
 }
 
 }  // namespace fiona

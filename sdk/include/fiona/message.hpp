@@ -4,8 +4,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <mutex>
-#include <vector>
 
 #include "fiona/service.hpp"
 #include "fiona/time.hpp"
@@ -42,67 +40,30 @@ Received<T> received(const Envelope& envelope) {
 
 }  // namespace detail
 
-/// Messages of one type that are used again: a fresh 1 MiB costs more in page faults than in copying. Holds at most
-/// `kKept` idle messages, and of their bytes at most `kKeptBytes`. [any thread]
+/// Messages of one type that are used again, each with the count of its owners: a fresh 1 MiB costs more in page faults
+/// than in copying, and a small one more in the allocator, whose memory wanders between threads, than in the rest of its
+/// way. Idle ones are kept as far as they stay below `kKeptBytes`, newest first. [any thread]
 class ObjectPool {
  public:
-  static constexpr std::size_t kKept = 4;
-  static constexpr std::size_t kKeptBytes = 16 * 1024 * 1024;  ///< serialised, as each was at its largest
+  /// Serialised, as each message was at its largest, and `kMessageCost` for each.
+  static constexpr std::size_t kKeptBytes = 8 * 1024 * 1024;
+  static constexpr std::size_t kMessageCost = 256;
 
   /// Makes messages like `prototype`, which must outlive the pool and what it has given out.
-  explicit ObjectPool(const Object& prototype) : shelf_(std::make_shared<Shelf>(prototype)) {}
+  explicit ObjectPool(const Object& prototype);
+  ~ObjectPool();
+  ObjectPool(const ObjectPool&) = delete;
+  ObjectPool& operator=(const ObjectPool&) = delete;
 
   /// A cleared message that returns to the pool when its last owner lets go, even after the pool itself is gone.
-  std::shared_ptr<Object> acquire() {
-    Idle taken = shelf_->take();
-    return {taken.message.release(), [shelf = shelf_, largest = taken.largest](Object* used) {
-              shelf->put_back({std::unique_ptr<Object>(used), largest});
-            }};
-  }
+  std::shared_ptr<Object> acquire();
   /// Messages that wait to be used again.
-  std::size_t idle() const { return shelf_->idle(); }
+  std::size_t idle() const;
 
  private:
-  /// A message keeps the memory of the largest content it has had.
-  struct Idle {
-    std::unique_ptr<Object> message;
-    std::size_t largest = 0;
-  };
-  class Shelf {
-   public:
-    explicit Shelf(const Object& prototype) : prototype_(prototype) {}
-    Idle take() {
-      {
-        const std::lock_guard lock(mutex_);
-        if (!idle_.empty()) {
-          Idle one = std::move(idle_.back());
-          idle_.pop_back();
-          bytes_ -= one.largest;
-          return one;
-        }
-      }
-      return {std::unique_ptr<Object>(prototype_.New()), 0};
-    }
-    void put_back(Idle one) {
-      one.largest = std::max(one.largest, one.message->ByteSizeLong());
-      one.message->Clear();
-      const std::lock_guard lock(mutex_);
-      if (idle_.size() >= kKept || bytes_ + one.largest > kKeptBytes) return;
-      bytes_ += one.largest;
-      idle_.push_back(std::move(one));
-    }
-    std::size_t idle() const {
-      const std::lock_guard lock(mutex_);
-      return idle_.size();
-    }
-
-   private:
-    const Object& prototype_;
-    mutable std::mutex mutex_;
-    std::vector<Idle> idle_;
-    std::size_t bytes_ = 0;
-  };
-  std::shared_ptr<Shelf> shelf_;
+  struct Cell;
+  class Shelf;
+  Shelf* const shelf_;  ///< lives until the pool and all that it has given out are gone
 };
 
 /// The same, of a type that is known.
@@ -110,6 +71,7 @@ template <class T>
 class MessagePool {
  public:
   std::shared_ptr<T> acquire() { return std::static_pointer_cast<T>(pool_.acquire()); }
+  std::size_t idle() const { return pool_.idle(); }
 
  private:
   ObjectPool pool_{T::default_instance()};

@@ -85,6 +85,8 @@ class Params : public detail::ParamsBase {
   /// [strand] Valid until the handler or task ends.
   const M& operator*() const { return static_cast<const M&>(current()); }
   const M* operator->() const { return &**this; }
+  /// [any thread] The values of this moment, whatever is set later: for a free running task.
+  std::shared_ptr<const M> snapshot() const { return std::static_pointer_cast<const M>(ParamsBase::snapshot()); }
 
  private:
   static std::unique_ptr<Object> defaults() {

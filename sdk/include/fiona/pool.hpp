@@ -8,7 +8,7 @@
 
 namespace fiona {
 
-/// The threads of a host or group: one Asio context for strands and for descriptors that become readable.
+/// The threads of a host or group, for strands and for descriptors that become readable.
 class Pool final : public Executor {
  public:
   /// `threads` of 0: one per core, at least two.
@@ -24,6 +24,9 @@ class Pool final : public Executor {
   std::unique_ptr<Readable> watch(int descriptor, std::function<void()> ready);
 
  private:
+  class Descriptor;
+  struct Watch;
+  class WatchGuard;
   struct Threads;
   std::unique_ptr<Threads> threads_;
 };

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <atomic>
+#include <deque>
 #include <memory>
 #include <mutex>
 #include <string_view>
@@ -16,8 +18,12 @@ namespace detail {
 /// The provider's side of both push patterns, without the object's type.
 class PushProvider : public ProvidedPort {
  public:
-  PushProvider(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
-      : ProvidedPort(owner, name, service, options), rules_(service.object()), lease_(service.lease()) {}
+  PushProvider(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
+               Duration cycle = Duration::zero())
+      : ProvidedPort(owner, name, service, options), rules_(service.object()), cycle_(cycle), lease_(lease_for(service, cycle)) {}
+  ~PushProvider() override { end_watch(); }
+  /// Calls that may wait for room at once.
+  static constexpr std::size_t kMaxWaiting = 1024;
 
   /// [any thread] Adds a subscriber; a service with `last_value` gives it the newest value at once. Returns the
   /// sequence number after which it receives.
@@ -38,10 +44,26 @@ class PushProvider : public ProvidedPort {
   void on_inactive() override;
   /// [strand] The provider speaks: its lease begins anew.
   void renew();
+  /// [strand] Of a push timed: it produces from now on, or no longer. Its subscribers are told.
+  void set_started(bool started);
+  bool is_started() const { return started_; }
   /// [strand] Ok, or Rejected when a field breaks its declared rule (counted; the first is told to the log).
   Outcome put_object(std::shared_ptr<const Object> object, TimePoint origin);
+  /// [strand] The same, once each subscriber that receives each message has room for it.
+  Async<Outcome> put_with_room(std::shared_ptr<const Object> object, TimePoint origin, Duration within);
 
  private:
+  bool refuses(const Object& object);
+  Outcome put_checked(std::shared_ptr<const Object> object, TimePoint origin);
+  bool has_room(std::size_t bytes);
+  void room_may_have_changed();
+  void put_waiting();
+  struct PutCall : Call {
+    std::shared_ptr<const Object> object;
+    TimePoint origin{};
+    std::size_t bytes = 0;
+  };
+
   using Sinks = std::vector<std::shared_ptr<Sink>>;
   mutable std::mutex mutex_;
   std::shared_ptr<const Sinks> sinks_ = std::make_shared<Sinks>();
@@ -50,11 +72,27 @@ class PushProvider : public ProvidedPort {
   std::optional<std::string> silence_;  ///< why its clients are told that it is silent; guarded by the mutex
   const ObjectRules rules_;
 
+  /// What the timer of the lease finds: it does not run on the provider's strand, and may come when the port has gone.
+  struct Watch {
+    explicit Watch(PushProvider& of) : port(&of) {}
+    std::mutex mutex;
+    PushProvider* port;
+  };
+  static Duration lease_for(const ServiceInfo& service, Duration cycle);
+  void end_watch();
+  void check_lease();
+  // guarded by the mutex, as are the functions
   void watch_lease();
   void tell_lease(std::optional<std::string> silence);
-  const Duration lease_;
-  TimePoint renewed_{};     ///< strand only, as is the rest
+  std::atomic<bool> paced_{false};  ///< somebody has waited for room
+  std::deque<std::shared_ptr<PutCall>> waiting_;  ///< strand only
+  TimePoint renewed_{};
   TimerId lease_timer_ = 0;
+
+  const Duration cycle_;  ///< of a push timed; zero: none
+  const Duration lease_;
+  const std::shared_ptr<Watch> watch_ = std::make_shared<Watch>(*this);
+  bool started_ = true;  ///< strand only
 };
 
 /// The client's side of both push patterns, without the object's type.
@@ -68,6 +106,8 @@ class PushClient : public RequiredPort {
   std::optional<Inbox::Newest> newest() { return inbox_.newest(); }
   void on_entering(Connection connection) override;
   void on_connection(Connection connection) override;
+  void on_active() override;
+  void on_inactive() override;
 
   struct NextCall : Call {
     std::optional<Envelope> envelope;
@@ -115,14 +155,17 @@ class Provides<S> : public detail::PushProvider {
 
   template <class C>
   Provides(C& owner, std::string_view name, PortOptions options = {})
-      : PushProvider(owner, name, S::info(), options) {}
+      : PushProvider(owner, name, S::info(), options, S::kPattern == PUSH_TIMED ? S::info().period() : Duration::zero()) {}
 
   template <class C>
     requires(S::kPattern == PUSH_TIMED)
   Provides(C& owner, std::string_view name, void (C::*produce)(), Duration period = S::info().period(),
            PortOptions options = {})
-      : PushProvider(owner, name, S::info(), options),
-        producer_(std::make_unique<Task>(owner, name, period, produce)) {}
+      : PushProvider(owner, name, S::info(), options, period),
+        producer_(std::make_unique<Task>(owner, name, period, Task::Work([this, &owner, produce] {
+          if (is_started()) (owner.*produce)();
+          return std::nullopt;
+        }))) {}
 
   /// [strand] A cleared message from the port's pool, to be filled and put.
   std::shared_ptr<ObjectType> make() { return pool_.acquire(); }
@@ -133,9 +176,34 @@ class Provides<S> : public detail::PushProvider {
   Outcome put(std::shared_ptr<const ObjectType> object, TimePoint origin) {
     return put_object(std::move(object), origin);
   }
+  /// [strand] Waits until the message fits in front of the handler of each subscriber that receives each one, then puts it:
+  /// `co_await steps_.put(step, 500ms)`. So nothing is lost to a slow consumer, and the producer goes at its pace. Not put:
+  /// with Timeout there was no room in time; NotActive, Cancelled and Rejected as of every call. Waiting calls have
+  /// their turn in their order; `put` without a deadline does not wait for them.
+  Async<Outcome> put(std::shared_ptr<const ObjectType> object, Duration within) {
+    return put_with_room(std::move(object), owner_now(*this), within);
+  }
+  Async<Outcome> put(std::shared_ptr<const ObjectType> object, TimePoint origin, Duration within) {
+    return put_with_room(std::move(object), origin, within);
+  }
+  Async<Outcome> put(ObjectType object, Duration within) {
+    return put(std::make_shared<const ObjectType>(std::move(object)), within);
+  }
   /// [strand] Nothing has changed, and the source of what was put last has been looked at: its lease begins anew. For a
   /// service that speaks only on change; call it in the task that reads the sensor, and nowhere else.
   void still_valid() { renew(); }
+  /// [strand] Of a push timed: stops its cycle, and tells its subscribers, whose ports are *lost* until `start`. Until
+  /// then puts are NotActive. A provider begins started.
+  void stop()
+    requires(S::kPattern == PUSH_TIMED)
+  {
+    set_started(false);
+  }
+  void start()
+    requires(S::kPattern == PUSH_TIMED)
+  {
+    set_started(true);
+  }
   Outcome put(ObjectType object) { return put(std::make_shared<const ObjectType>(std::move(object))); }
   Outcome put(ObjectType object, TimePoint origin) {
     return put(std::make_shared<const ObjectType>(std::move(object)), origin);
@@ -161,8 +229,9 @@ class Requires<S> : public detail::PushClient {
   Requires(C& owner, std::string_view name, R (C::*handler)(A), PortOptions options = {})
       : PushClient(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
 
-  /// [strand] The newest value since it was wired, however often it is asked. Fails with NoData, Unwired, Disconnected
-  /// or NotActive: an old value never passes for a fresh one. Only for a port without handler.
+  /// [strand] The newest value since it was wired, however often it is asked. Fails with NoData (also when it is older
+  /// than the port's `max_age`), Unwired, Disconnected or NotActive: an old value never passes for a fresh one. Only for
+  /// a port without handler.
   Result<Received<ObjectType>> latest() {
     const auto slot = newest();
     const auto outcome = obstacle();
@@ -171,6 +240,14 @@ class Requires<S> : public detail::PushClient {
     auto value = detail::received<ObjectType>(slot->envelope);
     value.stale = slot->stale;
     return value;
+  }
+
+  /// [any thread] Of a push timed: the cycle of the provider, for who wants to choose a prescale. Unwired or Disconnected
+  /// while there is none.
+  Result<Duration> cycle() const
+    requires(S::kPattern == PUSH_TIMED)
+  {
+    return provider_cycle();
   }
 
   /// [strand] The next value that arrives: `auto next = co_await port.wait_update(1s);`

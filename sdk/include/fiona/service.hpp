@@ -23,6 +23,7 @@ class ServiceInfo {
   const std::string& name() const { return descriptor_.full_name(); }
   const google::protobuf::ServiceDescriptor& descriptor() const { return descriptor_; }
   Pattern pattern() const { return contract_.pattern(); }
+  bool is_push() const { return pattern() == PUSH_NEWEST || pattern() == PUSH_TIMED; }
   const ServiceContract& contract() const { return contract_; }
 
   /// What travels from client to provider (send, query; of an event the activation), else what is pushed.

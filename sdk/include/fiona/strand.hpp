@@ -84,8 +84,8 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   /// [any thread] Refuses new work and drops what is queued. What runs goes on; `call` waiters return false.
   void close();
 
-  /// [any thread] Pieces of work that wait.
-  std::size_t queue_depth() const;
+  /// [any thread] Jobs that wait; what waits in inboxes is counted there.
+  std::size_t waiting_jobs() const;
   /// [any thread] Time spent running, by the machine's steady clock.
   Duration busy_time() const { return Duration(busy_ns_.load(std::memory_order_relaxed)); }
 

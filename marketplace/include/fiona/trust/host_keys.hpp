@@ -8,6 +8,8 @@
 #include <string_view>
 #include <vector>
 
+#include "fiona/trust/access.hpp"
+
 namespace fiona::trust {
 
 /// A CURVE25519 key. Written as 64 hexadecimal digits, which need no quotes in a shell.
@@ -30,6 +32,9 @@ class Key {
   std::array<char, kBytes> bytes_{};
 };
 
+/// Whether it is "ADDRESS:PORT".
+bool is_address(const std::string& text);
+
 /// The key pair of a host.
 struct KeyPair {
   Key secret;
@@ -42,8 +47,24 @@ struct AllowedHost {
   Key key;
 };
 
-/// Where a user keeps the key pair of his hosts (`host.key`, mode 0600) and the list of those that may connect to them
-/// (`hosts.allowed`, lines "NAME KEY"). Files are replaced whole or not at all.
+/// A console on another machine that may connect, and what it may do.
+struct AllowedConsole {
+  std::string name;
+  Key key;
+  Access level = Access::Nothing;
+};
+
+/// A host on another machine that consoles here know by a name.
+struct KnownHost {
+  std::string name;
+  std::string address;  ///< "ADDRESS:PORT"
+  Key key;
+};
+
+/// Where a user keeps the key pair of his hosts and consoles (`host.key`, mode 0600) and three lists: the hosts that may
+/// connect to his (`hosts.allowed`, lines "NAME KEY"), the consoles that may (`consoles.allowed`, "NAME KEY LEVEL"), and
+/// the hosts that he has given names (`hosts.known`, "NAME ADDRESS:PORT KEY"). To be in one is to be in no other. Files are
+/// replaced whole or not at all.
 class KeyDirectory {
  public:
   /// Empty: $FIONA_KEYS, else $XDG_CONFIG_HOME/fiona, else ~/.config/fiona.
@@ -56,16 +77,20 @@ class KeyDirectory {
   /// Throws Error: NotFound without a pair, NotAllowed if others may read it, Failed if it is damaged.
   KeyPair pair() const;
 
-  /// In the order of the file; empty without a file. Throws Error Failed with the line that cannot be read.
+  /// Each list in the order of its file; empty without a file. Throws Error Failed with the line that cannot be read.
   std::vector<AllowedHost> allowed() const;
-  /// Throws Error: Usage for a name or key that is none, NotAllowed if the name or the key is taken.
+  std::vector<AllowedConsole> consoles() const;
+  std::vector<KnownHost> known() const;
+  /// Throws Error: Usage for a name, key or address that is none, NotAllowed if the name or the key is taken.
   void allow(const std::string& name, const std::string& key) const;
-  /// Throws Error NotFound, with near names.
+  /// As above; one that is in the list already, with this key, gets the new level.
+  void allow_console(const std::string& name, const std::string& key, Access level) const;
+  void know(const std::string& name, const std::string& address, const std::string& key) const;
+  /// In all lists. Throws Error NotFound, with near names.
   void forget(const std::string& name) const;
 
  private:
   std::filesystem::path pair_file() const { return directory_ / "host.key"; }
-  std::filesystem::path allowed_file() const { return directory_ / "hosts.allowed"; }
   void replace(const std::filesystem::path& file, const std::string& text) const;
 
   const std::filesystem::path directory_;

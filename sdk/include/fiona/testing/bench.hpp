@@ -32,7 +32,11 @@ class Bench : private HullEvents {
  public:
   explicit Bench(std::string name = "component", std::filesystem::path share = {})
       : hull_(std::move(name), {executor_, clock_, *this, std::move(share)}) {
-    hull_.create([](Hull& hull) { return std::make_unique<C>(hull); });
+    hull_.create([this](Hull& hull) {
+      auto made = std::make_unique<C>(hull);
+      component_ = made.get();
+      return made;
+    });
     for (Port* port : hull_.ports()) wire(*port);
   }
   ~Bench() override { hull_.shut_down(kDefaultDeadline); }
@@ -121,9 +125,15 @@ class Bench : private HullEvents {
     }
   }
 
+  /// What the component, as master, has asked for since the last call. Each is answered as done, after `refuse_with` as
+  /// refused for that reason.
+  std::vector<control::Request> take_requests() { return std::exchange(requests_, {}); }
+  void refuse_with(std::string reason) { refusal_ = std::move(reason); }
+
   std::string mode() const { return hull_.mode(); }
   std::string reason() const { return hull_.reason(); }
   Hull& hull() { return hull_; }
+  C& component() { return *component_; }
   /// The exit code with which the component ended the run, and why; none if it has not.
   const std::optional<std::pair<int, std::string>>& run_end() const { return run_end_; }
   const std::vector<std::string>& log() const { return log_; }
@@ -167,11 +177,7 @@ class Bench : private HullEvents {
     throw Error(ErrorCode::NotFound, "the component has no port '" + std::string(name) + "'");
   }
   Inbox& inbox(std::string_view name) {
-    Port& port = find(name);
-    Inbox* inbox = nullptr;
-    if (auto* provided = dynamic_cast<ProvidedPort*>(&port)) inbox = provided->inbox();
-    if (auto* required = dynamic_cast<RequiredPort*>(&port)) inbox = required->inbox();
-    if (inbox) return *inbox;
+    if (Inbox* inbox = find(name).inbox()) return *inbox;
     throw Error(ErrorCode::Usage, "nothing can be handed to port '" + std::string(name) + "'");
   }
   Collector& collector(std::string_view name) { return *collectors_.at(find(name).name()); }
@@ -189,14 +195,29 @@ class Bench : private HullEvents {
     if (!run_end_) run_end_.emplace(exit_code, reason);
   }
   void logged(const std::string&, LogLevel, std::string_view text) override { log_.emplace_back(text); }
+  void asked(const std::string&, std::uint64_t number, const control::Request& request) override {
+    requests_.push_back(request);
+    control::Reply reply;
+    if (!refusal_.empty()) {
+      reply.mutable_failure()->set_what(refusal_);
+    } else if (request.has_snapshot()) {
+      reply.mutable_system();
+    } else {
+      reply.mutable_done();
+    }
+    hull_.answer(number, std::move(reply));
+  }
 
   InlineExecutor executor_;
   VirtualClock clock_;
   Hull hull_;
+  C* component_ = nullptr;
   std::map<std::string, std::shared_ptr<Collector>> collectors_;
   std::uint64_t sequence_ = 0;
   std::optional<std::pair<int, std::string>> run_end_;
   std::vector<std::string> log_;
+  std::vector<control::Request> requests_;
+  std::string refusal_;
 };
 
 }  // namespace fiona::testing

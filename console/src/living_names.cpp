@@ -1,0 +1,58 @@
+#include "living_names.hpp"
+
+#include <filesystem>
+
+#include "catalogue.hpp"
+
+namespace fiona::console {
+namespace {
+
+constexpr std::chrono::milliseconds kCompletionLimit{150};
+constexpr std::chrono::seconds kSnapshotLife{1};
+
+}  // namespace
+
+const control::System* LivingNames::system() {
+  const auto now = std::chrono::steady_clock::now();
+  if (asked_ && now - *asked_ < kSnapshotLife) return known_ ? &system_ : nullptr;
+  asked_ = now;
+  known_ = false;
+  if (!session_.connected()) return nullptr;
+  control::Request request;
+  request.mutable_snapshot();
+  system_ = session_.host().call(std::move(request), kCompletionLimit).system();
+  known_ = true;
+  return &system_;
+}
+
+std::vector<std::string> LivingNames::plugins() {
+  std::vector<std::string> names;
+  const Catalogue catalogue(session_.options.store);
+  for (const KnownPlugin& plugin : catalogue.plugins()) {
+    if (plugin.installed) names.insert(names.end(), {plugin.manifest.name(), plugin.name()});
+  }
+  return names;
+}
+
+std::vector<std::string> LivingNames::packages() {
+  std::vector<std::string> names;
+  const Catalogue catalogue(session_.options.store);
+  for (const KnownPlugin& plugin : catalogue.plugins()) names.push_back(plugin.name());
+  return names;
+}
+
+std::vector<std::string> LivingNames::files(std::string_view begin) {
+  namespace fs = std::filesystem;
+  const std::size_t slash = begin.rfind('/');
+  const std::string directory = slash == std::string_view::npos ? "" : std::string(begin.substr(0, slash + 1));
+  std::vector<std::string> names;
+  std::error_code problem;
+  constexpr std::size_t kMost = 10'000;
+  for (const auto& entry : fs::directory_iterator(directory.empty() ? "." : directory, problem)) {
+    if (names.size() < kMost)
+      names.push_back(directory + entry.path().filename().string() + (entry.is_directory(problem) ? "/" : ""));
+  }
+  return names;
+}
+
+}  // namespace fiona::console

@@ -1,0 +1,132 @@
+#include "top_view.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include "system_view.hpp"
+
+namespace fiona::console {
+namespace {
+
+Table::Cell latency_cell(double latency_ms) {
+  return latency_ms <= 0 ? Table::Cell("", nullptr) : Table::Cell(latency_text(latency_ms), latency_ms);
+}
+
+Table::Cell count_cell(std::uint64_t count) { return {fmt::format("{}", count), count}; }
+Table::Cell age_cell(double age_ms) { return age_ms < 0 ? Table::Cell("", nullptr) : Table::Cell(age_text(age_ms), age_ms); }
+Table::Cell rate_cell(double rate_hz) { return {rate_text(rate_hz), rate_hz}; }
+
+}  // namespace
+
+/// An instance as one line, of all its ports together.
+struct TopView::Row {
+  const control::InstanceStatus* instance;
+  double busy = -1;         ///< percent; negative: not known yet
+  double rate_hz = 0;       ///< of what it provides, the fastest; of who provides nothing, what comes
+  double age_ms = -1;       ///< of the oldest newest message of what it requires and is connected
+  double latency_p50_ms = -1;  ///< the slowest port's, as is the next
+  double latency_p99_ms = -1;
+  std::uint64_t drops = 0;
+
+  double key(Order order) const {
+    switch (order) {
+      case Order::Busy: return busy;
+      case Order::Queue: return static_cast<double>(instance->queue_depth());
+      case Order::Rate: return rate_hz;
+      case Order::Age: return age_ms;
+      case Order::Latency: return latency_p99_ms;
+      case Order::Drops: return static_cast<double>(drops);
+      case Order::Name: return 0;
+    }
+    return 0;
+  }
+};
+
+void TopView::update(control::System system, std::chrono::steady_clock::time_point taken) {
+  const double passed_ms = std::chrono::duration<double, std::milli>(taken - taken_).count();
+  std::map<std::string, double> handler_ms;
+  busy_.clear();
+  for (const auto& instance : system.instances()) {
+    handler_ms[instance.name()] = instance.handler_ms();
+    const auto before = handler_ms_.find(instance.name());
+    // Less than before: another one of that name.
+    const bool known = before != handler_ms_.end() && passed_ms > 0 && instance.handler_ms() >= before->second;
+    // What a handler takes is counted when it ends, some of it before this interval.
+    if (known) busy_[instance.name()] = std::min(100.0, 100 * (instance.handler_ms() - before->second) / passed_ms);
+  }
+  handler_ms_ = std::move(handler_ms);
+  system_ = std::move(system);
+  taken_ = taken;
+}
+
+std::string TopView::headline() const {
+  int wires = 0;
+  int not_ok = 0;
+  for (const auto& instance : system_.instances()) {
+    if (health_text(instance) != "ok") ++not_ok;
+    for (const auto& port : instance.ports()) wires += port.connection() == control::CONNECTED ? 1 : 0;
+  }
+  return fmt::format("{}  {} clock  {} instances{}  {} wires", system_.host(), system_.clock(), system_.instances_size(),
+                     not_ok == 0 ? "" : fmt::format(", {} not ok", not_ok), wires);
+}
+
+std::vector<TopView::Row> TopView::rows(Order order) const {
+  std::vector<Row> rows;
+  for (const auto& instance : system_.instances()) {
+    Row& row = rows.emplace_back(Row{&instance});
+    if (const auto busy = busy_.find(instance.name()); busy != busy_.end()) row.busy = busy->second;
+    double came_hz = 0;
+    for (const auto& port : instance.ports()) {
+      const bool connected = port.connection() == control::CONNECTED;
+      if (connected) row.age_ms = std::max(row.age_ms, port.age_ms());
+      if (port.direction() == fiona::PROVIDES) row.rate_hz = std::max(row.rate_hz, port.rate_hz());
+      if (connected) came_hz = std::max(came_hz, port.rate_hz());
+      row.latency_p50_ms = std::max(row.latency_p50_ms, port.latency_p50_ms());
+      row.latency_p99_ms = std::max(row.latency_p99_ms, port.latency_p99_ms());
+      row.drops += port.dropped() + port.refused();
+    }
+    if (row.rate_hz == 0) row.rate_hz = came_hz;
+  }
+  std::stable_sort(rows.begin(), rows.end(), [order](const Row& a, const Row& b) {
+    if (a.key(order) != b.key(order)) return a.key(order) > b.key(order);
+    return a.instance->name() < b.instance->name();
+  });
+  return rows;
+}
+
+std::vector<std::string> TopView::names(Order order) const {
+  std::vector<std::string> names;
+  for (const Row& row : rows(order)) names.push_back(row.instance->name());
+  return names;
+}
+
+Table TopView::instances(Order order) const {
+  Table table({"instance", "mode", "busy", "queue", "rate", "age", "p50", "p99", "drops", "health"});
+  for (const Row& row : rows(order)) {
+    const auto& instance = *row.instance;
+    table.add({instance.name(), instance.mode(),
+               row.busy < 0 ? Table::Cell("", nullptr) : Table::Cell(fmt::format("{:.1f} %", row.busy), row.busy),
+               count_cell(instance.queue_depth()), rate_cell(row.rate_hz), age_cell(row.age_ms),
+               latency_cell(row.latency_p50_ms), latency_cell(row.latency_p99_ms), count_cell(row.drops),
+               health_text(instance)});
+  }
+  return table;
+}
+
+Table TopView::ports(const std::string& name) const {
+  Table table({"port", "with", "rate", "age", "p50", "p99", "dropped", "superseded", "refused"});
+  const auto* instance = find_instance(system_, name);
+  for (int i = 0; instance != nullptr && i < instance->ports_size(); ++i) {
+    const auto& port = instance->ports(i);
+    const bool required = port.direction() == fiona::REQUIRES;
+    const std::string peer = port.peer().instance().empty() ? "" : text_of(port.peer());
+    const std::string trouble = port.connection() == control::CONNECTED ? "" : connection_text(port);
+    table.add({port.name(), !required ? clients_text(port) : trouble.empty() ? peer : trouble, rate_cell(port.rate_hz()),
+               age_cell(port.age_ms()), latency_cell(port.latency_p50_ms()), latency_cell(port.latency_p99_ms()),
+               count_cell(port.dropped()), count_cell(port.superseded()), count_cell(port.refused())});
+  }
+  return table;
+}
+
+}  // namespace fiona::console

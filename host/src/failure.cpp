@@ -1,0 +1,43 @@
+#include "failure.hpp"
+
+namespace fiona::host {
+
+control::Failure failure_of(const Error& error) {
+  control::Failure failure;
+  failure.set_code(static_cast<std::uint32_t>(error.code()));
+  failure.set_what(error.text().what);
+  failure.set_where(error.text().where);
+  failure.set_expected(error.text().expected);
+  failure.set_found(error.text().found);
+  failure.set_next(error.text().next);
+  for (const auto& name : error.text().near) failure.add_near(name);
+  return failure;
+}
+
+control::Failure failure_of_exception() {
+  control::Failure failure;
+  try {
+    throw;
+  } catch (const Error& error) {
+    return failure_of(error);
+  } catch (const std::exception& error) {
+    failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
+    failure.set_what(error.what());
+  } catch (...) {
+    failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
+    failure.set_what("something that is not a std::exception was thrown");
+  }
+  return failure;
+}
+
+void throw_failure(const control::Failure& failure) {
+  throw Error(static_cast<ErrorCode>(failure.code()),
+              {.what = failure.what(),
+               .where = failure.where(),
+               .expected = failure.expected(),
+               .found = failure.found(),
+               .next = failure.next(),
+               .near = {failure.near().begin(), failure.near().end()}});
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,41 @@
+#include "instance_events.hpp"
+
+namespace fiona::host {
+
+void InstanceEvents::mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) {
+  wire::GroupMessage message;
+  auto& changed = *message.mutable_mode_changed();
+  changed.set_instance(instance);
+  changed.set_mode(mode);
+  changed.set_reason(reason);
+  on_event_(std::move(message));
+}
+
+void InstanceEvents::run_ended(const std::string& instance, int exit_code, const std::string& reason) {
+  wire::GroupMessage message;
+  auto& ended = *message.mutable_run_ended();
+  ended.set_instance(instance);
+  ended.set_exit_code(exit_code);
+  ended.set_reason(reason);
+  on_event_(std::move(message));
+}
+
+void InstanceEvents::asked(const std::string& instance, std::uint64_t number, const control::Request& request) {
+  wire::GroupMessage message;
+  auto& asked = *message.mutable_asked();
+  asked.set_instance(instance);
+  asked.set_number(number);
+  *asked.mutable_request() = request;
+  on_event_(std::move(message));
+}
+
+void InstanceEvents::logged(const std::string& instance, LogLevel level, std::string_view text) {
+  wire::GroupMessage message;
+  auto& log = *message.mutable_logged();
+  log.set_instance(instance);
+  log.set_level(static_cast<std::uint32_t>(level));
+  log.set_text(std::string(text));
+  on_event_(std::move(message));
+}
+
+}  // namespace fiona::host

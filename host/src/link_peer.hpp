@@ -1,0 +1,139 @@
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "link_socket.hpp"
+
+namespace fiona::host {
+
+/// ZeroMQ is given more for a peer while it holds one chunk at most, so never holds more than two; and while it holds
+/// fewer messages than this, so that small ones that come while it is busy are sent together.
+inline constexpr std::size_t kMostInside_messages = 8;
+/// The room that a chunk's message has for the frames beside it.
+inline constexpr std::size_t kFrameRoom = 64 * 1024;
+/// Lanes whose credit is paid back together.
+inline constexpr std::size_t kLanesOwed = 16;
+
+/// Reads, and sends what had to wait; outlives its socket while it is queued.
+struct LinkSocket::Turn final : Runnable {
+  explicit Turn(LinkSocket& l) : link(&l) {}
+  void run() override {
+    const std::lock_guard lock(mutex);
+    if (link) link->take_turn();
+  }
+  std::mutex mutex;
+  LinkSocket* link;
+};
+
+/// What of a peer's is inside ZeroMQ. ZeroMQ tells from its own thread what it has let go of.
+struct LinkSocket::Gate {
+  Gate(Pool& p, std::shared_ptr<Turn> t, std::size_t c) : pool(p), turn(std::move(t)), chunk(c) {}
+  bool has_room() const { return messages < kMostInside_messages && bytes <= chunk + kFrameRoom; }
+  /// Whether more may go in; if not, the turn comes when something has left.
+  bool enter_or_wait() {
+    if (has_room()) return true;
+    waiting = true;
+    return has_room() && waiting.exchange(false);
+  }
+
+  Pool& pool;
+  const std::shared_ptr<Turn> turn;
+  const std::size_t chunk;
+  std::atomic<std::size_t> messages{0};
+  std::atomic<std::size_t> bytes{0};
+  std::atomic<bool> waiting{false};
+};
+
+/// What has arrived from a peer and has not been credited yet, by lane.
+struct LinkSocket::Debts {
+  Debts(Pool& p, std::shared_ptr<Turn> t) : pool(p), turn(std::move(t)) {}
+
+  /// Whether it is time to pay: in portions, so that a stream of small messages does not double its traffic.
+  bool add(std::uint64_t lane, std::size_t size) {
+    const std::lock_guard lock(mutex);
+    const auto known = std::find_if(owed.begin(), owed.end(), [lane](const auto& one) { return one.first == lane; });
+    if (known != owed.end()) {
+      known->second += size;
+    } else {
+      owed.emplace_back(lane, size);
+    }
+    bytes += size;
+    return is_due();
+  }
+  bool is_due() const { return bytes >= kCreditPortion || owed.size() > kLanesOwed; }
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> take() {
+    const std::lock_guard lock(mutex);
+    bytes = 0;
+    return std::exchange(owed, {});
+  }
+  bool due() {
+    const std::lock_guard lock(mutex);
+    return is_due();
+  }
+
+  Pool& pool;
+  const std::shared_ptr<Turn> turn;
+  std::mutex mutex;  ///< the innermost: whoever lets go of a receipt may hold another link's
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> owed;
+  std::size_t bytes = 0;
+};
+
+/// What somebody still has of a peer's message.
+struct LinkSocket::Debt {
+  Debt(std::shared_ptr<Debts> d, std::uint64_t l, std::size_t b) : debts(std::move(d)), lane(l), bytes(b) {}
+  Debt(const Debt&) = delete;
+  Debt& operator=(const Debt&) = delete;
+  ~Debt() {
+    if (debts->add(lane, bytes)) debts->pool.submit(debts->turn);
+  }
+  const std::shared_ptr<Debts> debts;
+  const std::uint64_t lane;
+  const std::size_t bytes;
+};
+
+/// The bytes of one message inside ZeroMQ, and what is to be told when they have gone.
+struct LinkSocket::Release {
+  std::shared_ptr<Gate> gate;
+  Block records;
+  std::shared_ptr<const Payload> payload;
+  std::size_t bytes = 0;
+
+  static void done(void*, void* hint) {
+    const std::unique_ptr<Release> self(static_cast<Release*>(hint));
+    if (!self->gate) return;
+    self->gate->bytes -= self->bytes;
+    self->gate->messages -= 1;
+    if (self->gate->waiting.exchange(false)) self->gate->pool.submit(self->gate->turn);
+  }
+};
+
+class LinkSocket::Peer {
+ public:
+  Peer(std::string i, std::string p, std::shared_ptr<Gate> g, std::shared_ptr<Debts> d, bool has_proved)
+      : identity(std::move(i)),
+        process(std::move(p)),
+        gate(std::move(g)),
+        debts(std::move(d)),
+        proven(has_proved),
+        control(lanes.open()),
+        reader(gate->chunk) {}
+
+  const std::string identity;
+  const std::string process;
+  const std::shared_ptr<Gate> gate;
+  const std::shared_ptr<Debts> debts;
+  bool proven;
+  bool gone = false;
+  FrameCounts counts;
+  PeerLanes lanes;
+  const std::shared_ptr<PeerLanes::Lane> control;
+  FrameReader reader;  ///< the reader's
+};
+
+}  // namespace fiona::host

@@ -1,0 +1,70 @@
+// The proof of the key, both ways: link_keys.hpp has what is computed.
+#include "link_keys.hpp"
+#include "link_peer.hpp"
+
+namespace fiona::host {
+
+/// Of somebody who has proved nothing yet: only the proof itself is looked at.
+void LinkSocket::shake_hands(const std::string& peer) {
+  struct Single final : FrameReader::Receiver {
+    bool accepts(const wire::Frame&) override { return false; }
+    void on_frame(const wire::Frame& one, const ObjectBytes& object) override {
+      if (object.size() == 0) frame = one;
+    }
+    wire::Frame frame;
+  } single;
+  FrameReader reader;
+  if (parts_.size() == 1) reader.read(parts_, single);
+  if (routed_ && (single.frame.has_hello() || single.frame.has_proof())) return welcome(peer, single.frame);
+  if (!routed_ && single.frame.has_challenge()) return check_challenge(single.frame);
+  if (!routed_ && single.frame.has_refused()) return receiver_.on_refused(single.frame.refused().reason());
+  ++counters_.unproven;
+}
+
+void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
+  const bool hello = frame.has_hello();
+  const std::string& name = hello ? frame.hello().client() : frame.proof().client();
+  const std::string& nonce = hello ? frame.hello().nonce() : frame.proof().nonce();
+  wire::Frame answer;
+  if (hello && frame.hello().version() != wire::VERSION_1) {
+    answer.mutable_refused()->set_reason(kUnknownVersion);
+    const std::lock_guard lock(mutex_);
+    return send_plain(peer, answer);
+  }
+  if (nonce.size() != kNonceBytes) return void(++counters_.unproven);
+  const std::string key = link_key(key_, name);
+  const std::string ours = derived_nonce(secret_, peer + nonce + name);
+  if (hello) {
+    answer.mutable_challenge()->set_nonce(ours);
+    answer.mutable_challenge()->set_proof(link_proof(key, LinkSide::Provider, nonce, ours));
+    const std::lock_guard lock(mutex_);
+    return send_plain(peer, answer);
+  }
+  if (!same_proof(frame.proof().proof(), link_proof(key, LinkSide::Client, nonce, ours))) {
+    ++counters_.unproven;
+    return;
+  }
+  const std::lock_guard lock(mutex_);
+  forget_locked(name);  // a process has one link: what it leaves behind does not add up
+  add_peer(peer, name, true);
+}
+
+void LinkSocket::check_challenge(const wire::Frame& frame) {
+  const auto& challenge = frame.challenge();
+  if (!same_proof(challenge.proof(), link_proof(key_, LinkSide::Provider, nonce_, challenge.nonce()))) {
+    ++counters_.unproven;
+    return receiver_.on_refused("the process that listens there does not know the system's key");
+  }
+  wire::Frame answer;
+  answer.mutable_proof()->set_client(name_);
+  answer.mutable_proof()->set_nonce(nonce_);
+  answer.mutable_proof()->set_proof(link_proof(key_, LinkSide::Client, nonce_, challenge.nonce()));
+  const std::lock_guard lock(mutex_);
+  send_plain("", answer);
+  const auto provider = peers_.find("");
+  if (provider == peers_.end()) return;
+  provider->second->proven = true;
+  pump(*provider->second);
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,112 @@
+// Wires that pass through this process, unread.
+#include <algorithm>
+
+#include "fiona/error.hpp"
+#include "links.hpp"
+
+namespace fiona::host {
+
+class Links::RelayLane {
+ public:
+  explicit RelayLane(const Hop& to) : link_(to.link), lane_(to.link->open_lane(to.peer)) {}
+  RelayLane(const RelayLane&) = delete;
+  RelayLane& operator=(const RelayLane&) = delete;
+  ~RelayLane() { link_->close_lane(lane_); }
+  const LinkSocket::Lane& lane() const { return lane_; }
+
+ private:
+  const std::shared_ptr<LinkSocket> link_;
+  const LinkSocket::Lane lane_;
+};
+
+void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint) {
+  const std::lock_guard lock(mutex_);
+  relays_[wire] = Relay{std::move(token), std::move(peer), std::move(endpoint), {}, {}};
+}
+
+void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) {
+  if (relay.token != frame.open().token() || relay.client.hop.link || !may_open(from, relay.peer)) {
+    return refuse(from, frame.wire(), "the wire was not granted");
+  }
+  try {
+    relay.provider.hop = connect(relay.endpoint);
+  } catch (const Error& error) {
+    return refuse(from, frame.wire(), error.text().what);
+  }
+  relay.client.hop = from;
+  forward(from, relay.provider, frame, {}, nullptr);
+}
+
+/// Passes the frame on over those of its wires that are relayed here, each side's towards the other. What is left of it
+/// is for wires that end here; null: nothing is. Called with the mutex held.
+const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest) {
+  std::vector<std::uint64_t> ending;
+  std::vector<std::pair<Relay::Side*, wire::Frame>> ways;  // those of one hop share what crosses, as they did before
+  const auto sort = [&](std::uint64_t wire) {
+    const auto found = relays_.find(wire);
+    if (found == relays_.end()) return ending.push_back(wire);
+    Relay::Side& client = found->second.client;
+    Relay::Side& provider = found->second.provider;
+    if (!client.hop.link || (from != client.hop && from != provider.hop)) return note_foreign(wire);
+    Relay::Side& to = from == client.hop ? provider : client;
+    const auto way = std::find_if(ways.begin(), ways.end(), [&](const auto& one) { return one.first->hop == to.hop; });
+    if (way != ways.end()) return way->second.add_also(wire);
+    auto& passed = ways.emplace_back(&to, frame).second;
+    passed.set_wire(wire);
+    passed.clear_also();
+  };
+  sort(frame.wire());
+  for (const std::uint64_t wire : frame.also()) sort(wire);
+  const auto payload = object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
+  for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
+  if (frame.has_closed() || frame.has_refused()) {
+    for (const auto& [to, passed] : ways) note_ended(passed.wire());
+    for (const auto& [to, passed] : ways) relays_.erase(passed.wire());
+  }
+  if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
+  if (ending.empty()) return nullptr;
+  rest = frame;
+  rest.set_wire(ending.front());
+  rest.clear_also();
+  for (std::size_t i = 1; i < ending.size(); ++i) rest.add_also(ending[i]);
+  return &rest;
+}
+
+/// Called with the mutex held. A frame without an object goes behind the objects of its wire.
+void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+                    const std::shared_ptr<const Payload>& payload) {
+  if (frame.lane() != 0) {
+    auto& known = relay_lanes_[{from.link.get(), from.peer, frame.lane(), to.hop.link.get(), to.hop.peer}];
+    to.lane = known.lock();
+    if (!to.lane) {
+      known = to.lane = std::make_shared<RelayLane>(to.hop);
+      std::erase_if(relay_lanes_, [](const auto& entry) { return entry.second.expired(); });
+    }
+    for (const std::uint64_t other : frame.also()) {
+      Relay& relay = relays_.at(other);
+      (from == relay.client.hop ? relay.provider : relay.client).lane = to.lane;
+    }
+  }
+  const LinkSocket::Lane lane = to.lane ? to.lane->lane() : LinkSocket::Lane();
+  to.hop.link->forward(lane, to.hop.peer, frame, object, payload, from.link->receipt());
+}
+
+/// Called with the mutex held. The side that is left is told.
+void Links::lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason) {
+  for (auto it = relays_.begin(); it != relays_.end();) {
+    auto& [wire, relay] = *it;
+    const bool provider_gone = relay.endpoint.address == endpoint;
+    if (!provider_gone && relay.peer != name) {
+      ++it;
+      continue;
+    }
+    const Hop& left = provider_gone ? relay.client.hop : relay.provider.hop;
+    wire::Frame frame = frame_for(wire);
+    frame.mutable_closed()->set_reason(reason);
+    if (left.link) left.link->tell(left.peer, frame);
+    note_ended(wire);
+    it = relays_.erase(it);
+  }
+}
+
+}  // namespace fiona::host

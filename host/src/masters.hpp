@@ -1,0 +1,31 @@
+#pragma once
+
+#include "engine.hpp"
+
+namespace fiona::host {
+
+/// Answers what components ask for: changes, which are transactions of the engine like any other, and the system as it is.
+/// Only those that were granted the right `master` get it. All functions [control thread].
+class Masters {
+ public:
+  Masters(System& system, Engine& engine, Engine::Later later)
+      : system_(system), engine_(engine), later_(std::move(later)), self_(std::make_shared<Masters*>(this)) {}
+  ~Masters() { *self_ = nullptr; }
+  Masters(const Masters&) = delete;
+  Masters& operator=(const Masters&) = delete;
+
+  /// Answered when it has been done, by way of the component's group; if the component is there by then.
+  void serve(const wire::Asked& asked);
+
+ private:
+  void require_right(const std::string& instance) const;
+  void perform(const wire::Asked& asked);
+  void answer(const wire::Asked& asked, control::Reply reply);
+
+  System& system_;
+  Engine& engine_;
+  const Engine::Later later_;
+  const std::shared_ptr<Masters*> self_;  ///< null once it is gone
+};
+
+}  // namespace fiona::host

@@ -1,0 +1,138 @@
+// What an instance is loaded with: rights, parameters, a mode.
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/error.hpp"
+#include "fiona/hull.hpp"
+#include "fiona/params.hpp"
+#include "model.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// `values` with the changes made. Throws as `set_fields` does, with the instance as the place.
+std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<const Object>& values,
+                                const google::protobuf::RepeatedPtrField<control::Argument>& changes, const std::string& next) {
+  if (!values) throw Error(ErrorCode::NotFound, {.what = "'" + name + "' has no parameters", .where = name});
+  std::shared_ptr<Object> draft(values->New());
+  draft->CopyFrom(*values);
+  try {
+    const std::vector<control::Argument> arguments(changes.begin(), changes.end());
+    set_fields(*draft, arguments);
+  } catch (const Error& error) {
+    ErrorText text = error.text();
+    if (text.where.empty()) text.where = name;
+    if (text.next.empty()) text.next = next;
+    throw Error(error.code(), std::move(text));
+  }
+  return draft;
+}
+
+/// What is granted must be asked for, by the component's code and by the manifest that its users have read.
+void require_rights(const control::Load& request, const Model::Instance& made) {
+  const std::vector<std::string> known{"master"};
+  const auto has = [](const auto& list, const std::string& right) { return std::find(list.begin(), list.end(), right) != list.end(); };
+  for (const std::string& right : request.rights()) {
+    if (!has(known, right)) {
+      throw Error(ErrorCode::Usage, {.what = fmt::format("there is no right '{}' that could be granted", right),
+                                     .expected = fmt::format("{}", fmt::join(known, ", ")),
+                                     .near = nearest_names(right, known)});
+    }
+    if (!has(made.interface().rights(), right)) {
+      throw Error(ErrorCode::Usage, {.what = fmt::format("'{}' has no use for the right '{}'", made.component, right),
+                                     .expected = "a component that has a fiona::Master",
+                                     .next = fmt::format("load {}, without it", request.plugin())});
+    }
+    if (!has(made.package->rights, right)) {
+      throw Error(ErrorCode::NotAllowed,
+                  {.what = fmt::format("{} uses the right '{}', and its manifest does not ask for it", made.package->name, right),
+                   .expected = fmt::format("rights: \"{}\" in its manifest", right),
+                   .next = "tell the publisher"});
+    }
+  }
+}
+
+}  // namespace
+
+std::shared_ptr<Object> Model::Instance::default_parameters() const {
+  const std::string& type = interface().parameters();
+  std::shared_ptr<Object> values = type.empty() ? nullptr : Types::make(*package->types, type);
+  if (values) set_declared_defaults(*values);
+  return values;
+}
+
+std::string Model::Instance::mode_after_load() const {
+  if (!mode_at_load.empty()) return mode_at_load;
+  const auto& modes = interface().modes();
+  return modes.empty() ? std::string(kModeActive) : modes.Get(0).name();
+}
+
+void Model::load(const control::Load& request, const Packages& packages) {
+  const auto [package, component] = packages.find(request.plugin());
+  const std::string name = request.instance().empty() ? component : request.instance();
+  require_name(name, "an instance");
+  if (const Instance* taken = find(name)) {
+    throw Error(ErrorCode::Usage, {.what = "there is an instance '" + name + "' already",
+                                   .found = taken->package->name,
+                                   .next = fmt::format("load {} as OTHER-NAME, or: unload {}", request.plugin(), name)});
+  }
+  auto made = std::make_shared<Instance>();
+  made->plugin = request.plugin();
+  made->package = package;
+  made->component = component;
+  made->group = request.group().empty() ? std::string(kMainGroup) : request.group();
+  made->mode_at_load = request.mode();
+  made->order = next_order_;
+  made->rights = {request.rights().begin(), request.rights().end()};
+  made->comment = request.comment();
+  require_rights(request, *made);
+  made->mode = made->mode_after_load();
+  made->parameters = made->default_parameters();
+  if (request.parameters_size() > 0) {
+    made->parameters = changed(name, made->parameters, request.parameters(),
+                               "'" + name + "' was not loaded: correct that, then load it again");
+  }
+  instances_[name] = std::move(made);
+  try {
+    require_waiting_fit(name);
+  } catch (const Error& error) {
+    instances_.erase(name);
+    ErrorText text = error.text();
+    text.what = "a wire waits for '" + name + "' and does not fit it: " + text.what;
+    throw Error(error.code(), std::move(text));
+  }
+  ++next_order_;
+}
+
+/// The wires that wait for this instance.
+void Model::require_waiting_fit(const std::string& name) const {
+  for (const auto& [client, wire] : wires_) {
+    for (const auto& provider : wire.providers) {
+      if (provider.instance() == name) require_fit(port_of(client), provider);
+    }
+  }
+}
+
+void Model::set(const control::Set& request) {
+  require_own(request.instance());
+  auto draft = std::make_shared<Instance>(instance(request.instance()));
+  draft->parameters = changed(request.instance(), draft->parameters, request.parameters(), "get " + request.instance());
+  instances_[request.instance()] = std::move(draft);
+}
+
+control::Load Model::load_of(const std::string& name) const {
+  const Instance& one = instance(name);
+  control::Load load;
+  load.set_plugin(one.plugin);
+  load.set_instance(name);
+  if (one.group != kMainGroup) load.set_group(one.group);
+  load.set_mode(one.mode_at_load);
+  load.mutable_rights()->Add(one.rights.begin(), one.rights.end());
+  load.set_comment(one.comment);
+  if (!one.parameters) return load;
+  for (auto& changed : differences(*one.parameters, *one.default_parameters())) *load.add_parameters() = std::move(changed);
+  return load;
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "fiona/control.pb.h"
+
+namespace fiona::host {
+
+inline constexpr std::string_view kMainGroup = "main";   ///< the host's own process
+inline constexpr std::string_view kHostItself = "host";  ///< where else an instance is named
+
+using PortKey = std::pair<std::string, std::string>;  ///< instance, port
+
+PortKey key_of(const control::PortName& name);
+control::PortName port_of(const PortKey& key);
+/// "nav.location".
+std::string text_of(const control::PortName& name);
+
+/// A name that can be typed and has no meaning of its own; throws Error Usage otherwise.
+void require_name(const std::string& name, std::string_view kind);
+
+}  // namespace fiona::host

@@ -1,0 +1,84 @@
+// Calls of ports and triggers by hand; and answers to what an instance has asked for.
+#include "fiona/error.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+namespace {
+
+std::shared_ptr<Object> object_from(const google::protobuf::Descriptor& type,
+                                    const google::protobuf::RepeatedPtrField<control::Argument>& arguments) {
+  std::shared_ptr<Object> object(google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type)->New());
+  set_fields(*object, std::vector<control::Argument>(arguments.begin(), arguments.end()));
+  return object;
+}
+
+}  // namespace
+
+/// Tells the host, once, how a call by hand has ended.
+class Runtime::CallReply final : public ReplySink {
+ public:
+  CallReply(std::uint64_t run, const OnEvent& on_event) : run_(run), on_event_(on_event) {}
+
+  void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
+    if (ended_.exchange(true)) return;
+    wire::GroupMessage message;
+    auto& ended = *message.mutable_call_ended();
+    ended.set_run(run_);
+    ended.set_outcome(static_cast<std::uint32_t>(outcome));
+    ended.set_reason(std::move(reason));
+    if (object) ended.set_type(object->GetDescriptor()->full_name());
+    if (object) object->SerializeToString(ended.mutable_object());
+    on_event_(std::move(message));
+  }
+
+ private:
+  const std::uint64_t run_;
+  const OnEvent& on_event_;
+  std::atomic<bool> ended_{false};
+};
+
+void Runtime::call(const wire::Call& request) {
+  Hull& hull = *find(request.target().instance()).hull;
+  auto reply = std::make_shared<CallReply>(request.run(), on_event_);
+  if (auto* trigger = hull.find_trigger(request.target().port())) {
+    trigger->call(object_from(trigger->argument(), request.arguments()), reply);
+  } else {
+    call_port(hull, request, reply);
+  }
+  const auto within = std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(request.within_ms()));
+  clock_.schedule(clock_.now() + within, hull.shared_strand(), [reply] {
+    reply->answer(Outcome::Timeout, {}, nullptr);
+    reply->abandon();
+  });
+}
+
+void Runtime::call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply) {
+  Port* port = hull.find_port(request.target().port());
+  if (!port) {
+    std::vector<std::string> known;
+    for (const auto* one : hull.triggers()) known.push_back(one->name());
+    for (const auto* one : hull.ports()) known.push_back(one->name());
+    throw Error(ErrorCode::NotFound, {.what = "'" + hull.name() + "' has no port or trigger '" + request.target().port() + "'",
+                                      .next = "show " + hull.name(),
+                                      .near = nearest_names(request.target().port(), known)});
+  }
+  auto* provided = dynamic_cast<ProvidedPort*>(port);
+  const Pattern pattern = port->service().pattern();
+  if (!provided || (pattern != QUERY && pattern != SEND)) {
+    throw Error(ErrorCode::Usage, {.what = port->full_name() + " speaks " + std::string(to_string(pattern)) + ": it cannot be called",
+                                   .expected = "a query or send port, or a trigger",
+                                   .next = "watch " + port->full_name()});
+  }
+  auto object = object_from(port->service().object(), request.arguments());
+  const std::size_t bytes = object->ByteSizeLong();
+  const Outcome outcome = provided->inbox()->push({Envelope{std::move(object), request.run(), clock_.now(), bytes}, reply});
+  if (outcome != Outcome::Ok || pattern == SEND) reply->answer(outcome, {}, nullptr);
+}
+
+/// What an instance has asked its host for; it may have ended meanwhile.
+void Runtime::answered(const wire::Answered& answer) {
+  const auto found = instances_.find(answer.instance());
+  if (found != instances_.end()) found->second->hull->answer(answer.number(), answer.reply());
+}
+
+}  // namespace fiona::host

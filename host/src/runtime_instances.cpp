@@ -1,0 +1,116 @@
+// The instances of one process: made, told their mode and parameters, ended.
+#include <algorithm>
+
+#include "failure.hpp"
+#include "fiona/describe.hpp"
+#include "fiona/error.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+namespace {
+
+void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& library) {
+  try {
+    hull.create(entry.make);
+  } catch (const Error&) {
+    throw;
+  } catch (const std::exception& error) {
+    throw Error(ErrorCode::ComponentFailed,
+                {.what = "component '" + entry.name + "' cannot be made: " + error.what(),
+                 .where = library,
+                 .expected = "a constructor that only declares; on_start() opens files and devices",
+                 .next = "tell the publisher"});
+  }
+}
+
+/// The text of what went wrong at a load: there is no instance afterwards that one could look at.
+ErrorText without_instance(ErrorText text, const std::string& instance) {
+  if (text.where.empty()) text.where = instance;
+  if (text.next == "show " + instance || text.next == "get " + instance) {
+    text.next = "'" + instance + "' was not loaded: correct that, then load it again";
+  }
+  return text;
+}
+
+/// The component that is asked for: what makes it, and what its package says of it.
+std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Plugin& plugin, const wire::Create& request) {
+  const auto entry = std::find_if(plugin.entries().begin(), plugin.entries().end(),
+                                  [&](const Plugin::Entry& e) { return e.name == request.component(); });
+  const auto& components = request.interface().components();
+  const auto packaged = std::find_if(components.begin(), components.end(),
+                                     [&](const ComponentInterface& c) { return c.name() == request.component(); });
+  if (entry != plugin.entries().end() && packaged != components.end()) return {*entry, *packaged};
+  std::vector<std::string> known;
+  for (const auto& e : plugin.entries()) known.push_back(e.name);
+  throw Error(ErrorCode::NotFound, {.what = "plugin '" + request.plugin() + "' has no component '" + request.component() + "'",
+                                    .where = request.library(),
+                                    .near = known});
+}
+
+/// Until it is in the mode that it was asked for, with its parameters.
+void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& packaged, const wire::Create& request) {
+  make_component(hull, entry, request.library());
+  const auto difference = interface_difference(interface_of(hull, entry.name, entry.doc), packaged);
+  if (!difference.empty()) {
+    throw Error(ErrorCode::Failed, {.what = "component '" + request.component() + "' is not what its package says: " + difference,
+                                    .where = request.library(),
+                                    .next = "install the package again, or ask the publisher to pack it again"});
+  }
+  const std::vector<control::Argument> parameters(request.parameters().begin(), request.parameters().end());
+  hull.set_parameters(parameters, kDefaultDeadline);
+  hull.set_mode(request.mode().empty() ? hull.main_modes().front() : request.mode(), kLifeCycleDeadline);
+}
+
+}  // namespace
+
+void Runtime::create(const wire::Create& request) {
+  const Plugin& plugin = libraries_.open(request.plugin(), request.library(), request.interface());
+  const auto [entry, packaged] = component_of(plugin, request);
+  auto instance = std::make_unique<Instance>();
+  instance->plugin = request.plugin();
+  instance->version = request.version();
+  instance->component = request.component();
+  instance->mode_at_load = request.mode();
+  instance->doc = entry.doc;
+  instance->hull = std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});
+  try {
+    bring_up(*instance->hull, entry, packaged, request);
+  } catch (const Error& error) {
+    if (instance->hull->shut_down(kLifeCycleDeadline)) static_cast<void>(instance->hull.release());
+    throw Error(error.code(), without_instance(error.text(), request.instance()));
+  }
+  instances_.emplace(request.instance(), std::move(instance));
+}
+
+void Runtime::set_parameters(const wire::SetParameters& request) {
+  const std::vector<control::Argument> changes(request.parameters().begin(), request.parameters().end());
+  find(request.instance()).hull->set_parameters(changes, kDefaultDeadline);
+}
+
+void Runtime::set_mode(const wire::SetMode& request) {
+  const auto done = [this, change = request.change()](const std::optional<Error>& error) {
+    wire::GroupMessage message;
+    message.mutable_mode_set()->set_change(change);
+    if (error) *message.mutable_mode_set()->mutable_failure() = failure_of(*error);
+    emit(std::move(message));
+  };
+  const std::chrono::duration<double, std::milli> asked(request.within_ms());
+  const Duration within = asked.count() > 0 ? std::chrono::duration_cast<Duration>(asked) : kLifeCycleDeadline;
+  find(request.instance()).hull->change_mode(request.mode(), within, done);
+}
+
+void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
+  Instance& instance = find(request.instance());
+  instance.hull->abandon_changes();
+  taps_.release(*instance.hull);
+  links_.release(*instance.hull);
+  end_wires(*instance.hull);
+  if (const auto runs = instance.hull->shut_down(kLifeCycleDeadline)) {
+    reply.mutable_done()->set_note("'" + request.instance() + "' did not come free: " + *runs +
+                                   " still runs, and its memory stays until the process ends");
+    static_cast<void>(instance.hull.release());
+  }
+  instances_.erase(request.instance());
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,141 @@
+// The wires of one process: those within it, and its ends of those that links carry.
+#include "fiona/error.hpp"
+#include "fiona/push.hpp"
+#include "names.hpp"
+#include "runtime.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// How long a port has neither the old wire nor the new one, on the machine's clock, and what it loses meanwhile.
+class SwitchCost {
+ public:
+  explicit SwitchCost(Port& client) : client_(client) {}
+  void begin() {
+    dropped_ = client_.counters().dropped;
+    since_ = std::chrono::steady_clock::now();
+  }
+  void end(wire::Switched& switched) const {
+    switched.set_gap_ns(std::chrono::nanoseconds(std::chrono::steady_clock::now() - since_).count());
+    switched.set_lost(client_.counters().dropped - dropped_);
+  }
+
+ private:
+  Port& client_;
+  std::uint64_t dropped_ = 0;
+  std::chrono::steady_clock::time_point since_{};
+};
+
+}  // namespace
+
+void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switched) {
+  ProvidedPort& provider = provided(request.provider());
+  RequiredPort& client = required(request.client());
+  auto* push = dynamic_cast<detail::PushProvider*>(&provider);
+  const auto end = client.end_for(provider.full_name());
+  const std::string name = client.full_name() + "<" + provider.full_name();
+  auto local = push ? std::make_shared<LocalWire>(name, end, request.prescale())
+                    : std::make_shared<LocalWire>(name, *provider.inbox());
+  SwitchCost cost(client);
+  cost.begin();
+  // The new one first: a request that is being made has somewhere to go at every moment.
+  if (!push) end->set_target(local);
+  retire(request.replaces());
+  end->set_connection(Connection::Connected, provider.full_name());
+  if (push) push->attach(local);
+  wires_[request.wire()] = Wire{std::move(local), push, end, &provider.hull()};
+  cost.end(switched);
+}
+
+void Runtime::wire_provide(const wire::WireProvide& request) {
+  links_.provide(request.wire(), request.token(), request.peer(), provided(request.provider()), request.prescale(),
+                 request.attached() ? request.client().instance() : text_of(request.client()), request.attached());
+}
+
+void Runtime::wire_require(const wire::WireRequire& request, wire::Switched& switched) {
+  RequiredPort& client = required(request.client());
+  SwitchCost cost(client);
+  const auto let_go = [&] {
+    cost.begin();
+    retire(request.replaces());
+  };
+  links_.require(request.wire(), request.token(), client.end_for(text_of(request.provider())),
+                 {request.endpoint(), request.name(), request.key()}, request.replaces(), request.resumes_every(), let_go);
+  cost.end(switched);
+}
+
+void Runtime::wire_relay(const wire::WireRelay& request) {
+  links_.relay(request.wire(), request.token(), request.peer(), {request.endpoint(), request.name(), request.key()});
+}
+
+void Runtime::await(const wire::Await& request) {
+  required(request.client()).end_for(text_of(request.provider()))->set_connection(Connection::Waiting, request.reason());
+}
+
+void Runtime::arrange(const wire::Arrange& request, wire::Switched& switched) {
+  RequiredPort& client = required(request.client());
+  std::vector<std::string> providers;
+  for (const auto& name : request.providers()) providers.push_back(text_of(name));
+  const std::chrono::duration<double, std::milli> hold(request.hold_ms());
+  SwitchCost cost(client);
+  cost.begin();
+  client.arrange(providers, std::chrono::duration_cast<Duration>(hold));
+  cost.end(switched);
+  for (const std::uint64_t wire : request.retires()) retire(wire);
+}
+
+void Runtime::cut(const wire::Cut& request) {
+  const auto found = wires_.find(request.wire());
+  if (found == wires_.end()) return links_.cut(request.wire(), request.reason());
+  const auto client = found->second.client;
+  client->set_target(nullptr);
+  found->second.local->cut();
+  retire(request.wire());
+  client->set_connection(Connection::Unwired, request.reason());
+}
+
+/// Lets go of a wire whose client goes on with another one, or with none. What is on its way over a local wire still
+/// reaches the provider and ends there; a push has its cut here.
+void Runtime::retire(std::uint64_t id) {
+  const auto found = wires_.find(id);
+  if (found == wires_.end()) return links_.retire(id);
+  if (found->second.provider) {
+    found->second.provider->detach(*found->second.local);
+    found->second.local->cut();
+  } else {
+    std::erase_if(retired_, [](const auto& wire) { return wire.expired(); });
+    retired_.push_back(found->second.local);
+  }
+  wires_.erase(found);
+}
+
+/// Whoever asked for the end of an instance has cut its wires, unless he did not know of it any more.
+void Runtime::end_wires(const Hull& hull) {
+  std::vector<std::uint64_t> left;
+  for (const auto& [id, wire] : wires_) {
+    if (wire.provider_hull == &hull || &wire.client->port().hull() == &hull) left.push_back(id);
+  }
+  for (const std::uint64_t id : left) {
+    wire::Cut request;
+    request.set_wire(id);
+    request.set_reason("'" + hull.name() + "' has ended");
+    cut(request);
+  }
+  for (const auto& retired : retired_) {
+    if (const auto wire = retired.lock()) wire->cut_from(hull);
+  }
+}
+
+ProvidedPort& Runtime::provided(const control::PortName& name) {
+  auto* port = dynamic_cast<ProvidedPort*>(find(name.instance()).hull->find_port(name.port()));
+  if (port) return *port;
+  throw Error(ErrorCode::NotFound, text_of(name) + " is no provided port");
+}
+
+RequiredPort& Runtime::required(const control::PortName& name) {
+  auto* port = dynamic_cast<RequiredPort*>(find(name.instance()).hull->find_port(name.port()));
+  if (port) return *port;
+  throw Error(ErrorCode::NotFound, text_of(name) + " is no required port");
+}
+
+}  // namespace fiona::host

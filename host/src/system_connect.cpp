@@ -1,0 +1,169 @@
+// How one wire is opened and cut, in each process that it goes through.
+#include "fiona/error.hpp"
+#include "link_keys.hpp"
+#include "orders.hpp"
+#include "system.hpp"
+
+namespace fiona::host {
+namespace {
+
+wire::GroupRequest local_wire(std::uint64_t id, const control::PortName& client, const control::PortName& provider,
+                              std::uint32_t prescale, std::uint64_t replaces) {
+  wire::GroupRequest request;
+  auto& local = *request.mutable_wire_local();
+  local.set_wire(id);
+  *local.mutable_client() = client;
+  *local.mutable_provider() = provider;
+  local.set_prescale(prescale);
+  local.set_replaces(replaces);
+  return request;
+}
+
+/// The provider's part of a wire between processes. `peer`: whose link brings it.
+wire::GroupRequest provided_wire(const wire::WireRequire& client_part, std::uint32_t prescale, const std::string& peer) {
+  wire::GroupRequest request;
+  auto& provide = *request.mutable_wire_provide();
+  provide.set_wire(client_part.wire());
+  provide.set_token(client_part.token());
+  *provide.mutable_provider() = client_part.provider();
+  *provide.mutable_client() = client_part.client();
+  provide.set_prescale(prescale);
+  provide.set_peer(peer);
+  return request;
+}
+
+}  // namespace
+
+/// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
+/// all is as before.
+System::Wire System::connect(const control::PortName& client, const control::PortName& provider, const Model& model,
+                             std::uint64_t replaces, control::Done& done, bool resumes) {
+  const std::uint32_t prescale = model.wire_of(client)->prescale;
+  Group& client_group = group_of(client.instance(), model);
+  Group& provider_group = group_of(provider.instance(), model);
+  Wire wire{provider, next_wire_++, &client_group == &provider_group, {}, {}};
+  wire::GroupMessage reply;
+  if (wire.local) {
+    reply = client_group.request(local_wire(wire.id, client, provider, prescale, replaces));
+  } else {
+    wire::WireRequire require;
+    require.set_wire(wire.id);
+    *require.mutable_client() = client;
+    *require.mutable_provider() = provider;
+    require.set_replaces(replaces);
+    if (resumes) require.set_resumes_every(prescale);
+    reply = open_along(way(client_group, provider_group), std::move(require), prescale, wire.relays);
+  }
+  if (replaces != 0) add_cost(done, reply.switched(), 1);
+  return wire;
+}
+
+/// The provider first, the client last: what is opened finds somebody who knows its token. Notes who relays it.
+wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::WireRequire require, std::uint32_t prescale,
+                                      std::vector<std::string>& relays) {
+  Group& client_group = *path.front();
+  Group& provider_group = *path.back();
+  require.set_token(os::random_token());
+  provider_group.request(provided_wire(require, prescale, known_as(*path[path.size() - 2], provider_group)));
+  try {
+    for (std::size_t i = path.size() - 2; i > 0; --i) {
+      relays.push_back(path[i]->name());
+      wire::GroupRequest request;
+      auto& relay = *request.mutable_wire_relay();
+      relay.set_wire(require.wire());
+      relay.set_token(require.token());
+      relay.set_peer(known_as(*path[i - 1], *path[i]));
+      set_endpoint(relay, endpoint_for(*path[i], *path[i + 1]));
+      path[i]->request(std::move(request));
+    }
+    set_endpoint(require, endpoint_for(client_group, *path[1]));
+    wire::GroupRequest request;
+    *request.mutable_wire_require() = require;
+    return client_group.request(std::move(request));
+  } catch (...) {
+    for (const auto& relay : relays) cut_at(relay, require.wire(), "the wire did not open");
+    cut_at(provider_group.name(), require.wire(), "the wire did not open");
+    throw;
+  }
+}
+
+void System::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
+  if (wire.id == 0) return;
+  // The client first: told by its host it is unwired; told by the provider it would be lost.
+  if (const auto* one = model_.find(client.instance())) cut_at(one->group, wire.id, reason);
+  if (wire.local) return;
+  try {
+    if (const auto* one = model_.find(wire.provider.instance())) cut_at(one->group, wire.id, reason);
+  } catch (const Error&) {  // it hangs, and has been told: it cuts its end when it goes on; the client is not held up
+  }
+  for (const auto& relay : wire.relays) cut_at(relay, wire.id, reason);
+}
+
+void System::await_provider(const control::PortName& client, const Wire& wire, const Model& model) {
+  if (lost_.contains(client.instance())) return;
+  wire::GroupRequest request;
+  *request.mutable_await()->mutable_client() = client;
+  *request.mutable_await()->mutable_provider() = wire.provider;
+  request.mutable_await()->set_reason(wire.reason);
+  const auto at = groups_.find(model.instance(client.instance()).group);
+  if (at != groups_.end() && at->second->alive()) at->second->inform(std::move(request));
+}
+
+/// Ends a wire in one group. One that is on a silent host does it when that is back.
+void System::cut_at(const std::string& name, std::uint64_t wire, const std::string& reason) {
+  const auto found = groups_.find(name);
+  if (found == groups_.end()) return;
+  wire::GroupRequest cut;
+  cut.mutable_cut()->set_wire(wire);
+  cut.mutable_cut()->set_reason(reason);
+  auto* remote = dynamic_cast<RemoteGroup*>(found->second.get());
+  if (!remote) {
+    if (found->second->alive()) found->second->inform(std::move(cut));
+    return;
+  }
+  if (!remote->end().empty()) return;
+  try {
+    remote->request(cut);
+  } catch (const Error& error) {
+    if (!remote->alive()) return remote->owe(std::move(cut));
+    if (error.code() != ErrorCode::Unreachable) throw;  // it has it before it
+  }
+}
+
+/// The processes that a wire goes through, from its client to its provider. One connection carries all that goes between
+/// two hosts; their groups reach it through their host's own process.
+std::vector<Group*> System::way(Group& client, Group& provider) {
+  const std::string from = host_of(client.name());
+  const std::string to = host_of(provider.name());
+  std::vector<Group*> path{&client};
+  const auto go_by = [&path](Group& next) {
+    if (path.back() != &next) path.push_back(&next);
+  };
+  if (from != to) go_by(main_of(from));
+  if (from != to && !from.empty() && !to.empty()) go_by(main_of(""));
+  if (from != to) go_by(main_of(to));
+  go_by(provider);
+  return path;
+}
+
+/// How the process `at` knows who opens a link to it.
+std::string System::known_as(Group& who, Group& at) {
+  const std::string host = host_of(who.name());
+  if (host == host_of(at.name())) return who.link_name();
+  return host_of(at.name()).empty() ? std::string(kLeaderEndpoint) + host : std::string(kLeaderEndpoint);
+}
+
+/// Where `at` finds `to`, and what opens the link. A host that is led knows that of its own processes itself.
+Links::Endpoint System::endpoint_for(Group& at, Group& to) {
+  const std::string host = host_of(to.name());
+  if (host != host_of(at.name())) return {known_as(to, at), "", ""};
+  if (!host.empty()) return {to.endpoint(), "", ""};
+  return {to.endpoint(), at.link_name(), link_key(to.link_key(), at.link_name())};
+}
+
+const char* System::transport(const std::string& client, const Wire& wire) const {
+  if (wire.local) return "process";
+  return host_of_instance(client) != host_of_instance(wire.provider.instance()) ? "tcp" : "ipc";
+}
+
+}  // namespace fiona::host

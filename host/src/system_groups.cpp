@@ -1,0 +1,110 @@
+// The processes of a system: made for their instances, served, watched, and lost.
+#include <fmt/format.h>
+
+#include "fiona/error.hpp"
+#include "fiona/hull.hpp"
+#include "system.hpp"
+
+namespace fiona::host {
+
+Group& System::group(const std::string& name) {
+  const std::string wanted = name.empty() ? std::string(kMainGroup) : name;
+  const auto found = groups_.find(wanted);
+  if (found != groups_.end() && found->second->alive()) return *found->second;
+  if (Group* remote = remote_group(wanted)) return *remote;
+  require_name(wanted, "a group");
+  require_descriptors_for("another group", child_groups().size() + attached_names());
+  const std::string socket = fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++);
+  const std::string endpoint = "ipc://" + (options_.directory / socket).string();
+  ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
+  const ChildGroup::Start start{endpoint, *clock_, master, options_.threads, options_.ends_hung_groups};
+  auto made = std::make_unique<ChildGroup>(wanted, start,
+                                           [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
+  return *(groups_[wanted] = std::move(made));
+}
+
+Group& System::group_of(const std::string& name, const Model& model) {
+  const Model::Instance& one = model.instance(name);
+  lose_if_gone(one.group);
+  const auto lost = lost_.find(name);
+  if (lost == lost_.end()) return group(one.group);
+  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second.reason,
+                                       .where = name,
+                                       .next = lost->second.away ? "ls hosts" : "unload " + name + ", then load it again"});
+}
+
+/// A process that was started for an instance that could not be made has no purpose.
+void System::retire_if_empty(const Group& target) {
+  const std::string name = target.name();
+  if (model_.names_in(name).empty() && name != kMainGroup && host_of(name).empty()) groups_.erase(name);
+}
+
+std::vector<ChildGroup*> System::child_groups() {
+  std::vector<ChildGroup*> children;
+  for (auto& [name, one] : groups_) {
+    auto* child = dynamic_cast<ChildGroup*>(one.get());
+    if (!child) continue;
+    // A request may have found the end of the process before its socket was polled.
+    if (!child->alive()) lose(*child);
+    if (child->alive()) children.push_back(child);
+  }
+  return children;
+}
+
+void System::watch_groups() {
+  const auto now = std::chrono::steady_clock::now();
+  for (auto* child : child_groups()) {
+    child->watch(now);
+    if (!child->alive()) lose(*child);
+  }
+}
+
+void System::serve_group(ChildGroup& group) {
+  if (!group.serve()) lose(group);
+}
+
+/// A request may have found its end before its socket was polled.
+void System::lose_if_gone(const std::string& name) {
+  const auto found = groups_.find(name);
+  auto* child = found == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(found->second.get());
+  if (child && !child->alive()) lose(*child);
+}
+
+void System::lose(ChildGroup& gone) {
+  if (!noted_dead_.insert(gone.endpoint()).second) return;
+  const std::string reason = "group '" + gone.name() + "' " + gone.end();
+  tell_others(gone, reason);
+  for (const std::string& name : model_.names_in(gone.name())) {
+    if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
+  }
+  end_taps(gone.name(), reason);
+  lose_attachments(gone.name(), reason);
+  if (virtual_time_) virtual_time_->forget(gone.endpoint());  // from here on it goes on without it
+  lose_wires(gone.name(), reason);
+  wire::GroupMessage event;
+  event.mutable_group_ended()->set_group(gone.name());
+  event.mutable_group_ended()->set_reason(reason);
+  tell_leader(event);
+  forget_led(gone.name());
+}
+
+/// What they have on their way to it is lost.
+void System::tell_others(const ChildGroup& gone, const std::string& reason) {
+  wire::PeerLost lost;
+  lost.set_endpoint(gone.endpoint());
+  lost.set_name(gone.link_name());
+  lost.set_reason(reason);
+  for (auto& [name, one] : groups_) {
+    if (one.get() != &gone && one->alive()) one->peer_lost(lost);
+  }
+}
+
+void System::tell_failed(const std::string& instance, const std::string& reason) {
+  wire::GroupMessage event;
+  event.mutable_mode_changed()->set_instance(instance);
+  event.mutable_mode_changed()->set_mode(std::string(kModeFailed));
+  event.mutable_mode_changed()->set_reason(reason);
+  deliver(event);
+}
+
+}  // namespace fiona::host

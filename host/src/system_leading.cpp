@@ -1,0 +1,169 @@
+// The hosts that a system leads: their groups, and what is lost and found again when they go and come.
+#include <fmt/format.h>
+
+#include "fiona/error.hpp"
+#include "system.hpp"
+
+namespace fiona::host {
+
+Group& System::main_of(const std::string& host) { return group(host.empty() ? std::string(kMainGroup) : host); }
+
+std::vector<RemoteGroup*> System::groups_of(const std::string& host) {
+  std::vector<RemoteGroup*> found;
+  for (auto& [name, one] : groups_) {
+    auto* remote = dynamic_cast<RemoteGroup*>(one.get());
+    if (remote && remote->host() == host) found.push_back(remote);
+  }
+  return found;
+}
+
+/// A group whose host is silent and may come back; null otherwise.
+RemoteGroup* System::silent_group(const std::string& group) {
+  const auto found = groups_.find(group);
+  auto* remote = found == groups_.end() ? nullptr : dynamic_cast<RemoteGroup*>(found->second.get());
+  return remote && remote->end().empty() && !remote->alive() ? remote : nullptr;
+}
+
+/// Null where the name is none of another host's.
+Group* System::remote_group(const std::string& name) {
+  const std::size_t slash = name.find('/');
+  const std::string host = name.substr(0, slash);
+  PeerLink* peer = hosts_ ? hosts_->peer(host) : nullptr;
+  if (!peer) {
+    if (slash == std::string::npos) return nullptr;
+    std::vector<std::string> known;
+    if (hosts_) for (const auto& one : hosts_->peers()) known.push_back(one->peer().name);
+    throw Error(ErrorCode::NotFound, {.what = fmt::format("there is no host '{}'", host),
+                                      .expected = known.empty() ? "a host that was named with --peer when this one was started"
+                                                                : fmt::format("one of {}", fmt::join(known, ", ")),
+                                      .next = "ls hosts",
+                                      .near = nearest_names(host, known)});
+  }
+  if (!peer->joined()) {
+    throw Error(ErrorCode::Unreachable, {.what = fmt::format("host '{}' is not connected", host),
+                                         .where = peer->peer().address,
+                                         .found = peer->status().reason(),
+                                         .next = "ls hosts"});
+  }
+  const std::string group = slash == std::string::npos ? std::string(kMainGroup) : name.substr(slash + 1);
+  return (groups_[name] = std::make_unique<RemoteGroup>(name, *peer, group)).get();
+}
+
+std::string System::on_host_joined(const HostChange& change) {
+  if (!change.same_run) {
+    on_host_lost(change.host, fmt::format("host '{}' was started anew", change.host), true);
+  } else {
+    for (auto* group : groups_of(change.host)) {
+      if (group->end().empty()) resume(*group);
+    }
+  }
+  resume_wires(change.host);
+  return fmt::format("host '{}' has joined", change.host);
+}
+
+void System::on_host_lost(const std::string& host, const std::string& reason, bool for_good) {
+  for (const std::string& name : model_.names()) {
+    if (host_of_instance(name) != host) continue;
+    const auto [lost, is_new] = lost_.emplace(name, Lost{});
+    if (!is_new && !lost->second.away) continue;
+    lost->second.reason = reason;
+    lost->second.away = !for_good;
+    if (is_new) tell_failed(name, reason);
+  }
+  for (auto& [key, wire] : wires_) {
+    const bool inside = host_of_instance(key.first) == host;
+    if (wire.id != 0 && (crosses(key, wire, host) || (for_good && inside))) wire.reason = reason;
+  }
+  if (!for_good) return;
+  for (auto* group : groups_of(host)) {
+    group->end(reason);
+    group->take_owed();
+    end_taps(group->name(), reason);
+  }
+}
+
+bool System::crosses(const PortKey& client, const Wire& wire, const std::string& host) {
+  const std::string from = host_of_instance(client.first);
+  const std::string to = host_of_instance(wire.provider.instance());
+  return from != to && (from == host || to == host);
+}
+
+/// Does what was asked for meanwhile, and finds out what is still there.
+void System::resume(RemoteGroup& group) {
+  for (auto& request : group.take_owed()) {
+    try {
+      group.request(request);
+    } catch (const Error&) {
+      if (!group.alive()) group.owe(std::move(request));  // what is refused is gone already
+    }
+  }
+  const auto there = instances_of(group);
+  if (!there) return;
+  for (const std::string& name : model_.names_in(group.name())) {
+    const auto lost = lost_.find(name);
+    if (lost == lost_.end() || !lost->second.away) continue;
+    if (there->contains(name)) {
+      lost_.erase(lost);
+    } else {
+      lost->second = {fmt::format("it was unloaded on host '{}'", group.host()), false};
+    }
+  }
+  for (const auto& name : *there) {
+    const auto* known = model_.find(name);
+    if (known && known->group == group.name()) continue;
+    // Made by a request whose answer was lost.
+    wire::GroupRequest destroy;
+    destroy.mutable_destroy()->set_instance(name);
+    group.owe(std::move(destroy));
+  }
+  for (auto& request : group.take_owed()) group.request(std::move(request));
+}
+
+/// None: its host has fallen silent again.
+std::optional<std::set<std::string>> System::instances_of(RemoteGroup& group) {
+  wire::GroupRequest ask;
+  ask.mutable_status();
+  std::set<std::string> there;
+  try {
+    const auto reply = group.request(std::move(ask));
+    for (const auto& one : reply.status().instances()) there.insert(one.name());
+  } catch (const Error&) {
+    if (!group.alive()) return std::nullopt;
+  }
+  return there;
+}
+
+void System::resume_wires(const std::string& host) {
+  for (auto& [key, wire] : wires_) {
+    const control::PortName client = port_of(key);
+    const std::string provider = wire.provider.instance();
+    const bool waits_there = host_of_instance(key.first) == host || host_of_instance(provider) == host;
+    const bool touched = wire.id != 0 ? crosses(key, wire, host) : waits_there;
+    if (wire.reason.empty() || !touched || lost_.contains(key.first) || lost_.contains(provider)) continue;
+    try {
+      if (!model_.find(provider)) {
+        await_provider(client, wire, model_);
+        continue;
+      }
+      control::Done ignored;
+      wire = connect(client, wire.provider, model_, wire.id, ignored, wire.id != 0);
+    } catch (const Error& error) {
+      wire.reason = error.text().what;
+    }
+  }
+}
+
+void System::on_remote_group_ended(const HostChange& change) {
+  for (auto* group : groups_of(change.host)) {
+    if (group->group() != change.group) continue;
+    group->end(change.reason);
+    for (const std::string& name : model_.names_in(group->name())) {
+      lost_[name] = {change.reason, false};
+      tell_failed(name, change.reason);
+    }
+    end_taps(group->name(), change.reason);
+    lose_wires(group->name(), change.reason);
+  }
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,151 @@
+// How a system is doing: what the groups tell, completed by what only the whole system knows.
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/hull.hpp"
+#include "system.hpp"
+
+namespace fiona::host {
+namespace {
+
+control::PortStatus as_declared(const PortInterface& declared) {
+  control::PortStatus status;
+  status.set_name(declared.name());
+  status.set_direction(declared.direction());
+  status.set_service(declared.service());
+  status.set_optional(declared.optional());
+  status.set_doc(declared.doc());
+  status.set_age_ms(-1);
+  status.set_latency_p50_ms(-1);
+  status.set_latency_p99_ms(-1);
+  return status;
+}
+
+}  // namespace
+
+control::System System::snapshot() {
+  child_groups();  // notes those that a request found dead
+  control::System all;
+  all.set_host(options_.name);
+  all.set_version(FIONA_VERSION);
+  all.set_clock(virtual_time_ ? "virtual" : "system");
+  all.set_speed(virtual_time_ ? virtual_time_->clock().speed() : 1);
+  if (virtual_time_) all.set_deliveries(virtual_time_->deliveries());
+  all.set_time_s(to_seconds(clock_->now() - clock_->start()));
+  auto ordered = status_of_groups(all);
+  for (const std::string& name : model_.names()) {
+    const std::uint64_t order = model_.instance(name).order;
+    if (lost_.contains(name) || !ordered.contains(order)) ordered[order] = status_as_asked_for(name);
+  }
+  std::map<std::string, const Interface*> interfaces;
+  std::map<std::string, std::uint64_t> members;
+  for (auto& [order, status] : ordered) {
+    complete_status(status);
+    ++members[status.group()];
+    interfaces[status.plugin()] = &model_.instance(status.name()).package->interface;
+    *all.add_instances() = std::move(status);
+  }
+  for (const auto& [name, interface] : interfaces) {
+    auto& one = *all.add_interfaces();
+    one = *interface;
+    one.clear_descriptors();
+  }
+  add_hosts(all);
+  for (auto& status : *all.mutable_groups()) status.set_instances(members[status.name()]);
+  return all;
+}
+
+/// All groups are asked at once: together they take no longer than the slowest, and no longer than `patience`.
+std::map<std::uint64_t, control::InstanceStatus> System::status_of_groups(control::System& all) {
+  for (auto& [name, one] : groups_) one->ask_status();
+  std::map<std::uint64_t, control::InstanceStatus> ordered;
+  for (auto& [name, one] : groups_) {
+    auto& status = *all.add_groups();
+    status.set_name(name);
+    status.set_process(one->process());
+    auto reply = one->status(options_.patience);
+    status.set_alive(one->alive());
+    if (!reply) continue;
+    *status.mutable_links() = reply->links();
+    for (auto& instance : *reply->mutable_instances()) {
+      if (const auto* known = model_.find(instance.name())) ordered[known->order] = std::move(instance);
+    }
+  }
+  child_groups();  // notes those that turned out to be gone
+  return ordered;
+}
+
+/// Of an instance that is lost, or whose process does not answer: what the model knows.
+control::InstanceStatus System::status_as_asked_for(const std::string& name) const {
+  const Model::Instance& one = model_.instance(name);
+  control::InstanceStatus status;
+  status.set_name(name);
+  status.set_plugin(one.package->name);
+  status.set_component(one.component);
+  status.set_version(one.package->version);
+  const control::Load load = model_.load_of(name);
+  status.set_mode_at_load(load.mode());
+  *status.mutable_rights() = load.rights();
+  *status.mutable_set_parameters() = load.parameters();
+  const auto group = groups_.find(one.group);
+  const auto silent = group == groups_.end() ? std::nullopt : group->second->silent_since();
+  if (const auto lost = lost_.find(name); lost != lost_.end() || !silent) {
+    status.set_mode(std::string(kModeFailed));
+    status.set_reason(lost == lost_.end() ? "its process does not answer" : lost->second.reason);
+    const auto since = lost == lost_.end() ? std::chrono::steady_clock::now() : lost->second.since;
+    status.set_mode_since_s(std::chrono::duration<double>(std::chrono::steady_clock::now() - since).count());
+  } else {
+    status.set_mode(one.mode);
+    status.set_silent_s(std::chrono::duration<double>(std::chrono::steady_clock::now() - *silent).count());
+    status.set_reason(fmt::format("its process does not answer, since {:.1f} s", status.silent_s()));
+  }
+  for (const auto& mode : one.interface().modes()) status.add_modes(mode.name());
+  for (const auto& declared : one.interface().ports()) {
+    auto& port = *status.add_ports() = as_declared(declared);
+    if (declared.direction() == REQUIRES && model_.wire_of(port_of({name, declared.name()}))) port.set_connection(control::LOST);
+  }
+  return status;
+}
+
+/// What only the whole system knows: groups, wires seen from both ends.
+void System::complete_status(control::InstanceStatus& status) const {
+  const Model::Instance& known = model_.instance(status.name());
+  status.set_group(known.group);
+  *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
+  status.set_comment(known.comment);
+  for (auto& p : *status.mutable_ports()) {
+    for (const auto& [client, wanted] : model_.wires()) {
+      if (client.first == status.name() && client.second == p.name()) complete_port(client, wanted, p);
+      const auto is_this = [&](const auto& one) { return one.instance() == status.name() && one.port() == p.name(); };
+      if (std::any_of(wanted.providers.begin(), wanted.providers.end(), is_this)) *p.add_clients() = port_of(client);
+    }
+    add_attached(status.name(), p);
+  }
+}
+
+/// A required port's wires, as they are meant to be and as they are.
+void System::complete_port(const PortKey& client, const Model::Wire& wanted, control::PortStatus& status) const {
+  status.set_prescale(wanted.prescale);
+  *status.mutable_peer() = wanted.providers.front();
+  const Wire* wire = wire_to(client, wanted.providers.front());
+  if (wanted.providers.size() == 1) {
+    if (wire && wire->id != 0) status.set_transport(transport(client.first, *wire));
+    if (wire && wire->id != 0 && !wire->reason.empty()) status.set_connection(control::LOST);
+    if (wire && !wire->reason.empty()) status.set_reason(wire->reason);
+    return;
+  }
+  status.set_hold_ms(wanted.hold_ms);
+  if (status.providers().empty()) {  // its process is gone
+    for (const auto& provider : wanted.providers) *status.add_providers()->mutable_provider() = provider;
+  }
+  for (auto& one : *status.mutable_providers()) {
+    wire = wire_to(client, one.provider());
+    if (wire && wire->id != 0) one.set_transport(transport(client.first, *wire));
+    if (!one.serves() || !one.fit()) continue;
+    *status.mutable_peer() = one.provider();
+    status.set_transport(one.transport());
+  }
+}
+
+}  // namespace fiona::host

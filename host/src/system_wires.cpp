@@ -1,0 +1,215 @@
+// Wires as they are asked for: to one provider or to several, waiting for one, let go of, lost.
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/error.hpp"
+#include "fiona/probe.pb.h"
+#include "system.hpp"
+
+namespace fiona::host {
+namespace {
+
+std::string waiting_for(const std::string& provider) { return "there is no instance '" + provider + "' yet"; }
+
+std::string waiting_warning(const control::PortName& client, const std::string& provider, const Model& next) {
+  const auto near = nearest_names(provider, next.names());
+  return text_of(client) + " waits: " + waiting_for(provider) +
+         (near.empty() ? "" : fmt::format("; did you mean {}?", fmt::join(near, ", ")));
+}
+
+}  // namespace
+
+control::Done System::wire(const control::Wire& request, const Model& next) {
+  const Model::Wire* before = model_.wire_of(request.client());
+  const Model::Wire& wanted = *next.wire_of(request.client());
+  const auto [first, last] = wires_.equal_range(key_of(request.client()));
+  const bool all_well = std::all_of(first, last, [](const auto& one) { return one.second.reason.empty(); });
+  if (before && all_well && *before == wanted) {
+    control::Done done;
+    done.set_note("wired so already");
+    return done;
+  }
+  const bool several = wanted.providers.size() > 1 || (before && before->providers.size() > 1);
+  control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next);
+  std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") + text_of(request.provider());
+  for (const auto& provider : request.alternatives()) note += " else " + text_of(provider);
+  done.set_note(note);
+  return done;
+}
+
+control::Done System::wire_one(const control::PortName& client, const Model& next) {
+  const control::PortName& provider = next.wire_of(client)->providers.front();
+  const auto old = wires_.find(key_of(client));
+  control::Done done;
+  Wire made{provider, 0, false, waiting_for(provider.instance()), {}};
+  if (next.find(provider.instance())) {
+    made = connect(client, provider, next, old == wires_.end() ? 0 : old->second.id, done);
+  } else {
+    if (old != wires_.end()) disconnect(client, old->second, made.reason);
+    await_provider(client, made, next);
+    done.add_warnings(waiting_warning(client, provider.instance(), next));
+  }
+  wires_.erase(key_of(client));
+  wires_.emplace(key_of(client), std::move(made));
+  return done;
+}
+
+/// Those that it keeps stay as they are. The new ones are opened before those that go are let go of, so that at every
+/// moment somebody serves. One that does not open waits: that is what its alternatives are for.
+control::Done System::wire_several(const control::PortName& client, const Model& next) {
+  const Model::Wire& wanted = *next.wire_of(client);
+  const Model::Wire* before = model_.wire_of(client);
+  const bool as_before = before && before->prescale == wanted.prescale;
+  std::vector<Wire> old;
+  for (auto [it, last] = wires_.equal_range(key_of(client)); it != last; ++it) old.push_back(it->second);
+  std::vector<control::PortName> meanwhile = wanted.providers;
+  std::vector<std::uint64_t> retires;
+  for (const Wire& one : old) {
+    const auto same = [&](const auto& name) { return key_of(name) == key_of(one.provider); };
+    if (std::any_of(wanted.providers.begin(), wanted.providers.end(), same)) continue;
+    meanwhile.push_back(one.provider);
+    if (one.id != 0) retires.push_back(one.id);
+  }
+  control::Done done;
+  arrange(client, meanwhile, wanted.hold_ms, {}, next, nullptr);
+  std::vector<Wire> now;
+  for (const auto& provider : wanted.providers) {
+    const Wire* known = wire_to(key_of(client), provider);
+    const bool stays = known && known->reason.empty() && as_before;
+    now.push_back(stays ? *known : open_or_wait(client, provider, next, known ? *known : Wire{provider}, done));
+  }
+  arrange(client, wanted.providers, wanted.hold_ms, retires, next, &done);
+  wires_.erase(key_of(client));
+  for (Wire& one : now) wires_.emplace(key_of(client), std::move(one));
+  return done;
+}
+
+System::Wire System::open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
+                                  const Wire& old, control::Done& done) {
+  Wire waiting{provider, 0, false, waiting_for(provider.instance()), {}};
+  try {
+    if (next.find(provider.instance())) return connect(client, provider, next, old.id, done);
+    done.add_warnings(waiting_warning(client, provider.instance(), next));
+  } catch (const Error& error) {
+    waiting.reason = error.text().what;
+    done.add_warnings(fmt::format("{} waits for {}: {}", text_of(client), text_of(provider), waiting.reason));
+  }
+  disconnect(client, old, waiting.reason);
+  await_provider(client, waiting, next);
+  return waiting;
+}
+
+void System::arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
+                     const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost) {
+  wire::GroupRequest request;
+  auto& arrange = *request.mutable_arrange();
+  *arrange.mutable_client() = client;
+  arrange.mutable_providers()->Add(providers.begin(), providers.end());
+  arrange.set_hold_ms(hold_ms);
+  arrange.mutable_retires()->Add(retires.begin(), retires.end());
+  const auto reply = group_of(client.instance(), model).request(std::move(request));
+  if (!cost || retires.empty()) return;
+  add_cost(*cost, reply.switched(), static_cast<std::uint32_t>(retires.size()));
+}
+
+void System::add_cost(control::Done& done, const wire::Switched& switched, std::uint32_t wires) {
+  done.set_switched(done.switched() + wires);
+  done.set_gap_ms(std::max(done.gap_ms(), static_cast<double>(switched.gap_ns()) / 1e6));
+  done.set_lost(done.lost() + switched.lost());
+}
+
+control::Done System::unwire(const control::Unwire& request) {
+  const auto [first, last] = wires_.equal_range(key_of(request.client()));
+  // Of several, or cut from nothing: the port is told that it has none from now on.
+  const bool tells = std::next(first) != last || first->second.id == 0;
+  if (tells && !lost_.contains(request.client().instance())) {
+    arrange(request.client(), {}, Model::Wire::kHold_ms, {}, model_, nullptr);
+  }
+  for (auto it = first; it != last; ++it) disconnect(request.client(), it->second, "unwired");
+  wires_.erase(first, last);
+  control::Done done;
+  done.set_note(text_of(request.client()) + " unwired");
+  return done;
+}
+
+/// The wires that have waited for an instance that is there now; what came of it, as a note.
+std::string System::connect_waiting(const std::string& provider, const Model& next) {
+  std::vector<std::string> connected;
+  std::string note;
+  for (auto& [key, wire] : wires_) {
+    const control::PortName client = port_of(key);
+    if (wire.id != 0 || wire.provider.instance() != provider || !next.wire_of(client)) continue;
+    try {
+      control::Done ignored;
+      wire = connect(client, wire.provider, next, 0, ignored);
+      connected.push_back(text_of(client));
+    } catch (const Error& error) {
+      wire.reason = error.text().what;
+      note += fmt::format("; {} still waits: {}", text_of(client), wire.reason);
+    }
+  }
+  return connected.empty() ? note : fmt::format("; had waited for it: {}", fmt::join(connected, ", ")) + note;
+}
+
+/// The wires of an instance that is unloaded: its own end, and those of its clients wait. Returns those, as texts.
+std::vector<std::string> System::leave_wires(const std::string& name) {
+  std::vector<std::string> dependents;
+  for (auto it = wires_.begin(); it != wires_.end();) {
+    const control::PortName client = port_of(it->first);
+    const bool is_client = client.instance() == name;
+    const bool is_provider = it->second.provider.instance() == name;
+    if (is_client || is_provider) disconnect(client, it->second, name + " was unloaded");
+    if (!is_client && is_provider) {
+      const bool alone = model_.wire_of(client)->providers.size() == 1;
+      dependents.push_back(text_of(client) + (alone ? "" : ", which has alternatives"));
+      it->second = Wire{it->second.provider, 0, false, waiting_for(name), {}};
+      await_provider(client, it->second, model_);
+    }
+    it = is_client ? wires_.erase(it) : std::next(it);
+  }
+  return dependents;
+}
+
+/// Those that begin or end in a group that has gone.
+void System::lose_wires(const std::string& gone, const std::string& reason) {
+  for (auto& [key, wire] : wires_) {
+    const Model::Instance* provider = model_.find(wire.provider.instance());
+    const bool client_gone = model_.instance(key.first).group == gone;
+    const bool provider_gone = provider && provider->group == gone;
+    if (wire.id == 0 || (!client_gone && !provider_gone)) continue;
+    wire.reason = reason;
+    if (!client_gone || provider_gone || !provider) continue;
+    // A process of this host has been told of the end of another; one elsewhere must not go on sending to nobody.
+    const bool knows = host_of(gone).empty() && host_of(provider->group).empty();
+    if (!knows) cut_at(provider->group, wire.id, reason);
+  }
+}
+
+void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
+  for (auto& [client, wire] : wires_) {
+    if (wire.id == id) wire.reason = reason;
+  }
+  end_attachment(id);
+}
+
+const System::Wire* System::wire_to(const PortKey& client, const control::PortName& provider) const {
+  const auto [first, last] = wires_.equal_range(client);
+  const auto found = std::find_if(first, last, [&](const auto& one) { return key_of(one.second.provider) == key_of(provider); });
+  return found == last ? nullptr : &found->second;
+}
+
+/// The provider of a wired port; of several the one that serves now.
+control::PortName System::served_by(const control::PortName& client) {
+  const Model::Wire& wire = *model_.wire_of(client);
+  if (wire.providers.size() == 1) return wire.providers.front();
+  control::PortName probe = client;
+  probe.set_port(client.port() + ".serving");
+  probe::Text serving;
+  serving.ParseFromString(read(probe).object());
+  const auto found = std::find_if(wire.providers.begin(), wire.providers.end(),
+                                  [&](const auto& one) { return text_of(one) == serving.value(); });
+  return found == wire.providers.end() ? wire.providers.front() : *found;
+}
+
+}  // namespace fiona::host

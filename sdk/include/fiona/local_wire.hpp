@@ -1,0 +1,60 @@
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "fiona/sink.hpp"
+#include "fiona/wire_end.hpp"
+
+namespace fiona {
+
+class Clock;
+class Hull;
+
+/// A wire within one process: hands parcels to the inbox at its end, every `prescale`-th of a push.
+class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWire> {
+ public:
+  /// Of a send, query or event: to the provider's inbox.
+  LocalWire(std::string name, Inbox& inbox);
+  /// Of a push: to the client's end.
+  LocalWire(std::string name, std::shared_ptr<WireEnd> end, std::uint32_t prescale);
+  Outcome deliver(Parcel parcel) override;
+  void lease(bool held, const std::string& reason) override;
+  bool has_room(std::size_t bytes, const std::function<void()>& notice) override;
+  void attached(std::uint64_t sequence, Duration cycle) override;
+  /// [any thread] After it returned nothing more reaches the inbox.
+  void cut();
+  /// [any thread] Cuts it if it ends at a port of this hull.
+  void cut_from(const Hull& hull);
+  const std::string& name() const { return name_; }
+
+ private:
+  Outcome hand_over(Parcel parcel);
+  void stage(std::unique_lock<std::mutex>& lock, const Object* object, std::string_view word, Job deliver);
+  void give_up_in_turn(const std::shared_ptr<ReplySink>& reply);
+  std::optional<std::size_t> room_at_end(std::size_t cost);
+  void tell_room(std::size_t room);
+  void has_been_told(std::size_t room);
+
+  const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
+  const std::uint32_t prescale_;
+  const std::shared_ptr<WireEnd> end_;  ///< of a push
+  std::mutex mutex_;
+  Inbox* inbox_;  ///< null once cut
+  Clock& clock_;
+  std::uint64_t puts_ = 0;
+  std::uint64_t staged_ = 0;
+  KnownRoom room_;
+  std::function<void()> notice_;  ///< of who waits for room
+  const std::string room_name_;   ///< orders what is said of room in virtual time
+  std::atomic<std::uint64_t> rooms_staged_{0};
+};
+
+}  // namespace fiona

@@ -1,0 +1,132 @@
+#pragma once
+
+#include <concepts>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <vector>
+
+#include "fiona/async.hpp"
+#include "fiona/call.hpp"
+#include "fiona/control.pb.h"
+#include "fiona/result.hpp"
+
+namespace fiona {
+
+class Component;
+class Hull;
+
+/// What more there is to say of a wire.
+struct WireChoice {
+  std::vector<std::string> otherwise = {};  ///< who serves while those before are not fit, in their order
+  std::uint32_t every = 1;                  ///< each n-th message of a push
+  std::optional<Duration> hold = {};        ///< before a better one serves again; none: 3 s
+};
+
+/// Changes of the system that are made together, each what a line of the console asks for. Ports are named as there:
+/// "nav.location".
+///
+///     fiona::Changes().wire("nav.location", "wifi.location").set("wifi", "period", 200, "ms").state("gps", "neutral")
+class Changes {
+ public:
+  Changes& wire(std::string_view client, std::string_view provider, const WireChoice& choice = {});
+  Changes& unwire(std::string_view client);
+  /// All who use `old` use `next`.
+  Changes& swap(std::string_view old, std::string_view next);
+  Changes& state(std::string_view instance, std::string_view mode);
+  Changes& load(std::string_view plugin, std::string_view instance, std::string_view group = "main");
+  Changes& unload(std::string_view instance);
+  /// One parameter: a flag, a number with or without a unit, a text or the name of an enumerator.
+  template <class T>
+  Changes& set(std::string_view instance, std::string_view parameter, const T& value, std::string_view unit = {}) {
+    control::Value typed;
+    if constexpr (std::is_same_v<T, bool>) {
+      typed.set_flag(value);
+    } else if constexpr (std::is_integral_v<T>) {
+      typed.set_integer(static_cast<std::int64_t>(value));
+    } else if constexpr (std::is_floating_point_v<T>) {
+      typed.set_number(value);
+    } else {
+      typed.set_text(std::string(value));
+    }
+    typed.set_unit(std::string(unit));
+    return set_value(instance, parameter, std::move(typed));
+  }
+  /// What has no function of its own here.
+  Changes& add(control::Change change);
+
+  const std::vector<control::Change>& list() const { return list_; }
+
+ private:
+  Changes& set_value(std::string_view instance, std::string_view parameter, control::Value value);
+  control::Change& next() { return list_.emplace_back(); }
+
+  std::vector<control::Change> list_;
+};
+
+/// Changes the system that the component is part of: the right `master` (document 2.1.3.8). A component that has this
+/// member asks for the right; its package's manifest says so too (`rights: "master"`), and who loads it grants it:
+/// `load fiona/chooser with master`.
+///
+///     fiona::Master master_{*this};
+///     auto done = co_await master_.wire("nav.location", "wifi.location");
+///     if (!done) log(LogLevel::Warning, done.reason());
+///
+/// Each call is one transaction of the host's engine, beside those of consoles: all its changes are made or none, the
+/// journal names the component as their author, and `undo` takes them back. All functions [strand]. Outcomes: the
+/// host's answer; Rejected, with a sentence, also when the right was not granted; NotActive outside of a main mode;
+/// Cancelled; Timeout, after which the change may still be made if it had begun. The answer to what ends the
+/// component itself (its own `unload`) reaches nobody. A change of its own mode waits for the handlers that hold the
+/// mode, the one that asks among them: ask for it from a coroutine of no handler (`hull().spawn`).
+/// On a virtual clock the deadline does not count, and the change happens at no exact instant.
+class Master {
+ public:
+  /// Calls that may be open at once.
+  static constexpr std::size_t kMaxOpen = 64;
+
+  explicit Master(Component& owner);
+  Master(const Master&) = delete;
+  Master& operator=(const Master&) = delete;
+
+  /// Makes the changes, in their order, or none of them: what was done, and what it cost.
+  Async<Result<control::Done>> make(Changes changes, Duration deadline = kDefaultDeadline);
+  /// What would be done, and what would take it back; changes nothing.
+  Async<Result<control::Planned>> plan(Changes changes, Duration deadline = kDefaultDeadline);
+  /// The instances with their ports, wires, modes and parameters.
+  Async<Result<control::System>> system(Duration deadline = kDefaultDeadline);
+
+  // One change each.
+  Async<Result<control::Done>> wire(std::string_view client, std::string_view provider, Duration deadline = kDefaultDeadline) {
+    return make(std::move(Changes().wire(client, provider)), deadline);
+  }
+  Async<Result<control::Done>> unwire(std::string_view client, Duration deadline = kDefaultDeadline) {
+    return make(std::move(Changes().unwire(client)), deadline);
+  }
+  Async<Result<control::Done>> swap(std::string_view old, std::string_view next, Duration deadline = kDefaultDeadline) {
+    return make(std::move(Changes().swap(old, next)), deadline);
+  }
+  Async<Result<control::Done>> state(std::string_view instance, std::string_view mode, Duration deadline = kDefaultDeadline) {
+    return make(std::move(Changes().state(instance, mode)), deadline);
+  }
+
+ private:
+  friend class Hull;
+  struct Open {
+    std::shared_ptr<detail::Call> call;
+    control::Reply reply;
+  };
+  Async<Result<control::Reply>> ask(control::Request request, Duration deadline);
+  std::optional<Outcome> obstacle() const;
+  void take(std::uint64_t number, control::Reply reply);
+
+  Hull& hull_;
+  detail::Calls calls_;
+  std::map<std::uint64_t, Open> open_;
+  std::uint64_t last_number_ = 0;
+};
+
+}  // namespace fiona

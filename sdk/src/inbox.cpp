@@ -1,0 +1,296 @@
+#include "fiona/inbox.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "fiona/clock.hpp"
+#include "fiona/hull.hpp"
+#include "fiona/port.hpp"
+
+namespace fiona {
+namespace {
+
+/// Parcels that leave the queue at once, so that "drop the oldest" finds most of them still there.
+constexpr std::size_t kBatch = 64;
+/// How long an inbox is served before the strand looks at what else waits.
+constexpr std::chrono::milliseconds kTurn{2};
+
+std::size_t cost(const Parcel& parcel) { return Inbox::cost_of(parcel.envelope.bytes); }
+
+}  // namespace
+
+Inbox::Inbox(Port& port, Delivery delivery, Handler handler, Duration max_age)
+    : port_(port), strand_(port.hull().strand()), delivery_(delivery), handler_(std::move(handler)), max_age_(max_age) {}
+
+Inbox::~Inbox() = default;
+
+bool Inbox::is_too_old(const Envelope& envelope) const {
+  return max_age_ > Duration::zero() && owner_now(port_) - envelope.origin > max_age_;
+}
+
+Outcome Inbox::push(Parcel parcel) {
+  // An acknowledged send: the wire passes on what is returned here, and nothing is left to answer later.
+  if (port_.service().pattern() == SEND && std::exchange(parcel.reply, nullptr) && !port_.is_active()) {
+    return Outcome::NotActive;
+  }
+  if (is_too_old(parcel.envelope)) {
+    port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
+    return Outcome::Ok;
+  }
+  std::unique_lock lock(strand_.mutex_);
+  if (strand_.closed_) return Outcome::Disconnected;
+  if (delivery_ == Delivery::Each) return push_each(lock, std::move(parcel));
+  push_newest(lock, std::move(parcel));
+  return Outcome::Ok;
+}
+
+Outcome Inbox::push_each(std::unique_lock<std::mutex>& lock, Parcel parcel) {
+  const std::size_t bytes = cost(parcel);
+  if (!make_room(bytes)) return Outcome::Rejected;
+  bytes_.fetch_add(bytes, std::memory_order_relaxed);
+  notify_waiters(parcel.envelope);
+  queue_.push_back(std::move(parcel));
+  wake(lock);
+  return Outcome::Ok;
+}
+
+void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
+  if (!handler_) {
+    if (!port_.is_active()) {
+      port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+    port_.counters().count_arrival(parcel.envelope.origin, port_.hull().clock());
+    if (slot_ && !slot_read_) port_.counters().superseded.fetch_add(1, std::memory_order_relaxed);
+    notify_waiters(parcel.envelope);
+    slot_ = Newest{std::move(parcel.envelope), false};
+    slot_read_ = false;
+    return note_arrival();
+  }
+  for (const Parcel& old : queue_) {
+    bytes_.fetch_sub(cost(old), std::memory_order_relaxed);
+    port_.counters().superseded.fetch_add(1, std::memory_order_relaxed);
+  }
+  queue_.clear();
+  bytes_.fetch_add(cost(parcel), std::memory_order_relaxed);
+  queue_.push_back(std::move(parcel));
+  wake(lock);
+}
+
+/// A full push queue loses its oldest entries, counted; a full queue of requests takes no more.
+bool Inbox::make_room(std::size_t bytes) {
+  const auto full = [&] {
+    const std::size_t waiting = bytes_.load(std::memory_order_relaxed);
+    return waiting > 0 && waiting + bytes > kMaxBytes;
+  };
+  if (!port_.service().is_push()) return !full();
+  while (full() && !queue_.empty()) {
+    bytes_.fetch_sub(cost(queue_.front()), std::memory_order_relaxed);
+    port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
+    queue_.pop_front();
+  }
+  return true;
+}
+
+void Inbox::wake(std::unique_lock<std::mutex>& lock) {
+  if (!ready_) {
+    ready_ = true;
+    strand_.ready_.push_back(this);
+  }
+  strand_.wake(lock);
+}
+
+/// Called with the strand's mutex held: the waiters run as jobs of the strand.
+void Inbox::notify_waiters(const Envelope& envelope) {
+  for (auto& waiter : std::exchange(waiters_, {})) {
+    post_locked([waiter = std::move(waiter), envelope] { waiter(envelope); });
+  }
+}
+
+/// Called with the strand's mutex held.
+void Inbox::post_locked(Job job) {
+  strand_.jobs_.push_back(std::move(job));
+  if (strand_.scheduled_) return;
+  strand_.scheduled_ = true;
+  if (strand_.clock_.strand_busy(strand_)) strand_.start();
+}
+
+/// Of a slot: nothing runs for it on the strand yet. Called with the strand's mutex held.
+void Inbox::note_arrival() {
+  for (Task* task : tasks_) {
+    if (!task->takes_arrival() || !task->note()) continue;
+    post_locked([task, since = strand_.clock_.now()] { task->begin_noted(since); });
+  }
+}
+
+/// Of a message that has been handled.
+void Inbox::begin_tasks(TimePoint since) {
+  for (Task* task : tasks_) {
+    if (task->takes_arrival()) task->begin(since);
+  }
+}
+
+std::optional<Inbox::Newest> Inbox::newest() {
+  const std::lock_guard lock(strand_.mutex_);
+  slot_read_ = true;
+  return slot_ && is_too_old(slot_->envelope) ? std::nullopt : slot_;
+}
+
+void Inbox::on_next(std::function<void(const Envelope&)> waiter) {
+  const std::lock_guard lock(strand_.mutex_);
+  waiters_.push_back(std::move(waiter));
+}
+
+void Inbox::mark_stale() {
+  const std::lock_guard lock(strand_.mutex_);
+  if (slot_) slot_->stale = true;
+}
+
+void Inbox::empty_slot() {
+  const std::lock_guard lock(strand_.mutex_);
+  slot_.reset();
+  slot_read_ = true;
+}
+
+void Inbox::leave_mode() {
+  const std::lock_guard lock(strand_.mutex_);
+  std::size_t left = queue_.size() + batch_.size();
+  for (const auto* waiting : {&queue_, &batch_}) {
+    for (const Parcel& parcel : *waiting) bytes_.fetch_sub(cost(parcel), std::memory_order_relaxed);
+  }
+  queue_.clear();
+  batch_.clear();
+  batched_.store(0, std::memory_order_relaxed);
+  port_.counters().not_active.fetch_add(left, std::memory_order_relaxed);
+  slot_.reset();
+  slot_read_ = true;
+}
+
+void Inbox::clear(Outcome outcome) {
+  std::deque<Parcel> dropped;
+  {
+    const std::lock_guard lock(strand_.mutex_);
+    dropped.swap(queue_);
+    slot_.reset();
+    slot_read_ = true;
+    for (const Parcel& parcel : dropped) bytes_.fetch_sub(cost(parcel));
+  }
+  tell_room();
+  for (const Parcel& parcel : dropped) {
+    if (parcel.is_request()) parcel.reply->answer(outcome, {}, nullptr);
+  }
+}
+
+bool Inbox::refill() {
+  const std::lock_guard lock(strand_.mutex_);
+  while (!queue_.empty() && batch_.size() < kBatch) {
+    batch_.push_back(std::move(queue_.front()));
+    queue_.pop_front();
+  }
+  batched_.store(batch_.size(), std::memory_order_relaxed);
+  return !batch_.empty();
+}
+
+std::size_t Inbox::depth() const {
+  const std::lock_guard lock(strand_.mutex_);
+  return queue_.size() + batched_.load(std::memory_order_relaxed);
+}
+
+void Inbox::drain(std::size_t limit) {
+  std::chrono::steady_clock::time_point begun{};
+  for (std::size_t handled = 0; !current_; ++handled) {
+    if (batch_.empty() && !refill()) return;
+    if (handled == 1) begun = std::chrono::steady_clock::now();
+    const bool long_enough = handled > 1 && std::chrono::steady_clock::now() - begun > kTurn;
+    if (handled == limit || long_enough) {
+      std::unique_lock lock(strand_.mutex_);
+      wake(lock);
+      return;
+    }
+    begin_parcel();
+    handle();
+    if (strand_.closed_) return;
+  }
+}
+
+/// Ends the current parcel, or leaves it to the coroutine that the handler returned.
+void Inbox::handle() {
+  Hull& hull = port_.hull();
+  if (current_->reply && current_->reply->abandoned()) return finish_parcel();
+  if (!port_.is_active() || hull.is_leaving(port_.activity())) {
+    port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
+    if (current_->is_request()) current_->reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
+    return finish_parcel();
+  }
+  if (is_too_old(current_->envelope)) {
+    port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
+    return finish_parcel();
+  }
+  port_.counters().count_arrival(current_->envelope.origin, hull.clock());
+  const TimePoint since = tasks_.empty() ? TimePoint() : hull.clock().now();
+  std::optional<Async<>> coroutine;
+  hull.guarded([&] { coroutine = handler_(*current_); });
+  if (!coroutine) {
+    finish_parcel();
+    return begin_tasks(since);
+  }
+  if (auto hold = hull.acquire(port_.activity(), "the handler of '" + port_.name() + "'")) {
+    hold_ = std::make_shared<ActivityHold>(std::move(*hold));
+  }
+  hull.spawn(std::move(*coroutine), [this, since] {
+    finish_parcel();
+    begin_tasks(since);
+    drain(kBatch);
+  });
+}
+
+/// What is in the handler's hands waits no longer: its place is free.
+void Inbox::begin_parcel() {
+  current_ = std::move(batch_.front());
+  batch_.pop_front();
+  batched_.store(batch_.size(), std::memory_order_relaxed);
+  bytes_.fetch_sub(cost(*current_));
+  tell_room();
+}
+
+void Inbox::finish_parcel() {
+  current_.reset();
+  hold_.reset();
+}
+
+/// Half of all, so that who waits comes back for many messages and not for each.
+std::optional<std::size_t> Inbox::room_for(std::size_t cost) const {
+  const std::size_t waiting = bytes_.load();
+  if (waiting > 0 && waiting + std::max(cost, kMaxBytes / 2) > kMaxBytes) return std::nullopt;
+  return waiting == 0 ? std::max(cost, kMaxBytes) : kMaxBytes - waiting;
+}
+
+/// The wish is there before the room is looked at, as the room is made before the wishes are: one sees the other.
+std::optional<std::size_t> Inbox::room(std::size_t cost, std::weak_ptr<const void> who, OnRoom then) {
+  const std::lock_guard lock(strand_.mutex_);
+  std::erase_if(room_wishes_, [](const RoomWish& wish) { return wish.who.expired(); });
+  room_wished_ = true;
+  const auto room = room_for(cost);
+  if (!room) room_wishes_.push_back({cost, std::move(who), std::move(then)});
+  room_wished_ = !room_wishes_.empty();
+  return room;
+}
+
+void Inbox::tell_room() {
+  if (!room_wished_) return;
+  std::vector<RoomWish> fulfilled;
+  {
+    const std::lock_guard lock(strand_.mutex_);
+    const auto waits = [this](const RoomWish& wish) { return !room_for(wish.cost); };
+    const auto first = std::stable_partition(room_wishes_.begin(), room_wishes_.end(), waits);
+    fulfilled.assign(std::make_move_iterator(first), std::make_move_iterator(room_wishes_.end()));
+    room_wishes_.erase(first, room_wishes_.end());
+    room_wished_ = !room_wishes_.empty();
+  }
+  for (const RoomWish& wish : fulfilled) {
+    if (const auto room = room_for(wish.cost)) wish.then(*room);
+  }
+}
+
+}  // namespace fiona

@@ -1,0 +1,165 @@
+// Every call that waits.
+#include <map>
+#include <string>
+#include <utility>
+
+#include "components.hpp"
+
+namespace fiona::test {
+
+/// Makes the call that its parameters name, once for each change of `go`, and reports its outcome: `number` is `go`,
+/// `value` the outcome, `payload` what came with it. Events of the port with a handler are reported on `rings`.
+class Caller final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_change() {
+    cancel_all(params_->cancel());
+    if (params_->go() == std::exchange(gone_, params_->go())) return;
+    hull().spawn(make(gone_), [] {});
+  }
+  void cancel_all(const std::string& which) {
+    samples_.cancel_calls(which == "port");
+    echo_.cancel_calls(which == "port");
+    bell_.cancel_calls(which == "port");
+    orders_.cancel_calls(which == "port");
+    cancel_calls(which == "instance");
+    if (which != "pattern") return;
+    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT, SEND}) cancel_calls(true, pattern);
+  }
+  void report(std::uint64_t number, Outcome outcome, std::string text) {
+    Sample one;
+    one.set_number(number);
+    one.set_value(static_cast<double>(outcome));
+    one.set_payload(std::move(text));
+    outcome_.put(std::move(one));
+  }
+  Async<> make(std::uint64_t number) {
+    const std::string call = params_->call();
+    const auto within = from_ms(params_->deadline_ms());
+    Sample sample;
+    sample.set_number(number);
+    Question question;
+    question.set_number(number);
+    question.set_manner(params_->manner());
+    sample.mutable_payload()->resize(params_->payload());
+    if (call == "wait_update") {
+      const auto next = co_await samples_.wait_update(within);
+      report(number, next.outcome(), next ? std::to_string((*next)->number()) : next.reason());
+    } else if (call == "latest") {
+      const auto latest = samples_.latest();
+      report(number, latest.outcome(), latest ? aged(*latest) : latest.reason());
+    } else if (call == "latest_leased") {
+      const auto latest = leased_.latest();
+      report(number, latest.outcome(), latest ? aged(*latest) : latest.reason());
+    } else if (call == "ask_without_end") {
+      // Each call fails at once: the port has no wire.
+      std::uint64_t asked = 0;
+      for (; params_->call() == call; ++asked) static_cast<void>(co_await failing_echo_.query(question, within));
+      report(number, Outcome::Ok, std::to_string(asked));
+    } else if (call == "discard") {
+      report(number, echo_.discard(request_), "");
+    } else if (call == "send_burst") {
+      std::uint64_t taken = 0;
+      for (std::uint64_t i = 0; i < params_->every(); ++i) taken += orders_.send(sample) == Outcome::Ok ? 1 : 0;
+      report(number, Outcome::Ok, std::to_string(taken));
+    } else if (call == "send_many") {
+      many_.clear();
+      for (std::uint64_t i = 0; i < params_->every(); ++i) hull().spawn(send_one(number), [] {});
+    } else if (call == "lookup") {
+      const auto answer = co_await lookup_.query(std::move(question), within);
+      report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "query_by_default") {
+      const auto answer = co_await echo_.query(std::move(question));
+      report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "query" || call == "query_or_fail") {
+      auto& port = call == "query" ? echo_ : failing_echo_;
+      const auto answer = co_await port.query(std::move(question), within);
+      report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "query_twice") {
+      // What hears of the end of the first uses the component's ports at once.
+      const auto first = co_await echo_.query(question, within);
+      const auto second = co_await echo_.query(std::move(question), within);
+      report(number, second.outcome(), std::string(to_string(first.outcome())));
+    } else if (call == "request") {
+      const auto id = echo_.request(std::move(question));
+      if (id) request_ = *id;
+      report(number, id.outcome(), id.reason());
+    } else if (call == "receive") {
+      const auto answer = co_await echo_.receive(request_, within);
+      report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "activate" || call == "activate_handled") {
+      Threshold threshold;
+      threshold.set_every(params_->every());
+      threshold.set_throw_at(params_->throw_at());
+      threshold.mutable_payload()->resize(params_->payload());
+      auto& port = call == "activate" ? bell_ : handled_bell_;
+      const auto mode = params_->single() ? EventMode::Single : EventMode::Continuous;
+      const auto id = co_await port.activate(mode, std::move(threshold), within);
+      if (id) activation_ = *id;
+      report(number, id.outcome(), id.reason());
+    } else if (call == "event") {
+      const auto event = co_await bell_.wait(activation_, within);
+      report(number, event.outcome(),
+             event ? std::to_string((*event)->number()) + " of " + std::to_string((*event)->seen()) : event.reason());
+    } else if (call == "deactivate") {
+      report(number, bell_.deactivate(activation_), "");
+    } else if (call == "send") {
+      report(number, orders_.send(std::move(sample)), "");
+    } else if (call == "send_acknowledged") {
+      const auto receipt = co_await orders_.send_acknowledged(std::move(sample), within);
+      report(number, receipt.outcome(), receipt.reason());
+    } else {
+      report(number, Outcome::WrongId, "no such call: " + call);
+    }
+  }
+  /// One of many; the last tells how many ended in which way: "ok=180 disconnected=20".
+  Async<> send_one(std::uint64_t number) {
+    const auto receipt = co_await orders_.send_acknowledged({}, 5s);
+    ++many_[receipt.outcome()];
+    std::uint64_t ended = 0;
+    std::string text;
+    for (const auto& [outcome, count] : many_) {
+      ended += count;
+      text += std::string(to_string(outcome)) + "=" + std::to_string(count) + " ";
+    }
+    if (ended == params_->every()) report(number, Outcome::Ok, text);
+  }
+  /// "5", "5 stale", and how old it is in ms.
+  std::string aged(const Received<Sample>& sample) const {
+    const auto age = std::chrono::duration_cast<std::chrono::milliseconds>(now() - sample.origin);
+    return std::to_string(sample->number()) + (sample.stale ? " stale " : " ") + std::to_string(age.count());
+  }
+  void on_ring(const Fired<Crossing>& crossing) {
+    ++rings_;
+    Sample one;
+    one.set_number(rings_);
+    one.set_value(static_cast<double>(crossing->number()));
+    one.set_payload(std::to_string(crossing->payload().size()));
+    ring_report_.put(std::move(one));
+  }
+
+  std::uint64_t gone_ = 0;
+  std::uint64_t rings_ = 0;
+  std::map<Outcome, std::uint64_t> many_;
+  QueryId request_{};
+  ActivationId activation_{};
+  Params<CallerParams> params_{*this, nullptr, &Caller::on_change};
+  Requires<SampleNewest> samples_{*this, "samples", {.optional = true}};
+  Requires<Echo> echo_{*this, "echo", {.optional = true}};
+  Requires<Echo> failing_echo_{*this, "failing_echo", {.optional = true, .at_rewire = AtRewire::Fail}};
+  Requires<SampleLeased> leased_{*this, "leased", {.optional = true}};
+  Requires<Lookup> lookup_{*this, "lookup", {.optional = true, .at_rewire = AtRewire::Redirect}};
+  Requires<Bell> bell_{*this, "bell", {.optional = true}};
+  Requires<Bell> handled_bell_{*this, "handled_bell", &Caller::on_ring, {.optional = true}};
+  Requires<Order> orders_{*this, "orders", {.optional = true}};
+  Provides<SampleNewest> outcome_{*this, "outcome"};
+  Provides<SampleNewest> ring_report_{*this, "rings"};
+};
+
+void add_calls(Plugin& plugin) {
+  plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome");
+}
+
+}  // namespace fiona::test

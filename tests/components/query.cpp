@@ -1,0 +1,124 @@
+// Queries: who answers, who asks.
+#include <algorithm>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "components.hpp"
+
+namespace fiona::test {
+
+/// Answers in the manner that the question asks for.
+class Answerer final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_question(const Question& question, fiona::Reply<Reply> reply) {
+    if (question.manner() == "drop") return;
+    if (question.manner() == "throw") throw std::runtime_error("asked to throw");
+    if (question.manner() == "hang") std::this_thread::sleep_for(500ms);
+    if (question.manner() == "error") return reply.reject("asked to refuse");
+    const bool for_another = question.manner() == "second" && name() != "second";
+    if (question.manner() == "never" || for_another) return kept_.push_back(std::move(reply));
+    Reply answer;
+    answer.set_number(question.number());
+    answer.set_payload(question.payload());
+    if (question.manner() == "later") {
+      if (waiting_.empty()) later_.at(now() + 50ms);
+      waiting_.emplace_back(std::move(answer), std::move(reply));
+      return;
+    }
+    reply.answer(std::move(answer));
+  }
+  void answer_waiting() {
+    for (auto& [answer, reply] : std::exchange(waiting_, {})) reply.answer(std::move(answer));
+  }
+
+  void look() {
+    open_.set(kept_.size());
+    abandoned_.set(static_cast<std::uint64_t>(std::count_if(kept_.begin(), kept_.end(), [](const auto& one) { return one.abandoned(); })));
+  }
+
+  std::vector<fiona::Reply<Reply>> kept_;
+  std::vector<std::pair<Reply, fiona::Reply<Reply>>> waiting_;
+  Provides<Echo> echo_{*this, "echo", &Answerer::on_question};
+  Provides<Lookup> lookup_{*this, "lookup", &Answerer::on_question};
+  Probe<std::uint64_t> open_{*this, "open", {.doc = "questions that are not answered"}};
+  Probe<std::uint64_t> abandoned_{*this, "abandoned", {.doc = "those of them for which nobody waits any more"}};
+  Task looker_{*this, "looker", 5ms, &Answerer::look};
+  Timer later_{*this, &Answerer::answer_waiting};
+};
+
+/// Asks once a period; reports the `number` of the question and the outcome in `value`, its reason in `payload`.
+class Asker final : public Paced {
+ public:
+  using Paced::Paced;
+
+ private:
+  void tick() override {
+    if (params_->count() > 0 && asked_ >= params_->count()) return;
+    ++asked_;
+    hull().spawn(ask(asked_), [] {});
+    again_after(params_->period_ms());
+  }
+  Async<> ask(std::uint64_t number) {
+    Question question;
+    question.set_number(number);
+    question.set_manner(params_->manner());
+    question.mutable_payload()->resize(params_->payload());
+    const auto answer = co_await echo_.query(std::move(question), 500ms);
+    Sample report;
+    report.set_number(answer ? (*answer)->number() : number);
+    report.set_value(static_cast<double>(answer.outcome()));
+    report.set_payload(answer ? std::to_string((*answer)->payload().size()) : answer.reason());
+    outcome_.put(std::move(report));
+  }
+
+  std::uint64_t asked_ = 0;
+  Params<AskerParams> params_{*this};
+  Requires<Echo> echo_{*this, "echo"};
+  Provides<SampleLast> outcome_{*this, "outcome"};
+};
+
+/// Asks `count` questions, each when the one before is answered; reports the median round trip in `value`, the
+/// 99th percentile in `sent_ns`.
+class Prober final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) hull().spawn(ask(), [] {});
+  }
+
+ private:
+  Async<> ask() {
+    std::vector<std::int64_t> times_ns;
+    for (std::uint64_t i = 0; i < params_->count(); ++i) {
+      const auto begun_ns = steady_ns();
+      Question question;
+      question.mutable_payload()->assign(params_->payload(), 'x');
+      const auto answer = co_await echo_.query(std::move(question), 5s);
+      if (!answer) throw std::runtime_error("a question was not answered");
+      times_ns.push_back(steady_ns() - begun_ns);
+    }
+    std::sort(times_ns.begin(), times_ns.end());
+    Sample report;
+    report.set_number(times_ns.size());
+    report.set_value(static_cast<double>(times_ns[times_ns.size() / 2]));
+    report.set_sent_ns(times_ns[times_ns.size() * 99 / 100]);
+    report_.put(std::move(report));
+  }
+
+  Params<FloodParams> params_{*this};
+  Requires<Echo> echo_{*this, "echo"};
+  Provides<SampleLast> report_{*this, "report"};
+};
+
+void add_query(Plugin& plugin) {
+  plugin.add<Answerer>("answerer", "answers in the manner asked for");
+  plugin.add<Asker>("asker", "asks, and reports the outcome");
+  plugin.add<Prober>("prober", "measures how long an answer takes");
+}
+
+}  // namespace fiona::test

@@ -1,0 +1,133 @@
+// What was sent is what was delivered, superseded, dropped and counted, or told to the sender (docs/patterns.md, Shared
+// rules): the sum, for each way in which a message may end.
+#include <gtest/gtest.h>
+
+#include <signal.h>
+
+#include <sstream>
+
+#include "stopped_process.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+class Accounting : public OverTransports {
+ protected:
+  /// Puts so many samples of this payload, once all is wired.
+  void put(int count, int payload = 0) {
+    system.load_provider("source", "source", "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
+  }
+  void expect_sum(const std::string& port, std::uint64_t sent) {
+    const auto sum = [&] {
+      const auto status = system.port(port);
+      const auto not_active = system.read(port + ".not_active").value();
+      return status.messages() + status.superseded() + status.dropped() + status.refused() + static_cast<std::uint64_t>(not_active);
+    };
+    system.eventually("nothing waits any more", [&] { return sum() >= sent && system.read(port + ".queue_depth").value() == 0; });
+    EXPECT_EQ(sum(), sent) << system.port(port).ShortDebugString();
+  }
+  /// The numbers of a report like "ok=180 disconnected=20".
+  static std::map<std::string, std::uint64_t> counts(const std::string& text) {
+    std::map<std::string, std::uint64_t> all;
+    std::istringstream words(text);
+    for (std::string word; words >> word;) all[word.substr(0, word.find('='))] = std::stoull(word.substr(word.find('=') + 1));
+    return all;
+  }
+};
+
+TEST_P(Accounting, OfAHandlerThatIsTooSlowForEachAddsUp) {
+  put(150, 200'000);
+  system.load_client("sink", "sink", "work_ms=20");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("all put", [&] { return system.port("source.newest").messages() == 150; });
+  expect_sum("sink.each", 150);
+  EXPECT_GT(system.port("sink.each").dropped(), 0U);
+}
+
+TEST_P(Accounting, OfAHandlerThatTakesTheNewestAddsUp) {
+  put(200);
+  system.load_client("sink", "sink", "work_ms=10");
+  system.wire("sink.newest", "source.newest");
+  system.state("source", "active");
+  expect_sum("sink.newest", 200);
+  EXPECT_GT(system.port("sink.newest").superseded(), 0U);
+}
+
+TEST_P(Accounting, OfAModeThatDoesNotServeThePortAddsUp) {
+  put(100);
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.state("sink", "neutral");
+  system.state("sink", "active");
+  expect_sum("sink.each", 100);
+}
+
+TEST_P(Accounting, OfAWireThatIsCutHasAllUntilTheCutAndNothingAfterIt) {
+  put(0);
+  system.load_client("listener", "listener");
+  system.wire("listener.samples", "source.newest");
+  system.state("source", "active");
+  system.eventually("some", [&] { return system.port("listener.samples").messages() > 20; });
+  system.unwire("listener.samples");
+  const auto put_then = system.port("source.newest").messages();
+  const auto heard = system.port("listener.samples").messages();
+  system.eventually("more", [&] { return system.port("source.newest").messages() > put_then + 20; });
+  EXPECT_LE(system.port("listener.samples").messages(), put_then);
+  EXPECT_LE(system.port("listener.samples").messages() - heard, 5U) << "what had arrived before the cut, at most";
+  EXPECT_FALSE(system.read("listener.disorder").has_value);
+}
+
+TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
+  system.load_client("sink", "sink", "work_ms=500");
+  system.load_provider("caller", "caller");
+  system.load_provider("source", "source", "neutral period_ms=1 count=3");
+  system.wire("caller.orders", "sink.orders");
+  system.wire("sink.each", "source.newest");  // its handler takes long, and the orders wait meanwhile
+  system.state("source", "active");
+  const auto outcomes = system.watch("caller.outcome");
+  system.set("caller", "call=send_burst go=1 every=100 payload=1000000");
+  const auto taken = std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
+  EXPECT_GT(taken, 0U);
+  EXPECT_LT(taken, 100U) << "a full queue is an outcome, not a wait";
+  EXPECT_EQ(system.port("caller.orders").dropped(), 100 - taken);
+  const auto arrived = [&] { return system.port("sink.orders").messages() + system.port("sink.orders").refused(); };
+  system.eventually("handled", [&] { return arrived() == taken; });
+}
+
+TEST_P(Accounting, OfAcknowledgedSendsHasOneOutcomeForEach) {
+  system.load_client("sink", "sink");
+  system.load_provider("caller", "caller");
+  system.wire("caller.orders", "sink.orders");
+  const auto outcomes = system.watch("caller.outcome");
+  system.set("caller", "call=send_many go=1 every=500");
+  const auto ended = counts(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
+  std::uint64_t sum = 0;
+  for (const auto& [outcome, count] : ended) sum += count;
+  EXPECT_EQ(sum, 500U);
+  system.eventually("those that were taken are handled", [&] { return system.port("sink.orders").messages() == ended.at("ok"); });
+}
+
+class AccountingOfTheKilled : public Accounting {};
+
+TEST_P(AccountingOfTheKilled, SendsThatWereNotAcknowledgedAreToldAndThereAreNoOthers) {
+  system.load_client("sink", "sink");
+  system.load_provider("caller", "caller");
+  system.wire("caller.orders", "sink.orders");
+  const auto outcomes = system.watch("caller.outcome");
+  const pid_t far = system.far_process();
+  stop_process(far);
+  system.set("caller", "call=send_many go=1 every=300");
+  system.eventually("sent", [&] { return system.read("caller.orders.rate").has_value; });
+  ::kill(far, SIGKILL);
+  const auto ended = counts(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
+  EXPECT_EQ(ended.at("disconnected"), 300U) << "unknown: it may have had them, and could not say so";
+}
+
+FIONA_OVER_EVERY_TRANSPORT(Accounting);
+FIONA_OVER(AccountingOfTheKilled, Transport::Ipc, Transport::Tcp);
+
+}  // namespace
+}  // namespace fiona::conformance

@@ -1,0 +1,420 @@
+// What is known to go wrong in other frameworks for these patterns, and must not here. Each test is named after what does
+// not happen. Those that are sentences of docs/patterns.md anyway stand with them: sentences.txt, the last section.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <algorithm>
+#include <thread>
+
+#include "fiona/error.hpp"
+#include "fiona/result.hpp"
+#include "stopped_process.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+
+class Defects : public OverTransports {
+ protected:
+  std::string refusal_of(const std::function<void()>& request) {
+    try {
+      request();
+    } catch (const Error& error) {
+      return error.text().what;
+    }
+    return "";
+  }
+  void expect_puts(const std::string& source, std::uint64_t count) {
+    const auto before = system.port(source + ".newest").messages();
+    system.eventually(source + " puts", [&] { return system.port(source + ".newest").messages() >= before + count; });
+  }
+  /// No state is put to an activation any more.
+  void eventually_untested() {
+    system.eventually("no activation is left", [&] {
+      const double before = system.read("source.tested").value();
+      expect_puts("source", 5);
+      return system.read("source.tested").value() == before;
+    });
+  }
+  void begin(const std::string& call, const std::string& parameters = "") {
+    system.set("caller", "call=" + call + " go=" + std::to_string(++go) + (parameters.empty() ? "" : " " + parameters));
+  }
+  SeenSample end() {
+    return system.wait_for(outcomes, [this](const SeenSample& one) { return one.number() == go; });
+  }
+  Outcome outcome_of(const std::string& call, const std::string& parameters = "") {
+    begin(call, parameters);
+    return static_cast<Outcome>(static_cast<int>(end().value()));
+  }
+  void load_caller() {
+    system.load_client("caller", "caller");
+    outcomes = system.watch("caller.outcome");
+  }
+  std::uint64_t outcomes = 0;
+  std::uint64_t go = 0;
+};
+
+// ---- connections ----------------------------------------------------------------------------------------------
+
+TEST_P(Defects, AConnectThatFailsDoesNotCostTheOldConnection) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source");
+  system.wire("sink.each", "source.newest");
+  EXPECT_NE(refusal_of([&] { system.wire("sink.each", "source.timed"); }), "");
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+  const auto before = system.port("sink.each").messages();
+  system.eventually("it goes on", [&] { return system.port("sink.each").messages() > before + 3; });
+}
+
+TEST_P(Defects, TheEndOfAnOldServerDoesNotEndTheConnectionToTheNewOne) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "old");
+  system.load_provider("source", "fresh");
+  system.wire("sink.each", "old.newest");
+  system.wire("sink.each", "fresh.newest");
+  system.unload("old");
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+  const auto before = system.port("sink.each").messages();
+  system.eventually("it goes on", [&] { return system.port("sink.each").messages() > before + 3; });
+}
+
+TEST_P(Defects, DisconnectingTwiceHarmsNothing) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source");
+  system.wire("sink.each", "source.newest");
+  system.unwire("sink.each");
+  EXPECT_THAT(refusal_of([&] { system.unwire("sink.each"); }), HasSubstr("sink.each"));
+  system.wire("sink.each", "source.newest");
+  system.eventually("it works", [&] { return system.port("sink.each").messages() > 3; });
+}
+
+TEST_P(Defects, APatternThatDoesNotMatchIsNotReportedAsAServiceThatIsNotThere) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source");
+  const auto refusal = refusal_of([&] { system.wire("sink.each", "source.bell"); });
+  EXPECT_THAT(refusal, HasSubstr("push newest"));
+  EXPECT_THAT(refusal, HasSubstr("event"));
+}
+
+TEST_P(Defects, ASecondInstanceOfANameDoesNotStealTheClientsOfTheFirst) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("sink.each", "source.newest");
+  EXPECT_THAT(refusal_of([&] { system.load_client("source", "source", "neutral"); }), HasSubstr("'source'"));
+  const auto before = system.port("sink.each").messages();
+  system.eventually("the first goes on", [&] { return system.port("sink.each").messages() > before + 3; });
+}
+
+TEST_P(Defects, AnIncompatibleProviderThatComesLaterIsNotConnectedByItsName) {
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.bell");
+  EXPECT_NE(refusal_of([&] { system.load_provider("source", "source"); }), "");
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+}
+
+TEST_P(Defects, BothEndsKnowOfAWireAndOfItsEnd) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source");
+  system.wire("sink.each", "source.newest");
+  ASSERT_EQ(system.port("source.newest").clients_size(), 1);
+  EXPECT_EQ(system.port("source.newest").clients(0).instance(), "sink");
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "source");
+  system.unwire("sink.each");
+  EXPECT_EQ(system.port("source.newest").clients_size(), 0);
+}
+
+class DefectsOfTheDeaf : public Defects {};
+
+TEST_P(DefectsOfTheDeaf, AConnectThatTakesLongDoesNotHoldUpTheCallsOfItsPort) {
+  system.load_client("asker", "asker", "period_ms=5");
+  system.load_provider("answerer", "answerer");
+  system.load_in("deaf", "answerer", "deaf");
+  system.wire("asker.echo", "answerer.echo");
+  system.eventually("answers come", [&] { return system.port("asker.outcome").messages() > 3; });
+  const auto outcomes = system.watch("asker.outcome");
+  const auto begun = std::chrono::steady_clock::now();
+  const pid_t deaf = system.group("deaf").process();
+  stop_process(deaf);
+  std::jthread waker([deaf] {
+    std::this_thread::sleep_for(500ms);
+    ::kill(deaf, SIGCONT);
+  });
+  system.wire("asker.echo", "deaf.echo");
+  const auto took = std::chrono::steady_clock::now() - begun;
+  ASSERT_GE(took, 500ms);
+  const auto told = system.take(outcomes);
+  const auto answers = std::count_if(told.begin(), told.end(), [](const SeenSample& one) { return static_cast<int>(one.value()) == static_cast<int>(Outcome::Ok); });
+  EXPECT_GT(answers, took / 5ms / 10) << "of the provider that it has until then";
+}
+
+// ---- send and query -------------------------------------------------------------------------------------------
+
+TEST_P(Defects, AnAnswerAfterTheClientGaveUpReachesNobody) {
+  load_caller();
+  system.load_provider("answerer", "answerer");
+  system.wire("caller.echo", "answerer.echo");
+  EXPECT_EQ(outcome_of("query", "manner=later deadline_ms=10"), Outcome::Timeout);
+  EXPECT_EQ(outcome_of("query", "manner=later deadline_ms=5000"), Outcome::Ok);
+  EXPECT_TRUE(system.take(outcomes).empty()) << "the first one has its outcome already";
+}
+
+TEST_P(Defects, AnUnansweredQueryIsNotKeptByItsServerForEver) {
+  load_caller();
+  system.load_provider("answerer", "answerer");
+  system.wire("caller.echo", "answerer.echo");
+  EXPECT_EQ(outcome_of("query", "manner=never deadline_ms=10"), Outcome::Timeout);
+  system.eventually("its deadline", [&] { return system.read("answerer.abandoned").value() == 1; });
+  ASSERT_EQ(outcome_of("request", "deadline_ms=5000"), Outcome::Ok);
+  system.eventually("asked", [&] { return system.read("answerer.open").value() == 2; });
+  EXPECT_EQ(outcome_of("discard"), Outcome::Ok);
+  system.eventually("discarded", [&] { return system.read("answerer.abandoned").value() == 2; });
+  begin("query");
+  system.eventually("asked", [&] { return system.read("answerer.open").value() == 3; });
+  system.unwire("caller.echo");
+  system.eventually("unwired", [&] { return system.read("answerer.abandoned").value() == 3; });
+  system.wire("caller.echo", "answerer.echo");
+  begin("query");
+  system.eventually("asked", [&] { return system.read("answerer.open").value() == 4; });
+  system.unload("caller");
+  system.eventually("the client has ended", [&] { return system.read("answerer.abandoned").value() == 4; });
+}
+
+TEST_P(Defects, AComponentThatHangsDoesNotHoldUpItsMasterForEver) {
+  system.load_client("sink", "sink", "work_ms=5000");
+  system.load_provider("source", "source", "neutral period_ms=1 count=1");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("it hangs", [&] { return system.port("sink.each").messages() == 1; });
+  const auto begun = std::chrono::steady_clock::now();
+  EXPECT_THAT(refusal_of([&] { system.set("sink", "work_ms=0"); }), HasSubstr("in time"));
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, 4s);
+}
+
+TEST_P(Defects, CallersThatWantWhatAModeDoesNotServeHoldUpNoChange) {
+  system.load_client("asker", "asker", "period_ms=1");
+  system.load_provider("answerer", "answerer", "neutral");
+  system.wire("asker.echo", "answerer.echo");
+  system.eventually("it is asked", [&] { return system.read("answerer.echo.not_active").value() > 3; });
+  for (int i = 0; i < 5; ++i) {
+    const auto answered = system.port("answerer.echo").messages();
+    system.state("answerer", "active");
+    system.eventually("it answers", [&] { return system.port("answerer.echo").messages() > answered; });
+    const auto refused = system.read("answerer.echo.not_active").value();
+    system.state("answerer", "neutral");
+    EXPECT_EQ(system.instance("answerer").mode(), "neutral");
+    system.eventually("it is asked again", [&] { return system.read("answerer.echo.not_active").value() > refused; });
+  }
+}
+
+TEST_P(Defects, WhatHearsThatItsModeEndsMayUseThePortsOfItsComponent) {
+  load_caller();
+  system.load_provider("answerer", "answerer");
+  system.wire("caller.echo", "answerer.echo");
+  begin("query_twice", "manner=never deadline_ms=5000");
+  system.eventually("it is asked", [&] { return system.port("answerer.echo").messages() == 1; });
+  system.state("caller", "deactivated");
+  const SeenSample ended = end();
+  EXPECT_EQ(ended.payload(), "cancelled") << "the first";
+  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Cancelled) << "the second";
+}
+
+// ---- push -----------------------------------------------------------------------------------------------------
+
+TEST_P(Defects, SubscribingAgainDoesNotKeepTheFirstPrescale) {
+  system.load_client("sink", "sink");
+  system.load_provider("source", "source", "neutral period_ms=1 count=100");
+  system.wire("sink.each", "source.newest", 50);
+  system.wire("sink.each", "source.newest", 5);
+  system.state("source", "active");
+  system.eventually("each fifth", [&] { return system.port("sink.each").messages() == 20; });
+}
+
+TEST_P(Defects, NoPutIsDroppedBecauseItComesBeforeItsCycle) {
+  system.load_client("sink", "sink");
+  system.load_provider("metronome", "metronome");
+  system.wire("sink.timed", "metronome.samples");
+  for (int i = 1; i <= 20; ++i) system.set("metronome", "work_ms=" + std::to_string(i % 2));  // each puts once
+  const auto put = system.port("metronome.samples").messages();
+  EXPECT_GE(put, 20U);
+  system.eventually("all have come", [&] { return system.port("sink.timed").messages() >= put; });
+}
+
+TEST_P(Defects, AProducerThatIsSlowDoesNotHoldUpTheTimersOfOthers) {
+  system.load_client("metronome", "slow", "work_ms=500");
+  system.load_client("metronome", "quick");
+  system.load_provider("sink", "sink");
+  system.wire("sink.timed", "quick.samples");
+  system.eventually("the slow one works", [&] { return system.instance("slow").tasks(0).runs() > 0; });
+  const auto runs = system.instance("slow").tasks(0).runs();
+  const auto before = system.port("sink.timed").messages();
+  system.eventually("the quick one goes on", [&] { return system.port("sink.timed").messages() > before + 5; });
+  EXPECT_LE(system.instance("slow").tasks(0).runs(), runs + 1);
+}
+
+// ---- event ----------------------------------------------------------------------------------------------------
+
+TEST_P(Defects, ASingleEventThatHasFiredNeedsNoDeactivation) {
+  load_caller();
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("caller.bell", "source.bell");
+  ASSERT_EQ(outcome_of("activate", "every=3 single=true"), Outcome::Ok);
+  ASSERT_EQ(outcome_of("event"), Outcome::Ok);
+  eventually_untested();
+}
+
+TEST_P(Defects, ActivationsOfAClientThatUnwiresOrEndsDoNotStayAtTheServer) {
+  load_caller();
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("caller.bell", "source.bell");
+  ASSERT_EQ(outcome_of("activate", "every=0"), Outcome::Ok);
+  system.unwire("caller.bell");
+  eventually_untested();
+  system.wire("caller.bell", "source.bell");
+  ASSERT_EQ(outcome_of("activate", "every=0"), Outcome::Ok);
+  system.unload("caller");
+  eventually_untested();
+}
+
+TEST_P(Defects, AnEventWaitEndsAtItsDeadlineInBothModes) {
+  load_caller();
+  system.load_provider("source", "source");
+  system.wire("caller.bell", "source.bell");
+  for (const std::string single : {"true", "false"}) {
+    ASSERT_EQ(outcome_of("activate", "every=0 single=" + single), Outcome::Ok);
+    EXPECT_EQ(outcome_of("event", "deadline_ms=20"), Outcome::Timeout) << single;
+    system.set("caller", "deadline_ms=10000");
+  }
+}
+
+TEST_P(Defects, WhatOneActivationFiresHoldsNothingOfAnothers) {
+  load_caller();
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("caller.bell", "source.bell");
+  system.wire("caller.handled_bell", "source.bell");
+  const auto rings = system.watch("caller.rings");
+  ASSERT_EQ(outcome_of("activate", "every=1000000 payload=500"), Outcome::Ok);
+  ASSERT_EQ(outcome_of("activate_handled", "every=1 payload=0"), Outcome::Ok);
+  for (int i = 0; i < 20; ++i) EXPECT_EQ(system.wait_for(rings, [](const auto&) { return true; }).payload(), "0");
+}
+
+TEST_P(Defects, EventsThatFindNoRoomAreNotLostSilently) {
+  load_caller();
+  system.load_provider("source", "source", "period_ms=2");
+  system.wire("caller.bell", "source.bell");
+  ASSERT_EQ(outcome_of("activate", "every=1 payload=500000"), Outcome::Ok);
+  system.eventually("more than it can keep", [&] { return system.port("caller.bell").dropped() > 10; });
+  system.state("source", "neutral");
+  std::uint64_t got = 0;
+  std::uint64_t last = 0;
+  for (;; ++got) {
+    begin("event", "deadline_ms=500");
+    const auto one = end();
+    if (one.value() != static_cast<double>(Outcome::Ok)) break;
+    last = std::stoull(one.payload().substr(one.payload().find("of ") + 3));
+  }
+  EXPECT_GT(got, 0U);
+  EXPECT_EQ(got + system.port("caller.bell").dropped(), last) << "each that fired has come or is counted";
+}
+
+// ---- state and triggers ---------------------------------------------------------------------------------------
+
+TEST_P(Defects, AChangeToThePresentModeIsAnswered) {
+  system.load_client("mover", "mover");
+  system.state("mover", "drive");
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+}
+
+TEST_P(Defects, TheModeThatIsShownIsNotTheOneThatIsStillWaitedFor) {
+  system.load_client("mover", "mover");
+  system.load_provider("source", "source", "neutral");
+  system.wire("mover.orders", "source.newest");
+  const auto watched = system.watch("mover.mode");
+  system.set("mover", "work_ms=60000");
+  const auto change = [&] { return system.begin_state("mover", "park", 50); };
+  system.eventually("it is blocked", [&] {
+    const auto one = change();
+    system.eventually("an answer", [&] { return one->ended.load(); });
+    if (!one->reply.has_failure()) system.state("mover", "drive");
+    return one->reply.has_failure();
+  });
+  const auto pending = change();
+  system.eventually("pending", [&] { return system.instance("mover").has_pending(); });
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+  EXPECT_EQ(system.read("mover.mode").payload(), "drive");
+  system.eventually("withdrawn", [&] { return pending->ended.load(); });
+  static_cast<void>(watched);
+}
+
+TEST_P(Defects, SeveralMessagesWhileAHandlerIsBusyDoNotBecomeOne) {
+  system.load_client("sink", "sink", "work_ms=10");
+  system.load_provider("source", "source", "neutral period_ms=1 count=30");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("each is handled", [&] { return system.port("sink.each").messages() == 30; });
+}
+
+TEST_P(Defects, AComponentThatHangsAtItsEndDoesNotEndItsProcess) {
+  system.load_client("sink", "sink", "work_ms=4000");
+  system.load_client("sink", "neighbour");
+  system.load_provider("source", "source", "neutral period_ms=1 count=1");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("it hangs", [&] { return system.port("sink.each").messages() == 1; });
+  static_cast<void>(refusal_of([&] { system.unload("sink"); }));
+  EXPECT_EQ(system.instance("neighbour").mode(), "active");
+  EXPECT_EQ(system.call("neighbour.orders", "number=1").outcome(), "ok");
+}
+
+// ---- clients that vanish --------------------------------------------------------------------------------------
+
+class DefectsOfTheKilled : public Defects {
+ protected:
+  void kill_clients() {
+    ::kill(system.far_process(), SIGKILL);
+    system.eventually("noticed", [&] { return system.instance("caller").mode() == "failed"; });
+  }
+};
+
+TEST_P(DefectsOfTheKilled, AClientThatVanishesDoesNotStayAmongTheActivations) {
+  load_caller();
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("caller.bell", "source.bell");
+  ASSERT_EQ(outcome_of("activate", "every=0"), Outcome::Ok);
+  kill_clients();
+  eventually_untested();
+}
+
+TEST_P(DefectsOfTheKilled, AClientThatVanishesDoesNotStayAmongTheOpenQueries) {
+  load_caller();
+  system.load_provider("answerer", "answerer");
+  system.wire("caller.echo", "answerer.echo");
+  begin("query", "manner=never");
+  system.eventually("asked", [&] { return system.read("answerer.open").value() == 1; });
+  kill_clients();
+  system.eventually("given up", [&] { return system.read("answerer.abandoned").value() == 1; });
+}
+
+TEST_P(DefectsOfTheKilled, AClientThatVanishesDoesNotStayAmongTheSubscribersNorFailLaterPuts) {
+  load_caller();
+  system.load_provider("source", "source", "period_ms=1");
+  system.wire("caller.samples", "source.newest");
+  system.eventually("received", [&] { return system.port("caller.samples").messages() > 5; });
+  kill_clients();
+  system.eventually("nothing is sent any more", [&] {
+    const auto before = system.group("main").links().sent_messages();
+    expect_puts("source", 20);
+    return system.group("main").links().sent_messages() < before + 20;
+  });
+  EXPECT_EQ(system.port("source.newest").dropped() + system.port("source.newest").refused(), 0U);
+}
+
+FIONA_OVER_EVERY_TRANSPORT(Defects);
+FIONA_OVER(DefectsOfTheDeaf, Transport::Ipc, Transport::Tcp);
+FIONA_OVER(DefectsOfTheKilled, Transport::Ipc, Transport::Tcp);
+
+}  // namespace
+}  // namespace fiona::conformance

@@ -1,0 +1,237 @@
+// A component with the right `master` changes the system: in the host's process, in a group, on another host.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include "masters.hpp"
+#include "served_host.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using ::testing::EndsWith;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+using namespace std::chrono_literals;
+using Steady = std::chrono::steady_clock;
+
+class Masters : public testing::TestWithParam<Transport> {
+ protected:
+  void load_system() {
+    console.load("beacon", "main", "a", "period_ms=2");
+    console.load("beacon", "main", "b", "period_ms=2");
+    console.load("navigator", "main", "nav");
+    load_boss(true);
+  }
+  void load_boss(bool granted) {
+    control::Change boss = TestConsole::load_of("boss", host.place());
+    if (granted) boss.mutable_load()->add_rights("master");
+    console.change(boss);
+  }
+  void begin(const std::string& call, const std::string& first = "-", const std::string& second = "-", const std::string& more = "") {
+    ++calls;
+    console.set("boss", "call=" + call + " first=" + first + " second=" + second + " go=" + std::to_string(calls) + " " + more);
+  }
+  /// How the newest call ended: "ok nav.fixes to a.fixes".
+  std::string end() {
+    const std::string number = std::to_string(calls) + " ";
+    std::string ended;
+    console.eventually("the end of the call", [&] { return (ended = console.read("boss.ended")).starts_with(number); });
+    return ended.substr(number.size());
+  }
+  std::string call(const std::string& name, const std::string& first = "-", const std::string& second = "-", const std::string& more = "") {
+    begin(name, first, second, more);
+    return end();
+  }
+
+  ServedHost host{GetParam()};
+  TestConsole console{host};
+  int calls = 0;
+};
+
+TEST_P(Masters, AComponentWiresRewiresListsAndUnwires) {
+  load_system();
+  EXPECT_EQ(call("wire", "nav.fixes", "a.fixes"), "ok nav.fixes to a.fixes");
+  EXPECT_EQ(console.peer_of("nav.fixes"), "a");
+  EXPECT_EQ(call("list"), "ok nav.fixes<a ");
+  EXPECT_EQ(call("swap", "a", "b"), "ok nav.fixes to b.fixes");
+  EXPECT_EQ(console.peer_of("nav.fixes"), "b");
+  EXPECT_EQ(call("plan", "nav.fixes", "a.fixes"), "ok 1 step");
+  EXPECT_EQ(console.peer_of("nav.fixes"), "b") << "a plan changes nothing";
+  EXPECT_EQ(call("unwire", "nav.fixes"), "ok nav.fixes unwired");
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+}
+
+TEST_P(Masters, AComponentChangesModesAndParameters) {
+  load_system();
+  EXPECT_EQ(call("state", "a", "neutral"), "ok a is neutral");
+  EXPECT_EQ(console.instance("a").mode(), "neutral");
+  EXPECT_EQ(call("set", "b"), "ok 2 changes");
+  EXPECT_EQ(console.instance("b").set_parameters_size(), 2);
+}
+
+TEST_P(Masters, AChangeIsInTheJournalUnderItsNameAndUndoTakesItBack) {
+  load_system();
+  call("wire", "nav.fixes", "a.fixes");
+  console.change(TestConsole::set_of("b", "period_ms=3"));
+  console.undo();
+  call("wire", "nav.fixes", "b.fixes");
+  const control::JournalEntry entry = console.last_entry();
+  EXPECT_EQ(entry.author(), "component boss");
+  EXPECT_EQ(entry.state(), control::JournalEntry::DONE);
+  console.undo();
+  EXPECT_EQ(console.peer_of("nav.fixes"), "a");
+}
+
+TEST_P(Masters, WithoutTheRightEachCallIsRejectedWithASentenceThatSaysHowToGrantIt) {
+  console.load("beacon", "main", "a", "period_ms=2");
+  console.load("navigator", "main", "nav");
+  load_boss(false);
+  for (const std::string name : {"wire", "list", "plan"}) {
+    const std::string ended = call(name, "nav.fixes", "a.fixes");
+    EXPECT_THAT(ended, StartsWith("rejected ")) << name;
+    EXPECT_THAT(ended, HasSubstr("'boss' has not been granted the right 'master'")) << name;
+    EXPECT_THAT(ended, HasSubstr("unload boss, then: load ")) << name;
+    EXPECT_THAT(ended, EndsWith(" as boss with master")) << name;
+  }
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+}
+
+TEST_P(Masters, ABatchIsMadeAsAWholeOrNotAtAll) {
+  load_system();
+  const std::string ended = call("batch", "nav.fixes", "a.fixes");
+  EXPECT_THAT(ended, StartsWith("rejected "));
+  EXPECT_THAT(ended, HasSubstr("'nav' cannot go from active to nowhere"));
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+  EXPECT_EQ(console.last_entry().state(), control::JournalEntry::ROLLED_BACK);
+}
+
+TEST_P(Masters, ARefusalIsTheSentenceThatAConsoleGets) {
+  load_system();
+  EXPECT_THAT(call("wire", "nav.fixs", "a.fixes"), HasSubstr("'nav' has no port 'fixs' that requires"));
+  EXPECT_THAT(call("wire", "nav.fixes", "a.echo"), HasSubstr("nav.fixes requires Fixes (push newest, Fix); a.echo provides Echo"));
+}
+
+TEST_P(Masters, OneThatIsNotActiveMayNotAsk) {
+  load_system();
+  control::Change leave;
+  leave.mutable_state()->set_instance("boss");
+  leave.mutable_state()->set_mode("neutral");
+  console.change(leave);
+  EXPECT_EQ(call("wire", "nav.fixes", "a.fixes"), "not_active");
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+}
+
+TEST_P(Masters, ChangesItsOwnModeAndHearsThatItLeftIt) {
+  load_system();
+  EXPECT_EQ(call("state", "boss", "neutral"), "not_active");
+  console.eventually("neutral", [&] { return console.instance("boss").mode() == "neutral"; });
+}
+
+TEST_P(Masters, ChangeOfItsOwnModeThatItBlocksItselfEndsInTimeSaysSoAndHoldsUpNobody) {
+  load_system();
+  const auto begun = Steady::now();
+  begin("state", "boss", "neutral", "deadline_ms=3000 held=true");
+  console.change(TestConsole::wire_of("nav.fixes", "b.fixes"));
+  EXPECT_LT(Steady::now() - begun, 2500ms) << "the wire did not wait for it";
+  const std::string ended = end();
+  EXPECT_THAT(ended, StartsWith("rejected ")) << ended;
+  EXPECT_THAT(ended, HasSubstr("did not change its mode to neutral in time: blocked by task 'hold'"));
+  EXPECT_EQ(console.instance("boss").mode(), "active");
+}
+
+TEST_P(Masters, UnloadsItself) {
+  load_system();
+  begin("unload", "boss");
+  console.eventually("it is gone", [&] {
+    const auto system = console.snapshot();
+    return std::none_of(system.instances().begin(), system.instances().end(), [](const auto& one) { return one.name() == "boss"; });
+  });
+  EXPECT_EQ(console.last_entry().author(), "component boss");
+  EXPECT_EQ(console.last_entry().state(), control::JournalEntry::DONE);
+}
+
+TEST_P(Masters, MoreCallsThanMayBeOpenAreRejectedAndTheOthersMade) {
+  load_system();
+  EXPECT_THAT(call("many", "nav.fixes", "a.fixes"), HasSubstr("64 made, 16 refused"));
+}
+
+FIONA_OVER_EVERY_TRANSPORT(Masters);
+
+TEST(MasterThatDies, LosesNothingOfWhatItAskedFor) {
+  ServedHost host(Transport::Ipc);
+  TestConsole console(host);
+  console.load("beacon", "main", "a", "period_ms=2");
+  console.load("navigator", "main", "nav");
+  control::Change boss = TestConsole::load_of("boss", "far");
+  boss.mutable_load()->add_rights("master");
+  console.change(boss);
+  const pid_t process = console.process_of("far");
+  console.set("boss", "call=wire first=nav.fixes second=a.fixes go=1");
+  console.eventually("the change", [&] { return console.last_entry().author() == "component boss"; });
+  ::kill(process, SIGKILL);
+  console.eventually("its death is noticed", [&] { return console.instance("boss").mode() == "failed"; });
+  EXPECT_EQ(console.peer_of("nav.fixes"), "a");
+  EXPECT_EQ(console.last_entry().state(), control::JournalEntry::DONE);
+  console.undo();
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+}
+
+TEST(MasterRights, AreGrantedToWhoAsksForThemOnly) {
+  ServedHost host;
+  TestConsole console(host);
+  const auto refusal_of = [&](const std::string& component, const std::string& right) {
+    control::Change load = TestConsole::load_of(component, "main");
+    load.mutable_load()->add_rights(right);
+    try {
+      console.change(load);
+    } catch (const Error& error) {
+      return error.text();
+    }
+    return ErrorText{};
+  };
+  EXPECT_EQ(refusal_of("source", "master").what, "'source' has no use for the right 'master'");
+  EXPECT_EQ(refusal_of("boss", "mister").what, "there is no right 'mister' that could be granted");
+  EXPECT_THAT(refusal_of("boss", "mister").near, ::testing::ElementsAre("master"));
+  EXPECT_EQ(console.snapshot().instances_size(), 0);
+}
+
+TEST(MasterRights, AreKeptByAnUndoOfTheUnload) {
+  ServedHost host;
+  TestConsole console(host);
+  control::Change boss = TestConsole::load_of("boss", "main");
+  boss.mutable_load()->add_rights("master");
+  console.change(boss);
+  console.unload("boss");
+  console.undo();
+  EXPECT_EQ(console.instance("boss").rights(0), "master");
+}
+
+TEST(MasterRights, AreNotThoseOfWhoSpeaksInAnothersName) {
+  RunningSystem system;
+  TemporaryDirectory directory;
+  host::Mailbox<std::function<void()>> work;
+  const auto later = [&work](std::function<void()> job) { work.push(std::move(job)); };
+  host::Engine engine(system.system(), directory.path / "journal", later);
+  host::Masters masters(system.system(), engine, later);
+  control::Change boss = TestConsole::load_of("boss", "main");
+  boss.mutable_load()->add_rights("master");
+  system.system().perform(boss);
+  system.load_in("red", "beacon", "beacon");
+  wire::Asked forged;
+  forged.set_instance("boss");
+  forged.set_number(1);
+  control::Change& unload = *forged.mutable_request()->mutable_transact()->add_changes();
+  unload.mutable_unload()->set_instance("beacon");
+  for (const std::string group : {"red", ""}) {
+    forged.set_group(group);
+    masters.serve(forged);
+    EXPECT_TRUE(system.system().has_instance("beacon")) << "said by '" << group << "'";
+  }
+  forged.set_group("main");
+  masters.serve(forged);
+  EXPECT_FALSE(system.system().has_instance("beacon"));
+}
+
+}  // namespace
+}  // namespace fiona::conformance

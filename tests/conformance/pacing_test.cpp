@@ -1,0 +1,156 @@
+// A put that waits for room (docs/patterns.md, Push newest).
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "fiona/result.hpp"
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+/// So many messages of this size are far more than inbox, lane and window hold together.
+constexpr int kCount = 60;
+constexpr int kPayload = 500'000;
+/// What fits in front of a handler, and the one that it has.
+constexpr std::uint64_t kFit = 4 * 1024 * 1024 / kPayload + 1;
+
+class Pacing : public testing::TestWithParam<Transport> {
+ protected:
+  /// A subscriber that does not come to the end of its first sample, until its time is changed.
+  void load_stuck() {
+    system.load_client("sipper", "sipper", "sip_ms=60000");
+    system.wire("sipper.samples", "pourer.samples");
+    system.wire("sipper.never", "pourer.never");
+  }
+  void load_pourer(const std::string& parameters) {
+    system.load_provider("pourer", "pourer", "neutral count=" + std::to_string(kCount) + " payload=" + std::to_string(kPayload) + parameters);
+  }
+  std::uint64_t put() { return system.port("pourer.samples").messages(); }
+  void wait_until_full() {
+    std::uint64_t before = 0;
+    system.eventually("it waits", [&] { return put() + 2 >= kFit && put() == std::exchange(before, put()); });
+  }
+  SeenSample end(std::uint64_t outcome) {
+    return system.wait_for(outcome, [](const auto& s) { return s.value() != 0 || s.number() == kCount; });
+  }
+  static Outcome outcome_of(const SeenSample& sample) { return static_cast<Outcome>(sample.value()); }
+
+  RunningSystem system{GetParam()};
+};
+
+TEST_P(Pacing, PutThatWaitsForRoomLosesNothingToASlowSubscriber) {
+  load_pourer("");
+  system.load_client("sipper", "sipper", "sip_ms=5");
+  system.wire("sipper.samples", "pourer.samples");
+  system.wire("sipper.never", "pourer.never");
+  const auto report = system.watch("sipper.report");
+  system.state("pourer", "active");
+  const auto last = system.wait_for(report, [](const auto& s) { return s.number() == kCount; });
+  EXPECT_EQ(last.value(), 0) << "none out of order";
+  EXPECT_EQ(system.port("sipper.samples").dropped(), 0U);
+  EXPECT_EQ(system.port("pourer.samples").dropped(), 0U);
+}
+
+TEST_P(Pacing, PutThatDoesNotWaitLosesTheOldestAndCountsThem) {
+  system.load_provider("source", "source", "neutral period_ms=0.1 count=60 payload=500000");
+  system.load_provider("pourer", "pourer", "neutral");
+  system.load_client("sipper", "sipper", "sip_ms=60000");
+  system.wire("sipper.samples", "source.newest");
+  system.wire("sipper.never", "pourer.never");
+  system.state("source", "active");
+  system.eventually("lost", [&] { return system.port("sipper.samples").dropped() > 0; });
+}
+
+TEST_P(Pacing, PutWithoutRoomInTimeEndsWithTimeoutAndIsNotPut) {
+  load_pourer(" deadline_ms=50");
+  load_stuck();
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  const auto last = end(outcome);
+  EXPECT_EQ(outcome_of(last), Outcome::Timeout);
+  EXPECT_EQ(put(), last.number());
+  EXPECT_LE(put(), kFit);
+  EXPECT_EQ(system.port("sipper.samples").dropped() + system.port("pourer.samples").dropped(), 0U);
+}
+
+TEST_P(Pacing, PutThatWaitsGoesOnWhenTheSubscriberIsUnwired) {
+  load_pourer("");
+  load_stuck();
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  wait_until_full();
+  system.unwire("sipper.samples");
+  EXPECT_EQ(end(outcome).number(), static_cast<std::uint64_t>(kCount));
+}
+
+TEST_P(Pacing, PutThatWaitsGoesOnWhenTheSubscriberIsUnloaded) {
+  load_pourer("");
+  load_stuck();
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  wait_until_full();
+  system.unload("sipper");
+  EXPECT_EQ(end(outcome).number(), static_cast<std::uint64_t>(kCount));
+}
+
+TEST_P(Pacing, PutThatWaitsEndsNotActiveWithItsMode) {
+  load_pourer("");
+  load_stuck();
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  wait_until_full();
+  system.state("pourer", "neutral");
+  EXPECT_EQ(outcome_of(system.wait_for(outcome, [](const auto& s) { return s.value() != 0; })), Outcome::NotActive);
+}
+
+TEST_P(Pacing, PutThatWaitsIsCancelledByTheFlagOfItsPort) {
+  load_pourer("");
+  load_stuck();
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  wait_until_full();
+  system.set("pourer", "cancel=true");
+  EXPECT_EQ(outcome_of(end(outcome)), Outcome::Cancelled);
+}
+
+TEST_P(Pacing, PutThatWaitsDoesNotWaitForASubscriberOfTheNewest) {
+  load_pourer("");
+  system.load_client("sink", "sink", "work_ms=50");
+  system.wire("sink.newest", "pourer.samples");
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  EXPECT_EQ(end(outcome).number(), static_cast<std::uint64_t>(kCount));
+  system.eventually("superseded", [&] {
+    return system.port("sink.newest").superseded() + system.port("sink.newest").messages() + system.port("sink.newest").dropped() == kCount;
+  });
+}
+
+TEST_P(Pacing, PutWaitsForTheSlowestOfSeveralAndAllGetEach) {
+  load_pourer("");
+  for (const std::string name : {"slow", "quick"}) {
+    system.load_client("sipper", name, name == "slow" ? "sip_ms=5" : "");
+    system.wire(name + ".samples", "pourer.samples");
+    system.wire(name + ".never", "pourer.never");
+  }
+  const auto slow = system.watch("slow.report");
+  const auto quick = system.watch("quick.report");
+  system.state("pourer", "active");
+  for (const auto report : {slow, quick}) {
+    EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == kCount; }).value(), 0);
+  }
+}
+
+TEST_P(Pacing, PutOfAMessageLargerThanAllRoomWaitsUntilNothingElseIsThere) {
+  system.load_provider("pourer", "pourer", "neutral count=4 payload=6000000");
+  system.load_client("sipper", "sipper", "sip_ms=5");
+  system.wire("sipper.samples", "pourer.samples");
+  system.wire("sipper.never", "pourer.never");
+  const auto report = system.watch("sipper.report");
+  system.state("pourer", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 4; }).value(), 0);
+}
+
+FIONA_OVER_EVERY_TRANSPORT(Pacing);
+
+}  // namespace
+}  // namespace fiona::conformance

@@ -1,0 +1,92 @@
+// A component that changes its system, alone on the bench.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "fiona/describe.hpp"
+#include "fiona/plugin.hpp"
+#include "fiona/testing/bench.hpp"
+
+namespace fiona::sdk_test {
+
+using namespace std::chrono_literals;
+
+class Chooser final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) hull().spawn(choose(), [] {});
+  }
+
+ private:
+  Async<> choose() {
+    WireChoice choice;
+    choice.otherwise = {"wifi.location"};
+    choice.every = 2;
+    choice.hold = 500ms;
+    Changes changes;
+    changes.wire("nav.location", "fusion.location", choice).set("wifi", "period", 200, "ms").set("wifi", "strict", true).state("gps", "neutral");
+    const auto done = co_await master_.make(std::move(changes), 1s);
+    ended_.set(std::string(to_string(done.outcome())) + done.reason());
+  }
+
+  Master master_{*this};
+  Probe<std::string> ended_{*this, "ended"};
+};
+
+class TwiceMaster final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  Master one_{*this};
+  Master two_{*this};
+};
+
+namespace {
+
+TEST(Master, AsksForAllChangesAsOneTransactionAndIsTold) {
+  testing::Bench<Chooser> bench;
+  bench.start();
+  const auto requests = bench.take_requests();
+  ASSERT_EQ(requests.size(), 1U);
+  const auto& changes = requests[0].transact().changes();
+  ASSERT_EQ(changes.size(), 4);
+  EXPECT_EQ(changes[0].wire().client().instance(), "nav");
+  EXPECT_EQ(changes[0].wire().client().port(), "location");
+  EXPECT_EQ(changes[0].wire().alternatives(0).instance(), "wifi");
+  EXPECT_EQ(changes[0].wire().prescale(), 2U);
+  EXPECT_EQ(changes[0].wire().hold_ms(), 500);
+  EXPECT_EQ(changes[1].set().parameters(0).value().integer(), 200);
+  EXPECT_EQ(changes[1].set().parameters(0).value().unit(), "ms");
+  EXPECT_TRUE(changes[2].set().parameters(0).value().flag());
+  EXPECT_EQ(changes[3].state().mode(), "neutral");
+  EXPECT_LT(changes[3].state().within_ms(), 1000) << "its refusal arrives before the caller gives up";
+  bench.advance(1ms);
+  EXPECT_EQ(bench.probe<std::string>("ended"), "ok");
+}
+
+TEST(Master, IsToldWhyItWasRefused) {
+  testing::Bench<Chooser> bench;
+  bench.refuse_with("there is no instance 'nav'");
+  bench.start();
+  bench.advance(1ms);
+  EXPECT_EQ(bench.probe<std::string>("ended"), "rejectedthere is no instance 'nav'");
+}
+
+TEST(Master, StandsInTheInterface) {
+  Plugin plugin;
+  plugin.add<Chooser>("chooser");
+  EXPECT_EQ(describe(plugin).components(0).rights(0), "master");
+}
+
+TEST(Master, IsAMemberOnce) {
+  try {
+    testing::Bench<TwiceMaster> bench;
+    FAIL() << "it was made";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "a component is master once");
+  }
+}
+
+}  // namespace
+}  // namespace fiona::sdk_test

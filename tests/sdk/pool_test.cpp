@@ -1,0 +1,188 @@
+#include "fiona/pool.hpp"
+
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <barrier>
+#include <chrono>
+#include <functional>
+#include <future>
+#include <latch>
+#include <memory>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "support.hpp"
+
+namespace fiona::sdk_test {
+namespace {
+
+using namespace std::chrono_literals;
+
+class Work final : public Runnable {
+ public:
+  explicit Work(std::function<void()> work) : work_(std::move(work)) {}
+  void run() override { work_(); }
+
+ private:
+  const std::function<void()> work_;
+};
+
+void submit(Pool& pool, std::function<void()> work) { pool.submit(std::make_shared<Work>(std::move(work))); }
+
+/// What becomes readable, and stays so until it is read.
+class Bell {
+ public:
+  Bell() : descriptor_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
+  ~Bell() { ::close(descriptor_); }
+  int descriptor() const { return descriptor_; }
+  void ring() const { ASSERT_EQ(::eventfd_write(descriptor_, 1), 0); }
+  void silence() const {
+    eventfd_t rung = 0;
+    ::eventfd_read(descriptor_, &rung);
+  }
+
+ private:
+  const int descriptor_;
+};
+
+TEST(Pool, RunsEachPieceOfWorkOnceWhoeverSubmitsIt) {
+  constexpr int kEach = 20'000;
+  std::vector<std::atomic<int>> runs(4 * kEach);
+  std::latch all(4 * kEach);
+  Pool pool(3);
+  std::vector<std::jthread> submitters;
+  for (int s = 0; s < 4; ++s) {
+    submitters.emplace_back([&, s] {
+      for (int i = 0; i < kEach; ++i) {
+        submit(pool, [&, n = static_cast<std::size_t>(s * kEach + i)] {
+          ++runs[n];
+          all.count_down();
+        });
+      }
+    });
+  }
+  submitters.clear();
+  all.wait();
+  EXPECT_TRUE(std::all_of(runs.begin(), runs.end(), [](const auto& count) { return count == 1; }));
+}
+
+TEST(Pool, HasAllItsThreadsAtWorkWhenThereIsWorkForAll) {
+  Pool pool(4);
+  std::barrier all_four(4);
+  std::latch done(4);
+  for (int round = 0; round < 4; ++round) {
+    submit(pool, [&] {
+      all_four.arrive_and_wait();
+      done.count_down();
+    });
+  }
+  done.wait();
+}
+
+TEST(Pool, CallsAgainForADescriptorThatStaysReadable) {
+  Pool pool(2);
+  const Bell bell;
+  std::atomic<int> calls{0};
+  std::promise<void> third;
+  const auto watch = pool.watch(bell.descriptor(), [&] {
+    if (++calls < 3) return;
+    bell.silence();
+    if (calls == 3) third.set_value();
+  });
+  bell.ring();
+  EXPECT_EQ(third.get_future().wait_for(kLimit), std::future_status::ready);
+}
+
+TEST(Pool, LooksAtDescriptorsThoughWorkNeverEnds) {
+  std::atomic<bool> ends{false};
+  std::function<void()> again;
+  Pool pool(1);
+  again = [&] {
+    if (!ends) submit(pool, again);
+  };
+  submit(pool, again);
+  const Bell bell;
+  std::promise<void> called;
+  const auto watch = pool.watch(bell.descriptor(), [&] {
+    bell.silence();
+    called.set_value();
+  });
+  bell.ring();
+  EXPECT_EQ(called.get_future().wait_for(kLimit), std::future_status::ready);
+  ends = true;
+}
+
+TEST(Pool, GoesOnWithWorkWhileADescriptorsCallLasts) {
+  Pool pool(2);
+  const Bell bell;
+  std::promise<void> entered, leave;
+  const auto watch = pool.watch(bell.descriptor(), [&] {
+    bell.silence();
+    entered.set_value();
+    leave.get_future().wait();
+  });
+  bell.ring();
+  entered.get_future().wait();
+  std::promise<void> ran;
+  submit(pool, [&] { ran.set_value(); });
+  EXPECT_EQ(ran.get_future().wait_for(kLimit), std::future_status::ready);
+  leave.set_value();
+}
+
+TEST(Pool, RunsWhatAReceivedMessageCausesOnTheThreadThatReceivedIt) {
+  Pool pool(2);
+  const Bell bell;
+  std::promise<std::pair<std::thread::id, std::thread::id>> threads;
+  const auto watch = pool.watch(bell.descriptor(), [&] {
+    bell.silence();
+    submit(pool, [&, receiver = std::this_thread::get_id()] {
+      threads.set_value({receiver, std::this_thread::get_id()});
+    });
+  });
+  bell.ring();
+  const auto [receiver, runner] = threads.get_future().get();
+  EXPECT_EQ(receiver, runner);
+}
+
+TEST(Pool, WaitsForACallThatRunsBeforeItLetsGoOfADescriptor) {
+  Pool pool(2);
+  for (int round = 0; round < 500; ++round) {
+    const Bell bell;
+    auto inside = std::make_unique<std::atomic<bool>>(false);
+    auto watch = pool.watch(bell.descriptor(), [&] {
+      *inside = true;  // of memory that is gone once the guard is
+      *inside = false;
+    });
+    bell.ring();
+    if (round % 2 == 0) std::this_thread::yield();
+    watch.reset();
+    EXPECT_FALSE(*inside);
+    inside.reset();
+  }
+}
+
+TEST(Pool, DropsWhatWaitsAtItsEndAndWaitsForWhatRuns) {
+  std::atomic<bool> finished{false};
+  auto waiting = std::make_shared<Work>([] {});
+  std::promise<void> entered;
+  {
+    Pool pool(1);
+    submit(pool, [&] {
+      entered.set_value();
+      std::this_thread::sleep_for(20ms);
+      finished = true;
+    });
+    entered.get_future().wait();
+    pool.submit(waiting);
+  }
+  EXPECT_TRUE(finished);
+  EXPECT_EQ(waiting.use_count(), 1);
+}
+
+}  // namespace
+}  // namespace fiona::sdk_test
