@@ -15,7 +15,11 @@ function(fiona_add_plugin name)
   # One symbol leaves the plugin: its entry.
   set_target_properties(${name} PROPERTIES PREFIX "lib" CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON
                         LIBRARY_OUTPUT_DIRECTORY ${CMAKE_CURRENT_BINARY_DIR})
-  target_link_options(${name} PRIVATE -Wl,--no-undefined -Wl,--exclude-libs,ALL)
+  target_link_options(${name} PRIVATE -Wl,--exclude-libs,ALL)
+  # Of clang's sanitizers the run-time library is part of the program: a plugin finds it there, not when it is linked.
+  if(NOT (CMAKE_CXX_COMPILER_ID STREQUAL "Clang" AND CMAKE_CXX_FLAGS MATCHES "-fsanitize"))
+    target_link_options(${name} PRIVATE -Wl,--no-undefined)
+  endif()
   if(arg_PROTOS)
     fiona_generate_protos(${name} ROOT ${CMAKE_CURRENT_SOURCE_DIR}/proto FILES ${arg_PROTOS})
   endif()
