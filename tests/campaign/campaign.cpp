@@ -106,11 +106,7 @@ void let_be(RunningSystem& system, std::chrono::milliseconds time) {
 }
 
 double allowed(double bound, bool in_full) {
-#ifdef __SANITIZE_ADDRESS__
-  return in_full ? 2 * bound : 6 * bound;
-#else
-  return in_full ? bound : 3 * bound;
-#endif
+  return bound * (in_full ? 1 : 3) * (FIONA_SANITIZED ? 2 : 1);
 }
 
 Pulse::Pulse()

@@ -24,11 +24,8 @@ constexpr int kWarmUp = 50;
 constexpr double kTwoPeriods_ms = 40;
 /// What reading the clock of another host may be off, beside half of a round trip: promise R25.
 constexpr double kClockError_ms = 10;
-#ifdef __SANITIZE_ADDRESS__
-constexpr bool kKeepsWhatIsFreed = true;  ///< to tell of uses after it
-#else
-constexpr bool kKeepsWhatIsFreed = false;
-#endif
+/// As AddressSanitizer does, to tell of uses after it.
+constexpr bool kKeepsWhatIsFreed = FIONA_SANITIZED;
 
 /// What all processes of the test hold.
 struct Holdings {

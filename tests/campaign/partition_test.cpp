@@ -202,7 +202,7 @@ void PrintTo(const LongWay& way, std::ostream* out) { *out << way.trouble.name; 
 class PartitionOfARelay : public Partition, public testing::WithParamInterface<LongWay> {};
 
 TEST_P(PartitionOfARelay, EndsQuestionsInTimeShowsNothingOldAndIsOverInTime) {
-  const auto& [trouble, weather] = GetParam();
+  const Trouble& trouble = GetParam().trouble;
   const auto seed =
       static_cast<unsigned>(number_from("FIONA_SEED", static_cast<int>(std::random_device{}() % 1'000'000)));
   std::cout << "seed " << seed << "\n";
@@ -211,7 +211,7 @@ TEST_P(PartitionOfARelay, EndsQuestionsInTimeShowsNothingOldAndIsOverInTime) {
   meet(relay, trouble.station);
   const Relay::Counts before = relay.counts();
   suffer(
-      trouble, [&] { relay.set(weather); }, [&] { relay.set({}); });
+      trouble, [&] { relay.set(GetParam().weather); }, [&] { relay.set({}); });
   const Relay::Counts after = relay.counts();
   std::cout << fmt::format("  packets: {}, of them late {}, twice {}, lost {}\n", after.carried - before.carried,
                            after.late - before.late, after.twice - before.twice, after.lost - before.lost);

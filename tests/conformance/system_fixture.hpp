@@ -142,7 +142,7 @@ class RunningSystem {
   std::uint64_t watch(const std::string& port, control::Watch terms = {});
   /// The first sample of the watched port, not looked at before, that `fits`; fails the test after `deadline`.
   SeenSample wait_for(std::uint64_t watch, const std::function<bool(const SeenSample&)>& fits,
-                        std::chrono::milliseconds deadline = std::chrono::seconds(10));
+                        std::chrono::milliseconds deadline = std::chrono::seconds(30));
   /// All samples so far that `wait_for` has not passed.
   std::vector<SeenSample> take(std::uint64_t watch);
   control::PortStatus port(const std::string& name);
@@ -160,7 +160,7 @@ class RunningSystem {
   control::Failure end_of(std::uint64_t watch);
   /// Polls `fits` until it holds; fails the test after `deadline`.
   void eventually(const std::string& what, const std::function<bool()>& fits,
-                  std::chrono::milliseconds deadline = std::chrono::seconds(10));
+                  std::chrono::milliseconds deadline = std::chrono::seconds(30));
 
  private:
   void keep(const wire::GroupMessage& event);

@@ -67,7 +67,7 @@ std::string deliveries(unsigned seed, std::size_t threads, const Placement& plac
   const TemporaryDirectory directory;
   const auto file = directory.path / "deliveries";
   {
-    RunningSystem system(threads, 5s);
+    RunningSystem system(threads, 30s);
     system.set("host", "clock=virtual deliveries=" + file.string());
     for (int n = 0; n < kMinglers; ++n) {
       system.load_in(place(n), "mingler", "m" + std::to_string(n), "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
@@ -122,7 +122,7 @@ std::string paced_deliveries(std::size_t threads, const Placement& place) {
   const TemporaryDirectory directory;
   const auto file = directory.path / "deliveries";
   {
-    RunningSystem system(threads, 5s);
+    RunningSystem system(threads, 30s);
     system.set("host", "clock=virtual deliveries=" + file.string());
     system.load_in(place(0), "pourer", "pourer", "count=60 payload=300000 deadline_ms=40");
     for (int n = 1; n <= 4; ++n) {
@@ -194,7 +194,7 @@ double expected_after_ms(RunningSystem& running, const std::string& port, std::u
 }
 
 TEST(VirtualTimeGroups, AnExpectationThatAGroupMeetsEndsAtTheInstantOfTheValue) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   running.set("host", "clock=virtual");
   running.load_in("far", "source", "source", "period_ms=5");
   EXPECT_EQ(expected_after_ms(running, "source.newest", 7), 30);
@@ -203,7 +203,7 @@ TEST(VirtualTimeGroups, AnExpectationThatAGroupMeetsEndsAtTheInstantOfTheValue) 
 }
 
 TEST(VirtualTimeGroups, WhatIsLoadedLaterBeginsAtTheSystemsTime) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   running.set("host", "clock=virtual");
   running.let_pass(1000ms);
   running.load_in("far", "source", "source", "period_ms=5");
@@ -212,7 +212,7 @@ TEST(VirtualTimeGroups, WhatIsLoadedLaterBeginsAtTheSystemsTime) {
 }
 
 TEST(VirtualTimeProcess, AModeWithAFreeRunningTaskIsRefusedAndTheOthersAreNot) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   running.set("host", "clock=virtual");
   try {
     running.load_in("", "toiler", "toiler");
@@ -269,7 +269,7 @@ TEST(VirtualTimeGroups, AGroupThatIsStoppedIsNamedAsSilent) {
 }
 
 TEST(VirtualTimeGroups, AGroupThatDiesDoesNotStopTime) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   running.set("host", "clock=virtual");
   running.load_in("far", "hog", "hog", "from_ms=10 die=true");
   running.load_in("far", "sink", "sink");
@@ -285,7 +285,7 @@ TEST(VirtualTimeGroups, AGroupThatDiesDoesNotStopTime) {
 // ---- the host's parameter -------------------------------------------------------------------------------------
 
 TEST(DeliveryLog, NeedsAVirtualClock) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   try {
     running.set("host", "deliveries=anywhere");
     FAIL() << "recorded on the system clock";
@@ -296,7 +296,7 @@ TEST(DeliveryLog, NeedsAVirtualClock) {
 }
 
 TEST(DeliveryLog, ThatCannotBeWrittenLeavesTheClockAsItIs) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   try {
     running.set("host", "clock=virtual deliveries=/proc/no-such-folder/log");
     FAIL() << "opened";
@@ -308,7 +308,7 @@ TEST(DeliveryLog, ThatCannotBeWrittenLeavesTheClockAsItIs) {
 }
 
 TEST(DeliveryLog, OnAFullDeviceEndsTheWaitWithTheReason) {
-  RunningSystem running(2, 5s);
+  RunningSystem running(2, 30s);
   running.set("host", "clock=virtual deliveries=/dev/full");
   running.load_in("", "source", "source", "period_ms=1");
   running.load_in("", "sink", "sink");
