@@ -30,7 +30,9 @@ std::string wire_line(const control::Wire& wire) {
   std::string line = fmt::format("wire {} to {}", typed_port(wire.client()), typed_port(wire.provider()));
   for (const auto& other : wire.alternatives()) line += " else " + typed_port(other);
   if (wire.prescale() > 1) line += fmt::format(" every {}", wire.prescale());
-  if (wire.has_hold_ms()) line += fmt::format(" hold={:g}{}", wire.hold_ms() / (wire.hold_ms() < 1000 ? 1 : 1000), wire.hold_ms() < 1000 ? "ms" : "s");
+  if (wire.has_hold_ms())
+    line += fmt::format(" hold={:g}{}", wire.hold_ms() / (wire.hold_ms() < 1000 ? 1 : 1000),
+                        wire.hold_ms() < 1000 ? "ms" : "s");
   return line;
 }
 
@@ -47,32 +49,40 @@ std::string agreement_text(const control::Agreement& one) {
   for (int i = 0; i < std::min(kShown, one.differences_size()); ++i) {
     const auto& difference = one.differences(i);
     const std::string unit = difference.unit().empty() ? "" : " " + difference.unit();
-    text += fmt::format("{}{} median {:.3g}{}, max {:.3g}{}", text.empty() ? "" : "; ", difference.field(), difference.median(), unit,
-                        difference.most(), unit);
+    text += fmt::format("{}{} median {:.3g}{}, max {:.3g}{}", text.empty() ? "" : "; ", difference.field(),
+                        difference.median(), unit, difference.most(), unit);
   }
   const bool all_valid = one.old_valid() == one.old_messages() && one.next_valid() == one.next_messages();
   if (!text.empty() && all_valid) return text;
-  return fmt::format("{}{}{} messages ({} valid) and {} ({} valid)", text, text.empty() ? "" : "; ", one.old_messages(), one.old_valid(),
-                     one.next_messages(), one.next_valid());
+  return fmt::format("{}{}{} messages ({} valid) and {} ({} valid)", text, text.empty() ? "" : "; ", one.old_messages(),
+                     one.old_valid(), one.next_messages(), one.next_valid());
 }
 
 std::string agreements_text(const control::Done& done) {
   std::string text;
   for (const auto& one : done.agreements()) {
-    const std::string names = done.agreements_size() == 1 ? "" : fmt::format(", {} and {}", text_of(one.old()), text_of(one.next()));
-    text += fmt::format("{}{:g} s together{}: {}", text.empty() ? "" : "\n", done.watched_s(), names, agreement_text(one));
+    const std::string names =
+        done.agreements_size() == 1 ? "" : fmt::format(", {} and {}", text_of(one.old()), text_of(one.next()));
+    text +=
+        fmt::format("{}{:g} s together{}: {}", text.empty() ? "" : "\n", done.watched_s(), names, agreement_text(one));
   }
   return text;
 }
 
 nlohmann::json agreement_facts(const control::Agreement& one) {
-  nlohmann::json facts{{"old", text_of(one.old())},           {"next", text_of(one.next())},
-                       {"old_messages", one.old_messages()}, {"next_messages", one.next_messages()},
-                       {"old_valid", one.old_valid()},       {"next_valid", one.next_valid()},
+  nlohmann::json facts{{"old", text_of(one.old())},
+                       {"next", text_of(one.next())},
+                       {"old_messages", one.old_messages()},
+                       {"next_messages", one.next_messages()},
+                       {"old_valid", one.old_valid()},
+                       {"next_valid", one.next_valid()},
                        {"differences", nlohmann::json::array()}};
   for (const auto& difference : one.differences()) {
-    facts["differences"].push_back({{"field", difference.field()}, {"unit", difference.unit()}, {"median", difference.median()},
-                                    {"max", difference.most()}, {"compared", difference.compared()}});
+    facts["differences"].push_back({{"field", difference.field()},
+                                    {"unit", difference.unit()},
+                                    {"median", difference.median()},
+                                    {"max", difference.most()},
+                                    {"compared", difference.compared()}});
   }
   return facts;
 }
@@ -98,12 +108,14 @@ std::string line_of(const control::Change& change) {
     case control::Change::kUnload: return "unload " + typed_text(change.unload().instance());
     case control::Change::kWire: return wire_line(change.wire());
     case control::Change::kUnwire: return "unwire " + typed_port(change.unwire().client());
-    case control::Change::kSet: return with_arguments("set " + typed_text(change.set().instance()), change.set().parameters());
+    case control::Change::kSet:
+      return with_arguments("set " + typed_text(change.set().instance()), change.set().parameters());
     case control::Change::kState:
       return fmt::format("state {} {}", typed_text(change.state().instance()), typed_text(change.state().mode()));
     case control::Change::kReplace:
-      return fmt::format("swap {} for {}{}", typed_text(change.replace().old()), typed_text(change.replace().next()),
-                         change.replace().watch_ms() > 0 ? fmt::format(" watch {:g}ms", change.replace().watch_ms()) : "");
+      return fmt::format(
+          "swap {} for {}{}", typed_text(change.replace().old()), typed_text(change.replace().next()),
+          change.replace().watch_ms() > 0 ? fmt::format(" watch {:g}ms", change.replace().watch_ms()) : "");
     case control::Change::WHAT_NOT_SET: break;
   }
   return "# a change that this console does not know";
@@ -118,8 +130,8 @@ void tell(Session& session, const control::Reply& reply, const std::string& othe
   if (done.agreements_size() > 0) note = agreements_text(done) + "\n" + note;
   if (done.entry() != 0) facts["entry"] = done.entry();
   if (done.switched() > 0) {
-    note += fmt::format("; switched {} wire{}, gap {:.3g} ms, lost {}", done.switched(), done.switched() == 1 ? "" : "s",
-                        done.gap_ms(), done.lost());
+    note += fmt::format("; switched {} wire{}, gap {:.3g} ms, lost {}", done.switched(),
+                        done.switched() == 1 ? "" : "s", done.gap_ms(), done.lost());
     facts.update({{"switched", done.switched()}, {"gap_ms", done.gap_ms()}, {"lost", done.lost()}});
   }
   session.out.done(note, facts);
@@ -136,7 +148,8 @@ void make(Session& session, const Line& line, control::Change change, const std:
   const bool waits = change.has_state() || change.replace().watch_ms() > 0;
   *request.mutable_transact()->add_changes() = std::move(change);
   const std::string place = line.words.origin.empty() ? "" : place_text(line.words, line.verb.place);
-  tell(session, waits ? session.host().call_waiting(std::move(request)) : session.call(std::move(request)), otherwise, place);
+  tell(session, waits ? session.host().call_waiting(std::move(request)) : session.call(std::move(request)), otherwise,
+       place);
 }
 
 void make(Session& session, const Batch& batch, bool whole) {

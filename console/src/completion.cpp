@@ -31,7 +31,8 @@ Candidates probes(const Asked& asked) {
   const bool in_detail = std::count(asked.word.begin(), asked.word.end(), '.') > 1;
   for (int i = 0; system != nullptr && i < system->instances_size(); ++i) {
     for (const ProbeInfo& probe : probes_of(system->instances(i))) {
-      if (in_detail || probe.name.find('.') == std::string::npos) found.push_back(system->instances(i).name() + "." + probe.name);
+      if (in_detail || probe.name.find('.') == std::string::npos)
+        found.push_back(system->instances(i).name() + "." + probe.name);
     }
   }
   return found;
@@ -251,7 +252,8 @@ Completion complete(std::string_view typed, Names& names) {
     return completion;  // inside a quote: nothing is known
   }
   Candidates found;
-  if (const Verb* outer = before.empty() ? nullptr : find_verb(before.items.front().word.text); outer && outer->takes_line) {
+  if (const Verb* outer = before.empty() ? nullptr : find_verb(before.items.front().word.text);
+      outer && outer->takes_line) {
     before.items.erase(before.items.begin());
   }
   if (before.empty()) {

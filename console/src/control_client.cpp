@@ -114,9 +114,9 @@ void ControlClient::connect(bool control) {
 
 void ControlClient::connect_here() {
   const auto refuse = [this](const std::string& why) {
-    throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers: " + why,
-                                                  .where = endpoint_.text(),
-                                                  .next = "start one: fiona run FILE"});
+    throw Error(
+        ErrorCode::Unreachable,
+        ErrorText{.what = "no host answers: " + why, .where = endpoint_.text(), .next = "start one: fiona run FILE"});
   };
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
@@ -148,8 +148,9 @@ void ControlClient::send(const control::Request& request) {
     if (sent > 0) {
       rest.remove_prefix(static_cast<std::size_t>(sent));
     } else if (closed() || (errno != EAGAIN && errno != EINTR) || !Reactor::wait_writable(socket_, deadline)) {
-      throw Error(ErrorCode::Unreachable,
-                  ErrorText{.what = closed() ? farewell() : "the host does not take the request", .where = endpoint_.text()});
+      throw Error(
+          ErrorCode::Unreachable,
+          ErrorText{.what = closed() ? farewell() : "the host does not take the request", .where = endpoint_.text()});
     }
   }
 }
@@ -233,10 +234,9 @@ control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& r
   }
   forget(id);
   if (!here) {
-    throw Error(ErrorCode::Unreachable,
-                ErrorText{.what = in_time ? farewell() : "the host does not answer in time",
-                          .where = endpoint_.text(),
-                          .next = in_time ? "fiona ls hosts" : "more time: --timeout 10s"});
+    throw Error(ErrorCode::Unreachable, ErrorText{.what = in_time ? farewell() : "the host does not answer in time",
+                                                  .where = endpoint_.text(),
+                                                  .next = in_time ? "fiona ls hosts" : "more time: --timeout 10s"});
   }
   if (reply.has_failure()) throw_failure(reply.failure());
   return reply;

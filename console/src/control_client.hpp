@@ -37,8 +37,8 @@ class ControlClient {
  public:
   using Answer = std::function<void(const control::Reply&)>;
 
-  /// Connects; over tcp, `control` asks for all that the key may, and not only to look. Throws fiona::Error (Unreachable,
-  /// NotAllowed).
+  /// Connects; over tcp, `control` asks for all that the key may, and not only to look. Throws fiona::Error
+  /// (Unreachable, NotAllowed).
   ControlClient(Reactor& reactor, Endpoint endpoint, std::chrono::milliseconds timeout, bool control = false);
   ControlClient(const ControlClient&) = delete;
   ControlClient& operator=(const ControlClient&) = delete;

@@ -23,9 +23,7 @@ bool is_silent(const control::PortStatus& port) {
   return is_push(port) && (port.age_ms() < 0 || (port.lease_ms() > 0 && port.age_ms() > port.lease_ms()));
 }
 
-bool is_late(const control::PortStatus& port) {
-  return port.lease_ms() > 0 && port.latency_p99_ms() > port.lease_ms();
-}
+bool is_late(const control::PortStatus& port) { return port.lease_ms() > 0 && port.latency_p99_ms() > port.lease_ms(); }
 
 bool works(const control::InstanceStatus& instance) {
   const auto& modes = instance.modes();
@@ -95,8 +93,9 @@ class Diagnosis {
       return;
     }
     if (const auto modes = modes_that_serve(instance, port)) {
-      return add(name, fmt::format("works in {}, and {} is {}", fmt::join(*modes, ", "), instance.name(), instance.mode()),
-                 instance.mode_since_s(), modes->empty() ? "" : fmt::format("state {} {}", instance.name(), modes->front()));
+      return add(
+          name, fmt::format("works in {}, and {} is {}", fmt::join(*modes, ", "), instance.name(), instance.mode()),
+          instance.mode_since_s(), modes->empty() ? "" : fmt::format("state {} {}", instance.name(), modes->front()));
     }
     if (!is_silent(port)) return;
     const std::size_t before = found_.size();
@@ -105,8 +104,8 @@ class Diagnosis {
     const std::string state = port.age_ms() < 0 ? "has not said anything yet" : "is silent";
     const double since_s = port.age_ms() < 0 ? instance.mode_since_s() : port.age_ms() / 1000;
     if (!by_itself) return add(name, state, since_s);
-    add(name, fmt::format("{}, though {} gets all that it requires{}", state, instance.name(), work_text(instance)), since_s,
-        "show " + instance.name());
+    add(name, fmt::format("{}, though {} gets all that it requires{}", state, instance.name(), work_text(instance)),
+        since_s, "show " + instance.name());
   }
 
   void look_at_required(const control::InstanceStatus& instance, const control::PortStatus& port) {
@@ -132,21 +131,27 @@ class Diagnosis {
   }
 
   /// The wire is there: whether what comes is taken, and in time.
-  void look_at_arrivals(const control::InstanceStatus& instance, const control::PortStatus& port, bool provider_is_silent) {
+  void look_at_arrivals(const control::InstanceStatus& instance, const control::PortStatus& port,
+                        bool provider_is_silent) {
     const std::string name = instance.name() + "." + port.name();
     if (!is_push(port)) return;
     if (provider_is_silent) return add(name, "gets nothing", port.age_ms() < 0 ? port.since_s() : port.age_ms() / 1000);
     if (is_silent(port)) {
       std::vector<std::string> why;
-      if (port.refused() > 0) why.push_back(fmt::format("{} broke a rule of size, range or finiteness", port.refused()));
+      if (port.refused() > 0)
+        why.push_back(fmt::format("{} broke a rule of size, range or finiteness", port.refused()));
       if (port.dropped() > 0) why.push_back(fmt::format("{} were dropped", port.dropped()));
-      if (port.not_active() > 0) why.push_back(fmt::format("{} came in a mode that does not take them", port.not_active()));
-      if (instance.queue_depth() > 0) why.push_back(fmt::format("{} wait in the queue of {}", instance.queue_depth(), instance.name()));
-      add(name, fmt::format("takes nothing of what its provider says{}{}", why.empty() ? "" : ": ", fmt::join(why, ", ")),
+      if (port.not_active() > 0)
+        why.push_back(fmt::format("{} came in a mode that does not take them", port.not_active()));
+      if (instance.queue_depth() > 0)
+        why.push_back(fmt::format("{} wait in the queue of {}", instance.queue_depth(), instance.name()));
+      add(name,
+          fmt::format("takes nothing of what its provider says{}{}", why.empty() ? "" : ": ", fmt::join(why, ", ")),
           port.age_ms() < 0 ? port.since_s() : port.age_ms() / 1000, "show " + name);
     } else if (is_late(port)) {
-      add(name, fmt::format("is late: one in a hundred is under way for {}, and {} is loss{}", age_text(port.latency_p99_ms()),
-                            age_text(port.lease_ms()), work_text(instance)),
+      add(name,
+          fmt::format("is late: one in a hundred is under way for {}, and {} is loss{}",
+                      age_text(port.latency_p99_ms()), age_text(port.lease_ms()), work_text(instance)),
           -1, "show " + instance.name());
     }
   }
@@ -161,7 +166,8 @@ class Diagnosis {
         if (component.name() != instance.component()) continue;
         for (const auto& mode : component.modes()) {
           const auto& activities = mode.activities();
-          if (std::find(activities.begin(), activities.end(), port.activity()) != activities.end()) serve.push_back(mode.name());
+          if (std::find(activities.begin(), activities.end(), port.activity()) != activities.end())
+            serve.push_back(mode.name());
         }
       }
     }
@@ -173,7 +179,8 @@ class Diagnosis {
   static std::string work_text(const control::InstanceStatus& instance) {
     std::string text;
     for (const auto& task : instance.tasks()) {
-      if (task.overruns() > 0) text += fmt::format("; task '{}' has overrun {} times", task.task().name(), task.overruns());
+      if (task.overruns() > 0)
+        text += fmt::format("; task '{}' has overrun {} times", task.task().name(), task.overruns());
     }
     if (instance.queue_depth() > 0) text += fmt::format("; {} messages wait for it", instance.queue_depth());
     return text;

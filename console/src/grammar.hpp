@@ -45,9 +45,9 @@ struct WordLine {
     std::optional<Word> name{};  ///< set for `name=value`
   };
   std::vector<Item> items{};
-  std::string origin{};  ///< the file; empty for a typed line
-  Place place{};         ///< of the first word
-  std::string comment{}; ///< of the lines right above it, and at its end; lines of it
+  std::string origin{};   ///< the file; empty for a typed line
+  Place place{};          ///< of the first word
+  std::string comment{};  ///< of the lines right above it, and at its end; lines of it
   /// The physical lines, for the caret; shared by all lines of a file, which has thousands at times.
   std::shared_ptr<const std::vector<std::string>> source{};
 

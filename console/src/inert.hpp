@@ -3,7 +3,13 @@
 #include <string>
 #include <string_view>
 
+#include "fiona/unicode.hpp"
+
 namespace fiona::console {
+
+using unicode::append_utf8;
+using unicode::Character;
+using unicode::decode;
 
 /// The text with everything that could act on a terminal or mislead a reader made visible: control bytes (C0, C1, DEL),
 /// escape sequences, line and paragraph separators, bidirectional overrides, zero-width and other invisible
@@ -17,14 +23,5 @@ std::string inert_lines(std::string_view text);
 
 /// The columns that the text takes on a terminal: wide East Asian characters and emoji count 2, combining marks 0.
 std::size_t display_width(std::string_view text);
-
-/// One decoded character; `valid` is false for a byte that is no UTF-8, which then is taken alone.
-struct Character {
-  char32_t code = 0;
-  std::size_t bytes = 1;
-  bool valid = false;
-};
-Character decode(std::string_view text);
-void append_utf8(std::string& out, char32_t code);
 
 }  // namespace fiona::console

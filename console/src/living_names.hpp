@@ -10,8 +10,8 @@
 
 namespace fiona::console {
 
-/// Names from the running host, asked at most once a second and never for longer than 150 ms; from store and marketplace;
-/// and from the working directory.
+/// Names from the running host, asked at most once a second and never for longer than 150 ms; from store and
+/// marketplace; and from the working directory.
 class LivingNames final : public Names {
  public:
   explicit LivingNames(Session& session) : session_(session) {}

@@ -36,8 +36,8 @@ struct Endpoint {
   std::string text() const { return remote ? "tcp://" + remote->address : "unix:" + socket.string(); }
 };
 
-/// What `at` ("unix:PATH", "ADDRESS:PORT=KEY", a name of `keys know`) or `host` names, or the only host that runs. Throws
-/// fiona::Error: Unreachable where none runs, Usage where several do, or the endpoint is of another kind.
+/// What `at` ("unix:PATH", "ADDRESS:PORT=KEY", a name of `keys know`) or `host` names, or the only host that runs.
+/// Throws fiona::Error: Unreachable where none runs, Usage where several do, or the endpoint is of another kind.
 Endpoint chosen_endpoint(const std::string& at, const std::string& host);
 
 /// $XDG_STATE_HOME/fiona/history, else ~/.local/state/fiona/history; empty without a home.

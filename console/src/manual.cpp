@@ -47,7 +47,8 @@ std::string roff_lines(std::string_view text) {
 }
 
 std::string title(const char* name, int section, const std::string& version) {
-  return fmt::format(".\\\" Made from the table of verbs.\n.TH {} {} \"\" \"fiona {}\" \"FIONA\"\n", name, section, version);
+  return fmt::format(".\\\" Made from the table of verbs.\n.TH {} {} \"\" \"fiona {}\" \"FIONA\"\n", name, section,
+                     version);
 }
 
 std::string section(const char* heading, const std::string& body) { return fmt::format(".SH {}\n{}", heading, body); }
@@ -60,7 +61,8 @@ std::string verbs_text(bool in_files) {
   for (const Verb& verb : verb_rows()) {
     if (in_files && verb.name == "run") continue;
     std::string forms;
-    for (const Shape& shape : verb.forms) forms += fmt::format("{}{}", forms.empty() ? "" : "\n.TQ\n.B ", roff(shape.text()));
+    for (const Shape& shape : verb.forms)
+      forms += fmt::format("{}{}", forms.empty() ? "" : "\n.TQ\n.B ", roff(shape.text()));
     std::string body = roff(verb.does) + ".\n";
     if (!verb.more.empty()) body += ".br\n" + roff_lines(verb.more);
     text += tagged(forms, body);
@@ -106,11 +108,13 @@ std::string environment_text() {
 std::string command_manual(const std::string& version) {
   return title("FIONA", 1, version) +
          section("NAME", "fiona \\- compose, rewire and watch systems of localisation and navigation components\n") +
-         section("SYNOPSIS", ".B fiona\n[\\fIOPTION\\fR ...]\n[\\fILINE\\fR]\n.br\n.B fiona run\n[\\fIFILE\\fR ...]\n") +
-         section("DESCRIPTION",
-                 roff("Speaks to a running host, or starts one (run). Without a line, a prompt where standard input is a terminal; "
-                      "otherwise lines are read from there. One argument is a line, several are words that are not split again.") +
-                     "\n.PP\n" + roff_lines(grammar_text())) +
+         section("SYNOPSIS",
+                 ".B fiona\n[\\fIOPTION\\fR ...]\n[\\fILINE\\fR]\n.br\n.B fiona run\n[\\fIFILE\\fR ...]\n") +
+         section("DESCRIPTION", roff("Speaks to a running host, or starts one (run). Without a line, a prompt where "
+                                     "standard input is a terminal; "
+                                     "otherwise lines are read from there. One argument is a line, several are words "
+                                     "that are not split again.") +
+                                    "\n.PP\n" + roff_lines(grammar_text())) +
          section("OPTIONS", options_text()) + section("VERBS", verbs_text(false)) +
          section("EXIT STATUS", exit_codes_text()) + section("ENVIRONMENT", environment_text()) +
          section("SEE ALSO", ".BR fiona\\-system (5)\n");
@@ -119,14 +123,17 @@ std::string command_manual(const std::string& version) {
 std::string system_file_manual(const std::string& version) {
   return title("FIONA-SYSTEM", 5, version) +
          section("NAME", "fiona\\-system \\- a system of components as a script (*.fiona)\n") +
-         section("DESCRIPTION",
-                 roff("A system file has the lines that one would type at the prompt; fiona save writes one, fiona run starts it, "
-                      "fiona check reads it without starting anything, fiona apply makes a running system equal to it. All lines "
-                      "are read before the first is run. It stops at the first line that fails.") +
-                     "\n.PP\n" + roff_lines(grammar_text())) +
+         section("DESCRIPTION", roff("A system file has the lines that one would type at the prompt; fiona save writes "
+                                     "one, fiona run starts it, "
+                                     "fiona check reads it without starting anything, fiona apply makes a running "
+                                     "system equal to it. All lines "
+                                     "are read before the first is run. It stops at the first line that fails.") +
+                                    "\n.PP\n" + roff_lines(grammar_text())) +
          section("LINES", verbs_text(true)) +
-         section("EXAMPLE", ".nf\n" + roff("load building-simulator as phone seed=7\nload step-heading as steps\n"
-                                            "wire steps.imu to phone.imu\n") + ".fi\n") +
+         section("EXAMPLE", ".nf\n" +
+                                roff("load building-simulator as phone seed=7\nload step-heading as steps\n"
+                                     "wire steps.imu to phone.imu\n") +
+                                ".fi\n") +
          section("SEE ALSO", ".BR fiona (1)\n");
 }
 

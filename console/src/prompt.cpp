@@ -54,10 +54,10 @@ class Prompt {
  private:
   void serve_line() {
     const bool more = !typed_.empty();
-    const auto line = editor_.read(asking_ ? "stop the host and its system? (yes/no) "
-                                   : more            ? "     > "
+    const auto line = editor_.read(asking_          ? "stop the host and its system? (yes/no) "
+                                   : more           ? "     > "
                                    : session_.batch ? fmt::format("fiona({})> ", session_.batch->changes.size())
-                                                     : "fiona> ",
+                                                    : "fiona> ",
                                    [this] { return has_ended(); });
     if (has_ended()) return;
     if (asking_) return take_answer(line);

@@ -66,8 +66,8 @@ class RemoteLink::Carrier {
     socket_.set(zmq::sockopt::curve_serverkey, host_.key.bytes());
     socket_.set(zmq::sockopt::curve_publickey, keys_.open.bytes());
     socket_.set(zmq::sockopt::curve_secretkey, keys_.secret.bytes());
-    socket_.set(zmq::sockopt::immediate, true);     // nothing waits for a connection that may never come
-    socket_.set(zmq::sockopt::reconnect_ivl, -1);   // each connection is a session; the console connects again
+    socket_.set(zmq::sockopt::immediate, true);    // nothing waits for a connection that may never come
+    socket_.set(zmq::sockopt::reconnect_ivl, -1);  // each connection is a session; the console connects again
     socket_.set(zmq::sockopt::handshake_ivl, kHandshake_ms);
     socket_.set(zmq::sockopt::maxmsgsize, kLargest);
     socket_.set(zmq::sockopt::sndhwm, kWaiting);
@@ -85,10 +85,10 @@ class RemoteLink::Carrier {
   }
 
   void wait() {
-    std::array<zmq::pollitem_t, 3> waits{{{monitor_.handle(), 0, ZMQ_POLLIN, 0},
-                                          {nullptr, link_.far_, 0, 0},
-                                          {socket_.handle(), 0, ZMQ_POLLIN, 0}}};
-    waits[1].events = static_cast<short>((welcome_ && unsent_.empty() ? ZMQ_POLLIN : 0) | (unread_.empty() ? 0 : ZMQ_POLLOUT));
+    std::array<zmq::pollitem_t, 3> waits{
+        {{monitor_.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, link_.far_, 0, 0}, {socket_.handle(), 0, ZMQ_POLLIN, 0}}};
+    waits[1].events =
+        static_cast<short>((welcome_ && unsent_.empty() ? ZMQ_POLLIN : 0) | (unread_.empty() ? 0 : ZMQ_POLLOUT));
     // While the console does not read, nothing is taken from the host, which feels that.
     static_cast<void>(::zmq_poll(waits.data(), unread_.empty() ? 3 : 2, kTick.count()));
   }
@@ -106,8 +106,11 @@ class RemoteLink::Carrier {
       }
       closed_ = true;
       if (kind == ZMQ_EVENT_HANDSHAKE_FAILED_AUTH) refused_by_key();
-      if (kind == ZMQ_EVENT_CLOSED) fail({.what = "no host serves consoles there", .next = "on that machine: fiona run FILE --serve ADDRESS:PORT"});
-      if (!shaken_) fail({.what = "no handshake: the key of that host is another one, or it is no host of FIONA", .next = "on that machine: fiona keys show"});
+      if (kind == ZMQ_EVENT_CLOSED)
+        fail({.what = "no host serves consoles there", .next = "on that machine: fiona run FILE --serve ADDRESS:PORT"});
+      if (!shaken_)
+        fail({.what = "no handshake: the key of that host is another one, or it is no host of FIONA",
+              .next = "on that machine: fiona keys show"});
     }
   }
 
@@ -127,7 +130,8 @@ class RemoteLink::Carrier {
     while (unread_.empty() && socket_.recv(message, zmq::recv_flags::dontwait)) {
       silent_ = {};
       control::Carried carried;
-      if (message.more() || !carried.ParseFromArray(message.data(), static_cast<int>(message.size()))) return end("it does not speak as a host does");
+      if (message.more() || !carried.ParseFromArray(message.data(), static_cast<int>(message.size())))
+        return end("it does not speak as a host does");
       if (carried.has_welcome() && !welcome_) be_welcome(carried.welcome());
       if (carried.has_stream()) hand_to_console(carried.stream());
       if (carried.has_ended()) return end(carried.ended().reason());
@@ -252,14 +256,18 @@ void RemoteLink::await_welcome(Reactor& reactor, std::chrono::milliseconds timeo
   const std::lock_guard lock(mutex_);
   if (problem_) throw Error(problem_->first, problem_->second);
   if (welcome_) return;
-  throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers in time", .where = "tcp://" + address_, .next = "is the address right?  more time: --timeout 10s"});
+  throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers in time",
+                                                .where = "tcp://" + address_,
+                                                .next = "is the address right?  more time: --timeout 10s"});
 }
 
 void RemoteLink::carry(const RemoteAddress& host, const trust::KeyPair& keys, bool control) {
   try {
     Carrier(*this, host, keys, control).run();
   } catch (const zmq::error_t& error) {
-    settle(std::pair(ErrorCode::Unreachable, ErrorText{.what = fmt::format("no connection can be made: {}", error.what()), .where = "tcp://" + host.address}));
+    settle(
+        std::pair(ErrorCode::Unreachable, ErrorText{.what = fmt::format("no connection can be made: {}", error.what()),
+                                                    .where = "tcp://" + host.address}));
   }
   ::shutdown(far_, SHUT_RDWR);  // what has been handed over can still be read
 }

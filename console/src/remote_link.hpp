@@ -22,12 +22,12 @@ struct RemoteAddress {
   trust::Key key;
 };
 
-/// Carries the stream of a console over tcp, with CURVE (control.proto, Carried), in a thread of its own: signs of life go
-/// out and are missed also while the console is busy. When the host has gone, the stream ends.
+/// Carries the stream of a console over tcp, with CURVE (control.proto, Carried), in a thread of its own: signs of life
+/// go out and are missed also while the console is busy. When the host has gone, the stream ends.
 class RemoteLink {
  public:
-  /// Begins to connect, with this user's key pair; `control`: asks for all that its key may, and not only to look. Throws
-  /// fiona::Error NotFound without a key pair.
+  /// Begins to connect, with this user's key pair; `control`: asks for all that its key may, and not only to look.
+  /// Throws fiona::Error NotFound without a key pair.
   RemoteLink(const RemoteAddress& host, bool control);
   RemoteLink(const RemoteLink&) = delete;
   RemoteLink& operator=(const RemoteLink&) = delete;

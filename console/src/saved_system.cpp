@@ -19,7 +19,8 @@ control::Change load_of(const control::InstanceStatus& instance) {
   // A plugin with several components is loaded by publisher/name/component; its own name is enough otherwise, and
   // both are understood.
   const std::string own = instance.plugin().substr(instance.plugin().rfind('/') + 1);
-  if (!instance.component().empty() && instance.component() != own) load.set_plugin(instance.plugin() + "/" + instance.component());
+  if (!instance.component().empty() && instance.component() != own)
+    load.set_plugin(instance.plugin() + "/" + instance.component());
   load.set_instance(instance.name());
   load.set_group(instance.group());
   load.set_mode(instance.mode_at_load());

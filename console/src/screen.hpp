@@ -6,8 +6,8 @@
 
 namespace fiona::console {
 
-/// The whole terminal, from the constructor to the destructor, which gives it back as it was. One at a time: the library
-/// behind it (ncurses) has one state per process.
+/// The whole terminal, from the constructor to the destructor, which gives it back as it was. One at a time: the
+/// library behind it (ncurses) has one state per process.
 class Screen {
  public:
   /// Throws fiona::Error (Failed) where the terminal cannot be used so.

@@ -66,7 +66,8 @@ void run_script(Session& session, const std::vector<Line>& lines, const std::fun
       if (line.verb.text == "begin") open = &line;
     }
     if (session.batch && !began && open)
-      throw open->error(open->verb, {.what = "this transaction is not committed: nothing of it was done", .next = "commit"});
+      throw open->error(open->verb,
+                        {.what = "this transaction is not committed: nothing of it was done", .next = "commit"});
   } catch (...) {
     if (!began) session.batch.reset();  // no half transaction is left
     throw;

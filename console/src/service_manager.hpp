@@ -7,8 +7,8 @@
 
 namespace fiona::console {
 
-/// What started this process as a service and wants to be told how it is: sd_notify(3)'s protocol, datagrams to the socket
-/// that $NOTIFY_SOCKET names. Without that, nobody is told anything.
+/// What started this process as a service and wants to be told how it is: sd_notify(3)'s protocol, datagrams to the
+/// socket that $NOTIFY_SOCKET names. Without that, nobody is told anything.
 class ServiceManager {
  public:
   /// From the environment.

@@ -42,7 +42,8 @@ class LineOptions {
       const std::string given = key.text.empty() ? word.text : key.text + "=" + word.text;  // ADDRESS:PORT=KEY
       if (session_.setting != Setting::Shell)
         throw line.error(given.empty() ? line.verb : word,
-                         {.what = fmt::format("{} {} when `fiona` starts, not in the middle", name, given.empty() ? "is said" : "chooses the host"),
+                         {.what = fmt::format("{} {} when `fiona` starts, not in the middle", name,
+                                              given.empty() ? "is said" : "chooses the host"),
                           .next = fmt::format("from a shell: fiona {}{}{} …", name, given.empty() ? "" : " ", given)});
       if (std::string_view(name) == "--at") session_.options.at = given;
       if (std::string_view(name) == "--host") session_.options.host = given;
@@ -121,7 +122,8 @@ void Session::run(const Line& line) {
   const LineOptions scoped(*this, line);
   const Verb& verb = *find_verb(line.verb.text);
   if (batch && !verb.in_transaction)
-    throw line.error(line.verb, {.what = fmt::format("'{}' cannot stand in a transaction", verb.name), .next = "commit, or abort"});
+    throw line.error(
+        line.verb, {.what = fmt::format("'{}' cannot stand in a transaction", verb.name), .next = "commit, or abort"});
   try {
     verb.handler(*this, line);
   } catch (const LineError&) {

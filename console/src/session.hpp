@@ -25,11 +25,11 @@ enum class Setting {
 
 /// What the process was told about which host and how to talk.
 struct Options {
-  std::string at;               ///< "unix:PATH", "ADDRESS:PORT=KEY", a known name; empty: found in the run-time directory
-  std::string host;             ///< its name; empty: the one that runs
+  std::string at;    ///< "unix:PATH", "ADDRESS:PORT=KEY", a known name; empty: found in the run-time directory
+  std::string host;  ///< its name; empty: the one that runs
   std::filesystem::path store;  ///< empty: the user's
   std::chrono::milliseconds timeout{2000};
-  bool control = false;         ///< over tcp: all that the key may, and not only to look
+  bool control = false;  ///< over tcp: all that the key may, and not only to look
 };
 
 /// Changes that were collected, each with the line that asked for it.

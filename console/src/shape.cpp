@@ -89,7 +89,8 @@ class Binder {
 
   /// A word that is a keyword in this form only may also be a name, where one is still to come.
   bool begins_clause(const std::string& word) const {
-    return is_keyword(word) || (shape_.find_clause(word) != nullptr && line_.positional.size() >= shape_.positional().size());
+    return is_keyword(word) ||
+           (shape_.find_clause(word) != nullptr && line_.positional.size() >= shape_.positional().size());
   }
 
   void take_argument(const WordLine::Item& item) {
@@ -279,7 +280,8 @@ std::vector<Word> Line::clause_words(std::string_view keyword) const {
 }
 
 const Word* Line::argument(std::string_view name) const {
-  const auto found = std::find_if(arguments.begin(), arguments.end(), [name](const auto& one) { return one.name.text == name; });
+  const auto found =
+      std::find_if(arguments.begin(), arguments.end(), [name](const auto& one) { return one.name.text == name; });
   return found == arguments.end() ? nullptr : &found->value;
 }
 

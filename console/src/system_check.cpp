@@ -43,7 +43,9 @@ class Checker {
 
   CheckResult finish() {
     for (const auto& [name, instance] : instances_) add_spots(name, instance);
-    if (begun_) result_.errors.push_back(begun_->error(begun_->verb, {.what = "this transaction is not committed", .next = "commit"}));
+    if (begun_)
+      result_.errors.push_back(
+          begun_->error(begun_->verb, {.what = "this transaction is not committed", .next = "commit"}));
     result_.instances = instances_.size();
     return std::move(result_);
   }
@@ -56,11 +58,10 @@ class Checker {
   void take(const Line& line) {
     static const std::map<std::string, void (Checker::*)(const Line&)> kChecks{
         {"load", &Checker::take_load},     {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
-        {"unwire", &Checker::take_unwire}, {"swap", &Checker::take_swap},
-        {"begin", &Checker::take_begin},   {"commit", &Checker::take_commit}, {"abort", &Checker::take_commit},
-        {"set", &Checker::take_set},       {"state", &Checker::take_mode},
-        {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},   {"get", &Checker::take_instance},
-        {"call", &Checker::take_call},     {"send", &Checker::take_call},
+        {"unwire", &Checker::take_unwire}, {"swap", &Checker::take_swap},     {"begin", &Checker::take_begin},
+        {"commit", &Checker::take_commit}, {"abort", &Checker::take_commit},  {"set", &Checker::take_set},
+        {"state", &Checker::take_mode},    {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},
+        {"get", &Checker::take_instance},  {"call", &Checker::take_call},     {"send", &Checker::take_call},
         {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
         {"market", &Checker::take_market}, {"run", &Checker::take_run}};
     if (const auto found = kChecks.find(line.verb.text); found != kChecks.end()) (this->*found->second)(line);
@@ -98,7 +99,8 @@ class Checker {
     const Word* granted = line.clause("with");
     if (granted == nullptr && !asked.empty()) {
       result_.remarks.push_back(fmt::format("{}: {} asks for the right '{}' and does not get it: load {} with {}",
-                                            place_text(line.words, plugin.place), plugin.text, asked[0], plugin.text, asked[0]));
+                                            place_text(line.words, plugin.place), plugin.text, asked[0], plugin.text,
+                                            asked[0]));
     }
     if (granted == nullptr || std::find(asked.begin(), asked.end(), granted->text) != asked.end()) return;
     throw line.error(*granted, {.what = fmt::format("{} has no use for the right '{}'", plugin.text, granted->text)});
@@ -192,7 +194,8 @@ class Checker {
     providers.insert(providers.begin(), *line.clause("to"));
     for (auto one = providers.begin(); one != providers.end(); ++one) {
       if (std::any_of(providers.begin(), one, [&](const Word& other) { return other.text == one->text; }))
-        throw line.error(*one, {.what = fmt::format("{} is named twice", one->text), .expected = "each alternative once, the best first"});
+        throw line.error(*one, {.what = fmt::format("{} is named twice", one->text),
+                                .expected = "each alternative once, the best first"});
       check_provider(line, required, *one);
     }
     wired_.insert(client.text);
@@ -200,7 +203,8 @@ class Checker {
 
   static void check_hold(const Line& line, const Word& hold, bool alone) {
     const double hold_ms = duration_ms(hold, line.words);
-    if (alone) throw line.error(hold, {.what = "a hold time is for a wire with alternatives", .next = "else INSTANCE.PORT"});
+    if (alone)
+      throw line.error(hold, {.what = "a hold time is for a wire with alternatives", .next = "else INSTANCE.PORT"});
     if (hold_ms > 3'600'000) throw line.error(hold, {.what = "the hold time is out of range", .expected = "0s .. 1h"});
   }
 
@@ -333,10 +337,11 @@ class Checker {
     for (const auto& port : instance.known.component->ports()) known.push_back(port.name());
     for (const ProbeInfo& probe : probes_of(*instance.known.component)) known.push_back(probe.name);
     if (std::find(known.begin(), known.end(), name) != known.end()) return;
-    throw line.error(word,
-                     {.what = fmt::format("{} has no port or probe '{}'", word.text.substr(0, word.text.find('.')), name),
-                      .near = nearest_names(name, known)},
-                     ErrorCode::NotFound);
+    throw line.error(
+        word,
+        {.what = fmt::format("{} has no port or probe '{}'", word.text.substr(0, word.text.find('.')), name),
+         .near = nearest_names(name, known)},
+        ErrorCode::NotFound);
   }
   void take_expect(const Line& line) {
     Word port = line.positional[0];

@@ -65,8 +65,10 @@ std::vector<ProbeInfo> probes_of_any(const Owner& instance) {
   };
   for (const HullProbe& one : hull_probes()) {
     if (one.of == HullProbe::Of::Instance) add("", one);
-    for (int i = 0; one.of == HullProbe::Of::Port && i < instance.ports_size(); ++i) add(instance.ports(i).name() + ".", one);
-    for (int i = 0; one.of == HullProbe::Of::Task && i < instance.tasks_size(); ++i) add(name_of(instance.tasks(i)) + ".", one);
+    for (int i = 0; one.of == HullProbe::Of::Port && i < instance.ports_size(); ++i)
+      add(instance.ports(i).name() + ".", one);
+    for (int i = 0; one.of == HullProbe::Of::Task && i < instance.tasks_size(); ++i)
+      add(name_of(instance.tasks(i)) + ".", one);
   }
   return found;
 }

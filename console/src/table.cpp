@@ -13,6 +13,12 @@ std::vector<std::string> Table::lines(bool header) const {
     auto& line = texts.emplace_back();
     for (const Cell& cell : row) line.push_back(cell.text.empty() ? "-" : inert(cell.text));
   }
+  for (std::size_t i = 0; i < headers_.size(); ++i) {
+    const auto is_empty = [i](const auto& row) { return i >= row.size() || row[i].text.empty(); };
+    if (headers_[i] != rare_ || !std::all_of(rows_.begin(), rows_.end(), is_empty)) continue;
+    for (auto& line : texts) line.erase(line.begin() + static_cast<std::ptrdiff_t>(std::min(i, line.size() - 1)));
+    break;
+  }
   std::vector<std::size_t> widths(headers_.size());
   for (const auto& line : texts) {
     for (std::size_t i = 0; i < line.size(); ++i) widths[i] = std::max(widths[i], display_width(line[i]));

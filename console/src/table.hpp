@@ -22,6 +22,8 @@ class Table {
 
   explicit Table(std::vector<std::string> headers) : headers_(std::move(headers)) {}
 
+  /// Programs always have this column, people while it says something.
+  void leave_out_if_empty(const std::string& header) { rare_ = header; }
   void add(std::vector<Cell> row) { rows_.push_back(std::move(row)); }
   bool empty() const { return rows_.empty(); }
   std::size_t size() const { return rows_.size(); }
@@ -32,6 +34,7 @@ class Table {
 
  private:
   std::vector<std::string> headers_;
+  std::string rare_;
   std::vector<std::vector<Cell>> rows_;
 };
 

@@ -14,7 +14,12 @@ Table::Cell latency_cell(double latency_ms) {
 }
 
 Table::Cell count_cell(std::uint64_t count) { return {fmt::format("{}", count), count}; }
-Table::Cell age_cell(double age_ms) { return age_ms < 0 ? Table::Cell("", nullptr) : Table::Cell(age_text(age_ms), age_ms); }
+Table::Cell age_cell(double age_ms) {
+  return age_ms < 0 ? Table::Cell("", nullptr) : Table::Cell(age_text(age_ms), age_ms);
+}
+Table::Cell share_cell(double percent) {
+  return percent < 0 ? Table::Cell("", nullptr) : Table::Cell(fmt::format("{:.1f}%", percent), percent);
+}
 Table::Cell rate_cell(double rate_hz) { return {rate_text(rate_hz), rate_hz}; }
 
 }  // namespace
@@ -22,9 +27,10 @@ Table::Cell rate_cell(double rate_hz) { return {rate_text(rate_hz), rate_hz}; }
 /// An instance as one line, of all its ports together.
 struct TopView::Row {
   const control::InstanceStatus* instance;
-  double busy = -1;         ///< percent; negative: not known yet
-  double rate_hz = 0;       ///< of what it provides, the fastest; of who provides nothing, what comes
-  double age_ms = -1;       ///< of the oldest newest message of what it requires and is connected
+  double busy = -1;            ///< percent; negative: not known yet
+  double cpu = -1;             ///< the same
+  double rate_hz = 0;          ///< of what it provides, the fastest; of who provides nothing, what comes
+  double age_ms = -1;          ///< of the oldest newest message of what it requires and is connected
   double latency_p50_ms = -1;  ///< the slowest port's, as is the next
   double latency_p99_ms = -1;
   std::uint64_t drops = 0;
@@ -32,6 +38,7 @@ struct TopView::Row {
   double key(Order order) const {
     switch (order) {
       case Order::Busy: return busy;
+      case Order::Cpu: return cpu;
       case Order::Queue: return static_cast<double>(instance->queue_depth());
       case Order::Rate: return rate_hz;
       case Order::Age: return age_ms;
@@ -45,17 +52,21 @@ struct TopView::Row {
 
 void TopView::update(control::System system, std::chrono::steady_clock::time_point taken) {
   const double passed_ms = std::chrono::duration<double, std::milli>(taken - taken_).count();
-  std::map<std::string, double> handler_ms;
-  busy_.clear();
+  std::map<std::string, Times> totals;
+  shares_.clear();
   for (const auto& instance : system.instances()) {
-    handler_ms[instance.name()] = instance.handler_ms();
-    const auto before = handler_ms_.find(instance.name());
+    const Times now{.handler = instance.handler_ms(), .cpu = instance.cpu_ms()};
+    totals[instance.name()] = now;
+    const auto before = totals_.find(instance.name());
     // Less than before: another one of that name.
-    const bool known = before != handler_ms_.end() && passed_ms > 0 && instance.handler_ms() >= before->second;
+    if (before == totals_.end() || passed_ms <= 0 || now.handler < before->second.handler) continue;
     // What a handler takes is counted when it ends, some of it before this interval.
-    if (known) busy_[instance.name()] = std::min(100.0, 100 * (instance.handler_ms() - before->second) / passed_ms);
+    const auto share = [passed_ms](double from, double to) {
+      return std::clamp(100 * (to - from) / passed_ms, 0.0, 100.0);
+    };
+    shares_[instance.name()] = {share(before->second.handler, now.handler), share(before->second.cpu, now.cpu)};
   }
-  handler_ms_ = std::move(handler_ms);
+  totals_ = std::move(totals);
   system_ = std::move(system);
   taken_ = taken;
 }
@@ -67,15 +78,18 @@ std::string TopView::headline() const {
     if (health_text(instance) != "ok") ++not_ok;
     for (const auto& port : instance.ports()) wires += port.connection() == control::CONNECTED ? 1 : 0;
   }
-  return fmt::format("{}  {} clock  {} instances{}  {} wires", system_.host(), system_.clock(), system_.instances_size(),
-                     not_ok == 0 ? "" : fmt::format(", {} not ok", not_ok), wires);
+  return fmt::format("{}  {} clock  {} instances{}  {} wires", system_.host(), system_.clock(),
+                     system_.instances_size(), not_ok == 0 ? "" : fmt::format(", {} not ok", not_ok), wires);
 }
 
 std::vector<TopView::Row> TopView::rows(Order order) const {
   std::vector<Row> rows;
   for (const auto& instance : system_.instances()) {
     Row& row = rows.emplace_back(Row{&instance});
-    if (const auto busy = busy_.find(instance.name()); busy != busy_.end()) row.busy = busy->second;
+    if (const auto found = shares_.find(instance.name()); found != shares_.end()) {
+      row.busy = found->second.handler;
+      row.cpu = found->second.cpu;
+    }
     double came_hz = 0;
     for (const auto& port : instance.ports()) {
       const bool connected = port.connection() == control::CONNECTED;
@@ -102,13 +116,21 @@ std::vector<std::string> TopView::names(Order order) const {
 }
 
 Table TopView::instances(Order order) const {
-  Table table({"instance", "mode", "busy", "queue", "rate", "age", "p50", "p99", "drops", "health"});
+  Table table({"instance", "mode", "busy", "cpu", "queue", "rate", "age", "p50", "p99", "drops", "restarts", "health"});
+  table.leave_out_if_empty("restarts");
   for (const Row& row : rows(order)) {
     const auto& instance = *row.instance;
-    table.add({instance.name(), instance.mode(),
-               row.busy < 0 ? Table::Cell("", nullptr) : Table::Cell(fmt::format("{:.1f} %", row.busy), row.busy),
-               count_cell(instance.queue_depth()), rate_cell(row.rate_hz), age_cell(row.age_ms),
-               latency_cell(row.latency_p50_ms), latency_cell(row.latency_p99_ms), count_cell(row.drops),
+    table.add({instance.name(),
+               instance.mode(),
+               share_cell(row.busy),
+               share_cell(row.cpu),
+               count_cell(instance.queue_depth()),
+               rate_cell(row.rate_hz),
+               age_cell(row.age_ms),
+               latency_cell(row.latency_p50_ms),
+               latency_cell(row.latency_p99_ms),
+               count_cell(row.drops),
+               {instance.restarts() == 0 ? "" : std::to_string(instance.restarts()), instance.restarts()},
                health_text(instance)});
   }
   return table;
@@ -122,9 +144,13 @@ Table TopView::ports(const std::string& name) const {
     const bool required = port.direction() == fiona::REQUIRES;
     const std::string peer = port.peer().instance().empty() ? "" : text_of(port.peer());
     const std::string trouble = port.connection() == control::CONNECTED ? "" : connection_text(port);
-    table.add({port.name(), !required ? clients_text(port) : trouble.empty() ? peer : trouble, rate_cell(port.rate_hz()),
-               age_cell(port.age_ms()), latency_cell(port.latency_p50_ms()), latency_cell(port.latency_p99_ms()),
-               count_cell(port.dropped()), count_cell(port.superseded()), count_cell(port.refused())});
+    table.add({port.name(),
+               !required         ? clients_text(port)
+               : trouble.empty() ? peer
+                                 : trouble,
+               rate_cell(port.rate_hz()), age_cell(port.age_ms()), latency_cell(port.latency_p50_ms()),
+               latency_cell(port.latency_p99_ms()), count_cell(port.dropped()), count_cell(port.superseded()),
+               count_cell(port.refused())});
   }
   return table;
 }

@@ -16,8 +16,9 @@ namespace fiona::console {
 class TopView {
  public:
   /// By what the rows are ordered; the largest first, names as in a book.
-  enum class Order { Busy, Queue, Rate, Age, Latency, Drops, Name };
-  static constexpr std::array<std::string_view, 7> kOrders{"busy", "queue", "rate", "age", "p99", "drops", "instance"};
+  enum class Order { Busy, Cpu, Queue, Rate, Age, Latency, Drops, Name };
+  static constexpr std::array<std::string_view, 8> kOrders{"busy", "cpu", "queue", "rate",
+                                                           "age",  "p99", "drops", "instance"};
 
   /// A snapshot that was taken at this moment of the machine's clock.
   void update(control::System system, std::chrono::steady_clock::time_point taken);
@@ -26,7 +27,8 @@ class TopView {
   std::string headline() const;
   /// The instances' names in that order, as the rows of `instances` stand.
   std::vector<std::string> names(Order order) const;
-  /// One row an instance: busy is the share of the time that its handlers took since the snapshot before.
+  /// One row an instance: busy is the share of the time that its handlers took since the snapshot before, cpu what they
+  /// had of a CPU meanwhile.
   Table instances(Order order) const;
   /// One row a port; empty: the instance is there no more.
   Table ports(const std::string& instance) const;
@@ -37,8 +39,12 @@ class TopView {
 
   control::System system_;
   std::chrono::steady_clock::time_point taken_{};
-  std::map<std::string, double> busy_;        ///< percent; of those that were there before
-  std::map<std::string, double> handler_ms_;  ///< of the snapshot before
+  struct Times {
+    double handler = 0;
+    double cpu = 0;
+  };
+  std::map<std::string, Times> shares_;  ///< percent; of those that were there before
+  std::map<std::string, Times> totals_;  ///< ms; of the snapshot before
 };
 
 }  // namespace fiona::console

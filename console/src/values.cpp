@@ -194,10 +194,12 @@ unsigned count_of(const Word& word, const WordLine& line) {
 control::PortName watched_name(const Word& word, const WordLine& line) {
   const std::size_t dot = word.text.find('.');
   const bool sound = dot != std::string::npos && dot > 0 && word.text.back() != '.' &&
-                     word.text.find("..") == std::string::npos && std::count(word.text.begin(), word.text.end(), '.') <= 2;
+                     word.text.find("..") == std::string::npos &&
+                     std::count(word.text.begin(), word.text.end(), '.') <= 2;
   if (!sound)
-    throw LineError(line, word.place, {.what = fmt::format("'{}' is no port and no probe", word.text),
-                                       .expected = "instance.port, instance.probe, instance.port.rate"});
+    throw LineError(line, word.place,
+                    {.what = fmt::format("'{}' is no port and no probe", word.text),
+                     .expected = "instance.port, instance.probe, instance.port.rate"});
   control::PortName name;
   name.set_instance(word.text.substr(0, dot));
   name.set_port(word.text.substr(dot + 1));

@@ -19,26 +19,31 @@ std::vector<Verb> composing_verbs() {
       {"load", forms({"load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with master] [PARAM=VALUE …]"}),
        "creates an instance of a plugin",
        "PLUGIN is publisher/name, name, name/component where a plugin has several, or the path of a library.\n"
-       "Without `as` the instance has the component's name; without `in` it lives in main; in HOST or HOST/GROUP on another host; `at` is its first mode.\n"
-       "`with master` lets a component that asks for it change the system, as whoever types does. A path names a file on the host's "
+       "Without `as` the instance has the component's name; without `in` it lives in main; in HOST or HOST/GROUP on "
+       "another host; `at` is its first mode.\n"
+       "`with master` lets a component that asks for it change the system, as whoever types does. A path names a file "
+       "on the host's "
        "machine: that takes administer.",
        Access::Compose, verbs::load},
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
       {"wire", forms({"wire INSTANCE.PORT to INSTANCE.PORT [else INSTANCE.PORT …] [every N] [hold=T]"}),
        "connects a required port to a provided one",
-       "Checked before it is done; a port that has a wire already gets the new one without a gap. Where no instance has "
+       "Checked before it is done; a port that has a wire already gets the new one without a gap. Where no instance "
+       "has "
        "the provider's name yet, the wire waits for it.\n"
        "`every N` passes each N-th message of a push.\n"
        "`else` names who serves while those before are not there, silent for longer than their lease, or say that what "
-       "they say is not valid; all are connected all the time. A better one serves again once it has been fit for the hold "
+       "they say is not valid; all are connected all the time. A better one serves again once it has been fit for the "
+       "hold "
        "time, 3s unless `hold` says otherwise: wire nav.location to fusion.location else wifi.location hold=5s.",
        Access::Compose, verbs::wire},
       {"unwire", forms({"unwire INSTANCE.PORT"}), "takes the wire of a required port away", "", Access::Compose,
        verbs::unwire},
       {"swap", forms({"swap INSTANCE for INSTANCE [watch T]"}), "moves all who use one instance to another",
        "Each wire goes to the port of the same name, or the only one of the same service; all of them or none.\n"
-       "With `watch` what both push is compared first, for T on the system's clock, and how far they differ is told. If the "
+       "With `watch` what both push is compared first, for T on the system's clock, and how far they differ is told. "
+       "If the "
        "new one says nothing, or nothing valid, while the old one does, nothing is swapped.",
        Access::Compose, verbs::swap},
   };
@@ -49,12 +54,14 @@ std::vector<Verb> transaction_verbs() {
       {"begin", forms({"begin"}), "collects the changes of the lines that follow, until commit",
        "At a prompt and in a system file. Nothing is changed before commit.", Access::Compose, verbs::begin},
       {"commit", forms({"commit"}), "makes the collected changes, all or none",
-       "Each is checked before the first is made; when one fails, those before it are taken back. It takes the level that "
-       "the highest of them takes.", Access::Compose,
-       verbs::commit},
+       "Each is checked before the first is made; when one fails, those before it are taken back. It takes the level "
+       "that "
+       "the highest of them takes.",
+       Access::Compose, verbs::commit},
       {"abort", forms({"abort"}), "drops the collected changes", "", Access::Compose, verbs::abort},
       {"plan", forms({"plan LINE"}), "shows what a line would do, step by step, and what would take it back",
-       "As in: plan swap wifi for fusion, plan apply museum.fiona, plan undo.", Access::Observe, verbs::plan, false, true},
+       "As in: plan swap wifi for fusion, plan apply museum.fiona, plan undo.", Access::Observe, verbs::plan, false,
+       true},
       {"apply", forms({"apply FILE"}), "makes the running system equal to a file, with the fewest changes",
        "Lines that only look are passed over; the others are load, wire, set, state. All or nothing.", Access::Compose,
        verbs::apply, false},
@@ -69,16 +76,19 @@ std::vector<Verb> operating_verbs() {
   return {
       {"set", forms({"set INSTANCE PARAM=VALUE …"}), "changes parameters, all or none",
        "A number may carry a unit, which is converted: 200ms, 1.5m, 30deg.\n"
-       "The instance `host` is the host itself: set host clock=virtual speed=0 deliveries=FILE; deliveries names a file there, which "
+       "The instance `host` is the host itself: set host clock=virtual speed=0 deliveries=FILE; deliveries names a "
+       "file there, which "
        "takes administer.",
        Access::Operate, verbs::set},
       {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe,
        verbs::get},
       {"state", forms({"state INSTANCE [MODE] [for T]"}), "shows the mode, or changes it and waits until it is reached",
-       "A mode is left when the work that it leaves has ended; `for`, or 10 s, is how long that may take. deactivated is "
+       "A mode is left when the work that it leaves has ended; `for`, or 10 s, is how long that may take. deactivated "
+       "is "
        "neutral, and cancels what waits. To see the mode takes observe.",
        Access::Operate, verbs::state},
-      {"call", forms({"call INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "uses a query port or a trigger by hand, and shows the answer",
+      {"call", forms({"call INSTANCE.NAME [FIELD=VALUE …] [for T]"}),
+       "uses a query port or a trigger by hand, and shows the answer",
        "Of a required port: the provider at its wire's end. `for`, or 2 s, is how long it may take.", Access::Operate,
        verbs::call, false},
       {"send", forms({"send INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
@@ -102,9 +112,11 @@ std::string hull_probe_text() {
 std::vector<Verb> seeing_verbs() {
   return {
       {"ls", forms({"ls [instances|plugins|wires|services|hosts]"}), "lists what runs, is installed or connected",
-       "health says ok, waiting, lost, failed, or silent: its process does not answer; wires is connected/required.", Access::Observe, verbs::ls},
+       "health says ok, waiting, lost, failed, or silent: its process does not answer; wires is connected/required.",
+       Access::Observe, verbs::ls},
       {"show", forms({"show THING"}), "everything about an instance, port, plugin, service or object",
-       "THING: walk, walk.imu, walk.imu.rate, trace-player, LocationProvider, CommLocation. Without a host, what is installed and "
+       "THING: walk, walk.imu, walk.imu.rate, trace-player, LocationProvider, CommLocation. Without a host, what is "
+       "installed and "
        "what the platform knows.",
        Access::Observe, verbs::show},
       {"spots", forms({"spots"}), "white spots: required ports that nobody serves, provided ones that nobody uses",
@@ -115,24 +127,32 @@ std::vector<Verb> seeing_verbs() {
        "why it is silent, late, not active, lost or failed: what led to it, the root first",
        "Follows what an instance requires to where the trouble begins, over wires and alternatives.", Access::Observe,
        verbs::why},
-      {"watch", forms({"watch INSTANCE.PORT|INSTANCE.PROBE [FIELD …] [every N|T] [when CONDITION …] [for T]",
+      {"watch",
+       forms({"watch INSTANCE.PORT|INSTANCE.PROBE [FIELD …] [every N|T] [when CONDITION …] [for T]",
               "watch stop [INSTANCE.PORT|INSTANCE.PROBE]"}),
        "prints what goes through a port, or what a probe says",
-       "Any type. `every 5` prints each fifth; `every 1s` is the shortest time between two lines, on the system's clock "
+       "Any type. `every 5` prints each fifth; `every 1s` is the shortest time between two lines, on the system's "
+       "clock "
        "and on yours; `for` ends it, on yours.\n"
-       "With `when` only what makes the condition true: [FIELD] above V, below V, is V, changes, older than T. It has to "
+       "With `when` only what makes the condition true: [FIELD] above V, below V, is V, changes, older than T. It has "
+       "to "
        "become false before it is told again.\n" +
            hull_probe_text() +
-       "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, Ctrl-C "
-       "does.",
+           "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, "
+           "Ctrl-C "
+           "does.",
        Access::Observe, verbs::watch},
       {"graph", forms({"graph [dot|mermaid]"}), "the wiring as text, for Graphviz or for Mermaid",
-       "As text `<-` comes from there, `?-` nobody serves, `->` goes there. As in: fiona graph dot | dot -Tsvg > system.svg",
+       "As text `<-` comes from there, `?-` nobody serves, `->` goes there. As in: fiona graph dot | dot -Tsvg > "
+       "system.svg",
        Access::Observe, verbs::graph},
-      {"top", forms({"top [every T] [for T] [sort=COLUMN]"}), "full screen: who takes how much time, how late, how many were lost",
-       "busy is the share of the time that an instance's handlers take; age that of the oldest newest message that it has; "
+      {"top", forms({"top [every T] [for T] [sort=COLUMN]"}),
+       "full screen: who takes how much time, how late, how many were lost",
+       "busy is the share of the time that an instance's handlers take; age that of the oldest newest message that it "
+       "has; "
        "p50 and p99 are of the latency, from a message's origin to the handler, over the last 10 to 20 s.\n"
-       "Keys: arrows (or j, k) select, enter shows the ports, escape goes back, s sorts by the next column, + and - change the "
+       "Keys: arrows (or j, k) select, enter shows the ports, escape goes back, s sorts by the next column, + and - "
+       "change the "
        "period, q leaves. Without a terminal it prints the table, once, or as long as `for` says.",
        Access::Observe, verbs::top, false},
   };
@@ -145,23 +165,25 @@ std::vector<Verb> file_verbs() {
        "spots.",
        Access::Observe, verbs::check},
       {"run",
-       forms(
-           {"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] [--store DIR] "
-            "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …]"}),
+       forms({"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] "
+              "[--store DIR] "
+              "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …]"}),
        "starts a host and runs system files in it (from a shell)",
-       "Without FILE the system begins empty. In a terminal the prompt follows; --headless lets the system run until it "
+       "Without FILE the system begins empty. In a terminal the prompt follows; --headless lets the system run until "
+       "it "
        "ends, --for T for that long on its clock.\n"
        "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"
-       "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; --serve "
+       "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; "
+       "--serve "
        "lets consoles on other machines connect. Each needs keys: keys make.",
        Access::Administer, verbs::run, false},
       {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
        "Replaces the file in one step; a saved system that is run and saved again is the same text.", Access::Observe,
        verbs::save},
-      {"source", forms({"source FILE"}), "runs the lines of a file, up to the first that fails", "Each line takes its own level.",
-       Access::Compose, verbs::source},
+      {"source", forms({"source FILE"}), "runs the lines of a file, up to the first that fails",
+       "Each line takes its own level.", Access::Compose, verbs::source},
   };
 }
 
@@ -188,10 +210,12 @@ std::vector<Verb> remaining_verbs() {
        "finds packages and installs them",
        "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.", Access::Administer,
        verbs::market, false},
-      {"keys", forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",
+      {"keys",
+       forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",
               "keys know NAME ADDRESS:PORT KEY", "keys forget NAME"}),
        "the key pair of this user's hosts and consoles, and which others may connect over tcp",
-       "Without a word: who may connect, and who is known. `make` makes the pair, once; `show` prints the key that others are "
+       "Without a word: who may connect, and who is known. `make` makes the pair, once; `show` prints the key that "
+       "others are "
        "given. `allow` lets a host connect to those that --listen; with `as` it lets a console connect to those that "
        "--serve, and says what it may. `know` gives a host on another machine a name: fiona --at NAME.",
        Access::Administer, verbs::keys, false},
@@ -200,9 +224,11 @@ std::vector<Verb> remaining_verbs() {
       {"paths", forms({"paths"}), "where sockets, store, marketplace, keys and history are, and what sets that", "",
        Access::Observe, verbs::paths},
       {"complete", forms({"complete LINE"}), "what could stand next in a line, one candidate a line",
-       "For shells: each but the last word is typed already. The scripts for bash, zsh and fish are installed with fiona.",
+       "For shells: each but the last word is typed already. The scripts for bash, zsh and fish are installed with "
+       "fiona.",
        Access::Observe, verbs::complete, false, true},
-      {"help", forms({"help [VERB|exit|grammar|patterns]"}), "this, or one verb in full", "", Access::Observe, verbs::help},
+      {"help", forms({"help [VERB|exit|grammar|patterns]"}), "this, or one verb in full", "", Access::Observe,
+       verbs::help},
       {"version", forms({"version"}), "the versions of console and host", "", Access::Observe, verbs::version},
   };
 }
@@ -224,8 +250,8 @@ std::size_t matched_literals(const WordLine& words, const Shape& shape) {
 const std::vector<Verb>& verb_rows() {
   static const std::vector<Verb> kVerbs = [] {
     std::vector<Verb> all;
-    for (auto part :
-         {composing_verbs(), transaction_verbs(), operating_verbs(), seeing_verbs(), file_verbs(), waiting_verbs(), remaining_verbs()}) {
+    for (auto part : {composing_verbs(), transaction_verbs(), operating_verbs(), seeing_verbs(), file_verbs(),
+                      waiting_verbs(), remaining_verbs()}) {
       all.insert(all.end(), part.begin(), part.end());
     }
     return all;
@@ -241,7 +267,8 @@ const Verb* find_verb(std::string_view name) {
 
 const std::vector<GlobalOption>& global_options() {
   static const std::vector<GlobalOption> kOptions{
-      {{"--at", {{"ENDPOINT"}, false, false}}, "the host to speak to: unix:PATH, ADDRESS:PORT=KEY, or a name of `keys know`"},
+      {{"--at", {{"ENDPOINT"}, false, false}},
+       "the host to speak to: unix:PATH, ADDRESS:PORT=KEY, or a name of `keys know`"},
       {{"--control", {}}, "over tcp: all that the key of this console may there; without it, observe"},
       {{"--host", {{"NAME"}, false, false}}, "the host to speak to, by its name"},
       {{"--store", {{"DIR"}, false, false}}, "where packages are installed"},

@@ -22,7 +22,7 @@ struct Verb {
   std::vector<Shape> forms;
   std::string does;  ///< one line
   std::string more;  ///< what else there is to know; lines
-  Access access;  ///< what the host asks for where the verb does the most that it can
+  Access access;     ///< what the host asks for where the verb does the most that it can
   Handler handler;
   bool in_transaction = true;  ///< may stand between `begin` and `commit`
   bool takes_line = false;     ///< what follows is another line

@@ -75,9 +75,11 @@ std::string WatchList::text_of(const Running& watch, const control::Sample& samp
   if (sample.type().empty()) return "no value yet";
   std::vector<std::string> parts;
   const bool is_plain = is_plain_value(sample.type());
-  for (const FieldText& field : field_texts(*watch.object, watch.request.fields, session_.out.manner.verbose ? 1000 : 8)) {
+  for (const FieldText& field :
+       field_texts(*watch.object, watch.request.fields, session_.out.manner.verbose ? 1000 : 8)) {
     const std::string& unit = is_plain ? sample.unit() : field.unit;
-    parts.push_back(fmt::format("{}{}{}{}", is_plain ? "" : field.path + " ", field.text, unit.empty() ? "" : " ", unit));
+    parts.push_back(
+        fmt::format("{}{}{}{}", is_plain ? "" : field.path + " ", field.text, unit.empty() ? "" : " ", unit));
   }
   // An event that is missing is news; a sample that is, was left out as asked.
   if (watch.request.when && sample.skipped() > 0) parts.push_back(fmt::format("{} lost before it", sample.skipped()));

@@ -47,12 +47,18 @@ void add_known(WhiteSpot& spot, const Catalogue& catalogue) {
 }
 
 /// Of a port that is served: those that could not take over.
-void add_missing_alternatives(std::vector<WhiteSpot>& spots, const control::InstanceStatus& instance, const control::PortStatus& port) {
+void add_missing_alternatives(std::vector<WhiteSpot>& spots, const control::InstanceStatus& instance,
+                              const control::PortStatus& port) {
   if (port.connection() != control::CONNECTED) return;
   for (const auto& provider : port.providers()) {
     if (provider.connection() == control::CONNECTED) continue;
     const std::string state = "served, an alternative is missing";
-    spots.push_back({true, false, instance.name() + "." + port.name(), port.service(), state, {{"alternative", alternative_text(provider), ""}}});
+    spots.push_back({true,
+                     false,
+                     instance.name() + "." + port.name(),
+                     port.service(),
+                     state,
+                     {{"alternative", alternative_text(provider), ""}}});
   }
 }
 

@@ -38,7 +38,8 @@ std::vector<Edge> edges_of(const control::System& system) {
         edges.push_back({instance.name(), port.name(), one.provider().instance(), one.provider().port(), service,
                          one.fit() ? "" : alternative_text(one), one.serves() ? port.rate_hz() : 0, one.serves()});
       if (port.providers().empty())
-        edges.push_back({instance.name(), port.name(), port.peer().instance(), port.peer().port(), service, trouble, port.rate_hz(), true});
+        edges.push_back({instance.name(), port.name(), port.peer().instance(), port.peer().port(), service, trouble,
+                         port.rate_hz(), true});
     }
   }
   return edges;
@@ -74,9 +75,13 @@ std::string label_of(const Edge& edge) {
   return edge.rate_hz > 0 ? rate_text(edge.rate_hz) : "";
 }
 
-std::string with_label(std::string text, const std::string& label) { return label.empty() ? text : text + "  " + label; }
+std::string with_label(std::string text, const std::string& label) {
+  return label.empty() ? text : text + "  " + label;
+}
 
-std::string port_text(const std::string& instance, const std::string& port) { return port.empty() ? instance : instance + "." + port; }
+std::string port_text(const std::string& instance, const std::string& port) {
+  return port.empty() ? instance : instance + "." + port;
+}
 
 /// In double quotes: backslash and quote escaped, everything else inert.
 std::string dot_quoted(const std::string& text) {
@@ -131,9 +136,11 @@ std::string drawn(const control::System& system, const Notation& notation) {
   for (const Edge& edge : edges) {
     const std::string client = id_of(edge.client, edge.client, false);
     const bool is_spot = edge.provider.empty();
-    const std::string provider = is_spot ? id_of("?" + port_text(edge.client, edge.client_port), edge.service + "?", true)
-                                         : id_of(edge.provider, edge.provider + "?", true);
-    text += notation.edge(provider, client, is_spot ? edge.client_port : edge_text(edge), edge.trouble.empty() && edge.serves);
+    const std::string provider = is_spot
+                                     ? id_of("?" + port_text(edge.client, edge.client_port), edge.service + "?", true)
+                                     : id_of(edge.provider, edge.provider + "?", true);
+    text += notation.edge(provider, client, is_spot ? edge.client_port : edge_text(edge),
+                          edge.trouble.empty() && edge.serves);
   }
   return text + notation.end;
 }
@@ -149,13 +156,16 @@ std::string text_graph(const control::System& system) {
     for (const Edge& edge : edges) {
       if (edge.client != instance->name() || edge.client_port.empty()) continue;
       const bool spot = edge.provider.empty();
-      const std::string line = spot ? fmt::format("  {} ?- {}", edge.client_port, edge.service)
-                                    : fmt::format("  {} <- {}", edge.client_port, port_text(edge.provider, edge.provider_port));
+      const std::string line =
+          spot ? fmt::format("  {} ?- {}", edge.client_port, edge.service)
+               : fmt::format("  {} <- {}", edge.client_port, port_text(edge.provider, edge.provider_port));
       text += with_label(line, spot || edge.trouble.empty() ? (edge.serves ? "" : "ready") : edge.trouble) + "\n";
     }
     for (const Edge& edge : edges) {
       if (edge.provider != instance->name()) continue;
-      text += with_label(fmt::format("  {} -> {}", edge.provider_port, port_text(edge.client, edge.client_port)), label_of(edge)) + "\n";
+      text += with_label(fmt::format("  {} -> {}", edge.provider_port, port_text(edge.client, edge.client_port)),
+                         label_of(edge)) +
+              "\n";
     }
   }
   return text;
@@ -164,21 +174,24 @@ std::string text_graph(const control::System& system) {
 std::string dot_graph(const control::System& system) {
   return drawn(system, {"digraph fiona {\n  rankdir=LR;\n  node [shape=box];\n", "}\n",
                         [](const std::string& id, const std::string& label, bool spot) {
-                          return fmt::format("  {} [label={}{}];\n", id, dot_quoted(label), spot ? ", style=dotted" : "");
+                          return fmt::format("  {} [label={}{}];\n", id, dot_quoted(label),
+                                             spot ? ", style=dotted" : "");
                         },
                         [](const std::string& from, const std::string& to, const std::string& label, bool works) {
-                          return fmt::format("  {} -> {} [label={}{}];\n", from, to, dot_quoted(label), works ? "" : ", style=dashed");
+                          return fmt::format("  {} -> {} [label={}{}];\n", from, to, dot_quoted(label),
+                                             works ? "" : ", style=dashed");
                         }});
 }
 
 std::string mermaid_graph(const control::System& system) {
-  return drawn(system, {"flowchart LR\n", "",
-                        [](const std::string& id, const std::string& label, bool spot) {
-                          return fmt::format("  {}{}{}{}\n", id, spot ? "([" : "[", mermaid_quoted(label), spot ? "])" : "]");
-                        },
-                        [](const std::string& from, const std::string& to, const std::string& label, bool works) {
-                          return fmt::format("  {} {}|{}| {}\n", from, works ? "-->" : "-.->", mermaid_quoted(label), to);
-                        }});
+  return drawn(system,
+               {"flowchart LR\n", "",
+                [](const std::string& id, const std::string& label, bool spot) {
+                  return fmt::format("  {}{}{}{}\n", id, spot ? "([" : "[", mermaid_quoted(label), spot ? "])" : "]");
+                },
+                [](const std::string& from, const std::string& to, const std::string& label, bool works) {
+                  return fmt::format("  {} {}|{}| {}\n", from, works ? "-->" : "-.->", mermaid_quoted(label), to);
+                }});
 }
 
 }  // namespace fiona::console

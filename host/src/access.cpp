@@ -86,15 +86,18 @@ void require(const Rights& rights, const Request& request) {
   if (need.level <= rights.of_key) {
     next = "the same with --control: fiona --at HOST --control LINE";
   } else if (need.level <= Access::Administer && rights.is_remote()) {
-    next = "on the machine of the host: fiona keys allow " + rights.name + " " + rights.key + " as " + trust::access_name(need.level);
+    next = "on the machine of the host: fiona keys allow " + rights.name + " " + rights.key + " as " +
+           trust::access_name(need.level);
   }
-  throw Error(ErrorCode::NotAllowed,
-              {.what = need.level > Access::Administer ? need.what + " is for nobody"
-                                                       : need.what + " needs the level " + access_text(need.level) + ", and " + who +
-                                                             " has " + access_text(rights.level),
-               .expected = need.level > Access::Administer ? "" : access_text(need.level),
-               .found = access_text(rights.level) + (rights.level < rights.of_key ? ", of " + access_text(rights.of_key) + " that its key may have" : ""),
-               .next = next});
+  throw Error(
+      ErrorCode::NotAllowed,
+      {.what = need.level > Access::Administer ? need.what + " is for nobody"
+                                               : need.what + " needs the level " + access_text(need.level) + ", and " +
+                                                     who + " has " + access_text(rights.level),
+       .expected = need.level > Access::Administer ? "" : access_text(need.level),
+       .found = access_text(rights.level) +
+                (rights.level < rights.of_key ? ", of " + access_text(rights.of_key) + " that its key may have" : ""),
+       .next = next});
 }
 
 }  // namespace fiona::host

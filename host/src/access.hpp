@@ -9,8 +9,8 @@ namespace fiona::host {
 
 /// What a client may do, and who it is.
 struct Rights {
-  trust::Access level = trust::Access::Administer;    ///< of this connection
-  trust::Access of_key = trust::Access::Administer;   ///< what it could have had
+  trust::Access level = trust::Access::Administer;   ///< of this connection
+  trust::Access of_key = trust::Access::Administer;  ///< what it could have had
   std::string name{};  ///< of a component, or of a console on another machine; empty: the host's own user
   std::string key{};   ///< of a console on another machine
   bool is_remote() const { return !key.empty(); }
@@ -22,8 +22,8 @@ struct Need {
   std::string what;
 };
 
-/// The policy, and all of it. A transaction takes what the highest of its changes takes; one that is only tried, and all
-/// else that changes nothing, is for those who look. What this host does not know is for nobody.
+/// The policy, and all of it. A transaction takes what the highest of its changes takes; one that is only tried, and
+/// all else that changes nothing, is for those who look. What this host does not know is for nobody.
 Need need_of(const control::Request& request);
 
 /// Throws Error NotAllowed, with the level that is needed, the one that is there, and how to get more.

@@ -23,7 +23,9 @@ struct ClockMaster::Member {
   }
 
   /// It has done all it was told, and the host knows all that happened.
-  bool quiet() const { return reported && report.step() == step && report.request() >= request && events >= report.events(); }
+  bool quiet() const {
+    return reported && report.step() == step && report.request() >= request && events >= report.events();
+  }
 
   const std::string name;
   os::MessageStream stream;
@@ -200,7 +202,8 @@ std::vector<std::string> ClockMaster::blockers() {
     if (member->quiet()) continue;
     if (!member->answered) all.push_back(fmt::format("group '{}' is silent", member->name));
     for (const auto& name : member->running) all.push_back(fmt::format("'{}' in group '{}' runs", name, member->name));
-    if (member->answered && member->running.empty()) all.push_back(fmt::format("group '{}' has not reported", member->name));
+    if (member->answered && member->running.empty())
+      all.push_back(fmt::format("group '{}' has not reported", member->name));
   }
   if (!all.empty()) return all;
   all = on_their_way(endpoint_, "main", own, own);

@@ -44,7 +44,9 @@ void ClockOffset::heard(const wire::Beat& beat, std::int64_t now_ns) {
   ahead_ns_ = ahead_ns;
 }
 
-std::int64_t ClockOffset::to_ours(std::int64_t theirs_ns) const { return is_time(theirs_ns) ? theirs_ns - ahead_ns_ : theirs_ns; }
+std::int64_t ClockOffset::to_ours(std::int64_t theirs_ns) const {
+  return is_time(theirs_ns) ? theirs_ns - ahead_ns_ : theirs_ns;
+}
 
 void ClockOffset::turn(wire::Frame& frame) const {
   if (frame.has_object()) frame.mutable_object()->set_origin_ns(to_ours(frame.object().origin_ns()));

@@ -10,8 +10,8 @@
 namespace fiona::host {
 
 /// How far another host's timeline is ahead of ours, from the beats that go to and fro. Half of a round trip at most is
-/// its error (Mills, RFC 5905, section 8), and that of an old one grows by what clocks wander: what has the smallest error
-/// now counts. So a way that becomes slow does not make the ages wrong that a quick one has told.
+/// its error (Mills, RFC 5905, section 8), and that of an old one grows by what clocks wander: what has the smallest
+/// error now counts. So a way that becomes slow does not make the ages wrong that a quick one has told.
 class ClockOffset {
  public:
   /// [any thread] The next beat to send.

@@ -26,12 +26,14 @@ Asked asked_of(const control::Set& request) {
     } else if (argument.name() == "deliveries" && value.kind_case() == control::Value::kText) {
       asked.deliveries = value.text();
     } else if (argument.name() == "speed" && number) {
-      asked.speed = value.kind_case() == control::Value::kNumber ? value.number() : static_cast<double>(value.integer());
+      asked.speed =
+          value.kind_case() == control::Value::kNumber ? value.number() : static_cast<double>(value.integer());
     } else {
-      throw Error(ErrorCode::Usage, {.what = "the host does not take '" + argument.name() + "' so",
-                                     .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes), "
-                                                 "deliveries=FILE",
-                                     .next = "get host"});
+      throw Error(ErrorCode::Usage,
+                  {.what = "the host does not take '" + argument.name() + "' so",
+                   .expected = "clock=system, clock=virtual, speed=TIMES-REAL-TIME (0: as fast as it goes), "
+                               "deliveries=FILE",
+                   .next = "get host"});
     }
   }
   return asked;
@@ -44,13 +46,16 @@ ClockSettings ClockSettings::changed(const control::Set& request) const {
   ClockSettings next = *this;
   next.is_virtual = asked.is_virtual.value_or(is_virtual);
   if (asked.speed && (*asked.speed < 0 || *asked.speed > 1e6)) {
-    throw Error(ErrorCode::Usage, {.what = "the speed is out of range", .expected = "0 .. 1000000", .found = fmt::format("{}", *asked.speed)});
+    throw Error(
+        ErrorCode::Usage,
+        {.what = "the speed is out of range", .expected = "0 .. 1000000", .found = fmt::format("{}", *asked.speed)});
   }
   if (asked.speed && !next.is_virtual) {
     throw Error(ErrorCode::Usage, {.what = "the system clock has one speed", .next = "set host clock=virtual speed=…"});
   }
   if (asked.deliveries && !asked.deliveries->empty() && !next.is_virtual) {
-    throw Error(ErrorCode::Usage, {.what = "deliveries are recorded on a virtual clock", .next = "set host clock=virtual deliveries=FILE"});
+    throw Error(ErrorCode::Usage, {.what = "deliveries are recorded on a virtual clock",
+                                   .next = "set host clock=virtual deliveries=FILE"});
   }
   if (next.is_virtual != is_virtual) {
     next.speed = 0;

@@ -40,7 +40,8 @@ double circle_of(const FieldDescriptor& field) {
 
 double value_of(const Message& part, const FieldDescriptor& field) {
   const auto& reflect = *part.GetReflection();
-  return field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT ? reflect.GetFloat(part, &field) : reflect.GetDouble(part, &field);
+  return field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT ? reflect.GetFloat(part, &field)
+                                                            : reflect.GetDouble(part, &field);
 }
 
 /// Null where a part on the way is not there.
@@ -92,7 +93,8 @@ std::optional<double> Comparison::Field::between(const Message& a, const Message
   if (!one || !other) return std::nullopt;
   double squares = 0;
   for (const auto* field : coordinates) {
-    const bool has = !field->has_presence() || (one->GetReflection()->HasField(*one, field) && other->GetReflection()->HasField(*other, field));
+    const bool has = !field->has_presence() ||
+                     (one->GetReflection()->HasField(*one, field) && other->GetReflection()->HasField(*other, field));
     if (!has) return std::nullopt;
     double difference = std::abs(value_of(*one, *field) - value_of(*other, *field));
     if (circle > 0) difference = std::min(difference, std::abs(circle - difference));
@@ -138,7 +140,8 @@ void Comparison::collect(const Descriptor& type, std::vector<const FieldDescript
   }
 }
 
-void Comparison::add(const control::PortName& old, std::uint64_t old_tap, const control::PortName& next, std::uint64_t next_tap) {
+void Comparison::add(const control::PortName& old, std::uint64_t old_tap, const control::PortName& next,
+                     std::uint64_t next_tap) {
   Pair& pair = pairs_.emplace_back();
   pair.old.name = old;
   pair.old.tap = old_tap;
@@ -167,16 +170,19 @@ void Comparison::take(Pair& pair, Side& side, const wire::Tapped& tapped) {
 std::optional<control::Failure> Comparison::note(const wire::GroupMessage& event) {
   for (Pair& pair : pairs_) {
     for (Side* side : {&pair.old, &pair.next}) {
-      if (event.has_tapped() && event.tapped().tap() == side->tap && !event.tapped().type().empty()) take(pair, *side, event.tapped());
+      if (event.has_tapped() && event.tapped().tap() == side->tap && !event.tapped().type().empty())
+        take(pair, *side, event.tapped());
     }
     const std::string& next = pair.next.name.instance();
-    const bool failed = event.has_mode_changed() && event.mode_changed().instance() == next && event.mode_changed().mode() == kModeFailed;
+    const bool failed = event.has_mode_changed() && event.mode_changed().instance() == next &&
+                        event.mode_changed().mode() == kModeFailed;
     const bool ended = event.has_tap_ended() && event.tap_ended().tap() == pair.next.tap;
     if (!failed && !ended) continue;
-    return failure_of(Error(ErrorCode::ComponentFailed, {.what = "'" + next + "' ended while it was compared: nothing was swapped",
-                                                         .where = next,
-                                                         .found = failed ? event.mode_changed().reason() : event.tap_ended().failure().what(),
-                                                         .next = "show " + next}));
+    return failure_of(Error(ErrorCode::ComponentFailed,
+                            {.what = "'" + next + "' ended while it was compared: nothing was swapped",
+                             .where = next,
+                             .found = failed ? event.mode_changed().reason() : event.tap_ended().failure().what(),
+                             .next = "show " + next}));
   }
   return std::nullopt;
 }
@@ -185,10 +191,13 @@ std::optional<control::Failure> Comparison::objection() const {
   for (const Pair& pair : pairs_) {
     if (pair.next.valid > 0 || pair.old.valid == 0) continue;
     const std::string next = text_of(pair.next.name);
-    const std::string said = pair.next.messages == 0 ? " said nothing" : fmt::format(" said {} times that it is not valid", pair.next.messages);
+    const std::string said = pair.next.messages == 0
+                                 ? " said nothing"
+                                 : fmt::format(" said {} times that it is not valid", pair.next.messages);
     return failure_of(Error(ErrorCode::Failed, {.what = next + said + " while it was compared: nothing was swapped",
                                                 .where = next,
-                                                .expected = fmt::format("what {} said {} times meanwhile", text_of(pair.old.name), pair.old.valid),
+                                                .expected = fmt::format("what {} said {} times meanwhile",
+                                                                        text_of(pair.old.name), pair.old.valid),
                                                 .next = "show " + pair.next.name.instance()}));
   }
   return std::nullopt;

@@ -11,7 +11,8 @@
 
 namespace fiona::host {
 
-/// How far two differ: the median and the most of many distances. Bounded: of very many it keeps each n-th for the median.
+/// How far two differ: the median and the most of many distances. Bounded: of very many it keeps each n-th for the
+/// median.
 class Distances {
  public:
   void add(double distance);
@@ -28,8 +29,8 @@ class Distances {
 };
 
 /// Compares what ports push with what those push that are to take their place, while both run. Compared are the fields
-/// that are numbers with a fraction: coordinates of one frame as a distance, angles of a full circle the short way round.
-/// An object that says that it is not valid is counted and not compared.
+/// that are numbers with a fraction: coordinates of one frame as a distance, angles of a full circle the short way
+/// round. An object that says that it is not valid is counted and not compared.
 class Comparison {
  public:
   explicit Comparison(const Types& types) : types_(types) {}
@@ -71,8 +72,8 @@ class Comparison {
     const google::protobuf::Descriptor* type = nullptr;  ///< of what is compared
     std::vector<Field> fields;
   };
-  static void collect(const google::protobuf::Descriptor& type, std::vector<const google::protobuf::FieldDescriptor*> path,
-                      std::vector<Field>& fields);
+  static void collect(const google::protobuf::Descriptor& type,
+                      std::vector<const google::protobuf::FieldDescriptor*> path, std::vector<Field>& fields);
   void take(Pair& pair, Side& side, const wire::Tapped& tapped);
 
   const Types& types_;

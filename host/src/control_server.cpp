@@ -41,10 +41,11 @@ struct ControlServer::Client {
 ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore)
     : listener_(socket),
       remote_(serve_remote(options)),
-      system_(std::move(options), [this](const wire::GroupMessage& event) {
-        if (!event.has_tapped()) return events_.push(event);
-        events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
-      }),
+      system_(std::move(options),
+              [this](const wire::GroupMessage& event) {
+                if (!event.has_tapped()) return events_.push(event);
+                events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
+              }),
       restored_(restore ? Journal::read(journal_of(socket)) : std::vector<control::Change>()),
       engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }),
       masters_(system_, engine_, [this](std::function<void()> work) { work_.push(std::move(work)); }) {
@@ -60,8 +61,11 @@ std::unique_ptr<RemoteConsoles> ControlServer::serve_remote(const System::Option
     const auto handed = std::make_shared<os::Descriptor>(std::move(socket));
     work_.push([this, handed, rights] { add_client(std::move(*handed), rights); }, kMaxRemoteWork);
   };
-  const auto on_log = [this](const std::string& text) { work_.push([text] { std::cerr << text << "\n"; }, kMaxRemoteWork); };
-  return std::make_unique<RemoteConsoles>(options.hosts.serve, trust::KeyDirectory(options.hosts.keys), options.name, on_console, on_log);
+  const auto on_log = [this](const std::string& text) {
+    work_.push([text] { std::cerr << text << "\n"; }, kMaxRemoteWork);
+  };
+  return std::make_unique<RemoteConsoles>(options.hosts.serve, trust::KeyDirectory(options.hosts.keys), options.name,
+                                          on_console, on_log);
 }
 
 void ControlServer::add_client(os::Descriptor socket, Rights rights) {
@@ -114,7 +118,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
   }
   const auto children = system_.child_groups();
   for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
-  const int groups_ms = children.empty() ? -1 : static_cast<int>(kWatchEvery.count());
+  const int groups_ms = system_.watches_groups() ? static_cast<int>(kWatchEvery.count()) : -1;
   if (::poll(waits.data(), waits.size(), system_.has_virtual_clock() ? kTimeWatch_ms : groups_ms) < 0) return;
   system_.watch_time();
 
@@ -134,7 +138,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
     if (waits[fixed + i].revents != 0) serve_client(ids[i]);
   }
-  system_.watch_groups();
+  for (const auto& line : system_.watch_groups()) std::cerr << line << "\n";
   send_held();
   if (waits[0].revents != 0) accept_clients();
 }
@@ -210,7 +214,8 @@ void ControlServer::perform(std::uint64_t client, const control::Request& reques
     auto& asking = *clients_.at(client);
     require(asking.rights, request);
     if (asking.open.size() >= kMaxOpen && !request.has_unwatch()) {
-      throw Error(ErrorCode::Failed, {.what = "this console waits for " + std::to_string(kMaxOpen) + " answers already", .next = "watch stop"});
+      throw Error(ErrorCode::Failed, {.what = "this console waits for " + std::to_string(kMaxOpen) + " answers already",
+                                      .next = "watch stop"});
     }
     system_.settle();
     answered = dispatch(client, request, reply);
@@ -229,22 +234,30 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     return true;
   };
   switch (request.what_case()) {
-    case Request::kTransact: engine_.transact(request.author(), request.transact(), answer_to(client, request.id())); return false;
+    case Request::kTransact:
+      engine_.transact(request.author(), request.transact(), answer_to(client, request.id()));
+      return false;
     case Request::kUndo: engine_.undo(request.author(), request.undo(), answer_to(client, request.id())); return false;
     case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
     case Request::kSnapshot:
       *reply.mutable_system() = system_.snapshot();
       if (remote_) remote_->describe(*reply.mutable_system());
       return true;
-    case Request::kDescribe: *reply.mutable_description() = system_.types().describe(request.describe().name()); return true;
+    case Request::kDescribe:
+      *reply.mutable_description() = system_.types().describe(request.describe().name());
+      return true;
     case Request::kWatch: start_watch(client, request); return false;
     case Request::kRead: *reply.mutable_sample() = sample_of(system_.read(request.read().probe()), false); return true;
     case Request::kUnwatch: stop_watch(client, request.unwatch().watch()); return done("");
     case Request::kWaitMode: return start_wait_mode(client, request, reply);
     case Request::kExpect: start_expect(client, request); return false;
-    case Request::kSleep: system_.waits().sleep(client, request.id(), request.sleep(), answer_to(client, request.id())); return false;
+    case Request::kSleep:
+      system_.waits().sleep(client, request.id(), request.sleep(), answer_to(client, request.id()));
+      return false;
     case Request::kRun: system_.waits().run(client, request.id(), answer_to(client, request.id())); return false;
-    case Request::kCall: system_.call(client, request.id(), request.call(), answer_to(client, request.id())); return false;
+    case Request::kCall:
+      system_.call(client, request.id(), request.call(), answer_to(client, request.id()));
+      return false;
     case Request::kAttach:
       *reply.mutable_attached() = system_.attach(client, request.attach());
       attached_[reply.attached().wire()] = {client, request.id()};
@@ -319,7 +332,8 @@ void ControlServer::on_wire_lost(const wire::WireLost& lost) {
   attached_.erase(found);
   control::Reply reply;
   reply.set_id(request);
-  *reply.mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = "the wire has ended: " + lost.reason()}));
+  *reply.mutable_failure() =
+      failure_of(Error(ErrorCode::Unreachable, {.what = "the wire has ended: " + lost.reason()}));
   send(client, reply);
 }
 

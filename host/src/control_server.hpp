@@ -18,9 +18,9 @@
 
 namespace fiona::host {
 
-/// Serves the control protocol on a unix socket, and over tcp where it is told to: the one thread that changes the system.
-/// Requests are done in the order in which they come; answers to waits and watches come when they come. What a client may
-/// ask for follows from its level; those on the unix socket are the host's own user, and may everything.
+/// Serves the control protocol on a unix socket, and over tcp where it is told to: the one thread that changes the
+/// system. Requests are done in the order in which they come; answers to waits and watches come when they come. What a
+/// client may ask for follows from its level; those on the unix socket are the host's own user, and may everything.
 class ControlServer {
  public:
   /// Its journal is kept beside the socket; `restore`: begins with the system that the last journal there ends with.
@@ -40,7 +40,7 @@ class ControlServer {
   struct Watched {
     std::uint64_t client = 0;
     std::uint64_t request = 0;
-    std::uint64_t number = 0;   ///< of the last sample that was sent, as is the next
+    std::uint64_t number = 0;  ///< of the last sample that was sent, as is the next
     std::uint64_t skipped = 0;
     bool described = false;
     std::optional<wire::Tapped> held;  ///< the newest, of a client that is slow
@@ -87,9 +87,9 @@ class ControlServer {
   Engine engine_;
   Masters masters_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
-  std::map<std::uint64_t, Watched> watches_;  ///< by tap
+  std::map<std::uint64_t, Watched> watches_;                                      ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
-  std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;  ///< wire -> (client, request)
+  std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;     ///< wire -> (client, request)
   std::uint64_t next_client_ = 1;
   std::optional<int> exit_code_;
 };

@@ -50,7 +50,9 @@ constexpr double kMostWatch_ms = 3'600'000;
 
 void require_time_to_watch(const control::Replace& swap) {
   if (swap.watch_ms() >= kLeastWatch_ms && swap.watch_ms() <= kMostWatch_ms) return;
-  throw Error(ErrorCode::Usage, {.what = "the time to compare is out of range", .where = swap.old(), .expected = "100ms .. 1h",
+  throw Error(ErrorCode::Usage, {.what = "the time to compare is out of range",
+                                 .where = swap.old(),
+                                 .expected = "100ms .. 1h",
                                  .found = fmt::format("{:g} ms", swap.watch_ms())});
 }
 
@@ -61,7 +63,8 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   std::vector<std::string> clients;
   for (const auto& [client, wire] : before.wires()) {
     // Who has another provider goes on with that one.
-    if (wire.uses(name) && wire.providers.size() == 1 && client.first != name) clients.push_back(client.first + "." + client.second);
+    if (wire.uses(name) && wire.providers.size() == 1 && client.first != name)
+      clients.push_back(client.first + "." + client.second);
   }
   std::string text = "what '" + name + "' knows is lost: loaded again it begins anew";
   if (!clients.empty()) text += fmt::format("; these wait meanwhile: {}", fmt::join(clients, ", "));
@@ -108,17 +111,19 @@ bool Engine::compare_first(const TransactionPtr& transaction) {
   plan(trial);
   if (trial.failure) throw_failure(*trial.failure);
   if (comparing_ >= kMaxComparing) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} comparisons are under way already", comparing_), .next = "swap without watch"});
+    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} comparisons are under way already", comparing_),
+                                        .next = "swap without watch"});
   }
   const auto taps = std::make_shared<std::vector<std::uint64_t>>();
-  *taps = system_.compare(swaps, longest_ms, [later = later_, alive = std::weak_ptr(self_), transaction, taps](control::Reply reply) {
-    later([alive, transaction, taps, reply = std::move(reply)] {
-      const auto self = alive.lock();
-      if (!self || !*self) return;
-      for (const std::uint64_t tap : *taps) (*self)->system_.untap(tap);
-      (*self)->compared(transaction, reply);
-    });
-  });
+  *taps = system_.compare(swaps, longest_ms,
+                          [later = later_, alive = std::weak_ptr(self_), transaction, taps](control::Reply reply) {
+                            later([alive, transaction, taps, reply = std::move(reply)] {
+                              const auto self = alive.lock();
+                              if (!self || !*self) return;
+                              for (const std::uint64_t tap : *taps) (*self)->system_.untap(tap);
+                              (*self)->compared(transaction, reply);
+                            });
+                          });
   ++comparing_;
   return true;
 }
@@ -126,7 +131,8 @@ bool Engine::compare_first(const TransactionPtr& transaction) {
 void Engine::compared(const TransactionPtr& transaction, const control::Reply& reply) {
   --comparing_;
   if (reply.has_failure()) transaction->failure = reply.failure();
-  if (reply.has_ended()) transaction->failure = failure_of(Error(ErrorCode::Failed, {.what = "the run has ended: nothing was swapped"}));
+  if (reply.has_ended())
+    transaction->failure = failure_of(Error(ErrorCode::Failed, {.what = "the run has ended: nothing was swapped"}));
   if (transaction->failure) return finish(transaction);
   transaction->done = reply.done();
   try {
@@ -167,7 +173,8 @@ control::JournalEntries Engine::journal(std::uint32_t last) const {
 void Engine::enqueue(TransactionPtr transaction) {
   if (!current_) return begin(transaction);
   if (waiting_.size() >= kMaxWaiting) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} changes wait already", waiting_.size()), .next = "journal"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("{} changes wait already", waiting_.size()), .next = "journal"});
   }
   waiting_.push_back(std::move(transaction));
 }
@@ -196,7 +203,8 @@ void Engine::plan(Transaction& transaction) const {
 
 void Engine::begin(const TransactionPtr& transaction) {
   if (transaction->expires && std::chrono::steady_clock::now() > *transaction->expires) {
-    transaction->failure = failure_of(Error(ErrorCode::Unreachable, {.what = "the changes before it took too long: it was not begun", .next = "journal"}));
+    transaction->failure = failure_of(Error(
+        ErrorCode::Unreachable, {.what = "the changes before it took too long: it was not begun", .next = "journal"}));
   }
   if (transaction->is_undo) choose_what_to_undo(*transaction);
   if (!transaction->failure) plan(*transaction);
@@ -278,8 +286,10 @@ void Engine::step_failed(const TransactionPtr& transaction, const control::Failu
   }
   transaction->takes_back = true;
   transaction->failure = failure;
-  const bool one_by_one = !transaction->request.whole() && transaction->steps.size() == static_cast<std::size_t>(transaction->request.changes_size());
-  if (one_by_one && transaction->steps.size() > 1) transaction->failure->set_change(static_cast<std::uint32_t>(transaction->at) + 1);
+  const bool one_by_one = !transaction->request.whole() &&
+                          transaction->steps.size() == static_cast<std::size_t>(transaction->request.changes_size());
+  if (one_by_one && transaction->steps.size() > 1)
+    transaction->failure->set_change(static_cast<std::uint32_t>(transaction->at) + 1);
   // Of a change aside nothing has been made, and what others have made meanwhile is theirs.
   const bool aside = transaction->is_aside();
   transaction->steps = aside ? std::vector<control::Change>() : Model::difference(system_.model(), transaction->before);
@@ -291,13 +301,15 @@ void Engine::finish(const TransactionPtr& transaction) {
   if (transaction->entry != 0) {
     const std::string reason = transaction->failure ? transaction->failure->what() : "";
     try {
-      journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason, system_.model());
+      journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason,
+                   system_.model());
     } catch (const Error& error) {
       transaction->done.add_warnings(error.text().what + ": after a restart of the host this has not happened");
     }
   }
   if (!transaction->not_taken_back.empty()) {
-    transaction->failure->set_found(fmt::format("{}; and this could not be taken back: {}", transaction->failure->found(),
+    transaction->failure->set_found(fmt::format("{}; and this could not be taken back: {}",
+                                                transaction->failure->found(),
                                                 fmt::join(transaction->not_taken_back, "; ")));
   }
   if (transaction->failure) {

@@ -14,9 +14,9 @@
 
 namespace fiona::host {
 
-/// Changes the system, by transactions: all of the changes or none (architecture 8). Each is tried on a copy of the model
-/// first; then its steps are made one after the other, and taken back when one fails. One is under way at a time, the
-/// others wait in their order. All functions [control thread].
+/// Changes the system, by transactions: all of the changes or none (architecture 8). Each is tried on a copy of the
+/// model first; then its steps are made one after the other, and taken back when one fails. One is under way at a time,
+/// the others wait in their order. All functions [control thread].
 class Engine {
  public:
   /// Transactions that may wait; further ones are refused.
@@ -29,8 +29,8 @@ class Engine {
   Engine(System& system, std::filesystem::path journal, Later later);
   ~Engine();
 
-  /// Answered with Done or Planned, or with why nothing has changed. A swap that is to be watched is compared first, which
-  /// holds up nobody. One that has not begun `within` is refused; none: it waits for its turn.
+  /// Answered with Done or Planned, or with why nothing has changed. A swap that is to be watched is compared first,
+  /// which holds up nobody. One that has not begun `within` is refused; none: it waits for its turn.
   void transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
                 std::optional<std::chrono::milliseconds> within = std::nullopt);
   void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);

@@ -31,13 +31,12 @@ control::Failure failure_of_exception() {
 }
 
 void throw_failure(const control::Failure& failure) {
-  throw Error(static_cast<ErrorCode>(failure.code()),
-              {.what = failure.what(),
-               .where = failure.where(),
-               .expected = failure.expected(),
-               .found = failure.found(),
-               .next = failure.next(),
-               .near = {failure.near().begin(), failure.near().end()}});
+  throw Error(static_cast<ErrorCode>(failure.code()), {.what = failure.what(),
+                                                       .where = failure.where(),
+                                                       .expected = failure.expected(),
+                                                       .found = failure.found(),
+                                                       .next = failure.next(),
+                                                       .near = {failure.near().begin(), failure.near().end()}});
 }
 
 }  // namespace fiona::host

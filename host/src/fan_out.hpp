@@ -55,7 +55,7 @@ class FanOut final : public Sink {
   detail::PushProvider& provider_;
   mutable std::mutex mutex_;
   std::map<std::uint64_t, Member> members_;
-  std::function<void()> notice_;  ///< of who waits for room
+  std::function<void()> notice_;       ///< of who waits for room
   std::vector<std::uint64_t> takers_;  ///< used again for each message, as is the frame
   wire::Frame frame_;
 };

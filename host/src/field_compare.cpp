@@ -41,7 +41,8 @@ Step parse_step(const std::string& text, const std::string& path) {
   const char* end = text.data() + text.size() - 1;
   const bool closed = text.back() == ']' && begin < end;
   if (!closed || std::from_chars(begin, end, index).ptr != end || index < 0) {
-    throw Error(ErrorCode::Usage, {.what = "'" + text + "' is no element", .where = path, .expected = "field[0], field[1], …"});
+    throw Error(ErrorCode::Usage,
+                {.what = "'" + text + "' is no element", .where = path, .expected = "field[0], field[1], …"});
   }
   return {text.substr(0, bracket), index};
 }
@@ -58,9 +59,10 @@ Place resolve(const Message& message, const Step& step, const std::string& path)
                                       .near = nearest_names(step.name, known)});
   }
   if (field->is_repeated() != (step.index >= 0)) {
-    throw Error(ErrorCode::Usage, {.what = "'" + step.name + (field->is_repeated() ? "' is a list: name an element" : "' is no list"),
-                                   .where = path,
-                                   .expected = field->is_repeated() ? step.name + "[0]" : step.name});
+    throw Error(ErrorCode::Usage,
+                {.what = "'" + step.name + (field->is_repeated() ? "' is a list: name an element" : "' is no list"),
+                 .where = path,
+                 .expected = field->is_repeated() ? step.name + "[0]" : step.name});
   }
   return {&message, field, step.index};
 }
@@ -71,7 +73,8 @@ std::optional<Place> locate(const Message& root, const std::string& path) {
   std::size_t begin = 0;
   while (true) {
     const std::size_t dot = path.find('.', begin);
-    const Place place = resolve(*message, parse_step(path.substr(begin, dot == std::string::npos ? dot : dot - begin), path), path);
+    const Place place =
+        resolve(*message, parse_step(path.substr(begin, dot == std::string::npos ? dot : dot - begin), path), path);
     const Reflection& reflect = *message->GetReflection();
     if (place.index >= 0 && place.index >= reflect.FieldSize(*message, place.field)) return std::nullopt;
     if (dot == std::string::npos) return place;
@@ -102,10 +105,12 @@ std::optional<double> number_at(const Place& p) {
   const Message& m = *p.message;
   const bool many = p.index >= 0;
   switch (p.field->cpp_type()) {
-    case FieldDescriptor::CPPTYPE_DOUBLE: return many ? r.GetRepeatedDouble(m, p.field, p.index) : r.GetDouble(m, p.field);
+    case FieldDescriptor::CPPTYPE_DOUBLE:
+      return many ? r.GetRepeatedDouble(m, p.field, p.index) : r.GetDouble(m, p.field);
     case FieldDescriptor::CPPTYPE_FLOAT: return many ? r.GetRepeatedFloat(m, p.field, p.index) : r.GetFloat(m, p.field);
     case FieldDescriptor::CPPTYPE_INT32: return many ? r.GetRepeatedInt32(m, p.field, p.index) : r.GetInt32(m, p.field);
-    case FieldDescriptor::CPPTYPE_UINT32: return many ? r.GetRepeatedUInt32(m, p.field, p.index) : r.GetUInt32(m, p.field);
+    case FieldDescriptor::CPPTYPE_UINT32:
+      return many ? r.GetRepeatedUInt32(m, p.field, p.index) : r.GetUInt32(m, p.field);
     case FieldDescriptor::CPPTYPE_INT64:
       return static_cast<double>(many ? r.GetRepeatedInt64(m, p.field, p.index) : r.GetInt64(m, p.field));
     case FieldDescriptor::CPPTYPE_UINT64:
@@ -121,11 +126,12 @@ std::optional<std::string> text_of(const Value& value) {
 }
 
 [[noreturn]] void refuse(const Place& place, const std::string& expected) {
-  throw Error(ErrorCode::Usage, {.what = "'" + place.field->name() + "' does not compare with this value", .expected = expected});
+  throw Error(ErrorCode::Usage,
+              {.what = "'" + place.field->name() + "' does not compare with this value", .expected = expected});
 }
 
-std::pair<bool, std::string> compare_number(const Place& place, double number, control::Comparison comparison, const Value& value,
-                                            const std::string& unit_of_probe) {
+std::pair<bool, std::string> compare_number(const Place& place, double number, control::Comparison comparison,
+                                            const Value& value, const std::string& unit_of_probe) {
   if (value.kind_case() != Value::kNumber && value.kind_case() != Value::kInteger) refuse(place, "a number");
   double typed = value.kind_case() == Value::kNumber ? value.number() : static_cast<double>(value.integer());
   if (!value.unit().empty()) {
@@ -140,18 +146,22 @@ std::pair<bool, std::string> compare_number(const Place& place, double number, c
 
 }  // namespace
 
-std::pair<bool, std::string> compare_field(const Message& object, const std::string& path, control::Comparison comparison,
-                                           const Value& value, const std::string& unit) {
+std::pair<bool, std::string> compare_field(const Message& object, const std::string& path,
+                                           control::Comparison comparison, const Value& value,
+                                           const std::string& unit) {
   const bool is_plain = object.GetDescriptor()->file() == probe::Number::descriptor()->file();
-  if (path.empty() && !is_plain) throw Error(ErrorCode::Usage, {.what = "a " + object.GetDescriptor()->name() + " compares by a field of it"});
-  if (!path.empty() && is_plain) throw Error(ErrorCode::NotFound, {.what = "the probe is no object: it has no field '" + path + "'"});
+  if (path.empty() && !is_plain)
+    throw Error(ErrorCode::Usage, {.what = "a " + object.GetDescriptor()->name() + " compares by a field of it"});
+  if (!path.empty() && is_plain)
+    throw Error(ErrorCode::NotFound, {.what = "the probe is no object: it has no field '" + path + "'"});
   const auto place = locate(object, is_plain ? "value" : path);
   if (!place) return {false, "the list is shorter"};
   const Reflection& reflect = *place->message->GetReflection();
   if (place->field->has_presence() && place->index < 0 && !reflect.HasField(*place->message, place->field)) {
     return {false, "not set"};
   }
-  if (const auto number = number_at(*place)) return compare_number(*place, *number, comparison, value, is_plain ? unit : "");
+  if (const auto number = number_at(*place))
+    return compare_number(*place, *number, comparison, value, is_plain ? unit : "");
   if (place->index >= 0) refuse(*place, "an element that is a number");
   switch (place->field->cpp_type()) {
     case FieldDescriptor::CPPTYPE_BOOL: {

@@ -46,8 +46,9 @@ std::vector<std::string> clock_arguments(const Clock& clock) {
   const auto* system = dynamic_cast<const SystemClock*>(&clock);
   if (!system) return {"--clock", "virtual"};
   const auto origin = system->origin();
-  return {"--clock", "system", "--clock-origin", std::to_string(origin.steady_ns), "--clock-start",
-          std::to_string(origin.start_ns)};
+  return {"--clock",        "system",
+          "--clock-origin", std::to_string(origin.steady_ns),
+          "--clock-start",  std::to_string(origin.start_ns)};
 }
 
 /// Descriptors: of a group, without its links; of a host, for each group; of a process, for its links to and from each
@@ -140,7 +141,8 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       on_event_(std::move(on_event)),
       watched_(start.watched && !start.master) {
   auto [ours, theirs] = os::socket_pair();
-  std::vector<std::string> arguments{"--name", this->name(), "--endpoint", endpoint_, "--threads", std::to_string(start.threads)};
+  std::vector<std::string> arguments{"--name",  this->name(), "--endpoint",
+                                     endpoint_, "--threads",  std::to_string(start.threads)};
   for (auto& argument : clock_arguments(clock_)) arguments.push_back(std::move(argument));
   std::vector<std::pair<int, int>> inherited{{theirs.get(), kGroupSocket}};
   os::Descriptor clock_socket;
@@ -259,14 +261,15 @@ void ChildGroup::take(const wire::GroupMessage& message) {
 Error ChildGroup::unreachable() const {
   ErrorText text{.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls"};
   if (alive() && unanswered_) {
-    text.found = fmt::format("silent for {:.1f} s", std::chrono::duration<double>(Steady::now() - unanswered_->since).count());
+    text.found =
+        fmt::format("silent for {:.1f} s", std::chrono::duration<double>(Steady::now() - unanswered_->since).count());
     text.next = fmt::format("wait for it, or end its process: kill -KILL {}", child_->id());
   }
   return Error(ErrorCode::Unreachable, std::move(text));
 }
 
-/// One that is silent is not asked again: that would only queue up before it. But a machine with too much to do is silent
-/// too, so it has the time of a request before its silence counts.
+/// One that is silent is not asked again: that would only queue up before it. But a machine with too much to do is
+/// silent too, so it has the time of a request before its silence counts.
 wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request, milliseconds deadline) {
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since + kRequest);
   wire::GroupRequest numbered = request;

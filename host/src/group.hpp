@@ -29,8 +29,8 @@ class Group {
   wire::GroupMessage request(wire::GroupRequest request);
   /// [control thread] Does it when it comes to it: nobody waits for that, or is told that it was refused.
   virtual void tell(wire::GroupRequest request);
-  /// [control thread] For what is to be so whether or not somebody waits: does it before this returns if the group answers,
-  /// and otherwise once it does. A group that is gone has nothing to do. Throws Error: what the group refused.
+  /// [control thread] For what is to be so whether or not somebody waits: does it before this returns if the group
+  /// answers, and otherwise once it does. A group that is gone has nothing to do. Throws Error: what the group refused.
   void inform(wire::GroupRequest request);
   /// [control thread] Throws Error Unreachable if it does not answer.
   virtual void require_answer() {}
@@ -77,8 +77,8 @@ class MainGroup final : public Group {
   Runtime runtime_;
 };
 
-/// Throws Error NotAllowed when one more process than `peers` (groups, and clients that no host has started) could bring
-/// this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
+/// Throws Error NotAllowed when one more process than `peers` (groups, and clients that no host has started) could
+/// bring this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
 void require_descriptors_for(const std::string& newcomer, std::size_t peers);
 
 /// How often groups are looked at, whether they stand still.

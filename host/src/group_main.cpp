@@ -30,12 +30,14 @@ constexpr std::chrono::seconds kWelcomeDeadline{5};
 
 /// What a process that was stopped finds before it: whoever asked has been told that it was not done.
 bool has_expired(const fiona::wire::GroupRequest& request) {
-  return request.expires_ns() != 0 && std::chrono::steady_clock::now().time_since_epoch() > std::chrono::nanoseconds(request.expires_ns());
+  return request.expires_ns() != 0 &&
+         std::chrono::steady_clock::now().time_since_epoch() > std::chrono::nanoseconds(request.expires_ns());
 }
 
 fiona::wire::GroupMessage expired() {
   fiona::wire::GroupMessage reply;
-  *reply.mutable_failure() = fiona::host::failure_of(fiona::Error(fiona::ErrorCode::Unreachable, "nobody waits for that any more"));
+  *reply.mutable_failure() =
+      fiona::host::failure_of(fiona::Error(fiona::ErrorCode::Unreachable, "nobody waits for that any more"));
   return reply;
 }
 
@@ -75,7 +77,8 @@ std::string value_of(int argc, char** argv, std::string_view flag) {
   for (int i = 1; i + 1 < argc; ++i) {
     if (argv[i] == flag) return argv[i + 1];
   }
-  throw fiona::Error(fiona::ErrorCode::Usage, "fiona-group is started by fiona-host, which gives it " + std::string(flag));
+  throw fiona::Error(fiona::ErrorCode::Usage,
+                     "fiona-group is started by fiona-host, which gives it " + std::string(flag));
 }
 
 std::unique_ptr<fiona::Clock> make_clock(int argc, char** argv) {
@@ -105,15 +108,16 @@ int run(int argc, char** argv) {
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
-  Runtime runtime(pool, *clock, libraries, endpoint, key_from(stream), [&events, follower](fiona::wire::GroupMessage event) {
-    // Counted first: virtual time waits until the host has seen what was counted, so that none may be dropped. What one
-    // instant puts bounds them.
-    if (follower) follower->count_event();
-    if (follower || !event.has_tapped()) return events.push(std::move(event));
-    const std::uint64_t tap = event.tapped().tap();
-    const std::size_t bytes = event.tapped().object().size();
-    events.push_newest(tap, std::move(event), bytes);
-  });
+  Runtime runtime(pool, *clock, libraries, endpoint, key_from(stream),
+                  [&events, follower](fiona::wire::GroupMessage event) {
+                    // Counted first: virtual time waits until the host has seen what was counted, so that none may be
+                    // dropped. What one instant puts bounds them.
+                    if (follower) follower->count_event();
+                    if (follower || !event.has_tapped()) return events.push(std::move(event));
+                    const std::uint64_t tap = event.tapped().tap();
+                    const std::size_t bytes = event.tapped().object().size();
+                    events.push_newest(tap, std::move(event), bytes);
+                  });
   fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;

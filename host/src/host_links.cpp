@@ -31,8 +31,9 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
                      OnEvent on_event, OnLog on_log)
     : keys_(options.keys) {
   if (!options.listen.empty() && !options.peers.empty()) {
-    throw Error(ErrorCode::Usage, {.what = "a host that leads others is not led: --peer and --listen do not go together",
-                                   .next = "give --listen to the hosts that are led, and --peer to the one that leads"});
+    throw Error(ErrorCode::Usage,
+                {.what = "a host that leads others is not led: --peer and --listen do not go together",
+                 .next = "give --listen to the hosts that are led, and --peer to the one that leads"});
   }
   for (std::size_t i = 0; i < options.peers.size(); ++i) {
     const auto same = [&](const PeerAddress& other) { return other.name == options.peers[i].name; };
@@ -43,8 +44,8 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
     const bool droppable = change.what == HostChange::What::Request;
     changes_.push(std::move(change), droppable ? kMaxChanges : SIZE_MAX);
   };
-  around_ = std::make_unique<HostSurroundings>(HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_,
-                                                                std::move(on_event), post});
+  around_ = std::make_unique<HostSurroundings>(
+      HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_, std::move(on_event), post});
   if (!options.listen.empty()) {
     zap_ = std::make_unique<Zap>(context_, Zap::hosts(keys_), std::move(on_log));
     leader_ = std::make_unique<LeaderLink>(*around_, options.listen);
@@ -62,8 +63,8 @@ void HostLinks::stop() {
   if (leader_) leader_->stop();
 }
 
-/// Silence is a peer's only while this host could listen. A machine that was suspended, or stood still as a virtual one may,
-/// would otherwise take everybody for dead the moment that it goes on.
+/// Silence is a peer's only while this host could listen. A machine that was suspended, or stood still as a virtual one
+/// may, would otherwise take everybody for dead the moment that it goes on.
 void HostLinks::forgive(std::chrono::steady_clock::time_point now) {
   const auto stood_still = now - std::exchange(ticked_, now) - 2 * kTick;
   if (stood_still <= std::chrono::steady_clock::duration::zero()) return;
@@ -76,7 +77,8 @@ void HostLinks::serve() {
   while (!stopping_) {
     if (zap_) {
       std::array<zmq::pollitem_t, 1> waits{{{zap_->socket().handle(), 0, ZMQ_POLLIN, 0}}};
-      static_cast<void>(::zmq_poll(waits.data(), waits.size(), kTick.count()));  // interrupted or not: what waits is served
+      static_cast<void>(
+          ::zmq_poll(waits.data(), waits.size(), kTick.count()));  // interrupted or not: what waits is served
       zap_->serve();
     } else {
       std::this_thread::sleep_for(kTick);
@@ -101,7 +103,8 @@ void HostLinks::check_leader(std::chrono::steady_clock::time_point now) {
 }
 
 PeerLink* HostLinks::peer(const std::string& name) {
-  const auto found = std::find_if(peers_.begin(), peers_.end(), [&name](const auto& peer) { return peer->peer().name == name; });
+  const auto found =
+      std::find_if(peers_.begin(), peers_.end(), [&name](const auto& peer) { return peer->peer().name == name; });
   return found == peers_.end() ? nullptr : found->get();
 }
 

@@ -16,10 +16,10 @@ namespace fiona::host {
 
 /// Over tcp with other hosts: not at all, listening for one that leads, or leading others.
 struct HostOptions {
-  std::filesystem::path keys;      ///< the directory; empty: the user's
-  std::string listen;              ///< "tcp://ADDRESS:PORT"; empty: at nothing
+  std::filesystem::path keys;  ///< the directory; empty: the user's
+  std::string listen;          ///< "tcp://ADDRESS:PORT"; empty: at nothing
   std::vector<PeerAddress> peers;
-  std::string serve{};             ///< "tcp://ADDRESS:PORT" for consoles; empty: none over tcp
+  std::string serve{};  ///< "tcp://ADDRESS:PORT" for consoles; empty: none over tcp
   /// Whether it works with other hosts.
   bool any() const { return !listen.empty() || !peers.empty(); }
 };
@@ -32,8 +32,8 @@ class HostLinks {
   using OnLog = std::function<void(const std::string&)>;
 
   /// Throws Error: without keys, where it cannot listen, when it is to listen and to lead.
-  HostLinks(const HostOptions& options, const std::string& name, Pool& pool, Clock& clock, Links& links, OnEvent on_event,
-            OnLog on_log);
+  HostLinks(const HostOptions& options, const std::string& name, Pool& pool, Clock& clock, Links& links,
+            OnEvent on_event, OnLog on_log);
   ~HostLinks();
 
   /// Ends the connections: no frame comes any more, and none goes.

@@ -26,7 +26,8 @@ constexpr std::chrono::seconds kSyncPeriod{1};
 
 std::uint32_t checksum(std::string_view bytes) {
   std::array<unsigned char, crypto_generichash_BYTES_MIN> hash{};
-  crypto_generichash(hash.data(), hash.size(), reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), nullptr, 0);
+  crypto_generichash(hash.data(), hash.size(), reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(),
+                     nullptr, 0);
   return hash[0] | hash[1] << 8U | hash[2] << 16U | static_cast<std::uint32_t>(hash[3]) << 24U;
 }
 
@@ -36,7 +37,8 @@ void append(std::string& out, std::uint32_t number) {
 
 std::uint32_t number_at(std::string_view text, std::size_t at) {
   std::uint32_t number = 0;
-  for (int byte = 0; byte < 4; ++byte) number |= static_cast<std::uint32_t>(static_cast<unsigned char>(text[at + byte])) << (8 * byte);
+  for (int byte = 0; byte < 4; ++byte)
+    number |= static_cast<std::uint32_t>(static_cast<unsigned char>(text[at + byte])) << (8 * byte);
   return number;
 }
 
@@ -122,8 +124,9 @@ void Journal::write(const control::JournalEntry& entry) {
 
 std::uint64_t Journal::begin(control::JournalEntry entry) {
   entry.set_number(next_number_);
-  entry.set_time_ms(std::chrono::duration_cast<std::chrono::milliseconds>(
-                        std::chrono::system_clock::now().time_since_epoch()).count());
+  entry.set_time_ms(
+      std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
+          .count());
   entry.set_state(control::JournalEntry::UNDER_WAY);
   write(entry);
   entries_.push_back(std::move(entry));
@@ -132,11 +135,13 @@ std::uint64_t Journal::begin(control::JournalEntry entry) {
 }
 
 control::JournalEntry* Journal::find(std::uint64_t number) {
-  const auto found = std::find_if(entries_.rbegin(), entries_.rend(), [&](const auto& one) { return one.number() == number; });
+  const auto found =
+      std::find_if(entries_.rbegin(), entries_.rend(), [&](const auto& one) { return one.number() == number; });
   return found == entries_.rend() ? nullptr : &*found;
 }
 
-void Journal::end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model& now) {
+void Journal::end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason,
+                  const Model& now) {
   control::JournalEntry* entry = find(number);
   if (!entry) return;
   entry->set_state(state);
@@ -190,7 +195,8 @@ std::vector<control::Change> Journal::changes_in(std::string_view text) {
   }
   std::vector<control::Change> changes;
   for (const auto& [number, entry] : entries) {
-    if (entry.state() == control::JournalEntry::DONE) changes.insert(changes.end(), entry.steps().begin(), entry.steps().end());
+    if (entry.state() == control::JournalEntry::DONE)
+      changes.insert(changes.end(), entry.steps().begin(), entry.steps().end());
   }
   return changes;
 }

@@ -19,9 +19,9 @@ namespace fiona::host {
 /// What was changed, by whom, and what takes it back: in memory for `undo`, and in a file that outlives the process.
 ///
 /// A record is written before the step that it tells of and reaches the disk within a second, off the path of whoever
-/// changes the system. Record: the length of the entry in 4 bytes and the first 4 bytes of its BLAKE2b hash, both little
-/// endian, then the JournalEntry; a later record of the same number replaces an earlier one. Reading ends at the first
-/// record that is not whole.
+/// changes the system. Record: the length of the entry in 4 bytes and the first 4 bytes of its BLAKE2b hash, both
+/// little endian, then the JournalEntry; a later record of the same number replaces an earlier one. Reading ends at the
+/// first record that is not whole.
 class Journal {
  public:
   /// Entries that are kept for `undo`; older ones are folded into one that builds the system as it was after them.
@@ -33,7 +33,8 @@ class Journal {
   Journal(const Journal&) = delete;
   Journal& operator=(const Journal&) = delete;
 
-  /// Numbers the entry and writes it as under way. Throws Error Failed when it cannot be written: then nothing is begun.
+  /// Numbers the entry and writes it as under way. Throws Error Failed when it cannot be written: then nothing is
+  /// begun.
   std::uint64_t begin(control::JournalEntry entry);
   /// Writes how the entry of this number ended. `now` is the system as it is meant to be from here on.
   void end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model& now);
@@ -41,8 +42,8 @@ class Journal {
   const control::JournalEntry* last_done() const;
   const std::deque<control::JournalEntry>& entries() const { return entries_; }
 
-  /// The changes that give the system back that a journal ends with: what was under way counts as not begun. Throws Error
-  /// NotFound if there is no such file.
+  /// The changes that give the system back that a journal ends with: what was under way counts as not begun. Throws
+  /// Error NotFound if there is no such file.
   static std::vector<control::Change> read(const std::filesystem::path& file);
   /// The same of the bytes of one.
   static std::vector<control::Change> changes_in(std::string_view bytes);

@@ -18,7 +18,8 @@ constexpr int kUnheard_ms = 3000;
 }  // namespace
 
 LeaderLink::LeaderLink(const HostSurroundings& around, const std::string& address) : around_(around) {
-  link_ = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::router, around_.links.counters(), *this);
+  link_ = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::router,
+                                       around_.links.counters(), *this);
   auto& socket = link_->socket();
   socket.set(zmq::sockopt::curve_server, true);
   socket.set(zmq::sockopt::curve_secretkey, around_.keys.secret.bytes());
@@ -34,9 +35,10 @@ LeaderLink::LeaderLink(const HostSurroundings& around, const std::string& addres
     if (!address.starts_with("tcp://")) throw zmq::error_t(EPROTONOSUPPORT);
     link_->listen_proven(address);
   } catch (const zmq::error_t& error) {
-    throw Error(ErrorCode::Failed, {.what = "the host cannot listen at " + address,
-                                    .expected = "tcp://ADDRESS:PORT with an address of this machine; port 0: one that is free",
-                                    .found = error.what()});
+    throw Error(ErrorCode::Failed,
+                {.what = "the host cannot listen at " + address,
+                 .expected = "tcp://ADDRESS:PORT with an address of this machine; port 0: one that is free",
+                 .found = error.what()});
   }
   address_ = link_->endpoint();
 }
@@ -92,7 +94,8 @@ void LeaderLink::leave(std::uint64_t number) {
 
 void LeaderLink::keep(const std::vector<trust::AllowedHost>& allowed) {
   const std::string name = leader();
-  const bool kept = std::any_of(allowed.begin(), allowed.end(), [&name](const auto& host) { return host.name == name; });
+  const bool kept =
+      std::any_of(allowed.begin(), allowed.end(), [&name](const auto& host) { return host.name == name; });
   if (!name.empty() && !kept) end("host '" + name + "' is no longer allowed to connect");
 }
 
@@ -117,7 +120,8 @@ void LeaderLink::tick(Steady::time_point now) {
   lock.lock();
   if (!session_ || session_->over || session_->peer != peer) return;
   const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(Steady::now() - session_->heard);
-  const std::string reason = "host '" + session_->name + "', which leads, has been silent for " + std::to_string(silence.count()) + " ms";
+  const std::string reason =
+      "host '" + session_->name + "', which leads, has been silent for " + std::to_string(silence.count()) + " ms";
   lock.unlock();
   if (silence > kSilence) end(reason);
 }
@@ -153,7 +157,8 @@ void LeaderLink::on_frame(const std::string& peer, const wire::Frame& given, con
 
 void LeaderLink::on_host_frame(std::uint64_t session, wire::HostFrame host) {
   if (host.has_beat()) return offset_->heard(host.beat(), now_ns());
-  HostChange change{.what = HostChange::What::Request, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}};
+  HostChange change{
+      .what = HostChange::What::Request, .host = {}, .reason = {}, .group = {}, .session = session, .request = {}};
   if (host.has_gone()) change.what = HostChange::What::Left;
   if (host.has_request()) change.request = std::move(*host.mutable_request());
   if (host.has_gone() || host.has_request()) around_.on_change(std::move(change));
@@ -173,17 +178,24 @@ void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello)
       frame.mutable_refused()->set_reason("it speaks another version of the protocol");
     } else if (session_ && !resumes && lease > Steady::duration::zero()) {
       const std::string which = session_->name == name ? "another run of '" : "'";
-      frame.mutable_refused()->set_reason("host '" + around_.name + "' is led by " + which + session_->name + "': one host leads at a time");
+      frame.mutable_refused()->set_reason("host '" + around_.name + "' is led by " + which + session_->name +
+                                          "': one host leads at a time");
     }
   }
   if (frame.has_refused()) return turn_away(peer, frame);
   if (!again) {
     end("host '" + name + "' has connected anew");
     const std::lock_guard lock(mutex_);
-    session_ = Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(), false, ""};
+    session_ =
+        Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(), false, ""};
     if (!resumes) offset_ = std::make_unique<ClockOffset>();
     around_.links.join(std::string(Links::kHost), {link_, peer});
-    around_.on_change({.what = HostChange::What::Joined, .host = name, .reason = {}, .same_run = resumes, .group = {}, .request = {}});
+    around_.on_change({.what = HostChange::What::Joined,
+                       .host = name,
+                       .reason = {},
+                       .same_run = resumes,
+                       .group = {},
+                       .request = {}});
   }
   offset_->heard(hello.beat(), now_ns());
   auto& welcome = *frame.mutable_welcome();
@@ -208,7 +220,8 @@ void LeaderLink::say(const wire::GroupMessage& message, std::uint64_t session) {
   *host->mutable_message() = message;
   wire::Frame frame;
   frame.mutable_host();
-  const auto rule = message.has_tapped() && message.id() == 0 ? LinkSocket::Rule::DropOldest : LinkSocket::Rule::Control;
+  const auto rule =
+      message.has_tapped() && message.id() == 0 ? LinkSocket::Rule::DropOldest : LinkSocket::Rule::Control;
   const std::lock_guard lock(mutex_);
   if (!session_ || session_->over || (session != 0 && session_->number != session)) return;
   link_->send(session_->lane, frame, host, rule);

@@ -44,9 +44,9 @@ class LeaderLink final : public LinkSocket::Receiver {
  private:
   struct Session {
     std::uint64_t number = 0;
-    std::string peer;  ///< on the socket
+    std::string peer;       ///< on the socket
     LinkSocket::Lane lane;  ///< of answers and events, in their order
-    std::string name;  ///< in the allow-list
+    std::string name;       ///< in the allow-list
     std::uint64_t run = 0;
     std::chrono::steady_clock::time_point heard{};
     std::chrono::steady_clock::time_point since{};

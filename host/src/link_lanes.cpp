@@ -11,7 +11,8 @@ namespace fiona::host {
 bool PeerLanes::Lane::may_go() const {
   if (queue_.empty()) return false;
   const Item& first = queue_.front();
-  return first.next_chunk > 0 || first.cost == 0 || in_flight_ < kCreditPortion || in_flight_ + first.cost <= kLaneWindow;
+  return first.next_chunk > 0 || first.cost == 0 || in_flight_ < kCreditPortion ||
+         in_flight_ + first.cost <= kLaneWindow;
 }
 
 /// How many messages were lost by it, counted for each wire; 0: there is none that may go.

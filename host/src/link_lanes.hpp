@@ -73,8 +73,8 @@ class PeerLanes {
   void begin(Lane& lane);
 
   std::unordered_map<std::uint64_t, std::shared_ptr<Lane>> lanes_;
-  Turns small_;  ///< lanes whose first item may go and fits into a record
-  Turns large_;  ///< lanes whose first item may go and does not
+  Turns small_;                 ///< lanes whose first item may go and fits into a record
+  Turns large_;                 ///< lanes whose first item may go and does not
   std::vector<Block> records_;  ///< used again for each message
   bool small_is_next_ = true;
   std::uint64_t next_lane_ = 1;
@@ -96,7 +96,7 @@ class PeerLanes::Lane {
   std::map<std::uint64_t, std::uint64_t> lost_;  ///< by wire, not yet told to its client
   std::size_t waiting_ = 0;                      ///< cost of what has not begun
   std::size_t in_flight_ = 0;                    ///< cost of what has begun and has not been credited
-  Turns* turns_ = nullptr;  ///< in which it stands
+  Turns* turns_ = nullptr;                       ///< in which it stands
   bool closed_ = false;
 };
 

@@ -67,7 +67,9 @@ std::size_t read_length(const std::uint8_t* in) {
   return in[0] | in[1] << 8 | in[2] << 16 | static_cast<std::size_t>(in[3]) << 24;
 }
 
-std::string_view text_of(const zmq::message_t& message) { return {static_cast<const char*>(message.data()), message.size()}; }
+std::string_view text_of(const zmq::message_t& message) {
+  return {static_cast<const char*>(message.data()), message.size()};
+}
 
 /// The pieces of an object as one input.
 class PiecesInput final : public google::protobuf::io::ZeroCopyInputStream {
@@ -114,7 +116,8 @@ class PiecesInput final : public google::protobuf::io::ZeroCopyInputStream {
 Block::Block(std::size_t size)
     : data_(is_pooled(size) ? shelf().take() : static_cast<std::uint8_t*>(::operator new(size))), size_(size) {}
 
-Block::Block(Block&& other) noexcept : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
+Block::Block(Block&& other) noexcept
+    : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
 
 Block& Block::operator=(Block&& other) noexcept {
   std::swap(data_, other.data_);

@@ -16,8 +16,8 @@
 namespace fiona::host {
 
 /// The most of an object that one ZeroMQ message carries (architecture 7.5): what a large message may put before a
-/// small one. Between processes of one host an image of 1 MiB takes less time than a chunk does over a network, and each
-/// chunk wakes a thread at both ends.
+/// small one. Between processes of one host an image of 1 MiB takes less time than a chunk does over a network, and
+/// each chunk wakes a thread at both ends.
 inline constexpr std::size_t kChunkBytes = 256 * 1024;
 inline constexpr std::size_t kLocalChunkBytes = 1024 * 1024 + 16 * 1024;
 /// The largest object that goes over a link.
@@ -104,7 +104,9 @@ class Payload {
 Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size);
 Block make_record(const wire::Frame& frame, const ObjectBytes& object);
 /// How many messages an object may come in that is too large for one.
-constexpr std::size_t most_chunks(std::size_t object, std::size_t chunk = kChunkBytes) { return 8 * (object / chunk + 1); }
+constexpr std::size_t most_chunks(std::size_t object, std::size_t chunk = kChunkBytes) {
+  return 8 * (object / chunk + 1);
+}
 
 /// Puts together what one peer sends: records out of messages, and objects out of chunks. What it holds is bounded: one
 /// object for each wire that is accepted, of at most `kMaxObject`, and never more of it than has come.

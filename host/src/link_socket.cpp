@@ -28,8 +28,8 @@ control::LinkStatus LinkCounters::status() const {
   return status;
 }
 
-LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters, Receiver& receiver,
-                       std::function<void()> on_dealt_with)
+LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type type, LinkCounters& counters,
+                       Receiver& receiver, std::function<void()> on_dealt_with)
     : pool_(pool),
       counters_(counters),
       receiver_(receiver),
@@ -95,7 +95,9 @@ void LinkSocket::be_proven() {
   bound_parts();
 }
 
-void LinkSocket::bound_parts() { socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(chunk_ + kFrameRoom)); }
+void LinkSocket::bound_parts() {
+  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(chunk_ + kFrameRoom));
+}
 
 void LinkSocket::start() {
   watch_ = pool_.watch(socket_.get(zmq::sockopt::fd), [this] { take_turn(); });
@@ -123,7 +125,8 @@ void LinkSocket::stop(std::chrono::milliseconds linger) {
 std::shared_ptr<LinkSocket::Peer> LinkSocket::add_peer(const std::string& identity, std::string process, bool proven) {
   auto gate = std::make_shared<Gate>(pool_, turn_, chunk_);
   auto debts = std::make_shared<Debts>(pool_, turn_);
-  return peers_[identity] = std::make_shared<Peer>(identity, std::move(process), std::move(gate), std::move(debts), proven);
+  return peers_[identity] =
+             std::make_shared<Peer>(identity, std::move(process), std::move(gate), std::move(debts), proven);
 }
 
 std::shared_ptr<LinkSocket::Peer> LinkSocket::find(const std::string& peer) {
@@ -313,8 +316,10 @@ bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   zmq::message_t body(data, size, &Release::done, release.release());
   try {
     // A connection that is just not there takes none of the parts.
-    bool taken = !routed_ || socket_.send(zmq::buffer(peer.identity), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
-    if (taken && chunk) taken = socket_.send(beside_frames, zmq::send_flags::sndmore | zmq::send_flags::dontwait).has_value();
+    bool taken =
+        !routed_ || socket_.send(zmq::buffer(peer.identity), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
+    if (taken && chunk)
+      taken = socket_.send(beside_frames, zmq::send_flags::sndmore | zmq::send_flags::dontwait).has_value();
     if (taken) socket_.send(body, zmq::send_flags::dontwait);
   } catch (const zmq::error_t&) {
     peer.gone = true;  // supervision reports that, not each message

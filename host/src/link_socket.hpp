@@ -94,7 +94,8 @@ class LinkSocket {
   /// left yet may do so for as long as `linger`.
   void stop(std::chrono::milliseconds linger = {});
 
-  /// A new lane to a peer that has proved its key, or that is being connected to; its `peer` is null when there is none.
+  /// A new lane to a peer that has proved its key, or that is being connected to; its `peer` is null when there is
+  /// none.
   Lane open_lane(const std::string& peer);
   /// [any thread] As PeerLanes::close.
   std::size_t close_lane(const Lane& lane, PeerLanes::Rest rest = PeerLanes::Rest::IsLost);
@@ -152,7 +153,8 @@ class LinkSocket {
   bool send_out(Peer& peer, PeerLanes::Outgoing& out);
   void send_plain(const std::string& peer, const wire::Frame& frame);
   void tell_locked(Peer& peer, wire::Frame& frame);
-  PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object, Rule rule);
+  PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
+                           Rule rule);
   bool has_input();
 
   Pool& pool_;
@@ -171,7 +173,7 @@ class LinkSocket {
   std::shared_ptr<Turn> turn_;
   std::unique_ptr<Pool::Readable> watch_;
   std::unordered_map<std::string, std::shared_ptr<Peer>> peers_;
-  std::vector<zmq::message_t> parts_;  ///< the reader's
+  std::vector<zmq::message_t> parts_;    ///< the reader's
   std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled
   Peer* sender_ = nullptr;               ///< the reader's, with what the receipt is for
   std::pair<std::uint64_t, std::size_t> arrived_;

@@ -19,7 +19,9 @@ class Links::Receiver final : public LinkSocket::Receiver {
  public:
   explicit Receiver(Links& links) : links_(links) {}
   void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
-  bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.accepts({link_.lock(), peer}, frame); }
+  bool accepts(const std::string& peer, const wire::Frame& frame) override {
+    return links_.accepts({link_.lock(), peer}, frame);
+  }
   void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) override {
     links_.on_frame({link_.lock(), peer}, frame, object);
   }
@@ -41,7 +43,8 @@ Links::Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, On
       endpoint_(std::move(endpoint)),
       on_lost_(std::move(on_lost)),
       receiver_(std::make_unique<Receiver>(*this)) {
-  server_ = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_, on_dealt_with());
+  server_ =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_, on_dealt_with());
   receiver_->use(server_);
   server_->listen(endpoint_, std::move(key));
 }
@@ -85,8 +88,8 @@ std::map<std::string, FrameCounts> Links::frame_counts() {
   return all;
 }
 
-void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
-                    std::string client_name, bool attached) {
+void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider,
+                    std::uint32_t prescale, std::string client_name, bool attached) {
   const std::lock_guard lock(mutex_);
   grants_[wire] = Grant{std::move(token),       std::move(peer), &provider, std::max(1U, prescale),
                         std::move(client_name), attached,        nullptr,   {}};
@@ -97,12 +100,13 @@ Hop Links::connect(const Endpoint& endpoint) {
   const auto known = peers_.find(endpoint.address);
   if (known != peers_.end()) return known->second.hop;
   if (endpoint.address.starts_with(kHost)) {
-    throw Error(ErrorCode::Unreachable, {.what = "the other host is not connected", .where = endpoint.address, .next = "ls hosts"});
+    throw Error(ErrorCode::Unreachable,
+                {.what = "the other host is not connected", .where = endpoint.address, .next = "ls hosts"});
   }
   Peer& peer = peers_[endpoint.address];
   peer.receiver = std::make_unique<Receiver>(*this);
-  peer.hop.link =
-      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.receiver, on_dealt_with());
+  peer.hop.link = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.receiver,
+                                               on_dealt_with());
   peer.receiver->use(peer.hop.link);
   peer.hop.link->connect(endpoint.address, endpoint.name, endpoint.key);
   return peer.hop;
@@ -116,7 +120,8 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
   std::unique_lock lock(mutex_);
   const Hop hop = connect(endpoint);
   const std::string name = port.full_name() + "<" + provider_name;
-  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name, port.service().is_push() ? client : nullptr);
+  const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name,
+                                                 port.service().is_push() ? client : nullptr);
   requirements_[wire_id] = Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, false};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
   const Connection before = client->connection();
@@ -131,7 +136,8 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
   answered_.wait_for(lock, kDefaultDeadline, has_answer);
   const auto found = requirements_.find(wire_id);
   const bool gone = found == requirements_.end() || found->second.lost;
-  const std::string refusal = gone ? "its process is gone" : found->second.refusal.value_or("its process does not answer");
+  const std::string refusal =
+      gone ? "its process is gone" : found->second.refusal.value_or("its process does not answer");
   if (refusal.empty()) {
     lock.unlock();
     if (resumes_every > 0) count_missed(wire_id, replaces, resumes_every);
@@ -156,10 +162,12 @@ void Links::count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32
   const std::lock_guard lock(mutex_);
   const auto now = requirements_.find(wire);
   const auto before = requirements_.find(replaces);
-  if (now == requirements_.end() || before == requirements_.end() || !now->second.client->port().service().is_push()) return;
+  if (now == requirements_.end() || before == requirements_.end() || !now->second.client->port().service().is_push())
+    return;
   const std::uint64_t last = std::max(before->second.from_sequence, before->second.wire->last_sequence());
   if (now->second.from_sequence <= last) return;
-  now->second.client->port().counters().dropped.fetch_add((now->second.from_sequence - last) / every, std::memory_order_relaxed);
+  now->second.client->port().counters().dropped.fetch_add((now->second.from_sequence - last) / every,
+                                                          std::memory_order_relaxed);
 }
 
 void Links::refuse(const Hop& from, std::uint64_t wire, const std::string& reason) {
@@ -179,7 +187,8 @@ bool Links::may_open(const Hop& from, const std::string& peer) {
 void Links::open_for(const Hop& from, const wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
   if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), kUnknownVersion);
-  if (const auto relay = relays_.find(frame.wire()); relay != relays_.end()) return open_relay(from, frame, relay->second);
+  if (const auto relay = relays_.find(frame.wire()); relay != relays_.end())
+    return open_relay(from, frame, relay->second);
   const auto grant = grants_.find(frame.wire());
   if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire ||
       !may_open(from, grant->second.peer)) {
@@ -229,7 +238,8 @@ Links::End Links::end_of_locked(const Hop& from, std::uint64_t wire) {
   const auto grant = grants_.find(wire);
   if (grant != grants_.end() && grant->second.wire && grant->second.client == from) return {grant->second.wire, true};
   const auto requirement = requirements_.find(wire);
-  const bool ours = requirement != requirements_.end() && !requirement->second.lost && requirement->second.provider == from;
+  const bool ours =
+      requirement != requirements_.end() && !requirement->second.lost && requirement->second.provider == from;
   if (ours) return {requirement->second.wire, false};
   note_foreign(wire);
   return {};
@@ -417,7 +427,8 @@ void Links::lose(const std::string& endpoint, const std::string& name, const std
   {
     const std::lock_guard lock(mutex_);
     for (auto& [id, requirement] : requirements_) {
-      if (requirement.endpoint == endpoint && !std::exchange(requirement.lost, true)) lost.emplace_back(id, requirement);
+      if (requirement.endpoint == endpoint && !std::exchange(requirement.lost, true))
+        lost.emplace_back(id, requirement);
     }
     std::erase_if(requirements_, [](const auto& entry) { return entry.second.lost && entry.second.retired; });
     for (auto it = grants_.begin(); it != grants_.end();) {

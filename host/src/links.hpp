@@ -30,8 +30,8 @@ class Links {
   /// What the endpoint of another host begins with; alone it is the one that leads this one.
   static constexpr std::string_view kHost = "host:";
 
-  /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for them.
-  /// On a virtual clock, what comes takes its turn there.
+  /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for
+  /// them. On a virtual clock, what comes takes its turn there.
   Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, OnLost on_lost);
   ~Links();
 
@@ -56,7 +56,8 @@ class Links {
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
   /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
   /// `resumes_every` > 0: what the provider has put since the wire `replaces` was lost is counted as dropped.
-  void require(std::uint64_t wire, const std::string& token, const std::shared_ptr<WireEnd>& client, const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+  void require(std::uint64_t wire, const std::string& token, const std::shared_ptr<WireEnd>& client,
+               const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
                const std::function<void()>& switch_over);
   /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
   /// is bounded: a sender has credit for it only once it has left.
@@ -99,7 +100,7 @@ class Links {
     std::optional<std::string> refusal;  ///< once the peer has answered; empty: open
     std::uint64_t from_sequence = 0;     ///< once open: what was put after this comes
     bool retired = false;
-    bool lost = false;                   ///< its link is; kept until another wire takes its place, or it is cut
+    bool lost = false;  ///< its link is; kept until another wire takes its place, or it is cut
   };
   /// What comes from one side in one lane leaves in one, so that its order stays.
   class RelayLane;
@@ -131,7 +132,8 @@ class Links {
     std::shared_ptr<RemoteWire> wire;
     bool provides = false;
   };
-  void on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire, const ObjectBytes& object);
+  void on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire,
+                       const ObjectBytes& object);
   void on_refused(const Hop& from, const std::string& reason);
   void on_closed(std::uint64_t wire, const std::string& reason);
   End end_of(const Hop& from, std::uint64_t wire);

@@ -39,7 +39,8 @@ void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) 
 
 /// Passes the frame on over those of its wires that are relayed here, each side's towards the other. What is left of it
 /// is for wires that end here; null: nothing is. Called with the mutex held.
-const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest) {
+const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object,
+                                  wire::Frame& rest) {
   std::vector<std::uint64_t> ending;
   std::vector<std::pair<Relay::Side*, wire::Frame>> ways;  // those of one hop share what crosses, as they did before
   const auto sort = [&](std::uint64_t wire) {
@@ -57,7 +58,8 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
   };
   sort(frame.wire());
   for (const std::uint64_t wire : frame.also()) sort(wire);
-  const auto payload = object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
+  const auto payload =
+      object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
   for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
   if (frame.has_closed() || frame.has_refused()) {
     for (const auto& [to, passed] : ways) note_ended(passed.wire());

@@ -68,7 +68,7 @@ class Mailbox {
   os::Descriptor signal_;
   std::mutex mutex_;
   std::deque<T> values_;
-  std::size_t bytes_ = 0;             ///< of those in values_ that may be dropped
+  std::size_t bytes_ = 0;              ///< of those in values_ that may be dropped
   std::map<std::uint64_t, T> newest_;  ///< of what did not fit, one for each key
 };
 

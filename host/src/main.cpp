@@ -38,18 +38,23 @@ struct Flags {
 Flags parse(int argc, char** argv, options::options_description& description) {
   Flags flags;
   auto add = description.add_options();
-  add("name", options::value(&flags.name)->default_value("main"), "the host's name, one per user and run-time directory");
+  add("name", options::value(&flags.name)->default_value("main"),
+      "the host's name, one per user and run-time directory");
   add("socket", options::value(&flags.socket), "where it listens for consoles");
   add("store", options::value(&flags.store), "the installed packages");
-  add("listen", options::value(&flags.listen), "tcp://ADDRESS:PORT where a host that leads may connect; port 0: a free one");
-  add("serve", options::value(&flags.serve), "tcp://ADDRESS:PORT where consoles on other machines may connect; port 0: a free one");
+  add("listen", options::value(&flags.listen),
+      "tcp://ADDRESS:PORT where a host that leads may connect; port 0: a free one");
+  add("serve", options::value(&flags.serve),
+      "tcp://ADDRESS:PORT where consoles on other machines may connect; port 0: a free one");
   add("peer", options::value(&flags.peers), "NAME=HOST:PORT=KEY, a host that this one leads; may be repeated");
-  add("keys", options::value(&flags.keys), "the directory of the key pair and of the hosts and consoles that may connect");
+  add("keys", options::value(&flags.keys),
+      "the directory of the key pair and of the hosts and consoles that may connect");
   add("plugins", options::value(&flags.plugins), "libraries in no package that a leading host may have loaded");
   add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
   add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
   add("lifeline-fd", options::value(&flags.lifeline)->default_value(-1), "descriptor whose end ends the host");
-  add("restore", options::bool_switch(&flags.restore), "begins with the system that this host's last journal ends with");
+  add("restore", options::bool_switch(&flags.restore),
+      "begins with the system that this host's last journal ends with");
   add("version", options::bool_switch(&flags.version), "prints the version");
   add("help", options::bool_switch(&flags.help), "prints this");
   options::variables_map values;

@@ -24,9 +24,10 @@ void Masters::serve(const wire::Asked& asked) {
 void Masters::require_right(const std::string& name) const {
   const Model::Instance& one = system_.model().instance(name);
   if (std::find(one.rights.begin(), one.rights.end(), "master") != one.rights.end()) return;
-  throw Error(ErrorCode::NotAllowed, {.what = "'" + name + "' has not been granted the right 'master'",
-                                      .where = name,
-                                      .next = "unload " + name + ", then: load " + one.plugin + " as " + name + " with master"});
+  throw Error(ErrorCode::NotAllowed,
+              {.what = "'" + name + "' has not been granted the right 'master'",
+               .where = name,
+               .next = "unload " + name + ", then: load " + one.plugin + " as " + name + " with master"});
 }
 
 void Masters::perform(const wire::Asked& asked) {
@@ -38,7 +39,9 @@ void Masters::perform(const wire::Asked& asked) {
     return answer(asked, std::move(reply));
   }
   if (!request.has_transact()) {
-    throw Error(ErrorCode::NotAllowed, {.what = "a component may ask for changes and for the system as it is, and no more", .where = asked.instance()});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "a component may ask for changes and for the system as it is, and no more",
+                 .where = asked.instance()});
   }
   std::optional<std::chrono::milliseconds> within;
   if (request.deadline_ms() > 0) within = std::chrono::milliseconds(request.deadline_ms());

@@ -4,8 +4,8 @@
 
 namespace fiona::host {
 
-/// Answers what components ask for: changes, which are transactions of the engine like any other, and the system as it is.
-/// Only those that were granted the right `master` get it. All functions [control thread].
+/// Answers what components ask for: changes, which are transactions of the engine like any other, and the system as it
+/// is. Only those that were granted the right `master` get it. All functions [control thread].
 class Masters {
  public:
   Masters(System& system, Engine& engine, Engine::Later later)

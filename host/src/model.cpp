@@ -4,8 +4,18 @@
 
 #include "fiona/contract.hpp"
 #include "fiona/error.hpp"
+#include "fiona/unicode.hpp"
 
 namespace fiona::host {
+
+void require_name(const std::string& name, std::string_view kind) {
+  if (unicode::is_name(name) && name != kHostItself) return;
+  throw Error(
+      ErrorCode::Usage,
+      {.what = fmt::format("'{}' is no name for {}", name, kind),
+       .expected =
+           "a letter, then letters (in Unicode's normal form C), digits, '-' and '_', at most 64 bytes; not 'host'"});
+}
 
 const Model::Instance* Model::find(const std::string& name) const {
   const auto found = instances_.find(name);
@@ -48,7 +58,8 @@ const PortInterface& Model::port(const control::PortName& name, Direction direct
   }
   throw Error(ErrorCode::NotFound, {.what = fmt::format("'{}' has no port '{}' that {}", name.instance(), name.port(),
                                                         direction == PROVIDES ? "provides" : "requires"),
-                                    .expected = fitting.empty() ? "nothing: it has none" : fmt::format("one of {}", fmt::join(fitting, ", ")),
+                                    .expected = fitting.empty() ? "nothing: it has none"
+                                                                : fmt::format("one of {}", fmt::join(fitting, ", ")),
                                     .next = "show " + name.instance(),
                                     .near = nearest_names(name.port(), fitting)});
 }
@@ -59,7 +70,8 @@ void Model::make(const control::Change& change, const Packages& packages) {
     case control::Change::kUnload: return unload(change.unload());
     case control::Change::kWire: return wire(change.wire());
     case control::Change::kUnwire: return unwire(change.unwire());
-    case control::Change::kSet: return change.set().instance() == kHostItself ? set_host(change.set()) : set(change.set());
+    case control::Change::kSet:
+      return change.set().instance() == kHostItself ? set_host(change.set()) : set(change.set());
     case control::Change::kState: return state(change.state());
     case control::Change::kReplace:
       for (const auto& step : steps_of(change)) make(step, packages);
@@ -79,8 +91,9 @@ void Model::unload(const control::Unload& request) {
 void Model::set_host(const control::Set& request) {
   ClockSettings next = clock_.changed(request);
   if (next.is_virtual != clock_.is_virtual && !instances_.empty()) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} instances live by the present clock", instances_.size()),
-                                        .next = "set host clock before the first load"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("{} instances live by the present clock", instances_.size()),
+                 .next = "set host clock before the first load"});
   }
   clock_ = std::move(next);
 }
@@ -96,14 +109,16 @@ void Model::state(const control::State& request) {
 void Model::require_own(const std::string& name) const {
   const Instance* found = find(name);
   if (!found || !found->led || leader_.empty()) return;
-  throw Error(ErrorCode::NotAllowed, {.what = fmt::format("'{}' belongs to the system of host '{}', which leads this one", name, leader_),
-                                      .next = fmt::format("say it on host '{}'", leader_)});
+  throw Error(ErrorCode::NotAllowed,
+              {.what = fmt::format("'{}' belongs to the system of host '{}', which leads this one", name, leader_),
+               .next = fmt::format("say it on host '{}'", leader_)});
 }
 
 void Model::take(const std::string& name, Instance instance) {
   require_name(name, "an instance");
   if (const Instance* taken = find(name)) {
-    throw Error(ErrorCode::Usage, {.what = "there is an instance '" + name + "' already", .found = taken->package->name});
+    throw Error(ErrorCode::Usage,
+                {.what = "there is an instance '" + name + "' already", .found = taken->package->name});
   }
   instance.led = true;
   instance.order = next_order_++;

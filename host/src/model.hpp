@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -16,8 +17,11 @@
 
 namespace fiona::host {
 
-/// A system as it is meant to be: what was asked for, not how the instances are doing. A value: cheap to copy, so that a
-/// change is tried on a copy before anything is touched.
+/// A name that can be typed in one word, in any script, and has no meaning of its own; throws Error Usage otherwise.
+void require_name(const std::string& name, std::string_view kind);
+
+/// A system as it is meant to be: what was asked for, not how the instances are doing. A value: cheap to copy, so that
+/// a change is tried on a copy before anything is touched.
 class Model {
  public:
   struct Instance {

@@ -68,7 +68,8 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
     const bool goes = kept.contains(client.first) && !to.wires_.contains(client);
     if (goes) *steps.emplace_back().mutable_unwire()->mutable_client() = port_of(client);
   }
-  for (auto it = leaving.rbegin(); it != leaving.rend(); ++it) steps.emplace_back().mutable_unload()->set_instance(it->second);
+  for (auto it = leaving.rbegin(); it != leaving.rend(); ++it)
+    steps.emplace_back().mutable_unload()->set_instance(it->second);
   if (from.clock_ != to.clock_) steps.push_back(to.clock_.change_from(from.clock_));
   for (const auto& [order, name] : coming) *steps.emplace_back().mutable_load() = to.load_of(name);
   for (const auto& name : kept) {

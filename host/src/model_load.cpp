@@ -13,7 +13,8 @@ namespace {
 
 /// `values` with the changes made. Throws as `set_fields` does, with the instance as the place.
 std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<const Object>& values,
-                                const google::protobuf::RepeatedPtrField<control::Argument>& changes, const std::string& next) {
+                                const google::protobuf::RepeatedPtrField<control::Argument>& changes,
+                                const std::string& next) {
   if (!values) throw Error(ErrorCode::NotFound, {.what = "'" + name + "' has no parameters", .where = name});
   std::shared_ptr<Object> draft(values->New());
   draft->CopyFrom(*values);
@@ -32,7 +33,9 @@ std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<c
 /// What is granted must be asked for, by the component's code and by the manifest that its users have read.
 void require_rights(const control::Load& request, const Model::Instance& made) {
   const std::vector<std::string> known{"master"};
-  const auto has = [](const auto& list, const std::string& right) { return std::find(list.begin(), list.end(), right) != list.end(); };
+  const auto has = [](const auto& list, const std::string& right) {
+    return std::find(list.begin(), list.end(), right) != list.end();
+  };
   for (const std::string& right : request.rights()) {
     if (!has(known, right)) {
       throw Error(ErrorCode::Usage, {.what = fmt::format("there is no right '{}' that could be granted", right),
@@ -46,7 +49,8 @@ void require_rights(const control::Load& request, const Model::Instance& made) {
     }
     if (!has(made.package->rights, right)) {
       throw Error(ErrorCode::NotAllowed,
-                  {.what = fmt::format("{} uses the right '{}', and its manifest does not ask for it", made.package->name, right),
+                  {.what = fmt::format("{} uses the right '{}', and its manifest does not ask for it",
+                                       made.package->name, right),
                    .expected = fmt::format("rights: \"{}\" in its manifest", right),
                    .next = "tell the publisher"});
     }
@@ -73,9 +77,10 @@ void Model::load(const control::Load& request, const Packages& packages) {
   const std::string name = request.instance().empty() ? component : request.instance();
   require_name(name, "an instance");
   if (const Instance* taken = find(name)) {
-    throw Error(ErrorCode::Usage, {.what = "there is an instance '" + name + "' already",
-                                   .found = taken->package->name,
-                                   .next = fmt::format("load {} as OTHER-NAME, or: unload {}", request.plugin(), name)});
+    throw Error(ErrorCode::Usage,
+                {.what = "there is an instance '" + name + "' already",
+                 .found = taken->package->name,
+                 .next = fmt::format("load {} as OTHER-NAME, or: unload {}", request.plugin(), name)});
   }
   auto made = std::make_shared<Instance>();
   made->plugin = request.plugin();
@@ -131,7 +136,8 @@ control::Load Model::load_of(const std::string& name) const {
   load.mutable_rights()->Add(one.rights.begin(), one.rights.end());
   load.set_comment(one.comment);
   if (!one.parameters) return load;
-  for (auto& changed : differences(*one.parameters, *one.default_parameters())) *load.add_parameters() = std::move(changed);
+  for (auto& changed : differences(*one.parameters, *one.default_parameters()))
+    *load.add_parameters() = std::move(changed);
   return load;
 }
 

@@ -39,12 +39,14 @@ std::vector<control::Change> Model::steps_of(const control::Change& change) cons
     auto& all = moved.providers;
     for (auto one = all.begin(); one != all.end(); ++one) {
       const std::string name = text_of(*one);
-      all.erase(std::remove_if(one + 1, all.end(), [&](const auto& other) { return text_of(other) == name; }), all.end());
+      all.erase(std::remove_if(one + 1, all.end(), [&](const auto& other) { return text_of(other) == name; }),
+                all.end());
     }
     steps.push_back(moved.change_for(client));
   }
   if (!steps.empty()) return steps;
-  throw Error(ErrorCode::NotFound, {.what = "nobody uses '" + swap.old() + "'", .where = swap.old(), .next = "ls wires"});
+  throw Error(ErrorCode::NotFound,
+              {.what = "nobody uses '" + swap.old() + "'", .where = swap.old(), .next = "ls wires"});
 }
 
 /// The port of `next` that can take the place of this one: the one of its name, or the only one of its service.
@@ -61,7 +63,9 @@ control::PortName Model::counterpart(const control::PortName& provider, const st
               {.what = fmt::format("'{}' has {} for {} of {}", next, fitting.empty() ? "no port" : "more than one port",
                                    last_part(service), text_of(provider)),
                .found = fmt::format("{}", fmt::join(fitting, ", ")),
-               .next = fitting.empty() ? "show " + next : fmt::format("wire each client by hand: wire CLIENT.PORT to {}.{}", next, fitting.front())});
+               .next = fitting.empty() ? "show " + next
+                                       : fmt::format("wire each client by hand: wire CLIENT.PORT to {}.{}", next,
+                                                     fitting.front())});
 }
 
 }  // namespace fiona::host

@@ -27,16 +27,21 @@ void check_alternatives(const control::Wire& request, const Model::Wire& made) {
   for (auto one = made.providers.begin(); one != made.providers.end(); ++one) {
     const auto same = [&](const auto& other) { return key_of(other) == key_of(*one); };
     if (std::none_of(made.providers.begin(), one, same)) continue;
-    throw Error(ErrorCode::Usage, {.what = text_of(*one) + " is named twice", .where = client,
+    throw Error(ErrorCode::Usage, {.what = text_of(*one) + " is named twice",
+                                   .where = client,
                                    .expected = "each alternative once, the best first"});
   }
   if (!request.has_hold_ms()) return;
   if (made.providers.size() == 1) {
-    throw Error(ErrorCode::Usage, {.what = "a hold time is for a wire with alternatives", .where = client,
-                                   .next = fmt::format("wire {} to {} else OTHER.PORT hold=…", client, text_of(request.provider()))});
+    throw Error(ErrorCode::Usage,
+                {.what = "a hold time is for a wire with alternatives",
+                 .where = client,
+                 .next = fmt::format("wire {} to {} else OTHER.PORT hold=…", client, text_of(request.provider()))});
   }
   if (made.hold_ms >= 0 && made.hold_ms <= kMostHold_ms) return;
-  throw Error(ErrorCode::Usage, {.what = "the hold time is out of range", .where = client, .expected = "0s .. 1h",
+  throw Error(ErrorCode::Usage, {.what = "the hold time is out of range",
+                                 .where = client,
+                                 .expected = "0s .. 1h",
                                  .found = fmt::format("{:g} ms", made.hold_ms)});
 }
 
@@ -99,16 +104,18 @@ void Model::require_fit(const control::PortName& client, const control::PortName
   const PortInterface& provided = port(provider, PROVIDES);
   const auto* a = Types::service(*instance(client.instance()).package->types, required.service());
   const auto* b = Types::service(*instance(provider.instance()).package->types, provided.service());
-  const auto difference = a && b ? contract_difference(*a, *b) : std::optional<std::string>("a service is unknown to the host");
+  const auto difference =
+      a && b ? contract_difference(*a, *b) : std::optional<std::string>("a service is unknown to the host");
   if (!difference) return;
   const std::string fitting = providers_of(required.service());
   const std::string name = last_part(required.service());
-  throw Error(ErrorCode::WiringInvalid,
-              {.what = fmt::format("{} requires {}; {} provides {}", text_of(client), service_text(a, required.service()),
-                                   text_of(provider), service_text(b, provided.service())),
-               .found = required.service() == provided.service() ? *difference : "",
-               .next = fitting.empty() ? "nothing here provides " + name + ": spots shows who could"
-                                       : "these provide " + name + ": " + fitting});
+  throw Error(
+      ErrorCode::WiringInvalid,
+      {.what = fmt::format("{} requires {}; {} provides {}", text_of(client), service_text(a, required.service()),
+                           text_of(provider), service_text(b, provided.service())),
+       .found = required.service() == provided.service() ? *difference : "",
+       .next = fitting.empty() ? "nothing here provides " + name + ": spots shows who could"
+                               : "these provide " + name + ": " + fitting});
 }
 
 std::string Model::providers_of(const std::string& service) const {

@@ -18,7 +18,4 @@ control::PortName port_of(const PortKey& key);
 /// "nav.location".
 std::string text_of(const control::PortName& name);
 
-/// A name that can be typed and has no meaning of its own; throws Error Usage otherwise.
-void require_name(const std::string& name, std::string_view kind);
-
 }  // namespace fiona::host

@@ -8,7 +8,7 @@ namespace fiona::host {
 
 // How a host that leads names processes to one that it leads: it knows no sockets of that.
 inline constexpr std::string_view kLeaderEndpoint = Links::kHost;  ///< the leader, and whoever is reached through it
-inline constexpr std::string_view kGroupEndpoint = "group:";  ///< before a group's name on its own host
+inline constexpr std::string_view kGroupEndpoint = "group:";       ///< before a group's name on its own host
 
 /// `message`: of a wire that is opened towards there.
 template <class WireMessage>

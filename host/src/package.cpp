@@ -18,10 +18,11 @@ std::string choose_component(const Interface& interface, const std::string& plug
   const std::string short_name = plugin.substr(plugin.rfind('/') + 1);
   const std::string choice = !wanted.empty() ? wanted : names.size() == 1 ? names.front() : short_name;
   if (std::find(names.begin(), names.end(), choice) != names.end()) return choice;
-  throw Error(ErrorCode::NotFound, {.what = fmt::format("plugin '{}' has no component '{}'", plugin, choice),
-                                    .expected = fmt::format("one of {}", fmt::join(names, ", ")),
-                                    .next = fmt::format("load {}/{}", plugin, names.empty() ? "COMPONENT" : names.front()),
-                                    .near = nearest_names(choice, names)});
+  throw Error(ErrorCode::NotFound,
+              {.what = fmt::format("plugin '{}' has no component '{}'", plugin, choice),
+               .expected = fmt::format("one of {}", fmt::join(names, ", ")),
+               .next = fmt::format("load {}/{}", plugin, names.empty() ? "COMPONENT" : names.front()),
+               .near = nearest_names(choice, names)});
 }
 
 }  // namespace
@@ -41,11 +42,13 @@ Package Packages::library(const std::filesystem::path& file) const {
   std::stringstream text;
   text << stream.rdbuf();
   if (!stream || !google::protobuf::TextFormat::ParseFromString(text.str(), &found.interface)) {
-    throw Error(ErrorCode::NotFound, {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
-                                      .where = description.string(),
-                                      .next = "fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona-describe " + file.string()});
+    throw Error(ErrorCode::NotFound,
+                {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
+                 .where = description.string(),
+                 .next = "fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona-describe " + file.string()});
   }
-  for (const auto& one : found.interface.components()) found.rights.insert(found.rights.end(), one.rights().begin(), one.rights().end());
+  for (const auto& one : found.interface.components())
+    found.rights.insert(found.rights.end(), one.rights().begin(), one.rights().end());
   const auto share = file.parent_path() / (name + ".share");
   if (std::filesystem::is_directory(share)) found.share = share;
   return found;
@@ -68,7 +71,8 @@ std::shared_ptr<const Package> Packages::shared(Package package) const {
 Packages::Choice Packages::find(const std::string& text) const {
   if (const std::size_t ending = text.find(".so"); ending != std::string::npos) {
     Package found = library(text.substr(0, ending + 3));
-    std::string component = choose_component(found.interface, found.name, text.substr(std::min(text.size(), ending + 4)));
+    std::string component =
+        choose_component(found.interface, found.name, text.substr(std::min(text.size(), ending + 4)));
     return {shared(std::move(found)), std::move(component)};
   }
   // "publisher/name" and "name/component" look alike: an installed package of the whole text wins.
@@ -76,7 +80,8 @@ Packages::Choice Packages::find(const std::string& text) const {
   std::string wanted;
   const auto known = store_.installed();
   const auto matches = [&](const std::string& name) {
-    return std::any_of(known.begin(), known.end(), [&](const auto& p) { return p.name() == name || p.manifest.name() == name; });
+    return std::any_of(known.begin(), known.end(),
+                       [&](const auto& p) { return p.name() == name || p.manifest.name() == name; });
   };
   const std::size_t slash = text.rfind('/');
   if (!matches(text) && slash != std::string::npos && matches(text.substr(0, slash))) {
@@ -84,8 +89,13 @@ Packages::Choice Packages::find(const std::string& text) const {
     wanted = text.substr(slash + 1);
   }
   const auto installed = store_.find(plugin);
-  Package found{installed.name(), installed.manifest.version(), installed.library, installed.share, installed.interface(),
-                {installed.manifest.rights().begin(), installed.manifest.rights().end()}, nullptr,
+  Package found{installed.name(),
+                installed.manifest.version(),
+                installed.library,
+                installed.share,
+                installed.interface(),
+                {installed.manifest.rights().begin(), installed.manifest.rights().end()},
+                nullptr,
                 std::make_shared<marketplace::PackageHold>(store_.hold(installed))};
   std::string component = choose_component(found.interface, found.name, wanted);
   return {shared(std::move(found)), std::move(component)};

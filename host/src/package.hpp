@@ -36,8 +36,8 @@ class Packages {
     std::shared_ptr<const Package> package;
     std::string component;
   };
-  /// "publisher/name", "name", "name/component", "DIR/libNAME.so", "DIR/libNAME.so/component". Throws Error NotFound with
-  /// what would be found.
+  /// "publisher/name", "name", "name/component", "DIR/libNAME.so", "DIR/libNAME.so/component". Throws Error NotFound
+  /// with what would be found.
   Choice find(const std::string& text) const;
 
  private:

@@ -6,10 +6,10 @@
 namespace fiona::host {
 namespace {
 
-/// Connecting again is done here and not by libzmq, whose pauses would bring 200 hosts back in step. After a session, the
-/// first attempt begins after 0.2 to 0.6 s and the next one 0.5 to 1.5 s later, so that a short outage costs 2 s. The
-/// third spreads the crowd; from then on there is one every 4.2 to 4.7 s, so that a long outage costs 5 s and 200 hosts
-/// together make less than 50 attempts a second.
+/// Connecting again is done here and not by libzmq, whose pauses would bring 200 hosts back in step. After a session,
+/// the first attempt begins after 0.2 to 0.6 s and the next one 0.5 to 1.5 s later, so that a short outage costs 2 s.
+/// The third spreads the crowd; from then on there is one every 4.2 to 4.7 s, so that a long outage costs 5 s and 200
+/// hosts together make less than 50 attempts a second.
 constexpr PeerLink::Pause kAfterSession{200, 400};
 constexpr PeerLink::Pause kAfterFirst{500, 1000};
 constexpr PeerLink::Pause kAfterSecond{1500, 3200};
@@ -23,7 +23,8 @@ constexpr std::chrono::milliseconds kHelloEvery{400};
 /// How long the last word of a host that ends may take to leave.
 constexpr std::chrono::milliseconds kFarewell{200};
 
-constexpr const char* kNoHandshake = "no handshake: its key is not the one that --peer names, or it is no host of FIONA";
+constexpr const char* kNoHandshake =
+    "no handshake: its key is not the one that --peer names, or it is no host of FIONA";
 
 using Steady = std::chrono::steady_clock;
 
@@ -37,15 +38,17 @@ PeerAddress PeerAddress::from_text(const std::string& text) {
   const auto key = first == last ? std::nullopt : trust::Key::from_text(text.substr(last + 1));
   const std::size_t colon = address.rfind(':');
   const auto fits = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
-  const bool named = !name.empty() && name.size() <= 40 && std::isalpha(static_cast<unsigned char>(name[0])) && name != "main" &&
-                     std::all_of(name.begin(), name.end(), fits);
+  const bool named = !name.empty() && name.size() <= 40 && std::isalpha(static_cast<unsigned char>(name[0])) &&
+                     name != "main" && std::all_of(name.begin(), name.end(), fits);
   if (named && key && colon != std::string::npos && colon > 0 && colon + 1 < address.size()) {
     return {name, "tcp://" + address, *key};
   }
-  throw Error(ErrorCode::Usage, {.what = "--peer does not say which host, where it listens and what its key is",
-                                 .expected = "NAME=HOST:PORT=KEY, a key of 64 hexadecimal digits; NAME begins with a letter and is not 'main'",
-                                 .found = text,
-                                 .next = "on the other host: fiona keys show"});
+  throw Error(
+      ErrorCode::Usage,
+      {.what = "--peer does not say which host, where it listens and what its key is",
+       .expected = "NAME=HOST:PORT=KEY, a key of 64 hexadecimal digits; NAME begins with a letter and is not 'main'",
+       .found = text,
+       .next = "on the other host: fiona keys show"});
 }
 
 wire::HostFrame host_frame_of(const wire::Frame& frame, const ObjectBytes& object) {
@@ -60,7 +63,9 @@ class PeerLink::Incoming final : public LinkSocket::Receiver {
  public:
   explicit Incoming(PeerLink& peer) : peer_(peer) {}
   void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
-  bool accepts(const std::string&, const wire::Frame& frame) override { return peer_.accepts({link_.lock(), ""}, frame); }
+  bool accepts(const std::string&, const wire::Frame& frame) override {
+    return peer_.accepts({link_.lock(), ""}, frame);
+  }
   void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
     peer_.on_frame({link_.lock(), ""}, frame, object);
   }
@@ -95,7 +100,10 @@ void PeerLink::try_open(Steady::time_point now) {
   {
     const std::lock_guard lock(mutex_);
     const int tries = std::exchange(tries_, std::min(tries_ + 1, 2));
-    next_attempt_ = now + by_chance(state_ == State::Refused ? kAfterRefusal : tries == 0 ? kAfterFirst : tries == 1 ? kAfterSecond : kLater);
+    next_attempt_ = now + by_chance(state_ == State::Refused ? kAfterRefusal
+                                    : tries == 0             ? kAfterFirst
+                                    : tries == 1             ? kAfterSecond
+                                                             : kLater);
     give_up_at_ = std::max(next_attempt_, now + kConnect);
   }
   try {
@@ -108,7 +116,8 @@ void PeerLink::try_open(Steady::time_point now) {
 
 void PeerLink::open() {
   auto incoming = std::make_unique<Incoming>(*this);
-  auto link = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::dealer, around_.links.counters(), *incoming);
+  auto link = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::dealer,
+                                           around_.links.counters(), *incoming);
   incoming->use(link);
   auto& socket = link->socket();
   socket.set(zmq::sockopt::curve_serverkey, peer_.key.bytes());
@@ -121,7 +130,8 @@ void PeerLink::open() {
   const std::string watch = "inproc://peer-" + peer_.name + "-" + std::to_string(sockets_++);
   zmq_socket_monitor(socket.handle(), watch.c_str(),
                      ZMQ_EVENT_CONNECTED | ZMQ_EVENT_CLOSED | ZMQ_EVENT_DISCONNECTED | ZMQ_EVENT_HANDSHAKE_SUCCEEDED |
-                         ZMQ_EVENT_HANDSHAKE_FAILED_AUTH | ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL | ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL);
+                         ZMQ_EVENT_HANDSHAKE_FAILED_AUTH | ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL |
+                         ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL);
   monitor_ = zmq::socket_t(around_.context, zmq::socket_type::pair);
   monitor_.set(zmq::sockopt::linger, 0);
   monitor_.connect(watch);
@@ -134,7 +144,8 @@ void PeerLink::open() {
 }
 
 /// Ends the socket, and with it the session: no frame comes from it when its wires are lost.
-void PeerLink::close(State next, const std::string& reason, Steady::time_point open_at, std::chrono::milliseconds linger) {
+void PeerLink::close(State next, const std::string& reason, Steady::time_point open_at,
+                     std::chrono::milliseconds linger) {
   std::shared_ptr<LinkSocket> ended;
   bool was_joined = false;
   {
@@ -185,7 +196,8 @@ void PeerLink::tick(Steady::time_point now) {
   }
   if (joined && closed_) {
     lock.unlock();
-    return close(State::Silent, "the connection to host '" + peer_.name + "' has ended", now + by_chance(kAfterSession));
+    return close(State::Silent, "the connection to host '" + peer_.name + "' has ended",
+                 now + by_chance(kAfterSession));
   }
   if (!joined && (closed_ || no_handshake_ || now > give_up_at_)) {
     const State same = state_;
@@ -204,7 +216,9 @@ void PeerLink::tick(Steady::time_point now) {
   lock.lock();
   const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(Steady::now() - heard_);
   lock.unlock();
-  if (silence > kSilence) close(State::Silent, "host '" + peer_.name + "' has been silent for " + std::to_string(silence.count()) + " ms", now + by_chance(kAfterSession));
+  if (silence > kSilence)
+    close(State::Silent, "host '" + peer_.name + "' has been silent for " + std::to_string(silence.count()) + " ms",
+          now + by_chance(kAfterSession));
 }
 
 /// How the connection comes about, or why not, as far as libzmq tells.
@@ -219,7 +233,9 @@ void PeerLink::read_monitor(Steady::time_point now) {
     switch (kind) {
       case ZMQ_EVENT_CONNECTED: give_up_at_ = now + 2 * std::chrono::milliseconds(kHandshake_ms); break;
       case ZMQ_EVENT_HANDSHAKE_SUCCEEDED: spoke_ = {}; break;
-      case ZMQ_EVENT_HANDSHAKE_FAILED_AUTH: end_ = "it does not let us in: on it, fiona keys allow NAME " + around_.keys.open.text(); break;
+      case ZMQ_EVENT_HANDSHAKE_FAILED_AUTH:
+        end_ = "it does not let us in: on it, fiona keys allow NAME " + around_.keys.open.text();
+        break;
       case ZMQ_EVENT_CLOSED:
       case ZMQ_EVENT_DISCONNECTED: closed_ = true; break;
       default: no_handshake_ = true; break;
@@ -292,7 +308,12 @@ void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
   around_.links.join(endpoint(), hop);
   beat();  // before any wire: its times need what this tells
   enter(State::Joined, "");
-  around_.on_change({.what = HostChange::What::Joined, .host = peer_.name, .reason = {}, .same_run = same_run, .group = {}, .request = {}});
+  around_.on_change({.what = HostChange::What::Joined,
+                     .host = peer_.name,
+                     .reason = {},
+                     .same_run = same_run,
+                     .group = {},
+                     .request = {}});
 }
 
 void PeerLink::on_message(const wire::GroupMessage& given) {
@@ -305,8 +326,11 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
     return answered_.notify_all();
   }
   if (message.has_group_ended()) {
-    return around_.on_change({.what = HostChange::What::GroupEnded, .host = peer_.name, .reason = message.group_ended().reason(),
-                              .group = message.group_ended().group(), .request = {}});
+    return around_.on_change({.what = HostChange::What::GroupEnded,
+                              .host = peer_.name,
+                              .reason = message.group_ended().reason(),
+                              .group = message.group_ended().group(),
+                              .request = {}});
   }
   around_.on_event(std::move(message));
 }
@@ -318,7 +342,8 @@ Error PeerLink::unreachable() const {
                                         .next = "ls hosts"});
 }
 
-wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request, std::chrono::seconds deadline) {
+wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request,
+                                     std::chrono::seconds deadline) {
   wire::Frame frame;
   frame.mutable_host();
   const auto host = std::make_shared<wire::HostFrame>();
@@ -337,7 +362,9 @@ wire::GroupMessage PeerLink::request(const std::string& group, const wire::Group
   pending_.erase(id);
   if (answer) return std::move(*answer);
   if (session_ != session) throw unreachable();
-  throw Error(ErrorCode::Unreachable, {.what = "host '" + peer_.name + "' does not answer", .found = "connected, but silent", .next = "ls hosts"});
+  throw Error(
+      ErrorCode::Unreachable,
+      {.what = "host '" + peer_.name + "' does not answer", .found = "connected, but silent", .next = "ls hosts"});
 }
 
 bool PeerLink::joined() const {

@@ -34,9 +34,9 @@ struct HostChange {
   What what;
   std::string host;
   std::string reason;
-  bool same_run = false;                ///< joined: as before, so that what was there may still be
-  std::string group;                    ///< that has ended
-  std::uint64_t session = 0;            ///< that a request belongs to
+  bool same_run = false;      ///< joined: as before, so that what was there may still be
+  std::string group;          ///< that has ended
+  std::uint64_t session = 0;  ///< that a request belongs to
   wire::HostRequest request;
 };
 
@@ -90,7 +90,8 @@ class PeerLink {
 
   /// [control thread] Asks the host for something in one of its groups. Throws Error Unreachable when it is not
   /// joined, leaves, or does not answer in time.
-  wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request, std::chrono::seconds deadline);
+  wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request,
+                             std::chrono::seconds deadline);
   bool joined() const;
   control::HostStatus status() const;
 
@@ -100,7 +101,8 @@ class PeerLink {
 
   void try_open(std::chrono::steady_clock::time_point now);
   void open();
-  void close(State next, const std::string& reason, std::chrono::steady_clock::time_point open_at, std::chrono::milliseconds linger = {});
+  void close(State next, const std::string& reason, std::chrono::steady_clock::time_point open_at,
+             std::chrono::milliseconds linger = {});
   void read_monitor(std::chrono::steady_clock::time_point now);
   std::chrono::milliseconds by_chance(const Pause& pause);
   void say_hello();
@@ -131,10 +133,10 @@ class PeerLink {
   std::chrono::steady_clock::time_point heard_{};
   std::chrono::steady_clock::time_point spoke_{};
   std::chrono::steady_clock::time_point open_at_{};
-  std::optional<std::string> end_;  ///< the session is to end, and why
-  bool no_handshake_ = false;         ///< the connection came about, and no more
-  bool closed_ = false;               ///< the connection has ended, or was not taken
-  int tries_ = 0;                     ///< since it was joined last; counted to two
+  std::optional<std::string> end_;                        ///< the session is to end, and why
+  bool no_handshake_ = false;                             ///< the connection came about, and no more
+  bool closed_ = false;                                   ///< the connection has ended, or was not taken
+  int tries_ = 0;                                         ///< since it was joined last; counted to two
   std::chrono::steady_clock::time_point next_attempt_{};  ///< at the earliest, if this one fails
   std::chrono::steady_clock::time_point give_up_at_{};
   std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last

@@ -39,9 +39,10 @@ boost::dll::shared_library load(const std::string& name, const std::filesystem::
   if (!error) return library;
   // Boost.DLL has only "bad file descriptor" to say; the loader itself names the symbol or file.
   const char* loader = ::dlerror();
-  refuse(name, path, {.what = "the system's loader refuses it",
-                      .found = loader ? loader : error.message(),
-                      .next = "ask the publisher for a build for this system, or install what is missing"});
+  refuse(name, path,
+         {.what = "the system's loader refuses it",
+          .found = loader ? loader : error.message(),
+          .next = "ask the publisher for a build for this system, or install what is missing"});
 }
 
 }  // namespace
@@ -57,22 +58,25 @@ PluginLibraries::~PluginLibraries() {
 void PluginLibraries::check_before_opening(const std::string& name, const std::filesystem::path& path,
                                            const Interface& interface) const {
   if (interface.abi() != kAbiTag) {
-    refuse(name, path, {.what = "it was built for another SDK or compiler",
-                        .expected = kAbiTag,
-                        .found = interface.abi().empty() ? "no ABI tag" : interface.abi(),
-                        .next = "install a build of it for this version of FIONA"});
+    refuse(name, path,
+           {.what = "it was built for another SDK or compiler",
+            .expected = kAbiTag,
+            .found = interface.abi().empty() ? "no ABI tag" : interface.abi(),
+            .next = "install a build of it for this version of FIONA"});
   }
   for (const auto& file : interface.descriptors().file()) {
     const auto owner = proto_owners_.find(file.name());
     if (owner != proto_owners_.end() && owner->second != name) {
-      refuse(name, path, {.what = "its proto file '" + file.name() + "' has already been brought by plugin '" +
-                                  owner->second + "', and protobuf ends a process that gets it twice",
-                          .next = "load " + name + " in GROUP: a group is a process of its own"});
+      refuse(name, path,
+             {.what = "its proto file '" + file.name() + "' has already been brought by plugin '" + owner->second +
+                      "', and protobuf ends a process that gets it twice",
+              .next = "load " + name + " in GROUP: a group is a process of its own"});
     }
     if (is_platform_proto(file.name())) {
-      refuse(name, path, {.what = "its proto file '" + file.name() + "' is one of the platform's",
-                          .expected = "protos under a path that begins with the publisher's id",
-                          .next = "ask the publisher to rename the file and its package"});
+      refuse(name, path,
+             {.what = "its proto file '" + file.name() + "' is one of the platform's",
+              .expected = "protos under a path that begins with the publisher's id",
+              .next = "ask the publisher to rename the file and its package"});
     }
   }
 }
@@ -82,13 +86,15 @@ PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const
   if (const auto known = libraries_.find(path); known != libraries_.end()) {
     std::error_code ignored;
     if (std::filesystem::last_write_time(path, ignored) == known->second->written) return *known->second;
-    refuse(name, path, {.what = "the file has changed since it was loaded, and a library is never unloaded",
-                        .next = "load " + name + " in GROUP: a group is a process of its own"});
+    refuse(name, path,
+           {.what = "the file has changed since it was loaded, and a library is never unloaded",
+            .next = "load " + name + " in GROUP: a group is a process of its own"});
   }
   check_before_opening(name, path, interface);
   auto library = std::make_unique<Library>();
   library->owner = name;
-  library->written = std::filesystem::exists(path) ? std::filesystem::last_write_time(path) : std::filesystem::file_time_type{};
+  library->written =
+      std::filesystem::exists(path) ? std::filesystem::last_write_time(path) : std::filesystem::file_time_type{};
   library->handle = load(name, path);
   for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), name);
   return *libraries_.emplace(path, std::move(library)).first->second;
@@ -99,16 +105,19 @@ const Plugin& PluginLibraries::open(const std::string& name, const std::filesyst
   Library& library = opened(name, path, interface);
   if (library.plugin) return *library.plugin;
   if (!library.handle.has(kPluginEntrySymbol)) {
-    refuse(name, path, {.what = "it has no entry",
-                        .expected = std::string("the symbol ") + kPluginEntrySymbol,
-                        .next = "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } defines it"});
+    refuse(name, path,
+           {.what = "it has no entry",
+            .expected = std::string("the symbol ") + kPluginEntrySymbol,
+            .next = "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } defines it"});
   }
   const auto& entry = *library.handle.get<const PluginEntry*()>(kPluginEntrySymbol)();
-  if (entry.size < sizeof(PluginEntry) || entry.edge_version != kPluginEdgeVersion || std::string_view(entry.abi) != kAbiTag) {
-    refuse(name, path, {.what = "the library is not the one that its interface describes",
-                        .expected = kAbiTag,
-                        .found = entry.abi,
-                        .next = "install the package again"});
+  if (entry.size < sizeof(PluginEntry) || entry.edge_version != kPluginEdgeVersion ||
+      std::string_view(entry.abi) != kAbiTag) {
+    refuse(name, path,
+           {.what = "the library is not the one that its interface describes",
+            .expected = kAbiTag,
+            .found = entry.abi,
+            .next = "install the package again"});
   }
   Plugin plugin;
   entry.declare(plugin);

@@ -26,7 +26,8 @@ class PluginLibraries {
  private:
   struct Library;
   Library& opened(const std::string& name, const std::filesystem::path& path, const Interface& interface);
-  void check_before_opening(const std::string& name, const std::filesystem::path& path, const Interface& interface) const;
+  void check_before_opening(const std::string& name, const std::filesystem::path& path,
+                            const Interface& interface) const;
 
   std::map<std::filesystem::path, std::unique_ptr<Library>> libraries_;
   std::map<std::string, std::string> proto_owners_;  ///< descriptor file -> plugin

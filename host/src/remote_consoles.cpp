@@ -41,8 +41,8 @@ struct RemoteConsoles::Console {
   os::Descriptor socket;  ///< its stream; the server has the other end
   control::ConsoleStatus status;
   Rights rights;
-  std::string unread;     ///< what the server's end has not taken
-  std::string unsent;     ///< what libzmq has not taken; a chunk
+  std::string unread;  ///< what the server's end has not taken
+  std::string unsent;  ///< what libzmq has not taken; a chunk
   Steady::duration silent{};
   Steady::time_point since = Steady::now();
 };
@@ -75,9 +75,10 @@ RemoteConsoles::RemoteConsoles(const std::string& address, const trust::KeyDirec
     if (!address.starts_with("tcp://")) throw zmq::error_t(EPROTONOSUPPORT);
     socket_.bind(address);
   } catch (const zmq::error_t& error) {
-    throw Error(ErrorCode::Failed, {.what = "the host cannot serve consoles at " + address,
-                                    .expected = "tcp://ADDRESS:PORT with an address of this machine; port 0: one that is free",
-                                    .found = error.what()});
+    throw Error(ErrorCode::Failed,
+                {.what = "the host cannot serve consoles at " + address,
+                 .expected = "tcp://ADDRESS:PORT with an address of this machine; port 0: one that is free",
+                 .found = error.what()});
   }
   address_ = socket_.get(zmq::sockopt::last_endpoint);
   thread_ = std::thread([this] { serve(); });
@@ -116,7 +117,8 @@ void RemoteConsoles::wait() {
     const int events = (more ? ZMQ_POLLIN : 0) | (writing ? ZMQ_POLLOUT : 0);
     if (events != 0) waits.push_back({nullptr, console.socket.get(), static_cast<short>(events), 0});
   }
-  static_cast<void>(::zmq_poll(waits.data(), static_cast<int>(waits.size()), kLookEvery.count()));  // interrupted or not: all is looked at
+  static_cast<void>(::zmq_poll(waits.data(), static_cast<int>(waits.size()),
+                               kLookEvery.count()));  // interrupted or not: all is looked at
 }
 
 void RemoteConsoles::receive() {
@@ -144,9 +146,11 @@ void RemoteConsoles::take(const std::string& id, const zmq::message_t& message) 
     return refuse(id, "the host has ended this connection");
   }
   known->second.silent = {};
-  if (!readable || carried.has_hello() || carried.has_welcome()) return end(id, "this is not how a console speaks", true);
+  if (!readable || carried.has_hello() || carried.has_welcome())
+    return end(id, "this is not how a console speaks", true);
   if (carried.has_ended()) return end(id, "");
-  if (carried.has_stream() && !hand_to_server(known->second, carried.stream())) end(id, "this is more than the host reads", true);
+  if (carried.has_stream() && !hand_to_server(known->second, carried.stream()))
+    end(id, "this is more than the host reads", true);
 }
 
 void RemoteConsoles::begin(const std::string& id, const control::ConsoleHello& hello, const zmq::message_t& message) {
@@ -154,7 +158,8 @@ void RemoteConsoles::begin(const std::string& id, const control::ConsoleHello& h
     const char* value = ::zmq_msg_gets(const_cast<zmq_msg_t*>(message.handle()), name);
     return std::string(value ? value : "");
   };
-  if (hello.version() != kCarriedVersion) return refuse(id, "it speaks another version of the protocol: are both of one version?  fiona version");
+  if (hello.version() != kCarriedVersion)
+    return refuse(id, "it speaks another version of the protocol: are both of one version?  fiona version");
   if (consoles_.size() >= kMost) {
     ++turned_away_;
     return refuse(id, "host '" + name_ + "' has " + std::to_string(kMost) + " consoles over tcp already");
@@ -163,7 +168,8 @@ void RemoteConsoles::begin(const std::string& id, const control::ConsoleHello& h
   try {
     for (const auto& one : keys_.consoles()) {
       if (one.name != property("User-Id")) continue;
-      console.rights = {hello.control() ? one.level : std::min(one.level, Access::Observe), one.level, one.name, one.key.text()};
+      console.rights = {hello.control() ? one.level : std::min(one.level, Access::Observe), one.level, one.name,
+                        one.key.text()};
     }
   } catch (const Error&) {
     console.rights = {};
@@ -216,7 +222,8 @@ bool RemoteConsoles::carry_from_server(const std::string& id, Console& console) 
   return true;
 }
 
-/// Silence is counted by the time for which this thread was there to listen: a machine that stood still ends no session.
+/// Silence is counted by the time for which this thread was there to listen: a machine that stood still ends no
+/// session.
 void RemoteConsoles::tick(Steady::time_point now) {
   const auto passed = std::min<Steady::duration>(now - std::exchange(now_, now), 4 * kLookEvery);
   std::vector<std::pair<std::string, bool>> gone;

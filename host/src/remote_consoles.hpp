@@ -19,8 +19,8 @@
 namespace fiona::host {
 
 /// Consoles over tcp, with CURVE: each is given to whoever serves consoles as a stream socket, like one that has
-/// connected on this machine, and what goes over that is carried (control.proto, Carried). A console that is slow is felt
-/// there as a socket that is full; nothing more than a chunk of it waits here.
+/// connected on this machine, and what goes over that is carried (control.proto, Carried). A console that is slow is
+/// felt there as a socket that is full; nothing more than a chunk of it waits here.
 class RemoteConsoles {
  public:
   /// At once; further ones are turned away with a sentence.
@@ -31,10 +31,10 @@ class RemoteConsoles {
   using OnConsole = std::function<void(os::Descriptor socket, const Rights& rights)>;
   using OnLog = std::function<void(const std::string& text)>;
 
-  /// Serves at "tcp://ADDRESS:PORT"; port 0: one that is free. `name` is the host's. Throws Error: without keys, or with the
-  /// system's reason. The callbacks come from a thread of its own.
-  RemoteConsoles(const std::string& address, const trust::KeyDirectory& keys, const std::string& name, OnConsole on_console,
-                 OnLog on_log);
+  /// Serves at "tcp://ADDRESS:PORT"; port 0: one that is free. `name` is the host's. Throws Error: without keys, or
+  /// with the system's reason. The callbacks come from a thread of its own.
+  RemoteConsoles(const std::string& address, const trust::KeyDirectory& keys, const std::string& name,
+                 OnConsole on_console, OnLog on_log);
   /// Hands on what the sockets still have, and tells the consoles.
   ~RemoteConsoles();
 
@@ -63,7 +63,7 @@ class RemoteConsoles {
   const trust::KeyDirectory keys_;
   const std::string name_;
   const OnConsole on_console_;
-  std::string key_;      ///< of this host
+  std::string key_;  ///< of this host
   std::string address_;
   zmq::context_t context_;
   Zap zap_;

@@ -6,7 +6,8 @@
 namespace fiona::host {
 namespace {
 
-/// More than a host gives a group of its own, for the way; and before one that was silent is asked for its status again.
+/// More than a host gives a group of its own, for the way; and before one that was silent is asked for its status
+/// again.
 constexpr std::chrono::seconds kWay{1};
 constexpr std::chrono::seconds kPause{2};
 
@@ -38,8 +39,10 @@ std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseco
 }
 
 wire::GroupMessage RemoteGroup::perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) {
-  if (end_.empty()) return peer_.request(group_, request, std::chrono::duration_cast<std::chrono::seconds>(deadline) + kWay);
-  throw Error(ErrorCode::Unreachable, {.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls hosts"});
+  if (end_.empty())
+    return peer_.request(group_, request, std::chrono::duration_cast<std::chrono::seconds>(deadline) + kWay);
+  throw Error(ErrorCode::Unreachable,
+              {.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls hosts"});
 }
 
 }  // namespace fiona::host

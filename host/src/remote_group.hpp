@@ -45,7 +45,8 @@ class RemoteGroup final : public Group {
   std::string end_;
   std::optional<std::chrono::steady_clock::time_point> silent_since_;  ///< it was asked for its status
   std::chrono::steady_clock::time_point ask_again_{};
-  std::vector<wire::GroupRequest> owed_;  ///< at most what there was of instances, wires and taps when the host fell silent
+  std::vector<wire::GroupRequest>
+      owed_;  ///< at most what there was of instances, wires and taps when the host fell silent
 };
 
 }  // namespace fiona::host

@@ -83,8 +83,8 @@ class RemoteWire::RemoteReply final : public ReplySink {
   std::atomic<bool> answered_{false};
 };
 
-RemoteWire::RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port, std::string name,
-                       std::shared_ptr<WireEnd> end)
+RemoteWire::RemoteWire(std::shared_ptr<LinkSocket> link, std::string peer, std::uint64_t wire, Port& port,
+                       std::string name, std::shared_ptr<WireEnd> end)
     : RemoteWire(nullptr, std::move(link), std::move(peer), wire, port, std::move(name), std::move(end)) {}
 
 RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSocket> link, std::string peer,
@@ -275,10 +275,11 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
     case wire::Frame::kAnswer: return on_answer(frame.answer(), object);
     case wire::Frame::kLease: {
       const bool held = frame.lease().held();
-      return take_in_turn(nullptr, held ? kSpeaks : kSilent, [self = shared_from_this(), held, reason = frame.lease().reason()] {
-        const std::lock_guard lock(self->mutex_);
-        if (self->end_ && !self->cut_) self->end_->set_lease(held, reason);
-      });
+      return take_in_turn(nullptr, held ? kSpeaks : kSilent,
+                          [self = shared_from_this(), held, reason = frame.lease().reason()] {
+                            const std::lock_guard lock(self->mutex_);
+                            if (self->end_ && !self->cut_) self->end_->set_lease(held, reason);
+                          });
     }
     case wire::Frame::kLost:
       if (port_.direction() == PortDirection::Requires && port_.service().is_push()) {
@@ -304,7 +305,8 @@ void RemoteWire::on_room(std::size_t bytes) {
     return take_in_turn(nullptr, kAsksRoom, [self = shared_from_this(), bytes] { self->answer_room(bytes); });
   }
   if (!clock_.staging()) return fan_out_->on_room(wire_, bytes);
-  clock_.stage({room_name_, ++rooms_staged_, nullptr, kHasRoom, [self = shared_from_this(), bytes] { self->fan_out_->on_room(self->wire_, bytes); }});
+  clock_.stage({room_name_, ++rooms_staged_, nullptr, kHasRoom,
+                [self = shared_from_this(), bytes] { self->fan_out_->on_room(self->wire_, bytes); }});
 }
 
 void RemoteWire::answer_room(std::size_t cost) {
@@ -365,7 +367,8 @@ void RemoteWire::forget(std::uint64_t id) {
 void RemoteWire::handle_object(const wire::Frame& frame, const ParsedObject& object) {
   const Pattern pattern = port_.service().pattern();
   const bool request = frame.has_request();
-  const bool fits = request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
+  const bool fits =
+      request ? pattern == QUERY || pattern == EVENT || pattern == SEND : pattern != QUERY && pattern != EVENT;
   if (!inbox_ || !fits) return;
   if (!clock_.staging()) return take(frame, object);
   take_in_turn(object.object.get(), to_string(Outcome::Rejected),
@@ -435,7 +438,8 @@ void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object
     reply = std::move(open->second);
     open_.erase(open);
   }
-  auto outcome = static_cast<Outcome>(std::min<std::uint32_t>(answer.outcome(), static_cast<std::uint32_t>(Outcome::Rejected)));
+  auto outcome =
+      static_cast<Outcome>(std::min<std::uint32_t>(answer.outcome(), static_cast<std::uint32_t>(Outcome::Rejected)));
   std::string reason = answer.reason();
   std::shared_ptr<Object> parsed;
   if (outcome == Outcome::Ok && answer_rules_) {

@@ -10,9 +10,9 @@
 #include <unordered_map>
 #include <vector>
 
+#include "fan_out.hpp"
 #include "fiona/port.hpp"
 #include "fiona/rules.hpp"
-#include "fan_out.hpp"
 #include "link_socket.hpp"
 
 namespace fiona::host {
@@ -103,7 +103,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::atomic<std::uint64_t> rooms_staged_{0};
   const std::shared_ptr<FanOut> fan_out_;
   const LinkSocket::Lane lane_;
-  Inbox* const inbox_;  ///< where the peer's objects go; null: none come
+  Inbox* const inbox_;                  ///< where the peer's objects go; null: none come
   const std::shared_ptr<WireEnd> end_;  ///< of a push client: through which they go there
   const ObjectRules object_rules_;
   ObjectPool objects_;
@@ -115,7 +115,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::uint32_t prescale_ = 1;
   bool each_ = false;
   std::atomic<bool> admitted_;  ///< set under the mutex
-  std::deque<Kept> kept_;  ///< what came before `admit`
+  std::deque<Kept> kept_;       ///< what came before `admit`
   std::size_t kept_bytes_ = 0;
   std::function<void()> drained_;
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id

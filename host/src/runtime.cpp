@@ -13,12 +13,13 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
       events_(on_event_),
       libraries_(libraries),
       taps_(on_event_),
-      links_(pool, clock, std::move(endpoint), std::move(link_key), [this](std::uint64_t wire, const std::string& reason) {
-        wire::GroupMessage message;
-        message.mutable_wire_lost()->set_wire(wire);
-        message.mutable_wire_lost()->set_reason(reason);
-        emit(std::move(message));
-      }) {}
+      links_(pool, clock, std::move(endpoint), std::move(link_key),
+             [this](std::uint64_t wire, const std::string& reason) {
+               wire::GroupMessage message;
+               message.mutable_wire_lost()->set_wire(wire);
+               message.mutable_wire_lost()->set_reason(reason);
+               emit(std::move(message));
+             }) {}
 
 Runtime::~Runtime() {
   links_.stop();

@@ -45,7 +45,8 @@ void Runtime::call(const wire::Call& request) {
   } else {
     call_port(hull, request, reply);
   }
-  const auto within = std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(request.within_ms()));
+  const auto within =
+      std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(request.within_ms()));
   clock_.schedule(clock_.now() + within, hull.shared_strand(), [reply] {
     reply->answer(Outcome::Timeout, {}, nullptr);
     reply->abandon();
@@ -58,20 +59,23 @@ void Runtime::call_port(const Hull& hull, const wire::Call& request, const std::
     std::vector<std::string> known;
     for (const auto* one : hull.triggers()) known.push_back(one->name());
     for (const auto* one : hull.ports()) known.push_back(one->name());
-    throw Error(ErrorCode::NotFound, {.what = "'" + hull.name() + "' has no port or trigger '" + request.target().port() + "'",
-                                      .next = "show " + hull.name(),
-                                      .near = nearest_names(request.target().port(), known)});
+    throw Error(ErrorCode::NotFound,
+                {.what = "'" + hull.name() + "' has no port or trigger '" + request.target().port() + "'",
+                 .next = "show " + hull.name(),
+                 .near = nearest_names(request.target().port(), known)});
   }
   auto* provided = dynamic_cast<ProvidedPort*>(port);
   const Pattern pattern = port->service().pattern();
   if (!provided || (pattern != QUERY && pattern != SEND)) {
-    throw Error(ErrorCode::Usage, {.what = port->full_name() + " speaks " + std::string(to_string(pattern)) + ": it cannot be called",
-                                   .expected = "a query or send port, or a trigger",
-                                   .next = "watch " + port->full_name()});
+    throw Error(ErrorCode::Usage,
+                {.what = port->full_name() + " speaks " + std::string(to_string(pattern)) + ": it cannot be called",
+                 .expected = "a query or send port, or a trigger",
+                 .next = "watch " + port->full_name()});
   }
   auto object = object_from(port->service().object(), request.arguments());
   const std::size_t bytes = object->ByteSizeLong();
-  const Outcome outcome = provided->inbox()->push({Envelope{std::move(object), request.run(), clock_.now(), bytes}, reply});
+  const Outcome outcome =
+      provided->inbox()->push({Envelope{std::move(object), request.run(), clock_.now(), bytes}, reply});
   if (outcome != Outcome::Ok || pattern == SEND) reply->answer(outcome, {}, nullptr);
 }
 

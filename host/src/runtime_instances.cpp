@@ -33,7 +33,8 @@ ErrorText without_instance(ErrorText text, const std::string& instance) {
 }
 
 /// The component that is asked for: what makes it, and what its package says of it.
-std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Plugin& plugin, const wire::Create& request) {
+std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Plugin& plugin,
+                                                                        const wire::Create& request) {
   const auto entry = std::find_if(plugin.entries().begin(), plugin.entries().end(),
                                   [&](const Plugin::Entry& e) { return e.name == request.component(); });
   const auto& components = request.interface().components();
@@ -42,9 +43,10 @@ std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Pl
   if (entry != plugin.entries().end() && packaged != components.end()) return {*entry, *packaged};
   std::vector<std::string> known;
   for (const auto& e : plugin.entries()) known.push_back(e.name);
-  throw Error(ErrorCode::NotFound, {.what = "plugin '" + request.plugin() + "' has no component '" + request.component() + "'",
-                                    .where = request.library(),
-                                    .near = known});
+  throw Error(ErrorCode::NotFound,
+              {.what = "plugin '" + request.plugin() + "' has no component '" + request.component() + "'",
+               .where = request.library(),
+               .near = known});
 }
 
 /// Until it is in the mode that it was asked for, with its parameters.
@@ -52,9 +54,10 @@ void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& 
   make_component(hull, entry, request.library());
   const auto difference = interface_difference(interface_of(hull, entry.name, entry.doc), packaged);
   if (!difference.empty()) {
-    throw Error(ErrorCode::Failed, {.what = "component '" + request.component() + "' is not what its package says: " + difference,
-                                    .where = request.library(),
-                                    .next = "install the package again, or ask the publisher to pack it again"});
+    throw Error(ErrorCode::Failed,
+                {.what = "component '" + request.component() + "' is not what its package says: " + difference,
+                 .where = request.library(),
+                 .next = "install the package again, or ask the publisher to pack it again"});
   }
   const std::vector<control::Argument> parameters(request.parameters().begin(), request.parameters().end());
   hull.set_parameters(parameters, kDefaultDeadline);
@@ -72,7 +75,8 @@ void Runtime::create(const wire::Create& request) {
   instance->component = request.component();
   instance->mode_at_load = request.mode();
   instance->doc = entry.doc;
-  instance->hull = std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});
+  instance->hull =
+      std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});
   try {
     bring_up(*instance->hull, entry, packaged, request);
   } catch (const Error& error) {

@@ -92,6 +92,7 @@ control::InstanceStatus Runtime::status_of(const Instance& instance, TimePoint n
     one.set_overruns(task->overruns());
   }
   status.set_handler_ms(1e3 * to_seconds(hull.strand().busy_time()));
+  status.set_cpu_ms(1e3 * to_seconds(hull.strand().cpu_time()));
   status.set_queue_depth(hull.queue_depth());
   return status;
 }

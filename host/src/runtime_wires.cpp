@@ -60,7 +60,8 @@ void Runtime::wire_require(const wire::WireRequire& request, wire::Switched& swi
     retire(request.replaces());
   };
   links_.require(request.wire(), request.token(), client.end_for(text_of(request.provider())),
-                 {request.endpoint(), request.name(), request.key()}, request.replaces(), request.resumes_every(), let_go);
+                 {request.endpoint(), request.name(), request.key()}, request.replaces(), request.resumes_every(),
+                 let_go);
   cost.end(switched);
 }
 
@@ -69,7 +70,9 @@ void Runtime::wire_relay(const wire::WireRelay& request) {
 }
 
 void Runtime::await(const wire::Await& request) {
-  required(request.client()).end_for(text_of(request.provider()))->set_connection(Connection::Waiting, request.reason());
+  required(request.client())
+      .end_for(text_of(request.provider()))
+      ->set_connection(Connection::Waiting, request.reason());
 }
 
 void Runtime::arrange(const wire::Arrange& request, wire::Switched& switched) {

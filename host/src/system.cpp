@@ -40,8 +40,9 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
   pool_ = std::make_unique<Pool>(options_.threads);
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (options_.directory / (options_.name + ".main.ipc")).string();
-  auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint,
-                                          [this](wire::GroupMessage event) { deliver_from(std::string(kMainGroup), std::move(event)); });
+  auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) {
+    deliver_from(std::string(kMainGroup), std::move(event));
+  });
   if (auto* simulated = dynamic_cast<VirtualClock*>(clock_.get())) {
     const auto frames = [&main = *main] { return main.frame_counts(); };
     virtual_time_ = std::make_unique<VirtualTime>(*simulated, endpoint, frames, options_.standstill);

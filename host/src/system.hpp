@@ -11,22 +11,23 @@
 #include <string>
 #include <vector>
 
-#include "fiona/control.pb.h"
 #include "comparison.hpp"
+#include "fiona/control.pb.h"
 #include "fiona/pool.hpp"
 #include "group.hpp"
 #include "host_links.hpp"
 #include "model.hpp"
 #include "package.hpp"
 #include "remote_group.hpp"
+#include "supervision.hpp"
 #include "types.hpp"
 #include "virtual_time.hpp"
 #include "waits.hpp"
 
 namespace fiona::host {
 
-/// A running system: instances in groups, and the wires between them. One model, changed by one thread. Each subject has
-/// a source of its own: the headings of the private parts name them.
+/// A running system: instances in groups, and the wires between them. One model, changed by one thread. Each subject
+/// has a source of its own: the headings of the private parts name them.
 class System {
  public:
   struct Options {
@@ -41,6 +42,7 @@ class System {
     HostOptions hosts{};              ///< over tcp; by default none
     std::filesystem::path plugins{};  ///< libraries that a leading host may have loaded though they are in no package
     bool ends_hung_groups = true;     ///< those whose process stands still
+    bool restarts_groups = true;      ///< those whose process has ended
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -63,12 +65,13 @@ class System {
   /// What both say of the ports that the swaps would move is compared for so long on the system's clock. Answered with
   /// Done, its agreements in it, or with why none of them should be made: what would take over says nothing valid. What
   /// is returned is to be untapped then.
-  std::vector<std::uint64_t> compare(const std::vector<control::Replace>& swaps, double within_ms, Waits::Answer answer);
+  std::vector<std::uint64_t> compare(const std::vector<control::Replace>& swaps, double within_ms,
+                                     Waits::Answer answer);
 
   /// [control thread] Answers what a component has asked for; nobody is told if it has gone meanwhile.
   void answer(const wire::Asked& asked, const control::Reply& reply);
-  /// Whether it was the instance of this name that asked, as far as its own host can tell; an instance that another host
-  /// leads asks that one.
+  /// Whether it was the instance of this name that asked, as far as its own host can tell; an instance that another
+  /// host leads asks that one.
   bool has_asked(const wire::Asked& asked) const;
 
   control::System snapshot();
@@ -104,8 +107,11 @@ class System {
   bool has_virtual_clock() const { return virtual_time_ != nullptr; }
   /// The groups that are child processes: poll their descriptors, call `serve_group` when readable.
   std::vector<ChildGroup*> child_groups();
-  /// Call it every `kWatchEvery` while there are groups: ends those that hang.
-  void watch_groups();
+  /// While there are groups, or are to be.
+  bool watches_groups() { return !child_groups().empty() || supervision_.any_waits(); }
+  /// Call it every `kWatchEvery` while it watches groups: ends those that hang, starts again those that have ended.
+  /// What there is to tell people, line by line.
+  std::vector<std::string> watch_groups();
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
@@ -123,7 +129,7 @@ class System {
     control::PortName provider{};
     std::uint64_t id = 0;  ///< 0: it waits for its provider
     bool local = false;
-    std::string reason{};  ///< why it waits, or was lost
+    std::string reason{};               ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
   };
   /// A wire whose client is a process outside.
@@ -156,6 +162,13 @@ class System {
   void tell_others(const ChildGroup& gone, const std::string& reason);
   void tell_failed(const std::string& instance, const std::string& reason);
 
+  // ---- system_supervision.cpp
+  void start_again_later(const std::string& group, const std::string& reason);
+  std::map<std::uint64_t, std::string> lost_in(const std::string& group) const;
+  std::string start_again(const std::string& group);
+  void make_again(Group& target, const std::string& name);
+  void open_again(const std::string& group, const control::PortName& client, const Model::Wire& wanted);
+
   // ---- system_instances.cpp
   control::Done load(const control::Load& request, const Model& next);
   void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request);
@@ -171,8 +184,8 @@ class System {
   control::Done wire(const control::Wire& request, const Model& next);
   control::Done wire_one(const control::PortName& client, const Model& next);
   control::Done wire_several(const control::PortName& client, const Model& next);
-  Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next, const Wire& old,
-                    control::Done& done);
+  Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
+                    const Wire& old, control::Done& done);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
   static void add_cost(control::Done& done, const wire::Switched& switched, std::uint32_t wires);
@@ -256,14 +269,15 @@ class System {
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
   std::unique_ptr<Clock> clock_;
   std::unique_ptr<VirtualTime> virtual_time_;  ///< none: the clock is the system's
-  std::unique_ptr<Pool> pool_;  ///< ends before the clock that its strands live by
+  std::unique_ptr<Pool> pool_;                 ///< ends before the clock that its strands live by
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::map<std::string, Lost> lost_;  ///< instances whose group is gone, and why
-  std::multimap<PortKey, Wire> wires_;  ///< by the client's port
+  Supervision supervision_;
+  std::multimap<PortKey, Wire> wires_;               ///< by the client's port
   std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
-  std::map<std::uint64_t, std::string> taps_;  ///< tap -> group
-  std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
+  std::map<std::uint64_t, std::string> taps_;        ///< tap -> group
+  std::set<std::string> noted_dead_;                 ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
   static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;
   std::uint64_t next_wire_ = 1;

@@ -51,8 +51,8 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
   const ServiceContract contract = ServiceInfo(*service).contract();
   require_speaks(request, speaks, contract);
   if (const std::string host = host_of(instance.group); !host.empty()) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} is on host '{}'", text_of(provider), host),
-                                        .next = "attach there"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("{} is on host '{}'", text_of(provider), host), .next = "attach there"});
   }
   const auto held = std::count_if(attachments_.begin(), attachments_.end(),
                                   [owner](const auto& one) { return one.second.owner == owner; });

@@ -35,10 +35,11 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
     return reply;
   };
   // The instance itself withdraws a change that is blocked; this is for one that hangs.
-  const auto expired = failure_reply(
-      ErrorCode::Unreachable, {.what = "'" + name + "' did not change its mode in time: a handler still runs, or it has ended",
-                               .where = name,
-                               .next = "show " + name});
+  const auto expired =
+      failure_reply(ErrorCode::Unreachable,
+                    {.what = "'" + name + "' did not change its mode in time: a handler still runs, or it has ended",
+                     .where = name,
+                     .next = "show " + name});
   waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
 }
 

@@ -10,13 +10,15 @@ namespace {
 constexpr std::uint64_t kNobody = 0;
 
 bool pushes(const Model& model, const control::PortName& name) {
-  const auto* service = Types::service(*model.instance(name.instance()).package->types, model.port(name, PROVIDES).service());
+  const auto* service =
+      Types::service(*model.instance(name.instance()).package->types, model.port(name, PROVIDES).service());
   return service && ServiceInfo(*service).is_push();
 }
 
 using Pair = std::pair<control::PortName, control::PortName>;
 
-/// What is used of the old ones and can be compared, each with what would take its place. Throws where there is nothing.
+/// What is used of the old ones and can be compared, each with what would take its place. Throws where there is
+/// nothing.
 std::vector<Pair> comparable(const Model& model, const std::vector<control::Replace>& swaps) {
   std::vector<Pair> pairs;
   for (const auto& swap : swaps) {
@@ -40,7 +42,8 @@ control::Watch all_of(const control::PortName& name) {
 
 }  // namespace
 
-std::vector<std::uint64_t> System::compare(const std::vector<control::Replace>& swaps, double within_ms, Waits::Answer answer) {
+std::vector<std::uint64_t> System::compare(const std::vector<control::Replace>& swaps, double within_ms,
+                                           Waits::Answer answer) {
   const auto comparison = std::make_shared<Comparison>(types_);
   const std::vector<Pair> pairs = comparable(model_, swaps);
   std::vector<std::pair<std::uint64_t, std::uint64_t>> taps;

@@ -20,7 +20,8 @@ wire::GroupRequest local_wire(std::uint64_t id, const control::PortName& client,
 }
 
 /// The provider's part of a wire between processes. `peer`: whose link brings it.
-wire::GroupRequest provided_wire(const wire::WireRequire& client_part, std::uint32_t prescale, const std::string& peer) {
+wire::GroupRequest provided_wire(const wire::WireRequire& client_part, std::uint32_t prescale,
+                                 const std::string& peer) {
   wire::GroupRequest request;
   auto& provide = *request.mutable_wire_provide();
   provide.set_wire(client_part.wire());
@@ -59,8 +60,8 @@ System::Wire System::connect(const control::PortName& client, const control::Por
 }
 
 /// The provider first, the client last: what is opened finds somebody who knows its token. Notes who relays it.
-wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::WireRequire require, std::uint32_t prescale,
-                                      std::vector<std::string>& relays) {
+wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::WireRequire require,
+                                      std::uint32_t prescale, std::vector<std::string>& relays) {
   Group& client_group = *path.front();
   Group& provider_group = *path.back();
   require.set_token(os::random_token());
@@ -130,8 +131,8 @@ void System::cut_at(const std::string& name, std::uint64_t wire, const std::stri
   }
 }
 
-/// The processes that a wire goes through, from its client to its provider. One connection carries all that goes between
-/// two hosts; their groups reach it through their host's own process.
+/// The processes that a wire goes through, from its client to its provider. One connection carries all that goes
+/// between two hosts; their groups reach it through their host's own process.
 std::vector<Group*> System::way(Group& client, Group& provider) {
   const std::string from = host_of(client.name());
   const std::string to = host_of(provider.name());

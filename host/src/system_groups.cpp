@@ -18,8 +18,8 @@ Group& System::group(const std::string& name) {
   const std::string endpoint = "ipc://" + (options_.directory / socket).string();
   ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
   const ChildGroup::Start start{endpoint, *clock_, master, options_.threads, options_.ends_hung_groups};
-  auto made = std::make_unique<ChildGroup>(wanted, start,
-                                           [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
+  auto made = std::make_unique<ChildGroup>(
+      wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
   return *(groups_[wanted] = std::move(made));
 }
 
@@ -28,9 +28,12 @@ Group& System::group_of(const std::string& name, const Model& model) {
   lose_if_gone(one.group);
   const auto lost = lost_.find(name);
   if (lost == lost_.end()) return group(one.group);
-  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second.reason,
-                                       .where = name,
-                                       .next = lost->second.away ? "ls hosts" : "unload " + name + ", then load it again"});
+  throw Error(ErrorCode::Unreachable,
+              {.what = "'" + name + "' is lost: " + lost->second.reason,
+               .where = name,
+               .next = lost->second.away               ? "ls hosts"
+                       : supervision_.waits(one.group) ? "wait for it"
+                                                       : "unload " + name + ", then load it again"});
 }
 
 /// A process that was started for an instance that could not be made has no purpose.
@@ -51,12 +54,17 @@ std::vector<ChildGroup*> System::child_groups() {
   return children;
 }
 
-void System::watch_groups() {
+std::vector<std::string> System::watch_groups() {
   const auto now = std::chrono::steady_clock::now();
   for (auto* child : child_groups()) {
     child->watch(now);
     if (!child->alive()) lose(*child);
   }
+  std::vector<std::string> lines;
+  for (const std::string& name : supervision_.take_due(now)) {
+    if (std::string line = start_again(name); !line.empty()) lines.push_back(std::move(line));
+  }
+  return lines;
 }
 
 void System::serve_group(ChildGroup& group) {
@@ -86,6 +94,7 @@ void System::lose(ChildGroup& gone) {
   event.mutable_group_ended()->set_reason(reason);
   tell_leader(event);
   forget_led(gone.name());
+  start_again_later(gone.name(), reason);
 }
 
 /// What they have on their way to it is lost.

@@ -55,8 +55,8 @@ void System::add_hosts(control::System& all) {
   all.set_refused_hosts(hosts_->refused());
   const auto count = [this](const auto& fits) {
     const auto names = model_.names();
-    return static_cast<std::uint64_t>(
-        std::count_if(names.begin(), names.end(), [&](const std::string& name) { return fits(model_.instance(name)); }));
+    return static_cast<std::uint64_t>(std::count_if(
+        names.begin(), names.end(), [&](const std::string& name) { return fits(model_.instance(name)); }));
   };
   for (const auto& peer : hosts_->peers()) {
     auto& status = *all.add_hosts() = peer->status();

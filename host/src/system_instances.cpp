@@ -61,6 +61,7 @@ control::Done System::unload(const control::Unload& request) {
   }
   const std::vector<std::string> dependents = leave_wires(name);
   lost_.erase(name);
+  if (model_.names_in(at).size() == 1) supervision_.forget(at);
   if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));
   done.set_note(note);
   return done;

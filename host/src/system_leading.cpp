@@ -32,12 +32,14 @@ Group* System::remote_group(const std::string& name) {
   if (!peer) {
     if (slash == std::string::npos) return nullptr;
     std::vector<std::string> known;
-    if (hosts_) for (const auto& one : hosts_->peers()) known.push_back(one->peer().name);
-    throw Error(ErrorCode::NotFound, {.what = fmt::format("there is no host '{}'", host),
-                                      .expected = known.empty() ? "a host that was named with --peer when this one was started"
-                                                                : fmt::format("one of {}", fmt::join(known, ", ")),
-                                      .next = "ls hosts",
-                                      .near = nearest_names(host, known)});
+    if (hosts_)
+      for (const auto& one : hosts_->peers()) known.push_back(one->peer().name);
+    throw Error(ErrorCode::NotFound,
+                {.what = fmt::format("there is no host '{}'", host),
+                 .expected = known.empty() ? "a host that was named with --peer when this one was started"
+                                           : fmt::format("one of {}", fmt::join(known, ", ")),
+                 .next = "ls hosts",
+                 .near = nearest_names(host, known)});
   }
   if (!peer->joined()) {
     throw Error(ErrorCode::Unreachable, {.what = fmt::format("host '{}' is not connected", host),
@@ -163,6 +165,7 @@ void System::on_remote_group_ended(const HostChange& change) {
     }
     end_taps(group->name(), change.reason);
     lose_wires(group->name(), change.reason);
+    start_again_later(group->name(), change.reason);
   }
 }
 

@@ -114,8 +114,7 @@ void System::check_order(const wire::GroupRequest& request) {
     case Request::kPing:
     case Request::kStatus: return;
     case Request::kWelcome:
-    case Request::kPeerLost:
-      throw Error(ErrorCode::NotAllowed, "a host tells its processes about their links itself");
+    case Request::kPeerLost: throw Error(ErrorCode::NotAllowed, "a host tells its processes about their links itself");
     case Request::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
@@ -123,7 +122,8 @@ void System::check_order(const wire::GroupRequest& request) {
 
 /// Of those here. A leader names no sockets.
 Group& System::led_group(const std::string& endpoint) {
-  const auto found = endpoint.starts_with(kGroupEndpoint) ? groups_.find(endpoint.substr(kGroupEndpoint.size())) : groups_.end();
+  const auto found =
+      endpoint.starts_with(kGroupEndpoint) ? groups_.find(endpoint.substr(kGroupEndpoint.size())) : groups_.end();
   if (found != groups_.end() && found->second->alive()) return *found->second;
   throw Error(ErrorCode::NotFound, fmt::format("host '{}' has no group for '{}'", options_.name, endpoint));
 }
@@ -132,20 +132,23 @@ Group& System::led_group(const std::string& endpoint) {
 Packages::Choice System::own_package(const wire::Create& create) const {
   const bool local = create.plugin().starts_with(kLocal);
   if (local && (options_.plugins.empty() || create.plugin().find("..") != std::string::npos)) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} is in no package, and host '{}' takes only what is installed on it",
-                                                            create.plugin(), options_.name),
-                                        .next = "pack it and install it on both hosts; or start that host with --plugins DIR"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("{} is in no package, and host '{}' takes only what is installed on it",
+                                     create.plugin(), options_.name),
+                 .next = "pack it and install it on both hosts; or start that host with --plugins DIR"});
   }
-  const std::string library = (options_.plugins / ("lib" + create.plugin().substr(local ? kLocal.size() : 0) + ".so")).string();
+  const std::string library =
+      (options_.plugins / ("lib" + create.plugin().substr(local ? kLocal.size() : 0) + ".so")).string();
   const Packages::Choice own = packages_.find((local ? library : create.plugin()) + "/" + create.component());
   const Package& package = *own.package;
   const bool same = package.name == create.plugin() && package.version == create.version();
   if (!same || package.interface.SerializeAsString() != create.interface().SerializeAsString()) {
     throw Error(ErrorCode::DependencyConflict,
-                {.what = fmt::format("host '{}' has {}{} {}", options_.name, same ? "another build of " : "", package.name,
-                                     package.version),
+                {.what = fmt::format("host '{}' has {}{} {}", options_.name, same ? "another build of " : "",
+                                     package.name, package.version),
                  .expected = fmt::format("{} {}, as on the host that leads", create.plugin(), create.version()),
-                 .next = fmt::format("on host '{}': fiona market install {}@{}", options_.name, create.plugin(), create.version())});
+                 .next = fmt::format("on host '{}': fiona market install {}@{}", options_.name, create.plugin(),
+                                     create.version())});
   }
   return own;
 }
@@ -155,8 +158,14 @@ void System::obey_create(const wire::GroupRequest& request, const std::string& g
   const auto [package, component] = own_package(create);
   const std::string& name = create.instance();
   Model next = model_;
-  next.take(name, {.plugin = create.plugin(), .package = package, .component = component, .group = group_name, .mode = create.mode(),
-                   .mode_at_load = create.mode(), .parameters = nullptr, .led = true});
+  next.take(name, {.plugin = create.plugin(),
+                   .package = package,
+                   .component = component,
+                   .group = group_name,
+                   .mode = create.mode(),
+                   .mode_at_load = create.mode(),
+                   .parameters = nullptr,
+                   .led = true});
   control::Load as_ordered;
   *as_ordered.mutable_parameters() = create.parameters();
   as_ordered.set_mode(create.mode());

@@ -103,7 +103,8 @@ control::InstanceStatus System::status_as_asked_for(const std::string& name) con
   for (const auto& mode : one.interface().modes()) status.add_modes(mode.name());
   for (const auto& declared : one.interface().ports()) {
     auto& port = *status.add_ports() = as_declared(declared);
-    if (declared.direction() == REQUIRES && model_.wire_of(port_of({name, declared.name()}))) port.set_connection(control::LOST);
+    if (declared.direction() == REQUIRES && model_.wire_of(port_of({name, declared.name()})))
+      port.set_connection(control::LOST);
   }
   return status;
 }
@@ -112,6 +113,7 @@ control::InstanceStatus System::status_as_asked_for(const std::string& name) con
 void System::complete_status(control::InstanceStatus& status) const {
   const Model::Instance& known = model_.instance(status.name());
   status.set_group(known.group);
+  status.set_restarts(supervision_.restarts(known.group));
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
   status.set_comment(known.comment);
   for (auto& p : *status.mutable_ports()) {

@@ -45,17 +45,20 @@ control::Expect System::expected(control::Expect request) {
   const auto& component = owner.interface();
   const auto probes = hull_probes();
   const auto has = [&](HullProbe::Of of) {
-    return std::any_of(probes.begin(), probes.end(), [&](const auto& one) { return one.of == of && one.name == request.field(); });
+    return std::any_of(probes.begin(), probes.end(),
+                       [&](const auto& one) { return one.of == of && one.name == request.field(); });
   };
   const auto named = [&name](const auto& one) { return one.name() == name.port(); };
   const auto port = std::find_if(component.ports().begin(), component.ports().end(), named);
   const bool is_task = std::any_of(component.tasks().begin(), component.tasks().end(), named);
-  const auto* service = port == component.ports().end() ? nullptr : Types::service(*owner.package->types, port->service());
+  const auto* service =
+      port == component.ports().end() ? nullptr : Types::service(*owner.package->types, port->service());
   const bool is_field = service && ServiceInfo(*service).object().FindFieldByName(request.field());
   if (service && request.field().empty()) {
-    throw Error(ErrorCode::Usage, {.what = text_of(name) + " is a port: '" + text_of(name) + "' names no field of its object",
-                                   .expected = "INSTANCE.PORT.FIELD",
-                                   .next = "show " + text_of(name)});
+    throw Error(ErrorCode::Usage,
+                {.what = text_of(name) + " is a port: '" + text_of(name) + "' names no field of its object",
+                 .expected = "INSTANCE.PORT.FIELD",
+                 .next = "show " + text_of(name)});
   }
   if ((service && has(HullProbe::Of::Port) && !is_field) || (is_task && has(HullProbe::Of::Task))) {
     name.set_port(name.port() + "." + request.field());

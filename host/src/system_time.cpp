@@ -6,14 +6,16 @@ namespace fiona::host {
 
 void System::set_clock(const ClockSettings& next) {
   if (next.is_virtual && hosts_) {
-    throw Error(ErrorCode::NotAllowed, {.what = "a virtual clock drives one host, and this one works with others over tcp",
-                                        .next = "start it without --listen and --peer"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "a virtual clock drives one host, and this one works with others over tcp",
+                 .next = "start it without --listen and --peer"});
   }
   const bool records_anew = next.deliveries != (virtual_time_ ? virtual_time_->deliveries() : "");
   std::shared_ptr<DeliveryLog> log;  // first: a file that cannot be written changes nothing
   if (records_anew && !next.deliveries.empty()) log = std::make_shared<DeliveryLog>(next.deliveries);
   if (next.is_virtual != has_virtual_clock()) {
-    use_clock(has_virtual_clock() ? std::unique_ptr<Clock>(std::make_unique<SystemClock>()) : std::make_unique<VirtualClock>());
+    use_clock(has_virtual_clock() ? std::unique_ptr<Clock>(std::make_unique<SystemClock>())
+                                  : std::make_unique<VirtualClock>());
   }
   if (!virtual_time_) return;
   virtual_time_->clock().set_speed(next.speed);

@@ -32,7 +32,8 @@ control::Done System::wire(const control::Wire& request, const Model& next) {
   }
   const bool several = wanted.providers.size() > 1 || (before && before->providers.size() > 1);
   control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next);
-  std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") + text_of(request.provider());
+  std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") +
+                     text_of(request.provider());
   for (const auto& provider : request.alternatives()) note += " else " + text_of(provider);
   done.set_note(note);
   return done;
@@ -195,7 +196,8 @@ void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
 
 const System::Wire* System::wire_to(const PortKey& client, const control::PortName& provider) const {
   const auto [first, last] = wires_.equal_range(client);
-  const auto found = std::find_if(first, last, [&](const auto& one) { return key_of(one.second.provider) == key_of(provider); });
+  const auto found =
+      std::find_if(first, last, [&](const auto& one) { return key_of(one.second.provider) == key_of(provider); });
   return found == last ? nullptr : &found->second;
 }
 

@@ -3,13 +3,15 @@
 #include <fmt/format.h>
 
 #include "failure.hpp"
-#include "fiona/error.hpp"
 #include "field_compare.hpp"
+#include "fiona/error.hpp"
 
 namespace fiona::host {
 namespace {
 
-Duration duration_of_ms(double ms) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms)); }
+Duration duration_of_ms(double ms) {
+  return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
+}
 
 wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit) {
   wire::Tapped tapped;
@@ -65,7 +67,8 @@ std::string value_text(const Object& object) {
 /// Passes values on to the host, as bytes.
 class Taps::Teller final : public Watcher {
  public:
-  Teller(std::uint64_t id, std::string unit, const OnEvent& on_event) : id_(id), unit_(std::move(unit)), on_event_(on_event) {}
+  Teller(std::uint64_t id, std::string unit, const OnEvent& on_event)
+      : id_(id), unit_(std::move(unit)), on_event_(on_event) {}
 
   void value(const Tapped& value) override {
     wire::GroupMessage message;
@@ -107,7 +110,9 @@ void Taps::release(const Hull& hull) {
   std::erase_if(taps_, [&hull](const auto& entry) { return entry.second.first == &hull; });
 }
 
-wire::Tapped read_probe(const Hull& hull, const std::string& name) { return tapped_of(hull.read(name), hull.unit_of(name)); }
+wire::Tapped read_probe(const Hull& hull, const std::string& name) {
+  return tapped_of(hull.read(name), hull.unit_of(name));
+}
 
 void fill_probes(control::InstanceStatus& status, const Hull& hull, TimePoint now) {
   for (const auto* probe : hull.probes()) {

@@ -46,7 +46,8 @@ bool is_same(const FileDescriptor& built, const google::protobuf::FileDescriptor
   return own.SerializeAsString() == file.SerializeAsString();
 }
 
-void add_with_imports(const FileDescriptor& file, std::set<std::string>& seen, google::protobuf::FileDescriptorSet& set) {
+void add_with_imports(const FileDescriptor& file, std::set<std::string>& seen,
+                      google::protobuf::FileDescriptorSet& set) {
   if (!seen.insert(file.name()).second) return;
   for (int i = 0; i < file.dependency_count(); ++i) add_with_imports(*file.dependency(i), seen, set);
   file.CopyTo(set.add_file());
@@ -65,8 +66,9 @@ std::shared_ptr<const Types::Source> Types::read(const std::string& plugin, cons
     const FileDescriptor* built = source->pool.FindFileByName(file.name());
     if (!built || !is_same(*built, file)) built = source->pool.BuildFile(file);
     if (!built) {
-      throw Error(ErrorCode::Failed, {.what = "the interface of plugin '" + plugin + "' has a proto that does not fit: " + file.name(),
-                                      .next = "install the package again, or ask the publisher to pack it again"});
+      throw Error(ErrorCode::Failed,
+                  {.what = "the interface of plugin '" + plugin + "' has a proto that does not fit: " + file.name(),
+                   .next = "install the package again, or ask the publisher to pack it again"});
     }
     source->files.push_back(built);
   }

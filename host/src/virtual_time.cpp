@@ -56,9 +56,9 @@ bool VirtualTime::stands_too_long() {
 }
 
 Error VirtualTime::unwritable() {
-  const Error error(ErrorCode::Failed, {.what = "the delivery log cannot be written",
-                                        .where = log_->file().string(),
-                                        .found = log_->failure()});
+  const Error error(
+      ErrorCode::Failed,
+      {.what = "the delivery log cannot be written", .where = log_->file().string(), .found = log_->failure()});
   record_to(nullptr);
   return error;
 }
@@ -67,12 +67,12 @@ Error VirtualTime::standstill() {
   std::vector<std::string> blockers;
   for (const auto& name : clock_.busy_strands()) blockers.push_back("'" + name + "' runs");
   for (auto& text : master_.blockers()) blockers.push_back(std::move(text));
-  return Error(ErrorCode::Unreachable,
-               {.what = fmt::format("virtual time has stood at {:.3f} s for {:.3g} s", to_seconds(clock_.now() - clock_.start()),
-                                    std::chrono::duration<double>(standstill_).count()),
-                .expected = "a handler that ends: time goes on when nothing runs",
-                .found = fmt::format("{}", fmt::join(blockers, "; ")),
-                .next = "show the instance, or unload it; then wait again"});
+  return Error(ErrorCode::Unreachable, {.what = fmt::format("virtual time has stood at {:.3f} s for {:.3g} s",
+                                                            to_seconds(clock_.now() - clock_.start()),
+                                                            std::chrono::duration<double>(standstill_).count()),
+                                        .expected = "a handler that ends: time goes on when nothing runs",
+                                        .found = fmt::format("{}", fmt::join(blockers, "; ")),
+                                        .next = "show the instance, or unload it; then wait again"});
 }
 
 }  // namespace fiona::host

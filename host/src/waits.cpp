@@ -5,9 +5,9 @@
 #include <vector>
 
 #include "failure.hpp"
+#include "field_compare.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
-#include "field_compare.hpp"
 #include "names.hpp"
 
 namespace fiona::host {
@@ -30,7 +30,9 @@ struct Waits::Wait {
 
 namespace {
 
-Duration from_ms(double ms) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms)); }
+Duration from_ms(double ms) {
+  return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
+}
 
 }  // namespace
 
@@ -64,7 +66,8 @@ void Waits::time_out_after(const WaitPtr& wait, double within_ms, std::function<
     if (const auto expired = weak.lock()) finish(expired, reply());
   };
   const TimePoint at = wait->since + from_ms(within_ms);
-  const TimerId timer = virtual_ ? virtual_->stop_at(at, std::move(expire)) : clock_.schedule(at, strand_, std::move(expire));
+  const TimerId timer =
+      virtual_ ? virtual_->stop_at(at, std::move(expire)) : clock_.schedule(at, strand_, std::move(expire));
   {
     const std::lock_guard lock(mutex_);
     wait->timer = timer;
@@ -83,10 +86,11 @@ void Waits::wait_mode(std::uint64_t owner, std::uint64_t id, const control::Wait
     waits_.push_back(wait);
   }
   time_out_after(wait, request.within_ms(), [request] {
-    return failure_reply(ErrorCode::Unreachable, {.what = fmt::format("'{}' did not reach mode {} within {} ms", request.instance(),
-                                                                      request.mode(), request.within_ms()),
-                                                  .where = request.instance(),
-                                                  .next = "show " + request.instance()});
+    return failure_reply(ErrorCode::Unreachable,
+                         {.what = fmt::format("'{}' did not reach mode {} within {} ms", request.instance(),
+                                              request.mode(), request.within_ms()),
+                          .where = request.instance(),
+                          .next = "show " + request.instance()});
   });
   let_run(wait);
 }
@@ -201,10 +205,11 @@ std::optional<control::Reply> Waits::reply_to_mode(const Wait& wait, const wire:
     return reply;
   }
   if (changed.mode() != kModeFailed) return std::nullopt;
-  return failure_reply(ErrorCode::ComponentFailed, {.what = "'" + changed.instance() + "' failed while it was waited for",
-                                                    .where = changed.instance(),
-                                                    .found = changed.reason(),
-                                                    .next = "show " + changed.instance()});
+  return failure_reply(ErrorCode::ComponentFailed,
+                       {.what = "'" + changed.instance() + "' failed while it was waited for",
+                        .where = changed.instance(),
+                        .found = changed.reason(),
+                        .next = "show " + changed.instance()});
 }
 
 std::optional<control::Reply> Waits::reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const {
@@ -213,7 +218,8 @@ std::optional<control::Reply> Waits::reply_to_value(Wait& wait, const wire::Tapp
   if (!object || !object->ParseFromString(tapped.object())) return std::nullopt;
   control::Reply reply;
   try {
-    auto [met, text] = compare_field(*object, wait.expect->field(), wait.expect->comparison(), wait.expect->value(), tapped.unit());
+    auto [met, text] =
+        compare_field(*object, wait.expect->field(), wait.expect->comparison(), wait.expect->value(), tapped.unit());
     wait.seen = text;
     if (!met) return std::nullopt;
     reply.mutable_met()->set_after_ms(elapsed_ms(wait));

@@ -57,8 +57,8 @@ void Zap::note_refusal(const std::string& address, const std::string& credential
   const auto key = trust::Key::from_bytes(credentials);
   std::string command = policy_.command;
   if (key) command.replace(command.find("KEY"), 3, key->text());
-  on_refused_("refused a " + policy_.noun + " at " + address + ", " + std::to_string(refused_) + " times so far: " + why +
-              (key ? "; to let it in: " + command : ""));
+  on_refused_("refused a " + policy_.noun + " at " + address + ", " + std::to_string(refused_) +
+              " times so far: " + why + (key ? "; to let it in: " + command : ""));
 }
 
 void Zap::serve() {
@@ -75,7 +75,8 @@ void Zap::serve() {
     std::string why = "it speaks " + parts[5] + ", not CURVE";
     const std::string name = parts[5] == "CURVE" ? name_of(parts[6], why) : "";
     if (name.empty()) note_refusal(parts[3], parts[6], why);
-    const std::vector<std::string> answer{"1.0", parts[1], name.empty() ? "400" : "200", name.empty() ? "not allowed" : "OK", name, ""};
+    const std::vector<std::string> answer{
+        "1.0", parts[1], name.empty() ? "400" : "200", name.empty() ? "not allowed" : "OK", name, ""};
     for (std::size_t i = 0; i < answer.size(); ++i) {
       socket_.send(zmq::buffer(answer[i]), i + 1 < answer.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
     }

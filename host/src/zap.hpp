@@ -11,14 +11,15 @@
 
 namespace fiona::host {
 
-/// Answers libzmq's question who may connect (ZAP 1.0, rfc.zeromq.org/spec/27): the keys of a list, which is read anew for
-/// each connection. Whoever is let in is known by the list's name for him.
+/// Answers libzmq's question who may connect (ZAP 1.0, rfc.zeromq.org/spec/27): the keys of a list, which is read anew
+/// for each connection. Whoever is let in is known by the list's name for him.
 class Zap {
  public:
   using OnRefused = std::function<void(const std::string& text)>;
   /// Whom it lets in.
   struct Policy {
-    std::function<std::string(const trust::Key&)> name_of;  ///< empty: not in the list. Throws Error if that cannot be read
+    std::function<std::string(const trust::Key&)>
+        name_of;          ///< empty: not in the list. Throws Error if that cannot be read
     std::string noun;     ///< "host"
     std::string command;  ///< what lets one in, but for its key
   };

@@ -7,12 +7,9 @@ struct Named {
   Access access;
   std::string_view name;
 };
-constexpr Named kNamed[] = {{Access::Nothing, "nothing"},
-                            {Access::Observe, "observe"},
-                            {Access::Operate, "operate"},
-                            {Access::Compose, "compose"},
-                            {Access::Administer, "administer"},
-                            {Access::Nobody, "nobody"}};
+constexpr Named kNamed[] = {{Access::Nothing, "nothing"},       {Access::Observe, "observe"},
+                            {Access::Operate, "operate"},       {Access::Compose, "compose"},
+                            {Access::Administer, "administer"}, {Access::Nobody, "nobody"}};
 
 }  // namespace
 
@@ -23,7 +20,9 @@ std::string access_name(Access access) {
   return std::to_string(static_cast<int>(access));
 }
 
-std::string access_text(Access access) { return access_name(access) + " (" + std::to_string(static_cast<int>(access)) + ")"; }
+std::string access_text(Access access) {
+  return access_name(access) + " (" + std::to_string(static_cast<int>(access)) + ")";
+}
 
 std::optional<Access> access_of(std::string_view name) {
   for (const Named& one : kNamed) {

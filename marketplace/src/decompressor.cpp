@@ -66,10 +66,10 @@ std::string_view Decompressor::next() {
     const std::size_t result = ZSTD_decompressStream(context_.get(), &out, &in);
     rest_.remove_prefix(in.pos);
     if (ZSTD_isError(result)) {
-      throw Error(ErrorCode::Failed, ErrorText{.what = std::string("the package cannot be decompressed: ") +
-                                                       ZSTD_getErrorName(result),
-                                               .where = where_,
-                                               .expected = "zstd with a window of at most 8 MiB"});
+      throw Error(ErrorCode::Failed,
+                  ErrorText{.what = std::string("the package cannot be decompressed: ") + ZSTD_getErrorName(result),
+                            .where = where_,
+                            .expected = "zstd with a window of at most 8 MiB"});
     }
     ended_ = result == 0;
   }

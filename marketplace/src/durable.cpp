@@ -91,8 +91,7 @@ void DurableDirectory::make_directory(const std::string& name, mode_t mode) cons
   }
 }
 
-void DurableDirectory::write(const FileDescriptor& file, std::string_view bytes,
-                             const std::string& name) const {
+void DurableDirectory::write(const FileDescriptor& file, std::string_view bytes, const std::string& name) const {
   while (!bytes.empty()) {
     const auto count = after_signals([&] { return os_->write(file.number(), bytes.data(), bytes.size()); });
     if (count < 0) throw_os_error("write it", path_ / name, errno);
@@ -109,8 +108,7 @@ void DurableDirectory::sync(const FileDescriptor& file, const std::string& name)
 
 void DurableDirectory::sync() const { sync(directory_, "."); }
 
-void DurableDirectory::move(const std::string& from, const DurableDirectory& to,
-                            const std::string& name) const {
+void DurableDirectory::move(const std::string& from, const DurableDirectory& to, const std::string& name) const {
   const auto rename = [&] { return os_->rename(descriptor(), from.c_str(), to.descriptor(), name.c_str()); };
   if (after_signals(rename) != 0) throw_os_error("rename " + from + " to it", to.path_ / name, errno);
   to.sync();

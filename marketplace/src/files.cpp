@@ -15,21 +15,15 @@ namespace {
 std::string next_step(int error, const std::filesystem::path& where) {
   switch (error) {
     case ENOSPC:
-    case EDQUOT:
-      return "free some space where " + where.string() + " is and try again";
+    case EDQUOT: return "free some space where " + where.string() + " is and try again";
     case EROFS:
     case EACCES:
-    case EPERM:
-      return "choose a place that you may write to, or ask its owner";
+    case EPERM: return "choose a place that you may write to, or ask its owner";
     case EMFILE:
-    case ENFILE:
-      return "raise the limit of open files (ulimit -n) and try again";
-    case ENOSYS:
-      return "use a kernel with openat2 (Linux 5.6 or newer)";
-    case EIO:
-      return "check the disk (dmesg), then try again";
-    default:
-      return "look at " + where.string() + " and try again";
+    case ENFILE: return "raise the limit of open files (ulimit -n) and try again";
+    case ENOSYS: return "use a kernel with openat2 (Linux 5.6 or newer)";
+    case EIO: return "check the disk (dmesg), then try again";
+    default: return "look at " + where.string() + " and try again";
   }
 }
 
@@ -45,8 +39,7 @@ void throw_os_error(const std::string& action, const std::filesystem::path& wher
                                            .next = next_step(error, where)});
 }
 
-FileDescriptor open_regular(int directory, const std::filesystem::path& path,
-                            const std::filesystem::path& shown) {
+FileDescriptor open_regular(int directory, const std::filesystem::path& path, const std::filesystem::path& shown) {
   // O_NONBLOCK: a FIFO of that name must not make us wait for its other end.
   FileDescriptor file{::openat(directory, path.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC)};
   if (!file) {
@@ -56,10 +49,9 @@ FileDescriptor open_regular(int directory, const std::filesystem::path& path,
   struct stat status {};
   if (::fstat(file.number(), &status) != 0) throw_os_error("look at it", shown, errno);
   if (!S_ISREG(status.st_mode)) {
-    throw Error(ErrorCode::Failed,
-                ErrorText{.what = "this is not a regular file",
-                          .where = shown.string(),
-                          .next = "put the file itself there, not a link, directory or pipe"});
+    throw Error(ErrorCode::Failed, ErrorText{.what = "this is not a regular file",
+                                             .where = shown.string(),
+                                             .next = "put the file itself there, not a link, directory or pipe"});
   }
   return file;
 }
@@ -97,8 +89,7 @@ std::string read_all(const FileDescriptor& file, std::uint64_t most, const std::
   return bytes;
 }
 
-FileDescriptor open_directory(int parent, const std::filesystem::path& path,
-                              const std::filesystem::path& shown) {
+FileDescriptor open_directory(int parent, const std::filesystem::path& path, const std::filesystem::path& shown) {
   FileDescriptor directory{
       ::openat(parent, path.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC)};
   if (!directory && errno != ENOENT) throw_os_error("open this directory", shown, errno);

@@ -32,15 +32,13 @@ class FileDescriptor {
 
 /// Opens `path` below `directory` (AT_FDCWD: as it is) for reading if it is a regular file and not a symbolic
 /// link. An empty descriptor if there is nothing of that name; throws fiona::Error (Failed) otherwise.
-FileDescriptor open_regular(int directory, const std::filesystem::path& path,
-                            const std::filesystem::path& shown);
+FileDescriptor open_regular(int directory, const std::filesystem::path& path, const std::filesystem::path& shown);
 
 /// The whole of an open file; throws fiona::Error (Failed) if it is larger than `most` bytes.
 std::string read_all(const FileDescriptor& file, std::uint64_t most, const std::filesystem::path& shown);
 
 /// Opens a directory, not through a symbolic link in its last element; an empty descriptor if there is none.
-FileDescriptor open_directory(int parent, const std::filesystem::path& path,
-                              const std::filesystem::path& shown);
+FileDescriptor open_directory(int parent, const std::filesystem::path& path, const std::filesystem::path& shown);
 
 /// read(2), again after a signal; throws fiona::Error (Failed).
 std::size_t read_some(int file, char* buffer, std::size_t size, const std::filesystem::path& shown);

@@ -17,8 +17,7 @@ Blake2b::Blake2b() : state_(std::make_unique<State>()) {
 Blake2b::~Blake2b() = default;
 
 void Blake2b::update(std::string_view bytes) {
-  crypto_generichash_update(&state_->hash, reinterpret_cast<const unsigned char*>(bytes.data()),
-                            bytes.size());
+  crypto_generichash_update(&state_->hash, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size());
 }
 
 std::string Blake2b::finish() {

@@ -30,7 +30,8 @@ std::filesystem::path default_directory() {
   if (!variable("FIONA_KEYS").empty()) return variable("FIONA_KEYS");
   if (!variable("XDG_CONFIG_HOME").empty()) return std::filesystem::path(variable("XDG_CONFIG_HOME")) / "fiona";
   if (!variable("HOME").empty()) return std::filesystem::path(variable("HOME")) / ".config" / "fiona";
-  throw Error(ErrorCode::Failed, {.what = "there is no place for keys: the user has no home", .next = "set FIONA_KEYS to a directory of yours"});
+  throw Error(ErrorCode::Failed, {.what = "there is no place for keys: the user has no home",
+                                  .next = "set FIONA_KEYS to a directory of yours"});
 }
 
 [[noreturn]] void fail(std::string what, const std::filesystem::path& file) {
@@ -42,7 +43,8 @@ std::filesystem::path default_directory() {
 void write_new(const std::filesystem::path& file, const std::string& text) {
   const int descriptor = ::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (descriptor < 0) fail("the file cannot be made", file);
-  const bool written = ::write(descriptor, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && ::fsync(descriptor) == 0;
+  const bool written =
+      ::write(descriptor, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && ::fsync(descriptor) == 0;
   ::close(descriptor);
   if (written) return;
   ::unlink(file.c_str());
@@ -74,14 +76,16 @@ bool is_address(const std::string& text) {
   const auto digit = [](char c) { return c >= '0' && c <= '9'; };
   const bool port = colon != std::string::npos && colon > 0 && colon + 1 < text.size() && text.size() - colon <= 6 &&
                     std::all_of(text.begin() + static_cast<std::ptrdiff_t>(colon) + 1, text.end(), digit);
-  return port && text.size() <= 300 && std::all_of(text.begin(), text.end(), [](char c) { return c > ' ' && c < '\x7f' && c != '='; });
+  return port && text.size() <= 300 &&
+         std::all_of(text.begin(), text.end(), [](char c) { return c > ' ' && c < '\x7f' && c != '='; });
 }
 
 std::optional<Key> Key::from_text(std::string_view text) {
   Key key;
   std::size_t size = 0;
   const char* end = nullptr;
-  const int bad = sodium_hex2bin(reinterpret_cast<unsigned char*>(key.bytes_.data()), kBytes, text.data(), text.size(), nullptr, &size, &end);
+  const int bad = sodium_hex2bin(reinterpret_cast<unsigned char*>(key.bytes_.data()), kBytes, text.data(), text.size(),
+                                 nullptr, &size, &end);
   if (bad != 0 || size != kBytes || text.size() != 2 * kBytes || end != text.data() + text.size()) return std::nullopt;
   return key;
 }
@@ -112,7 +116,8 @@ KeyPair KeyDirectory::make() const {
   }
   std::error_code ignored;
   std::filesystem::create_directories(directory_.parent_path(), ignored);
-  if (::mkdir(directory_.c_str(), 0700) != 0 && errno != EEXIST) fail("the directory for keys cannot be made", directory_);
+  if (::mkdir(directory_.c_str(), 0700) != 0 && errno != EEXIST)
+    fail("the directory for keys cannot be made", directory_);
   unsigned char open[Key::kBytes];
   unsigned char secret[Key::kBytes];
   crypto_box_keypair(open, secret);
@@ -128,7 +133,9 @@ KeyPair KeyDirectory::pair() const {
   struct stat status {};
   if (::lstat(pair_file().c_str(), &status) != 0) {
     if (errno != ENOENT) fail("the key pair cannot be read", pair_file());
-    throw Error(ErrorCode::NotFound, {.what = "tcp needs keys, and this user has none", .where = pair_file().string(), .next = "fiona keys make"});
+    throw Error(
+        ErrorCode::NotFound,
+        {.what = "tcp needs keys, and this user has none", .where = pair_file().string(), .next = "fiona keys make"});
   }
   if (!S_ISREG(status.st_mode) || status.st_uid != ::geteuid() || (status.st_mode & 077) != 0) {
     throw Error(ErrorCode::NotAllowed, {.what = "the secret key is not private to this user",
@@ -152,7 +159,8 @@ KeyPair KeyDirectory::pair() const {
 void KeyDirectory::replace(const std::filesystem::path& file, const std::string& text) const {
   std::error_code ignored;
   std::filesystem::create_directories(directory_.parent_path(), ignored);
-  if (::mkdir(directory_.c_str(), 0700) != 0 && errno != EEXIST) fail("the directory for keys cannot be made", directory_);
+  if (::mkdir(directory_.c_str(), 0700) != 0 && errno != EEXIST)
+    fail("the directory for keys cannot be made", directory_);
   const std::filesystem::path beside = file.string() + "." + std::to_string(::getpid());
   write_new(beside, text);
   if (::rename(beside.c_str(), file.c_str()) != 0) {
@@ -169,20 +177,36 @@ using Words = std::vector<std::string>;
 /// A file of lines that begin with a name; one of their words is a key.
 struct List {
   const char* file;
-  const char* head;      ///< its first line, for people
-  const char* what;      ///< it is a list of
-  const char* damage;    ///< what follows if it cannot be read
-  const char* line;      ///< what each line has
+  const char* head;    ///< its first line, for people
+  const char* what;    ///< it is a list of
+  const char* damage;  ///< what follows if it cannot be read
+  const char* line;    ///< what each line has
   std::size_t words;
-  std::size_t key;       ///< the word that is one
+  std::size_t key;  ///< the word that is one
 };
-constexpr List kHosts{"hosts.allowed", "Hosts that may connect to hosts of this user: NAME KEY. Changed by: fiona keys allow, fiona keys forget",
-                      "hosts that may connect", "nobody may until it is mended", "NAME and a key of 64 hexadecimal digits", 2, 1};
-constexpr List kConsoles{"consoles.allowed", "Consoles that may connect to hosts of this user: NAME KEY LEVEL. Changed by: fiona keys allow … as, fiona keys forget",
-                         "consoles that may connect", "none may until it is mended",
-                         "NAME, a key of 64 hexadecimal digits, and observe, operate, compose or administer", 3, 1};
-constexpr List kKnown{"hosts.known", "Hosts on other machines: NAME ADDRESS:PORT KEY. Changed by: fiona keys know, fiona keys forget",
-                      "known hosts", "none is known until it is mended", "NAME, ADDRESS:PORT and a key of 64 hexadecimal digits", 3, 2};
+constexpr List kHosts{
+    "hosts.allowed",
+    "Hosts that may connect to hosts of this user: NAME KEY. Changed by: fiona keys allow, fiona keys forget",
+    "hosts that may connect",
+    "nobody may until it is mended",
+    "NAME and a key of 64 hexadecimal digits",
+    2,
+    1};
+constexpr List kConsoles{"consoles.allowed",
+                         "Consoles that may connect to hosts of this user: NAME KEY LEVEL. Changed by: fiona keys "
+                         "allow … as, fiona keys forget",
+                         "consoles that may connect",
+                         "none may until it is mended",
+                         "NAME, a key of 64 hexadecimal digits, and observe, operate, compose or administer",
+                         3,
+                         1};
+constexpr List kKnown{"hosts.known",
+                      "Hosts on other machines: NAME ADDRESS:PORT KEY. Changed by: fiona keys know, fiona keys forget",
+                      "known hosts",
+                      "none is known until it is mended",
+                      "NAME, ADDRESS:PORT and a key of 64 hexadecimal digits",
+                      3,
+                      2};
 
 bool fits(const List& list, const Words& words) {
   return words.size() == list.words && is_host_name(words[0]) && Key::from_text(words[list.key]) &&
@@ -202,10 +226,11 @@ std::vector<Words> read(const List& list, const std::filesystem::path& path) {
     Words words;
     for (std::string word; text >> word;) words.push_back(word);
     if (!fits(list, words) || entries.size() >= kMaxEntries) {
-      throw Error(ErrorCode::Failed, {.what = "the list of " + std::string(list.what) + " is damaged: " + list.damage,
-                                      .where = path.string() + ":" + std::to_string(number),
-                                      .expected = std::string(list.line) + ", at most " + std::to_string(kMaxEntries) + " lines",
-                                      .next = "mend the line, or remove it"});
+      throw Error(ErrorCode::Failed,
+                  {.what = "the list of " + std::string(list.what) + " is damaged: " + list.damage,
+                   .where = path.string() + ":" + std::to_string(number),
+                   .expected = std::string(list.line) + ", at most " + std::to_string(kMaxEntries) + " lines",
+                   .next = "mend the line, or remove it"});
     }
     entries.push_back(std::move(words));
   }
@@ -223,7 +248,8 @@ std::string text_of(const List& list, const std::vector<Words>& entries) {
 
 void check_name_and_key(const std::string& name, const std::string& key) {
   if (!is_host_name(name)) {
-    throw Error(ErrorCode::Usage, {.what = "'" + name + "' is no name of a host", .expected = "letters, digits, '-' and '_', at most 40"});
+    throw Error(ErrorCode::Usage, {.what = "'" + name + "' is no name of a host",
+                                   .expected = "letters, digits, '-' and '_', at most 40"});
   }
   if (Key::from_text(key)) return;
   throw Error(ErrorCode::Usage, {.what = "this is no key of a host",
@@ -238,10 +264,11 @@ void refuse_second(const List& list, const std::vector<Words>& entries, const Wo
     const bool same_key = Key::from_text(words[list.key]) == Key::from_text(added[list.key]);
     if (words[0] != added[0] && !same_key) continue;
     const std::string noun = list.file == kConsoles.file ? "console" : "host";
-    throw Error(ErrorCode::NotAllowed, {.what = words[0] == added[0] ? "there is a " + noun + " '" + words[0] + "' in the list already"
-                                                                     : "the key is in the list already, as '" + words[0] + "'",
-                                        .found = words[0] + " " + words[list.key],
-                                        .next = "fiona keys forget " + words[0]});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = words[0] == added[0] ? "there is a " + noun + " '" + words[0] + "' in the list already"
+                                              : "the key is in the list already, as '" + words[0] + "'",
+                 .found = words[0] + " " + words[list.key],
+                 .next = "fiona keys forget " + words[0]});
   }
 }
 
@@ -249,7 +276,8 @@ void refuse_second(const List& list, const std::vector<Words>& entries, const Wo
 
 std::vector<AllowedHost> KeyDirectory::allowed() const {
   std::vector<AllowedHost> hosts;
-  for (const auto& words : read(kHosts, directory_ / kHosts.file)) hosts.push_back({words[0], *Key::from_text(words[1])});
+  for (const auto& words : read(kHosts, directory_ / kHosts.file))
+    hosts.push_back({words[0], *Key::from_text(words[1])});
   return hosts;
 }
 
@@ -263,7 +291,8 @@ std::vector<AllowedConsole> KeyDirectory::consoles() const {
 
 std::vector<KnownHost> KeyDirectory::known() const {
   std::vector<KnownHost> hosts;
-  for (const auto& words : read(kKnown, directory_ / kKnown.file)) hosts.push_back({words[0], words[1], *Key::from_text(words[2])});
+  for (const auto& words : read(kKnown, directory_ / kKnown.file))
+    hosts.push_back({words[0], words[1], *Key::from_text(words[2])});
   return hosts;
 }
 
@@ -280,7 +309,9 @@ void KeyDirectory::allow_console(const std::string& name, const std::string& key
   check_name_and_key(name, key);
   auto entries = read(kConsoles, directory_ / kConsoles.file);
   const Words added{name, Key::from_text(key)->text(), access_name(level)};
-  std::erase_if(entries, [&added](const Words& one) { return one[0] == added[0] && Key::from_text(one[1]) == Key::from_text(added[1]); });
+  std::erase_if(entries, [&added](const Words& one) {
+    return one[0] == added[0] && Key::from_text(one[1]) == Key::from_text(added[1]);
+  });
   refuse_second(kConsoles, entries, added);
   entries.push_back(added);
   replace(directory_ / kConsoles.file, text_of(kConsoles, entries));
@@ -289,7 +320,9 @@ void KeyDirectory::allow_console(const std::string& name, const std::string& key
 void KeyDirectory::know(const std::string& name, const std::string& address, const std::string& key) const {
   check_name_and_key(name, key);
   if (!is_address(address)) {
-    throw Error(ErrorCode::Usage, {.what = "this does not say where a host serves consoles", .expected = "ADDRESS:PORT", .found = address.substr(0, 80)});
+    throw Error(ErrorCode::Usage, {.what = "this does not say where a host serves consoles",
+                                   .expected = "ADDRESS:PORT",
+                                   .found = address.substr(0, 80)});
   }
   auto entries = read(kKnown, directory_ / kKnown.file);
   const Words added{name, address, Key::from_text(key)->text()};
@@ -309,7 +342,10 @@ void KeyDirectory::forget(const std::string& name) const {
     replace(directory_ / list.file, text_of(list, entries));
     found = true;
   }
-  if (!found) throw Error(ErrorCode::NotFound, {.what = "no host '" + name + "' may connect", .next = "fiona keys", .near = nearest_names(name, names)});
+  if (!found)
+    throw Error(
+        ErrorCode::NotFound,
+        {.what = "no host '" + name + "' may connect", .next = "fiona keys", .near = nearest_names(name, names)});
 }
 
 }  // namespace fiona::trust

@@ -35,8 +35,7 @@ bool is_offered_before(const IndexEntry& a, const IndexEntry& b) {
 }
 
 std::string lower(std::string text) {
-  std::ranges::transform(text, text.begin(),
-                         [](char c) { return c >= 'A' && c <= 'Z' ? char(c - 'A' + 'a') : c; });
+  std::ranges::transform(text, text.begin(), [](char c) { return c >= 'A' && c <= 'Z' ? char(c - 'A' + 'a') : c; });
   return text;
 }
 
@@ -77,24 +76,21 @@ std::vector<IndexEntry> newest_where(const Index& index, Wanted&& wanted) {
   std::string known;
   for (const auto& entry : entries) known += (known.empty() ? "" : ", ") + entry.manifest().version();
   const std::string name = full_name(entries.front().manifest());
-  throw Error(ErrorCode::NotFound,
-              ErrorText{.what = "the marketplace has no such version of " + name,
-                        .where = directory.string(),
-                        .expected = "one of " + known,
-                        .found = text_fault(version, false).empty() ? std::string(version) : "",
-                        .next = "market install " + name});
+  throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace has no such version of " + name,
+                                             .where = directory.string(),
+                                             .expected = "one of " + known,
+                                             .found = text_fault(version, false).empty() ? std::string(version) : "",
+                                             .next = "market install " + name});
 }
 
 void check_entry(const IndexEntry& entry, const std::string& where) {
   check_packed_manifest(entry.manifest(), where);
   const std::string name = full_name(entry.manifest());
   std::string fault = texts_fault(entry.interface());
-  if (entry.file() != package_file_name(entry.manifest(), entry.blake2b()))
-    fault = "its file name is not its own";
+  if (entry.file() != package_file_name(entry.manifest(), entry.blake2b())) fault = "its file name is not its own";
   if (!is_blake2b(entry.blake2b())) fault = "it has no hash";
   if (!fault.empty()) {
-    throw Error(ErrorCode::Failed,
-                ErrorText{.what = "the entry of " + name + " is wrong: " + fault, .where = where});
+    throw Error(ErrorCode::Failed, ErrorText{.what = "the entry of " + name + " is wrong: " + fault, .where = where});
   }
 }
 
@@ -125,8 +121,7 @@ std::optional<Index> read_index(const filesystem::path& directory) {
   return index;
 }
 
-Marketplace::Marketplace(filesystem::path directory)
-    : directory_(filesystem::absolute(directory).lexically_normal()) {
+Marketplace::Marketplace(filesystem::path directory) : directory_(filesystem::absolute(directory).lexically_normal()) {
   auto index = read_index(directory_);
   if (!index) {
     throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no marketplace here: it has no index.binpb",
@@ -148,8 +143,7 @@ filesystem::path Marketplace::default_directory() {
 std::vector<IndexEntry> Marketplace::search(const std::vector<std::string>& words) const {
   return newest_where(index_, [&](const IndexEntry& entry) {
     const std::string text = searchable(entry);
-    return std::ranges::all_of(words,
-                               [&](const auto& word) { return text.find(lower(word)) != std::string::npos; });
+    return std::ranges::all_of(words, [&](const auto& word) { return text.find(lower(word)) != std::string::npos; });
   });
 }
 
@@ -177,14 +171,13 @@ IndexEntry Marketplace::select(std::string_view request) const {
   }
   const IndexEntry& chosen = *std::ranges::min_element(entries, is_offered_before);
   if (!fits_this_machine(chosen)) {
-    throw Error(
-        ErrorCode::DependencyConflict,
-        ErrorText{.what = full_name(chosen.manifest()) + " " + chosen.manifest().version() +
-                          " is not made for this machine",
-                  .where = directory_.string(),
-                  .expected = std::string(this_architecture()),
-                  .found = chosen.manifest().architecture(),
-                  .next = "ask its publisher for a package for this machine, or build it from source"});
+    throw Error(ErrorCode::DependencyConflict,
+                ErrorText{.what = full_name(chosen.manifest()) + " " + chosen.manifest().version() +
+                                  " is not made for this machine",
+                          .where = directory_.string(),
+                          .expected = std::string(this_architecture()),
+                          .found = chosen.manifest().architecture(),
+                          .next = "ask its publisher for a package for this machine, or build it from source"});
   }
   return chosen;
 }

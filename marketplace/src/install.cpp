@@ -65,8 +65,7 @@ class StoreChange {
     const std::string staging = std::string(kStaging) + hash.substr(0, 16);
     try {
       unpack(from, entry, staging);
-      if (packages_->has(hash))
-        packages_->move(hash, store_, std::string(kStaging) + "damaged-" + hash.substr(0, 16));
+      if (packages_->has(hash)) packages_->move(hash, store_, std::string(kStaging) + "damaged-" + hash.substr(0, 16));
       store_.move(staging, *packages_, hash);
     } catch (...) {
       store_.remove_tree_quietly(staging);
@@ -137,16 +136,13 @@ class StoreChange {
                             .next = "publish it again, or choose another marketplace with --from"});
     }
     StagingSink sink{store_, name};
-    const auto source = [&](char* buffer, std::size_t size) {
-      return read_some(file.number(), buffer, size, path);
-    };
+    const auto source = [&](char* buffer, std::size_t size) { return read_some(file.number(), buffer, size, path); };
     const PackageContents contents = read_package(source, path.filename().string(), sink, options_.limits);
     check_is(entry, contents, path);
     sink.finish();
   }
 
-  static void check_is(const IndexEntry& entry, const PackageContents& contents,
-                       const filesystem::path& path) {
+  static void check_is(const IndexEntry& entry, const PackageContents& contents, const filesystem::path& path) {
     const bool same = contents.blake2b == entry.blake2b() && contents.size == entry.size() &&
                       google::protobuf::util::MessageDifferencer::Equals(contents.manifest, entry.manifest());
     if (same) return;
@@ -190,8 +186,8 @@ InstallResult install(std::string_view request, const Marketplace& from, const f
   const auto wanted = listing(from, entry);
   const std::string previous = present ? present->manifest().version() : "";
   const bool same = present && present->directory() == wanted.directory();
-  const bool newer = present && request.find('@') == std::string_view::npos &&
-                     is_newer(present->manifest(), entry.manifest());
+  const bool newer =
+      present && request.find('@') == std::string_view::npos && is_newer(present->manifest(), entry.manifest());
   if ((same || newer) && change.is_whole(present->manifest(), hash_of(*present)))
     return result(InstallOutcome::AlreadyInstalled, previous);
   change.add_files(from, entry);
@@ -212,8 +208,8 @@ InstalledPackage remove(std::string_view name, const filesystem::path& store, co
   StoreChange change{store, options};
   package = Store{store}.find(package.name());
   auto& packages = *change.installed().mutable_packages();
-  packages.erase(std::ranges::find_if(
-      packages, [&](const auto& entry) { return full_name(entry.manifest()) == package.name(); }));
+  packages.erase(
+      std::ranges::find_if(packages, [&](const auto& entry) { return full_name(entry.manifest()) == package.name(); }));
   change.commit();
   return package;
 }

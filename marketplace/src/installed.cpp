@@ -15,17 +15,15 @@ namespace {
 
 constexpr std::uint64_t kMostInstalledBytes = std::uint64_t{64} << 20;
 
-void check_entry(const fiona::InstalledPackage& package, const std::string& where,
-                 std::set<std::string>& names) {
+void check_entry(const fiona::InstalledPackage& package, const std::string& where, std::set<std::string>& names) {
   check_packed_manifest(package.manifest(), where);
   const std::string prefix = std::string(kPackagesDirectory) + "/";
   const std::string& directory = package.directory();
   if (!directory.starts_with(prefix) || !is_blake2b(std::string_view(directory).substr(prefix.size()))) {
-    throw Error(ErrorCode::Failed,
-                ErrorText{.what = full_name(package.manifest()) + " has no directory of this store",
-                          .where = where,
-                          .expected = "packages/HASH",
-                          .found = directory});
+    throw Error(ErrorCode::Failed, ErrorText{.what = full_name(package.manifest()) + " has no directory of this store",
+                                             .where = where,
+                                             .expected = "packages/HASH",
+                                             .found = directory});
   }
   if (!names.insert(full_name(package.manifest())).second) {
     throw Error(ErrorCode::Failed, full_name(package.manifest()) + " is listed twice");

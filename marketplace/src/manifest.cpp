@@ -18,10 +18,9 @@ constexpr std::size_t kNameLength = 64;
 
 [[noreturn]] void refuse(const std::string& where, std::string what, std::string expected = {},
                          std::string found = {}) {
-  throw Error(ErrorCode::Failed, ErrorText{.what = std::move(what),
-                                           .where = where,
-                                           .expected = std::move(expected),
-                                           .found = std::move(found)});
+  throw Error(
+      ErrorCode::Failed,
+      ErrorText{.what = std::move(what), .where = where, .expected = std::move(expected), .found = std::move(found)});
 }
 
 void check_name(const std::string& where, const std::string& field, const std::string& name) {
@@ -42,10 +41,8 @@ void check_authors_part(const Manifest& manifest, const std::string& where) {
            "\"" + manifest.version() + "\"");
   }
   if (!PackageKind_IsValid(manifest.kind())) refuse(where, "kind is none that this version knows");
-  if (manifest.summary().empty())
-    refuse(where, "summary is missing", "one line that says what the package is for");
-  if (manifest.license().empty())
-    refuse(where, "license is missing", "an SPDX identifier, such as Apache-2.0");
+  if (manifest.summary().empty()) refuse(where, "summary is missing", "one line that says what the package is for");
+  if (manifest.license().empty()) refuse(where, "license is missing", "an SPDX identifier, such as Apache-2.0");
 }
 
 int rank(std::string_view path) {
@@ -82,11 +79,9 @@ void check_clashes(const Manifest& manifest, const std::string& where) {
 void check_file(const PackageFile& file, const std::string& where) {
   if (const std::string fault = path_fault(file.path()); !fault.empty()) {
     const bool shown = text_fault(file.path(), false).empty();
-    refuse(where, "a listed file's path " + fault, {},
-           shown ? "\"" + file.path() + "\"" : "a path that is not text");
+    refuse(where, "a listed file's path " + fault, {}, shown ? "\"" + file.path() + "\"" : "a path that is not text");
   }
-  if (!is_blake2b(file.blake2b()))
-    refuse(where, file.path() + " has no hash", "blake2b of 64 lower-case hex digits");
+  if (!is_blake2b(file.blake2b())) refuse(where, file.path() + " has no hash", "blake2b of 64 lower-case hex digits");
 }
 
 void check_files(const Manifest& manifest, const std::string& where, const PackageLimits& limits) {
@@ -154,8 +149,7 @@ Interface parse_interface(std::string_view text, const std::string& where) {
   std::set<std::string> components;
   for (const auto& component : interface.components()) {
     check_name(where, "a component's name", component.name());
-    if (!components.insert(component.name()).second)
-      refuse(where, "component " + component.name() + " is there twice");
+    if (!components.insert(component.name()).second) refuse(where, "component " + component.name() + " is there twice");
     std::set<std::string> ports;
     for (const auto& port : component.ports()) {
       check_port(port, where, component.name());
@@ -187,21 +181,16 @@ std::string path_fault(std::string_view path) {
     if (element.empty()) return "has an empty element";
     if (element == "." || element == "..") return "has a \"" + std::string(element) + "\" element";
     const auto allowed = [](char c) {
-      return kWord.find(c) != std::string_view::npos ||
-             std::string_view("._+@=,-").find(c) != std::string_view::npos;
+      return kWord.find(c) != std::string_view::npos || std::string_view("._+@=,-").find(c) != std::string_view::npos;
     };
-    if (!std::ranges::all_of(element, allowed))
-      return "has a character other than ASCII letters, digits and ._+@=,-";
-    if (kWord.find(element.front()) == std::string_view::npos)
-      return "has an element that begins with a sign";
+    if (!std::ranges::all_of(element, allowed)) return "has a character other than ASCII letters, digits and ._+@=,-";
+    if (kWord.find(element.front()) == std::string_view::npos) return "has an element that begins with a sign";
     begin = slash + 1;
   }
   return rank(path) == 4 ? "is not interface.textproto, README.md, or below lib/ or share/" : "";
 }
 
-bool comes_before(std::string_view a, std::string_view b) {
-  return rank(a) != rank(b) ? rank(a) < rank(b) : a < b;
-}
+bool comes_before(std::string_view a, std::string_view b) { return rank(a) != rank(b) ? rank(a) < rank(b) : a < b; }
 
 std::string full_name(const Manifest& manifest) { return manifest.publisher() + "/" + manifest.name(); }
 

@@ -20,8 +20,8 @@ std::vector<std::string> nearest(std::string_view typed, const std::set<std::str
 
 }  // namespace
 
-std::string resolve_name(std::string_view typed, const std::set<std::string>& known,
-                         const std::string& unknown, const std::string& where, const std::string& next) {
+std::string resolve_name(std::string_view typed, const std::set<std::string>& known, const std::string& unknown,
+                         const std::string& where, const std::string& next) {
   const std::string name = text_fault(typed, false).empty() ? std::string(typed) : "that";
   std::vector<std::string> found;
   for (const auto& full : known) {
@@ -29,9 +29,8 @@ std::string resolve_name(std::string_view typed, const std::set<std::string>& kn
   }
   if (found.size() == 1) return found.front();
   if (found.empty()) {
-    throw Error(
-        ErrorCode::NotFound,
-        ErrorText{.what = unknown + " " + name, .where = where, .next = next, .near = nearest(typed, known)});
+    throw Error(ErrorCode::NotFound,
+                ErrorText{.what = unknown + " " + name, .where = where, .next = next, .near = nearest(typed, known)});
   }
   std::string all;
   for (const auto& full : found) all += (all.empty() ? "" : ", ") + full;

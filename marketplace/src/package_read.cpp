@@ -124,24 +124,21 @@ class PackageReader {
       refuse(current_ + " is a symbolic link", "a regular file");
     }
     if (archive_entry_filetype(entry) == AE_IFDIR) refuse(current_ + " is a directory", "regular files only");
-    if (archive_entry_filetype(entry) != AE_IFREG)
-      refuse(current_ + " is a device or pipe", "a regular file");
+    if (archive_entry_filetype(entry) != AE_IFREG) refuse(current_ + " is a device or pipe", "a regular file");
     if (archive_entry_sparse_count(entry) > 0) refuse(current_ + " is a sparse file", "a plain file");
     if (archive_entry_xattr_count(entry) > 0) refuse(current_ + " has extended attributes", "none");
     if (!archive_entry_size_is_set(entry) || archive_entry_size(entry) < 0) refuse(current_ + " has no size");
   }
 
   bool lists(std::string_view path) const {
-    return std::ranges::any_of(contents_.manifest.files(),
-                               [&](const auto& file) { return file.path() == path; });
+    return std::ranges::any_of(contents_.manifest.files(), [&](const auto& file) { return file.path() == path; });
   }
 
   [[noreturn]] void refuse_path(EntryPointer entry, const std::string& expected) const {
     const char* path = archive_entry_pathname(entry);
     const std::string fault = path ? path_fault(path) : "is not text";
     if (path && path == kManifestFile) refuse("the package has a second manifest", expected);
-    if (path && lists(path))
-      refuse(current_ + " is in the package twice or out of order", expected, current_);
+    if (path && lists(path)) refuse(current_ + " is in the package twice or out of order", expected, current_);
     if (!fault.empty()) refuse("a file's path " + fault, expected, current_);
     refuse(current_ + " is not listed in the manifest", expected, current_);
   }
@@ -283,9 +280,7 @@ PackageContents inspect_package(const std::filesystem::path& path, const Package
                                                .next = "look at the path, or pack the package first"});
   }
   NoSink sink;
-  const auto source = [&](char* buffer, std::size_t size) {
-    return read_some(file.number(), buffer, size, path);
-  };
+  const auto source = [&](char* buffer, std::size_t size) { return read_some(file.number(), buffer, size, path); };
   return read_package(source, path.filename().string(), sink, limits);
 }
 

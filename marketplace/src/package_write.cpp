@@ -27,8 +27,7 @@ struct Member {
   bool executable = false;
 };
 
-[[noreturn]] void refuse(std::string what, std::string where, std::string expected = {},
-                         std::string next = {}) {
+[[noreturn]] void refuse(std::string what, std::string where, std::string expected = {}, std::string next = {}) {
   throw Error(ErrorCode::Failed, ErrorText{.what = std::move(what),
                                            .where = std::move(where),
                                            .expected = std::move(expected),
@@ -69,8 +68,8 @@ void add_share(const filesystem::path& share, std::uint64_t most, std::vector<Me
 }
 
 void check_unpacked(const Manifest& manifest) {
-  const bool packed = !manifest.library().empty() || !manifest.architecture().empty() ||
-                      !manifest.abi().empty() || manifest.files_size() > 0;
+  const bool packed = !manifest.library().empty() || !manifest.architecture().empty() || !manifest.abi().empty() ||
+                      manifest.files_size() > 0;
   if (packed) {
     refuse("library, architecture, abi and files are written by packing", std::string(kManifestFile), {},
            "take them out of the manifest");
@@ -111,8 +110,7 @@ std::string compressed(const std::string& bytes) {
   ZSTD_CCtx_setParameter(context.get(), ZSTD_c_checksumFlag, 1);
   std::string out(ZSTD_compressBound(bytes.size()), '\0');
   const std::size_t size = ZSTD_compress2(context.get(), out.data(), out.size(), bytes.data(), bytes.size());
-  if (ZSTD_isError(size))
-    refuse(std::string("could not compress the package: ") + ZSTD_getErrorName(size), {});
+  if (ZSTD_isError(size)) refuse(std::string("could not compress the package: ") + ZSTD_getErrorName(size), {});
   out.resize(size);
   return out;
 }
@@ -136,8 +134,9 @@ void check_rights(const Manifest& manifest, const Interface& interface) {
   for (const auto& component : interface.components()) {
     for (const auto& right : component.rights()) {
       if (std::find(manifest.rights().begin(), manifest.rights().end(), right) != manifest.rights().end()) continue;
-      refuse("component '" + component.name() + "' uses the right '" + right + "', and the manifest does not ask for it",
-             std::string(kManifestFile), "rights: \"" + right + "\"");
+      refuse(
+          "component '" + component.name() + "' uses the right '" + right + "', and the manifest does not ask for it",
+          std::string(kManifestFile), "rights: \"" + right + "\"");
     }
   }
 }

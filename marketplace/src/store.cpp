@@ -34,8 +34,8 @@ InstalledPackage located(const filesystem::path& store, const fiona::InstalledPa
   return package;
 }
 
-[[noreturn]] void refuse_damaged(const InstalledPackage& package, const std::string& what,
-                                 std::string expected = {}, std::string found = {}) {
+[[noreturn]] void refuse_damaged(const InstalledPackage& package, const std::string& what, std::string expected = {},
+                                 std::string found = {}) {
   throw Error(ErrorCode::BadSignature,
               ErrorText{.what = "the installed package " + package.name() + " is damaged: " + what,
                         .where = package.directory.string(),
@@ -65,8 +65,7 @@ void verify_file(const InstalledPackage& package, const PackageFile& listed) {
   }
   Blake2b hash;
   std::array<char, 1 << 16> buffer;
-  while (const std::size_t count =
-             read_some(file.number(), buffer.data(), buffer.size(), package.directory)) {
+  while (const std::size_t count = read_some(file.number(), buffer.data(), buffer.size(), package.directory)) {
     hash.update({buffer.data(), count});
   }
   if (const std::string found = hash.finish(); found != listed.blake2b()) {
@@ -77,8 +76,8 @@ void verify_file(const InstalledPackage& package, const PackageFile& listed) {
 void verify_manifest(const InstalledPackage& package) {
   const FileDescriptor file = open_listed(package, std::string(kManifestFile));
   try {
-    const Manifest manifest = parse_manifest(
-        read_all(file, PackageLimits{}.manifest_bytes, package.directory), std::string(kManifestFile));
+    const Manifest manifest =
+        parse_manifest(read_all(file, PackageLimits{}.manifest_bytes, package.directory), std::string(kManifestFile));
     if (google::protobuf::util::MessageDifferencer::Equals(manifest, package.manifest)) return;
   } catch (const Error& error) {
     refuse_damaged(package, error.what());
@@ -107,10 +106,8 @@ void verify_nothing_else(const InstalledPackage& package) {
 
 Interface InstalledPackage::interface() const {
   const std::string path{kInterfaceFile};
-  const std::string text =
-      read_all(open_listed(*this, path), PackageLimits{}.interface_bytes, directory / path);
-  const auto listed =
-      std::ranges::find_if(manifest.files(), [&](const auto& file) { return file.path() == path; });
+  const std::string text = read_all(open_listed(*this, path), PackageLimits{}.interface_bytes, directory / path);
+  const auto listed = std::ranges::find_if(manifest.files(), [&](const auto& file) { return file.path() == path; });
   if (listed == manifest.files().end() || fiona::marketplace::blake2b(text) != listed->blake2b()) {
     refuse_damaged(*this, path + " has other content");
   }
@@ -124,16 +121,13 @@ PackageHold::~PackageHold() {
 Store::Store(filesystem::path directory) : directory_(filesystem::absolute(directory).lexically_normal()) {}
 
 filesystem::path Store::default_directory() {
-  const auto variable = [](const char* name) {
-    return filesystem::path(std::getenv(name) ? std::getenv(name) : "");
-  };
+  const auto variable = [](const char* name) { return filesystem::path(std::getenv(name) ? std::getenv(name) : ""); };
   if (const auto store = variable("FIONA_STORE"); !store.empty()) return store;
   // The XDG base directory specification: a relative path is to be ignored.
   if (const auto data = variable("XDG_DATA_HOME"); data.is_absolute()) return data / "fiona/store";
   if (const auto home = variable("HOME"); home.is_absolute()) return home / ".local/share/fiona/store";
-  throw Error(ErrorCode::NotFound,
-              ErrorText{.what = "there is no place for installed packages: HOME is not set",
-                        .next = "set FIONA_STORE to a directory"});
+  throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no place for installed packages: HOME is not set",
+                                             .next = "set FIONA_STORE to a directory"});
 }
 
 std::vector<InstalledPackage> Store::installed() const {
@@ -164,8 +158,7 @@ PackageHold Store::hold(const InstalledPackage& package) const {
   // Under the lock, look again: a sweep may have removed the directory between opening and locking it.
   if (directory && ::flock(directory.number(), LOCK_SH | LOCK_NB) == 0) {
     struct stat status {};
-    if (::fstat(directory.number(), &status) == 0 && status.st_nlink > 0)
-      return PackageHold{directory.release()};
+    if (::fstat(directory.number(), &status) == 0 && status.st_nlink > 0) return PackageHold{directory.release()};
   }
   throw Error(ErrorCode::NotFound,
               ErrorText{.what = package.name() + " " + package.manifest.version() + " is no longer installed",

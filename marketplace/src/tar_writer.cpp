@@ -9,8 +9,7 @@
 
 namespace fiona::marketplace {
 
-TarWriter::TarWriter(std::function<void(std::string_view)> out)
-    : out_(std::move(out)), archive_(archive_write_new()) {
+TarWriter::TarWriter(std::function<void(std::string_view)> out) : out_(std::move(out)), archive_(archive_write_new()) {
   check(archive_write_set_format_ustar(archive_));
   check(archive_write_add_filter_none(archive_));
   check(archive_write_set_bytes_per_block(archive_, 0));  // unbuffered: bytes come when they are written
@@ -40,13 +39,11 @@ void TarWriter::check(long result) {
   if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
   if (result >= ARCHIVE_OK) return;
   const char* reason = archive_error_string(archive_);
-  throw Error(ErrorCode::Failed,
-              std::string("could not write an archive: ") + (reason ? reason : "no reason given"));
+  throw Error(ErrorCode::Failed, std::string("could not write an archive: ") + (reason ? reason : "no reason given"));
 }
 
 void TarWriter::begin(const std::string& path, std::uint64_t size, bool executable) {
-  const std::unique_ptr<archive_entry, void (*)(archive_entry*)> entry{archive_entry_new(),
-                                                                       archive_entry_free};
+  const std::unique_ptr<archive_entry, void (*)(archive_entry*)> entry{archive_entry_new(), archive_entry_free};
   archive_entry_set_pathname(entry.get(), path.c_str());
   archive_entry_set_filetype(entry.get(), AE_IFREG);
   archive_entry_set_perm(entry.get(), executable ? 0755 : 0644);

@@ -5,50 +5,13 @@
 #include <google/protobuf/io/tokenizer.h>
 #include <google/protobuf/text_format.h>
 
-#include <array>
-#include <cstdint>
 #include <fiona/error.hpp>
-#include <utility>
 #include <vector>
+
+#include "fiona/unicode.hpp"
 
 namespace fiona::marketplace {
 namespace {
-
-constexpr std::uint32_t kNotUtf8 = 0xffffffff;
-
-// The next character of `text`, which it is shortened by. RFC 3629: no overlong forms, no surrogates.
-std::uint32_t take_character(std::string_view& text) {
-  const auto first = static_cast<unsigned char>(text.front());
-  text.remove_prefix(1);
-  if (first < 0x80) return first;
-  const std::size_t more = first >= 0xf0 ? 3 : first >= 0xe0 ? 2 : 1;
-  if (first < 0xc2 || first > 0xf4 || text.size() < more) return kNotUtf8;
-  std::uint32_t character = first & (0x3f >> more);
-  for (std::size_t i = 0; i < more; ++i) {
-    const auto byte = static_cast<unsigned char>(text[i]);
-    if ((byte & 0xc0) != 0x80) return kNotUtf8;
-    character = character << 6 | (byte & 0x3f);
-  }
-  text.remove_prefix(more);
-  constexpr std::array<std::uint32_t, 4> kLeast{0, 0x80, 0x800, 0x10000};
-  const bool surrogate = character >= 0xd800 && character < 0xe000;
-  return character < kLeast[more] || surrogate || character > 0x10ffff ? kNotUtf8 : character;
-}
-
-bool is_hidden(std::uint32_t c) {
-  constexpr std::array<std::pair<std::uint32_t, std::uint32_t>, 8> kRanges{{{0x00, 0x1f},
-                                                                            {0x7f, 0x9f},
-                                                                            {0x200b, 0x200f},
-                                                                            {0x2028, 0x202e},
-                                                                            {0x2060, 0x206f},
-                                                                            {0xfeff, 0xfeff},
-                                                                            {0xfff9, 0xfffb},
-                                                                            {0xe0000, 0xe0fff}}};
-  for (const auto& [first, last] : kRanges) {
-    if (c >= first && c <= last) return true;
-  }
-  return false;
-}
 
 // The first mistake only: those after it are mostly its consequences.
 class FirstMistake : public google::protobuf::io::ErrorCollector {
@@ -67,9 +30,10 @@ class FirstMistake : public google::protobuf::io::ErrorCollector {
 
 std::string text_fault(std::string_view text, bool lines) {
   while (!text.empty()) {
-    const std::uint32_t character = take_character(text);
-    if (character == kNotUtf8) return "is not UTF-8";
-    if (is_hidden(character) && !(lines && character == '\n')) return "has a control or invisible character";
+    const unicode::Character next = unicode::decode(text);
+    if (!next.valid) return "is not UTF-8";
+    if (unicode::is_hidden(next.code) && !(lines && next.code == '\n')) return "has a control or invisible character";
+    text.remove_prefix(next.bytes);
   }
   return {};
 }
@@ -87,8 +51,7 @@ std::string texts_fault(const google::protobuf::Message& message) {
                                                       : reflection->GetString(message, field);
         fault = text_fault(text, field->name() == "doc" || field->name() == "hello");
         if (!fault.empty()) return field->name() + " " + fault;
-      } else if (field->message_type() &&
-                 field->message_type() != google::protobuf::FileDescriptorSet::descriptor()) {
+      } else if (field->message_type() && field->message_type() != google::protobuf::FileDescriptorSet::descriptor()) {
         fault = texts_fault(field->is_repeated() ? reflection->GetRepeatedMessage(message, field, i)
                                                  : reflection->GetMessage(message, field));
         if (!fault.empty()) return fault;

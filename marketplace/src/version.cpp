@@ -32,8 +32,7 @@ std::strong_ordering compare_numbers(std::string_view a, std::string_view b) {
 // semver.org, rule 11.4: numbers by value and below words, words by bytes.
 std::strong_ordering compare_identifiers(std::string_view a, std::string_view b) {
   if (is_number(a) && is_number(b)) return compare_numbers(a, b);
-  if (is_number(a) != is_number(b))
-    return is_number(a) ? std::strong_ordering::less : std::strong_ordering::greater;
+  if (is_number(a) != is_number(b)) return is_number(a) ? std::strong_ordering::less : std::strong_ordering::greater;
   return a <=> b;
 }
 
@@ -43,9 +42,7 @@ std::optional<Version> Version::parse(std::string_view text) {
   if (text.size() > 64) return std::nullopt;
   Version version;
   version.text_ = text;
-  const auto all = [](const std::vector<std::string>& parts, auto&& fits) {
-    return std::ranges::all_of(parts, fits);
-  };
+  const auto all = [](const std::vector<std::string>& parts, auto&& fits) { return std::ranges::all_of(parts, fits); };
   if (const std::size_t plus = text.find('+'); plus != std::string_view::npos) {
     const auto build = split_at_dots(text.substr(plus + 1));
     if (!all(build, [](const std::string& part) { return only(part, kIdentifier); })) return std::nullopt;
@@ -72,9 +69,8 @@ std::weak_ordering Version::operator<=>(const Version& other) const {
   if (is_prerelease() != other.is_prerelease()) {
     return is_prerelease() ? std::weak_ordering::less : std::weak_ordering::greater;
   }
-  return std::lexicographical_compare_three_way(prerelease_.begin(), prerelease_.end(),
-                                                other.prerelease_.begin(), other.prerelease_.end(),
-                                                compare_identifiers);
+  return std::lexicographical_compare_three_way(prerelease_.begin(), prerelease_.end(), other.prerelease_.begin(),
+                                                other.prerelease_.end(), compare_identifiers);
 }
 
 }  // namespace fiona::marketplace

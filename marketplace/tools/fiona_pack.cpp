@@ -53,8 +53,7 @@ void pack(const options::variables_map& flags) {
   source.interface = content(needed(flags, "interface"));
   source.readme = content(needed(flags, "readme"));
   if (flags.count("library")) {
-    for (const auto& library : flags["library"].as<std::vector<std::string>>())
-      source.libraries.push_back(library);
+    for (const auto& library : flags["library"].as<std::vector<std::string>>()) source.libraries.push_back(library);
   }
   if (flags.count("share")) source.share = flags["share"].as<std::string>();
   fiona::marketplace::pack_to(needed(flags, "output"), source);

@@ -68,8 +68,9 @@ Base event(const ServiceDescriptor& service) {
   const auto* event = service.FindMethodByName("Event");
   const auto* state = service.FindMethodByName("State");
   if (!event || !state || service.method_count() != 2) {
-    return wrong(service,
-                 "an event has two methods: rpc Event(Activation) returns (Result) and rpc State(S) returns (fiona.None)");
+    return wrong(
+        service,
+        "an event has two methods: rpc Event(Activation) returns (Result) and rpc State(S) returns (fiona.None)");
   }
   return {"::fiona::Event<" + cpp_type(*event->input_type()) + ", " + cpp_type(*event->output_type()) + ", " +
               cpp_type(*state->input_type()) + ">",

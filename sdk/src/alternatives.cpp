@@ -41,7 +41,8 @@ void RequiredPort::arrange(const std::vector<std::string>& providers, Duration h
   hold_ = hold;
   Ends next;
   for (const auto& name : providers) {
-    const auto known = std::find_if(ends_.begin(), ends_.end(), [&](const auto& end) { return end->provider_ == name; });
+    const auto known =
+        std::find_if(ends_.begin(), ends_.end(), [&](const auto& end) { return end->provider_ == name; });
     next.push_back(known == ends_.end() ? std::make_shared<WireEnd>(*this, name) : *known);
   }
   if (next.empty()) next.push_back(std::make_shared<WireEnd>(*this, ""));
@@ -64,7 +65,8 @@ std::vector<RequiredPort::Alternative> RequiredPort::alternatives() const {
 
 Result<Duration> RequiredPort::provider_cycle() const {
   const std::lock_guard lock(mutex_);
-  if (connection() == Connection::Connected) return serving_->cycle_ > Duration::zero() ? serving_->cycle_ : Result<Duration>(Outcome::NoData);
+  if (connection() == Connection::Connected)
+    return serving_->cycle_ > Duration::zero() ? serving_->cycle_ : Result<Duration>(Outcome::NoData);
   return {connection() == Connection::Unwired ? Outcome::Unwired : Outcome::Disconnected, reason_};
 }
 
@@ -133,7 +135,8 @@ void RequiredPort::change(WireEnd& end, const Change& make) {
   }
 }
 
-/// Who is to serve now. While nobody is fit, one that is at least there: what it says tells itself that it is not valid.
+/// Who is to serve now. While nobody is fit, one that is at least there: what it says tells itself that it is not
+/// valid.
 std::shared_ptr<WireEnd> RequiredPort::best() const {
   const auto first = [this](bool (WireEnd::*is)() const) {
     const auto found = std::find_if(ends_.begin(), ends_.end(), [is](const auto& end) { return (*end.*is)(); });

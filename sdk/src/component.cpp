@@ -12,9 +12,10 @@ std::filesystem::path Component::resource(std::string_view relative) const {
   const auto path = hull_.share() / relative;
   std::error_code error;
   if (!hull_.share().empty() && std::filesystem::exists(path, error)) return path;
-  throw Error(ErrorCode::NotFound, {.what = "the package of '" + name() + "' has no file '" + std::string(relative) + "'",
-                                    .where = hull_.share().string(),
-                                    .next = "install the package again, or list the file in its SHARE"});
+  throw Error(ErrorCode::NotFound,
+              {.what = "the package of '" + name() + "' has no file '" + std::string(relative) + "'",
+               .where = hull_.share().string(),
+               .next = "install the package again, or list the file in its SHARE"});
 }
 
 void Component::end_run(int exit_code, std::string reason) { hull_.events().run_ended(name(), exit_code, reason); }

@@ -39,7 +39,8 @@ class Comparison {
   }
 
  private:
-  static Difference differs(const FieldDescriptor& field, std::string_view what, std::string_view a, std::string_view b) {
+  static Difference differs(const FieldDescriptor& field, std::string_view what, std::string_view a,
+                            std::string_view b) {
     return fmt::format("field {} has {} '{}' required, '{}' provided", field.full_name(), what, a, b);
   }
 

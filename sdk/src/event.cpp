@@ -104,7 +104,8 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
     Parcel parcel{std::move(event), shared_from_this(), false, static_cast<std::uint64_t>(id_)};
     if (!strand_->clock().staging()) return deliver(std::move(parcel));
     const Object* object = parcel.envelope.object.get();
-    staged(object, {}, [self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
+    staged(object, {},
+           [self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
     return Outcome::Ok;
   }
 

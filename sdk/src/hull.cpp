@@ -64,9 +64,9 @@ void Hull::add(detail::ProbeBase& probe) {
   const std::string& name = probe.name();
   const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '-'; };
   if (name.empty() || !std::all_of(name.begin(), name.end(), allowed)) {
-    throw Error(ErrorCode::Usage, {.what = "'" + name + "' is no name for a probe",
-                                   .where = name_,
-                                   .expected = "letters, digits, '_' and '-'"});
+    throw Error(
+        ErrorCode::Usage,
+        {.what = "'" + name + "' is no name for a probe", .where = name_, .expected = "letters, digits, '_' and '-'"});
   }
   require_free_name(name);
   probes_.push_back(&probe);
@@ -74,7 +74,8 @@ void Hull::add(detail::ProbeBase& probe) {
 
 void Hull::add(Master& master) {
   if (master_) {
-    throw Error(ErrorCode::Usage, {.what = "a component is master once", .where = name_, .next = "keep one member of fiona::Master"});
+    throw Error(ErrorCode::Usage,
+                {.what = "a component is master once", .where = name_, .next = "keep one member of fiona::Master"});
   }
   master_ = &master;
 }
@@ -104,7 +105,8 @@ detail::ProbeBase* Hull::find_probe(std::string_view name) const {
 }
 
 detail::TriggerBase* Hull::find_trigger(std::string_view name) const {
-  const auto found = std::find_if(triggers_.begin(), triggers_.end(), [name](auto* one) { return one->name() == name; });
+  const auto found =
+      std::find_if(triggers_.begin(), triggers_.end(), [name](auto* one) { return one->name() == name; });
   return found == triggers_.end() ? nullptr : *found;
 }
 

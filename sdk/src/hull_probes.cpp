@@ -47,10 +47,14 @@ const HullProbe kProbes[] = {
     {Of::Instance, "last_error", "string", "", "why it failed; empty: it has not", nullptr},
     {Of::Instance, "handler_time", "double", "ms", "time spent in its handlers and tasks so far",
      [](const Hull& hull, Port*, const Task*) -> Value { return milliseconds(hull.strand().busy_time()); }},
+    {Of::Instance, "cpu_time", "double", "ms", "CPU time that its handlers and tasks took so far",
+     [](const Hull& hull, Port*, const Task*) -> Value { return milliseconds(hull.strand().cpu_time()); }},
     {Of::Instance, "queue_depth", "int64", "", "pieces of work that wait for its strand",
      [](const Hull& hull, Port*, const Task*) -> Value { return static_cast<std::int64_t>(hull.queue_depth()); }},
     {Of::Port, "rate", "double", "Hz", "messages a second, over the last second or so",
-     [](const Hull& hull, Port* port, const Task*) -> Value { return port->counters().rate_now_hz(hull.clock().now()); }},
+     [](const Hull& hull, Port* port, const Task*) -> Value {
+       return port->counters().rate_now_hz(hull.clock().now());
+     }},
     {Of::Port, "age", "double", "ms", "of the newest message", age},
     {Of::Port, "queue_depth", "int64", "", "messages that wait for the handler", port_queue},
     {Of::Port, "superseded", "int64", "", "overwritten by a newer one before anyone read them",
@@ -61,7 +65,8 @@ const HullProbe kProbes[] = {
      [](const Hull&, Port* port, const Task*) { return count(port->counters().refused); }},
     {Of::Port, "not_active", "int64", "", "came in a mode that does not serve the port",
      [](const Hull&, Port* port, const Task*) { return count(port->counters().not_active); }},
-    {Of::Port, "serving", "string", "", "of a port with alternatives: whose messages it gets; empty: none is fit", serving},
+    {Of::Port, "serving", "string", "", "of a port with alternatives: whose messages it gets; empty: none is fit",
+     serving},
     {Of::Port, "flaps", "int64", "", "of a port with alternatives: how often who served was fit no longer", flaps},
     {Of::Task, "runs", "int64", "", "how often it ran",
      [](const Hull&, Port*, const Task* task) -> Value { return static_cast<std::int64_t>(task->runs()); }},
@@ -125,7 +130,8 @@ Hull::TapPoint Hull::tap_point(std::string_view name) const {
   for (const HullProbe& one : hull_probes()) {
     if (one.name != last || !one.read) continue;
     if (one.of == Of::Instance && of.empty()) return {.counted = &one};
-    if (one.of == Of::Port && port && (one.read != port_queue || port->inbox())) return {.counted = &one, .of_port = port};
+    if (one.of == Of::Port && port && (one.read != port_queue || port->inbox()))
+      return {.counted = &one, .of_port = port};
     if (one.of == Of::Task && task != tasks_.end()) return {.counted = &one, .of_task = *task};
   }
   const auto known = tappable_names();
@@ -139,8 +145,10 @@ std::vector<std::string> Hull::tappable_names() const {
   for (const auto* probe : probes_) names.push_back(probe->name());
   for (const HullProbe& one : hull_probes()) {
     if (one.of == Of::Instance) names.emplace_back(one.name);
-    for (std::size_t i = 0; one.of == Of::Port && i < ports_.size(); ++i) names.push_back(ports_[i]->name() + "." + std::string(one.name));
-    for (std::size_t i = 0; one.of == Of::Task && i < tasks_.size(); ++i) names.push_back(tasks_[i]->name() + "." + std::string(one.name));
+    for (std::size_t i = 0; one.of == Of::Port && i < ports_.size(); ++i)
+      names.push_back(ports_[i]->name() + "." + std::string(one.name));
+    for (std::size_t i = 0; one.of == Of::Task && i < tasks_.size(); ++i)
+      names.push_back(tasks_[i]->name() + "." + std::string(one.name));
   }
   for (Port* port : ports_) {
     if (dynamic_cast<detail::PushProvider*>(port)) names.push_back(port->name());
@@ -169,9 +177,10 @@ std::shared_ptr<Tap> Hull::tap(std::string_view name, TapTerms terms, std::share
   const TapPoint point = tap_point(name);
   const std::string full_name = name_ + "." + std::string(name);
   if (point.counted && terms.older_than > Duration::zero()) {
-    throw Error(ErrorCode::Usage, {.what = full_name + " is never old: the hull reads it when it is asked",
-                                   .expected = "a port, or a probe that the component sets",
-                                   .next = point.of_port ? "watch " + name_ + "." + point.of_port->name() + ".age when above 1000" : ""});
+    throw Error(ErrorCode::Usage,
+                {.what = full_name + " is never old: the hull reads it when it is asked",
+                 .expected = "a port, or a probe that the component sets",
+                 .next = point.of_port ? "watch " + name_ + "." + point.of_port->name() + ".age when above 1000" : ""});
   }
   const auto made = std::make_shared<Tap>(full_name, std::move(terms), side_strand(), std::move(watcher));
   {

@@ -21,7 +21,11 @@ std::size_t cost(const Parcel& parcel) { return Inbox::cost_of(parcel.envelope.b
 }  // namespace
 
 Inbox::Inbox(Port& port, Delivery delivery, Handler handler, Duration max_age)
-    : port_(port), strand_(port.hull().strand()), delivery_(delivery), handler_(std::move(handler)), max_age_(max_age) {}
+    : port_(port),
+      strand_(port.hull().strand()),
+      delivery_(delivery),
+      handler_(std::move(handler)),
+      max_age_(max_age) {}
 
 Inbox::~Inbox() = default;
 

@@ -15,8 +15,8 @@ constexpr std::int64_t kMostMicroseconds = (std::int64_t{1} << 27U) - 1;
 }  // namespace
 
 std::size_t Latencies::class_of(Duration latency) {
-  const auto us = static_cast<std::uint64_t>(
-      std::clamp<std::int64_t>(std::chrono::duration_cast<std::chrono::microseconds>(latency).count(), 0, kMostMicroseconds));
+  const auto us = static_cast<std::uint64_t>(std::clamp<std::int64_t>(
+      std::chrono::duration_cast<std::chrono::microseconds>(latency).count(), 0, kMostMicroseconds));
   if (us < kLinear) return us;
   const auto shift = static_cast<std::size_t>(std::bit_width(us)) - 3;
   return shift * kPerOctave + (us >> shift);

@@ -102,7 +102,8 @@ std::optional<std::size_t> LocalWire::room_at_end(std::size_t cost) {
 
 void LocalWire::tell_room(std::size_t room) {
   if (!clock_.staging()) return has_been_told(room);
-  clock_.stage({room_name_, ++rooms_staged_, nullptr, kHasRoom, [self = shared_from_this(), room] { self->has_been_told(room); }});
+  clock_.stage({room_name_, ++rooms_staged_, nullptr, kHasRoom,
+                [self = shared_from_this(), room] { self->has_been_told(room); }});
 }
 
 void LocalWire::has_been_told(std::size_t room) {

@@ -24,7 +24,8 @@ control::Request transaction_of(const Changes& changes, Duration deadline, bool 
   request.mutable_transact()->set_dry_run(dry_run);
   for (const auto& change : changes.list()) {
     auto& added = *request.mutable_transact()->add_changes() = change;
-    if (added.has_state() && added.state().within_ms() <= 0) added.mutable_state()->set_within_ms(kShareOfDeadline * to_ms(deadline));
+    if (added.has_state() && added.state().within_ms() <= 0)
+      added.mutable_state()->set_within_ms(kShareOfDeadline * to_ms(deadline));
   }
   return request;
 }
@@ -97,7 +98,9 @@ Changes& Changes::add(control::Change change) {
   return *this;
 }
 
-Master::Master(Component& owner) : hull_(owner.hull()), calls_(hull_.clock(), hull_.shared_strand()) { hull_.add(*this); }
+Master::Master(Component& owner) : hull_(owner.hull()), calls_(hull_.clock(), hull_.shared_strand()) {
+  hull_.add(*this);
+}
 
 std::optional<Outcome> Master::obstacle() const {
   if (!hull_.is_active()) return Outcome::NotActive;
@@ -109,7 +112,8 @@ Async<Result<control::Reply>> Master::ask(control::Request request, Duration dea
   const auto call = std::make_shared<detail::Call>();
   const std::uint64_t number = ++last_number_;
   if (const auto refusal = obstacle()) {
-    calls_.finish(call, *refusal, *refusal == Outcome::Rejected ? std::to_string(kMaxOpen) + " calls are open already" : "");
+    calls_.finish(call, *refusal,
+                  *refusal == Outcome::Rejected ? std::to_string(kMaxOpen) + " calls are open already" : "");
   } else {
     open_[number].call = call;
     hull_.events().asked(hull_.name(), number, request);

@@ -11,15 +11,18 @@ namespace fiona {
 
 Modes::Modes(Component& owner, std::initializer_list<MainMode> modes) {
   std::set<std::string> taken;
-  for (const auto reserved : {kModeInit, kModeNeutral, kModeDeactivated, kModeFailed, kModeShutdown}) taken.emplace(reserved);
+  for (const auto reserved : {kModeInit, kModeNeutral, kModeDeactivated, kModeFailed, kModeShutdown})
+    taken.emplace(reserved);
   for (const MainMode& mode : modes) {
     if (!mode.name.empty() && taken.insert(mode.name).second) continue;
-    throw Error(ErrorCode::Usage, {.what = "'" + mode.name + "' cannot be a main mode: the name is reserved or given twice",
-                                   .where = owner.name(),
-                                   .expected = "names of their own, other than init, neutral, deactivated, failed, shutdown"});
+    throw Error(ErrorCode::Usage,
+                {.what = "'" + mode.name + "' cannot be a main mode: the name is reserved or given twice",
+                 .where = owner.name(),
+                 .expected = "names of their own, other than init, neutral, deactivated, failed, shutdown"});
   }
   if (modes.size() == 0) {
-    throw Error(ErrorCode::Usage, {.what = "no main mode is named", .where = owner.name(),
+    throw Error(ErrorCode::Usage, {.what = "no main mode is named",
+                                   .where = owner.name(),
                                    .next = "name one, or leave Modes out: a component without has 'active'"});
   }
   owner.hull().declare(modes);
@@ -38,7 +41,8 @@ std::vector<std::string> Hull::main_modes() const {
 bool Hull::serves(std::string_view mode, std::string_view activity) const {
   const auto found = std::find_if(modes_.begin(), modes_.end(), [&](const MainMode& one) { return one.name == mode; });
   if (found == modes_.end()) return false;
-  return activity.empty() || std::find(found->activities.begin(), found->activities.end(), activity) != found->activities.end();
+  return activity.empty() ||
+         std::find(found->activities.begin(), found->activities.end(), activity) != found->activities.end();
 }
 
 void Hull::check_activities() const {
@@ -46,9 +50,10 @@ void Hull::check_activities() const {
   for (const auto& mode : modes_) known.insert(mode.activities.begin(), mode.activities.end());
   const auto require = [&](const std::string& user, const std::string& activity) {
     if (known.contains(activity)) return;
-    throw Error(ErrorCode::Usage, {.what = "'" + user + "' names the activity '" + activity + "', which no main mode has",
-                                   .where = name_,
-                                   .near = nearest_names(activity, std::vector<std::string>(known.begin(), known.end()))});
+    throw Error(ErrorCode::Usage,
+                {.what = "'" + user + "' names the activity '" + activity + "', which no main mode has",
+                 .where = name_,
+                 .near = nearest_names(activity, std::vector<std::string>(known.begin(), known.end()))});
   };
   for (const Port* port : ports_) require(port->name(), port->activity());
   for (const Task* task : tasks_) require(task->name(), task->activity());
@@ -136,9 +141,10 @@ void Hull::withdraw(const std::shared_ptr<ModeChange>& change) {
   const std::string by = pending ? ": blocked by " + pending->blocked_by : "";
   advance_changes();
   for (Task* task : tasks_) task->resume();
-  change->done(Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' did not change its mode to " + change->to + " in time" + by,
-                                              .where = name_,
-                                              .next = "state " + name_ + " deactivated, which cancels what waits"}));
+  change->done(Error(ErrorCode::Unreachable,
+                     {.what = "'" + name_ + "' did not change its mode to " + change->to + " in time" + by,
+                      .where = name_,
+                      .next = "state " + name_ + " deactivated, which cancels what waits"}));
 }
 
 void Hull::abandon_changes() {

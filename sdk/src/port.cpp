@@ -53,7 +53,8 @@ std::string Port::full_name() const { return hull_.name() + "." + name_; }
 
 TimePoint owner_now(const Port& port) { return port.hull().clock().now(); }
 
-RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+RequiredPort::RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service,
+                           const PortOptions& options)
     : Port(owner, name, PortDirection::Requires, service, options),
       is_push_(service.is_push()),
       validity_(validity_of(service)),

@@ -46,7 +46,8 @@ std::optional<Duration> PortCounters::age(TimePoint now) const {
 
 double PortCounters::rate_now_hz(TimePoint now) const {
   const auto newest = age(now);
-  return !newest || *newest > std::chrono::seconds(3) ? 0.0 : static_cast<double>(rate_hz.load(std::memory_order_relaxed));
+  return !newest || *newest > std::chrono::seconds(3) ? 0.0
+                                                      : static_cast<double>(rate_hz.load(std::memory_order_relaxed));
 }
 
 }  // namespace fiona

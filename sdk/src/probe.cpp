@@ -14,12 +14,7 @@ ProbeBase::ProbeBase(Component& owner, std::string_view name, std::string type,
 
 ProbeBase::ProbeBase(Hull& hull, std::string_view name, std::string type, const google::protobuf::Descriptor& object,
                      const ProbeOptions& options)
-    : hull_(hull),
-      name_(name),
-      type_(std::move(type)),
-      unit_(options.unit),
-      doc_(options.doc),
-      object_(object) {}
+    : hull_(hull), name_(name), type_(std::move(type)), unit_(options.unit), doc_(options.doc), object_(object) {}
 
 TimePoint ProbeBase::now() const { return hull_.clock().now(); }
 

@@ -81,9 +81,9 @@ void PushProvider::set_started(bool started) {
   watch_lease();
 }
 
-/// Not on the provider's strand, which may hang in a handler: then above all its clients must be told. In virtual time it
-/// is, so that a put of the same instant comes before or after it in the same order each time; a strand that hangs stops
-/// that time anyway.
+/// Not on the provider's strand, which may hang in a handler: then above all its clients must be told. In virtual time
+/// it is, so that a put of the same instant comes before or after it in the same order each time; a strand that hangs
+/// stops that time anyway.
 void PushProvider::watch_lease() {
   if (lease_ == Duration::zero()) return;
   Clock& clock = hull().clock();
@@ -99,7 +99,8 @@ void PushProvider::check_lease() {
   const std::lock_guard lock(mutex_);
   if (!is_active() || silence_) return;
   if (hull().clock().now() < renewed_ + lease_) return watch_lease();
-  tell_lease("has been silent for " + std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(lease_).count()) + " ms");
+  tell_lease("has been silent for " +
+             std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(lease_).count()) + " ms");
 }
 
 void PushProvider::end_watch() {
@@ -138,7 +139,8 @@ bool PushProvider::refuses(const Object& object) {
   const auto violation = rules_.first_violation(object);
   if (!violation) return false;
   const auto refused = counters().refused.fetch_add(1, std::memory_order_relaxed);
-  if (refused == 0) hull().events().logged(hull().name(), LogLevel::Warning, full_name() + " refused a put: " + *violation);
+  if (refused == 0)
+    hull().events().logged(hull().name(), LogLevel::Warning, full_name() + " refused a put: " + *violation);
   return true;
 }
 
@@ -211,7 +213,8 @@ Async<Outcome> PushProvider::put_with_room(std::shared_ptr<const Object> object,
 
 PushClient::PushClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
                        Inbox::Handler handler)
-    : RequiredPort(owner, name, service, options), inbox_(*this, options.delivery, std::move(handler), options.max_age) {}
+    : RequiredPort(owner, name, service, options),
+      inbox_(*this, options.delivery, std::move(handler), options.max_age) {}
 
 /// At once: on the strand it would come after the first value of the new provider, and take that for an old one.
 void PushClient::on_entering(Connection connection) {
@@ -219,7 +222,8 @@ void PushClient::on_entering(Connection connection) {
 }
 
 void PushClient::on_connection(Connection connection) {
-  if (connection == Connection::Unwired || connection == Connection::Lost) calls().finish_all(Outcome::Disconnected, connection_reason());
+  if (connection == Connection::Unwired || connection == Connection::Lost)
+    calls().finish_all(Outcome::Disconnected, connection_reason());
 }
 
 /// As to one that subscribes now: a service that speaks only on change may have spoken meanwhile, and not again.

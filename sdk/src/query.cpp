@@ -38,16 +38,18 @@ class QueryClient::Reply final : public ReplySink, public std::enable_shared_fro
   std::atomic<bool> answered_{false};
 };
 
-QueryClient::QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options)
+QueryClient::QueryClient(Component& owner, std::string_view name, const ServiceInfo& service,
+                         const PortOptions& options)
     : RequiredPort(owner, name, service, options),
       at_rewire_(options.at_rewire),
       request_rules_(service.object()),
       answer_rules_(*service.answer()) {
   if (at_rewire_ != AtRewire::Redirect || service.contract().idempotent()) return;
-  throw Error(ErrorCode::Usage, {.what = "port '" + std::string(name) + "' asks for its requests to be redirected at a rewire",
-                                 .where = service.name(),
-                                 .expected = "a service whose contract says idempotent: a provider may get the request twice",
-                                 .next = "use AtRewire::Finish or AtRewire::Fail"});
+  throw Error(ErrorCode::Usage,
+              {.what = "port '" + std::string(name) + "' asks for its requests to be redirected at a rewire",
+               .where = service.name(),
+               .expected = "a service whose contract says idempotent: a provider may get the request twice",
+               .next = "use AtRewire::Finish or AtRewire::Fail"});
 }
 
 QueryClient::~QueryClient() {

@@ -13,7 +13,8 @@ using google::protobuf::Reflection;
 
 namespace {
 
-std::optional<double> number_of(const Object& object, const Reflection& reflect, const FieldDescriptor& field, int index) {
+std::optional<double> number_of(const Object& object, const Reflection& reflect, const FieldDescriptor& field,
+                                int index) {
   const bool repeated = index >= 0;
   switch (field.cpp_type()) {
     case FieldDescriptor::CPPTYPE_DOUBLE:
@@ -82,12 +83,14 @@ std::optional<std::string> ObjectRules::check(const Object& object, const Rules&
   if (rules.empty()) return std::nullopt;
   const Reflection& reflect = *object.GetReflection();  // asked for once: it costs as much as a field
   for (const FieldRule& rule : rules) {
-    if (auto violation = rule.nested ? check_nested(object, reflect, rule) : check_field(object, reflect, rule)) return violation;
+    if (auto violation = rule.nested ? check_nested(object, reflect, rule) : check_field(object, reflect, rule))
+      return violation;
   }
   return std::nullopt;
 }
 
-std::optional<std::string> ObjectRules::check_field(const Object& object, const Reflection& reflect, const FieldRule& rule) const {
+std::optional<std::string> ObjectRules::check_field(const Object& object, const Reflection& reflect,
+                                                    const FieldRule& rule) const {
   const FieldDescriptor& field = *rule.field;
   if (field.has_presence() && !reflect.HasField(object, &field)) return std::nullopt;
   if (const auto length = length_of(object, reflect, field)) {
@@ -106,13 +109,16 @@ std::optional<std::string> ObjectRules::check_field(const Object& object, const 
     if (!value) return std::nullopt;
     const auto name = [&] { return field.is_repeated() ? fmt::format("{}[{}]", field.name(), i) : field.name(); };
     if (rule.finite && !std::isfinite(*value)) return fmt::format("{} is {}, not a finite number", name(), *value);
-    if (rule.min && *value < *rule.min) return fmt::format("{} is {}, below {}{}", name(), *value, *rule.min, unit_of(field));
-    if (rule.max && *value > *rule.max) return fmt::format("{} is {}, above {}{}", name(), *value, *rule.max, unit_of(field));
+    if (rule.min && *value < *rule.min)
+      return fmt::format("{} is {}, below {}{}", name(), *value, *rule.min, unit_of(field));
+    if (rule.max && *value > *rule.max)
+      return fmt::format("{} is {}, above {}{}", name(), *value, *rule.max, unit_of(field));
   }
   return std::nullopt;
 }
 
-std::optional<std::string> ObjectRules::check_nested(const Object& object, const Reflection& reflect, const FieldRule& rule) const {
+std::optional<std::string> ObjectRules::check_nested(const Object& object, const Reflection& reflect,
+                                                     const FieldRule& rule) const {
   const FieldDescriptor& field = *rule.field;
   const Rules& rules = rules_.at(field.message_type());
   const auto prefixed = [&](std::optional<std::string> violation, const std::string& prefix) {

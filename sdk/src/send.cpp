@@ -13,7 +13,8 @@ Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::sha
   Envelope envelope{std::move(object), ++sequence_, hull().clock().now(), 0};
   envelope.bytes = envelope.object->ByteSizeLong();
   counters().count(envelope.origin);
-  const Outcome outcome = target_.deliver(Parcel{std::move(envelope), std::move(receipt)}).value_or(Outcome::Disconnected);
+  const Outcome outcome =
+      target_.deliver(Parcel{std::move(envelope), std::move(receipt)}).value_or(Outcome::Disconnected);
   if (outcome != Outcome::Ok) counters().dropped.fetch_add(1, std::memory_order_relaxed);
   return outcome;
 }

@@ -23,7 +23,8 @@ When after(Task& task) {
 
 std::string When::of() const { return port_ ? port_->name() : task_ ? task_->name() : ""; }
 
-Task::Task(Component& owner, std::string_view name, When when, Work work, std::string_view activity, ThreadWork thread_work)
+Task::Task(Component& owner, std::string_view name, When when, Work work, std::string_view activity,
+           ThreadWork thread_work)
     : hull_(owner.hull()),
       name_(name),
       when_(when),
@@ -36,7 +37,8 @@ Task::Task(Component& owner, std::string_view name, When when, Work work, std::s
                                    .next = "give the task, or the service's contract, a period"});
   }
   if (when_.every() == 0) {
-    throw Error(ErrorCode::Usage, {.what = "task '" + name_ + "' is to start at each 0th arrival", .expected = "1 or more"});
+    throw Error(ErrorCode::Usage,
+                {.what = "task '" + name_ + "' is to start at each 0th arrival", .expected = "1 or more"});
   }
   hull_.tasks_.push_back(this);
 }
@@ -76,9 +78,10 @@ void Task::attach_to_task() {
   std::size_t steps = 0;
   for (const Task* one = this; one && steps <= tasks.size(); one = one->when_.task_) ++steps;
   if (steps > tasks.size()) {
-    throw Error(ErrorCode::Usage, {.what = "task '" + name_ + "' is to start after itself, by way of '" + when_.of() + "'",
-                                   .where = hull_.name(),
-                                   .expected = "a chain that begins with a period, a port or a thread"});
+    throw Error(ErrorCode::Usage,
+                {.what = "task '" + name_ + "' is to start after itself, by way of '" + when_.of() + "'",
+                 .where = hull_.name(),
+                 .expected = "a chain that begins with a period, a port or a thread"});
   }
   when_.task_->followers_.push_back(this);
 }
@@ -122,7 +125,9 @@ void Task::next_due() {
   due_ += missed * when_.period();
 }
 
-bool Task::takes_arrival() { return running_ && arrivals_.fetch_add(1, std::memory_order_relaxed) % when_.every() == 0; }
+bool Task::takes_arrival() {
+  return running_ && arrivals_.fetch_add(1, std::memory_order_relaxed) % when_.every() == 0;
+}
 
 bool Task::note() {
   if (!noted_.exchange(true)) return true;
@@ -153,7 +158,8 @@ void Task::run(TimePoint since) {
   hull_.guarded([&] { coroutine = work_(); });
   if (!coroutine) return has_ended();
   busy_ = true;
-  if (auto hold = hull_.acquire(activity_, "task '" + name_ + "'")) hold_ = std::make_shared<ActivityHold>(std::move(*hold));
+  if (auto hold = hull_.acquire(activity_, "task '" + name_ + "'"))
+    hold_ = std::make_shared<ActivityHold>(std::move(*hold));
   hull_.spawn(std::move(*coroutine), [this] {
     busy_ = false;
     hold_.reset();

@@ -7,8 +7,20 @@
 namespace fiona {
 namespace {
 
-enum class Dimension { Time, Length, Angle, AngularRate, Speed, Acceleration, MagneticField, Frequency, Temperature,
-                       Pressure, Fraction, Information };
+enum class Dimension {
+  Time,
+  Length,
+  Angle,
+  AngularRate,
+  Speed,
+  Acceleration,
+  MagneticField,
+  Frequency,
+  Temperature,
+  Pressure,
+  Fraction,
+  Information
+};
 
 struct Unit {
   std::string_view symbol;
@@ -56,7 +68,8 @@ constexpr std::array kUnits = {
 };
 
 const Unit* find_unit(std::string_view symbol) {
-  const auto* found = std::find_if(kUnits.begin(), kUnits.end(), [symbol](const Unit& u) { return u.symbol == symbol; });
+  const auto* found =
+      std::find_if(kUnits.begin(), kUnits.end(), [symbol](const Unit& u) { return u.symbol == symbol; });
   return found == kUnits.end() ? nullptr : found;
 }
 

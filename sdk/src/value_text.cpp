@@ -73,8 +73,7 @@ std::vector<std::string> enumerators(const FieldDescriptor& field) {
 double number_in_unit(const std::string& name, const FieldDescriptor& field, const Value& value) {
   const bool is_number = value.kind_case() == Value::kNumber || value.kind_case() == Value::kInteger;
   if (!is_number) refuse(name, field, value, type_text(field));
-  const double typed =
-      value.kind_case() == Value::kNumber ? value.number() : static_cast<double>(value.integer());
+  const double typed = value.kind_case() == Value::kNumber ? value.number() : static_cast<double>(value.integer());
   if (value.unit().empty()) return typed;
   const std::string& unit = field.options().GetExtension(fiona::unit);
   const auto conversion = convert_unit(value.unit(), unit);
@@ -104,8 +103,8 @@ T whole_number(const std::string& name, const FieldDescriptor& field, const Valu
 /// What looks like a number or a flag is for a text field the word that was typed: 007 keeps its zeros.
 const std::string& text_of(const std::string& name, const FieldDescriptor& field, const Value& value) {
   if (value.kind_case() == Value::kText) return value.text();
-  const bool is_word = value.kind_case() == Value::kNumber || value.kind_case() == Value::kInteger ||
-                       value.kind_case() == Value::kFlag;
+  const bool is_word =
+      value.kind_case() == Value::kNumber || value.kind_case() == Value::kInteger || value.kind_case() == Value::kFlag;
   if (!is_word || value.typed().empty()) refuse(name, field, value, "a word or a quoted string");
   return value.typed();
 }
@@ -116,8 +115,7 @@ bool flag_of(const std::string& name, const FieldDescriptor& field, const Value&
 }
 
 int enumerator_of(const std::string& name, const FieldDescriptor& field, const Value& value) {
-  const auto* found =
-      value.kind_case() == Value::kText ? field.enum_type()->FindValueByName(value.text()) : nullptr;
+  const auto* found = value.kind_case() == Value::kText ? field.enum_type()->FindValueByName(value.text()) : nullptr;
   if (!found) refuse(name, field, value, fmt::format("one of {}", fmt::join(enumerators(field), ", ")));
   return found->number();
 }
@@ -139,8 +137,7 @@ void parse_message(const std::string& name, const FieldDescriptor& field, const 
   google::protobuf::TextFormat::Parser parser;
   parser.RecordErrorsTo(&complaint);
   if (value.kind_case() == Value::kMessage && parser.ParseFromString(value.message(), &target)) return;
-  refuse(name, field, value,
-         "protobuf text of " + field.message_type()->full_name() + " in braces" + complaint.text());
+  refuse(name, field, value, "protobuf text of " + field.message_type()->full_name() + " in braces" + complaint.text());
 }
 
 void set_single(Message& m, const FieldDescriptor& f, const Value& v, const std::string& name) {
@@ -184,11 +181,21 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
   const bool many = i >= 0;
   Value value;
   switch (f.cpp_type()) {
-    case FieldDescriptor::CPPTYPE_DOUBLE: value.set_number(many ? r.GetRepeatedDouble(m, &f, i) : r.GetDouble(m, &f)); break;
-    case FieldDescriptor::CPPTYPE_FLOAT: value.set_number(many ? r.GetRepeatedFloat(m, &f, i) : r.GetFloat(m, &f)); break;
-    case FieldDescriptor::CPPTYPE_INT32: value.set_integer(many ? r.GetRepeatedInt32(m, &f, i) : r.GetInt32(m, &f)); break;
-    case FieldDescriptor::CPPTYPE_INT64: value.set_integer(many ? r.GetRepeatedInt64(m, &f, i) : r.GetInt64(m, &f)); break;
-    case FieldDescriptor::CPPTYPE_UINT32: value.set_integer(many ? r.GetRepeatedUInt32(m, &f, i) : r.GetUInt32(m, &f)); break;
+    case FieldDescriptor::CPPTYPE_DOUBLE:
+      value.set_number(many ? r.GetRepeatedDouble(m, &f, i) : r.GetDouble(m, &f));
+      break;
+    case FieldDescriptor::CPPTYPE_FLOAT:
+      value.set_number(many ? r.GetRepeatedFloat(m, &f, i) : r.GetFloat(m, &f));
+      break;
+    case FieldDescriptor::CPPTYPE_INT32:
+      value.set_integer(many ? r.GetRepeatedInt32(m, &f, i) : r.GetInt32(m, &f));
+      break;
+    case FieldDescriptor::CPPTYPE_INT64:
+      value.set_integer(many ? r.GetRepeatedInt64(m, &f, i) : r.GetInt64(m, &f));
+      break;
+    case FieldDescriptor::CPPTYPE_UINT32:
+      value.set_integer(many ? r.GetRepeatedUInt32(m, &f, i) : r.GetUInt32(m, &f));
+      break;
     case FieldDescriptor::CPPTYPE_UINT64:
       value.set_integer(static_cast<std::int64_t>(many ? r.GetRepeatedUInt64(m, &f, i) : r.GetUInt64(m, &f)));
       break;
@@ -196,7 +203,9 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
     case FieldDescriptor::CPPTYPE_ENUM:
       value.set_text((many ? r.GetRepeatedEnum(m, &f, i) : r.GetEnum(m, &f))->name());
       break;
-    case FieldDescriptor::CPPTYPE_STRING: value.set_text(many ? r.GetRepeatedString(m, &f, i) : r.GetString(m, &f)); break;
+    case FieldDescriptor::CPPTYPE_STRING:
+      value.set_text(many ? r.GetRepeatedString(m, &f, i) : r.GetString(m, &f));
+      break;
     case FieldDescriptor::CPPTYPE_MESSAGE:
       value.set_message((many ? r.GetRepeatedMessage(m, &f, i) : r.GetMessage(m, &f)).ShortDebugString());
       break;

@@ -17,7 +17,8 @@ constexpr std::uint64_t kFnvPrime = 0x100000001b3;
 std::string_view what_of(const Staged& staged, std::array<char, 16>& digits) {
   if (!staged.object) return staged.word;
   std::uint64_t hash = hash_of(*staged.object);
-  for (auto digit = digits.rbegin(); digit != digits.rend(); ++digit, hash >>= 4) *digit = "0123456789abcdef"[hash & 0xf];
+  for (auto digit = digits.rbegin(); digit != digits.rend(); ++digit, hash >>= 4)
+    *digit = "0123456789abcdef"[hash & 0xf];
   return {digits.data(), digits.size()};
 }
 
@@ -317,8 +318,8 @@ bool VirtualClock::fire_timers(Lock& lock, TimePoint at) {
 /// Whether `next` must wait for real time; the pacer then proceeds when it has come.
 bool VirtualClock::paced(TimePoint next) {
   if (speed_ <= 0) return false;
-  const auto real = std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::nano>(
-      static_cast<double>((next - pace_virtual_).count()) / speed_));
+  const auto real = std::chrono::duration_cast<Duration>(
+      std::chrono::duration<double, std::nano>(static_cast<double>((next - pace_virtual_).count()) / speed_));
   const auto due = pace_real_ + real;
   if (std::chrono::steady_clock::now() >= due) return false;
   wake_at_ = due;

@@ -53,7 +53,8 @@ class Queue {
 };
 
 std::chrono::nanoseconds period(const Load& load) {
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double, std::milli>(load.period_ms));
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+      std::chrono::duration<double, std::milli>(load.period_ms));
 }
 
 }  // namespace

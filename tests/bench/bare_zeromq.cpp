@@ -191,7 +191,8 @@ Latency stream_through_zeromq(const Load& load, std::size_t receivers, const Med
   socket.set(zmq::sockopt::xpub_nodrop, true);
   if (load.bytes > 4096) socket.set(zmq::sockopt::sndhwm, 4);
   socket.set(zmq::sockopt::xpub_verboser, true);
-  Partner partner(medium, "--count", listen(socket, medium.tcp) + " " + std::to_string(load.messages) + " " + std::to_string(receivers));
+  Partner partner(medium, "--count",
+                  listen(socket, medium.tcp) + " " + std::to_string(load.messages) + " " + std::to_string(receivers));
   for (std::size_t i = 0; i < receivers; ++i) {
     zmq::message_t subscription;
     if (!socket.recv(subscription)) throw std::runtime_error("no subscriber");
@@ -208,7 +209,8 @@ Latency connect_over_zeromq(const Load& load, const Medium& medium) {
   zmq::socket_t end(context, zmq::socket_type::pair);
   const std::string end_endpoint = "ipc://" + ipc_path(".end").string();
   end.bind(end_endpoint);
-  Partner partner(medium, "--publish", std::string(medium.tcp ? "tcp " : "ipc ") + std::to_string(load.period_ms) + " " + end_endpoint);
+  Partner partner(medium, "--publish",
+                  std::string(medium.tcp ? "tcp " : "ipc ") + std::to_string(load.period_ms) + " " + end_endpoint);
   const std::string endpoint = partner.word();
   std::vector<std::int64_t> latencies;
   for (std::size_t i = 0; i < load.messages; ++i) {

@@ -29,7 +29,8 @@ constexpr std::chrono::milliseconds kPause{50};  // or the consoles themselves k
 
 double seconds_since(Steady::time_point begun) { return std::chrono::duration<double>(Steady::now() - begun).count(); }
 
-control::Load& add_load(control::Transact& changes, const std::string& component, const std::string& name, const std::string& parameters) {
+control::Load& add_load(control::Transact& changes, const std::string& component, const std::string& name,
+                        const std::string& parameters) {
   control::Load& load = *changes.add_changes()->mutable_load();
   load.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
   load.set_instance(name);
@@ -37,7 +38,8 @@ control::Load& add_load(control::Transact& changes, const std::string& component
   return load;
 }
 
-/// 20 publishers, which come to 1 kHz and more between their timer's wake-ups, a subscriber of each, and 60 instances that do nothing.
+/// 20 publishers, which come to 1 kHz and more between their timer's wake-ups, a subscriber of each, and 60 instances
+/// that do nothing.
 control::Request hundred_instances() {
   control::Request request;
   auto& changes = *request.mutable_transact();
@@ -73,7 +75,8 @@ class BusyHost {
     }
     const double rate_hz = static_cast<double>(moved() - before) / seconds_since(begun);
     if (rate_hz < kPublishers * kRate_hz) {
-      throw std::runtime_error("the host moves " + std::to_string(static_cast<int>(rate_hz)) + " messages a second only");
+      throw std::runtime_error("the host moves " + std::to_string(static_cast<int>(rate_hz)) +
+                               " messages a second only");
     }
     std::sort(times.begin(), times.end());
     return times[times.size() * 99 / 100];
@@ -90,7 +93,8 @@ class BusyHost {
     pollfd end{console.descriptor(), POLLIN, 0};
     if (::poll(&end, 1, 10'000) != 1) throw std::runtime_error("the console does not end");
     const double seconds = seconds_since(begun);
-    if (const std::string how = console.end(); how != "exited with code 0") throw std::runtime_error("the console " + how);
+    if (const std::string how = console.end(); how != "exited with code 0")
+      throw std::runtime_error("the console " + how);
     return seconds;
   }
 

@@ -1,5 +1,5 @@
-// fiona-bench: every goal of speed and size as one line, NAME FIGURE GOAL ok|short, most of them a ratio to a bare limit
-// measured in turns in the same run. Exit code 1 if any is short. With an argument: those goals only whose names
+// fiona-bench: every goal of speed and size as one line, NAME FIGURE GOAL ok|short, most of them a ratio to a bare
+// limit measured in turns in the same run. Exit code 1 if any is short. With an argument: those goals only whose names
 // contain it.
 //
 // Provider and consumer are plugins loaded by a host: in one process, in two, or on two hosts.
@@ -50,7 +50,8 @@ class Foreign {
  public:
   Foreign() : busy_(busy()), own_(own()), begun_ns_(steady_ns()) {}
   double share() const {
-    const double seconds = static_cast<double>(steady_ns() - begun_ns_) / 1e9 * static_cast<double>(::sysconf(_SC_NPROCESSORS_ONLN));
+    const double seconds =
+        static_cast<double>(steady_ns() - begun_ns_) / 1e9 * static_cast<double>(::sysconf(_SC_NPROCESSORS_ONLN));
     return std::max(0.0, (busy() - busy_) - (own() - own_)) / seconds;
   }
 
@@ -67,7 +68,8 @@ class Foreign {
     for (const int who : {RUSAGE_SELF, RUSAGE_CHILDREN}) {
       rusage usage{};
       ::getrusage(who, &usage);
-      for (const timeval& used : {usage.ru_utime, usage.ru_stime}) seconds += static_cast<double>(used.tv_sec) + static_cast<double>(used.tv_usec) / 1e6;
+      for (const timeval& used : {usage.ru_utime, usage.ru_stime})
+        seconds += static_cast<double>(used.tv_sec) + static_cast<double>(used.tv_usec) / 1e6;
     }
     return seconds;
   }
@@ -86,7 +88,8 @@ bool tell(const Cost& cost) {
   if (cost.at_most == 0) {
     std::printf("%-46s %5.2f %s\n", cost.name.c_str(), figure, cost.unit);
   } else {
-    std::printf("%-46s %5.2f %s   <= %.2f %s   %s\n", cost.name.c_str(), figure, cost.unit, cost.at_most, cost.unit, ok ? "ok" : "short");
+    std::printf("%-46s %5.2f %s   <= %.2f %s   %s\n", cost.name.c_str(), figure, cost.unit, cost.at_most, cost.unit,
+                ok ? "ok" : "short");
   }
   std::fflush(stdout);
   return ok;
@@ -101,8 +104,8 @@ struct Series {
   }
   bool tell(const std::string& name, double at_most, double foreign) const {
     const bool ok = median(ratios) <= at_most;
-    std::printf("%-46s %5.2fx   <= %.2fx   %s   (%.2f us, limit %.2f us; others %.0f %%)\n", name.c_str(), median(ratios), at_most,
-                ok ? "ok" : "short", median(ours_us), median(bare_us), 100 * foreign);
+    std::printf("%-46s %5.2fx   <= %.2fx   %s   (%.2f us, limit %.2f us; others %.0f %%)\n", name.c_str(),
+                median(ratios), at_most, ok ? "ok" : "short", median(ours_us), median(bare_us), 100 * foreign);
     std::fflush(stdout);
     return ok;
   }
@@ -182,9 +185,7 @@ std::vector<Goal> between_processes(const Medium& medium, const std::string& pla
 }
 
 std::vector<Cost> costs() {
-  const auto memory = [](double Memory::*part) {
-    return [part] { return host_memory().*part / bare_memory().*part; };
-  };
+  const auto memory = [](double Memory::*part) { return [part] { return host_memory().*part / bare_memory().*part; }; };
   return {
       {"hash of a library", 0, "us/MiB", hash_us_per_mib},
       {"idle instance with four ports, heap", 32, "KiB", instance_kib},

@@ -4,8 +4,8 @@
 
 namespace fiona::bench {
 
-// Loading a small plugin without protos of its own, `load.messages` times: each time a copy of the library that no process
-// has opened before.
+// Loading a small plugin without protos of its own, `load.messages` times: each time a copy of the library that no
+// process has opened before.
 
 /// As a host does: the interface checked, the library opened, its entry called.
 Latency plugin_load(const Load& load);

@@ -87,7 +87,8 @@ double instance_kib() {
 double group_mib() {
   RunningSystem system;
   // With siblings, as in any system with groups: what they share counts once.
-  for (const char* group : {"a", "b", "c", "d"}) system.load_in(group, "mover", std::string("mover_") + group, "neutral");
+  for (const char* group : {"a", "b", "c", "d"})
+    system.load_in(group, "mover", std::string("mover_") + group, "neutral");
   return memory_of(system.group("a").process()).proportional / 1024;
 }
 
@@ -95,12 +96,14 @@ Memory host_memory() {
   const conformance::TemporaryDirectory directory;
   const auto socket = directory.path / "host.sock";
   console::Reactor reactor;
-  console::HostProcess host(reactor, {os::program_directory() / "fiona-host", socket, "bench", directory.path / "store"}, {});
+  console::HostProcess host(reactor,
+                            {os::program_directory() / "fiona-host", socket, "bench", directory.path / "store"}, {});
   console::ControlClient client(reactor, {socket}, std::chrono::seconds(5));
   client.call(publisher_and_subscriber());
   control::Request question;
   question.mutable_snapshot();
-  for (const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20); std::chrono::steady_clock::now() < end;) {
+  for (const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+       std::chrono::steady_clock::now() < end;) {
     const auto system = client.call(question).system();
     if (received(system) >= 1000) return memory_of(system.groups(0).process());
     reactor.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(50));
@@ -113,7 +116,8 @@ Memory bare_memory() {
   if (::pipe2(input, O_CLOEXEC) != 0 || ::pipe2(output, O_CLOEXEC) != 0) throw std::runtime_error("no pipe");
   const os::Descriptor theirs_in(input[0]), ours_in(input[1]), ours_out(output[0]);
   os::Descriptor theirs_out(output[1]);
-  const os::ChildProcess process(os::program_directory() / "fiona-bench-bare", {}, {{theirs_in.get(), 0}, {theirs_out.get(), 1}});
+  const os::ChildProcess process(os::program_directory() / "fiona-bench-bare", {},
+                                 {{theirs_in.get(), 0}, {theirs_out.get(), 1}});
   theirs_out.reset();
   char word[8];
   if (::read(ours_out.get(), word, sizeof word) <= 0) throw std::runtime_error("the bare process receives nothing");
@@ -134,7 +138,9 @@ double start_s(std::size_t components, std::size_t groups) {
   system.eventually("all active and connected", [&] {
     const auto now = system.system().snapshot();
     return std::all_of(now.instances().begin(), now.instances().end(), [](const auto& instance) {
-      const auto connected = [](const auto& port) { return port.direction() != REQUIRES || port.connection() == control::CONNECTED; };
+      const auto connected = [](const auto& port) {
+        return port.direction() != REQUIRES || port.connection() == control::CONNECTED;
+      };
       return instance.mode() == kModeActive && std::all_of(instance.ports().begin(), instance.ports().end(), connected);
     });
   });

@@ -38,8 +38,9 @@ Latency push(const Load& load, Transport transport) {
   RunningSystem system(transport);
   const std::string count = "count=" + std::to_string(load.messages);
   system.load_client("stopwatch", "stopwatch", count);
-  system.load_provider("pacer", "pacer", "neutral payload=" + std::to_string(load.bytes) + " period_ms=" +
-                                             std::to_string(load.period_ms) + " " + count);
+  system.load_provider(
+      "pacer", "pacer",
+      "neutral payload=" + std::to_string(load.bytes) + " period_ms=" + std::to_string(load.period_ms) + " " + count);
   system.wire("stopwatch.samples", "pacer.samples");
   const auto report = system.watch("stopwatch.report");
   await_connected(system, "stopwatch.samples");
@@ -62,14 +63,16 @@ Latency query(const Load& load, Transport transport) {
 Latency wire_to_first_message(const Load& load, Transport transport) {
   RunningSystem system(transport);
   system.load_client("stopwatch", "stopwatch", "count=1");
-  system.load_provider("pacer", "pacer", "payload=" + std::to_string(load.bytes) + " period_ms=" + std::to_string(load.period_ms) +
-                                             " count=1000000000");
+  system.load_provider(
+      "pacer", "pacer",
+      "payload=" + std::to_string(load.bytes) + " period_ms=" + std::to_string(load.period_ms) + " count=1000000000");
   const auto report = system.watch("stopwatch.report");
   std::vector<std::int64_t> latencies;
   for (std::size_t i = 0; i <= load.messages; ++i) {
     const std::int64_t begun_ns = steady_ns();
     system.wire("stopwatch.samples", "pacer.samples");
-    const auto first = system.wait_for(report, [&](const auto& sample) { return static_cast<std::int64_t>(sample.number()) > begun_ns; });
+    const auto first = system.wait_for(
+        report, [&](const auto& sample) { return static_cast<std::int64_t>(sample.number()) > begun_ns; });
     if (i > 0) latencies.push_back(static_cast<std::int64_t>(first.number()) - begun_ns);  // the first makes the link
     system.unwire("stopwatch.samples");
   }
@@ -91,7 +94,8 @@ Latency stream(const Load& load, std::size_t consumers, std::size_t window, Tran
     system.wire("flooder.progress" + number, counter + ".progress");
     reports.push_back(system.watch("counter" + number + ".report"));
     for (const std::string& port : {counter + ".samples", "flooder.progress" + number}) await_connected(system, port);
-    for (const std::string& port : {counter + ".samples", counter + ".progress", "flooder.progress" + number}) ports.push_back(port);
+    for (const std::string& port : {counter + ".samples", counter + ".progress", "flooder.progress" + number})
+      ports.push_back(port);
   }
   system.state("flooder", "active");
   Latency slowest;

@@ -105,9 +105,7 @@ void let_be(RunningSystem& system, std::chrono::milliseconds time) {
       "the time passes", [end] { return Steady::now() >= end; }, time + std::chrono::seconds(10));
 }
 
-double allowed(double bound, bool in_full) {
-  return bound * (in_full ? 1 : 3) * (FIONA_SANITIZED ? 2 : 1);
-}
+double allowed(double bound, bool in_full) { return bound * (in_full ? 1 : 3) * (FIONA_SANITIZED ? 2 : 1); }
 
 Pulse::Pulse()
     : thread_([this] {

@@ -1,5 +1,5 @@
-// Nothing stays behind of instances that come and go: load, wire, hear, unwire, unload, again and again, each time under
-// new names. FIONA_CYCLES sets how often.
+// Nothing stays behind of instances that come and go: load, wire, hear, unwire, unload, again and again, each time
+// under new names. FIONA_CYCLES sets how often.
 #include <gtest/gtest.h>
 
 #include <iostream>
@@ -64,9 +64,10 @@ TEST_P(Cycles, OfLoadWireUnwireUnloadLeaveNothingBehind) {
   if (!kKeepsWhatIsFreed) {
     EXPECT_LT(after.resident_mib - warm.resident_mib, 8) << "whatever the number of cycles";
   }
-  std::cout << fmt::format("{} cycles: descriptors {} {:+d}, sockets {} {:+d}, threads {} {:+d}, resident {:.1f} MiB {:+.1f}\n", cycles,
-                           warm.descriptors, after.descriptors - warm.descriptors, warm.sockets, after.sockets - warm.sockets,
-                           warm.threads, after.threads - warm.threads, warm.resident_mib, after.resident_mib - warm.resident_mib);
+  std::cout << fmt::format(
+      "{} cycles: descriptors {} {:+d}, sockets {} {:+d}, threads {} {:+d}, resident {:.1f} MiB {:+.1f}\n", cycles,
+      warm.descriptors, after.descriptors - warm.descriptors, warm.sockets, after.sockets - warm.sockets, warm.threads,
+      after.threads - warm.threads, warm.resident_mib, after.resident_mib - warm.resident_mib);
 }
 
 INSTANTIATE_TEST_SUITE_P(Over, Cycles, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),

@@ -58,7 +58,8 @@ class Rewire : public testing::TestWithParam<Transport> {
     std::size_t at = 0;
     for (const Seen& run : testimony.messages("runs")) {
       while (at < wired.size() && wired[at] != run.number("source")) ++at;
-      ASSERT_LT(at, wired.size()) << witness(client) << " heard ticker " << run.number("source") << " from sample " << run.number("first")
+      ASSERT_LT(at, wired.size()) << witness(client) << " heard ticker " << run.number("source") << " from sample "
+                                  << run.number("first")
                                   << " on, to which it was not wired then: something was lost, or came from elsewhere";
       ++at;
     }
@@ -68,8 +69,9 @@ class Rewire : public testing::TestWithParam<Transport> {
     const std::uint64_t ok = outcomes.empty() ? 0 : outcomes.front();
     EXPECT_EQ(testimony.number("open"), 0U) << witness(client);
     EXPECT_EQ(testimony.number("wrong"), 0U) << witness(client);
-    EXPECT_EQ(ok, testimony.number("asked")) << witness(client) << ": all providers live, so no question may fail; outcomes "
-                                             << fmt::format("{}", fmt::join(outcomes, ", "));
+    EXPECT_EQ(ok, testimony.number("asked"))
+        << witness(client) << ": all providers live, so no question may fail; outcomes "
+        << fmt::format("{}", fmt::join(outcomes, ", "));
     asked += testimony.number("asked");
   }
 
@@ -129,10 +131,11 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
 
   std::sort(took_ms.begin(), took_ms.end());
   std::cout << fmt::format(
-      "{} rewires (seed {}): {} questions, {} samples; rewire p50 {:.2f} ms, p99 {:.2f} ms; longest gap between samples "
+      "{} rewires (seed {}): {} questions, {} samples; rewire p50 {:.2f} ms, p99 {:.2f} ms; longest gap between "
+      "samples "
       "{:.1f} ms (period 10 ms); resident {:+.1f} MiB, descriptors {:+d}\n",
-      took_ms.size(), seed, asked, heard, took_ms[took_ms.size() / 2], took_ms[took_ms.size() * 99 / 100], longest_gap_ms,
-      after.resident_mib - warm.resident_mib, after.descriptors - warm.descriptors);
+      took_ms.size(), seed, asked, heard, took_ms[took_ms.size() / 2], took_ms[took_ms.size() * 99 / 100],
+      longest_gap_ms, after.resident_mib - warm.resident_mib, after.descriptors - warm.descriptors);
 }
 
 INSTANTIATE_TEST_SUITE_P(Over, Rewire, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),

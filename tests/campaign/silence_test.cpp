@@ -56,7 +56,8 @@ class Silence : public testing::Test {
   }
   void check_sight(RunningSystem& system, const std::string& lookout) {
     const Sighting seen = take_sighting(system, lookout);
-    EXPECT_LE(seen.oldest_shown_ms, kTwoPeriods_ms + clock_error_ms + pulse.longest_ms()) << lookout << " was given an old value for one of now";
+    EXPECT_LE(seen.oldest_shown_ms, kTwoPeriods_ms + clock_error_ms + pulse.longest_ms())
+        << lookout << " was given an old value for one of now";
     oldest_shown_ms = std::max(oldest_shown_ms, seen.oldest_shown_ms);
   }
   void tell(const std::string& what, double bound_ms, const Times& times, bool in_full) {
@@ -66,7 +67,8 @@ class Silence : public testing::Test {
   void tell_rest(bool in_full) {
     tell("current value to a late joiner", kLate_ms, late, in_full);
     std::cout << fmt::format(
-        "oldest value given for one of now: {:.1f} ms (bound {:.0f} ms: two periods, and {:.0f} ms that clocks may differ); "
+        "oldest value given for one of now: {:.1f} ms (bound {:.0f} ms: two periods, and {:.0f} ms that clocks may "
+        "differ); "
         "the machine stood still for {:.0f} ms at most\n",
         oldest_shown_ms, kTwoPeriods_ms + clock_error_ms, clock_error_ms, pulse.longest_ms());
   }

@@ -71,7 +71,8 @@ class Navigator final : public Paced {
     bool valid = true;
 
     const std::string& add(const Fix& fix, std::uint64_t step) {
-      const bool goes_on = fix.source() == source && fix.number() == last + step && fix.is_valid() == valid && !text.empty();
+      const bool goes_on =
+          fix.source() == source && fix.number() == last + step && fix.is_valid() == valid && !text.empty();
       if (!goes_on && !text.empty()) text += std::to_string(last) + ", ";
       if (!goes_on) text += fix.source() + " " + std::to_string(fix.number()) + (fix.is_valid() ? "-" : "!-");
       source = fix.source();

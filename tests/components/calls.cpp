@@ -158,8 +158,6 @@ class Caller final : public Component {
   Provides<SampleNewest> ring_report_{*this, "rings"};
 };
 
-void add_calls(Plugin& plugin) {
-  plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome");
-}
+void add_calls(Plugin& plugin) { plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome"); }
 
 }  // namespace fiona::test

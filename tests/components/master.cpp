@@ -7,8 +7,8 @@
 
 namespace fiona::test {
 
-/// Changes the system as its parameters say, once for each change of `go`, and tells how that ended in a probe: the number
-/// of the call, its outcome, and what came with it.
+/// Changes the system as its parameters say, once for each change of `go`, and tells how that ended in a probe: the
+/// number of the call, its outcome, and what came with it.
 class Boss final : public Component {
  public:
   using Component::Component;
@@ -44,7 +44,8 @@ class Boss final : public Component {
       if (system) {
         for (const auto& instance : system->instances()) {
           for (const auto& port : instance.ports()) {
-            if (!port.peer().instance().empty()) text += instance.name() + "." + port.name() + "<" + port.peer().instance() + " ";
+            if (!port.peer().instance().empty())
+              text += instance.name() + "." + port.name() + "<" + port.peer().instance() + " ";
           }
         }
       }
@@ -71,7 +72,8 @@ class Boss final : public Component {
   Async<> one_of_many(std::string first, std::string second) {
     const auto done = co_await master_.wire(first, second, 10s);
     ++(done ? made_ : refused_);
-    if (made_ + refused_ == 80) tell(gone_, done.outcome(), std::to_string(made_) + " made, " + std::to_string(refused_) + " refused");
+    if (made_ + refused_ == 80)
+      tell(gone_, done.outcome(), std::to_string(made_) + " made, " + std::to_string(refused_) + " refused");
   }
 
   std::uint64_t gone_ = 0;

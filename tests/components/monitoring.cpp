@@ -42,8 +42,6 @@ class Gauge final : public Component {
   Timer fail_{*this, &Gauge::fail};
 };
 
-void add_monitoring(Plugin& plugin) {
-  plugin.add<Gauge>("gauge", "shows its parameters in probes");
-}
+void add_monitoring(Plugin& plugin) { plugin.add<Gauge>("gauge", "shows its parameters in probes"); }
 
 }  // namespace fiona::test

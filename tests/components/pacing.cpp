@@ -5,8 +5,9 @@
 
 namespace fiona::test {
 
-/// Puts `count` samples one behind the other, each when there is room for it; in `outcome` tells after each how many it has
-/// put, and as the value how the last call ended. It gives up after one that was not put, until it is made active again.
+/// Puts `count` samples one behind the other, each when there is room for it; in `outcome` tells after each how many it
+/// has put, and as the value how the last call ended. It gives up after one that was not put, until it is made active
+/// again.
 class Pourer final : public Component {
  public:
   using Component::Component;
@@ -15,7 +16,9 @@ class Pourer final : public Component {
   }
 
  private:
-  void begin() { hull().spawn(pour(), [] {}); }
+  void begin() {
+    hull().spawn(pour(), [] {});
+  }
   void on_change() { samples_.cancel_calls(params_->cancel()); }
   Async<> pour() {
     while (number_ < params_->count()) {
@@ -40,8 +43,8 @@ class Pourer final : public Component {
   Timer begin_{*this, &Pourer::begin};
 };
 
-/// Takes `sip_ms` of its clock for each sample, without keeping a thread: the port `never` is to be wired to one that is
-/// silent. Tells in `report` how many it has had, and as the value how many of them came out of order.
+/// Takes `sip_ms` of its clock for each sample, without keeping a thread: the port `never` is to be wired to one that
+/// is silent. Tells in `report` how many it has had, and as the value how many of them came out of order.
 class Sipper final : public Component {
  public:
   using Component::Component;

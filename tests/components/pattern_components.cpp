@@ -118,7 +118,8 @@ class Clerk final : public Component {
   std::uint64_t looked_ = 0;
   Params<ClerkParams> params_{*this, &Clerk::check, &Clerk::on_change};
   Probe<std::uint64_t> changes_{*this, "changes"};
-  Probe<std::uint64_t> torn_{*this, "torn", {.doc = "how often a task saw the old value of one and the new one of another"}};
+  Probe<std::uint64_t> torn_{
+      *this, "torn", {.doc = "how often a task saw the old value of one and the new one of another"}};
   Probe<std::uint64_t> looks_{*this, "looks"};
   Task looker_{*this, "looker", 1ms, &Clerk::look};
 };
@@ -137,7 +138,8 @@ class Metronome final : public Component {
     put_outcome_.set(std::string(to_string(samples_.put(numbered()))));
   }
   void produce() {
-    if (params_->work_ms() > 0) std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->work_ms()));
+    if (params_->work_ms() > 0)
+      std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->work_ms()));
     samples_.put(numbered());
   }
   Sample numbered() {

@@ -21,7 +21,8 @@ class Source final : public Paced {
  private:
   void tick() override {
     if (!params_->fail_with().empty()) throw std::runtime_error(params_->fail_with());
-    if (params_->hang_ms() > 0) std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->hang_ms()));
+    if (params_->hang_ms() > 0)
+      std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->hang_ms()));
     if (params_->count() > 0 && number_ >= params_->count()) return;
     ++number_;
     newest_.put(sample());
@@ -81,7 +82,8 @@ class Sink final : public Component {
 
  private:
   void on_sample(const Received<Sample>& sample) {
-    if (params_->work_ms() > 0) std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->work_ms()));
+    if (params_->work_ms() > 0)
+      std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->work_ms()));
     ++seen_;
     sum_ += static_cast<double>(sample->number());
     payload_ = sample->payload().size();

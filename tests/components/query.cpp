@@ -38,7 +38,8 @@ class Answerer final : public Component {
 
   void look() {
     open_.set(kept_.size());
-    abandoned_.set(static_cast<std::uint64_t>(std::count_if(kept_.begin(), kept_.end(), [](const auto& one) { return one.abandoned(); })));
+    abandoned_.set(static_cast<std::uint64_t>(
+        std::count_if(kept_.begin(), kept_.end(), [](const auto& one) { return one.abandoned(); })));
   }
 
   std::vector<fiona::Reply<Reply>> kept_;

@@ -51,7 +51,9 @@ class Witness final : public Paced {
   }
   void on_sample(const Sample& sample) {
     const std::int64_t heard_ns = steady_ns();
-    if (heard_ns_ > 0) testimony_.set_longest_gap_ms(std::max(testimony_.longest_gap_ms(), static_cast<double>(heard_ns - heard_ns_) / 1e6));
+    if (heard_ns_ > 0)
+      testimony_.set_longest_gap_ms(
+          std::max(testimony_.longest_gap_ms(), static_cast<double>(heard_ns - heard_ns_) / 1e6));
     heard_ns_ = heard_ns;
     const auto source = static_cast<std::uint64_t>(sample.value());
     std::uint64_t& newest = newest_[source];

@@ -47,14 +47,13 @@ class Mover final : public Component {
   Provides<SampleNewest> steers_{*this, "steers"};
   Provides<SampleNewest> outcome_{*this, "outcome"};
   Requires<SampleNewest> orders_in_{*this, "orders", {.optional = true, .activity = "steer"}};
-  Trigger<TurnRequest, TurnResult> turn_{*this, "turn", &Mover::turn, {.doc = "turns on the spot", .activity = "steer"}};
+  Trigger<TurnRequest, TurnResult> turn_{
+      *this, "turn", &Mover::turn, {.doc = "turns on the spot", .activity = "steer"}};
   Trigger<TurnRequest, TurnResult> turn_later_{*this, "turn_later", &Mover::turn_later, {.activity = "steer"}};
   Task look_{*this, "look", 5ms, &Mover::look, "look"};
   Task steer_{*this, "steer", 5ms, &Mover::steer, "steer"};
 };
 
-void add_state(Plugin& plugin) {
-  plugin.add<Mover>("mover", "has modes that share activities");
-}
+void add_state(Plugin& plugin) { plugin.add<Mover>("mover", "has modes that share activities"); }
 
 }  // namespace fiona::test

@@ -151,7 +151,8 @@ class Mingler final : public Component {
   Provides<Echo> echo_{*this, "echo", &Mingler::on_question};
   Provides<Order> orders_{*this, "orders", &Mingler::on_order};
   Requires<SampleNewest> each_{*this, "each_in", &Mingler::on_each, {.optional = true}};
-  Requires<SampleNewest> newest_in_{*this, "newest_in", &Mingler::on_newest, {.optional = true, .delivery = Delivery::Newest}};
+  Requires<SampleNewest> newest_in_{
+      *this, "newest_in", &Mingler::on_newest, {.optional = true, .delivery = Delivery::Newest}};
   Requires<SampleNewest> waited_{*this, "waited_in", {.optional = true}};
   Requires<SampleLast> last_in_{*this, "last_in", &Mingler::on_last, {.optional = true}};
   Requires<SampleLeased> leased_in_{*this, "leased_in", &Mingler::on_leased, {.optional = true}};

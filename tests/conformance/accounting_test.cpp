@@ -16,22 +16,26 @@ class Accounting : public OverTransports {
  protected:
   /// Puts so many samples of this payload, once all is wired.
   void put(int count, int payload = 0) {
-    system.load_provider("source", "source", "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
+    system.load_provider("source", "source",
+                         "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
   }
   void expect_sum(const std::string& port, std::uint64_t sent) {
     const auto sum = [&] {
       const auto status = system.port(port);
       const auto not_active = system.read(port + ".not_active").value();
-      return status.messages() + status.superseded() + status.dropped() + status.refused() + static_cast<std::uint64_t>(not_active);
+      return status.messages() + status.superseded() + status.dropped() + status.refused() +
+             static_cast<std::uint64_t>(not_active);
     };
-    system.eventually("nothing waits any more", [&] { return sum() >= sent && system.read(port + ".queue_depth").value() == 0; });
+    system.eventually("nothing waits any more",
+                      [&] { return sum() >= sent && system.read(port + ".queue_depth").value() == 0; });
     EXPECT_EQ(sum(), sent) << system.port(port).ShortDebugString();
   }
   /// The numbers of a report like "ok=180 disconnected=20".
   static std::map<std::string, std::uint64_t> counts(const std::string& text) {
     std::map<std::string, std::uint64_t> all;
     std::istringstream words(text);
-    for (std::string word; words >> word;) all[word.substr(0, word.find('='))] = std::stoull(word.substr(word.find('=') + 1));
+    for (std::string word; words >> word;)
+      all[word.substr(0, word.find('='))] = std::stoull(word.substr(word.find('=') + 1));
     return all;
   }
 };
@@ -89,7 +93,8 @@ TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
   system.state("source", "active");
   const auto outcomes = system.watch("caller.outcome");
   system.set("caller", "call=send_burst go=1 every=100 payload=1000000");
-  const auto taken = std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
+  const auto taken =
+      std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
   EXPECT_GT(taken, 0U);
   EXPECT_LT(taken, 100U) << "a full queue is an outcome, not a wait";
   EXPECT_EQ(system.port("caller.orders").dropped(), 100 - taken);
@@ -107,7 +112,8 @@ TEST_P(Accounting, OfAcknowledgedSendsHasOneOutcomeForEach) {
   std::uint64_t sum = 0;
   for (const auto& [outcome, count] : ended) sum += count;
   EXPECT_EQ(sum, 500U);
-  system.eventually("those that were taken are handled", [&] { return system.port("sink.orders").messages() == ended.at("ok"); });
+  system.eventually("those that were taken are handled",
+                    [&] { return system.port("sink.orders").messages() == ended.at("ok"); });
 }
 
 class AccountingOfTheKilled : public Accounting {};

@@ -87,7 +87,9 @@ TEST_P(Alternatives, TheFirstThatIsThereServes) {
   EXPECT_TRUE(port.providers(0).serves());
   EXPECT_TRUE(port.providers(1).fit()) << "connected all the time";
   EXPECT_FALSE(port.providers(1).serves());
-  EXPECT_EQ(port.providers(1).transport(), GetParam() == Transport::Process ? "process" : to_string(GetParam()) == "Ipc" ? "ipc" : "tcp");
+  EXPECT_EQ(port.providers(1).transport(), GetParam() == Transport::Process ? "process"
+                                           : to_string(GetParam()) == "Ipc" ? "ipc"
+                                                                            : "tcp");
   EXPECT_EQ(system.port("b.fixes").clients_size(), 1);
 }
 
@@ -391,7 +393,8 @@ struct Places {
 };
 
 /// What a navigator heard while one beacon failed and came back at exact times.
-std::string heard_on_a_virtual_clock(std::size_t threads, const Places& at, std::vector<std::string>* serving = nullptr) {
+std::string heard_on_a_virtual_clock(std::size_t threads, const Places& at,
+                                     std::vector<std::string>* serving = nullptr) {
   RunningSystem system(threads, 5s);
   system.set("host", "clock=virtual");
   system.load_in(at.a, "beacon", "a", "period_ms=10");
@@ -420,7 +423,9 @@ std::string heard_on_a_virtual_clock(std::size_t threads, const Places& at, std:
 TEST(AlternativesVirtual, TheHoldTimeIsKeptToTheInstantOnTheInstancesClock) {
   std::vector<std::string> serving;
   const std::string heard = heard_on_a_virtual_clock(2, {"main", "main", "main"}, &serving);
-  EXPECT_EQ(serving, (std::vector<std::string>{"a.fixes", "b.fixes", "b.fixes", "b.fixes", "b.fixes", "b.fixes", "a.fixes"})) << heard;
+  EXPECT_EQ(serving,
+            (std::vector<std::string>{"a.fixes", "b.fixes", "b.fixes", "b.fixes", "b.fixes", "b.fixes", "a.fixes"}))
+      << heard;
   EXPECT_EQ(sources_of(heard), "a b a") << heard;
 }
 

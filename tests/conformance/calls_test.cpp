@@ -150,7 +150,8 @@ TEST_P(Calls, LatestIsNoDataUntilSomethingComesAndThenThatWithItsAge) {
 
 TEST_P(Calls, LatestIsNotCancelledForItDoesNotWait) {
   wire_all();
-  for (const std::string flag : {"port", "pattern", "instance"}) EXPECT_EQ(outcome_of("latest", "cancel=" + flag), Outcome::NoData) << flag;
+  for (const std::string flag : {"port", "pattern", "instance"})
+    EXPECT_EQ(outcome_of("latest", "cancel=" + flag), Outcome::NoData) << flag;
 }
 
 TEST_P(Calls, LatestIsUnwiredAndTheSlotEmptyOnceThePortIsUnwired) {
@@ -180,7 +181,9 @@ TEST_P(Calls, LatestIsDisconnectedWhenTheProviderHangsOrIsSilentForLongerThanIts
   system.state("source", "active");
   system.eventually("put", [&] { return outcome_of("latest_leased") == Outcome::Ok; });
   system.set("source", "hang_ms=1000");
-  system.eventually("lost", [&] { return system.port("caller.leased").connection() == control::LOST; }, std::chrono::milliseconds(900));
+  system.eventually(
+      "lost", [&] { return system.port("caller.leased").connection() == control::LOST; },
+      std::chrono::milliseconds(900));
   EXPECT_EQ(outcome_of("latest_leased"), Outcome::Disconnected);
 }
 
@@ -229,7 +232,8 @@ TEST_P(QueryCalls, ManyRequestsMayBeOpenAndAnswersComeInAnyOrder) {
   begin("query", "manner=later");
   const unsigned first = go;
   begin("query", "manner=promptly");
-  EXPECT_EQ(system.wait_for(outcomes, [&](const auto& one) { return one.number() >= first; }).number(), go) << "the later one first";
+  EXPECT_EQ(system.wait_for(outcomes, [&](const auto& one) { return one.number() >= first; }).number(), go)
+      << "the later one first";
   EXPECT_EQ(end_of(first).payload(), std::to_string(first));
 }
 
@@ -336,11 +340,13 @@ TEST_P(FarProvider, CallsThatWaitEndDisconnectedWhenItsProcessIsKilled) {
   system.eventually("put", [&] { return system.port("caller.samples").messages() == 1; });
   ASSERT_EQ(outcome_of(begin("latest")), Outcome::Ok);
   stop();
-  const unsigned waits[] = {begin("wait_update", "deadline_ms=100000 manner=never"), begin("query"), begin("event"), begin("send_acknowledged")};
+  const unsigned waits[] = {begin("wait_update", "deadline_ms=100000 manner=never"), begin("query"), begin("event"),
+                            begin("send_acknowledged")};
   ::kill(far, SIGKILL);
   std::map<unsigned, Outcome> ended;
   system.eventually("all have ended", [&] {
-    for (const auto& one : system.take(outcomes)) ended[static_cast<unsigned>(one.number())] = static_cast<Outcome>(static_cast<int>(one.value()));
+    for (const auto& one : system.take(outcomes))
+      ended[static_cast<unsigned>(one.number())] = static_cast<Outcome>(static_cast<int>(one.value()));
     return ended.size() == 4;
   });
   for (const unsigned one : waits) EXPECT_EQ(ended[one], Outcome::Disconnected) << one;

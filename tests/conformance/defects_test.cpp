@@ -1,5 +1,6 @@
-// What is known to go wrong in other frameworks for these patterns, and must not here. Each test is named after what does
-// not happen. Those that are sentences of docs/patterns.md anyway stand with them: sentences.txt, the last section.
+// What is known to go wrong in other frameworks for these patterns, and must not here. Each test is named after what
+// does not happen. Those that are sentences of docs/patterns.md anyway stand with them: sentences.txt, the last
+// section.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
@@ -147,7 +148,9 @@ TEST_P(DefectsOfTheDeaf, AConnectThatTakesLongDoesNotHoldUpTheCallsOfItsPort) {
   const auto took = std::chrono::steady_clock::now() - begun;
   ASSERT_GE(took, 500ms);
   const auto told = system.take(outcomes);
-  const auto answers = std::count_if(told.begin(), told.end(), [](const SeenSample& one) { return static_cast<int>(one.value()) == static_cast<int>(Outcome::Ok); });
+  const auto answers = std::count_if(told.begin(), told.end(), [](const SeenSample& one) {
+    return static_cast<int>(one.value()) == static_cast<int>(Outcome::Ok);
+  });
   EXPECT_GT(answers, took / 5ms / 10) << "of the provider that it has until then";
 }
 

@@ -22,7 +22,8 @@ class Links : public testing::TestWithParam<Transport> {
   bool crosses() const { return GetParam() != Transport::Process; }
   /// Puts `count` samples of this payload, and waits until each of the sinks has them all.
   void push_to(int sinks, int count, std::size_t payload) {
-    system.load_provider("source", "source", "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
+    system.load_provider("source", "source",
+                         "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
     for (int i = 0; i < sinks; ++i) {
       system.load_client("sink", "sink" + std::to_string(i));
       system.wire("sink" + std::to_string(i) + ".each", "source.newest");
@@ -61,7 +62,9 @@ TEST_P(Links, SubscribersThatShareACrossingEachHaveTheirPrescaleAndComeAndGoAlon
   const auto sum = system.watch("third.report");
   system.unwire("gone.each");
   system.state("source", "active");
-  system.eventually("received", [&] { return system.port("all.each").messages() == 90 && system.port("third.each").messages() == 30; });
+  system.eventually("received", [&] {
+    return system.port("all.each").messages() == 90 && system.port("third.each").messages() == 30;
+  });
   const auto last = system.wait_for(sum, [](const auto& one) { return one.number() == 30; });
   EXPECT_EQ(last.value(), 30 * (1 + 88) / 2.0) << "the first, then every third";
   EXPECT_EQ(system.port("gone.each").messages(), 0U);
@@ -184,7 +187,8 @@ TEST_P(Processes, RequestAboveTheCapOfALinkEndsWithASentence) {
   system.load_client("asker", "asker", "count=3 payload=80000000");
   const auto outcome = system.watch("asker.outcome");
   system.wire("asker.echo", "answerer.echo");
-  const auto end = system.wait_for(outcome, [](const auto& one) { return one.value() != static_cast<double>(Outcome::Unwired); });
+  const auto end =
+      system.wait_for(outcome, [](const auto& one) { return one.value() != static_cast<double>(Outcome::Unwired); });
   EXPECT_EQ(end.value(), static_cast<double>(Outcome::Rejected));
   EXPECT_EQ(end.payload(), "the message is larger than a link carries (64 MiB)");
 }

@@ -28,9 +28,11 @@ class Masters : public testing::TestWithParam<Transport> {
     if (granted) boss.mutable_load()->add_rights("master");
     console.change(boss);
   }
-  void begin(const std::string& call, const std::string& first = "-", const std::string& second = "-", const std::string& more = "") {
+  void begin(const std::string& call, const std::string& first = "-", const std::string& second = "-",
+             const std::string& more = "") {
     ++calls;
-    console.set("boss", "call=" + call + " first=" + first + " second=" + second + " go=" + std::to_string(calls) + " " + more);
+    console.set("boss",
+                "call=" + call + " first=" + first + " second=" + second + " go=" + std::to_string(calls) + " " + more);
   }
   /// How the newest call ended: "ok nav.fixes to a.fixes".
   std::string end() {
@@ -39,7 +41,8 @@ class Masters : public testing::TestWithParam<Transport> {
     console.eventually("the end of the call", [&] { return (ended = console.read("boss.ended")).starts_with(number); });
     return ended.substr(number.size());
   }
-  std::string call(const std::string& name, const std::string& first = "-", const std::string& second = "-", const std::string& more = "") {
+  std::string call(const std::string& name, const std::string& first = "-", const std::string& second = "-",
+                   const std::string& more = "") {
     begin(name, first, second, more);
     return end();
   }
@@ -109,7 +112,8 @@ TEST_P(Masters, ABatchIsMadeAsAWholeOrNotAtAll) {
 TEST_P(Masters, ARefusalIsTheSentenceThatAConsoleGets) {
   load_system();
   EXPECT_THAT(call("wire", "nav.fixs", "a.fixes"), HasSubstr("'nav' has no port 'fixs' that requires"));
-  EXPECT_THAT(call("wire", "nav.fixes", "a.echo"), HasSubstr("nav.fixes requires Fixes (push newest, Fix); a.echo provides Echo"));
+  EXPECT_THAT(call("wire", "nav.fixes", "a.echo"),
+              HasSubstr("nav.fixes requires Fixes (push newest, Fix); a.echo provides Echo"));
 }
 
 TEST_P(Masters, OneThatIsNotActiveMayNotAsk) {
@@ -145,7 +149,8 @@ TEST_P(Masters, UnloadsItself) {
   begin("unload", "boss");
   console.eventually("it is gone", [&] {
     const auto system = console.snapshot();
-    return std::none_of(system.instances().begin(), system.instances().end(), [](const auto& one) { return one.name() == "boss"; });
+    return std::none_of(system.instances().begin(), system.instances().end(),
+                        [](const auto& one) { return one.name() == "boss"; });
   });
   EXPECT_EQ(console.last_entry().author(), "component boss");
   EXPECT_EQ(console.last_entry().state(), control::JournalEntry::DONE);

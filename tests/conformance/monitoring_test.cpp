@@ -255,6 +255,7 @@ TEST_P(Monitoring, WorksInEveryLifeCycleState) {
   EXPECT_EQ(system.read("gauge.level").value(), 1);
   EXPECT_EQ(next(system.watch("gauge.level")).value(), 1);
   EXPECT_EQ(next(system.watch("gauge.handler_time")).unit, "ms");
+  EXPECT_EQ(next(system.watch("gauge.cpu_time")).unit, "ms");
 }
 
 TEST_P(Monitoring, HandlerThatHangsIsSeenFromOutside) {
@@ -296,8 +297,9 @@ TEST_P(Monitoring, ExpectIsMetByTheValueOfNow) {
   *watch.mutable_port() = request.port();
   const auto tap = system.system().new_tap();
   const auto expected = system.system().expected(request);
-  system.system().waits().expect(1, 1, expected, tap, [&] { system.system().tap(tap, watch); },
-                                 [&](control::Reply reply) { answered.set_value(std::move(reply)); });
+  system.system().waits().expect(
+      1, 1, expected, tap, [&] { system.system().tap(tap, watch); },
+      [&](control::Reply reply) { answered.set_value(std::move(reply)); });
   auto answer = answered.get_future();
   system.eventually("met", [&] { return answer.wait_for(0s) == std::future_status::ready; });
   EXPECT_EQ(answer.get().met().seen(), "1");

@@ -23,7 +23,9 @@ class Pacing : public testing::TestWithParam<Transport> {
     system.wire("sipper.never", "pourer.never");
   }
   void load_pourer(const std::string& parameters) {
-    system.load_provider("pourer", "pourer", "neutral count=" + std::to_string(kCount) + " payload=" + std::to_string(kPayload) + parameters);
+    system.load_provider(
+        "pourer", "pourer",
+        "neutral count=" + std::to_string(kCount) + " payload=" + std::to_string(kPayload) + parameters);
   }
   std::uint64_t put() { return system.port("pourer.samples").messages(); }
   void wait_until_full() {
@@ -121,7 +123,9 @@ TEST_P(Pacing, PutThatWaitsDoesNotWaitForASubscriberOfTheNewest) {
   system.state("pourer", "active");
   EXPECT_EQ(end(outcome).number(), static_cast<std::uint64_t>(kCount));
   system.eventually("superseded", [&] {
-    return system.port("sink.newest").superseded() + system.port("sink.newest").messages() + system.port("sink.newest").dropped() == kCount;
+    return system.port("sink.newest").superseded() + system.port("sink.newest").messages() +
+               system.port("sink.newest").dropped() ==
+           kCount;
   });
 }
 

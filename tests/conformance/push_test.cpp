@@ -43,7 +43,8 @@ TEST_P(PushNewest, SeveralClientsOfOneProviderEachGetAll) {
     system.wire(name + ".each", "source.newest");
   }
   system.state("source", "active");
-  for (const std::string name : {"a", "b", "c"}) system.eventually(name, [&] { return system.port(name + ".each").messages() == 100; });
+  for (const std::string name : {"a", "b", "c"})
+    system.eventually(name, [&] { return system.port(name + ".each").messages() == 100; });
 }
 
 TEST_P(PushNewest, WaitUpdateGivesTheNextMessageAndNotTheOneThatIsThere) {
@@ -54,7 +55,8 @@ TEST_P(PushNewest, WaitUpdateGivesTheNextMessageAndNotTheOneThatIsThere) {
   system.eventually("put", [&] { return system.port("caller.samples").messages() == 1; });
   const auto outcomes = system.watch("caller.outcome");
   system.set("caller", "call=wait_update go=1 deadline_ms=50");
-  EXPECT_EQ(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).value(), static_cast<double>(Outcome::Timeout));
+  EXPECT_EQ(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).value(),
+            static_cast<double>(Outcome::Timeout));
 }
 
 // ---- modes ----------------------------------------------------------------------------------------------------
@@ -63,7 +65,8 @@ class Inputs : public OverTransports {
  protected:
   Outcome latest() {
     system.set("caller", "call=latest go=" + std::to_string(++go));
-    return static_cast<Outcome>(static_cast<int>(system.wait_for(outcomes, [&](const auto& one) { return one.number() == go; }).value()));
+    return static_cast<Outcome>(
+        static_cast<int>(system.wait_for(outcomes, [&](const auto& one) { return one.number() == go; }).value()));
   }
   std::uint64_t outcomes = 0;
   std::uint64_t go = 0;

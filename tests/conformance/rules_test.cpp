@@ -88,7 +88,8 @@ TEST_P(Rules, NothingThatIsHandedOverWaitsForAHandler) {
   system.wire("sink.each", "source.newest");
   system.wire("source.orders", "sink.orders");
   system.state("source", "active");
-  system.eventually("all put and sent", [&] { return system.port("source.orders").messages() == 100; }, std::chrono::seconds(5));
+  system.eventually(
+      "all put and sent", [&] { return system.port("source.orders").messages() == 100; }, std::chrono::seconds(5));
   EXPECT_LT(system.port("sink.each").messages(), 60U);
 }
 
@@ -98,11 +99,15 @@ TEST_P(Rules, WhatBreaksItsRuleIsCountedAndGoesNoFurther) {
   system.wire("sink.each", "source.newest");
   system.wire("source.orders", "sink.orders");
   system.state("source", "active");
-  system.eventually("all refused", [&] { return system.port("source.newest").refused() == 20 && system.port("source.orders").refused() == 20; });
+  system.eventually("all refused", [&] {
+    return system.port("source.newest").refused() == 20 && system.port("source.orders").refused() == 20;
+  });
   system.set("source", "value=1 count=21");
   system.state("source", "neutral");
   system.state("source", "active");
-  system.eventually("a sound one", [&] { return system.port("sink.each").messages() == 1 && system.port("sink.orders").messages() == 1; });
+  system.eventually("a sound one", [&] {
+    return system.port("sink.each").messages() == 1 && system.port("sink.orders").messages() == 1;
+  });
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Crowd);

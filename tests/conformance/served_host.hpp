@@ -12,15 +12,15 @@
 #include <thread>
 
 #include "control_server.hpp"
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/probe.pb.h"
-#include "failure.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
 
-/// A host that serves the control protocol, on a thread of the test's process. What a test is about lives at `place`: in
-/// `main`, in a group, or on another host that this one leads.
+/// A host that serves the control protocol, on a thread of the test's process. What a test is about lives at `place`:
+/// in `main`, in a group, or on another host that this one leads.
 class ServedHost {
  public:
   /// `serves`: consoles over tcp too, those in the list of `keys()`.
@@ -51,6 +51,7 @@ class ServedHost {
   host::System::Options options() const {
     host::System::Options options{"served", directory_.path / "store", directory_.path, 2};
     options.ends_hung_groups = false;  // those that a test has stopped go on
+    options.restarts_groups = false;
     if (other_) options.hosts = other_->led_from(directory_.path / "test");
     if (!serves_) return options;
     keys().make();
@@ -140,7 +141,8 @@ class TestConsole {
     change.mutable_replace()->set_watch_ms(watch_ms);
     return change;
   }
-  void load(const std::string& component, const std::string& group, const std::string& name = "", const std::string& parameters = "") {
+  void load(const std::string& component, const std::string& group, const std::string& name = "",
+            const std::string& parameters = "") {
     change(load_of(component, group, name, parameters));
   }
   void set(const std::string& instance, const std::string& parameters) { change(set_of(instance, parameters)); }
@@ -209,7 +211,8 @@ class TestConsole {
     address.sun_family = AF_UNIX;
     std::strncpy(address.sun_path, path.c_str(), sizeof address.sun_path - 1);
     os::Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) throw std::runtime_error("no host");
+    if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
+      throw std::runtime_error("no host");
     return socket;
   }
 

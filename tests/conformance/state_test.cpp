@@ -38,7 +38,9 @@ class State : public testing::TestWithParam<Transport> {
     std::uint64_t looks = 0;
     system.eventually("steering waits", [&] {
       const std::uint64_t looked = system.port("mover.looks").messages();
-      if (const std::uint64_t steered = system.port("mover.steers").messages(); steered != std::exchange(steers, steered)) looks = looked;
+      if (const std::uint64_t steered = system.port("mover.steers").messages();
+          steered != std::exchange(steers, steered))
+        looks = looked;
       return looked > looks + 5;
     });
   }
@@ -57,7 +59,8 @@ class State : public testing::TestWithParam<Transport> {
 TEST_P(State, LoadEntersTheFirstMainMode) {
   EXPECT_EQ(system.instance("mover").mode(), "drive");
   const auto instance = system.instance("mover");
-  EXPECT_THAT(std::vector<std::string>(instance.modes().begin(), instance.modes().end()), ElementsAre("drive", "park", "rest"));
+  EXPECT_THAT(std::vector<std::string>(instance.modes().begin(), instance.modes().end()),
+              ElementsAre("drive", "park", "rest"));
 }
 
 TEST_P(State, EachMainModeRunsItsActivitiesAndNoOthers) {
@@ -238,6 +241,7 @@ TEST_P(Triggers, ErrorRejectsTheCallWithItsTextAndTheInstanceGoesOn) {
 TEST_P(Triggers, ExceptionFailsTheInstanceAndEndsTheCall) {
   const auto called = system.call("mover.turn", "manner=throw");
   EXPECT_EQ(called.outcome(), "rejected");
+  system.eventually("it has failed", [&] { return system.instance("mover").mode() == "failed"; });
   EXPECT_EQ(system.instance("mover").reason(), "the wheel came off");
 }
 

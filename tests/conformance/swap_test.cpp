@@ -88,7 +88,8 @@ TEST_P(SwapThatIsWatched, IsNotMadeWhenTheNewOneSaysNothing) {
 
 TEST_P(SwapThatIsWatched, IsNotMadeWhenTheNewOneSaysThatItIsNotValid) {
   load_two("valid=false");
-  EXPECT_THAT(refusal_of_swap(1000).text().what, HasSubstr("times that it is not valid while it was compared: nothing was swapped"));
+  EXPECT_THAT(refusal_of_swap(1000).text().what,
+              HasSubstr("times that it is not valid while it was compared: nothing was swapped"));
   EXPECT_EQ(console.peer_of("nav.fixes"), "a");
 }
 

@@ -9,10 +9,10 @@
 #include <fstream>
 #include <sstream>
 
-#include "fiona/error.hpp"
-#include "os/unix_socket.hpp"
-#include "fiona/probe.pb.h"
 #include "failure.hpp"
+#include "fiona/error.hpp"
+#include "fiona/probe.pb.h"
+#include "os/unix_socket.hpp"
 
 namespace fiona::conformance {
 control::PortName port_name(const std::string& text) {
@@ -99,16 +99,25 @@ void OtherHost::start() {
     words = {"netns", "exec", choice_.network, program.string()};
     program = "/usr/sbin/ip";
   }
-  const std::vector<std::string> own{"--name", name_, "--socket", (directory_ / "host.sock").string(), "--store", (directory_ / "store").string(),
-                                     "--keys", keys_.string(), "--listen", "tcp://" + choice_.listen, "--threads", "2", "--ready-fd", "3"};
+  const std::vector<std::string> own{"--name",     name_,
+                                     "--socket",   (directory_ / "host.sock").string(),
+                                     "--store",    (directory_ / "store").string(),
+                                     "--keys",     keys_.string(),
+                                     "--listen",   "tcp://" + choice_.listen,
+                                     "--threads",  "2",
+                                     "--ready-fd", "3"};
   words.insert(words.end(), own.begin(), own.end());
-  if (choice_.plugins) words.insert(words.end(), {"--plugins", std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path().string()});
-  process_ = std::make_unique<os::ChildProcess>(program, words, std::vector<std::pair<int, int>>{{log.get(), 2}, {theirs.get(), 3}});
+  if (choice_.plugins)
+    words.insert(words.end(), {"--plugins", std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path().string()});
+  process_ = std::make_unique<os::ChildProcess>(program, words,
+                                                std::vector<std::pair<int, int>>{{log.get(), 2}, {theirs.get(), 3}});
   theirs.reset();
   std::string told;
   char chunk[256];
-  for (ssize_t count = 0; (count = ::read(ready.get(), chunk, sizeof chunk)) > 0;) told.append(chunk, static_cast<std::size_t>(count));
-  if (!told.starts_with("READY\ntcp://")) throw Error(ErrorCode::Failed, "the other host did not start: " + told + said());
+  for (ssize_t count = 0; (count = ::read(ready.get(), chunk, sizeof chunk)) > 0;)
+    told.append(chunk, static_cast<std::size_t>(count));
+  if (!told.starts_with("READY\ntcp://"))
+    throw Error(ErrorCode::Failed, "the other host did not start: " + told + said());
   address_ = told.substr(std::string("READY\ntcp://").size());
 }
 
@@ -132,20 +141,26 @@ host::HostOptions OtherHost::led_from(const std::filesystem::path& keys) const {
   if (std::none_of(allowed.begin(), allowed.end(), known)) {
     trust::KeyDirectory(keys_).allow(keys.filename().string(), ours.pair().open.text());
   }
-  return {keys, "", {host::PeerAddress::from_text(name_ + "=" + address_ + "=" + trust::KeyDirectory(keys_).pair().open.text())}};
+  return {keys,
+          "",
+          {host::PeerAddress::from_text(name_ + "=" + address_ + "=" + trust::KeyDirectory(keys_).pair().open.text())}};
 }
 
 RunningSystem::RunningSystem(Transport transport)
-    : RunningSystem(transport, transport == Transport::Tcp ? "far" : "", {.threads = 2, .ends_hung_groups = false}) {}
+    : RunningSystem(transport, transport == Transport::Tcp ? "far" : "",
+                    {.threads = 2, .ends_hung_groups = false, .restarts_groups = false}) {}
 
 RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
-    : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill}) {}
+    : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill, .restarts_groups = false}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts)
-    : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts, .ends_hung_groups = false}) {}
+    : RunningSystem(Transport::Process, "",
+                    {.threads = 2, .hosts = hosts, .ends_hung_groups = false, .restarts_groups = false}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts, EndsHungGroups)
-    : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts}) {}
+    : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts, .restarts_groups = false}) {}
+
+RunningSystem::RunningSystem(RestartsGroups) : RunningSystem(Transport::Process, "", {.threads = 2}) {}
 
 RunningSystem::RunningSystem(Transport transport, const std::string& other, host::System::Options options)
     : transport_(transport),
@@ -214,11 +229,18 @@ control::Reply RunningSystem::let_pass(std::chrono::milliseconds time) {
     answer->reply = std::move(reply);
     answer->ended = true;
   });
-  eventually("the end of the time", [&] { system_.watch_time(); return answer->ended.load(); }, std::chrono::seconds(60));
+  eventually(
+      "the end of the time",
+      [&] {
+        system_.watch_time();
+        return answer->ended.load();
+      },
+      std::chrono::seconds(60));
   return answer->reply;
 }
 
-void RunningSystem::load_provider(const std::string& component, const std::string& name, const std::string& parameters) {
+void RunningSystem::load_provider(const std::string& component, const std::string& name,
+                                  const std::string& parameters) {
   load_in("", component, name, parameters);
 }
 
@@ -235,8 +257,8 @@ void RunningSystem::wire(const std::string& client, const std::string& provider,
   system_.perform(change);
 }
 
-control::Done RunningSystem::wire_to_several(const std::string& client, const std::vector<std::string>& providers, double hold_ms,
-                                             std::uint32_t every) {
+control::Done RunningSystem::wire_to_several(const std::string& client, const std::vector<std::string>& providers,
+                                             double hold_ms, std::uint32_t every) {
   control::Change change;
   control::Wire& request = *change.mutable_wire();
   *request.mutable_client() = port_name(client);
@@ -263,7 +285,7 @@ void RunningSystem::set(const std::string& instance_name, const std::string& par
 }
 
 std::shared_ptr<LaterAnswer> RunningSystem::begin_state(const std::string& instance_name, const std::string& mode,
-                                                       double within_ms) {
+                                                        double within_ms) {
   control::State request;
   request.set_within_ms(within_ms);
   request.set_instance(instance_name);
@@ -278,7 +300,8 @@ std::shared_ptr<LaterAnswer> RunningSystem::begin_state(const std::string& insta
 
 void RunningSystem::state(const std::string& instance_name, const std::string& mode) {
   const auto answer = begin_state(instance_name, mode);
-  eventually("the change to " + mode, [&] { return answer->ended.load(); }, std::chrono::seconds(15));
+  eventually(
+      "the change to " + mode, [&] { return answer->ended.load(); }, std::chrono::seconds(15));
   if (answer->reply.has_failure()) host::throw_failure(answer->reply.failure());
 }
 
@@ -335,7 +358,7 @@ void RunningSystem::eventually(const std::string& what, const std::function<bool
 }
 
 SeenSample RunningSystem::wait_for(std::uint64_t id, const std::function<bool(const SeenSample&)>& fits,
-                                     std::chrono::milliseconds deadline) {
+                                   std::chrono::milliseconds deadline) {
   SeenSample found;
   eventually(
       "a sample that fits",

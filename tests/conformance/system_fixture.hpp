@@ -44,8 +44,8 @@ class SeenSample {
  public:
   SeenSample() = default;
   explicit SeenSample(const google::protobuf::Message& sample);
-  bool has_value = false;     ///< of a probe; false: there is none yet
-  std::string unit;           ///< of a probe
+  bool has_value = false;  ///< of a probe; false: there is none yet
+  std::string unit;        ///< of a probe
   std::uint64_t sequence = 0;
   std::uint64_t counted = 0;  ///< by the tap, from 1
   std::uint64_t skipped = 0;  ///< by the tap so far
@@ -66,8 +66,8 @@ class OtherHost {
  public:
   struct Choice {
     std::string listen = "127.0.0.1:0";
-    bool plugins = true;      ///< may load the test's library
-    std::string network = ""; ///< a network namespace; empty: the test's own
+    bool plugins = true;       ///< may load the test's library
+    std::string network = "";  ///< a network namespace; empty: the test's own
   };
   /// Its keys and sockets go below `directory`.
   OtherHost(const std::filesystem::path& directory, const std::string& name) : OtherHost(directory, name, Choice()) {}
@@ -113,6 +113,9 @@ class RunningSystem {
   /// Ends groups that hang, as a host does; other systems here leave alone those that a test has stopped.
   struct EndsHungGroups {};
   RunningSystem(const host::HostOptions& hosts, EndsHungGroups);
+  /// Starts again groups that have ended, as a host does; other systems here leave them as they are.
+  struct RestartsGroups {};
+  explicit RunningSystem(RestartsGroups);
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");
@@ -122,8 +125,8 @@ class RunningSystem {
                const std::string& parameters = "");
   void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
   /// To the first of these that is fit. A negative hold time: the usual one.
-  control::Done wire_to_several(const std::string& client, const std::vector<std::string>& providers, double hold_ms = -1,
-                                std::uint32_t every = 1);
+  control::Done wire_to_several(const std::string& client, const std::vector<std::string>& providers,
+                                double hold_ms = -1, std::uint32_t every = 1);
   void unwire(const std::string& client);
   void set(const std::string& instance, const std::string& parameters);
   void state(const std::string& instance, const std::string& mode);
@@ -142,7 +145,7 @@ class RunningSystem {
   std::uint64_t watch(const std::string& port, control::Watch terms = {});
   /// The first sample of the watched port, not looked at before, that `fits`; fails the test after `deadline`.
   SeenSample wait_for(std::uint64_t watch, const std::function<bool(const SeenSample&)>& fits,
-                        std::chrono::milliseconds deadline = std::chrono::seconds(30));
+                      std::chrono::milliseconds deadline = std::chrono::seconds(30));
   /// All samples so far that `wait_for` has not passed.
   std::vector<SeenSample> take(std::uint64_t watch);
   control::PortStatus port(const std::string& name);
@@ -188,7 +191,7 @@ class OverTransports : public ::testing::TestWithParam<Transport> {
 }  // namespace fiona::conformance
 
 /// Runs the tests of a suite over these transports, and names each run after its own.
-#define FIONA_OVER(suite, ...)                                         \
+#define FIONA_OVER(suite, ...)                                          \
   INSTANTIATE_TEST_SUITE_P(Over, suite, ::testing::Values(__VA_ARGS__), \
                            [](const auto& run) { return to_string(run.param); })
 #define FIONA_OVER_EVERY_TRANSPORT(suite) FIONA_OVER(suite, Transport::Process, Transport::Ipc, Transport::Tcp)

@@ -79,7 +79,8 @@ TEST_P(Tasks, FreeRunningEndsWithItsActivityAndBeginsWithIt) {
 TEST_P(Tasks, FreeRunningThatDoesNotReturnBlocksTheChangeByNameAndForItsTimeOnly) {
   system.set("toiler", "stubborn=true");
   const auto change = system.begin_state("toiler", "rest", 100);
-  system.eventually("pending", [&] { return change->ended || system.instance("toiler").pending().blocked_by() == "task 'read'"; });
+  system.eventually("pending",
+                    [&] { return change->ended || system.instance("toiler").pending().blocked_by() == "task 'read'"; });
   system.eventually("the answer", [&] { return change->ended.load(); });
   EXPECT_EQ(change->reply.failure().what(), "'toiler' did not change its mode to rest in time: blocked by task 'read'");
   EXPECT_EQ(system.instance("toiler").mode(), "toil");

@@ -24,7 +24,9 @@ constexpr int kMinglers = 8;
 using Placement = std::function<std::string(int)>;
 
 std::string in_main(int) { return "main"; }
-std::string in_three(int n) { return std::vector<std::string>{"main", "red", "blue"}.at(static_cast<std::size_t>(n % 3)); }
+std::string in_three(int n) {
+  return std::vector<std::string>{"main", "red", "blue"}.at(static_cast<std::size_t>(n % 3));
+}
 std::string one_far(int n) { return n == 5 ? "red" : "main"; }
 std::string in_two_groups(int n) { return n < 4 ? "red" : "blue"; }
 
@@ -32,8 +34,9 @@ std::string in_two_groups(int n) { return n < 4 ? "red" : "blue"; }
 void wire_at_random(RunningSystem& system, unsigned seed) {
   std::mt19937 random(seed);
   const std::vector<std::pair<std::string, std::string>> ports{
-      {"each_in", "newest"}, {"newest_in", "newest"}, {"waited_in", "newest"}, {"last_in", "last"}, {"leased_in", "leased"},
-      {"timed_in", "timed"}, {"bell_in", "bell"},     {"echo_in", "echo"},     {"orders_in", "orders"}};
+      {"each_in", "newest"}, {"newest_in", "newest"}, {"waited_in", "newest"},
+      {"last_in", "last"},   {"leased_in", "leased"}, {"timed_in", "timed"},
+      {"bell_in", "bell"},   {"echo_in", "echo"},     {"orders_in", "orders"}};
   for (int n = 0; n < kMinglers; ++n) {
     for (const auto& [client, provider] : ports) {
       const auto other = (static_cast<unsigned>(n) + 1 + random() % (kMinglers - 1)) % kMinglers;
@@ -51,7 +54,9 @@ std::string text_of_file(const std::filesystem::path& file) {
   return text.str();
 }
 
-std::size_t lines_of(const std::string& text) { return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n')); }
+std::size_t lines_of(const std::string& text) {
+  return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
+}
 
 /// Values of a port, of a port now and then, and of a probe of the hull.
 void watch_some(RunningSystem& system) {
@@ -70,7 +75,8 @@ std::string deliveries(unsigned seed, std::size_t threads, const Placement& plac
     RunningSystem system(threads, 30s);
     system.set("host", "clock=virtual deliveries=" + file.string());
     for (int n = 0; n < kMinglers; ++n) {
-      system.load_in(place(n), "mingler", "m" + std::to_string(n), "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
+      system.load_in(place(n), "mingler", "m" + std::to_string(n),
+                     "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
     }
     wire_at_random(system, seed);
     if (watched) watch_some(system);
@@ -99,7 +105,8 @@ TEST(VirtualTimeProcess, TheDeliveryLogIsTheSameWithOneTwoAndEightThreads) {
     const std::string expected = deliveries(seed, 1, in_main);
     ASSERT_GT(lines_of(expected), 1000U);
     for (const std::size_t threads : {1U, 2U, 8U, 2U, 8U}) {
-      EXPECT_EQ(first_difference(expected, deliveries(seed, threads, in_main)), "") << threads << " threads, seed " << seed;
+      EXPECT_EQ(first_difference(expected, deliveries(seed, threads, in_main)), "")
+          << threads << " threads, seed " << seed;
     }
   }
 }
@@ -183,10 +190,12 @@ double expected_after_ms(RunningSystem& running, const std::string& port, std::u
   control::Watch watch;
   *watch.mutable_port() = expect.port();
   auto answer = std::make_shared<LaterAnswer>();
-  system.waits().expect(1, 1, expect, tap, [&] { system.tap(tap, watch); }, [answer](control::Reply reply) {
-    answer->reply = std::move(reply);
-    answer->ended = true;
-  });
+  system.waits().expect(
+      1, 1, expect, tap, [&] { system.tap(tap, watch); },
+      [answer](control::Reply reply) {
+        answer->reply = std::move(reply);
+        answer->ended = true;
+      });
   running.eventually("the sample", [&] { return answer->ended.load(); });
   system.untap(tap);
   EXPECT_TRUE(answer->reply.has_met()) << answer->reply.ShortDebugString();

@@ -32,20 +32,31 @@ const std::map<std::string, std::vector<Sample>>& samples() {
       {"unwire", {{"unwire nav.imu", Access::Compose}}},
       {"swap", {{"swap walk for nav", Access::Compose}, {"swap walk for nav watch 1s", Access::Compose}}},
       {"begin", {{"begin", Access::Nothing}}},
-      {"commit", {{"begin\nload a\nset a rate=5\ncommit", Access::Compose}, {"begin\nset walk rate=5\ncommit", Access::Operate}}},
+      {"commit",
+       {{"begin\nload a\nset a rate=5\ncommit", Access::Compose}, {"begin\nset walk rate=5\ncommit", Access::Operate}}},
       {"abort", {{"begin\nload a\nabort", Access::Nothing}}},
-      {"plan", {{"plan load a", Access::Observe}, {"plan undo", Access::Observe}, {"plan swap walk for nav", Access::Observe},
-                {"plan apply FILE", Access::Observe}, {"plan load /home/me/libx.so/x", Access::Administer}}},
+      {"plan",
+       {{"plan load a", Access::Observe},
+        {"plan undo", Access::Observe},
+        {"plan swap walk for nav", Access::Observe},
+        {"plan apply FILE", Access::Observe},
+        {"plan load /home/me/libx.so/x", Access::Administer}}},
       {"apply", {{"apply FILE", Access::Compose}}},
       {"undo", {{"undo", Access::Compose}}},
       {"journal", {{"journal", Access::Observe}}},
-      {"set", {{"set walk rate=5", Access::Operate}, {"set host clock=virtual", Access::Operate},
-               {"set host deliveries=/home/me/log", Access::Administer}}},
+      {"set",
+       {{"set walk rate=5", Access::Operate},
+        {"set host clock=virtual", Access::Operate},
+        {"set host deliveries=/home/me/log", Access::Administer}}},
       {"get", {{"get walk", Access::Observe}}},
       {"state", {{"state walk neutral", Access::Operate}, {"state walk", Access::Observe}}},
       {"call", {{"call walk.go", Access::Operate}}},
       {"send", {{"send walk.imu", Access::Operate}}},
-      {"ls", {{"ls", Access::Observe}, {"ls wires", Access::Observe}, {"ls services", Access::Observe}, {"ls hosts", Access::Observe}}},
+      {"ls",
+       {{"ls", Access::Observe},
+        {"ls wires", Access::Observe},
+        {"ls services", Access::Observe},
+        {"ls hosts", Access::Observe}}},
       {"show", {{"show walk", Access::Observe}, {"show walk.imu", Access::Observe}}},
       {"spots", {{"spots", Access::Observe}}},
       {"why", {{"why nav", Access::Observe}}},
@@ -136,7 +147,9 @@ class AccessTable : public ::testing::Test {
     }
     for (const char* name : {"FILE", "SAVED"}) {
       const std::size_t at = lines.find(name);
-      if (at != std::string::npos) lines.replace(at, std::string(name).size(), (directory.path() / (name[0] == 'F' ? "system.fiona" : "saved.fiona")).string());
+      if (at != std::string::npos)
+        lines.replace(at, std::string(name).size(),
+                      (directory.path() / (name[0] == 'F' ? "system.fiona" : "saved.fiona")).string());
     }
     Options options;
     options.at = "unix:" + host.socket().string();

@@ -104,8 +104,8 @@ TEST_F(Diagnosis, FollowsTheWiresToTheInstanceThatFailed) {
   silence("nav", "location", 5);
   EXPECT_THAT(why("nav.location"),
               ElementsAre("phone failed: the file ends in line 12", "phone.imu is silent", "steps.imu gets nothing",
-                          "steps.steps is silent", "nav.steps gets nothing", "phone.wifi is silent", "nav.wifi gets nothing",
-                          "nav.location is silent"));
+                          "steps.steps is silent", "nav.steps gets nothing", "phone.wifi is silent",
+                          "nav.wifi gets nothing", "nav.location is silent"));
 }
 
 TEST_F(Diagnosis, AModeThatServesNothingIsTheRootAndTheLineThatChangesItIsToldFirst) {
@@ -136,9 +136,10 @@ TEST_F(Diagnosis, AProviderThatIsSilentThoughItGetsEverythingIsItselfTheRoot) {
   auto& task = *instance("steps").add_tasks();
   task.mutable_task()->set_name("detect");
   task.set_overruns(12);
-  EXPECT_THAT(why("nav.steps"),
-              ElementsAre("steps.steps is silent, though steps gets all that it requires; task 'detect' has overrun 12 times",
-                          "nav.steps gets nothing"));
+  EXPECT_THAT(
+      why("nav.steps"),
+      ElementsAre("steps.steps is silent, though steps gets all that it requires; task 'detect' has overrun 12 times",
+                  "nav.steps gets nothing"));
 }
 
 TEST_F(Diagnosis, AProviderThatIsNotLoadedIsNamedWithTheNameThatWasMeant) {
@@ -154,13 +155,15 @@ TEST_F(Diagnosis, AProviderThatIsNotLoadedIsNamedWithTheNameThatWasMeant) {
 TEST_F(Diagnosis, WhatArrivesButIsRefusedSaysSo) {
   silence("nav", "wifi", 3);
   port("nav", "wifi").set_refused(40);
-  EXPECT_THAT(why("nav.wifi"),
-              ElementsAre("nav.wifi takes nothing of what its provider says: 40 broke a rule of size, range or finiteness"));
+  EXPECT_THAT(
+      why("nav.wifi"),
+      ElementsAre("nav.wifi takes nothing of what its provider says: 40 broke a rule of size, range or finiteness"));
 }
 
 TEST_F(Diagnosis, WhatComesLaterThanItsLeaseIsLate) {
   port("nav", "wifi").set_latency_p99_ms(900);
-  EXPECT_THAT(why("nav"), ElementsAre("nav.wifi is late: one in a hundred is under way for 900 ms, and 300 ms is loss"));
+  EXPECT_THAT(why("nav"),
+              ElementsAre("nav.wifi is late: one in a hundred is under way for 900 ms, and 300 ms is loss"));
 }
 
 TEST_F(Diagnosis, APortThatNobodyWiredIsToldUnlessItIsOptional) {
@@ -188,7 +191,8 @@ TEST_F(Diagnosis, OfSeveralProvidersThoseThatCannotServeAreNamed) {
   first.mutable_provider()->set_port("wifi");
   first.set_reason("has been silent for 500 ms");
   silence("phone", "wifi", 0.5);
-  EXPECT_THAT(why("nav.wifi"), ::testing::Contains("phone.wifi is an alternative that cannot serve: has been silent for 500 ms"));
+  EXPECT_THAT(why("nav.wifi"),
+              ::testing::Contains("phone.wifi is an alternative that cannot serve: has been silent for 500 ms"));
 }
 
 }  // namespace

@@ -37,7 +37,8 @@ TEST(Grammar, ACommentEndsTheLine) { EXPECT_EQ(texts(split_line("ls # everything
 TEST(Grammar, AHashInsideAWordIsNoComment) { EXPECT_EQ(texts(split_line("show a#b")), (Texts{"show", "a#b"})); }
 
 TEST(Grammar, ALineKeepsTheCommentRightAboveItAndAtItsEnd) {
-  const auto lines = split_script("# the system\n\n#  the phone \n# of a visitor\nload a # seeded\nload b\n", "a.fiona");
+  const auto lines =
+      split_script("# the system\n\n#  the phone \n# of a visitor\nload a # seeded\nload b\n", "a.fiona");
   ASSERT_EQ(lines.size(), 2U);
   EXPECT_EQ(lines[0].comment, "the phone\nof a visitor\nseeded");
   EXPECT_EQ(lines[1].comment, "");
@@ -234,7 +235,8 @@ TEST(Values, WhatIsTypedIsReadBackTheSame) {
                            "[1, \"a, b\", [x]]",
                            "{a: 1}",
                            "\"#x\"",
-                           "\"a=b\"", "\"=\"",
+                           "\"a=b\"",
+                           "\"=\"",
                            "é"}) {
     const control::Value first = value(text);
     EXPECT_EQ(value(typed(first)).SerializeAsString(), first.SerializeAsString()) << text << " -> " << typed(first);

@@ -163,7 +163,8 @@ TEST_F(ConsoleTest, AWireLineIsAWireRequest) {
 }
 
 TEST_F(ConsoleTest, LinesBetweenBeginAndCommitAreOneTransaction) {
-  run_script(session(), read_script(file("a.fiona", "begin\nload a\nwire b.x to a.x\nset a rate=5\nstate a neutral\ncommit\n")));
+  run_script(session(),
+             read_script(file("a.fiona", "begin\nload a\nwire b.x to a.x\nset a rate=5\nstate a neutral\ncommit\n")));
   ASSERT_EQ(requests().size(), 1U);
   ASSERT_EQ(requests()[0].transact().changes_size(), 4);
   EXPECT_TRUE(requests()[0].transact().changes(1).has_wire());
@@ -265,7 +266,8 @@ TEST_F(ConsoleTest, ARefusalCannotForgeLinesOrActOnTheTerminal) {
 
 TEST_F(ConsoleTest, ARefusalThatQuotesAnotherErrorKeepsItsLines) {
   script = [](const auto&) {
-    auto reply = failure(ErrorCode::Failed, "'b' cannot be made: the map is garbled\n  expected: a map\n\n  found: b\n", "b");
+    auto reply =
+        failure(ErrorCode::Failed, "'b' cannot be made: the map is garbled\n  expected: a map\n\n  found: b\n", "b");
     reply.mutable_failure()->set_next("copy it again\n  or learn it");
     return std::vector{reply};
   };
@@ -415,10 +417,13 @@ TEST_F(ConsoleTest, WatchPrintsAProbeWithItsUnitAndWhatWasLost) {
   script = [](const control::Request&) {
     control::Reply none;
     none.mutable_sample()->set_time_s(1);
-    return std::vector{none, probe_sample(2.5, 0), probe_sample(3.5, 4), failure(ErrorCode::Unreachable, "'nav' was unloaded")};
+    return std::vector{none, probe_sample(2.5, 0), probe_sample(3.5, 4),
+                       failure(ErrorCode::Unreachable, "'nav' was unloaded")};
   };
   EXPECT_EQ(error_of("watch nav.spread when above 2"), "column 7: 'nav' was unloaded");
-  EXPECT_EQ(out, "nav.spread  1.000 s  no value yet\nnav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m, 4 lost before it\n");
+  EXPECT_EQ(
+      out,
+      "nav.spread  1.000 s  no value yet\nnav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m, 4 lost before it\n");
 }
 
 TEST_F(ConsoleTest, ExpectTakesAProbe) {
@@ -460,7 +465,9 @@ TEST_F(ConsoleTest, AWatchInAScriptGoesOnBesideTheLines) {
 
 TEST_F(ConsoleTest, AScriptStopsAtTheFirstLineThatFailsAndSaysWhere) {
   script = [](const control::Request& request) {
-    return std::vector{request.transact().changes(0).has_unload() ? failure(ErrorCode::NotFound, "there is no instance 'bb'") : done()};
+    return std::vector{request.transact().changes(0).has_unload()
+                           ? failure(ErrorCode::NotFound, "there is no instance 'bb'")
+                           : done()};
   };
   const auto path = file("a.fiona", "load x\n  unload bb\nload y\n");
   try {
@@ -600,7 +607,8 @@ TEST(WhiteSpots, NameTheAlternativesThatAreMissing) {
   for (const auto& spot : spots) {
     if (spot.reason == "served, an alternative is missing") missing.push_back(spot.fillers.at(0).what);
   }
-  EXPECT_EQ(missing, (std::vector<std::string>{"walk.imu has been silent for 300 ms", "gps.imu: there is no instance 'gps' yet"}));
+  EXPECT_EQ(missing, (std::vector<std::string>{"walk.imu has been silent for 300 ms",
+                                               "gps.imu: there is no instance 'gps' yet"}));
 }
 
 TEST(SavedSystem, IsTheSameTextForTheSameSystem) {

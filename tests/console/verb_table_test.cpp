@@ -88,8 +88,9 @@ TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
 
 TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
   // Words that only the person knows: numbers, times, new names.
-  const std::set<std::string> free{"ADDRESS:PORT", "NAME=ADDRESS:PORT=KEY", "KEY", "",     "N",    "T",     "VALUE",    "CODE",
-                                   "WORD", "NAME", "FIELD", "ENDPOINT", "INSTANCE.PARAM=VALUE", "FIELD=VALUE"};
+  const std::set<std::string> free{
+      "ADDRESS:PORT", "NAME=ADDRESS:PORT=KEY", "KEY",        "", "N", "T", "VALUE", "CODE", "WORD", "NAME", "FIELD",
+      "ENDPOINT",     "INSTANCE.PARAM=VALUE",  "FIELD=VALUE"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
     const std::string placeholder = slot.placeholder();
@@ -165,14 +166,15 @@ TEST(Lines, WhenTakesAConditionOfSeveralWords) {
 }
 
 TEST(Lines, WhatIsNoConditionIsRefusedWithThoseThatAre) {
-  for (const char* wrong : {"watch a.b when higher 3", "watch a.b when above", "watch a.b when older 1s", "watch a.b when changes 3",
-                            "watch a.b when x above 3 4", "watch a.b when older than 3"})
+  for (const char* wrong : {"watch a.b when higher 3", "watch a.b when above", "watch a.b when older 1s",
+                            "watch a.b when changes 3", "watch a.b when x above 3 4", "watch a.b when older than 3"})
     EXPECT_THROW(watch_request(line_of(wrong)), Error) << wrong;
   try {
     watch_request(line_of("watch a.b when higher 3"));
   } catch (const Error& error) {
     EXPECT_EQ(error.text().what, "'higher' is no condition");
-    EXPECT_EQ(error.text().expected, "[FIELD] above VALUE, [FIELD] below VALUE, [FIELD] is VALUE, changes, older than T");
+    EXPECT_EQ(error.text().expected,
+              "[FIELD] above VALUE, [FIELD] below VALUE, [FIELD] is VALUE, changes, older than T");
   }
 }
 
@@ -184,7 +186,8 @@ TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
 
 TEST(Lines, AMissingWordIsNamed) {
   EXPECT_EQ(refusal_of_line("load"),
-            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with master] [PARAM=VALUE …]");
+            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with "
+            "master] [PARAM=VALUE …]");
 }
 
 TEST(Lines, AMissingClauseIsNamed) {
@@ -212,7 +215,8 @@ TEST(Lines, AClauseThatMayBeRepeatedTakesAWordEachTimeOrSeveralAtOnce) {
 }
 
 TEST(Lines, AnArgumentThatTheVerbDoesNotKnowIsRefused) {
-  EXPECT_NE(refusal_of_line("wire a.b to c.d else e.f hodl=3s").find("column 26: wire takes no hodl=…"), std::string::npos);
+  EXPECT_NE(refusal_of_line("wire a.b to c.d else e.f hodl=3s").find("column 26: wire takes no hodl=…"),
+            std::string::npos);
 }
 
 TEST(Lines, OneWordTooManyIsRefused) {
@@ -308,7 +312,9 @@ TEST(Completion, KnowsParametersAndTheirValues) {
   EXPECT_EQ(candidates("set walk direction="), (Texts{"direction=down", "direction=up"}));
 }
 
-TEST(Completion, KnowsModes) { EXPECT_EQ(candidates("state walk "), (Texts{"active", "deactivated", "for", "neutral"})); }
+TEST(Completion, KnowsModes) {
+  EXPECT_EQ(candidates("state walk "), (Texts{"active", "deactivated", "for", "neutral"}));
+}
 
 TEST(Completion, KnowsPluginsFilesAndOptions) {
   EXPECT_EQ(candidates("load tr"), Texts{"trace-player"});

@@ -98,15 +98,18 @@ TEST(Graph, ACircleEnds) {
   EXPECT_THAT(text_graph(system), HasSubstr("out -> phone.back"));
 }
 
-TEST(Top, BusyIsTheShareOfTimeInHandlersSinceTheSnapshotBefore) {
+TEST(Top, BusyAndCpuAreSharesOfTheTimeSinceTheSnapshotBefore) {
   TopView view;
   const std::chrono::steady_clock::time_point begin{};
   auto system = walk();
   view.update(system, begin);
   EXPECT_EQ(view.instances(TopView::Order::Name).objects().at(0)["busy"], nullptr);
   system.mutable_instances(1)->set_handler_ms(250);
+  system.mutable_instances(1)->set_cpu_ms(40);
   view.update(system, begin + 1s);
   EXPECT_EQ(view.instances(TopView::Order::Name).objects().at(0)["busy"], 25.0);
+  EXPECT_EQ(view.instances(TopView::Order::Name).objects().at(0)["cpu"], 4.0);
+  EXPECT_THAT(view.names(TopView::Order::Cpu), ElementsAre("phone", "steps"));
   EXPECT_THAT(view.names(TopView::Order::Busy), ElementsAre("phone", "steps"));
   system.mutable_instances(1)->set_handler_ms(10);  // another one of that name
   view.update(system, begin + 2s);
@@ -132,15 +135,40 @@ TEST(Top, PortsOfAnInstanceThatIsGoneAreNone) {
   EXPECT_TRUE(view.ports("nobody").empty());
 }
 
-TEST(Top, RowsFitEightyColumns) {
+TEST(Top, InEightyColumnsOnlyTheEndOfTheHealthMayBeCut) {
   TopView view;
-  view.update(walk(), {});
-  for (const std::string& line : view.instances(TopView::Order::Busy).lines()) EXPECT_LE(line.size(), 78U) << line;
+  auto system = walk();
+  view.update(system, {});
+  system.mutable_instances(1)->set_handler_ms(250);
+  system.mutable_instances(1)->set_cpu_ms(125);
+  view.update(system, std::chrono::steady_clock::time_point() + 1s);
+  const auto lines = view.instances(TopView::Order::Busy).lines();
+  EXPECT_LE(lines.at(0).find("health"), 74U) << lines.at(0);
+}
+
+TEST(Top, RestartsAreAColumnOnceThereWereSome) {
+  TopView view;
+  auto system = walk();
+  view.update(system, {});
+  EXPECT_THAT(view.instances(TopView::Order::Name).lines().at(0), Not(HasSubstr("restarts")));
+  EXPECT_EQ(view.instances(TopView::Order::Name).objects().at(0)["restarts"], 0);
+  system.mutable_instances(1)->set_restarts(2);
+  view.update(system, {});
+  const auto lines = view.instances(TopView::Order::Name).lines();
+  EXPECT_THAT(lines.at(0), HasSubstr("drops  restarts  health"));
+  EXPECT_EQ(view.instances(TopView::Order::Name).objects().at(0)["restarts"], 2);
 }
 
 /// The page as a reader sees it.
 std::string unescaped(std::string page) {
-  for (const auto& [escape, text] : {std::pair{"\\-", "-"}, {"\\(aq", "'"}, {"\\(ga", "`"}, {"\\(ha", "^"}, {"\\(ti", "~"}, {"\\e", "\\"}, {"\\&", ""}, {"\\[u2026]", "…"}}) {
+  for (const auto& [escape, text] : {std::pair{"\\-", "-"},
+                                     {"\\(aq", "'"},
+                                     {"\\(ga", "`"},
+                                     {"\\(ha", "^"},
+                                     {"\\(ti", "~"},
+                                     {"\\e", "\\"},
+                                     {"\\&", ""},
+                                     {"\\[u2026]", "…"}}) {
     for (std::size_t at = 0; (at = page.find(escape, at)) != std::string::npos; at += std::string_view(text).size())
       page.replace(at, std::string_view(escape).size(), text);
   }

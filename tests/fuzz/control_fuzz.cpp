@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "control_client.hpp"
+#include "field_compare.hpp"
 #include "fiona/error.hpp"
 #include "fiona/localisation.pb.h"
-#include "field_compare.hpp"
 #include "inert.hpp"
 #include "os/message_stream.hpp"
 

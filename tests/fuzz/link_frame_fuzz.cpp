@@ -227,7 +227,8 @@ class SmallChunks final : public fiona::host::FrameReader::Receiver {
   bool accepts(const Frame& frame) override { return frame.wire() < kWires; }
   void on_frame(const Frame& frame, const ObjectBytes& object) override {
     if (frame.size() != 0 && frame.size() != object.size()) std::abort();
-    if (object.size() > kSmallChunk && frame.size() > kSmallChunk && object.to_string().size() != object.size()) std::abort();
+    if (object.size() > kSmallChunk && frame.size() > kSmallChunk && object.to_string().size() != object.size())
+      std::abort();
     CommCoordConvRequest request;
     const bool whole = request.ParseFromString(object.to_string());
     if (object.parse_into(request) != whole) std::abort();

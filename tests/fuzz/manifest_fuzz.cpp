@@ -43,9 +43,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
           },
           text);
       break;
-    case 1:
-      check([](auto... arguments) { return parse_interface(arguments...); }, text);
-      break;
+    case 1: check([](auto... arguments) { return parse_interface(arguments...); }, text); break;
     default:
       if (const auto version = Version::parse(text); version && *version != *Version::parse(version->text()))
         std::abort();

@@ -26,7 +26,8 @@ void check_object(const google::protobuf::Message& object) {
   (void)fiona::console::object_json(object).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
-void check_type(const fiona::console::TypeSet& types, const google::protobuf::Descriptor& type, std::string_view bytes) {
+void check_type(const fiona::console::TypeSet& types, const google::protobuf::Descriptor& type,
+                std::string_view bytes) {
   (void)fiona::console::field_table(type);
   const auto object = types.make(type.full_name());
   if (!object) std::abort();

@@ -126,12 +126,14 @@ class Transactions : public testing::TestWithParam<conformance::Transport> {
   TemporaryDirectory directory;
   Mailbox<std::function<void()>> work;  ///< outlives the system, whose threads post to it
   RunningSystem system{GetParam()};
-  Engine engine{system.system(), directory.path / "journal", [this](std::function<void()> job) { work.push(std::move(job)); }};
+  Engine engine{system.system(), directory.path / "journal",
+                [this](std::function<void()> job) { work.push(std::move(job)); }};
 };
 
 TEST_P(Transactions, AllChangesAreMadeInTheirOrder) {
-  const auto reply = transact({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
-                               set("source", "payload", 7), state("source", "neutral")});
+  const auto reply =
+      transact({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
+                set("source", "payload", 7), state("source", "neutral")});
   ASSERT_TRUE(reply.has_done()) << reply.failure().what();
   EXPECT_EQ(reply.done().note(), "5 changes");
   EXPECT_EQ(system.instance("source").mode(), "neutral");
@@ -260,7 +262,8 @@ TEST_P(Transactions, UndoGivesAlternativesBackInTheirOrderAndTakesThemAway) {
   several.mutable_wire()->set_hold_ms(500);
   make({several});
   make({unwire("sink.each")});
-  EXPECT_THAT(texts(undo(true).planned().steps()), ElementsAre("wire sink.each to two.newest else one.newest else three.newest"));
+  EXPECT_THAT(texts(undo(true).planned().steps()),
+              ElementsAre("wire sink.each to two.newest else one.newest else three.newest"));
   EXPECT_TRUE(undo().has_done());
   EXPECT_EQ(system.port("sink.each").hold_ms(), 500);
   EXPECT_EQ(system.port("sink.each").providers_size(), 3);
@@ -290,7 +293,8 @@ TEST_P(Transactions, SwapPutsTheNewOneInThePlaceOfAnAlternative) {
   make({several});
   EXPECT_THAT(texts(transact({swap("two", "three")}, false, true).planned().steps()),
               ElementsAre("wire sink.each to one.newest else three.newest"));
-  EXPECT_THAT(texts(transact({swap("one", "two")}, false, true).planned().steps()), ElementsAre("wire sink.each to two.newest"));
+  EXPECT_THAT(texts(transact({swap("one", "two")}, false, true).planned().steps()),
+              ElementsAre("wire sink.each to two.newest"));
 }
 
 TEST_P(Transactions, AFailureTakesAlternativesBack) {
@@ -304,7 +308,8 @@ TEST_P(Transactions, AFailureTakesAlternativesBack) {
 }
 
 TEST_P(Transactions, SwapToWhatDoesNotFitChangesNothingAndSaysWhy) {
-  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"), load("asker", "asker")});
+  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
+        load("asker", "asker")});
   const auto reply = transact({swap("source", "asker")});
   ASSERT_TRUE(reply.has_failure());
   EXPECT_EQ(reply.failure().what(), "'asker' has no port for SampleNewest of source.newest");
@@ -315,12 +320,13 @@ TEST_P(Transactions, WholeMakesTheSystemEqualWithTheFewestSteps) {
   const std::vector<control::Change> old = {load("source", "one"), load("source", "two"), load("sink", "sink", group()),
                                             wire("sink.each", "one.newest"), set("one", "payload", 3)};
   make(old);
-  const std::vector<control::Change> wanted = {load("source", "one"), load("sink", "sink", group()), load("sink", "more"),
-                                               wire("sink.newest", "one.newest"), wire("more.each", "one.newest")};
+  const std::vector<control::Change> wanted = {load("source", "one"), load("sink", "sink", group()),
+                                               load("sink", "more"), wire("sink.newest", "one.newest"),
+                                               wire("more.each", "one.newest")};
   const auto planned = transact(wanted, true, true);
   EXPECT_THAT(texts(planned.planned().steps()),
-              ElementsAre("unwire sink.each", "unload two", "load more", "set one payload", "wire more.each to one.newest",
-                          "wire sink.newest to one.newest"));
+              ElementsAre("unwire sink.each", "unload two", "load more", "set one payload",
+                          "wire more.each to one.newest", "wire sink.newest to one.newest"));
   ASSERT_TRUE(transact(wanted, true).has_done());
   EXPECT_EQ(transact(wanted, true).done().note(), "nothing to change");
   EXPECT_TRUE(undo().has_done());
@@ -346,7 +352,8 @@ TEST_P(Transactions, ManyAtOnceAreMadeInTheirOrderAndEachIsAnswered) {
 }
 
 TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
-  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"), set("source", "payload", 9)});
+  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
+        set("source", "payload", 9)});
   make({load("source", "spare")});
   EXPECT_TRUE(undo().has_done());
   // What a killed process leaves is what has been written: read beside the one that lives.
@@ -379,14 +386,16 @@ TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeIt) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Over, Transactions, testing::Values(conformance::Transport::Process, conformance::Transport::Ipc),
+INSTANTIATE_TEST_SUITE_P(Over, Transactions,
+                         testing::Values(conformance::Transport::Process, conformance::Transport::Ipc),
                          [](const auto& tested) { return to_string(tested.param); });
 
 TEST(Engine, ChangesThatWaitAreBounded) {
   TemporaryDirectory directory;
   Mailbox<std::function<void()>> work;
   RunningSystem system;
-  Engine engine(system.system(), directory.path / "journal", [&](std::function<void()> job) { work.push(std::move(job)); });
+  Engine engine(system.system(), directory.path / "journal",
+                [&](std::function<void()> job) { work.push(std::move(job)); });
   system.load_provider("source", "source");
   control::Transact request;
   *request.add_changes() = state("source", "neutral");

@@ -42,7 +42,9 @@ Error error_of(F request) {
   return Error(ErrorCode::Failed, "no error");
 }
 
-double ms_since(Steady::time_point begin) { return std::chrono::duration<double, std::milli>(Steady::now() - begin).count(); }
+double ms_since(Steady::time_point begin) {
+  return std::chrono::duration<double, std::milli>(Steady::now() - begin).count();
+}
 
 /// The tcp sockets of a process that listen.
 std::size_t listening(pid_t process) {
@@ -96,7 +98,9 @@ TEST_F(Hosts, NoTcpSocketListensUnlessItIsAskedFor) {
 }
 
 TEST_F(Hosts, TcpWithoutKeysIsRefusedInASentenceThatSaysHow) {
-  const Error error = error_of([&] { RunningSystem system(HostOptions{directory.path / "none", "tcp://127.0.0.1:0", {}}); });
+  const Error error = error_of([&] {
+    RunningSystem system(HostOptions{directory.path / "none", "tcp://127.0.0.1:0", {}});
+  });
   EXPECT_EQ(error.text().what, "tcp needs keys, and this user has none");
   EXPECT_EQ(error.text().next, "fiona keys make");
 }
@@ -105,7 +109,8 @@ TEST_F(Hosts, HostThatLeadsIsNotLed) {
   OtherHost other(directory.path, "far");
   HostOptions both = other.led_from(directory.path / "test");
   both.listen = "tcp://127.0.0.1:0";
-  EXPECT_THAT(error_of([&] { RunningSystem system(both); }).text().what, HasSubstr("--peer and --listen do not go together"));
+  EXPECT_THAT(error_of([&] { RunningSystem system(both); }).text().what,
+              HasSubstr("--peer and --listen do not go together"));
 }
 
 TEST_F(Hosts, UnknownKeyIsRefusedCountedAndToldHowToBeLetIn) {
@@ -116,7 +121,9 @@ TEST_F(Hosts, UnknownKeyIsRefusedCountedAndToldHowToBeLetIn) {
   RunningSystem system(stranger);
   system.eventually("refused", [&] { return system.host("far").state() == "refused"; });
   EXPECT_THAT(system.host("far").reason(), HasSubstr("fiona keys allow NAME " + key));
-  system.eventually("told on the other side", [&] { return other.said().find("refused a host at 127.0.0.1, 1 times so far") != std::string::npos; });
+  system.eventually("told on the other side", [&] {
+    return other.said().find("refused a host at 127.0.0.1, 1 times so far") != std::string::npos;
+  });
   EXPECT_EQ(error_of([&] { system.load_in("far", "sink", "sink"); }).code(), ErrorCode::Unreachable);
 }
 
@@ -158,7 +165,8 @@ TEST_F(Hosts, SecondLeaderIsRefusedNamesTheFirstAndTakesOverWhenThatHasGone) {
   second.eventually("refused", [&] { return second.host("far").state() == "refused"; });
   EXPECT_EQ(second.host("far").reason(), "host 'far' is led by 'first': one host leads at a time");
   first.reset();
-  second.eventually("leads", [&] { return second.host("far").state() == "joined"; }, 20s);
+  second.eventually(
+      "leads", [&] { return second.host("far").state() == "joined"; }, 20s);
   second.load_in("far", "sink", "sink");
   EXPECT_EQ(second.instance("sink").mode(), "active") << "what the first had left is gone";
 }
@@ -168,7 +176,8 @@ TEST_F(Hosts, LibraryThatIsInNoPackageIsTakenOnlyFromTheDirectoryOfTheOtherHost)
   RunningSystem system(other.led_from(directory.path / "test"));
   system.join("far");
   const Error error = error_of([&] { system.load_in("far", "sink", "sink"); });
-  EXPECT_EQ(error.text().what, "local/test-components is in no package, and host 'far' takes only what is installed on it");
+  EXPECT_EQ(error.text().what,
+            "local/test-components is in no package, and host 'far' takes only what is installed on it");
   EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
 }
 
@@ -197,7 +206,8 @@ TEST_F(Hosts, WiresOfGroupsArePassedOnByTheirHostsInBothDirections) {
   system.state("here", "active");
   EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 200; }).value(), 200 * 201 / 2);
   system.state("asker", "active");
-  system.wait_for(outcome, [](const auto& s) { return s.value() == static_cast<double>(Outcome::Ok) && s.payload() == "1000"; });
+  system.wait_for(outcome,
+                  [](const auto& s) { return s.value() == static_cast<double>(Outcome::Ok) && s.payload() == "1000"; });
 }
 
 TEST_F(Hosts, PushToSeveralGroupsOfAnotherHostCrossesOnceInChunksAndArrivesWhole) {
@@ -206,7 +216,8 @@ TEST_F(Hosts, PushToSeveralGroupsOfAnotherHostCrossesOnceInChunksAndArrivesWhole
   OtherHost other(directory.path, "far");
   RunningSystem system(other.led_from(directory.path / "test"));
   system.join("far");
-  system.load_in("near", "source", "source", fmt::format("neutral period_ms=100 count={} payload={}", kCount, kPayload));
+  system.load_in("near", "source", "source",
+                 fmt::format("neutral period_ms=100 count={} payload={}", kCount, kPayload));
   for (const std::string name : {"a", "b"}) system.load_in("far/deep", "sink", name);
   system.load_in("far", "sink", "c");
   const auto report = system.watch("a.report");
@@ -242,12 +253,14 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
   system.load_in("far/deep", "sink", "sink");
   system.load_in("", "source", "source", "period_ms=5");
   system.wire("sink.each", "source.newest");
-  std::ifstream children("/proc/" + std::to_string(other.process()) + "/task/" + std::to_string(other.process()) + "/children");
+  std::ifstream children("/proc/" + std::to_string(other.process()) + "/task/" + std::to_string(other.process()) +
+                         "/children");
   pid_t group = 0;
   children >> group;
   ASSERT_GT(group, 0);
   ::kill(group, SIGKILL);
-  system.eventually("told", [&] { return system.instance("sink").reason().find("killed by signal 9") != std::string::npos; });
+  system.eventually("told",
+                    [&] { return system.instance("sink").reason().find("killed by signal 9") != std::string::npos; });
   EXPECT_EQ(system.instance("sink").mode(), "failed");
   EXPECT_EQ(system.host("far").state(), "joined");
   system.unload("sink");
@@ -338,13 +351,15 @@ TEST_F(Hosts, ForeignBytesOnThePortChangeNothing) {
   system.join("far");
   wire_source_to_sink(system);
   const std::string zmtp_null("\xff\0\0\0\0\0\0\0\1\x7f\3\0NULL", 16);
-  for (const std::string& bytes : {std::string("GET / HTTP/1.1\r\n\r\n"), std::string(100'000, '\xff'), std::string(5000, '\0'),
-                                   zmtp_null + std::string(48, '\0') + std::string(3000, 'x')}) {
+  for (const std::string& bytes :
+       {std::string("GET / HTTP/1.1\r\n\r\n"), std::string(100'000, '\xff'), std::string(5000, '\0'),
+        zmtp_null + std::string(48, '\0') + std::string(3000, 'x')}) {
     const int client = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
     sockaddr_in address{};
     address.sin_family = AF_INET;
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(other.address().substr(other.address().find(':') + 1))));
+    address.sin_port =
+        htons(static_cast<std::uint16_t>(std::stoi(other.address().substr(other.address().find(':') + 1))));
     ASSERT_EQ(::connect(client, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
     static_cast<void>(::send(client, bytes.data(), bytes.size(), MSG_NOSIGNAL));
     ::close(client);
@@ -370,15 +385,20 @@ TEST_F(Hosts, HostsThatCannotJoinTryAgainAtMostSoOften) {
   HostOptions options{directory.path / "keys", "", {}};
   const std::string key = trust::KeyDirectory(options.keys).make().open.text();
   for (int i = 0; i < kPeers; ++i) {
-    options.peers.push_back(PeerAddress::from_text("p" + std::to_string(i) + "=127.0.0.1:" + std::to_string(ntohs(address.sin_port)) + "=" + key));
+    options.peers.push_back(PeerAddress::from_text(
+        "p" + std::to_string(i) + "=127.0.0.1:" + std::to_string(ntohs(address.sin_port)) + "=" + key));
   }
   RunningSystem system(options);
   const auto begin = Steady::now();
   int late = 0;
-  system.eventually("20 s pass", [&] {
-    for (int one = 0; (one = ::accept(server, nullptr, nullptr)) >= 0; ::close(one)) late += ms_since(begin) > 2'000;
-    return ms_since(begin) > 20'000;
-  }, 30s);
+  system.eventually(
+      "20 s pass",
+      [&] {
+        for (int one = 0; (one = ::accept(server, nullptr, nullptr)) >= 0; ::close(one))
+          late += ms_since(begin) > 2'000;
+        return ms_since(begin) > 20'000;
+      },
+      30s);
   ::close(server);
   std::cout << late / 18.0 << " attempts a second of " << kPeers << " hosts\n";
   EXPECT_GT(late, 0);
@@ -391,7 +411,8 @@ TEST(Peer, IsNamedWithAddressAndKey) {
   const auto peer = PeerAddress::from_text("kitchen=10.0.0.2:7001=" + std::string(64, 'a'));
   EXPECT_EQ(peer.name, "kitchen");
   EXPECT_EQ(peer.address, "tcp://10.0.0.2:7001");
-  for (const std::string wrong : {"kitchen", "kitchen=10.0.0.2:7001", "=10.0.0.2:7001=", "main=h:1=", "k=h=", "k=h:="}) {
+  for (const std::string wrong :
+       {"kitchen", "kitchen=10.0.0.2:7001", "=10.0.0.2:7001=", "main=h:1=", "k=h=", "k=h:="}) {
     const std::string text = wrong.ends_with('=') ? wrong + std::string(64, 'a') : wrong;
     EXPECT_EQ(error_of([&] { PeerAddress::from_text(text); }).code(), ErrorCode::Usage) << text;
   }
@@ -412,10 +433,12 @@ TEST_P(Partitions, BothSidesShowTheFaultAndAreBackWithNothingLostSilently) {
   system.eventually("noticed", [&] { return system.host("far").state() == "silent"; });
   std::cout << "noticed after " << ms_since(pulled) << " ms\n";
   EXPECT_EQ(system.port("sink.each").connection(), control::LOST);
-  system.eventually("the outage ends", [&] { return Steady::now() - pulled > GetParam(); }, 20s);
+  system.eventually(
+      "the outage ends", [&] { return Steady::now() - pulled > GetParam(); }, 20s);
   cable.plug();
   const auto plugged = Steady::now();
-  system.eventually("the other side has shown it", [&] { return other.said().find("which leads, has been silent for 1") != std::string::npos; });
+  system.eventually("the other side has shown it",
+                    [&] { return other.said().find("which leads, has been silent for 1") != std::string::npos; });
   system.eventually("this side as well, and is back", [&] {
     const auto port = system.port("sink.each");
     return port.connection() == control::CONNECTED && port.dropped() > 0;

@@ -1,7 +1,7 @@
 // What goes next over a link (architecture, data plane): lanes in turn, chunks between small messages, bounds and loss.
+#include <gmock/gmock.h>
 #include <google/protobuf/struct.pb.h>
 #include <google/protobuf/wrappers.pb.h>
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cstring>
@@ -62,7 +62,8 @@ class Reader final : public FrameReader::Receiver {
   }
   bool accepts(const wire::Frame&) override { return true; }
   void on_frame(const wire::Frame& frame, const ObjectBytes& object) override {
-    seen_.push_back(std::to_string(frame.wire()) + (frame.has_lost() ? " lost " + std::to_string(frame.lost().messages()) : ""));
+    seen_.push_back(std::to_string(frame.wire()) +
+                    (frame.has_lost() ? " lost " + std::to_string(frame.lost().messages()) : ""));
     bytes += object.size();
     BytesValue parsed;
     EXPECT_TRUE(object.parse_into(parsed));
@@ -99,7 +100,8 @@ TEST(LinkLanes, LargeMessagesOfSeveralWiresTakeTurnsChunkByChunk) {
   const auto short_one = lanes.open();
   lanes.offer(*long_one, item_of(1, 8 * kChunkBytes));
   lanes.offer(*short_one, item_of(2, 2 * kChunkBytes - 100));
-  for (const auto* expected : {"chunk", "chunk", "chunk", "2"}) EXPECT_THAT(next_of(lanes, reader), ElementsAre(expected));
+  for (const auto* expected : {"chunk", "chunk", "chunk", "2"})
+    EXPECT_THAT(next_of(lanes, reader), ElementsAre(expected));
 }
 
 TEST(LinkLanes, LargeMessageIsNotHeldUpByAStreamOfSmallOnes) {
@@ -242,8 +244,9 @@ TEST(LinkLanes, ClosedLaneEndsWhatHasBegunAndGoes) {
 }
 
 TEST(LinkLanes, ObjectsOfEverySizeArriveAsTheyWere) {
-  for (const std::size_t size : {0UL, 1UL, kInlineBytes - 1, kInlineBytes, kInlineBytes + 1, kChunkBytes - 20, kChunkBytes - 6,
-                                 kChunkBytes - 5, kChunkBytes - 4, kChunkBytes, kChunkBytes + 1, 3 * kChunkBytes + 17}) {
+  for (const std::size_t size :
+       {0UL, 1UL, kInlineBytes - 1, kInlineBytes, kInlineBytes + 1, kChunkBytes - 20, kChunkBytes - 6, kChunkBytes - 5,
+        kChunkBytes - 4, kChunkBytes, kChunkBytes + 1, 3 * kChunkBytes + 17}) {
     PeerLanes lanes;
     Reader reader;
     const auto lane = lanes.open();
@@ -323,7 +326,8 @@ TEST(LinkChunks, ObjectByteByByteIsEnded) {
 /// Fields of every size, in one object.
 google::protobuf::ListValue mixed_object(const std::vector<std::size_t>& sizes) {
   google::protobuf::ListValue object;
-  for (const std::size_t size : sizes) object.add_values()->mutable_string_value()->assign(size, static_cast<char>('a' + size % 26));
+  for (const std::size_t size : sizes)
+    object.add_values()->mutable_string_value()->assign(size, static_cast<char>('a' + size % 26));
   return object;
 }
 

@@ -1,6 +1,6 @@
 // What a link lets in, and what it refuses and counts, seen by a peer by hand.
-#include <google/protobuf/wrappers.pb.h>
 #include <gmock/gmock.h>
+#include <google/protobuf/wrappers.pb.h>
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -179,7 +179,8 @@ TEST_F(ProvingLink, ReadsAheadOnlySoMuchOfAPeerThatIgnoresItsCredit) {
     while (sent < 10'000 && peer.try_send({message})) ++sent;
   }
   EXPECT_LT(sent, 10'000);
-  EXPECT_TRUE(eventually([&] { return noted.seen().size() == static_cast<std::size_t>(sent); })) << "and nothing is lost";
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == static_cast<std::size_t>(sent); }))
+      << "and nothing is lost";
 }
 
 TEST_F(ProvingLink, KeyOfOneNameDoesNotProveAnother) {
@@ -187,7 +188,8 @@ TEST_F(ProvingLink, KeyOfOneNameDoesNotProveAnother) {
   wire::Frame proof;
   proof.mutable_proof()->set_client("other");
   proof.mutable_proof()->set_nonce(std::string(kNonceBytes, 'n'));
-  proof.mutable_proof()->set_proof(link_proof(link_key(kKey, "peer"), LinkSide::Client, std::string(kNonceBytes, 'n'), ""));
+  proof.mutable_proof()->set_proof(
+      link_proof(link_key(kKey, "peer"), LinkSide::Client, std::string(kNonceBytes, 'n'), ""));
   peer.send(proof);
   EXPECT_TRUE(eventually([&] { return counters.unproven == 1; }));
   EXPECT_EQ(link.peers(), 0U);

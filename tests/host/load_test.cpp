@@ -84,20 +84,25 @@ TEST_P(Zoo, IsRefusedInAGroupAndTheGroupDoesNotStay) {
 INSTANTIATE_TEST_SUITE_P(
     Each, Zoo,
     testing::Values(
-        Refusal{"missing-symbol", ErrorCode::Failed, "plugin 'local/missing-symbol' cannot be loaded: the system's loader refuses it",
+        Refusal{"missing-symbol", ErrorCode::Failed,
+                "plugin 'local/missing-symbol' cannot be loaded: the system's loader refuses it",
                 "undefined symbol: fiona_zoo_absent_function", "ask the publisher for a build for this system"},
-        Refusal{"no-entry", ErrorCode::Failed, "plugin 'local/no-entry' cannot be loaded: it has no entry", "", "FIONA_PLUGIN(plugin)"},
+        Refusal{"no-entry", ErrorCode::Failed, "plugin 'local/no-entry' cannot be loaded: it has no entry", "",
+                "FIONA_PLUGIN(plugin)"},
         Refusal{"other-abi", ErrorCode::Failed, "it was built for another SDK or compiler", "fiona9.9-cxxabi9999",
                 "install a build of it for this version of FIONA"},
-        Refusal{"other-library", ErrorCode::Failed, "the library is not the one that its interface describes", "fiona9.9-cxxabi9999",
-                "install the package again"},
+        Refusal{"other-library", ErrorCode::Failed, "the library is not the one that its interface describes",
+                "fiona9.9-cxxabi9999", "install the package again"},
         Refusal{"throws-in-factory", ErrorCode::ComponentFailed,
-                "component 'throws-in-factory' cannot be made: the antenna is not plugged in", "", "tell the publisher"},
-        Refusal{"fails-on-start", ErrorCode::ComponentFailed, "'patient' failed: there is no step counter on this machine", "", "plug one in"},
-        Refusal{"lies", ErrorCode::Failed,
-                "component 'lies' is not what its package says: it provides steps (fiona.localisation.StepProvider); its "
-                "interface says: provides strides (fiona.localisation.StepProvider)",
-                "", "install the package again"}),
+                "component 'throws-in-factory' cannot be made: the antenna is not plugged in", "",
+                "tell the publisher"},
+        Refusal{"fails-on-start", ErrorCode::ComponentFailed,
+                "'patient' failed: there is no step counter on this machine", "", "plug one in"},
+        Refusal{
+            "lies", ErrorCode::Failed,
+            "component 'lies' is not what its package says: it provides steps (fiona.localisation.StepProvider); its "
+            "interface says: provides strides (fiona.localisation.StepProvider)",
+            "", "install the package again"}),
     [](const auto& tested) {
       std::string name = tested.param.library;
       std::erase(name, '-');
@@ -130,7 +135,9 @@ TEST(Load, ContractOfAPluginInAGroupIsItsOwnAndNotThatOfAFileOfTheSameName) {
     system.wire("sink.each", "patient.ticks");
     FAIL() << "wired";
   } catch (const Error& error) {
-    EXPECT_EQ(error.text().what, "sink.each requires SampleNewest (push newest, Sample); patient.ticks provides Ticks (push newest, Tick)");
+    EXPECT_EQ(
+        error.text().what,
+        "sink.each requires SampleNewest (push newest, Sample); patient.ticks provides Ticks (push newest, Tick)");
   }
 }
 
@@ -205,7 +212,8 @@ TEST_F(CopiedPlugin, RebuiltSinceItWasLoadedIsRefusedAndTheInstanceRunsOn) {
   std::filesystem::last_write_time(library(), std::filesystem::file_time_type::clock::now() + std::chrono::hours(1));
   const auto error = error_of_load(system, component(), "apart");
   ASSERT_TRUE(error.has_value());
-  EXPECT_THAT(error->text().what, HasSubstr("the file has changed since it was loaded, and a library is never unloaded"));
+  EXPECT_THAT(error->text().what,
+              HasSubstr("the file has changed since it was loaded, and a library is never unloaded"));
   const auto before = system.port("first.newest").messages();
   system.eventually("goes on", [&] { return system.port("first.newest").messages() > before; });
 }

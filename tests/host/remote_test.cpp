@@ -55,7 +55,8 @@ class RawConsole {
   void ask(const control::Request& request) {
     const std::string body = request.SerializeAsString();
     control::Carried carried;
-    for (int shift = 0; shift < 32; shift += 8) *carried.mutable_stream() += static_cast<char>(body.size() >> shift & 0xff);
+    for (int shift = 0; shift < 32; shift += 8)
+      *carried.mutable_stream() += static_cast<char>(body.size() >> shift & 0xff);
     *carried.mutable_stream() += body;
     send(carried.SerializeAsString());
   }
@@ -65,7 +66,8 @@ class RawConsole {
     while (carried.what_case() == control::Carried::WHAT_NOT_SET) {
       zmq::message_t message;
       if (!socket_.recv(message)) throw std::runtime_error("nothing has come");
-      if (!carried.ParseFromArray(message.data(), static_cast<int>(message.size()))) throw std::runtime_error("this is nonsense");
+      if (!carried.ParseFromArray(message.data(), static_cast<int>(message.size())))
+        throw std::runtime_error("this is nonsense");
     }
     return carried;
   }
@@ -299,7 +301,8 @@ TEST_F(Remote, OneTooManyIsTurnedAwayWithTheNumberThatMayBe) {
   const Error error = error_of([&] { connect(false); });
   EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
   EXPECT_EQ(error.text().what, "the host refuses this console: host 'served' has 32 consoles over tcp already");
-  EXPECT_EQ(here.snapshot().consoles_size(), static_cast<int>(RemoteConsoles::kMost)) << "one on the host's machine is served still";
+  EXPECT_EQ(here.snapshot().consoles_size(), static_cast<int>(RemoteConsoles::kMost))
+      << "one on the host's machine is served still";
 }
 
 TEST_F(Remote, AConsoleWaitsForSoManyAnswersAndNoMoreUntilItStopsSome) {

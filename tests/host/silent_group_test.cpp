@@ -10,10 +10,10 @@
 namespace fiona::host {
 namespace {
 
-using testing::HasSubstr;
-using testing::StartsWith;
 using conformance::ServedHost;
 using conformance::TestConsole;
+using testing::HasSubstr;
+using testing::StartsWith;
 using namespace std::chrono_literals;
 
 using Steady = std::chrono::steady_clock;

@@ -20,7 +20,8 @@ class SlowWatcher : public testing::TestWithParam<std::string> {
     auto change = console->request();
     auto& set = *change.mutable_transact()->add_changes()->mutable_set();
     set.set_instance("gauge");
-    for (const auto& [name, value] : {std::pair<const char*, std::int64_t>{"burst", values}, {"go", static_cast<std::int64_t>(change.id())}}) {
+    for (const auto& [name, value] :
+         {std::pair<const char*, std::int64_t>{"burst", values}, {"go", static_cast<std::int64_t>(change.id())}}) {
       auto& argument = *set.add_parameters();
       argument.set_name(name);
       argument.mutable_value()->set_integer(value);

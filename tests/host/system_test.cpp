@@ -44,8 +44,9 @@ TEST_F(Wiring, RefusalNamesBothPortsBothServicesAndWhoWouldFit) {
   const auto error = error_of_wire("sink.each", "source.timed");
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->code(), ErrorCode::WiringInvalid);
-  EXPECT_EQ(error->text().what,
-            "sink.each requires SampleNewest (push newest, Sample); source.timed provides SampleTimed (push timed, Sample)");
+  EXPECT_EQ(
+      error->text().what,
+      "sink.each requires SampleNewest (push newest, Sample); source.timed provides SampleTimed (push timed, Sample)");
   EXPECT_EQ(error->text().next, "these provide SampleNewest: sink.latest_report, source.newest");
   EXPECT_EQ(system.port("sink.each").connection(), control::UNWIRED);
 }
@@ -54,8 +55,9 @@ TEST_F(Wiring, RefusalSaysWhenNobodyWouldFit) {
   system.load_client("asker", "asker", "neutral");
   const auto error = error_of_wire("asker.echo", "source.newest");
   ASSERT_TRUE(error.has_value());
-  EXPECT_EQ(error->text().what,
-            "asker.echo requires Echo (query, Question -> Reply); source.newest provides SampleNewest (push newest, Sample)");
+  EXPECT_EQ(
+      error->text().what,
+      "asker.echo requires Echo (query, Question -> Reply); source.newest provides SampleNewest (push newest, Sample)");
   EXPECT_EQ(error->text().next, "nothing here provides Echo: spots shows who could");
 }
 
@@ -265,7 +267,8 @@ class VirtualTime : public testing::Test {
     answered = {};
     return reply;
   }
-  control::Reply expect(const std::string& field, control::Comparison comparison, std::int64_t value, double within_ms) {
+  control::Reply expect(const std::string& field, control::Comparison comparison, std::int64_t value,
+                        double within_ms) {
     control::Expect request;
     request.mutable_port()->set_instance("source");
     request.mutable_port()->set_port("newest");
@@ -276,7 +279,8 @@ class VirtualTime : public testing::Test {
     control::Watch watch;
     *watch.mutable_port() = request.port();
     const auto tap = system.system().new_tap();
-    system.system().waits().expect(1, 7, request, tap, [&] { system.system().tap(tap, watch); }, answer());
+    system.system().waits().expect(
+        1, 7, request, tap, [&] { system.system().tap(tap, watch); }, answer());
     auto reply = wait();
     system.system().untap(tap);
     return reply;

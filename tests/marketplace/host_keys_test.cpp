@@ -81,8 +81,10 @@ TEST_F(Keys, AllowedHostsAreKeptInOrderUntilForgotten) {
 
 TEST_F(Keys, OneNameAndOneKeyAreAllowedOnce) {
   keys.allow("first", std::string(64, 'a'));
-  EXPECT_EQ(error_of([&] { keys.allow("first", std::string(64, 'b')); }).text().what, "there is a host 'first' in the list already");
-  EXPECT_EQ(error_of([&] { keys.allow("second", std::string(64, 'a')); }).text().what, "the key is in the list already, as 'first'");
+  EXPECT_EQ(error_of([&] { keys.allow("first", std::string(64, 'b')); }).text().what,
+            "there is a host 'first' in the list already");
+  EXPECT_EQ(error_of([&] { keys.allow("second", std::string(64, 'a')); }).text().what,
+            "the key is in the list already, as 'first'");
 }
 
 TEST_F(Keys, WhatIsNoKeyOrNameIsRefusedAndWhereToGetOneIsSaid) {

@@ -37,8 +37,8 @@ class HostileArchive : public ::testing::Test {
       if (entry.manifest().name() != "steps") continue;
       entry.set_blake2b(blake2b(bytes));
       entry.set_size(bytes.size());
-      entry.set_file("acme.steps-1.0.0-" + std::string(this_architecture()) + "-" +
-                     entry.blake2b().substr(0, 16) + ".fpk");
+      entry.set_file("acme.steps-1.0.0-" + std::string(this_architecture()) + "-" + entry.blake2b().substr(0, 16) +
+                     ".fpk");
       write_file(market_ / entry.file(), bytes);
     }
     write_file(market_ / "index.binpb", index.SerializeAsString());
@@ -56,8 +56,7 @@ class HostileArchive : public ::testing::Test {
     return error;
   }
 
-  void expect_refused(const std::vector<std::string>& pieces, const std::string& what,
-                      const std::string& found = "") {
+  void expect_refused(const std::vector<std::string>& pieces, const std::string& what, const std::string& found = "") {
     const Error error = refusal(compress(joined(pieces)));
     EXPECT_EQ(error.text().what, what);
     EXPECT_EQ(error.text().found, found);
@@ -89,8 +88,7 @@ class HostileArchive : public ::testing::Test {
   filesystem::path market_ = scratch_ / "market";
   filesystem::path store_ = scratch_ / "home/store";
   std::string honest_;
-  std::vector<std::string>
-      pieces_;  // manifest, interface, README, lib/libsteps.so, share/data/map.osm, share/help.txt
+  std::vector<std::string> pieces_;  // manifest, interface, README, lib/libsteps.so, share/data/map.osm, share/help.txt
   std::string manifest_;
 };
 
@@ -105,13 +103,13 @@ TEST_F(HostileArchive, APathWithDotDotIsRefused) {
 }
 
 TEST_F(HostileArchive, APathWithDotDotInTheManifestIsRefused) {
-  expect_refused(with_manifest(edited("share/help.txt", "share/../../x")),
-                 "a listed file's path has a \"..\" element", "\"share/../../x\"");
+  expect_refused(with_manifest(edited("share/help.txt", "share/../../x")), "a listed file's path has a \"..\" element",
+                 "\"share/../../x\"");
 }
 
 TEST_F(HostileArchive, AnAbsolutePathIsRefused) {
-  expect_refused(inserted(3, raw_file({.path = "/etc/passwd", .size = 4}, "evil")),
-                 "a file's path is absolute", "/etc/passwd");
+  expect_refused(inserted(3, raw_file({.path = "/etc/passwd", .size = 4}, "evil")), "a file's path is absolute",
+                 "/etc/passwd");
 }
 
 TEST_F(HostileArchive, ASymbolicLinkIsRefused) {
@@ -120,8 +118,7 @@ TEST_F(HostileArchive, ASymbolicLinkIsRefused) {
 }
 
 TEST_F(HostileArchive, ASymbolicLinkForADirectoryAndAFileThroughItAreRefused) {
-  expect_refused(inserted(4, raw({.path = "share", .type = '2', .link = "../../.."})),
-                 "share is a symbolic link");
+  expect_refused(inserted(4, raw({.path = "share", .type = '2', .link = "../../.."})), "share is a symbolic link");
 }
 
 TEST_F(HostileArchive, AHardLinkIsRefused) {
@@ -131,8 +128,7 @@ TEST_F(HostileArchive, AHardLinkIsRefused) {
 
 TEST_F(HostileArchive, DevicesAndPipesAreRefused) {
   for (const char type : {'3', '4', '6'}) {
-    expect_refused(with(5, raw({.path = "share/help.txt", .type = type})),
-                   "share/help.txt is a device or pipe");
+    expect_refused(with(5, raw({.path = "share/help.txt", .type = type})), "share/help.txt is a device or pipe");
   }
 }
 
@@ -141,8 +137,7 @@ TEST_F(HostileArchive, ADirectoryEntryIsRefused) {
 }
 
 TEST_F(HostileArchive, AFileThatComesTwiceIsRefused) {
-  expect_refused(inserted(4, pieces_[3]), "lib/libsteps.so is in the package twice or out of order",
-                 "lib/libsteps.so");
+  expect_refused(inserted(4, pieces_[3]), "lib/libsteps.so is in the package twice or out of order", "lib/libsteps.so");
 }
 
 TEST_F(HostileArchive, FilesInAnotherOrderAreRefused) {
@@ -173,13 +168,12 @@ TEST_F(HostileArchive, AHeaderThatAnnouncesMoreThanTheManifestIsRefused) {
 }
 
 TEST_F(HostileArchive, AManifestThatAnnouncesLessThanTheHeaderIsRefused) {
-  expect_refused(with_manifest(edited("size: 4", "size: 1")),
-                 "share/help.txt has another size than the manifest says", "4 bytes");
+  expect_refused(with_manifest(edited("size: 4", "size: 1")), "share/help.txt has another size than the manifest says",
+                 "4 bytes");
 }
 
 TEST_F(HostileArchive, OtherContentOfTheSameSizeIsASignatureError) {
-  const Error error =
-      refusal(compress(joined(with(5, raw_file({.path = "share/help.txt", .size = 4}, "evil")))));
+  const Error error = refusal(compress(joined(with(5, raw_file({.path = "share/help.txt", .size = 4}, "evil")))));
   EXPECT_EQ(error.code(), ErrorCode::BadSignature);
   EXPECT_EQ(error.text().what, "share/help.txt is not what the manifest says");
   EXPECT_EQ(error.text().found, blake2b("evil"));
@@ -194,10 +188,8 @@ TEST_F(HostileArchive, ATruncatedStreamIsToldAtEveryLength) {
 
 TEST_F(HostileArchive, ATruncatedArchiveInAWholeStreamIsTold) {
   std::string tar = joined(pieces_);
-  EXPECT_EQ(refusal(compress(tar.substr(0, tar.size() - 512))).text().what,
-            "the package's archive ends too early");
-  EXPECT_EQ(refusal(compress(tar.substr(0, tar.size() - 1024))).text().what,
-            "the package's archive ends too early");
+  EXPECT_EQ(refusal(compress(tar.substr(0, tar.size() - 512))).text().what, "the package's archive ends too early");
+  EXPECT_EQ(refusal(compress(tar.substr(0, tar.size() - 1024))).text().what, "the package's archive ends too early");
   EXPECT_EQ(refusal(compress(tar.substr(0, 700))).text().what,
             "the package's archive is damaged: Truncated tar archive");
 }
@@ -214,8 +206,7 @@ TEST_F(HostileArchive, ASkippableFrameBeforeTheContentIsRefused) {
 
 TEST_F(HostileArchive, AWindowAboveEightMebibytesIsRefused) {
   const Error error = refusal(compress(joined(pieces_), 27));
-  EXPECT_EQ(error.text().what,
-            "the package cannot be decompressed: Frame requires too much memory for decoding");
+  EXPECT_EQ(error.text().what, "the package cannot be decompressed: Frame requires too much memory for decoding");
   EXPECT_EQ(error.text().expected, "zstd with a window of at most 8 MiB");
 }
 
@@ -264,8 +255,8 @@ TEST_F(HostileArchive, ALateManifestIsRefused) {
 }
 
 TEST_F(HostileArchive, AManifestAboveOneMebibyteIsRefusedBeforeItIsRead) {
-  expect_refused(with(0, raw({.path = "manifest.textproto", .size = (1u << 20) + 1})),
-                 "the manifest is too large", "1048577 bytes");
+  expect_refused(with(0, raw({.path = "manifest.textproto", .size = (1u << 20) + 1})), "the manifest is too large",
+                 "1048577 bytes");
 }
 
 TEST_F(HostileArchive, AManifestThatIsALinkIsRefused) {
@@ -301,10 +292,9 @@ TEST_F(HostileArchive, AnExtendedHeaderThatSaysTheSameAgainIsRefused) {
 }
 
 TEST_F(HostileArchive, AGnuLongNameIsRefused) {
-  expect_refused(inserted(5, raw_file({.path = "././@LongLink", .size = 15, .type = 'L'},
-                                      std::string("share/help.txt\0", 15))),
-                 "the package's archive is not in the one form that packages have",
-                 "another header or filling at share/help.txt");
+  expect_refused(
+      inserted(5, raw_file({.path = "././@LongLink", .size = 15, .type = 'L'}, std::string("share/help.txt\0", 15))),
+      "the package's archive is not in the one form that packages have", "another header or filling at share/help.txt");
 }
 
 TEST_F(HostileArchive, ASparseFileIsRefused) {
@@ -331,8 +321,7 @@ TEST_F(HostileArchive, AHugeExtendedHeaderIsRefusedBeforeItFillsMemory) {
   for (int i = 0; i < 20; ++i) {
     pieces.insert(pieces.begin() + 5, raw_file({.path = "x", .size = record.size(), .type = 'x'}, record));
   }
-  EXPECT_EQ(refusal(compress(joined(pieces))).text().what,
-            "the package has an archive header that no package has");
+  EXPECT_EQ(refusal(compress(joined(pieces))).text().what, "the package has an archive header that no package has");
 }
 
 TEST_F(HostileArchive, NamesThatDifferOnlyInCaseAreRefused) {
@@ -346,8 +335,7 @@ TEST_F(HostileArchive, AFileWhereADirectoryIsNeededIsRefused) {
 }
 
 TEST_F(HostileArchive, AFileListedTwiceIsRefused) {
-  expect_refused(with_manifest(edited("share/data/map.osm", "share/help.txt")),
-                 "share/help.txt is listed twice");
+  expect_refused(with_manifest(edited("share/data/map.osm", "share/help.txt")), "share/help.txt is listed twice");
 }
 
 TEST_F(HostileArchive, ASetUserIdBitIsRefused) {
@@ -413,8 +401,8 @@ TEST_F(HostileArchive, AnEndlessStreamOfEmptyBlocksIsRefused) {
 }
 
 TEST_F(HostileArchive, AnInterfaceOfAnotherAbiIsRefused) {
-  expect_refused(with_manifest(edited("abi-1", "abi-2")),
-                 "the manifest and the interface speak of different ABIs", "abi-1");
+  expect_refused(with_manifest(edited("abi-1", "abi-2")), "the manifest and the interface speak of different ABIs",
+                 "abi-1");
 }
 
 TEST_F(HostileArchive, AManifestThatIsNotTextIsTold) {

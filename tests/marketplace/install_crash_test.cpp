@@ -75,8 +75,7 @@ class Crash : public ::testing::TestWithParam<Change> {
   }
 
   void expect_retry_succeeds(const filesystem::path& store) {
-    if (contents(store) != GetParam().after || !GetParam().request.starts_with('-'))
-      change(store, system_calls());
+    if (contents(store) != GetParam().after || !GetParam().request.starts_with('-')) change(store, system_calls());
     EXPECT_EQ(contents(store), GetParam().after);
     install("maps", Marketplace{market_}, store);  // the next change sweeps
     for (const auto& entry : filesystem::directory_iterator(store)) {
@@ -173,19 +172,10 @@ INSTANTIATE_TEST_SUITE_P(
     Changes, Crash,
     ::testing::Values(
         Change{"FirstInstall", {}, "steps@1.0.0", "", "acme/steps@1.0.0 "},
-        Change{"SecondPackage",
-               {"maps"},
-               "steps@1.0.0",
-               "acme/maps@1.0.0 ",
-               "acme/maps@1.0.0 acme/steps@1.0.0 "},
+        Change{"SecondPackage", {"maps"}, "steps@1.0.0", "acme/maps@1.0.0 ", "acme/maps@1.0.0 acme/steps@1.0.0 "},
         Change{"Upgrade", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 "},
-        Change{
-            "UpgradeWithRubbish", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 ", true},
-        Change{"Remove",
-               {"maps", "steps@1.0.0"},
-               "-maps",
-               "acme/maps@1.0.0 acme/steps@1.0.0 ",
-               "acme/steps@1.0.0 "}),
+        Change{"UpgradeWithRubbish", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 ", true},
+        Change{"Remove", {"maps", "steps@1.0.0"}, "-maps", "acme/maps@1.0.0 acme/steps@1.0.0 ", "acme/steps@1.0.0 "}),
     [](const auto& test) { return test.param.name; });
 
 // The same for a marketplace directory.
@@ -251,8 +241,7 @@ TEST_F(PublishCrash, AnyCallThatFailsIsToldAndTheIndexStaysWhole) {
   for (int failing = 1; failing <= all; ++failing) {
     fresh_market();
     int count = 0;
-    const Error error =
-        error_of([&] { replace(guarded_calls([&] { return ++count == failing ? ENOSPC : 0; })); });
+    const Error error = error_of([&] { replace(guarded_calls([&] { return ++count == failing ? ENOSPC : 0; })); });
     EXPECT_NE(error.text().what.find("No space left on device"), std::string::npos) << error.what();
     expect_whole();
   }

@@ -21,8 +21,7 @@ TEST(Version, PrecedenceIsThatOfTheStandardsExample) {
                                         "1.0.1",        "1.2.0",         "1.10.0",           "2.0.0"};
   for (std::size_t i = 0; i < rising.size(); ++i) {
     for (std::size_t j = 0; j < rising.size(); ++j) {
-      EXPECT_EQ(*Version::parse(rising[i]) < *Version::parse(rising[j]), i < j)
-          << rising[i] << " " << rising[j];
+      EXPECT_EQ(*Version::parse(rising[i]) < *Version::parse(rising[j]), i < j) << rising[i] << " " << rising[j];
     }
   }
 }
@@ -31,13 +30,11 @@ TEST(Version, NumbersOfAnyLengthAreComparedAsNumbers) {
   EXPECT_LT(*Version::parse("1.0.99999999999999999999"), *Version::parse("1.0.100000000000000000000"));
 }
 
-TEST(Version, BuildMetadataDoesNotCount) {
-  EXPECT_EQ(*Version::parse("1.0.0+a"), *Version::parse("1.0.0+b"));
-}
+TEST(Version, BuildMetadataDoesNotCount) { EXPECT_EQ(*Version::parse("1.0.0+a"), *Version::parse("1.0.0+b")); }
 
 TEST(Version, WhatTheStandardForbidsIsNoVersion) {
-  for (const auto* text : {"", "1", "1.0", "1.0.0.0", "01.0.0", "1.0.0-", "1.0.0-01", "1.0.0-a..b", "1.0.0+",
-                           "v1.0.0", "1.0.0 ", "-1.0.0", "1.0.0-\xc3\xa4"}) {
+  for (const auto* text : {"", "1", "1.0", "1.0.0.0", "01.0.0", "1.0.0-", "1.0.0-01", "1.0.0-a..b", "1.0.0+", "v1.0.0",
+                           "1.0.0 ", "-1.0.0", "1.0.0-\xc3\xa4"}) {
     EXPECT_FALSE(Version::parse(text)) << text;
   }
   EXPECT_FALSE(Version::parse("1.0." + std::string(64, '1')));
@@ -46,18 +43,15 @@ TEST(Version, WhatTheStandardForbidsIsNoVersion) {
 TEST(Manifest, AMistakeIsToldWithLineAndColumn) {
   const Error error = error_of([] { parse_manifest("publisher: 'acme'\nnamme: 'x'\n", "m"); });
   EXPECT_EQ(error.text().where, "m:2:6");
-  EXPECT_EQ(error.text().what,
-            "this is not a Manifest: Message type \"fiona.Manifest\" has no field named \"namme\".");
+  EXPECT_EQ(error.text().what, "this is not a Manifest: Message type \"fiona.Manifest\" has no field named \"namme\".");
 }
 
 TEST(Manifest, AWrongVersionIsToldWithTheFormExpected) {
-  const Error error = error_of([] {
-    parse_manifest("publisher: 'acme' name: 'steps' version: '1.0' summary: 'x' license: 'MIT'", "m");
-  });
-  EXPECT_STREQ(
-      error.what(),
-      "m: version is not a semantic version\n  expected: MAJOR.MINOR.PATCH, such as 1.0.0 or 1.2.0-rc.1\n"
-      "  found: \"1.0\"");
+  const Error error = error_of(
+      [] { parse_manifest("publisher: 'acme' name: 'steps' version: '1.0' summary: 'x' license: 'MIT'", "m"); });
+  EXPECT_STREQ(error.what(),
+               "m: version is not a semantic version\n  expected: MAJOR.MINOR.PATCH, such as 1.0.0 or 1.2.0-rc.1\n"
+               "  found: \"1.0\"");
 }
 
 TEST(Manifest, ANameWithASlashIsRefused) {
@@ -70,8 +64,7 @@ TEST(Manifest, ATextThatWouldReachATerminalHasNoControlCharacters) {
             "rights has a control or invisible character");
   EXPECT_EQ(error_of([] { parse_manifest(authors("rights: '\\342\\200\\256'"), "m"); }).text().what,
             "rights has a control or invisible character");
-  EXPECT_EQ(error_of([] { parse_manifest(authors("rights: '\\300\\257'"), "m"); }).text().what,
-            "rights is not UTF-8");
+  EXPECT_EQ(error_of([] { parse_manifest(authors("rights: '\\300\\257'"), "m"); }).text().what, "rights is not UTF-8");
   EXPECT_NO_THROW(parse_manifest(authors("hello: 'ls\\nspots'"), "m"));
 }
 
@@ -93,8 +86,8 @@ TEST(PackagePath, OnlyHarmlessPathsAreAllowed) {
 }
 
 TEST(Interface, APortWithoutAServiceIsRefused) {
-  const Error error = error_of(
-      [] { parse_interface("components { name: 'steps' ports { name: 'out' direction: PROVIDES } }", "i"); });
+  const Error error =
+      error_of([] { parse_interface("components { name: 'steps' ports { name: 'out' direction: PROVIDES } }", "i"); });
   EXPECT_STREQ(error.what(), "i: port \"out\" of steps lacks its name, direction or service");
 }
 

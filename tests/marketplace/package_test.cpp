@@ -59,8 +59,7 @@ TEST(Package, TheSameSourcesGiveTheSameBytes) {
 TEST(Package, ItCanBeReadInPiecesOfAnySize) {
   const Scratch scratch;
   std::string noise;
-  for (unsigned i = 0, x = 1; i < 200'000; ++i)
-    noise += static_cast<char>((x = x * 1664525 + 1013904223) >> 24);
+  for (unsigned i = 0, x = 1; i < 200'000; ++i) noise += static_cast<char>((x = x * 1664525 + 1013904223) >> 24);
   const std::string package = pack(plugin_source(scratch.path(), "steps", "1.0.0", noise));
   for (const std::size_t piece : {1, 511, 4096}) {
     Collected sink;
@@ -149,9 +148,8 @@ TEST(Package, ADataPackageHasNoLibrary) {
 TEST(Package, AMissingFileIsNotFound) {
   const Error error = error_of([] { inspect_package("no-such.fpk"); });
   EXPECT_EQ(error.code(), ErrorCode::NotFound);
-  EXPECT_STREQ(
-      error.what(),
-      "no-such.fpk: there is no such package file\n  next: look at the path, or pack the package first");
+  EXPECT_STREQ(error.what(),
+               "no-such.fpk: there is no such package file\n  next: look at the path, or pack the package first");
 }
 
 }  // namespace

@@ -38,8 +38,7 @@ class ModelDisk {
     const auto done = [after](auto result) { return after(), result; };
     OsCalls os = real;
     os.create = [=, this](int directory, const char* name, mode_t mode) {
-      parent_of(where(directory) / name).entries[filesystem::path(name).filename()] =
-          std::make_shared<Node>();
+      parent_of(where(directory) / name).entries[filesystem::path(name).filename()] = std::make_shared<Node>();
       return done(real.create(directory, name, mode));
     };
     os.mkdir = [=, this](int directory, const char* name, mode_t mode) {
@@ -114,9 +113,7 @@ class ModelDisk {
     return *node;
   }
 
-  Node& parent_of(const filesystem::path& path) {
-    return at(path.parent_path().empty() ? "." : path.parent_path());
-  }
+  Node& parent_of(const filesystem::path& path) { return at(path.parent_path().empty() ? "." : path.parent_path()); }
 
   filesystem::path root_;
   std::shared_ptr<Node> top_;
@@ -181,8 +178,7 @@ TEST_F(PowerCut, BehindAnyCallTheStoreIsOldOrNewAndAtTheEndNew) {
   const Outcome outcome = upgrade(0);
   ASSERT_GT(outcome.states.size(), 20u);
   for (std::size_t i = 0; i < outcome.states.size(); ++i) {
-    EXPECT_TRUE(outcome.states[i] == "1.0.0" || outcome.states[i] == "2.0.0")
-        << outcome.states[i] << " at cut " << i;
+    EXPECT_TRUE(outcome.states[i] == "1.0.0" || outcome.states[i] == "2.0.0") << outcome.states[i] << " at cut " << i;
   }
   EXPECT_EQ(outcome.last, "2.0.0");
 }
@@ -192,8 +188,8 @@ TEST_F(PowerCut, ALostSyncOfAnyFileOrDirectoryThatMattersIsNoticed) {
   std::vector<int> unnoticed;
   for (int lost = 1; lost <= syncs; ++lost) {
     const Outcome outcome = upgrade(lost);
-    const bool whole = std::ranges::all_of(
-        outcome.states, [](const auto& state) { return state == "1.0.0" || state == "2.0.0"; });
+    const bool whole =
+        std::ranges::all_of(outcome.states, [](const auto& state) { return state == "1.0.0" || state == "2.0.0"; });
     if (whole && outcome.last == "2.0.0") unnoticed.push_back(lost);
   }
   EXPECT_EQ(unnoticed, std::vector<int>{}) << "of " << syncs;

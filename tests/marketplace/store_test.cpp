@@ -27,9 +27,7 @@ class StoreTest : public ::testing::Test {
     pack_to(scratch_ / "other.fpk", source);
     publish(scratch_ / "other.fpk", market_);
   }
-  InstallResult install_one(std::string_view request) {
-    return install(request, Marketplace{market_}, store_);
-  }
+  InstallResult install_one(std::string_view request) { return install(request, Marketplace{market_}, store_); }
 
   Scratch scratch_;
   filesystem::path market_ = scratch_ / "market";
@@ -128,8 +126,7 @@ TEST_F(StoreTest, ADamagedPackageIsNoticedAndRepaired) {
   write_file(package.library, library_bytes("evil"));
   const Error error = error_of([&] { Store{store_}.verify(package); });
   EXPECT_EQ(error.code(), ErrorCode::BadSignature);
-  EXPECT_EQ(error.text().what,
-            "the installed package acme/steps is damaged: lib/libsteps.so has other content");
+  EXPECT_EQ(error.text().what, "the installed package acme/steps is damaged: lib/libsteps.so has other content");
   EXPECT_EQ(error.text().next, "market install acme/steps@1.0.0");
   EXPECT_EQ(install_one("steps").outcome, InstallOutcome::Repaired);
   EXPECT_NO_THROW(Store{store_}.verify(package));
@@ -150,9 +147,8 @@ TEST_F(StoreTest, VerifyNamesEachKindOfDamage) {
   filesystem::remove(package.share / "help.txt");
   EXPECT_EQ(damage(), "share/help.txt is missing");
   filesystem::create_symlink(package.library, package.share / "help.txt");
-  EXPECT_EQ(
-      damage(),
-      "share/help.txt cannot be read: could not open it for reading: Too many levels of symbolic links");
+  EXPECT_EQ(damage(),
+            "share/help.txt cannot be read: could not open it for reading: Too many levels of symbolic links");
   write_file(package.directory / "manifest.textproto", "junk");
   EXPECT_NE(damage().find("manifest.textproto:1:5: this is not a Manifest"), std::string::npos) << damage();
 }
@@ -301,8 +297,7 @@ TEST_F(StoreTest, ABuildMayReplaceItsOwnVersion) {
 TEST_F(StoreTest, APackageThatIsNotTheIndexedOneIsRefused) {
   publish_one("steps", "1.0.0");
   const Marketplace market{market_};
-  pack_to(market_ / market.index().entries(0).file(),
-          plugin_source(scratch_.path(), "steps", "1.0.0", "evil"));
+  pack_to(market_ / market.index().entries(0).file(), plugin_source(scratch_.path(), "steps", "1.0.0", "evil"));
   const Error error = error_of([&] { install("steps", market, store_); });
   EXPECT_EQ(error.code(), ErrorCode::BadSignature);
   EXPECT_EQ(error.text().what, "the package is not the one that the index describes");

@@ -46,8 +46,8 @@ std::map<std::string, std::string> snapshot(const filesystem::path& root) {
   for (const auto& entry : filesystem::recursive_directory_iterator(root)) {
     const auto status = entry.symlink_status();
     std::string& text = tree[entry.path().lexically_relative(root).string()];
-    text = std::to_string(static_cast<int>(status.type())) + " " +
-           std::to_string(static_cast<int>(status.permissions()));
+    text =
+        std::to_string(static_cast<int>(status.type())) + " " + std::to_string(static_cast<int>(status.permissions()));
     if (entry.is_symlink())
       text += " -> " + filesystem::read_symlink(entry.path()).string();
     else if (entry.is_regular_file())
@@ -64,18 +64,17 @@ std::string library_bytes(std::string_view body) {
   return std::string(reinterpret_cast<const char*>(&header), sizeof header) + std::string(body);
 }
 
-PackageSource plugin_source(const filesystem::path& scratch, const std::string& name,
-                            const std::string& version, std::string_view body) {
+PackageSource plugin_source(const filesystem::path& scratch, const std::string& name, const std::string& version,
+                            std::string_view body) {
   const filesystem::path directory = scratch / ("source-" + name + "-" + version);
   write_file(directory / ("lib" + name + ".so"), library_bytes(body));
   write_file(directory / "share/data/map.osm", "<osm/>");
   write_file(directory / "share/help.txt", "help");
   PackageSource source;
-  source.manifest = "publisher: 'acme' name: '" + name + "' version: '" + version +
-                    "' summary: 'Counts steps' license: 'Apache-2.0'";
-  source.interface =
-      "abi: 'abi-1' components { name: '" + name +
-      "' ports { name: 'steps' direction: PROVIDES service: 'fiona.localisation.StepProvider' } }";
+  source.manifest =
+      "publisher: 'acme' name: '" + name + "' version: '" + version + "' summary: 'Counts steps' license: 'Apache-2.0'";
+  source.interface = "abi: 'abi-1' components { name: '" + name +
+                     "' ports { name: 'steps' direction: PROVIDES service: 'fiona.localisation.StepProvider' } }";
   source.readme = "# " + name + "\n";
   source.libraries = {directory / ("lib" + name + ".so")};
   source.share = directory / "share";

@@ -34,12 +34,12 @@ std::map<std::string, std::string> snapshot(const std::filesystem::path& root);
 std::string library_bytes(std::string_view body);
 
 /// A small plugin package with two share files, made of files below `scratch`.
-PackageSource plugin_source(const std::filesystem::path& scratch, const std::string& name,
-                            const std::string& version, std::string_view body = "code");
+PackageSource plugin_source(const std::filesystem::path& scratch, const std::string& name, const std::string& version,
+                            std::string_view body = "code");
 
 /// Packs plugin_source and publishes it into `market`.
-void publish_plugin(const std::filesystem::path& scratch, const std::filesystem::path& market,
-                    const std::string& name, const std::string& version, std::string_view body = "code");
+void publish_plugin(const std::filesystem::path& scratch, const std::filesystem::path& market, const std::string& name,
+                    const std::string& version, std::string_view body = "code");
 
 /// The error that `call` throws; fails the test if it throws none.
 Error error_of(const std::function<void()>& call);

@@ -51,8 +51,7 @@ std::string bytes_from(Simulation& simulation, std::string_view port) {
 
 std::string all_bytes(Simulation& simulation) {
   return bytes_from<GetIMUService>(simulation, "imu") + bytes_from<RFSignalRSSIService>(simulation, "wifi") +
-         bytes_from<IbeaconlistProvider>(simulation, "beacons") +
-         bytes_from<LocationProvider>(simulation, "truth");
+         bytes_from<IbeaconlistProvider>(simulation, "beacons") + bytes_from<LocationProvider>(simulation, "truth");
 }
 
 std::string bytes_of_walk(int walk) {
@@ -97,9 +96,7 @@ TEST(BuildingSimulator, TheImuIsReadFiftyTimesASecond) {
   EXPECT_EQ(simulation.take<GetIMUService>("imu").size(), 100u);
 }
 
-TEST(BuildingSimulator, TheSameParametersGiveTheSameMessages) {
-  EXPECT_EQ(bytes_of_walk(3), bytes_of_walk(3));
-}
+TEST(BuildingSimulator, TheSameParametersGiveTheSameMessages) { EXPECT_EQ(bytes_of_walk(3), bytes_of_walk(3)); }
 
 TEST(BuildingSimulator, AnotherWalkGivesOtherMessages) { EXPECT_NE(bytes_of_walk(3), bytes_of_walk(4)); }
 
@@ -132,8 +129,7 @@ TEST(BuildingSimulator, SomeWifiRowsAreOlderThanTheirScan) {
   simulation.take<RFSignalRSSIService>("wifi");
   simulation.advance(20ms);
   int stale = 0;
-  for (const auto& row : simulation.take<RFSignalRSSIService>("wifi"))
-    stale += simulation.now() - row.origin > 2s;
+  for (const auto& row : simulation.take<RFSignalRSSIService>("wifi")) stale += simulation.now() - row.origin > 2s;
   EXPECT_GT(stale, 0);
 }
 
@@ -225,9 +221,9 @@ TEST(BuildingSimulator, ThePersonStandsStillInNeutral) {
   const auto after = simulation.take<LocationProvider>("truth");
   ASSERT_EQ(after.size(), 1u);
   EXPECT_EQ(after[0].origin, simulation.now());
-  EXPECT_LE(std::hypot(after[0]->position().x() - before->position().x(),
-                       after[0]->position().y() - before->position().y()),
-            0.3);
+  EXPECT_LE(
+      std::hypot(after[0]->position().x() - before->position().x(), after[0]->position().y() - before->position().y()),
+      0.3);
 }
 
 TEST(BuildingSimulator, NoWifiRowIsOlderThanThePauseBeforeIt) {
@@ -250,8 +246,7 @@ TEST(BuildingSimulator, AMissingBuildingFileFailsTheInstanceWithItsName) {
   simulation.set("building", "no/such/house.osm");
   EXPECT_EQ(error_of([&] { simulation.start(); }).code(), ErrorCode::ComponentFailed);
   EXPECT_EQ(simulation.mode(), "failed");
-  EXPECT_THAT(simulation.reason(),
-              HasSubstr("cannot read the building file no/such/house.osm: there is no such file"));
+  EXPECT_THAT(simulation.reason(), HasSubstr("cannot read the building file no/such/house.osm: there is no such file"));
 }
 
 TEST(BuildingSimulator, APackageWithoutItsHouseIsTold) {
@@ -270,8 +265,7 @@ TEST(BuildingSimulator, AMistypedStartRoomIsToldWithTheNearestNames) {
 
 TEST(BuildingSimulator, ASpeedThatNobodyWalksIsRefused) {
   Simulation simulation;
-  EXPECT_EQ(error_of([&] { simulation.set("speed_mps", 9.0); }).text().what,
-            "refused: speed_mps is 9, above 2.5 m/s");
+  EXPECT_EQ(error_of([&] { simulation.set("speed_mps", 9.0); }).text().what, "refused: speed_mps is 9, above 2.5 m/s");
 }
 
 TEST(BuildingSimulator, AWalkThatHasBegunKeepsItsWorld) {

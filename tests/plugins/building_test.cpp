@@ -20,8 +20,8 @@ class Osm {
   Osm& node(int id, double x_m, double y_m, const std::string& tags = "") {
     std::ostringstream line;
     line.precision(12);
-    line << "<node id=\"" << id << "\" lat=\"" << 48.0 + y_m / 111194.87 << "\" lon=\""
-         << 10.0 + x_m / 74629.6 << "\">" << written(tags) << "</node>\n";
+    line << "<node id=\"" << id << "\" lat=\"" << 48.0 + y_m / 111194.87 << "\" lon=\"" << 10.0 + x_m / 74629.6 << "\">"
+         << written(tags) << "</node>\n";
     nodes_ += line.str();
     return *this;
   }
@@ -251,9 +251,8 @@ TEST(BuildingFile, ARoomWithoutALevelIsLeftOutAndNamed) {
 TEST(BuildingFile, ALevelThatCannotBeReadIsLeftOutAndQuoted) {
   Osm osm = corridor_with_two_rooms();
   osm.rectangle(50, 0, 10, 5, 15, "indoor=room level=0,1");
-  EXPECT_EQ(
-      osm.read().warnings(),
-      std::vector<std::string>{"way 50: level=0,1 is not a list of levels such as 0, -1;0 or 1-3; left out"});
+  EXPECT_EQ(osm.read().warnings(),
+            std::vector<std::string>{"way 50: level=0,1 is not a list of levels such as 0, -1;0 or 1-3; left out"});
 }
 
 TEST(BuildingFile, ARoomWhoseNodesAreMissingIsLeftOutAndNamed) {
@@ -500,10 +499,9 @@ TEST_F(RealFiles, DarmstadtStationHasItsLevelsStairsAndLifts) {
 
 TEST_F(RealFiles, DarmstadtPassageIsLeftByLiftWhereStairsAreClosed) {
   const Building station = read("da_hbf.osm.xz", "xz");
-  const auto lift =
-      std::find_if(station.connectors().begin(), station.connectors().end(), [](const Connector& c) {
-        return c.id == ElementId{'n', 2472210873};
-      });
+  const auto lift = std::find_if(station.connectors().begin(), station.connectors().end(), [](const Connector& c) {
+    return c.id == ElementId{'n', 2472210873};
+  });
   ASSERT_NE(lift, station.connectors().end());
   const auto route = station.route(lift->path.front(), lift->path.back(), {.stairs = false});
   ASSERT_TRUE(route);

@@ -124,8 +124,7 @@ TEST(FloorPlan, OnlyVisitedLevelsAreDrawnWhereThatIsWanted) {
 }
 
 TEST(FloorPlan, ShapesThatAreNoPolygonsAreLeftOut) {
-  const std::string lift =
-      R"({"properties": {}, "geometry": {"type": "Point", "coordinates": [10.001, 40]}})";
+  const std::string lift = R"({"properties": {}, "geometry": {"type": "Point", "coordinates": [10.001, 40]}})";
   Plan plan;
   add_floor(plan, kInfo, geojson(outline(1) + "," + lift), "F1");
   EXPECT_EQ(plan.rooms.size(), 1u);
@@ -162,8 +161,7 @@ TEST(FloorPlan, AnOutlineWithoutWidthIsRefused) {
 
 TEST(FloorPlan, AShapeFarOutsideOfTheOutlineIsRefused) {
   const std::string far = polygon("", "[[[50, 40], [51, 40], [51, 41]]]");
-  EXPECT_THAT(refusal(kInfo, geojson(outline(1) + "," + far)),
-              HasSubstr("a shape lies far outside of the outline"));
+  EXPECT_THAT(refusal(kInfo, geojson(outline(1) + "," + far)), HasSubstr("a shape lies far outside of the outline"));
 }
 
 TEST_F(FloorFolders, PackedAndPlainFilesGiveTheSame) {

@@ -53,8 +53,7 @@ Truth walking(milliseconds t) {
 TEST(Random, MatchesTheReferenceOfPcg32) {
   // The first numbers of the demonstration program of the PCG library for seed 42, stream 54.
   Random random{42, 54};
-  for (std::uint32_t expected :
-       {0xa15c02b7u, 0x7b47f409u, 0xba1d3330u, 0x83d2f293u, 0xbfa4784bu, 0xcbed606eu}) {
+  for (std::uint32_t expected : {0xa15c02b7u, 0x7b47f409u, 0xba1d3330u, 0x83d2f293u, 0xbfa4784bu, 0xcbed606eu}) {
     EXPECT_EQ(random.next(), expected);
   }
 }
@@ -128,8 +127,7 @@ TEST(Walker, WalksAtTheSpeedAndCadenceOfItsGait) {
     cadences.push_back(walker.truth().cadence_hz);
   }
   const auto median = [](std::vector<double> values) {
-    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2),
-                     values.end());
+    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
     return values[values.size() / 2];
   };
   EXPECT_NEAR(median(speeds), 1.3, 0.05);
@@ -189,8 +187,7 @@ TEST(Walker, ABuildingWithoutDoorsIsRefusedWithTheNextStep) {
     FAIL() << "no error";
   } catch (const Error& error) {
     const std::string text = error.what();
-    EXPECT_NE(text.find("nobody can walk in cell: no way leads from Cell to another room"), std::string::npos)
-        << text;
+    EXPECT_NE(text.find("nobody can walk in cell: no way leads from Cell to another room"), std::string::npos) << text;
     EXPECT_NE(text.find("draw the doors"), std::string::npos) << text;
   }
 }
@@ -390,8 +387,7 @@ TEST(Survey, WalksAreStraightBetweenWaypoints) {
     for (std::size_t i = 1; i < trace.waypoints.size(); ++i) {
       const Truth &a = trace.waypoints[i - 1], &b = trace.waypoints[i];
       ASSERT_LE(a.t, b.t);
-      ASSERT_EQ(house().walls_crossed({a.x_m, a.y_m}, {b.x_m, b.y_m}, 1.0).walls, 0)
-          << trace.id << " " << b.t.count();
+      ASSERT_EQ(house().walls_crossed({a.x_m, a.y_m}, {b.x_m, b.y_m}, 1.0).walls, 0) << trace.id << " " << b.t.count();
     }
   }
 }
@@ -425,8 +421,8 @@ TEST(Survey, TheDirectoryHasTheLayoutOfTheDataSetAndTheSameSeedGivesTheSameBytes
   const SurveyReport report = write_survey(house(), 5, one, quick());
   write_survey(house(), 5, two, quick());
   EXPECT_EQ(report.levels, 2u);
-  for (const char* file : {"F1/train.tar.xz", "F1/floor_info.json", "F2/train.tar.xz", "test.tar.xz",
-                           "test_truth.csv", "traces.csv", "README.md"}) {
+  for (const char* file : {"F1/train.tar.xz", "F1/floor_info.json", "F2/train.tar.xz", "test.tar.xz", "test_truth.csv",
+                           "traces.csv", "README.md"}) {
     EXPECT_FALSE(content(one / file).empty()) << file;
     EXPECT_EQ(content(one / file), content(two / file)) << file;
   }

@@ -21,7 +21,8 @@ const Vector3d kFieldWorld_gauss(0.0, 0.2, -0.43);  // middle Europe: north and 
 
 /// What a phone held flat reads while its top edge points `heading_rad` counter-clockwise from east.
 ImuSample flat_phone(milliseconds time, double heading_rad, double rate_dps = 0.0) {
-  const Matrix3d world_from_phone = AngleAxisd(heading_rad - std::numbers::pi / 2, Vector3d::UnitZ()).toRotationMatrix();
+  const Matrix3d world_from_phone =
+      AngleAxisd(heading_rad - std::numbers::pi / 2, Vector3d::UnitZ()).toRotationMatrix();
   return {time, Vector3d(0, 0, 1), Vector3d(0, 0, rate_dps), world_from_phone.transpose() * kFieldWorld_gauss};
 }
 

@@ -75,16 +75,13 @@ class TrackRecorderTest : public ::testing::Test {
 
   std::string path(const std::string& name) const { return (directory_ / name).string(); }
   std::size_t files() const {
-    return static_cast<std::size_t>(
-        std::distance(fs::directory_iterator(directory_), fs::directory_iterator()));
+    return static_cast<std::size_t>(std::distance(fs::directory_iterator(directory_), fs::directory_iterator()));
   }
 
   fs::path directory_;
 };
 
-void put(Recorder& recorder, CommLocation location) {
-  recorder.put<LocationProvider>("location", std::move(location));
-}
+void put(Recorder& recorder, CommLocation location) { recorder.put<LocationProvider>("location", std::move(location)); }
 
 void put_truth(Recorder& recorder, CommLocation location) {
   recorder.put<LocationProvider>("truth", std::move(location));
@@ -152,8 +149,8 @@ TEST_F(TrackRecorderTest, ACsvInNoDirectoryFailsTheStart) {
   const Error error = error_of([&] { recorder.start(); });
   EXPECT_EQ(error.code(), ErrorCode::ComponentFailed);
   EXPECT_EQ(error.text().next, "check that the directory exists, may be written and has space, or name another file");
-  EXPECT_EQ(recorder.reason(), path("missing/track.csv") + ": cannot write " + path("missing/track.csv") +
-                                   ": No such file or directory");
+  EXPECT_EQ(recorder.reason(),
+            path("missing/track.csv") + ": cannot write " + path("missing/track.csv") + ": No such file or directory");
 }
 
 TEST_F(TrackRecorderTest, AFullDiskFailsTheInstance) {
@@ -247,8 +244,7 @@ TEST_F(TrackRecorderTest, ADirectoryThatVanishedIsToldWhenItStops) {
   fs::remove_all(path("here"));
   ASSERT_TRUE(stop(recorder));
   EXPECT_EQ(recorder.mode(), "failed");
-  EXPECT_THAT(recorder.reason(),
-              HasSubstr("cannot write " + path("here/track.svg") + ": No such file or directory"));
+  EXPECT_THAT(recorder.reason(), HasSubstr("cannot write " + path("here/track.svg") + ": No such file or directory"));
 }
 
 TEST_F(TrackRecorderTest, ItReportsPositionLevelAndError) {

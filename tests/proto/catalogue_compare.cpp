@@ -151,8 +151,7 @@ class Comparison {
     if (fields.empty()) {
       differ(row, message.full_name() + " has no field for attribute " + quoted(row.attribute));
     } else if (decided == row.decision.end() ? fields.size() != 1 : decided->second != names) {
-      differ(row,
-             message.full_name() + " has the fields " + names + " for attribute " + quoted(row.attribute));
+      differ(row, message.full_name() + " has the fields " + names + " for attribute " + quoted(row.attribute));
     }
     for (const FieldDescriptor* field : fields) compare_field(row, *field);
   }
@@ -171,8 +170,8 @@ class Comparison {
         decided != row.decision.end() ? ProtoType{decided->second, false} : map_type(row.type);
     if (!expected) return differ(row, "type " + quoted(row.type) + " has no proto type and no decision");
     if (proto_spelling(field) != expected->spelling) {
-      differ(row, field.full_name() + " is " + proto_spelling(field) + ", expected " + expected->spelling +
-                      " for " + quoted(row.type));
+      differ(row, field.full_name() + " is " + proto_spelling(field) + ", expected " + expected->spelling + " for " +
+                      quoted(row.type));
     }
     const std::string& kept = field.options().GetExtension(fiona::document_type);
     if (kept != (expected->same ? "" : row.type)) {
@@ -185,8 +184,8 @@ class Comparison {
   void compare_bounds(const Row& row, const FieldDescriptor& field, const ProtoType& expected) {
     const auto& options = field.options();
     if (options.GetExtension(fiona::size) != expected.size) {
-      differ(row, field.full_name() + " has size " + std::to_string(options.GetExtension(fiona::size)) +
-                      ", expected " + std::to_string(expected.size));
+      differ(row, field.full_name() + " has size " + std::to_string(options.GetExtension(fiona::size)) + ", expected " +
+                      std::to_string(expected.size));
     }
     if (!expected.range) return;
     const bool ranged = options.HasExtension(fiona::min) && options.HasExtension(fiona::max) &&
@@ -232,8 +231,7 @@ class Comparison {
     if (!service)
       return differ(first, "service " + quoted(first.service) + " is not in fiona/" + first.area + ".proto");
     const auto pattern = patterns().find(first.pattern);
-    if (pattern == patterns().end())
-      return differ(first, "pattern " + quoted(first.pattern) + " is not known");
+    if (pattern == patterns().end()) return differ(first, "pattern " + quoted(first.pattern) + " is not known");
     const fiona::Pattern declared = service->options().GetExtension(fiona::contract).pattern();
     if (declared != pattern->second) {
       differ(first, service->full_name() + " has pattern " + fiona::Pattern_Name(declared) + ", expected " +
@@ -276,8 +274,7 @@ class Comparison {
     compare_object(row, method->full_name() + " returns ", *method->output_type(), output);
   }
 
-  void compare_object(const Row& row, const std::string& what, const Descriptor& is,
-                      const std::string& expected) {
+  void compare_object(const Row& row, const std::string& what, const Descriptor& is, const std::string& expected) {
     if (expected.empty() && !all_added(is)) {
       differ(row, what + is.full_name() + ", which the document does not give and is not marked as added");
     } else if (!expected.empty() && is.full_name() != expected) {
@@ -301,13 +298,11 @@ class Comparison {
     for (int i = 0; i < message.field_count(); ++i) {
       const FieldDescriptor& field = *message.field(i);
       const bool listed = std::any_of(rows_.begin(), rows_.end(), [&](const Row& row) {
-        return "fiona." + row.area + "." + row.object == message.full_name() &&
-               row.attribute == document_name(field);
+        return "fiona." + row.area + "." + row.object == message.full_name() && row.attribute == document_name(field);
       });
       if (listed == is_added(field)) {
-        differences_.push_back(field.full_name() +
-                               (listed ? " is marked as added and has a row in the table"
-                                       : " has no row in the table and is not marked as added"));
+        differences_.push_back(field.full_name() + (listed ? " is marked as added and has a row in the table"
+                                                           : " has no row in the table and is not marked as added"));
       }
     }
   }
@@ -329,8 +324,6 @@ class Comparison {
 
 }  // namespace
 
-Differences compare(const std::vector<Row>& rows, const DescriptorPool& pool) {
-  return Comparison(rows, pool).run();
-}
+Differences compare(const std::vector<Row>& rows, const DescriptorPool& pool) { return Comparison(rows, pool).run(); }
 
 }  // namespace fiona::catalogue

@@ -50,10 +50,8 @@ void check_field(const FieldDescriptor& field, const std::set<std::string>& dime
                                        "as dimensionless"));
   }
   const std::string& frame = options.GetExtension(fiona::frame);
-  if (!frame.empty() && frames().count(frame) == 0)
-    out.push_back(name + " has the unknown frame \"" + frame + '"');
-  if (!default_is_in_range(field))
-    out.push_back(name + " is refused when nobody sets it: 0 is out of its range");
+  if (!frame.empty() && frames().count(frame) == 0) out.push_back(name + " has the unknown frame \"" + frame + '"');
+  if (!default_is_in_range(field)) out.push_back(name + " is refused when nobody sets it: 0 is out of its range");
   if (!is_bounded(field)) out.push_back(name + " may grow without bound: no size, no max_size");
   if (options.HasExtension(fiona::min) && options.HasExtension(fiona::max) &&
       options.GetExtension(fiona::min) >= options.GetExtension(fiona::max)) {
@@ -75,8 +73,7 @@ void check_service(const ServiceDescriptor& service, Differences& out) {
   }
   if (!push && (contract.last_value() || contract.lease_ms() > 0))
     out.push_back(name + ": last value and lease are for push");
-  if (contract.idempotent() && contract.pattern() != fiona::QUERY)
-    out.push_back(name + ": idempotent is for query");
+  if (contract.idempotent() && contract.pattern() != fiona::QUERY) out.push_back(name + ": idempotent is for query");
 }
 
 void check_uncertainty(const Descriptor& message, Differences& out) {
@@ -87,9 +84,7 @@ void check_uncertainty(const Descriptor& message, Differences& out) {
 
 }  // namespace
 
-bool is_added(const FieldDescriptor& field) {
-  return field.options().GetExtension(fiona::document_type) == "added";
-}
+bool is_added(const FieldDescriptor& field) { return field.options().GetExtension(fiona::document_type) == "added"; }
 
 bool all_added(const Descriptor& message) {
   for (int i = 0; i < message.field_count(); ++i) {

@@ -7,8 +7,7 @@
 namespace fiona::catalogue {
 namespace {
 
-constexpr std::string_view kHeader =
-    "area,service,pattern,role,object,attribute,type,unit,description,decision";
+constexpr std::string_view kHeader = "area,service,pattern,role,object,attribute,type,unit,description,decision";
 constexpr std::size_t kColumns = 10;
 
 // RFC 4180 without line breaks in a cell: the table has none.

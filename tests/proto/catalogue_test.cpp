@@ -155,27 +155,24 @@ TEST(Catalogue, ATypeWithoutARuleNeedsADecision) {
 }
 
 TEST(Catalogue, ANarrowIntegerWithoutItsRangeIsNamed) {
-  EXPECT_THAT(
-      compare_with_broken_row("NextTurn", "DistanceToTurn", [](Row& row) { row.type = "UInt8"; }),
-      ElementsAre("line 1: fiona.hmi.NextTurn.distance_to_turn keeps the document's type as \"Uint16\", "
-                  "expected \"UInt8\"",
-                  "line 1: fiona.hmi.NextTurn.distance_to_turn does not carry the range of UInt8"));
+  EXPECT_THAT(compare_with_broken_row("NextTurn", "DistanceToTurn", [](Row& row) { row.type = "UInt8"; }),
+              ElementsAre("line 1: fiona.hmi.NextTurn.distance_to_turn keeps the document's type as \"Uint16\", "
+                          "expected \"UInt8\"",
+                          "line 1: fiona.hmi.NextTurn.distance_to_turn does not carry the range of UInt8"));
 }
 
 TEST(Catalogue, AnArrayOfAnotherLengthIsNamed) {
-  EXPECT_THAT(
-      compare_with_broken_row("CommOrientation", "confidence", [](Row& row) { row.type = "Double[6]"; }),
-      ElementsAre("line 1: fiona.localisation.CommOrientation.confidence keeps the document's type as "
-                  "\"Double[9]\", expected \"Double[6]\"",
-                  "line 1: fiona.localisation.CommOrientation.confidence has size 9, expected 6"));
+  EXPECT_THAT(compare_with_broken_row("CommOrientation", "confidence", [](Row& row) { row.type = "Double[6]"; }),
+              ElementsAre("line 1: fiona.localisation.CommOrientation.confidence keeps the document's type as "
+                          "\"Double[9]\", expected \"Double[6]\"",
+                          "line 1: fiona.localisation.CommOrientation.confidence has size 9, expected 6"));
 }
 
 TEST(Catalogue, AMissingAttributeAndAFieldWithoutARowAreBothNamed) {
-  EXPECT_THAT(
-      compare_with_broken_row("CommObstacle", "Obstacle", [](Row& row) { row.attribute = "Distance"; }),
-      ElementsAre("line 1: fiona.perception.CommObstacle has no field for attribute \"Distance\"",
-                  "fiona.perception.CommObstacle.obstacle has no row in the table and is not marked as "
-                  "added"));
+  EXPECT_THAT(compare_with_broken_row("CommObstacle", "Obstacle", [](Row& row) { row.attribute = "Distance"; }),
+              ElementsAre("line 1: fiona.perception.CommObstacle has no field for attribute \"Distance\"",
+                          "fiona.perception.CommObstacle.obstacle has no row in the table and is not marked as "
+                          "added"));
 }
 
 TEST(Catalogue, AWrongPatternIsNamedWithItsMethods) {
@@ -188,16 +185,14 @@ TEST(Catalogue, AWrongPatternIsNamedWithItsMethods) {
 }
 
 TEST(Catalogue, AnUnknownServiceIsNamed) {
-  EXPECT_THAT(
-      compare_with_broken_row("NextTurn", "DistanceToTurn", [](Row& row) { row.service = "GlobalPath"; }),
-      ElementsAre("line 1: service \"GlobalPath\" is not in fiona/hmi.proto"));
+  EXPECT_THAT(compare_with_broken_row("NextTurn", "DistanceToTurn", [](Row& row) { row.service = "GlobalPath"; }),
+              ElementsAre("line 1: service \"GlobalPath\" is not in fiona/hmi.proto"));
 }
 
 TEST(Catalogue, ADecisionWithoutACommentInTheProtoIsNamed) {
-  EXPECT_THAT(
-      compare_with_broken_row("GetIMU", "Out_x_m", [](Row& row) { row.decision["meaning"] = ""; }),
-      ElementsAre("line 1: fiona.sensors.GetIMU.out_x_m has a decision in the table and no comment in the "
-                  "proto"));
+  EXPECT_THAT(compare_with_broken_row("GetIMU", "Out_x_m", [](Row& row) { row.decision["meaning"] = ""; }),
+              ElementsAre("line 1: fiona.sensors.GetIMU.out_x_m has a decision in the table and no comment in the "
+                          "proto"));
 }
 
 TEST(Catalogue, AnUnmarkedFieldInTheProtoIsNamed) {
@@ -220,12 +215,11 @@ TEST(Catalogue, ANumberWithoutAUnitAndASensorSilentOnUncertaintyAreNamed) {
     file.clear_source_code_info();
     file.mutable_message_type(0)->mutable_field(1)->mutable_options()->ClearExtension(fiona::unit);
   });
-  EXPECT_THAT(
-      check_rules(*pool, dimensionless()),
-      ElementsAre("fiona.perception.PointObjectLocation.position_x is a number without a unit",
-                  "fiona.perception.PointObjectLocation does not say where its uncertainty is carried",
-                  "fiona.perception.VolumeObjectLocation does not say where its uncertainty is carried",
-                  "fiona.perception.CommObstacle does not say where its uncertainty is carried"));
+  EXPECT_THAT(check_rules(*pool, dimensionless()),
+              ElementsAre("fiona.perception.PointObjectLocation.position_x is a number without a unit",
+                          "fiona.perception.PointObjectLocation does not say where its uncertainty is carried",
+                          "fiona.perception.VolumeObjectLocation does not say where its uncertainty is carried",
+                          "fiona.perception.CommObstacle does not say where its uncertainty is carried"));
 }
 
 TEST(Catalogue, ARangeThatRefusesAnUnsetFieldIsNamed) {
@@ -235,10 +229,9 @@ TEST(Catalogue, ARangeThatRefusesAnUnsetFieldIsNamed) {
     field.mutable_options()->SetExtension(fiona::min, 1);
     field.mutable_options()->SetExtension(fiona::unit, "m");
   });
-  EXPECT_THAT(
-      check_rules(*pool, dimensionless()),
-      ElementsAre("fiona.security.CommAuthenticationResponse.access_granted is refused when nobody sets "
-                  "it: 0 is out of its range"));
+  EXPECT_THAT(check_rules(*pool, dimensionless()),
+              ElementsAre("fiona.security.CommAuthenticationResponse.access_granted is refused when nobody sets "
+                          "it: 0 is out of its range"));
 }
 
 TEST(Catalogue, ThePasswordIsMarkedAsSecret) {

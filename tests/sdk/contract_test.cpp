@@ -61,22 +61,26 @@ TEST_F(OtherContract, SameFileFromAnotherPoolFits) { EXPECT_EQ(contract_differen
 
 TEST_F(OtherContract, OtherUnitIsNamed) {
   field("length").mutable_options()->SetExtension(unit, "km");
-  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.length has unit 'm' required, 'km' provided");
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Ruled.length has unit 'm' required, 'km' provided");
 }
 
 TEST_F(OtherContract, OtherFrameIsNamed) {
   field("length").mutable_options()->SetExtension(frame, "body");
-  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.length has frame 'enu' required, 'body' provided");
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Ruled.length has frame 'enu' required, 'body' provided");
 }
 
 TEST_F(OtherContract, OtherArrayLengthIsNamed) {
   field("triple").mutable_options()->SetExtension(size, 4);
-  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.triple has size '3' required, '4' provided");
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Ruled.triple has size '3' required, '4' provided");
 }
 
 TEST_F(OtherContract, OtherTypeIsNamedEvenWhereTheWireTypeIsTheSame) {
   field("name").set_type(FieldDescriptorProto::TYPE_BYTES);
-  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Ruled.name has type 'string' required, 'bytes' provided");
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Ruled.name has type 'string' required, 'bytes' provided");
 }
 
 TEST_F(OtherContract, OtherCardinalityIsNamed) {
@@ -95,7 +99,8 @@ TEST_F(OtherContract, DifferenceInANestedObjectIsFound) {
   for (auto& message : *file.mutable_message_type()) {
     if (message.name() == "Inner") message.mutable_field(0)->mutable_options()->SetExtension(unit, "deg");
   }
-  EXPECT_EQ(contract_difference(ours(), other()), "field fiona.sdk_test.Inner.angle has unit 'rad' required, 'deg' provided");
+  EXPECT_EQ(contract_difference(ours(), other()),
+            "field fiona.sdk_test.Inner.angle has unit 'rad' required, 'deg' provided");
 }
 
 TEST_F(OtherContract, FieldThatOnlyOneSideHasIsHowAMinorVersionGrows) {
@@ -106,7 +111,8 @@ TEST_F(OtherContract, FieldThatOnlyOneSideHasIsHowAMinorVersionGrows) {
   added.set_label(FieldDescriptorProto::LABEL_OPTIONAL);
   added.set_type(FieldDescriptorProto::TYPE_DOUBLE);
   EXPECT_EQ(contract_difference(ours(), other()), std::nullopt);
-  EXPECT_EQ(contract_difference(pools.back().FindServiceByName("fiona.sdk_test.RuledObjects")[0], ours()), std::nullopt);
+  EXPECT_EQ(contract_difference(pools.back().FindServiceByName("fiona.sdk_test.RuledObjects")[0], ours()),
+            std::nullopt);
 }
 
 TEST_F(OtherContract, ProvidersMinorMayBeAboveTheClientsButNotBelow) {
@@ -208,7 +214,8 @@ class Adjustable final : public Component {
 
  private:
   void check(const Settings& draft) const {
-    if (draft.label() == "forbidden") throw Error(ErrorCode::Usage, {.what = "this label is taken", .found = draft.label()});
+    if (draft.label() == "forbidden")
+      throw Error(ErrorCode::Usage, {.what = "this label is taken", .found = draft.label()});
   }
   void changed() { ++changes_; }
 
@@ -240,7 +247,9 @@ class Parameters : public ::testing::Test {
     one.mutable_value()->set_typed(typed);
     return one;
   }
-  void set(const std::vector<control::Argument>& changes) { made.hull.set_parameters(changes, std::chrono::seconds(1)); }
+  void set(const std::vector<control::Argument>& changes) {
+    made.hull.set_parameters(changes, std::chrono::seconds(1));
+  }
   ErrorText refusal_of(const std::vector<control::Argument>& changes) {
     try {
       set(changes);
@@ -399,7 +408,8 @@ TEST(ErrorRendering, PutsEachPartOnALineOfItsOwn) {
                                           .next = "show nav",
                                           .near = {"location", "locate"}});
   EXPECT_STREQ(error.what(),
-               "nav.loc: no such port\n  expected: a port\n  found: nothing\n  did you mean: location, locate\n  next: show nav");
+               "nav.loc: no such port\n  expected: a port\n  found: nothing\n  did you mean: location, locate\n  next: "
+               "show nav");
 }
 
 }  // namespace

@@ -24,7 +24,10 @@ class Chooser final : public Component {
     choice.every = 2;
     choice.hold = 500ms;
     Changes changes;
-    changes.wire("nav.location", "fusion.location", choice).set("wifi", "period", 200, "ms").set("wifi", "strict", true).state("gps", "neutral");
+    changes.wire("nav.location", "fusion.location", choice)
+        .set("wifi", "period", 200, "ms")
+        .set("wifi", "strict", true)
+        .state("gps", "neutral");
     const auto done = co_await master_.make(std::move(changes), 1s);
     ended_.set(std::string(to_string(done.outcome())) + done.reason());
   }

@@ -57,9 +57,12 @@ TEST(MessagePool, KeepsAsManySmallOnesAsItsBoundHolds) {
 
 TEST(MessagePool, CountsOneAsLargeAsItHasEverBeen) {
   ObjectPool pool(Number::default_instance());
-  const auto fill = [](Object& object, std::size_t bytes) { static_cast<Number&>(object).mutable_payload()->assign(bytes, 'x'); };
+  const auto fill = [](Object& object, std::size_t bytes) {
+    static_cast<Number&>(object).mutable_payload()->assign(bytes, 'x');
+  };
   std::vector<std::shared_ptr<Object>> taken;
-  for (int i = 0; i < 3; ++i) fill(*taken.emplace_back(pool.acquire()), ObjectPool::kKeptBytes / 2 - ObjectPool::kMessageCost - 64);
+  for (int i = 0; i < 3; ++i)
+    fill(*taken.emplace_back(pool.acquire()), ObjectPool::kKeptBytes / 2 - ObjectPool::kMessageCost - 64);
   taken.clear();
   EXPECT_EQ(pool.idle(), 2U);
   for (int i = 0; i < 2; ++i) fill(*taken.emplace_back(pool.acquire()), 1);

@@ -17,8 +17,8 @@ namespace fiona::sdk_test {
 namespace {
 
 using namespace std::chrono_literals;
-using ::testing::ElementsAre;
 using ::testing::Each;
+using ::testing::ElementsAre;
 using ::testing::SizeIs;
 
 constexpr std::size_t kPayload = 500'000;
@@ -70,7 +70,8 @@ class Sipper final : public Component {
 };
 
 /// A wire from the pourer to one of the sipper's ports.
-std::shared_ptr<LocalWire> connect(Made<Pourer>& pourer, Made<Sipper>& sipper, const std::string& port, std::uint32_t prescale = 1) {
+std::shared_ptr<LocalWire> connect(Made<Pourer>& pourer, Made<Sipper>& sipper, const std::string& port,
+                                   std::uint32_t prescale = 1) {
   auto& client = dynamic_cast<RequiredPort&>(*sipper.hull.find_port(port));
   const auto end = client.end_for(pourer->numbers.full_name());
   end->set_connection(Connection::Connected, "for the test");
@@ -163,7 +164,8 @@ TEST_F(Pacing, PutsThatWaitHaveTheirTurnInTheirOrder) {
   pour(100, 1, 10s, 1);  // would fit at once
   advance(1s);
   ASSERT_THAT(sipper->seen, SizeIs(21));
-  EXPECT_GT(std::find(sipper->seen.begin(), sipper->seen.end(), 100) - sipper->seen.begin(), static_cast<std::ptrdiff_t>(kFit));
+  EXPECT_GT(std::find(sipper->seen.begin(), sipper->seen.end(), 100) - sipper->seen.begin(),
+            static_cast<std::ptrdiff_t>(kFit));
   EXPECT_EQ(dropped(), 0U);
 }
 

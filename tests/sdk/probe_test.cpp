@@ -98,7 +98,9 @@ class CountingExecutor final : public Executor {
 
 class Probes : public ::testing::Test {
  protected:
-  std::shared_ptr<Tap> tap(const std::string& name, TapTerms terms = {}) { return meter.hull.tap(name, std::move(terms), kept); }
+  std::shared_ptr<Tap> tap(const std::string& name, TapTerms terms = {}) {
+    return meter.hull.tap(name, std::move(terms), kept);
+  }
   void advance(Duration duration) {
     executor.help();
     clock.stop_at(clock.now() + duration, [this] { clock.hold(); });
@@ -111,7 +113,8 @@ class Probes : public ::testing::Test {
     return static_cast<double>(dynamic_cast<const probe::Integer&>(*object).value());
   }
   static TapTerms above(double limit) {
-    return {.holds = [limit](const Object& object) { return dynamic_cast<const probe::Number&>(object).value() > limit; }};
+    return {
+        .holds = [limit](const Object& object) { return dynamic_cast<const probe::Number&>(object).value() > limit; }};
   }
 
   CountingExecutor executor;
@@ -149,9 +152,12 @@ class NamedBadly final : public Component {
 };
 
 TEST(ProbeNames, ThatClashAreRefusedWhereTheComponentIsMade) {
-  EXPECT_THAT([] { testing::Bench<TwoOfAName> bench; }, ThrowsMessage<Error>(HasSubstr("two ports, triggers or probes are named 'numbers'")));
-  EXPECT_THAT([] { testing::Bench<NamedLikeTheHulls> bench; }, ThrowsMessage<Error>(HasSubstr("'mode' is a probe that every instance has")));
-  EXPECT_THAT([] { testing::Bench<NamedBadly> bench; }, ThrowsMessage<Error>(HasSubstr("'a.b' is no name for a probe")));
+  EXPECT_THAT([] { testing::Bench<TwoOfAName> bench; },
+              ThrowsMessage<Error>(HasSubstr("two ports, triggers or probes are named 'numbers'")));
+  EXPECT_THAT([] { testing::Bench<NamedLikeTheHulls> bench; },
+              ThrowsMessage<Error>(HasSubstr("'mode' is a probe that every instance has")));
+  EXPECT_THAT([] { testing::Bench<NamedBadly> bench; },
+              ThrowsMessage<Error>(HasSubstr("'a.b' is no name for a probe")));
 }
 
 TEST_F(Probes, ValueIsReadOnceAlsoWhenNobodyWatches) {
@@ -172,7 +178,8 @@ TEST_F(Probes, OriginIsTheInstancesClockOrWhatTheAuthorSays) {
 
 TEST_F(Probes, CountBeyond63BitsStaysAtTheLargest) {
   meter->count.set(~std::uint64_t{0});
-  EXPECT_EQ(dynamic_cast<const probe::Integer&>(*meter.hull.read("count").object).value(), std::numeric_limits<std::int64_t>::max());
+  EXPECT_EQ(dynamic_cast<const probe::Integer&>(*meter.hull.read("count").object).value(),
+            std::numeric_limits<std::int64_t>::max());
 }
 
 TEST_F(Probes, BenchReadsThem) {
@@ -352,7 +359,8 @@ TEST_F(Probes, UnknownNameGetsTheNearest) {
 }
 
 TEST_F(Probes, PortIsNotRead) {
-  EXPECT_THAT([this] { meter.hull.read("numbers"); }, ThrowsMessage<Error>(HasSubstr("meter.numbers is a port: it has no value of now")));
+  EXPECT_THAT([this] { meter.hull.read("numbers"); },
+              ThrowsMessage<Error>(HasSubstr("meter.numbers is a port: it has no value of now")));
 }
 
 TEST(ProbesAndThreads, EachValueOfManyThreadsIsToldOnceAndInOneOrder) {

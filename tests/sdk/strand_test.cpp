@@ -2,6 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <time.h>
+
 #include <functional>
 #include <future>
 #include <map>
@@ -137,7 +139,8 @@ TEST(VirtualClock, StandsWhileHeld) {
   producer.hull.set_mode(kModeActive, kLimit);
   executor.help();
   EXPECT_EQ(clock.now(), TimePoint{});
-  EXPECT_EQ(producer.hull.find_port("numbers")->counters().messages, 0U) << "even what is due at zero waits for release";
+  EXPECT_EQ(producer.hull.find_port("numbers")->counters().messages, 0U)
+      << "even what is due at zero waits for release";
 }
 
 TEST(VirtualClock, CancelledStopDoesNotRun) {
@@ -191,7 +194,8 @@ class Inboxes : public ::testing::Test {
 };
 
 TEST_F(Inboxes, FullPushInboxLosesItsOldestCounted) {
-  for (std::uint64_t value = 1; value <= 10; ++value) EXPECT_EQ(inbox("each").push(parcel(value, kMebibyte)), Outcome::Ok);
+  for (std::uint64_t value = 1; value <= 10; ++value)
+    EXPECT_EQ(inbox("each").push(parcel(value, kMebibyte)), Outcome::Ok);
   executor.help();
   EXPECT_THAT(receiver->seen(), ElementsAre(8, 9, 10));
   EXPECT_EQ(counters("each").dropped, 7U);
@@ -281,6 +285,53 @@ TEST_F(Strands, CallThatWaitsReturnsWhenTheStrandIsClosed) {
   EXPECT_FALSE(strand->call([] {}, kLimit));
   EXPECT_FALSE(strand->post([] {}));
   release.set_value();
+}
+
+bool comes_true(const std::function<bool()>& fits) {
+  const auto end = std::chrono::steady_clock::now() + kLimit;
+  while (!fits()) {
+    if (std::chrono::steady_clock::now() > end) return false;
+    std::this_thread::sleep_for(1ms);
+  }
+  return true;
+}
+
+/// Of the calling thread.
+std::chrono::nanoseconds cpu_time() {
+  timespec time{};
+  ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+  return std::chrono::seconds(time.tv_sec) + std::chrono::nanoseconds(time.tv_nsec);
+}
+
+void compute(std::chrono::nanoseconds time) {
+  const auto end = cpu_time() + time;
+  while (cpu_time() < end) {
+  }
+}
+
+TEST_F(Strands, CpuTimeIsWhatWorkTookOfACpuAndNotWhatItWaited) {
+  ASSERT_TRUE(strand->call([] { std::this_thread::sleep_for(50ms); }, kLimit));
+  ASSERT_TRUE(comes_true([this] { return strand->busy_time() >= 50ms; }));
+  EXPECT_LT(strand->cpu_time(), 25ms);
+  ASSERT_TRUE(strand->call([] { compute(50ms); }, kLimit));
+  EXPECT_TRUE(comes_true([this] { return strand->cpu_time() >= 50ms; }));
+}
+
+TEST_F(Strands, CpuTimeOfManyShortRunsIsThatOfThoseMeasuredForAll) {
+  std::chrono::nanoseconds spent{0};
+  for (int run = 0; run < 20'000; ++run) {
+    ASSERT_TRUE(strand->call(
+        [&spent] {
+          const auto begin = cpu_time();
+          compute(5us);
+          spent += cpu_time() - begin;
+        },
+        kLimit));
+  }
+  // What a run costs beside its work counts too.
+  EXPECT_TRUE(comes_true([&] { return strand->cpu_time() > spent * 0.7; }))
+      << to_seconds(strand->cpu_time()) << " of " << spent.count() * 1e-9;
+  EXPECT_LT(strand->cpu_time(), spent * 4);
 }
 
 TEST_F(Strands, PiecesOfWorkNeverOverlapAndKeepTheirOrder) {

@@ -78,9 +78,12 @@ TEST_F(OnPort, TaskOfAPortWithoutHandlerReadsWhatHasArrived) {
 
 TEST_F(OnPort, ArrivalsThatTheStrandHasNotComeToAreOverrunsAndStartItOnce) {
   Inbox& inbox = *bench.hull().find_port("slot")->inbox();
-  bench.hull().strand().call([&] {
-    for (std::uint64_t i = 1; i <= 4; ++i) inbox.push({Envelope{std::make_shared<const Number>(numbered(i)), i, bench.now(), 0}, nullptr});
-  }, kLimit);
+  bench.hull().strand().call(
+      [&] {
+        for (std::uint64_t i = 1; i <= 4; ++i)
+          inbox.push({Envelope{std::make_shared<const Number>(numbered(i)), i, bench.now(), 0}, nullptr});
+      },
+      kLimit);
   EXPECT_THAT(ran(), ElementsAre("seen 4"));
   EXPECT_EQ(task(bench.hull(), "seen").overruns(), 3U);
 }
@@ -123,10 +126,11 @@ TEST_F(OnPort, TheInterfaceSaysWhatStartsEachTask) {
   std::vector<std::string> all;
   for (const Task* one : bench.hull().tasks()) {
     const auto interface = interface_of(*one);
-    all.push_back(interface.name() + " " + TaskStart_Name(interface.start()) + " " + interface.of() + " " + std::to_string(interface.every()));
+    all.push_back(interface.name() + " " + TaskStart_Name(interface.start()) + " " + interface.of() + " " +
+                  std::to_string(interface.every()));
   }
-  EXPECT_THAT(all, ElementsAre("third ON_PORT numbers 3", "seen ON_PORT slot 1", "last AFTER_TASK next 0", "slow ON_PORT orders 1",
-                               "next AFTER_TASK slow 0"));
+  EXPECT_THAT(all, ElementsAre("third ON_PORT numbers 3", "seen ON_PORT slot 1", "last AFTER_TASK next 0",
+                               "slow ON_PORT orders 1", "next AFTER_TASK slow 0"));
 }
 
 class OnProvided final : public Component {
@@ -256,7 +260,9 @@ TEST_F(FreeRunningTask, IsCalledAgainAndAgainAndItsFollowerRunsBehindIt) {
   until([&] { return turns > 10 && reader->followed > 3; });
   hull->set_mode("looks", kLimit);
   EXPECT_EQ(task(*hull, "read").runs(), static_cast<std::uint64_t>(turns));
-  until([&] { return task(*hull, "follow").runs() + task(*hull, "follow").overruns() >= static_cast<std::uint64_t>(turns); });
+  until([&] {
+    return task(*hull, "follow").runs() + task(*hull, "follow").overruns() >= static_cast<std::uint64_t>(turns);
+  });
   EXPECT_EQ(task(*hull, "follow").runs() + task(*hull, "follow").overruns(), task(*hull, "read").runs());
 }
 
@@ -304,7 +310,8 @@ TEST_F(FreeRunningTask, ThatDoesNotReturnIsNamedAndGoesOnWhenTheChangeIsWithdraw
   hull->set_mode("reads", kLimit);
   until([&] { return turns == 1; });
   std::promise<std::string> refused;
-  hull->change_mode("looks", 20ms, [&](const std::optional<Error>& error) { refused.set_value(error ? error->text().what : ""); });
+  hull->change_mode("looks", 20ms,
+                    [&](const std::optional<Error>& error) { refused.set_value(error ? error->text().what : ""); });
   auto refusal = refused.get_future();
   ASSERT_EQ(refusal.wait_for(kLimit), std::future_status::ready);
   EXPECT_EQ(refusal.get(), "'reader' did not change its mode to looks in time: blocked by task 'read'");
@@ -368,10 +375,12 @@ TEST_F(FreeRunningTask, WaitsForACallThatItHasMadeOnTheStrand) {
 TEST_F(FreeRunningTask, ThatIsAskedToStopIsNotKeptByWhatItWaitsFor) {
   std::atomic<int> waits{0};
   const auto life = make([&](const OwnThread& own) {
-    hull->strand().call([&] {
-      const auto end = reader->slot.end_for("nobody");
-      end->set_connection(Connection::Connected, "for the test");
-    }, kLimit);
+    hull->strand().call(
+        [&] {
+          const auto end = reader->slot.end_for("nobody");
+          end->set_connection(Connection::Connected, "for the test");
+        },
+        kLimit);
     ++waits;
     const auto next = own.await([this] { return reader->slot.wait_update(1h); });
     EXPECT_TRUE(!next || next->outcome() == Outcome::NotActive) << "whichever came first";

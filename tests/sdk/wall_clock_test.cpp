@@ -1,5 +1,5 @@
-// A step of the machine's wall clock (a time server, somebody's hand) changes nothing for instances. An executable of its
-// own: its clock_gettime takes the place of the C library's.
+// A step of the machine's wall clock (a time server, somebody's hand) changes nothing for instances. An executable of
+// its own: its clock_gettime takes the place of the C library's.
 #include <gtest/gtest.h>
 #include <sys/syscall.h>
 #include <time.h>
@@ -36,7 +36,8 @@ TEST_P(WallClock, ThatStepsChangesNeitherTimeNorPeriods) {
   const TimePoint before = clock.now();
   const auto wall_before = std::chrono::system_clock::now();
   step_s = GetParam();
-  ASSERT_GT(std::chrono::abs(std::chrono::system_clock::now() - wall_before), 30min) << "the step is seen by who looks there";
+  ASSERT_GT(std::chrono::abs(std::chrono::system_clock::now() - wall_before), 30min)
+      << "the step is seen by who looks there";
   EXPECT_GE(clock.now(), before);
   EXPECT_LT(clock.now() - before, 10s);
   std::promise<void> fired;

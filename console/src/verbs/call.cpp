@@ -8,7 +8,8 @@ namespace fiona::console::verbs {
 namespace {
 
 void tell_result(Session& session, const std::string& target, const control::Called& called) {
-  nlohmann::json facts{{"call", target}, {"run", called.run()}, {"outcome", called.outcome()}, {"after_ms", called.after_ms()}};
+  nlohmann::json facts{
+      {"call", target}, {"run", called.run()}, {"outcome", called.outcome()}, {"after_ms", called.after_ms()}};
   std::string text = fmt::format("{} ended after {:.0f} ms", target, called.after_ms());
   if (!called.result().type().empty()) {
     const TypeSet types(called.result().files());
@@ -38,10 +39,11 @@ void call(Session& session, const Line& line) {
   const std::string instance = call.target().instance();
   const control::Called called = session.host().call_waiting(std::move(request)).called();
   if (called.outcome() == "ok") return tell_result(session, target, called);
-  throw Error(called.outcome() == "timeout" ? ErrorCode::Unreachable : ErrorCode::Failed,
-              {.what = fmt::format("{}: {}{}", target, called.outcome(), called.reason().empty() ? "" : ", " + called.reason()),
-               .where = target,
-               .next = "show " + instance});
+  throw Error(
+      called.outcome() == "timeout" ? ErrorCode::Unreachable : ErrorCode::Failed,
+      {.what = fmt::format("{}: {}{}", target, called.outcome(), called.reason().empty() ? "" : ", " + called.reason()),
+       .where = target,
+       .next = "show " + instance});
 }
 
 }  // namespace fiona::console::verbs

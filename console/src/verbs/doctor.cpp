@@ -81,7 +81,8 @@ Finding look_at_runtime_directory() {
   constexpr std::uintmax_t kEnough = 1U << 20U;
   std::error_code problem;
   const auto space = fs::space(directory, problem);
-  if (!problem && space.available < kEnough) return {false, directory.string() + " is full", "df " + directory.string()};
+  if (!problem && space.available < kEnough)
+    return {false, directory.string() + " is full", "df " + directory.string()};
   return {true, directory.string()};
 }
 
@@ -98,7 +99,8 @@ Finding look_at_host(Session& session, const RunningHost& running) {
   request.mutable_snapshot();
   const control::System system = client.call(std::move(request)).system();
   if (system.version() != FIONA_VERSION)
-    return {false, fmt::format("runs {}, this is {}", system.version(), FIONA_VERSION), "end it with quit and run it again"};
+    return {false, fmt::format("runs {}, this is {}", system.version(), FIONA_VERSION),
+            "end it with quit and run it again"};
   return {true, fmt::format("answers, {} instances", system.instances_size())};
 }
 

@@ -51,7 +51,8 @@ void help(Session& session, const Line& line) {
   const Word& about = line.positional[0];
   if (const Verb* verb = find_verb(about.text)) return help_for(session, *verb);
   const auto& topics = help_topics();
-  const auto topic = std::find_if(topics.begin(), topics.end(), [&about](const HelpTopic& one) { return one.name == about.text; });
+  const auto topic =
+      std::find_if(topics.begin(), topics.end(), [&about](const HelpTopic& one) { return one.name == about.text; });
   if (topic == topics.end()) {
     std::vector<std::string> known;
     for (const HelpTopic& one : topics) known.emplace_back(one.name);

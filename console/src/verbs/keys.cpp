@@ -33,12 +33,15 @@ void allow(Session& session, const trust::KeyDirectory& keys, const Line& line) 
 void keys(Session& session, const Line& line) {
   const trust::KeyDirectory keys;
   const std::string what = line.positional.empty() ? "" : line.positional[0].text;
-  if (what == "make") return session.out.done(fmt::format("made the key pair of this user's hosts and consoles; others are given {}", keys.make().open.text()));
+  if (what == "make")
+    return session.out.done(fmt::format("made the key pair of this user's hosts and consoles; others are given {}",
+                                        keys.make().open.text()));
   if (what == "show") return session.out.text(keys.pair().open.text());
   if (what == "allow") return allow(session, keys, line);
   if (what == "know") {
     keys.know(line.positional[1].text, line.positional[2].text, line.positional[3].text);
-    return session.out.done(fmt::format("fiona --at {} speaks to {}", line.positional[1].text, line.positional[2].text));
+    return session.out.done(
+        fmt::format("fiona --at {} speaks to {}", line.positional[1].text, line.positional[2].text));
   }
   if (what == "forget") {
     keys.forget(line.positional[1].text);

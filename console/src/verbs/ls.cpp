@@ -62,7 +62,8 @@ void add_attached(Table& table, const control::AttachedClient& client, const std
 
 void ls_wires(Session& session) {
   const control::System system = session.snapshot();
-  Table table({"client", "provider", "service", "connection", "every", "rate", "age", "dropped", "alternatives", "flaps"});
+  Table table(
+      {"client", "provider", "service", "connection", "every", "rate", "age", "dropped", "alternatives", "flaps"});
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
       for (const auto& client : port.attached()) add_attached(table, client, instance.name() + "." + port.name(), port);
@@ -76,7 +77,8 @@ void ls_wires(Session& session) {
                  {age_text(port.age_ms()), port.age_ms()},
                  {fmt::format("{}", port.dropped()), port.dropped()},
                  alternatives_text(port),
-                 port.providers().empty() ? Table::Cell{"", nullptr} : Table::Cell{fmt::format("{}", port.flaps()), port.flaps()}});
+                 port.providers().empty() ? Table::Cell{"", nullptr}
+                                          : Table::Cell{fmt::format("{}", port.flaps()), port.flaps()}});
     }
   }
   session.out.table(table, "no port is wired\n  next: spots");

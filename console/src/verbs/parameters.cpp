@@ -11,7 +11,8 @@ namespace fiona::console::verbs {
 void set(Session& session, const Line& line) {
   control::Change change;
   change.mutable_set()->set_instance(line.positional[0].text);
-  for (control::Argument& argument : line.control_arguments()) *change.mutable_set()->add_parameters() = std::move(argument);
+  for (control::Argument& argument : line.control_arguments())
+    *change.mutable_set()->add_parameters() = std::move(argument);
   make(session, line, std::move(change), fmt::format("set {}", line.positional[0].text));
 }
 
@@ -29,7 +30,8 @@ void get_host(Session& session, const control::System& system, const std::string
                "1",
                "of a virtual clock, times real time; 0: as fast as it goes"});
   if (wanted.empty() || wanted == "deliveries")
-    table.add({"deliveries", system.deliveries(), "", "", "", "of a virtual clock: the file in which each delivery is recorded"});
+    table.add({"deliveries", system.deliveries(), "", "", "",
+               "of a virtual clock: the file in which each delivery is recorded"});
   session.out.table(table, "");
 }
 

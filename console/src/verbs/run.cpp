@@ -115,7 +115,8 @@ class Service {
 
  private:
   void beat() {
-    timer_ = session_.reactor.add_timer(std::chrono::steady_clock::now() + *manager_.watchdog_period(), [this] { beat(); });
+    timer_ =
+        session_.reactor.add_timer(std::chrono::steady_clock::now() + *manager_.watchdog_period(), [this] { beat(); });
     if (asked_ || !session_.connected()) return;  // it has not answered yet: no sign of life
     control::Request request;
     request.mutable_snapshot();

@@ -26,8 +26,7 @@ void show_ports(Session& session, const control::InstanceStatus& instance) {
                short_name(port.service()),
                pattern_text(port.pattern()),
                required ? connection_text(port) : "",
-               required ? (port.peer().instance().empty() ? "" : text_of(port.peer()))
-                        : clients_text(port),
+               required ? (port.peer().instance().empty() ? "" : text_of(port.peer())) : clients_text(port),
                {fmt::format("{}", port.messages()), port.messages()},
                {rate_text(port.rate_hz()), port.rate_hz()},
                {age_text(port.age_ms()), port.age_ms()},
@@ -42,7 +41,8 @@ void show_probes(Session& session, const control::InstanceStatus& instance) {
   for (const auto& probe : instance.probes())
     table.add({probe.name(), probe.value(), probe.unit(), {age_text(probe.age_ms()), probe.age_ms()}, probe.doc()});
   const auto all = probes_of(instance);
-  for (std::size_t i = static_cast<std::size_t>(instance.probes_size()); session.out.manner.verbose && i < all.size(); ++i)
+  for (std::size_t i = static_cast<std::size_t>(instance.probes_size()); session.out.manner.verbose && i < all.size();
+       ++i)
     table.add({all[i].name, "", all[i].unit, "", all[i].doc});
   if (!table.empty()) session.out.text("");
   session.out.table(table, "");
@@ -66,7 +66,8 @@ void show_probe(Session& session, const control::InstanceStatus& instance, const
     return session.out.table(facts, "", false);
   }
   if (!object->ParseFromString(sample.object()))
-    throw Error(ErrorCode::Failed, {.what = fmt::format("a {} cannot be read", sample.type()), .where = instance.name()});
+    throw Error(ErrorCode::Failed,
+                {.what = fmt::format("a {} cannot be read", sample.type()), .where = instance.name()});
   for (const FieldText& field : field_texts(*object, {})) {
     const std::string& unit = is_plain_value(sample.type()) ? sample.unit() : field.unit;
     facts.add({field.path, field.text + (unit.empty() ? "" : " " + unit)});
@@ -85,7 +86,8 @@ std::string mode_text(const control::InstanceStatus& instance) {
 /// "every 100 ms", "on scans, every 4": what starts a task.
 std::string when_text(const fiona::TaskInterface& task) {
   switch (task.start()) {
-    case fiona::ON_PORT: return task.every() > 1 ? fmt::format("on {}, every {}", task.of(), task.every()) : "on " + task.of();
+    case fiona::ON_PORT:
+      return task.every() > 1 ? fmt::format("on {}, every {}", task.of(), task.every()) : "on " + task.of();
     case fiona::AFTER_TASK: return "after " + task.of();
     case fiona::FREE_RUNNING: return "free running";
     default: return fmt::format("every {:g} ms", task.period_ms());
@@ -101,8 +103,13 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
   if (!instance.reason().empty()) facts.add({"reason", instance.reason()});
   facts.add({"modes", fmt::format("{}", fmt::join(instance.modes(), ", "))});
   facts.add({"group", instance.group()});
+  if (instance.restarts() > 0) {
+    facts.add({"restarts", {fmt::format("{} of its group's process", instance.restarts()), instance.restarts()}});
+  }
   if (!instance.rights().empty()) facts.add({"rights", fmt::format("{}", fmt::join(instance.rights(), ", "))});
-  facts.add({"handlers", {fmt::format("{:.1f} ms busy", instance.handler_ms()), instance.handler_ms()}});
+  facts.add({"handlers",
+             {fmt::format("{:.1f} ms busy, {:.1f} ms of it on a CPU", instance.handler_ms(), instance.cpu_ms()),
+              instance.handler_ms()}});
   facts.add({"queue", {fmt::format("{}", instance.queue_depth()), instance.queue_depth()}});
   if (!instance.doc().empty()) facts.add({"doc", instance.doc()});
   session.out.table(facts, "", false);
@@ -126,7 +133,8 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
   show_probes(session, instance);
   Table triggers({"trigger", "activity", "argument", "result", "doc"});
   for (const auto& trigger : instance.triggers())
-    triggers.add({trigger.name(), trigger.activity(), short_name(trigger.argument()), short_name(trigger.result()), trigger.doc()});
+    triggers.add({trigger.name(), trigger.activity(), short_name(trigger.argument()), short_name(trigger.result()),
+                  trigger.doc()});
   if (!triggers.empty()) session.out.text("");
   session.out.table(triggers, "");
 }
@@ -140,12 +148,15 @@ std::string wired_by_text(Session& session, const std::string& client) {
   request.mutable_journal()->set_last(kEntriesSearched);
   const control::Reply reply = session.call(std::move(request));
   const auto& entries = reply.journal().entries();
-  const auto wires = [&client](const control::Change& step) { return step.has_wire() && text_of(step.wire().client()) == client; };
+  const auto wires = [&client](const control::Change& step) {
+    return step.has_wire() && text_of(step.wire().client()) == client;
+  };
   for (auto entry = entries.rbegin(); entry != entries.rend(); ++entry) {
     if (entry->state() != control::JournalEntry::DONE) continue;
     if (std::none_of(entry->steps().begin(), entry->steps().end(), wires)) continue;
     const auto now = std::chrono::system_clock::now().time_since_epoch();
-    const double ago_ms = std::chrono::duration<double, std::milli>(now).count() - static_cast<double>(entry->time_ms());
+    const double ago_ms =
+        std::chrono::duration<double, std::milli>(now).count() - static_cast<double>(entry->time_ms());
     return fmt::format("{}, {} ago (journal {})", entry->author(), age_text(std::max(0.0, ago_ms)), entry->number());
   }
   return "";
@@ -166,7 +177,8 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
   if (required && port.prescale() > 1) facts.add({"every", {fmt::format("{}", port.prescale()), port.prescale()}});
   if (required && !port.transport().empty()) facts.add({"transport", port.transport()});
   for (const auto& one : port.providers())
-    facts.add({"provider", fmt::format("{}{}{}", alternative_text(one), one.transport().empty() ? "" : ", over ", one.transport())});
+    facts.add({"provider", fmt::format("{}{}{}", alternative_text(one), one.transport().empty() ? "" : ", over ",
+                                       one.transport())});
   if (!port.providers().empty()) {
     facts.add({"hold", {fmt::format("{:g} s", port.hold_ms() / 1000), port.hold_ms()}});
     facts.add({"flaps", {fmt::format("{}", port.flaps()), port.flaps()}});
@@ -298,7 +310,8 @@ void show(Session& session, const Line& line) {
       if (first == thing.text) return show_instance(session, *instance);
       const std::string part = thing.text.substr(first.size() + 1);
       const auto probes = probes_of(*instance);
-      const auto probe = std::find_if(probes.begin(), probes.end(), [&part](const auto& one) { return one.name == part; });
+      const auto probe =
+          std::find_if(probes.begin(), probes.end(), [&part](const auto& one) { return one.name == part; });
       if (probe != probes.end()) return show_probe(session, *instance, *probe);
       return show_port(session, *instance, port_at(system, thing, line));
     }

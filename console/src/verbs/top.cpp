@@ -112,7 +112,10 @@ class FullScreen {
       case Screen::Key::Down: return select(row + 1);
       case Screen::Key::PageUp: return select(row < kPage ? 0 : row - kPage);
       case Screen::Key::PageDown: return select(row + kPage);
-      case Screen::Key::Enter: select(row); inside_ = !names.empty(); return;
+      case Screen::Key::Enter:
+        select(row);
+        inside_ = !names.empty();
+        return;
       case Screen::Key::Back: inside_ = false; return;
       case Screen::Key::Character: return take_character(character);
       default: return;
@@ -141,8 +144,9 @@ class FullScreen {
     frame.rows.erase(frame.rows.begin());
     const auto at = std::find(names.begin(), names.end(), selected_);
     frame.selected = inside_ || at == names.end() ? 0 : static_cast<std::size_t>(at - names.begin());
-    frame.foot = fmt::format("q quit  {}  s sort: {}  + - every {:g} s", inside_ ? "escape back" : "enter ports",
-                             TopView::kOrders[static_cast<std::size_t>(order_)], static_cast<double>(period_.count()) / 1000);
+    frame.foot =
+        fmt::format("q quit  {}  s sort: {}  + - every {:g} s", inside_ ? "escape back" : "enter ports",
+                    TopView::kOrders[static_cast<std::size_t>(order_)], static_cast<double>(period_.count()) / 1000);
     screen_.show(frame);
   }
 

@@ -75,7 +75,8 @@ void swap(Session& session, const Line& line) {
 }
 
 void begin(Session& session, const Line& line) {
-  if (session.batch) throw line.error(line.verb, {.what = "a transaction has begun already", .next = "commit, or abort"});
+  if (session.batch)
+    throw line.error(line.verb, {.what = "a transaction has begun already", .next = "commit, or abort"});
   if (session.setting == Setting::Shell)
     throw line.error(line.verb, {.what = "a line of a shell is a transaction of its own",
                                  .next = "begin and commit belong to a prompt or a system file"});
@@ -103,7 +104,8 @@ void plan(Session& session, const Line& line) {
     } else {
       const bool looks = find_verb(inner.verb.text)->access == Access::Observe;
       const Batch batch = looks ? Batch{} : collected(session, [&] { session.run(inner); });
-      if (batch.changes.empty()) throw line.error(inner.verb, {.what = fmt::format("'{}' changes nothing", inner.verb.text)});
+      if (batch.changes.empty())
+        throw line.error(inner.verb, {.what = fmt::format("'{}' changes nothing", inner.verb.text)});
       make(session, batch, false);
     }
   } catch (...) {

@@ -24,7 +24,8 @@ void stop(Session& session, const Line& line) {
   session.out.done(fmt::format("stopped {} watch{}", stopped, stopped == 1 ? "" : "es"), {{"stopped", stopped}});
 }
 
-constexpr std::string_view kConditions = "[FIELD] above VALUE, [FIELD] below VALUE, [FIELD] is VALUE, changes, older than T";
+constexpr std::string_view kConditions =
+    "[FIELD] above VALUE, [FIELD] below VALUE, [FIELD] is VALUE, changes, older than T";
 
 /// `above 3`, `speed above 3`, `is failed`, `changes`, `older than 1s`.
 control::Condition condition_of(const std::vector<Word>& words, const Line& line) {
@@ -55,7 +56,8 @@ control::Condition condition_of(const std::vector<Word>& words, const Line& line
 
 /// A time where it has a unit, else a count.
 void take_every(WatchRequest& request, const Word& every, const Line& line) {
-  if (value_of(every, line.words).kind_case() == control::Value::kInteger && value_of(every, line.words).unit().empty()) {
+  if (value_of(every, line.words).kind_case() == control::Value::kInteger &&
+      value_of(every, line.words).unit().empty()) {
     request.every_nth = count_of(every, line.words);
   } else {
     request.every_ms = duration_ms(every, line.words);

@@ -30,9 +30,11 @@ void why(Session& session, const Line& line) {
   Table table({"thing", "state", "for", "next"});
   for (const Finding& one : found) {
     const bool known = one.since_s >= 0;
-    table.add({one.thing, one.state,
-               {known ? age_text(1000 * one.since_s) : "", known ? nlohmann::json(one.since_s) : nlohmann::json(nullptr)},
-               one.next});
+    table.add(
+        {one.thing,
+         one.state,
+         {known ? age_text(1000 * one.since_s) : "", known ? nlohmann::json(one.since_s) : nlohmann::json(nullptr)},
+         one.next});
   }
   session.out.table(table, "");
 }

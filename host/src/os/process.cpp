@@ -59,7 +59,8 @@ std::string ChildProcess::end() {
 
 bool ChildProcess::is_stopped() const {
   siginfo_t info{};
-  return end_.empty() && ::waitid(P_PID, static_cast<id_t>(id_), &info, WSTOPPED | WNOHANG | WNOWAIT) == 0 && info.si_pid == id_;
+  return end_.empty() && ::waitid(P_PID, static_cast<id_t>(id_), &info, WSTOPPED | WNOHANG | WNOWAIT) == 0 &&
+         info.si_pid == id_;
 }
 
 void ChildProcess::kill() {

@@ -41,10 +41,11 @@ Descriptor lock_beside(const std::filesystem::path& path) {
   if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
     char holder[32] = {};
     const auto size = ::pread(lock.get(), holder, sizeof holder - 1, 0);
-    throw Error(ErrorCode::NotAllowed, {.what = "another host already serves this name",
-                                        .where = path.string(),
-                                        .found = "process " + std::string(holder, size > 0 ? static_cast<std::size_t>(size) : 0),
-                                        .next = "stop it, or start this one with --host NAME"});
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "another host already serves this name",
+                 .where = path.string(),
+                 .found = "process " + std::string(holder, size > 0 ? static_cast<std::size_t>(size) : 0),
+                 .next = "stop it, or start this one with --host NAME"});
   }
   const std::string self = std::to_string(::getpid());
   if (::ftruncate(lock.get(), 0) != 0 || ::pwrite(lock.get(), self.data(), self.size(), 0) < 0) {

@@ -83,11 +83,9 @@ void BuildingSimulator::on_start() {
                                                                : params_->building());
   world_ = std::make_unique<World>(file, *params_);
   const auto& warnings = world_->building.warnings();
-  for (std::size_t i = 0; i < std::min(warnings.size(), kMostWarnings); ++i)
-    log(LogLevel::Warning, warnings[i]);
+  for (std::size_t i = 0; i < std::min(warnings.size(), kMostWarnings); ++i) log(LogLevel::Warning, warnings[i]);
   if (warnings.size() > kMostWarnings) {
-    log(LogLevel::Warning,
-        fmt::format("{} more like this in {}", warnings.size() - kMostWarnings, file.string()));
+    log(LogLevel::Warning, fmt::format("{} more like this in {}", warnings.size() - kMostWarnings, file.string()));
   }
   log(LogLevel::Info, fmt::format("{}: {} levels, {} transmitters", world_->building.name(),
                                   world_->building.levels().size(), world_->radio.transmitters()));

@@ -47,8 +47,8 @@ ImuModel::Gait ImuModel::gait(const Truth& truth) {
   Gait gait{};
   gait.acceleration_g[0] = 0.25 * size * std::sin(stride) + 0.08 * size * std::sin(3.0 * stride);
   gait.acceleration_g[1] = 0.45 * size * std::sin(phase + 0.6) + 0.12 * size * std::sin(2.0 * phase);
-  gait.acceleration_g[2] = size * (std::cos(phase - 1.2) + 0.30 * std::cos(2.0 * phase - 0.4) +
-                                   0.10 * std::cos(3.0 * phase + 0.9));
+  gait.acceleration_g[2] =
+      size * (std::cos(phase - 1.2) + 0.30 * std::cos(2.0 * phase - 0.4) + 0.10 * std::cos(3.0 * phase + 0.9));
   gait.rotation_deg_s[0] = 90.0 * size * std::sin(phase + 0.3);
   gait.rotation_deg_s[1] = 45.0 * size * std::sin(stride + 0.5);
   gait.rotation_deg_s[2] = 40.0 * size * std::cos(stride);
@@ -95,8 +95,7 @@ ImuModel::Vector ImuModel::rotation_vector(const Truth& truth) const {
 
 ImuModel::Vector ImuModel::noisy(const Vector& value, const Vector& bias, double noise) {
   Vector read{};
-  for (std::size_t axis = 0; axis < 3; ++axis)
-    read[axis] = value[axis] + bias[axis] + noise * random_.normal();
+  for (std::size_t axis = 0; axis < 3; ++axis) read[axis] = value[axis] + bias[axis] + noise * random_.normal();
   return read;
 }
 
@@ -119,12 +118,10 @@ ImuSample ImuModel::sample(const Truth& truth) {
   has_before_ = true;
   const Vector acceleration = {right_g + now.acceleration_g[0], ahead_g + now.acceleration_g[1],
                                1.0 + up_g + now.acceleration_g[2]};
-  const Vector rotation = {now.rotation_deg_s[0], now.rotation_deg_s[1],
-                           left_turn_deg_s + now.rotation_deg_s[2]};
+  const Vector rotation = {now.rotation_deg_s[0], now.rotation_deg_s[1], left_turn_deg_s + now.rotation_deg_s[2]};
   return {truth.t, noisy(to_phone(acceleration), acceleration_bias_, options_.acceleration_noise_g),
           noisy(to_phone(rotation), rotation_bias_, options_.rotation_noise_deg_s),
-          noisy(to_phone(earth_field(truth)), magnetic_bias_, options_.magnetic_noise_gauss),
-          rotation_vector(truth)};
+          noisy(to_phone(earth_field(truth)), magnetic_bias_, options_.magnetic_noise_gauss), rotation_vector(truth)};
 }
 
 }  // namespace fiona::simulator

@@ -53,12 +53,10 @@ void Pedestrian::follow(const building::Route& route, milliseconds pause) {
     first = i;
   }
   add_walk(route.points, first, route.points.size() - 1);
-  if (pause.count() > 0)
-    legs_.push_back({Leg::Kind::Stand, {}, static_cast<double>(pause.count()) / 1000.0, 0.0});
+  if (pause.count() > 0) legs_.push_back({Leg::Kind::Stand, {}, static_cast<double>(pause.count()) / 1000.0, 0.0});
 }
 
-void Pedestrian::add_walk(const std::vector<building::RoutePoint>& points, std::size_t first,
-                          std::size_t last) {
+void Pedestrian::add_walk(const std::vector<building::RoutePoint>& points, std::size_t first, std::size_t last) {
   for (std::size_t i = first + 1; i < last; ++i) {
     if (!turns_back(points[i - 1].at, points[i].at, points[i + 1].at)) continue;
     // One stops to turn back: a leg of its own from there.
@@ -81,12 +79,9 @@ void Pedestrian::step() {
   if (!begun_) begin_leg();
   Leg& leg = legs_.front();
   switch (leg.kind) {
-    case Leg::Kind::Walk:
-      return walk(leg);
-    case Leg::Kind::Lift:
-      return ride(leg);
-    case Leg::Kind::Stand:
-      break;
+    case Leg::Kind::Walk: return walk(leg);
+    case Leg::Kind::Lift: return ride(leg);
+    case Leg::Kind::Stand: break;
   }
   stand();
   leg.left_s -= kTick_s;
@@ -169,8 +164,7 @@ void Pedestrian::place_on(const Leg& leg) {
   constexpr int kSamples = 8;
   const double reach = std::min({kRounding_m, walked_m_, leg.corners.back().at_m - walked_m_});
   Point mean{};
-  for (int i = 0; i < kSamples; ++i)
-    mean = mean + at(walked_m_ + reach * ((2.0 * i + 1.0) / kSamples - 1.0)).at;
+  for (int i = 0; i < kSamples; ++i) mean = mean + at(walked_m_ + reach * ((2.0 * i + 1.0) / kSamples - 1.0)).at;
   mean = mean * (1.0 / kSamples);
   const Truth before = truth_;
   truth_.x_m = mean.x_m;
@@ -207,8 +201,7 @@ void Pedestrian::ride(Leg& leg) {
     return;
   }
   constexpr double kLiftAcceleration_mps2 = 0.8;
-  const double limit =
-      std::min(building::kLiftPace_mps, std::sqrt(2.0 * kLiftAcceleration_mps2 * std::abs(rest_m)));
+  const double limit = std::min(building::kLiftPace_mps, std::sqrt(2.0 * kLiftAcceleration_mps2 * std::abs(rest_m)));
   pace_mps_ = std::max(0.02, std::min(limit, pace_mps_ + kLiftAcceleration_mps2 * kTick_s));
   const double move_m = std::min(std::abs(rest_m), pace_mps_ * kTick_s);
   truth_.velocity_up_mps = std::copysign(move_m / kTick_s, rest_m);

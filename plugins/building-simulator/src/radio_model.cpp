@@ -14,8 +14,8 @@ constexpr double kPhoneHeight_m = 1.2;
 /// Beacons are heard on one of three channels, each with its own fading: advertised about every 200 ms.
 constexpr double kBeaconPeriod_ms = 200.0;
 
-[[noreturn]] void refuse(const building::Building& building, const building::Landmark& landmark,
-                         const std::string& key, const std::string& expected) {
+[[noreturn]] void refuse(const building::Building& building, const building::Landmark& landmark, const std::string& key,
+                         const std::string& expected) {
   throw Error(ErrorCode::Failed, {.what = "a transmitter of " + building.name() + " cannot be read",
                                   .where = text(landmark.id),
                                   .expected = expected,
@@ -23,16 +23,15 @@ constexpr double kBeaconPeriod_ms = 200.0;
                                   .next = "correct the tag in the building file"});
 }
 
-int number(const building::Building& building, const building::Landmark& landmark, const std::string& key,
-           int fallback, int low, int high) {
+int number(const building::Building& building, const building::Landmark& landmark, const std::string& key, int fallback,
+           int low, int high) {
   const auto tag = landmark.tags.find(key);
   if (tag == landmark.tags.end()) return fallback;
   int value = 0;
   const char* const end = tag->second.data() + tag->second.size();
   const auto read = std::from_chars(tag->second.data(), end, value);
   if (read.ec != std::errc{} || read.ptr != end || value < low || value > high) {
-    refuse(building, landmark, key,
-           "a whole number from " + std::to_string(low) + " to " + std::to_string(high));
+    refuse(building, landmark, key, "a whole number from " + std::to_string(low) + " to " + std::to_string(high));
   }
   return value;
 }
@@ -51,8 +50,7 @@ double beacon_distance_m(int measured_power_dbm, int rssi_dbm) {
   return std::pow(10.0, (measured_power_dbm - rssi_dbm) / 20.0);
 }
 
-RadioModel::RadioModel(const building::Building& building, std::uint64_t seed, RadioOptions options,
-                       std::uint64_t run)
+RadioModel::RadioModel(const building::Building& building, std::uint64_t seed, RadioOptions options, std::uint64_t run)
     : building_(building), options_(options), seed_(seed), random_(seed, hash("radio") + run) {
   for (const building::Landmark& landmark : building.landmarks()) add(landmark);
   next_scan_ = options_.scan_period;
@@ -67,8 +65,7 @@ void RadioModel::add(const building::Landmark& landmark) {
   const std::string& name = is_wifi ? wifi->second : beacon->second;
   // The shadows of a transmitter do not change when others are added to the building.
   Random shadows{seed_, hash(name.c_str())};
-  Transmitter made{
-      .name = name, .wifi = is_wifi, .shadowing = SpatialField{shadows, options_.shadowing_size_m}};
+  Transmitter made{.name = name, .wifi = is_wifi, .shadowing = SpatialField{shadows, options_.shadowing_size_m}};
   made.at = landmark.at;
   made.level = landmark.level;
   made.height_m = building_.height_m(landmark.level) + landmark.height_m;
@@ -80,8 +77,8 @@ void RadioModel::add(const building::Landmark& landmark) {
     std::string_view rest = name;
     made.uuid = rest.substr(0, std::min(rest.find('/'), rest.size()));
     rest.remove_prefix(made.uuid.size());
-    if (made.uuid.size() != 36 || !take_number(rest, '/', made.major) ||
-        !take_number(rest, '/', made.minor) || !rest.empty()) {
+    if (made.uuid.size() != 36 || !take_number(rest, '/', made.major) || !take_number(rest, '/', made.minor) ||
+        !rest.empty()) {
       refuse(building_, landmark, "fiona:beacon", "UUID/MAJOR/MINOR, the numbers from 0 to 65535");
     }
   }
@@ -130,8 +127,7 @@ void RadioModel::hear(const Truth& truth) {
       const auto rssi = receive(i, truth, options_.beacon_noise_db, options_.beacon_sensitivity_dbm);
       if (!rssi) continue;
       const int power = static_cast<int>(from.power_1m_dbm);
-      heard_beacons_.push_back(
-          {at, from.uuid, from.major, from.minor, power, *rssi, beacon_distance_m(power, *rssi)});
+      heard_beacons_.push_back({at, from.uuid, from.major, from.minor, power, *rssi, beacon_distance_m(power, *rssi)});
     }
   }
 }
@@ -172,7 +168,8 @@ RadioOutput RadioModel::advance(const Truth& truth) {
 std::string beacon_address(const BeaconReading& beacon) {
   const std::string name = beacon.uuid + "/" + std::to_string(beacon.major) + "/" + std::to_string(beacon.minor);
   char digits[13];
-  std::snprintf(digits, sizeof digits, "%012llX", static_cast<unsigned long long>(hash(name.c_str()) & 0xffffffffffffull));
+  std::snprintf(digits, sizeof digits, "%012llX",
+                static_cast<unsigned long long>(hash(name.c_str()) & 0xffffffffffffull));
   return digits;
 }
 

@@ -32,8 +32,7 @@ std::string trace_id(std::uint64_t seed, std::uint64_t run) {
 
 /// Different numbers for every walk of a survey: level, kind and count.
 std::uint64_t run_number(double level, bool test, std::size_t walk) {
-  const auto floor =
-      static_cast<std::uint64_t>(static_cast<std::int64_t>(std::lround(level * 10.0)) + 100'000);
+  const auto floor = static_cast<std::uint64_t>(static_cast<std::int64_t>(std::lround(level * 10.0)) + 100'000);
   return (floor << 24u) + (test ? 1u << 20u : 0u) + walk;
 }
 
@@ -87,16 +86,13 @@ double clearance_m(const std::vector<building::Segment>& sides, Point p) {
 std::vector<Point> points_in(const Room& room, double spacing_m) {
   const building::Box box = bounds(room.polygon.outer);
   const std::vector<building::Segment> sides = edges(room.polygon);
-  const auto cells = [&](double length_m) {
-    return std::max(1, static_cast<int>(std::lround(length_m / spacing_m)));
-  };
+  const auto cells = [&](double length_m) { return std::max(1, static_cast<int>(std::lround(length_m / spacing_m))); };
   const Point size = box.high - box.low;
   const int columns = cells(size.x_m), rows = cells(size.y_m);
   std::vector<Point> points;
   for (int column = 0; column < columns; ++column) {
     for (int row = 0; row < rows; ++row) {
-      const Point p{box.low.x_m + size.x_m * (column + 0.5) / columns,
-                    box.low.y_m + size.y_m * (row + 0.5) / rows};
+      const Point p{box.low.x_m + size.x_m * (column + 0.5) / columns, box.low.y_m + size.y_m * (row + 0.5) / rows};
       if (contains(room.polygon, p) && clearance_m(sides, p) >= kWallDistance_m) points.push_back(p);
     }
   }
@@ -131,14 +127,13 @@ bool stays_on_level(const Route& route, double level) {
 /// The ways of a survey of one level, room by room.
 class Tour {
  public:
-  Tour(const Building& building, double level, double spacing_m)
-      : building_(building), spacing_m_(spacing_m) {
+  Tour(const Building& building, double level, double spacing_m) : building_(building), spacing_m_(spacing_m) {
     for (const Room& room : building.rooms()) {
       if (room.level == level && room.kind != building::RoomKind::Lift) rooms_.push_back(&room);
     }
     if (rooms_.empty()) {
-      throw Error(ErrorCode::NotFound, {.what = "level " + building::level_text(level) + " of " +
-                                                building.name() + " cannot be surveyed: it has no room",
+      throw Error(ErrorCode::NotFound, {.what = "level " + building::level_text(level) + " of " + building.name() +
+                                                " cannot be surveyed: it has no room",
                                         .where = building.name(),
                                         .expected = "rooms or corridors with this level",
                                         .next = "draw them, or survey another level"});
@@ -196,8 +191,7 @@ std::vector<Trace> survey_walk(const Building& building, double level, std::uint
     // The points are passed without a halt: one route through all of them.
     Route walk{};
     for (; way && walk.cost_s < seconds(options.longest_walk); way = tour.next()) {
-      walk.points.insert(walk.points.end(), way->points.begin() + (walk.points.empty() ? 0 : 1),
-                         way->points.end());
+      walk.points.insert(walk.points.end(), way->points.begin() + (walk.points.empty() ? 0 : 1), way->points.end());
       walk.cost_s += way->cost_s;
     }
     start = {walk.points.back().at, level};

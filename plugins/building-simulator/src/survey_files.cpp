@@ -27,11 +27,10 @@ constexpr double kDegree_rad = 3.14159265358979323846 / 180.0;
 constexpr double kMicroteslaPerGauss = 100.0;
 
 [[noreturn]] void cannot_write(const std::filesystem::path& path, const std::string& cause) {
-  throw Error(ErrorCode::Failed,
-              {.what = "cannot write " + path.string() + ": " + cause,
-               .where = path.string(),
-               .next = "check that the directory may be written and has space, then start again "
-                       "with a new directory"});
+  throw Error(ErrorCode::Failed, {.what = "cannot write " + path.string() + ": " + cause,
+                                  .where = path.string(),
+                                  .next = "check that the directory may be written and has space, then start again "
+                                          "with a new directory"});
 }
 
 /// An archive of text files: tar, compressed with xz; the same content gives the same bytes.
@@ -45,16 +44,14 @@ class TarXz {
   }
 
   void add(const std::string& name, const std::string& text, std::int64_t time_s) {
-    const std::unique_ptr<archive_entry, decltype(&archive_entry_free)> entry{archive_entry_new(),
-                                                                              archive_entry_free};
+    const std::unique_ptr<archive_entry, decltype(&archive_entry_free)> entry{archive_entry_new(), archive_entry_free};
     archive_entry_set_pathname(entry.get(), name.c_str());
     archive_entry_set_filetype(entry.get(), AE_IFREG);
     archive_entry_set_perm(entry.get(), 0644);
     archive_entry_set_size(entry.get(), static_cast<std::int64_t>(text.size()));
     archive_entry_set_mtime(entry.get(), time_s, 0);
     check(archive_write_header(archive_.get(), entry.get()));
-    if (archive_write_data(archive_.get(), text.data(), text.size()) != static_cast<la_ssize_t>(text.size()))
-      fail();
+    if (archive_write_data(archive_.get(), text.data(), text.size()) != static_cast<la_ssize_t>(text.size())) fail();
   }
 
   void close() { check(archive_write_close(archive_.get())); }
@@ -86,10 +83,9 @@ struct Row {
   std::string text;
 };
 
-void add_vector(std::vector<Row>& rows, char tag, std::int64_t t_ms, const std::array<double, 3>& v,
-                double scale) {
-  rows.push_back({t_ms, format("%c\t%lld\t%.4g\t%.4g\t%.4g\n", tag, static_cast<long long>(t_ms),
-                               v[0] * scale, v[1] * scale, v[2] * scale)});
+void add_vector(std::vector<Row>& rows, char tag, std::int64_t t_ms, const std::array<double, 3>& v, double scale) {
+  rows.push_back({t_ms, format("%c\t%lld\t%.4g\t%.4g\t%.4g\n", tag, static_cast<long long>(t_ms), v[0] * scale,
+                               v[1] * scale, v[2] * scale)});
 }
 
 void add_inertial(std::vector<Row>& rows, const Trace& trace) {
@@ -107,18 +103,16 @@ void add_radio(std::vector<Row>& rows, const Trace& trace) {
     for (const WifiReading& reading : scan.readings) {
       std::string bssid = reading.bssid;
       std::erase(bssid, ':');
-      rows.push_back(
-          {scan.t.count(),
-           format("W\t%lld\t%s\t%d\t%d\t%lld\n", static_cast<long long>(scan.t.count()), bssid.c_str(),
-                  reading.rssi_dbm, reading.frequency_mhz, static_cast<long long>(reading.heard.count()))});
+      rows.push_back({scan.t.count(),
+                      format("W\t%lld\t%s\t%d\t%d\t%lld\n", static_cast<long long>(scan.t.count()), bssid.c_str(),
+                             reading.rssi_dbm, reading.frequency_mhz, static_cast<long long>(reading.heard.count()))});
     }
   }
   for (const BeaconReading& beacon : trace.beacons) {
     rows.push_back(
-        {beacon.heard.count(),
-         format("B\t%lld\t%s\t%d\t%d\t%d\t%d\t%s\n", static_cast<long long>(beacon.heard.count()),
-                beacon.uuid.c_str(), beacon.major, beacon.minor, beacon.measured_power_dbm, beacon.rssi_dbm,
-                beacon_address(beacon).c_str())});
+        {beacon.heard.count(), format("B\t%lld\t%s\t%d\t%d\t%d\t%d\t%s\n", static_cast<long long>(beacon.heard.count()),
+                                      beacon.uuid.c_str(), beacon.major, beacon.minor, beacon.measured_power_dbm,
+                                      beacon.rssi_dbm, beacon_address(beacon).c_str())});
   }
 }
 
@@ -131,8 +125,7 @@ std::string trace_text(const Trace& trace, std::int64_t start_ms, bool with_trut
   std::vector<Row> rows;
   if (with_truth) {
     for (const Truth& p : trace.waypoints) {
-      rows.push_back(
-          {p.t.count(), format("P\t%lld\t%.3f\t%.3f\n", static_cast<long long>(p.t.count()), p.x_m, p.y_m)});
+      rows.push_back({p.t.count(), format("P\t%lld\t%.3f\t%.3f\n", static_cast<long long>(p.t.count()), p.x_m, p.y_m)});
     }
   }
   add_inertial(rows, trace);
@@ -149,12 +142,10 @@ std::string trace_text(const Trace& trace, std::int64_t start_ms, bool with_trut
 std::string index_line(const Trace& trace, std::int64_t start_ms, bool test) {
   std::size_t wifi_rows = 0;
   for (const WifiScan& scan : trace.scans) wifi_rows += scan.readings.size();
-  const std::string floor =
-      test ? "," : floor_name(trace.level) + format(",%d", static_cast<int>(trace.level));
-  return format("%s,%s,%s,%lld,%.1f,%zu,%zu,%zu,%.1f\n", trace.id.c_str(), test ? "test" : "train",
-                floor.c_str(), static_cast<long long>(start_ms),
-                static_cast<double>(trace.duration.count()) / 1000.0, trace.waypoints.size(), wifi_rows,
-                trace.beacons.size(), trace.imu.empty() ? 0.0 : 50.0);
+  const std::string floor = test ? "," : floor_name(trace.level) + format(",%d", static_cast<int>(trace.level));
+  return format("%s,%s,%s,%lld,%.1f,%zu,%zu,%zu,%.1f\n", trace.id.c_str(), test ? "test" : "train", floor.c_str(),
+                static_cast<long long>(start_ms), static_cast<double>(trace.duration.count()) / 1000.0,
+                trace.waypoints.size(), wifi_rows, trace.beacons.size(), trace.imu.empty() ? 0.0 : 50.0);
 }
 
 void write_text(const std::filesystem::path& path, const std::string& text) {
@@ -174,11 +165,10 @@ void refuse_filled(const std::filesystem::path& directory) {
   std::error_code error;
   if (!std::filesystem::exists(directory, error)) return;
   if (std::filesystem::is_directory(directory, error) && std::filesystem::is_empty(directory, error)) return;
-  throw Error(ErrorCode::Failed,
-              {.what = "cannot write the survey to " + directory.string() + ": it is not empty",
-               .where = directory.string(),
-               .expected = "a directory that does not exist or is empty",
-               .next = "name another directory"});
+  throw Error(ErrorCode::Failed, {.what = "cannot write the survey to " + directory.string() + ": it is not empty",
+                                  .where = directory.string(),
+                                  .expected = "a directory that does not exist or is empty",
+                                  .next = "name another directory"});
 }
 
 std::string floor_info(const Building& building, double level) {
@@ -220,8 +210,8 @@ class SurveyWriter {
       tests_.add("test/" + trace.id + ".tsv", trace_text(trace, start_ms, false), start_ms / 1000);
       test_index_ += index_line(trace, start_ms, true);
       for (const Truth& p : trace.waypoints) {
-        truth_ += format("%s,%lld,%.3f,%.3f,%d\n", trace.id.c_str(), static_cast<long long>(p.t.count()),
-                         p.x_m, p.y_m, static_cast<int>(trace.level));
+        truth_ += format("%s,%lld,%.3f,%.3f,%d\n", trace.id.c_str(), static_cast<long long>(p.t.count()), p.x_m, p.y_m,
+                         static_cast<int>(trace.level));
       }
     }
   }
@@ -232,8 +222,7 @@ class SurveyWriter {
     write_text(directory_ / "traces.csv",
                "trace,split,floor_name,floor,start_ms,duration_s,waypoints,wifi_rows,beacon_rows,imu_hz\n" +
                    test_index_ + train_index_);
-    write_text(directory_ / "README.md", "# Simulated survey of " + building.name() + ", seed " +
-                                             std::to_string(seed) +
+    write_text(directory_ / "README.md", "# Simulated survey of " + building.name() + ", seed " + std::to_string(seed) +
                                              "\n\nWritten by fiona-survey in the layout of indoor20_site1. "
                                              "Places are metres in the local frame "
                                              "of the building file.\n");
@@ -252,8 +241,8 @@ class SurveyWriter {
 
 }  // namespace
 
-SurveyReport write_survey(const Building& building, std::uint64_t seed,
-                          const std::filesystem::path& directory, const SurveyOptions& options) {
+SurveyReport write_survey(const Building& building, std::uint64_t seed, const std::filesystem::path& directory,
+                          const SurveyOptions& options) {
   refuse_filled(directory);
   make_directory(directory);
   SurveyReport report;

@@ -20,12 +20,11 @@ Walker::Walker(const building::Building& building, std::uint64_t seed, Options o
       pedestrian_(building, {goal_->centre, goal_->level}, options_.gait),
       rooms_(reachable_rooms(building)) {
   if (rooms_.empty()) {
-    throw Error(ErrorCode::Failed,
-                {.what = "nobody can walk in " + building.name() + ": no way leads from " +
-                         (goal_->name.empty() ? text(goal_->id) : goal_->name) + " to another room",
-                 .where = building.name(),
-                 .expected = "rooms joined by doors (nodes with door=* on their walls) or corridors",
-                 .next = "draw the doors, or choose another start room"});
+    throw Error(ErrorCode::Failed, {.what = "nobody can walk in " + building.name() + ": no way leads from " +
+                                            (goal_->name.empty() ? text(goal_->id) : goal_->name) + " to another room",
+                                    .where = building.name(),
+                                    .expected = "rooms joined by doors (nodes with door=* on their walls) or corridors",
+                                    .next = "draw the doors, or choose another start room"});
   }
 }
 
@@ -38,12 +37,11 @@ const building::Room* Walker::first_room(const building::Building& building) {
     if (on_level && room.kind == building::RoomKind::Room) named.push_back(&room);
   }
   if (named.empty()) {
-    throw Error(ErrorCode::NotFound,
-                {.what = "nobody can walk in " + building.name() + ": it has no room" +
-                         (options_.levels.empty() ? "" : " on the levels that were asked for"),
-                 .where = building.name(),
-                 .expected = "closed ways with indoor=room and a level",
-                 .next = "draw rooms, or ask for other levels"});
+    throw Error(ErrorCode::NotFound, {.what = "nobody can walk in " + building.name() + ": it has no room" +
+                                              (options_.levels.empty() ? "" : " on the levels that were asked for"),
+                                      .where = building.name(),
+                                      .expected = "closed ways with indoor=room and a level",
+                                      .next = "draw rooms, or ask for other levels"});
   }
   return named[random_.below(named.size())];
 }
@@ -69,14 +67,12 @@ void Walker::choose_goal() {
     if (next == goal_) continue;
     const Truth& at = truth();
     auto route = building_.route({{at.x_m, at.y_m}, goal_->level}, {next->centre, next->level}, routes);
-    if (!route)
-      route = building_.route({{at.x_m, at.y_m}, goal_->level}, {next->centre, next->level}, options_.routes);
+    if (!route) route = building_.route({{at.x_m, at.y_m}, goal_->level}, {next->centre, next->level}, options_.routes);
     if (!route) continue;
     goal_ = next;
     const double share = random_.uniform();
     const auto span = static_cast<double>((options_.longest_pause - options_.shortest_pause).count());
-    pedestrian_.follow(*route,
-                       options_.shortest_pause + milliseconds(static_cast<std::int64_t>(share * span)));
+    pedestrian_.follow(*route, options_.shortest_pause + milliseconds(static_cast<std::int64_t>(share * span)));
     return;
   }
 }

@@ -40,18 +40,16 @@ int run(int count, char** words) {
   }
   options::notify(given);
   if (!(survey.spacing_m >= 0.5 && survey.spacing_m <= 20.0) || survey.test_walks > 1000) {
-    throw fiona::Error(fiona::ErrorCode::Usage,
-                       {.what = "the survey cannot be planned",
-                        .expected = "--spacing from 0.5 to 20 m, --test-walks up to 1000",
-                        .next = "fiona-survey --help"});
+    throw fiona::Error(fiona::ErrorCode::Usage, {.what = "the survey cannot be planned",
+                                                 .expected = "--spacing from 0.5 to 20 m, --test-walks up to 1000",
+                                                 .next = "fiona-survey --help"});
   }
   const auto building = fiona::building::Building::read(building_file);
-  for (const std::string& warning : building.warnings())
-    std::cerr << building_file << ": " << warning << '\n';
+  for (const std::string& warning : building.warnings()) std::cerr << building_file << ": " << warning << '\n';
   const auto report = fiona::simulator::write_survey(building, seed, directory, survey);
   for (const std::string& note : report.notes) std::cerr << note << '\n';
-  std::cout << report.levels << " levels, " << report.survey_walks << " survey walks and "
-            << report.test_walks << " test walks in " << directory << '\n';
+  std::cout << report.levels << " levels, " << report.survey_walks << " survey walks and " << report.test_walks
+            << " test walks in " << directory << '\n';
   return 0;
 }
 

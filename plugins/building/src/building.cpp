@@ -32,8 +32,7 @@ Plan make_plan(const OsmFile& file) {
   add_levels(draft);
   if (draft.plan.levels.empty()) {
     throw Error(ErrorCode::Failed,
-                {.what = "the building file " + file.name +
-                         " has no room, stairs or way with a level that can be read",
+                {.what = "the building file " + file.name + " has no room, stairs or way with a level that can be read",
                  .where = file.name,
                  .expected = "indoor=room, indoor=corridor or indoor=area with level=0, -1;0 or 1-3",
                  .found = draft.plan.warnings.empty() ? "none of them" : draft.plan.warnings.front(),
@@ -75,9 +74,7 @@ Building::Building(Building&&) noexcept = default;
 Building& Building::operator=(Building&&) noexcept = default;
 Building::~Building() = default;
 
-Building Building::read(const std::filesystem::path& file) {
-  return Building(make_plan(read_osm_file(file.string())));
-}
+Building Building::read(const std::filesystem::path& file) { return Building(make_plan(read_osm_file(file.string()))); }
 
 Building Building::parse(std::string_view osm_xml, const std::string& name) {
   return Building(make_plan(parse_osm(osm_xml, name)));
@@ -101,8 +98,8 @@ Crossings Building::walls_crossed(Point a, Point b, double level) const {
   for (std::size_t i = 0; i < hits.size();) {
     double loss = 0.0;
     std::size_t j = i;
-    for (; j < hits.size() &&
-           thickness_m(b - a, hits[i].share, hits[j].share, hits[i].wall->segment) <= kThickestWall_m;
+    for (;
+         j < hits.size() && thickness_m(b - a, hits[i].share, hits[j].share, hits[i].wall->segment) <= kThickestWall_m;
          ++j) {
       loss = std::max(loss, hits[j].wall->attenuation_db);
     }
@@ -155,20 +152,18 @@ const Room& Building::room(std::string_view name_or_ref, std::optional<double> l
       if (!name.empty()) names.push_back(name);
     }
     if ((room.name != name_or_ref && room.ref != name_or_ref) || name_or_ref.empty()) continue;
-    if (level ? room.level == *level && best == nullptr : best == nullptr || room.level < best->level)
-      best = &room;
+    if (level ? room.level == *level && best == nullptr : best == nullptr || room.level < best->level) best = &room;
   }
   if (best != nullptr) return *best;
-  throw Error(ErrorCode::NotFound, {.what = "there is no room " + std::string(name_or_ref) + " in " +
-                                            plan_.name + (level ? " on level " + level_text(*level) : ""),
+  throw Error(ErrorCode::NotFound, {.what = "there is no room " + std::string(name_or_ref) + " in " + plan_.name +
+                                            (level ? " on level " + level_text(*level) : ""),
                                     .where = plan_.name,
                                     .expected = "the name or ref of a room",
                                     .next = "choose one of the rooms of the building",
                                     .near = nearest_names(name_or_ref, names)});
 }
 
-std::optional<Route> Building::route(const PathPoint& from, const PathPoint& to,
-                                     const RouteOptions& options) const {
+std::optional<Route> Building::route(const PathPoint& from, const PathPoint& to, const RouteOptions& options) const {
   return find_route(plan_, graph_, from, to, options);
 }
 

@@ -40,8 +40,8 @@ bool starts_low(Draft& draft, const OsmWay& way, const std::vector<double>& leve
 }
 
 /// Levels along a way: as its nodes say (landings with a level of their own), in between by length.
-std::vector<PathPoint> climb(const Draft& draft, const OsmWay& way, const std::vector<Point>& points,
-                             double from, double to) {
+std::vector<PathPoint> climb(const Draft& draft, const OsmWay& way, const std::vector<Point>& points, double from,
+                             double to) {
   std::vector<std::pair<std::size_t, double>> known{{0, from}};
   for (std::size_t i = 1; i + 1 < points.size(); ++i) {
     const auto own = parse_levels(tag(draft.file.nodes.at(way.nodes[i]).tags, "level"));
@@ -57,8 +57,7 @@ std::vector<PathPoint> climb(const Draft& draft, const OsmWay& way, const std::v
     for (std::size_t i = first; i < last; ++i) total += distance_m(points[i], points[i + 1]);
     for (std::size_t i = first + 1; i <= last; ++i) {
       walked += distance_m(points[i - 1], points[i]);
-      path.push_back(
-          {points[i], i == last ? high : low + (high - low) * (total > 0.0 ? walked / total : 1.0)});
+      path.push_back({points[i], i == last ? high : low + (high - low) * (total > 0.0 ? walked / total : 1.0)});
     }
   }
   return path;
@@ -93,8 +92,7 @@ void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
   if (levels.size() > 1 && !repeats) return add_climb(draft, id, way, levels, *points);
   if (repeats && own && own->size() > 1) {
     // Stairs that repeat: the same climb from each of the levels named.
-    const double rise =
-        *std::max_element(own->begin(), own->end()) - *std::min_element(own->begin(), own->end());
+    const double rise = *std::max_element(own->begin(), own->end()) - *std::min_element(own->begin(), own->end());
     for (double base : levels) add_climb(draft, id, way, {base, base + rise}, *points);
     return;
   }
@@ -106,8 +104,7 @@ void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
 }
 
 bool is_walkable_line(const Tags& tags) {
-  static const std::set<std::string> kKinds = {"footway", "corridor",   "steps",
-                                               "path",    "pedestrian", "service"};
+  static const std::set<std::string> kKinds = {"footway", "corridor", "steps", "path", "pedestrian", "service"};
   return kKinds.contains(tag(tags, "highway")) && tags.contains("level") && tag(tags, "area") != "yes";
 }
 
@@ -141,18 +138,15 @@ void add_lift_nodes(Draft& draft) {
 std::vector<PathPoint> climb_in(const Room& room, double low, double high) {
   const Box box = bounds(room.polygon.outer);
   const bool along_x = box.high.x_m - box.low.x_m > box.high.y_m - box.low.y_m;
-  Point reach =
-      along_x ? Point{(box.high.x_m - box.low.x_m) / 4, 0.0} : Point{0.0, (box.high.y_m - box.low.y_m) / 4};
-  if (!contains(room.polygon, room.centre - reach) || !contains(room.polygon, room.centre + reach))
-    reach = {};
+  Point reach = along_x ? Point{(box.high.x_m - box.low.x_m) / 4, 0.0} : Point{0.0, (box.high.y_m - box.low.y_m) / 4};
+  if (!contains(room.polygon, room.centre - reach) || !contains(room.polygon, room.centre + reach)) reach = {};
   return {{room.centre - reach, low}, {room.centre + reach, (low + high) / 2}, {room.centre - reach, high}};
 }
 
 bool serves(const Connector& connector, const Room& room, ConnectorKind kind) {
   if (connector.kind != kind) return false;
-  return std::any_of(connector.path.begin(), connector.path.end(), [&](const PathPoint& p) {
-    return p.level == room.level && contains(room.polygon, p.at);
-  });
+  return std::any_of(connector.path.begin(), connector.path.end(),
+                     [&](const PathPoint& p) { return p.level == room.level && contains(room.polygon, p.at); });
 }
 
 /// Stairs rooms and lift shafts in which nothing is drawn join their levels all the same.
@@ -162,8 +156,7 @@ void add_shafts(Draft& draft) {
     if (room.kind != RoomKind::Stairs && room.kind != RoomKind::Lift) continue;
     const ConnectorKind kind = room.kind == RoomKind::Lift ? ConnectorKind::Lift : ConnectorKind::Stairs;
     const auto& drawn = draft.plan.connectors;
-    if (std::any_of(drawn.begin(), drawn.end(), [&](const Connector& c) { return serves(c, room, kind); }))
-      continue;
+    if (std::any_of(drawn.begin(), drawn.end(), [&](const Connector& c) { return serves(c, room, kind); })) continue;
     shafts[room.id].push_back(&room);
   }
   for (auto& [id, rooms] : shafts) {

@@ -38,9 +38,7 @@ struct Draft {
   std::map<ElementId, double> attenuation_of_room{};
 
   Point at(const OsmNode& node) const { return frame.to_local({node.latitude_deg, node.longitude_deg}); }
-  void warn(ElementId id, const std::string& sentence) {
-    plan.warnings.push_back(text(id) + ": " + sentence);
-  }
+  void warn(ElementId id, const std::string& sentence) { plan.warnings.push_back(text(id) + ": " + sentence); }
 
   /// The levels of an element by `level` and `repeat_on`; empty, and a warning if the tag is there but
   /// unreadable.

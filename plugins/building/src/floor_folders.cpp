@@ -8,8 +8,8 @@
 #include <system_error>
 #include <vector>
 
-#include <nlohmann/json.hpp>
 #include <zlib.h>
+#include <nlohmann/json.hpp>
 
 #include <fiona/error.hpp>
 
@@ -100,7 +100,8 @@ class Fit {
       box_.high = {std::max(box_.high.x_m, part.high.x_m), std::max(box_.high.y_m, part.high.y_m)};
     }
     const Point size = box_.high - box_.low;
-    if (outline.empty() || !(size.x_m > kSmallestOutline_deg && size.y_m > kSmallestOutline_deg)) refuse(name, "its first feature is no outline");
+    if (outline.empty() || !(size.x_m > kSmallestOutline_deg && size.y_m > kSmallestOutline_deg))
+      refuse(name, "its first feature is no outline");
     scale_ = {metres(floor_info, "width") / size.x_m, metres(floor_info, "height") / size.y_m};
   }
 
@@ -198,12 +199,12 @@ Plan read_floor_folders(const fs::path& folder) {
     add_floor(plan, unpacked(entry.path() / kInfo), unpacked(map), map.string());
   }
   if (!plan.levels.empty()) return plan;
-  throw Error(ErrorCode::NotFound,
-              {.what = "this folder holds no floor plan",
-               .where = folder.string(),
-               .expected = std::string("a folder for each floor, with ") + kInfo + " and " + kMap + " or " + kMap + ".gz",
-               .found = error ? error.message() : "none of them",
-               .next = "name the folder that holds the floors, or an OSM file"});
+  throw Error(ErrorCode::NotFound, {.what = "this folder holds no floor plan",
+                                    .where = folder.string(),
+                                    .expected = std::string("a folder for each floor, with ") + kInfo + " and " + kMap +
+                                                " or " + kMap + ".gz",
+                                    .found = error ? error.message() : "none of them",
+                                    .next = "name the folder that holds the floors, or an OSM file"});
 }
 
 }  // namespace fiona::building

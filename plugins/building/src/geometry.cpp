@@ -74,8 +74,7 @@ bool contains(const Ring& ring, Point p) {
 
 bool contains(const Polygon& polygon, Point p) {
   if (!contains(polygon.outer, p)) return false;
-  return std::none_of(polygon.holes.begin(), polygon.holes.end(),
-                      [&](const Ring& hole) { return contains(hole, p); });
+  return std::none_of(polygon.holes.begin(), polygon.holes.end(), [&](const Ring& hole) { return contains(hole, p); });
 }
 
 std::vector<Segment> edges(const Polygon& polygon) {

@@ -19,9 +19,8 @@ constexpr double kFlatCorner = 0.05;
 double lift_cost_s(double height_m) { return kLiftWait_s + height_m / kLiftPace_mps; }
 
 bool walls_between(const Plan& plan, Point a, Point b, double level) {
-  const auto on_level =
-      std::equal_range(plan.walls.begin(), plan.walls.end(), Wall{{}, level, 0.0, false},
-                       [](const Wall& left, const Wall& right) { return left.level < right.level; });
+  const auto on_level = std::equal_range(plan.walls.begin(), plan.walls.end(), Wall{{}, level, 0.0, false},
+                                         [](const Wall& left, const Wall& right) { return left.level < right.level; });
   return std::any_of(on_level.first, on_level.second, [&](const Wall& wall) {
     return crossing({a, b}, wall.segment).has_value();
   });
@@ -186,8 +185,7 @@ class GraphBuilder {
     const Passage passage = connector.kind == ConnectorKind::Stairs      ? Passage::Stairs
                             : connector.kind == ConnectorKind::Escalator ? Passage::Escalator
                                                                          : Passage::Ramp;
-    for (std::size_t i = 1; i < nodes.size(); ++i)
-      add_edge(nodes[i - 1], nodes[i], passage, connector.one_way);
+    for (std::size_t i = 1; i < nodes.size(); ++i) add_edge(nodes[i - 1], nodes[i], passage, connector.one_way);
     attach_end(nodes.front(), connector.path[0].at - connector.path[1].at);
     attach_end(nodes.back(), connector.path.back().at - connector.path[connector.path.size() - 2].at);
   }
@@ -202,8 +200,7 @@ class GraphBuilder {
 
   void add_path(const Path& path) {
     for (std::size_t i = 1; i < path.points.size(); ++i) {
-      add_edge(node_at(path.points[i - 1]), node_at(path.points[i]),
-               path.steps ? Passage::Stairs : Passage::Walk);
+      add_edge(node_at(path.points[i - 1]), node_at(path.points[i]), path.steps ? Passage::Stairs : Passage::Walk);
     }
   }
 

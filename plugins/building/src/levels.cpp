@@ -21,8 +21,7 @@ std::string_view trim(std::string_view text) {
 std::optional<double> take_number(std::string_view& text) {
   double value = 0.0;
   if (text.starts_with('+')) text.remove_prefix(1);
-  const auto [end, error] =
-      std::from_chars(text.data(), text.data() + text.size(), value, std::chars_format::fixed);
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value, std::chars_format::fixed);
   if (error != std::errc{} || !std::isfinite(value)) return std::nullopt;
   text.remove_prefix(static_cast<std::size_t>(end - text.data()));
   return value;

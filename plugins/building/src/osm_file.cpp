@@ -62,18 +62,17 @@ OsmFile collect(const osmium::io::File& source, const std::string& name) {
   OsmFile file;
   file.name = name;
   try {
-    osmium::thread::Pool pool{
-        1};  // the library's default pool would keep threads for the life of the process
+    osmium::thread::Pool pool{1};  // the library's default pool would keep threads for the life of the process
     osmium::io::Reader reader{source, pool};
     Collector collector{file};
     osmium::apply(reader, collector);
     reader.close();
   } catch (const osmium::xml_error& error) {
     if (error.line == 0) refuse(name, error.what(), "open it in JOSM and save it again as .osm");
-    refuse(name,
-           "line " + std::to_string(error.line) + ", column " + std::to_string(error.column) + ": " +
-               error.error_string,
-           "open that line in an editor; a file that ends early was not fully copied: copy it again");
+    refuse(
+        name,
+        "line " + std::to_string(error.line) + ", column " + std::to_string(error.column) + ": " + error.error_string,
+        "open that line in an editor; a file that ends early was not fully copied: copy it again");
   } catch (const std::exception& error) {
     refuse(name, error.what(), "open it in JOSM and save it again as .osm");
   }
@@ -86,13 +85,11 @@ OsmFile read_osm_file(const std::string& path) {
   std::error_code error;
   const std::filesystem::file_status status = std::filesystem::status(path, error);
   if (!std::filesystem::exists(status)) {
-    throw Error(ErrorCode::NotFound,
-                {.what = "cannot read the building file " + path + ": there is no such file",
-                 .where = path,
-                 .next = "check the name and the directory"});
+    throw Error(ErrorCode::NotFound, {.what = "cannot read the building file " + path + ": there is no such file",
+                                      .where = path,
+                                      .next = "check the name and the directory"});
   }
-  if (!std::filesystem::is_regular_file(status))
-    refuse(path, "it is not a file", "name a file that ends in .osm");
+  if (!std::filesystem::is_regular_file(status)) refuse(path, "it is not a file", "name a file that ends in .osm");
   const std::uintmax_t size = std::filesystem::file_size(path, error);
   if (error) refuse(path, error.message(), "check who may read it: ls -l " + path);
   if (size > Building::kMaxFileBytes) {

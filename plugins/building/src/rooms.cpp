@@ -47,12 +47,11 @@ double heading_rad(const OsmFile& file, std::int64_t id, const OsmNode& node) {
   if (value.empty()) return 0.0;
   const auto degrees = parse_metres(value);
   if (!degrees || std::abs(*degrees) > 360.0) {
-    throw Error(ErrorCode::Failed,
-                {.what = "the heading of the reference of " + file.name + " cannot be read",
-                 .where = file.name + ", node " + std::to_string(id),
-                 .expected = "fiona:heading in degrees from true north, clockwise, -360 to 360",
-                 .found = "fiona:heading=" + value,
-                 .next = "correct the tag, or remove it for 0"});
+    throw Error(ErrorCode::Failed, {.what = "the heading of the reference of " + file.name + " cannot be read",
+                                    .where = file.name + ", node " + std::to_string(id),
+                                    .expected = "fiona:heading in degrees from true north, clockwise, -360 to 360",
+                                    .found = "fiona:heading=" + value,
+                                    .next = "correct the tag, or remove it for 0"});
   }
   return *degrees * std::numbers::pi / 180.0;
 }
@@ -63,12 +62,11 @@ std::optional<Reference> tagged_reference(const OsmFile& file) {
   for (const auto& [id, node] : file.nodes) {
     if (tag(node.tags, "fiona:reference") != "yes") continue;
     if (found) {
-      throw Error(ErrorCode::Failed,
-                  {.what = "the building file " + file.name + " has two references",
-                   .where = file.name,
-                   .expected = "fiona:reference=yes on one node",
-                   .found = "node " + std::to_string(first) + " and node " + std::to_string(id),
-                   .next = "remove the tag from one of them"});
+      throw Error(ErrorCode::Failed, {.what = "the building file " + file.name + " has two references",
+                                      .where = file.name,
+                                      .expected = "fiona:reference=yes on one node",
+                                      .found = "node " + std::to_string(first) + " and node " + std::to_string(id),
+                                      .next = "remove the tag from one of them"});
     }
     first = id;
     found = Reference{node.latitude_deg, node.longitude_deg, heading_rad(file, id, node), true};
@@ -148,8 +146,7 @@ void read_level_elements(Draft& draft, std::map<int, double>& storeys, std::map<
     const std::string& height = tag(tags, "height");
     const auto metres = parse_metres(height);
     const bool usable = metres && *metres >= 0.5 && *metres <= 100.0;
-    if (!height.empty() && !usable)
-      draft.warn(id, "height=" + height + " is not a storey of 0.5 to 100 m; not used");
+    if (!height.empty() && !usable) draft.warn(id, "height=" + height + " is not a storey of 0.5 to 100 m; not used");
     for (double level : draft.levels_of(id, tags)) {
       names.emplace(level, tag(tags, "name"));
       if (usable && level == std::floor(level)) storeys[static_cast<int>(level)] = *metres;
@@ -171,8 +168,7 @@ double default_storey_m(const Area* outline) {
 std::set<double> used_levels(const Plan& plan) {
   std::set<double> used;
   for (const Room& room : plan.rooms) used.insert(room.level);
-  for (const Connector& connector : plan.connectors)
-    used.insert(connector.levels.begin(), connector.levels.end());
+  for (const Connector& connector : plan.connectors) used.insert(connector.levels.begin(), connector.levels.end());
   for (const Path& path : plan.paths) used.insert(path.points.front().level);
   return used;
 }
@@ -206,18 +202,16 @@ Reference find_reference(const OsmFile& file, const Area* outline) {
   }
   const std::vector<Point> places = indoor_places(file);
   if (places.empty()) {
-    throw Error(ErrorCode::Failed,
-                {.what = "the building file " + file.name + " has nothing on a level",
-                 .where = file.name,
-                 .expected = "rooms, corridors or ways with a tag such as level=0",
-                 .found = std::to_string(file.nodes.size()) + " nodes and " +
-                          std::to_string(file.ways.size()) + " ways without a level",
-                 .next = "tag them: https://wiki.openstreetmap.org/wiki/Simple_Indoor_Tagging"});
+    throw Error(ErrorCode::Failed, {.what = "the building file " + file.name + " has nothing on a level",
+                                    .where = file.name,
+                                    .expected = "rooms, corridors or ways with a tag such as level=0",
+                                    .found = std::to_string(file.nodes.size()) + " nodes and " +
+                                             std::to_string(file.ways.size()) + " ways without a level",
+                                    .next = "tag them: https://wiki.openstreetmap.org/wiki/Simple_Indoor_Tagging"});
   }
   Point sum{};
   for (const Point& place : places) sum = sum + place;
-  return {sum.y_m / static_cast<double>(places.size()), sum.x_m / static_cast<double>(places.size()), 0.0,
-          false};
+  return {sum.y_m / static_cast<double>(places.size()), sum.x_m / static_cast<double>(places.size()), 0.0, false};
 }
 
 void add_rooms(Draft& draft, const std::vector<Area>& areas) {
@@ -229,8 +223,7 @@ void add_rooms(Draft& draft, const std::vector<Area>& areas) {
 void add_levels(Draft& draft) {
   if (draft.outline != nullptr) {
     draft.plan.name = tag(*draft.outline->tags, "name");
-    if (auto polygons = polygons_of(draft, *draft.outline); !polygons.empty())
-      draft.plan.outline = polygons.front();
+    if (auto polygons = polygons_of(draft, *draft.outline); !polygons.empty()) draft.plan.outline = polygons.front();
   }
   std::map<int, double> storeys;
   std::map<double, std::string> names;

@@ -47,8 +47,7 @@ struct Search {
 };
 
 Search search(const Graph& graph, const std::vector<Access>& starts, const RouteOptions& options) {
-  Search found{std::vector<double>(graph.nodes.size(), kNever),
-               std::vector<std::size_t>(graph.nodes.size(), kStart)};
+  Search found{std::vector<double>(graph.nodes.size(), kNever), std::vector<std::size_t>(graph.nodes.size(), kStart)};
   using Entry = std::pair<double, std::size_t>;
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> open;
   for (const Access& start : starts) {
@@ -78,13 +77,11 @@ std::optional<Route> straight(const Plan& plan, const PathPoint& from, const Pat
   if (from.level != to.level) return std::nullopt;
   for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
     const Room& room = plan.rooms[i];
-    if (room.level != from.level || !contains(room.polygon, from.at) || !contains(room.polygon, to.at))
-      continue;
+    if (room.level != from.level || !contains(room.polygon, from.at) || !contains(room.polygon, to.at)) continue;
     if (!sees(plan, room, from.at, to.at)) continue;
     const double length = distance_m(from.at, to.at);
-    return Route{{{from.at, from.level, Passage::Walk, i}, {to.at, to.level, Passage::Walk, i}},
-                 length,
-                 length / kWalkPace_mps};
+    return Route{
+        {{from.at, from.level, Passage::Walk, i}, {to.at, to.level, Passage::Walk, i}}, length, length / kWalkPace_mps};
   }
   return std::nullopt;
 }
@@ -97,8 +94,8 @@ void add_point(Route& route, const RoutePoint& point) {
 
 }  // namespace
 
-std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from,
-                                const PathPoint& to, const RouteOptions& options) {
+std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from, const PathPoint& to,
+                                const RouteOptions& options) {
   if (auto direct = straight(plan, from, to)) return direct;
   const Search found = search(graph, access_from(plan, graph, from), options);
   Access goal{kStart, 0.0};

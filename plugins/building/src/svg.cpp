@@ -17,15 +17,13 @@ namespace {
 /// Okabe and Ito, "Color Universal Design" (2008), without the yellow that fades on white.
 constexpr std::array<const char*, 8> kColours = {"#0072b2", "#d55e00", "#009e73", "#cc79a7",
                                                  "#7a5195", "#56b4e9", "#8a6d00", "#444444"};
-constexpr std::array<const char*, 8> kDashes = {"none",        "8 4",  "2 3", "12 4 2 4",
-                                                "5 2 1 2 1 2", "14 5", "4 2", "1 5"};
+constexpr std::array<const char*, 8> kDashes = {"none", "8 4", "2 3", "12 4 2 4", "5 2 1 2 1 2", "14 5", "4 2", "1 5"};
 constexpr double kMargin_px = 28.0;
 constexpr double kHeading_px = 30.0;
 constexpr double kWidth_px = 1100.0;
 
 bool is_colour(const std::string& text) {
-  return text.size() == 7 && text[0] == '#' &&
-         text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos;
+  return text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos;
 }
 
 bool is_dash(const std::string& text) {
@@ -40,11 +38,10 @@ std::vector<Track> dressed(std::span<const Track> tracks) {
     if (track.colour.empty()) track.colour = kColours[i % kColours.size()];
     if (track.dash.empty()) track.dash = kDashes[i % kDashes.size()];
     if (is_colour(track.colour) && is_dash(track.dash)) continue;
-    throw Error(ErrorCode::Usage,
-                {.what = "the track " + track.name + " cannot be drawn",
-                 .expected = "a colour such as #0072b2 and a dash pattern such as 8 4 or none",
-                 .found = "colour " + track.colour + ", dash pattern " + track.dash,
-                 .next = "leave both empty to have them chosen"});
+    throw Error(ErrorCode::Usage, {.what = "the track " + track.name + " cannot be drawn",
+                                   .expected = "a colour such as #0072b2 and a dash pattern such as 8 4 or none",
+                                   .found = "colour " + track.colour + ", dash pattern " + track.dash,
+                                   .next = "leave both empty to have them chosen"});
   }
   return all;
 }
@@ -62,8 +59,8 @@ Box extent(const Plan* plan, std::span<const Track> tracks, std::span<const Leve
   if (plan != nullptr) {
     for (const Point& p : plan->outline.outer) grow(box, p);
     for (const Room& room : plan->rooms) {
-      const bool shown = std::any_of(levels.begin(), levels.end(),
-                                     [&](const Level& level) { return level.level == room.level; });
+      const bool shown =
+          std::any_of(levels.begin(), levels.end(), [&](const Level& level) { return level.level == room.level; });
       if (!shown) continue;
       for (const Point& p : room.polygon.outer) grow(box, p);
     }
@@ -88,8 +85,8 @@ Box extent(const Plan* plan, std::span<const Track> tracks, std::span<const Leve
 std::vector<Level> drawn_levels(const Plan& plan) {
   std::vector<Level> drawn = plan.levels;
   std::erase_if(drawn, [&](const Level& level) {
-    const bool has_rooms = std::any_of(plan.rooms.begin(), plan.rooms.end(),
-                                       [&](const Room& room) { return room.level == level.level; });
+    const bool has_rooms =
+        std::any_of(plan.rooms.begin(), plan.rooms.end(), [&](const Room& room) { return room.level == level.level; });
     return !has_rooms && level.level != std::floor(level.level);
   });
   return drawn.empty() ? plan.levels : drawn;
@@ -117,11 +114,10 @@ bool visited(std::span<const Track> tracks, const std::vector<Level>& levels, do
 
 std::string marker(const View& view, const Track& track, const TrackPoint& p, bool start) {
   const double x = view.x(p.x_m), y = view.y(p.y_m);
-  const std::string paint = " fill=\"" + std::string(start ? "#ffffff" : track.colour) + "\" stroke=\"" +
-                            track.colour + "\" stroke-width=\"2\"><title>" + escape_xml(track.name) +
-                            (start ? ": start" : ": end") + "</title>";
-  if (start)
-    return "<circle" + attribute("cx", x) + attribute("cy", y) + " r=\"4.5\"" + paint + "</circle>\n";
+  const std::string paint = " fill=\"" + std::string(start ? "#ffffff" : track.colour) + "\" stroke=\"" + track.colour +
+                            "\" stroke-width=\"2\"><title>" + escape_xml(track.name) + (start ? ": start" : ": end") +
+                            "</title>";
+  if (start) return "<circle" + attribute("cx", x) + attribute("cy", y) + " r=\"4.5\"" + paint + "</circle>\n";
   return "<rect" + attribute("x", x - 4.5) + attribute("y", y - 4.5) + " width=\"9\" height=\"9\"" + paint +
          "</rect>\n";
 }
@@ -129,15 +125,14 @@ std::string marker(const View& view, const Track& track, const TrackPoint& p, bo
 /// The pieces of a track that lie on one level; `levels` empty: all of it.
 std::string draw_track(const View& view, const Track& track, const std::vector<Level>& levels, double level) {
   const auto here = [&](const TrackPoint& p) {
-    return std::isfinite(p.x_m) && std::isfinite(p.y_m) &&
-           (levels.empty() || nearest_level(levels, p.level) == level);
+    return std::isfinite(p.x_m) && std::isfinite(p.y_m) && (levels.empty() || nearest_level(levels, p.level) == level);
   };
   std::string svg, points;
   const auto flush = [&] {
     if (!points.empty()) {
       const std::string line = "<polyline class=\"track\" points=\"" + points + "\" stroke=";
-      svg += line + "\"#ffffff\" stroke-opacity=\"0.8\" stroke-width=\"4.5\"/>\n" + line + "\"" +
-             track.colour + "\" stroke-width=\"2\" stroke-dasharray=\"" + track.dash + "\"/>\n";
+      svg += line + "\"#ffffff\" stroke-opacity=\"0.8\" stroke-width=\"4.5\"/>\n" + line + "\"" + track.colour +
+             "\" stroke-width=\"2\" stroke-dasharray=\"" + track.dash + "\"/>\n";
     }
     points.clear();
   };
@@ -148,10 +143,8 @@ std::string draw_track(const View& view, const Track& track, const std::vector<L
       flush();
   }
   flush();
-  if (!track.points.empty() && here(track.points.front()))
-    svg += marker(view, track, track.points.front(), true);
-  if (track.points.size() > 1 && here(track.points.back()))
-    svg += marker(view, track, track.points.back(), false);
+  if (!track.points.empty() && here(track.points.front())) svg += marker(view, track, track.points.front(), true);
+  if (track.points.size() > 1 && here(track.points.back())) svg += marker(view, track, track.points.back(), false);
   return svg;
 }
 
@@ -173,10 +166,9 @@ std::string metres(double length_m) {
 std::string scale_bar(const View& view, double top_px) {
   const double length_m = round_length_m(view.width_px() / view.scale / 5);
   const double x = view.left_px, width = length_m * view.scale;
-  return "<g class=\"scale\"><title>scale bar: " + metres(length_m) + "</title><path d=\"M" + number(x) +
-         "," + number(top_px - 5) + "v10m0,-5h" + number(width) + "m0,-5v10\"/><text" +
-         attribute("x", x + width + 8) + attribute("y", top_px + 4) + ">" + metres(length_m) +
-         "</text></g>\n";
+  return "<g class=\"scale\"><title>scale bar: " + metres(length_m) + "</title><path d=\"M" + number(x) + "," +
+         number(top_px - 5) + "v10m0,-5h" + number(width) + "m0,-5v10\"/><text" + attribute("x", x + width + 8) +
+         attribute("y", top_px + 4) + ">" + metres(length_m) + "</text></g>\n";
 }
 
 /// The arrow points to true north: by the heading of the reference to the left of the drawing's upward
@@ -195,8 +187,8 @@ std::string legend(std::span<const Track> tracks, double left_px, double right_p
     const double width = 52 + 7.0 * static_cast<double>(std::max<std::size_t>(track.name.size(), 1)) + 16;
     if (x > left_px && x + width > right_px) x = left_px, top_px += 22;
     svg += "<path class=\"track\" stroke=\"" + track.colour + "\" stroke-width=\"2.5\" stroke-dasharray=\"" +
-           track.dash + "\" d=\"M" + number(x) + "," + number(top_px) + "h44\"/><text" +
-           attribute("x", x + 52) + attribute("y", top_px + 4) + ">" + escape_xml(track.name) + "</text>\n";
+           track.dash + "\" d=\"M" + number(x) + "," + number(top_px) + "h44\"/><text" + attribute("x", x + 52) +
+           attribute("y", top_px + 4) + ">" + escape_xml(track.name) + "</text>\n";
     x += width;
   }
   if (!tracks.empty()) {
@@ -209,9 +201,8 @@ std::string legend(std::span<const Track> tracks, double left_px, double right_p
 
 std::string opening(double width, double height, const std::string& title, const std::string& description) {
   return "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" aria-labelledby=\"title desc\" width=\"" +
-         number(width) + "\" height=\"" + number(height) + "\" viewBox=\"0 0 " + number(width) + " " +
-         number(height) + "\">\n<title id=\"title\">" + escape_xml(title) + "</title>\n<desc id=\"desc\">" +
-         escape_xml(description) +
+         number(width) + "\" height=\"" + number(height) + "\" viewBox=\"0 0 " + number(width) + " " + number(height) +
+         "\">\n<title id=\"title\">" + escape_xml(title) + "</title>\n<desc id=\"desc\">" + escape_xml(description) +
          "</desc>\n"
          "<style>text{font-family:system-ui,'DejaVu Sans',sans-serif;font-size:12px;fill:#1f2933}"
          ".head{font-size:15px;font-weight:600}.label{text-anchor:middle;fill:#44505c;stroke:#ffffff;stroke-"
@@ -231,8 +222,8 @@ std::string opening(double width, double height, const std::string& title, const
 std::string panel(const View& view, const Plan& plan, const std::vector<Level>& levels, const Level& level,
                   std::span<const Track> tracks) {
   std::string svg = "<g role=\"group\" aria-label=\"" + escape_xml(level.name) + "\">\n<text class=\"head\"" +
-                    attribute("x", view.left_px) + attribute("y", view.top_px - 8) + ">" +
-                    escape_xml(level.name) + "</text>\n" + draw_plan(view, plan, level.level);
+                    attribute("x", view.left_px) + attribute("y", view.top_px - 8) + ">" + escape_xml(level.name) +
+                    "</text>\n" + draw_plan(view, plan, level.level);
   for (const Track& track : tracks) svg += draw_track(view, track, levels, level.level);
   return svg + draw_names(view, plan, level.level) + "</g>\n";
 }
@@ -263,8 +254,7 @@ std::string names_of(std::span<const Track> tracks) {
 
 View fitted(const Box& box, const SvgOptions& options) {
   View view{box, options.pixels_per_m, kMargin_px, 0.0};
-  if (view.scale <= 0.0)
-    view.scale = (kWidth_px - 2 * kMargin_px) / std::max(1e-3, box.high.x_m - box.low.x_m);
+  if (view.scale <= 0.0) view.scale = (kWidth_px - 2 * kMargin_px) / std::max(1e-3, box.high.x_m - box.low.x_m);
   return view;
 }
 
@@ -273,10 +263,9 @@ void write(const std::filesystem::path& file, const std::string& svg) {
   stream << svg;
   stream.close();
   if (!stream) {
-    throw Error(ErrorCode::Failed,
-                {.what = "cannot write the drawing " + file.string(),
-                 .where = file.string(),
-                 .next = "check that the directory exists, may be written, and has space"});
+    throw Error(ErrorCode::Failed, {.what = "cannot write the drawing " + file.string(),
+                                    .where = file.string(),
+                                    .next = "check that the directory exists, may be written, and has space"});
   }
 }
 
@@ -302,8 +291,7 @@ std::string escape_xml(const std::string& text) {
   return escaped;
 }
 
-std::string floor_plan_svg(const Building& building, std::span<const Track> tracks,
-                           const SvgOptions& options) {
+std::string floor_plan_svg(const Building& building, std::span<const Track> tracks, const SvgOptions& options) {
   return floor_plan_svg(building.plan(), tracks, options);
 }
 
@@ -317,8 +305,8 @@ std::string floor_plan_svg(const Plan& plan, std::span<const Track> tracks, cons
   View view = fitted(extent(&plan, lines, shown), options);
   const double width = view.width_px() + 2 * kMargin_px;
   const std::string title = options.title.empty() ? plan.name : options.title;
-  std::string body = "<text class=\"head\" style=\"font-size:19px\"" + attribute("x", kMargin_px) +
-                     attribute("y", 34) + ">" + escape_xml(title) + "</text>\n" +
+  std::string body = "<text class=\"head\" style=\"font-size:19px\"" + attribute("x", kMargin_px) + attribute("y", 34) +
+                     ">" + escape_xml(title) + "</text>\n" +
                      north_arrow(width - kMargin_px - 10, 36, plan.reference.heading_rad);
   view.top_px = 50 + kHeading_px;
   // The upper floor stands above the lower one, as in the house.
@@ -341,8 +329,8 @@ std::string track_svg(std::span<const Track> tracks, const SvgOptions& options) 
   const double width = view.width_px() + 2 * kMargin_px;
   const std::string title = options.title.empty() ? "Tracks" : options.title;
   view.top_px = 50;
-  std::string body = "<text class=\"head\" style=\"font-size:19px\"" + attribute("x", kMargin_px) +
-                     attribute("y", 34) + ">" + escape_xml(title) + "</text>\n" + grid(view);
+  std::string body = "<text class=\"head\" style=\"font-size:19px\"" + attribute("x", kMargin_px) + attribute("y", 34) +
+                     ">" + escape_xml(title) + "</text>\n" + grid(view);
   for (const Track& track : lines) body += draw_track(view, track, {}, 0.0);
   double top = view.top_px + view.height_px() + 18;
   body += scale_bar(view, top);
@@ -351,13 +339,12 @@ std::string track_svg(std::span<const Track> tracks, const SvgOptions& options) 
   return opening(width, top + 24, title, "Plan view, grid in metres. " + names_of(lines)) + body + "</svg>\n";
 }
 
-void write_floor_plan_svg(const std::filesystem::path& file, const Building& building,
-                          std::span<const Track> tracks, const SvgOptions& options) {
+void write_floor_plan_svg(const std::filesystem::path& file, const Building& building, std::span<const Track> tracks,
+                          const SvgOptions& options) {
   write(file, floor_plan_svg(building, tracks, options));
 }
 
-void write_track_svg(const std::filesystem::path& file, std::span<const Track> tracks,
-                     const SvgOptions& options) {
+void write_track_svg(const std::filesystem::path& file, std::span<const Track> tracks, const SvgOptions& options) {
   write(file, track_svg(tracks, options));
 }
 

@@ -22,16 +22,11 @@ std::string ring_path(const View& view, const Polygon& polygon) {
 
 const char* fill_of(const Room& room) {
   switch (room.kind) {
-    case RoomKind::Corridor:
-      return "#ffffff";
-    case RoomKind::Area:
-      return "#fbf8ef";
-    case RoomKind::Stairs:
-      return "url(#steps)";
-    case RoomKind::Lift:
-      return "#dfe3ea";
-    case RoomKind::Room:
-      break;
+    case RoomKind::Corridor: return "#ffffff";
+    case RoomKind::Area: return "#fbf8ef";
+    case RoomKind::Stairs: return "url(#steps)";
+    case RoomKind::Lift: return "#dfe3ea";
+    case RoomKind::Room: break;
   }
   return room.use == "toilets" ? "#e6f0f4" : "#eef1f5";
 }
@@ -62,8 +57,7 @@ Point room_for_label(const Room& room) {
   const auto reach = [&](Point direction) {
     double nearest = 1.0;
     for (const Segment& side : sides) {
-      if (const auto at = crossing({room.centre, room.centre + direction}, side))
-        nearest = std::min(nearest, *at);
+      if (const auto at = crossing({room.centre, room.centre + direction}, side)) nearest = std::min(nearest, *at);
     }
     return nearest * length_m(direction);
   };
@@ -84,8 +78,7 @@ std::string label(const View& view, const Room& room) {
     double y = view.y(room.centre.y_m) - lift_px - height / 2 + font_px;
     for (const std::string& line : lines) {
       svg += "<text class=\"label\" style=\"font-size:" + number(font_px) + "px\"" +
-             attribute("x", view.x(room.centre.x_m)) + attribute("y", y) + ">" + escape_xml(line) +
-             "</text>\n";
+             attribute("x", view.x(room.centre.x_m)) + attribute("y", y) + ">" + escape_xml(line) + "</text>\n";
       y += 1.2 * font_px;
     }
     return svg;
@@ -97,8 +90,8 @@ std::string label(const View& view, const Room& room) {
 std::string draw_room(const View& view, const Room& room, bool edged) {
   const std::string name = room.name.empty() ? (room.ref.empty() ? text(room.id) : room.ref) : room.name;
   return "<path fill-rule=\"evenodd\" fill=\"" + std::string(fill_of(room)) + "\"" +
-         (edged ? " stroke=\"#9aa5b1\" stroke-width=\"0.8\"" : "") + " d=\"" +
-         ring_path(view, room.polygon) + "\"><title>" + escape_xml(name) + "</title></path>\n";
+         (edged ? " stroke=\"#9aa5b1\" stroke-width=\"0.8\"" : "") + " d=\"" + ring_path(view, room.polygon) +
+         "\"><title>" + escape_xml(name) + "</title></path>\n";
 }
 
 /// An arrow outside of the door that points inwards.
@@ -109,9 +102,8 @@ std::string draw_entrance(const View& view, const Plan& plan, const Door& door) 
   const Point tip = door.at - inwards * (0.3 * unit_m);
   const Point base = tip - inwards * unit_m;
   const Point wing = left_of(inwards) * (0.6 * unit_m);
-  return "<path fill=\"#1f2933\" d=\"M" + view.at(tip) + "L" + view.at(base + wing) + "L" +
-         view.at(base - wing) + "Z\"><title>" + escape_xml(door.name.empty() ? "entrance" : door.name) +
-         "</title></path>\n";
+  return "<path fill=\"#1f2933\" d=\"M" + view.at(tip) + "L" + view.at(base + wing) + "L" + view.at(base - wing) +
+         "Z\"><title>" + escape_xml(door.name.empty() ? "entrance" : door.name) + "</title></path>\n";
 }
 
 std::string draw_door(const View& view, const Plan& plan, const Door& door) {
@@ -127,11 +119,10 @@ std::string draw_connector(const View& view, const Connector& connector, double 
     const Point at = connector.path.front().at;
     const double half = std::clamp(0.7 * view.scale, 4.0, 11.0);
     const double x = view.x(at.x_m), y = view.y(at.y_m);
-    return "<g class=\"lift\"><title>lift</title><rect" + attribute("x", x - half) +
-           attribute("y", y - half) + attribute("width", 2 * half) + attribute("height", 2 * half) +
-           "/><path d=\"M" + number(x - half) + "," + number(y - half) + "l" + number(2 * half) + "," +
-           number(2 * half) + "M" + number(x + half) + "," + number(y - half) + "l" + number(-2 * half) +
-           "," + number(2 * half) + "\"/></g>\n";
+    return "<g class=\"lift\"><title>lift</title><rect" + attribute("x", x - half) + attribute("y", y - half) +
+           attribute("width", 2 * half) + attribute("height", 2 * half) + "/><path d=\"M" + number(x - half) + "," +
+           number(y - half) + "l" + number(2 * half) + "," + number(2 * half) + "M" + number(x + half) + "," +
+           number(y - half) + "l" + number(-2 * half) + "," + number(2 * half) + "\"/></g>\n";
   }
   std::string svg = "<polyline class=\"stairs\" points=\"";
   for (const PathPoint& p : connector.path) svg += view.at(p.at) + " ";
@@ -165,9 +156,7 @@ std::string number(double value) {
   return text;
 }
 
-std::string attribute(const char* name, double value) {
-  return std::string(" ") + name + "=\"" + number(value) + "\"";
-}
+std::string attribute(const char* name, double value) { return std::string(" ") + name + "=\"" + number(value) + "\""; }
 
 std::string View::at(Point p) const { return number(x(p.x_m)) + "," + number(y(p.y_m)); }
 
@@ -179,8 +168,7 @@ std::string draw_line(const View& view, const char* kind, const Segment& segment
 
 std::string draw_plan(const View& view, const Plan& plan, double level) {
   std::string svg;
-  if (!plan.outline.outer.empty())
-    svg += "<path fill=\"#fafbfc\" d=\"" + ring_path(view, plan.outline) + "\"/>\n";
+  if (!plan.outline.outer.empty()) svg += "<path fill=\"#fafbfc\" d=\"" + ring_path(view, plan.outline) + "\"/>\n";
   for (const Room* room : rooms_on(plan, level)) svg += draw_room(view, *room, plan.walls.empty());
   for (const Path& path : plan.paths) {
     if (path.points.front().level == level) svg += draw_path(view, path);
@@ -197,8 +185,8 @@ std::string draw_plan(const View& view, const Plan& plan, double level) {
 
 std::string draw_names(const View& view, const Plan& plan, double level) {
   std::string svg;
-  const auto known = std::find_if(plan.levels.begin(), plan.levels.end(),
-                                  [&](const Level& other) { return other.level == level; });
+  const auto known =
+      std::find_if(plan.levels.begin(), plan.levels.end(), [&](const Level& other) { return other.level == level; });
   for (const Room* room : rooms_on(plan, level)) {
     // The panel's heading says it already.
     if (known == plan.levels.end() || room->name != known->name) svg += label(view, *room);

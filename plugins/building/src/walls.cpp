@@ -101,8 +101,7 @@ void add_door(Draft& draft, Door door, bool told) {
   }
   if (host == nullptr) {
     // Entrances of the neighbours are no concern of this building; a door that names its level was meant.
-    if (told)
-      draft.warn(door.id, "there is no wall at this door on level " + level_text(door.level) + "; left out");
+    if (told) draft.warn(door.id, "there is no wall at this door on level " + level_text(door.level) + "; left out");
     return;
   }
   door.normal = unit(left_of(host->segment.to - host->segment.from));
@@ -118,8 +117,7 @@ std::vector<Wall> beside_gap(const Wall& wall, Point middle, double width_m) {
   const auto keep = [&](double from_m, double to_m) {
     if (to_m - from_m < 0.01) return;
     Wall piece = wall;
-    piece.segment = {wall.segment.from + along * (from_m / length),
-                     wall.segment.from + along * (to_m / length)};
+    piece.segment = {wall.segment.from + along * (from_m / length), wall.segment.from + along * (to_m / length)};
     left.push_back(piece);
   };
   keep(0.0, std::min(length, centre - width_m / 2));

@@ -8,7 +8,7 @@
 namespace fiona::radio {
 namespace {
 
-constexpr int kDeviations = 511;   // -255 … 255 half decibels
+constexpr int kDeviations = 511;  // -255 … 255 half decibels
 constexpr int kMiddle = 255;
 constexpr int kHeardShift = 2;
 
@@ -22,8 +22,8 @@ RadioLikelihood::RadioLikelihood(const RadioMap& map, const LikelihoodOptions& o
     for (int deviation = 0; deviation < kDeviations; ++deviation) {
       const double z = 0.5 * (deviation - kMiddle) / options.sd_db;
       const double density = p * scale * std::exp(-0.5 * z * z) + options.outlier_density;
-      table_[heard * kDeviations + deviation] = static_cast<float>(std::log(density / options.outlier_density) -
-                                                                   options.silence_weight * std::log1p(-p));
+      table_[heard * kDeviations + deviation] =
+          static_cast<float>(std::log(density / options.outlier_density) - options.silence_weight * std::log1p(-p));
     }
   }
 }

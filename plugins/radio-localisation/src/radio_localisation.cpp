@@ -51,8 +51,8 @@ void RadioLocalisation::on_start() {
   if (params_->map().empty()) {
     throw Error(ErrorCode::Usage, {.what = "no radio map is named",
                                    .where = name(),
-                                   .next = "fiona-radiomap learn FOLDER -o FILE, then load radio-localisation as " + name() +
-                                           " map=FILE"});
+                                   .next = "fiona-radiomap learn FOLDER -o FILE, then load radio-localisation as " +
+                                           name() + " map=FILE"});
   }
   map_ = std::make_shared<const radio::RadioMap>(radio::load(params_->map()));
   radio::FilterOptions options;

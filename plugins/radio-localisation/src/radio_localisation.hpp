@@ -28,16 +28,18 @@ class RadioLocalisation final : public Component {
   radio::Time clock_ms() const { return radio::Time(to_milliseconds(now())); }
 
   Params<RadioLocalisationParams> params_{*this};
-  Requires<sensors::RFSignalRSSIService> wifi_{*this, "wifi", &RadioLocalisation::on_wifi,
-                                               {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
-  Requires<sensors::IbeaconlistProvider> beacons_{*this, "beacons", &RadioLocalisation::on_beacons,
-                                                  {.optional = true, .doc = "iBeacons in range"}};
-  Requires<localisation::StepProvider> steps_{*this, "steps", &RadioLocalisation::on_step,
-                                              {.optional = true, .doc = "how the person moves between the scans"}};
+  Requires<sensors::RFSignalRSSIService> wifi_{
+      *this, "wifi", &RadioLocalisation::on_wifi, {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
+  Requires<sensors::IbeaconlistProvider> beacons_{
+      *this, "beacons", &RadioLocalisation::on_beacons, {.optional = true, .doc = "iBeacons in range"}};
+  Requires<localisation::StepProvider> steps_{
+      *this, "steps", &RadioLocalisation::on_step, {.optional = true, .doc = "how the person moves between the scans"}};
   Provides<localisation::LocationProvider> location_{*this, "location", &RadioLocalisation::produce};
 
-  Probe<double> spread_{*this, "spread", {.unit = "m", .doc = "standard deviation of the position; infinite while there is none"}};
-  Probe<double> known_share_{*this, "known_share", {.doc = "of the transmitters heard lately, those that the radio map knows"}};
+  Probe<double> spread_{
+      *this, "spread", {.unit = "m", .doc = "standard deviation of the position; infinite while there is none"}};
+  Probe<double> known_share_{
+      *this, "known_share", {.doc = "of the transmitters heard lately, those that the radio map knows"}};
   Probe<std::string> validity_probe_{*this, "validity", {.doc = "whether there is a position, or why not"}};
 
   std::shared_ptr<const radio::RadioMap> map_;

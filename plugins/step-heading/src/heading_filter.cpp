@@ -15,7 +15,7 @@ constexpr double kQuickFactor = 6.0;
 constexpr double kFieldMemory_s = 20.0;
 constexpr double kTrustedSd_rad = 0.12;
 constexpr double kWorstSd_rad = 0.6;
-constexpr double kSdGrowth_rad_per_s = 0.01;   // a phone gyroscope's drift while the compass is not trusted
+constexpr double kSdGrowth_rad_per_s = 0.01;  // a phone gyroscope's drift while the compass is not trusted
 constexpr double kSdDecay_s = 8.0;
 constexpr double kRadiansPerDegree = std::numbers::pi / 180.0;
 

@@ -3,5 +3,6 @@
 #include "step_heading.hpp"
 
 FIONA_PLUGIN(plugin) {
-  plugin.add<fiona::step_heading::StepHeading>("step-heading", "counts steps and says how long and which way they went");
+  plugin.add<fiona::step_heading::StepHeading>("step-heading",
+                                               "counts steps and says how long and which way they went");
 }

@@ -10,8 +10,8 @@ namespace {
 using std::chrono::milliseconds;
 
 constexpr milliseconds kGap{1000};
-constexpr double kSwingMemory = 0.3;       // weight of the newest step in the recent swing
-constexpr double kFallPart = 0.5;          // of the threshold: how far a peak must have fallen to be one
+constexpr double kSwingMemory = 0.3;  // weight of the newest step in the recent swing
+constexpr double kFallPart = 0.5;     // of the threshold: how far a peak must have fallen to be one
 
 }  // namespace
 

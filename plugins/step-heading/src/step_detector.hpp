@@ -8,19 +8,19 @@
 namespace fiona::steps {
 
 struct StepDetectorOptions {
-  double low_pass_hz = 3.0;            ///< keeps the step and its first harmonic
-  double least_swing_g = 0.06;         ///< peak to valley; smaller is handling, not walking
-  double swing_part = 0.4;             ///< of the recent steps' swing that the next one must reach
+  double low_pass_hz = 3.0;     ///< keeps the step and its first harmonic
+  double least_swing_g = 0.06;  ///< peak to valley; smaller is handling, not walking
+  double swing_part = 0.4;      ///< of the recent steps' swing that the next one must reach
   std::chrono::milliseconds least_interval{280};
   std::chrono::milliseconds longest_interval{1500};  ///< a pause beyond this forgets the recent swing
-  double weinberg_gain_m = 0.83;       ///< metres per g^(1/4)
+  double weinberg_gain_m = 0.83;                     ///< metres per g^(1/4)
 };
 
 /// One detected step.
 struct DetectedStep {
   std::chrono::milliseconds time;  ///< of the acceleration peak
   double length_m;
-  double swing_g;                  ///< peak to valley of the low-passed acceleration norm
+  double swing_g;  ///< peak to valley of the low-passed acceleration norm
 };
 
 /// Counts steps as peaks of the low-passed acceleration norm, with a threshold that follows the walker's own swing,
@@ -43,7 +43,7 @@ class StepDetector {
   StepDetectorOptions options_;
   bool started_ = false;
   std::chrono::milliseconds last_time_{};
-  double stage_[2] = {};            // two first-order low passes in a row
+  double stage_[2] = {};  // two first-order low passes in a row
   bool rising_ = true;
   double peak_g_ = 0.0;
   double valley_g_ = 0.0;

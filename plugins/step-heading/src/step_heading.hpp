@@ -21,7 +21,8 @@ class StepHeading final : public Component {
   void rebuild();
 
   Params<StepHeadingParams> params_{*this, nullptr, &StepHeading::rebuild};
-  Requires<sensors::GetIMUService> imu_{*this, "imu", &StepHeading::on_imu, {.doc = "of a device that a person carries"}};
+  Requires<sensors::GetIMUService> imu_{
+      *this, "imu", &StepHeading::on_imu, {.doc = "of a device that a person carries"}};
   Provides<localisation::StepProvider> steps_{*this, "steps", {.doc = "each step, about 0.1 s after the foot fell"}};
 
   std::optional<steps::StepTracker> tracker_;

@@ -7,8 +7,8 @@ namespace {
 
 using std::chrono::milliseconds;
 
-constexpr milliseconds kLongestMean{1200};   // longer than a stride of a slow walker: an older heading is stale
-constexpr double kLengthSdPart = 0.15;       // spread of Weinberg's length from step to step
+constexpr milliseconds kLongestMean{1200};  // longer than a stride of a slow walker: an older heading is stale
+constexpr double kLengthSdPart = 0.15;      // spread of Weinberg's length from step to step
 
 }  // namespace
 

@@ -13,7 +13,7 @@ struct Step {
   std::chrono::milliseconds time;
   double length_m;
   double length_sd_m;
-  double heading_rad;     ///< counter-clockwise from true east: east += length cos, north += length sin
+  double heading_rad;  ///< counter-clockwise from true east: east += length cos, north += length sin
   double heading_sd_rad;
 };
 

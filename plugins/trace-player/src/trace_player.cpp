@@ -29,7 +29,8 @@ void TracePlayer::on_start() {
   if (trace.empty()) {
     const auto names = dataset.walk_names();
     if (names.empty()) {
-      throw Error(ErrorCode::NotFound, {.what = "the recording has no test walk", .where = params_->dataset(),
+      throw Error(ErrorCode::NotFound, {.what = "the recording has no test walk",
+                                        .where = params_->dataset(),
                                         .next = "set " + name() + " trace=NAME"});
     }
     trace = names.front();
@@ -64,7 +65,7 @@ void TracePlayer::play(const walk::Event& event) {
 void TracePlayer::play_imu(const walk::Event& event) {
   const auto merged = merger_.feed(event);
   if (!merged) return;
-  const auto vector = [](const double (&v)[3]) { return sensors::PhoneAxes::Vector{v[0], v[1], v[2]}; };
+  const auto vector = [](const double(&v)[3]) { return sensors::PhoneAxes::Vector{v[0], v[1], v[2]}; };
   auto imu = imu_.make();
   sensors::set_from_phone_axes({.acceleration_g = vector(merged->acceleration_g),
                                 .rotation_deg_s = vector(merged->rate_dps),

@@ -29,7 +29,8 @@ class TracePlayer final : public Component {
 
   Params<TracePlayerParams> params_{*this};
   Provides<sensors::GetIMUService> imu_{*this, "imu", {.doc = "accelerometer, gyroscope and magnetometer, joined"}};
-  Provides<sensors::RFSignalRSSIService> wifi_{*this, "wifi", {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
+  Provides<sensors::RFSignalRSSIService> wifi_{
+      *this, "wifi", {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
   Provides<sensors::IbeaconlistProvider> beacons_{*this, "beacons", {.doc = "iBeacons, as they are heard"}};
   Timer next_event_{*this, &TracePlayer::play_next};
 

@@ -14,11 +14,10 @@ namespace fs = std::filesystem;
 
 [[noreturn]] void refuse(const fs::path& path, const std::string& cause) {
   std::error_code ignored;
-  throw Error(
-      ErrorCode::Failed,
-      {.what = "cannot write " + path.string() + ": " + cause,
-       .where = fs::absolute(path, ignored).string(),
-       .next = "check that the directory exists, may be written and has space, or name another file"});
+  throw Error(ErrorCode::Failed,
+              {.what = "cannot write " + path.string() + ": " + cause,
+               .where = fs::absolute(path, ignored).string(),
+               .next = "check that the directory exists, may be written and has space, or name another file"});
 }
 
 std::string cause_of(int error) { return std::generic_category().message(error); }
@@ -31,8 +30,8 @@ LineFile::LineFile(fs::path path) : path_(std::move(path)), file_(std::fopen(pat
 
 void LineFile::add(std::string_view line) {
   std::FILE* const file = file_.get();
-  const bool written = std::fwrite(line.data(), 1, line.size(), file) == line.size() &&
-                       std::fputc('\n', file) != EOF && std::fflush(file) == 0;
+  const bool written = std::fwrite(line.data(), 1, line.size(), file) == line.size() && std::fputc('\n', file) != EOF &&
+                       std::fflush(file) == 0;
   if (!written) refuse(path_, cause_of(errno));
 }
 

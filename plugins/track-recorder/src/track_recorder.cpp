@@ -15,11 +15,9 @@ namespace {
 
 using track_recorder::Parameters;
 
-[[noreturn]] void refuse_value(const std::string& name, const std::string& found,
-                               const std::string& expected) {
-  throw Error(
-      ErrorCode::Usage,
-      {.what = "parameter '" + name + "' does not take this value", .expected = expected, .found = found});
+[[noreturn]] void refuse_value(const std::string& name, const std::string& found, const std::string& expected) {
+  throw Error(ErrorCode::Usage,
+              {.what = "parameter '" + name + "' does not take this value", .expected = expected, .found = found});
 }
 
 bool fits_a_csv_field(const std::string& text) { return text.find_first_of(",\"\r\n") == std::string::npos; }
@@ -51,10 +49,9 @@ void TrackRecorder::check(const Parameters& draft) const {
   Parameters other = draft;
   other.set_report_period_s(params_->report_period_s());
   if (google::protobuf::util::MessageDifferencer::Equals(other, *params_)) return;
-  throw Error(ErrorCode::NotAllowed,
-              {.what = "the recording has begun: only report_period_s can still be changed",
-               .where = name(),
-               .next = "unload " + name() + ", then load it with the new parameters"});
+  throw Error(ErrorCode::NotAllowed, {.what = "the recording has begun: only report_period_s can still be changed",
+                                      .where = name(),
+                                      .next = "unload " + name() + ", then load it with the new parameters"});
 }
 
 void TrackRecorder::changed() {
@@ -105,8 +102,7 @@ void TrackRecorder::on_truth(const Received<Location>& truth) {
 
 Fix TrackRecorder::fix(const Received<Location>& location) const {
   const auto& position = location->position();
-  return {location.origin, position.x(), position.y(),
-          position.has_z() ? std::optional(position.z()) : std::nullopt};
+  return {location.origin, position.x(), position.y(), position.has_z() ? std::optional(position.z()) : std::nullopt};
 }
 
 building::TrackPoint TrackRecorder::track_point(const Fix& fix) const {
@@ -116,8 +112,7 @@ building::TrackPoint TrackRecorder::track_point(const Fix& fix) const {
 
 void TrackRecorder::schedule_report() {
   const double period_s = params_->report_period_s();
-  if (period_s > 0.0)
-    report_.at(now() + std::chrono::round<Duration>(std::chrono::duration<double>(period_s)));
+  if (period_s > 0.0) report_.at(now() + std::chrono::round<Duration>(std::chrono::duration<double>(period_s)));
 }
 
 void TrackRecorder::report() {
@@ -149,10 +144,9 @@ std::string TrackRecorder::summary() const {
   const ErrorStatistics& errors = comparison_.errors();
   if (errors.count() == 0) return text;
   const double right = static_cast<double>(comparison_.right_levels()) / static_cast<double>(errors.count());
-  return text +
-         fmt::format("; error of {}: mean {:.2f} m, median {:.2f} m, p90 {:.2f} m; level right {:.1f} %",
-                     errors.count(), errors.mean_m(), errors.quantile_m(0.5), errors.quantile_m(0.9),
-                     100.0 * right);
+  return text + fmt::format("; error of {}: mean {:.2f} m, median {:.2f} m, p90 {:.2f} m; level right {:.1f} %",
+                            errors.count(), errors.mean_m(), errors.quantile_m(0.5), errors.quantile_m(0.9),
+                            100.0 * right);
 }
 
 }  // namespace fiona::recorder

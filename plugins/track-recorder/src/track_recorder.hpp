@@ -48,8 +48,7 @@ class TrackRecorder final : public Component {
       *this,
       "truth",
       &TrackRecorder::on_truth,
-      {.optional = true,
-       .doc = "where the device really was: a second track in the drawing, and the errors"}};
+      {.optional = true, .doc = "where the device really was: a second track in the drawing, and the errors"}};
   Timer report_{*this, &TrackRecorder::report};
 
   bool started_ = false;

@@ -23,7 +23,8 @@ ArchiveReader::ArchiveReader(const std::filesystem::path& file, const Limits& li
                                       .expected = "a readable .tar.xz",
                                       .next = "check the folder's name and that its files were copied"});
   }
-  if (size > limits.archive_bytes) fail("the archive is larger than the reader accepts", std::to_string(size) + " bytes");
+  if (size > limits.archive_bytes)
+    fail("the archive is larger than the reader accepts", std::to_string(size) + " bytes");
   archive_ = archive_read_new();
   archive_read_support_filter_xz(archive_);
   archive_read_support_format_tar(archive_);

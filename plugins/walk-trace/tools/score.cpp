@@ -1,8 +1,8 @@
 // fiona-score TRUTH.csv TRACK.csv [--trace NAME]: how far off positions were, as a person following them live saw it.
 //
-// Both files have columns trace,t_ms,x,y,floor (metres, integer floor); the track may have cov_xx,cov_xy,cov_yy (m^2) as
-// well, and is then told how true they are. A truth point is compared with the last position
-// at or before it, at most five seconds old; without one it counts as not covered.
+// Both files have columns trace,t_ms,x,y,floor (metres, integer floor); the track may have cov_xx,cov_xy,cov_yy (m^2)
+// as well, and is then told how true they are. A truth point is compared with the last position at or before it, at
+// most five seconds old; without one it counts as not covered.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -72,14 +72,16 @@ Tracks read(const std::string& path) {
                                     .expected = "trace,t_ms,x,y,floor",
                                     .found = line});
   };
-  const std::size_t trace = column("trace"), t = column("t_ms"), x = column("x"), y = column("y"), floor = column("floor");
+  const std::size_t trace = column("trace"), t = column("t_ms"), x = column("x"), y = column("y"),
+                    floor = column("floor");
   const std::array<std::size_t, 3> covariance = {place("cov_xx"), place("cov_xy"), place("cov_yy")};
   const bool has_covariance = *std::max_element(covariance.begin(), covariance.end()) < header.size();
   Tracks tracks;
   for (std::size_t row = 2; std::getline(file, line); ++row) {
     const auto cells = split(line);
     const std::string where = path + ":" + std::to_string(row);
-    if (cells.size() < header.size()) throw Error(ErrorCode::Failed, {.what = "the line is cut short", .where = where, .found = line});
+    if (cells.size() < header.size())
+      throw Error(ErrorCode::Failed, {.what = "the line is cut short", .where = where, .found = line});
     Point point{static_cast<std::int64_t>(number(cells[t], where)), number(cells[x], where), number(cells[y], where),
                 number(cells[floor], where)};
     if (has_covariance && !cells[covariance[0]].empty()) {
@@ -148,9 +150,9 @@ void print(Score score) {
   std::sort(score.radii_m.begin(), score.radii_m.end());
   const auto count = static_cast<double>(score.errors_m.size());
   const double median = percentile(score.errors_m, 0.5);
-  std::printf("error: mean %.2f m, median %.2f m, p90 %.2f m; right floor %.1f %%; %zu of %zu points covered\n", sum / count,
-              median, percentile(score.errors_m, 0.9), 100.0 * static_cast<double>(score.right_floor) / count,
-              score.errors_m.size(), score.points);
+  std::printf("error: mean %.2f m, median %.2f m, p90 %.2f m; right floor %.1f %%; %zu of %zu points covered\n",
+              sum / count, median, percentile(score.errors_m, 0.9),
+              100.0 * static_cast<double>(score.right_floor) / count, score.errors_m.size(), score.points);
   if (score.radii_m.empty()) return;
   const double radius = percentile(score.radii_m, 0.5);
   std::printf("95 %% region: holds %.1f %% of %zu truths; its median radius is %.2f m, %.2f times the median error\n",
@@ -164,8 +166,9 @@ int run(const std::string& truth_file, const std::string& track_file, const std:
     throw Error(ErrorCode::Failed,
                 {.what = score.points == 0 ? "there is no truth for this walk" : "not one position was given",
                  .where = score.points == 0 ? truth_file : track_file,
-                 .next = score.points == 0 ? "name a test walk: fiona-walks DIR lists them"
-                                           : "see the log: a radio map of another building, or a walk without radio, gives none"});
+                 .next = score.points == 0
+                             ? "name a test walk: fiona-walks DIR lists them"
+                             : "see the log: a radio map of another building, or a walk without radio, gives none"});
   }
   print(score);
   return 0;

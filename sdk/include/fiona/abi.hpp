@@ -8,6 +8,6 @@
 #define FIONA_TEXT(x) FIONA_TEXT_OF(x)
 
 /// SDK major and minor, Itanium C++ ABI version of the compiler, std::string layout, protobuf.
-#define FIONA_ABI_TAG                                                                               \
-  "fiona0.1-cxxabi" FIONA_TEXT(__GXX_ABI_VERSION) "-cxx11abi" FIONA_TEXT(_GLIBCXX_USE_CXX11_ABI) \
-      "-protobuf" FIONA_TEXT(GOOGLE_PROTOBUF_VERSION)
+#define FIONA_ABI_TAG                                                     \
+  "fiona0.1-cxxabi" FIONA_TEXT(__GXX_ABI_VERSION) "-cxx11abi" FIONA_TEXT( \
+      _GLIBCXX_USE_CXX11_ABI) "-protobuf" FIONA_TEXT(GOOGLE_PROTOBUF_VERSION)

@@ -21,9 +21,9 @@ namespace fiona {
 
 /// A delivery that waits for its turn on a virtual clock.
 struct Staged {
-  std::string_view wire;            ///< must live until `deliver` has run
-  std::uint64_t sequence = 0;       ///< on this wire
-  const Object* object = nullptr;   ///< what is delivered, kept alive by `deliver`
+  std::string_view wire;           ///< must live until `deliver` has run
+  std::uint64_t sequence = 0;      ///< on this wire
+  const Object* object = nullptr;  ///< what is delivered, kept alive by `deliver`
   /// What is delivered where there is no object: "timeout"; a literal. Neither: no delivery, nobody is told of it.
   std::string_view word = {};
   Job deliver;
@@ -118,8 +118,8 @@ std::uint64_t hash_of(const Object& object);
 class OtherProcesses {
  public:
   struct Situation {
-    bool quiet = true;   ///< nothing runs in them, and nothing is on its way between any two processes
-    bool staged = false; ///< something waits for its turn in this instant
+    bool quiet = true;                  ///< nothing runs in them, and nothing is on its way between any two processes
+    bool staged = false;                ///< something waits for its turn in this instant
     TimePoint next = TimePoint::max();  ///< their earliest timer
   };
   virtual ~OtherProcesses() = default;

@@ -13,25 +13,25 @@ namespace fiona {
 
 /// Why a request could not be fulfilled. The number is the exit code of the `fiona` command.
 enum class ErrorCode : std::uint8_t {
-  Failed = 1,             ///< it was understood and did not work
-  Usage = 2,              ///< it was not understood
-  NotFound = 3,           ///< something it names does not exist
-  WiringInvalid = 4,      ///< two ports do not fit, or white spots remain where none are allowed
-  BadSignature = 5,       ///< a hash or signature does not match
-  DependencyConflict = 6, ///< versions or requirements cannot be met together
-  Unreachable = 7,        ///< nobody answered within the deadline
-  NotAllowed = 8,         ///< the caller lacks the right
-  ComponentFailed = 9,    ///< a component threw, refused to start, or died
+  Failed = 1,              ///< it was understood and did not work
+  Usage = 2,               ///< it was not understood
+  NotFound = 3,            ///< something it names does not exist
+  WiringInvalid = 4,       ///< two ports do not fit, or white spots remain where none are allowed
+  BadSignature = 5,        ///< a hash or signature does not match
+  DependencyConflict = 6,  ///< versions or requirements cannot be met together
+  Unreachable = 7,         ///< nobody answered within the deadline
+  NotAllowed = 8,          ///< the caller lacks the right
+  ComponentFailed = 9,     ///< a component threw, refused to start, or died
 };
 
 /// A request that cannot be fulfilled, told so that a person can act on it. Every field but `what` may be empty.
 struct ErrorText {
-  std::string what{};             ///< one sentence: what could not be done and why
-  std::string where{};            ///< file:line:column, instance.port, package
-  std::string expected{};         ///< what would have been right
-  std::string found{};            ///< what was there instead
-  std::string next{};             ///< the next step, best as a line to type
-  std::vector<std::string> near{};///< names that resemble the one that was not found
+  std::string what{};               ///< one sentence: what could not be done and why
+  std::string where{};              ///< file:line:column, instance.port, package
+  std::string expected{};           ///< what would have been right
+  std::string found{};              ///< what was there instead
+  std::string next{};               ///< the next step, best as a line to type
+  std::vector<std::string> near{};  ///< names that resemble the one that was not found
 
   bool operator==(const ErrorText&) const = default;
 };

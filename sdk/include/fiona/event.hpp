@@ -87,7 +87,8 @@ class EventClient : public RequiredPort {
   struct EventCall : Call {
     Envelope event;
   };
-  Async<Result<ActivationId>> activate_object(std::shared_ptr<const Object> parameters, bool continuous, Duration within);
+  Async<Result<ActivationId>> activate_object(std::shared_ptr<const Object> parameters, bool continuous,
+                                              Duration within);
   Async<Result<Envelope>> next_event(ActivationId id, Duration within);
   bool give_up(ActivationId id);
   void on_connection(Connection connection) override;
@@ -178,7 +179,8 @@ class Requires<S> : public detail::EventClient {
       : EventClient(owner, name, S::info(), options, detail::event_handler<C, ResultType>(owner, handler)) {}
 
   /// [strand] Ends when the provider has taken the activation; if it has not by the deadline there is none.
-  Async<Result<ActivationId>> activate(EventMode mode, ActivationType parameters, Duration deadline = kDefaultDeadline) {
+  Async<Result<ActivationId>> activate(EventMode mode, ActivationType parameters,
+                                       Duration deadline = kDefaultDeadline) {
     return activate_object(std::make_shared<const ActivationType>(std::move(parameters)), mode == EventMode::Continuous,
                            deadline);
   }

@@ -82,16 +82,17 @@ class Hull {
   void set_parameters(std::span<const control::Argument> changes, Duration deadline);
   /// [any thread] init -> `mode` (on_start, then on_mode), or from one mode of life to another, once what the old mode
   /// leaves is free. Requests queue in their order. Illegal transitions throw Error naming what is allowed. `done` is
-  /// called once, on the strand: with ComponentFailed if the component refused; with Unreachable, naming what blocked it,
-  /// if the change was not made by the deadline and was withdrawn. It is not called once the strand has been closed.
+  /// called once, on the strand: with ComponentFailed if the component refused; with Unreachable, naming what blocked
+  /// it, if the change was not made by the deadline and was withdrawn. It is not called once the strand has been
+  /// closed.
   using ModeDone = std::function<void(const std::optional<Error>&)>;
   void change_mode(std::string_view mode, Duration deadline, ModeDone done);
   /// [any thread] It is to be shut down: changes that wait are answered before anything that they wait for ends.
   void abandon_changes();
   /// [any thread but the strand] The same, waiting for it at most for `deadline` of the machine's own time.
   void set_mode(std::string_view mode, Duration deadline);
-  /// [any thread but the strand] Closes the ports, cancels tasks, waits for their threads, runs on_stop, drains; then the
-  /// component is destroyed. If strand and threads did not come free within `deadline`, says what still runs ("its
+  /// [any thread but the strand] Closes the ports, cancels tasks, waits for their threads, runs on_stop, drains; then
+  /// the component is destroyed. If strand and threads did not come free within `deadline`, says what still runs ("its
   /// handler"): the component is then leaked on purpose, since destroying it under what runs would
   /// take the process down; the hull, which that still uses, is the caller's to keep.
   std::optional<std::string> shut_down(Duration deadline);
@@ -143,8 +144,8 @@ class Hull {
   detail::ProbeBase* find_probe(std::string_view name) const;
 
   // Monitoring. A name is that of a probe which the component declares, of one of the hull's own ("mode",
-  // "location.rate", see hull_probes.hpp), or to `watch` that of a port that pushes. An unknown one throws Error NotFound.
-  // All [one thread, not the strand], in any mode: they look at the component and touch nothing of it.
+  // "location.rate", see hull_probes.hpp), or to `watch` that of a port that pushes. An unknown one throws Error
+  // NotFound. All [one thread, not the strand], in any mode: they look at the component and touch nothing of it.
 
   /// The value of now; no object: there is none yet.
   Envelope read(std::string_view name) const;
@@ -246,7 +247,7 @@ class Hull {
   std::set<Timer*> timers_;
   detail::ParamsBase* params_ = nullptr;
   Master* master_ = nullptr;
-  std::list<Async<>> spawned_;  ///< strand only
+  std::list<Async<>> spawned_;   ///< strand only
   std::set<Pattern> cancelled_;  ///< strand only, as are the next four
   bool deactivated_ = false;
   std::deque<std::shared_ptr<ModeChange>> changes_;

@@ -70,8 +70,8 @@ class Inbox {
   /// What a message of so many bytes takes of the room.
   static constexpr std::size_t cost_of(std::size_t bytes) { return bytes + kMessageOverhead; }
   using OnRoom = std::function<void(std::size_t room)>;
-  /// [any thread] The room that there is, if `cost` fits and it is worth while: half of all, or whatever is asked for where
-  /// nothing waits. Else `then` is called [any thread, holding nothing] when there is, as long as `who` lives.
+  /// [any thread] The room that there is, if `cost` fits and it is worth while: half of all, or whatever is asked for
+  /// where nothing waits. Else `then` is called [any thread, holding nothing] when there is, as long as `who` lives.
   std::optional<std::size_t> room(std::size_t cost, std::weak_ptr<const void> who, OnRoom then);
 
  private:
@@ -115,12 +115,12 @@ class Inbox {
   std::vector<RoomWish> room_wishes_;
 
   std::atomic<bool> room_wished_{false};  ///< written under the mutex
-  std::atomic<std::size_t> bytes_{0};    ///< of queue_ and batch_
-  std::atomic<std::size_t> batched_{0};  ///< the size of batch_, for others than the strand
+  std::atomic<std::size_t> bytes_{0};     ///< of queue_ and batch_
+  std::atomic<std::size_t> batched_{0};   ///< the size of batch_, for others than the strand
 
   // strand only
   std::deque<Parcel> batch_;
-  std::optional<Parcel> current_;  ///< what the handler, perhaps a coroutine, refers to
+  std::optional<Parcel> current_;       ///< what the handler, perhaps a coroutine, refers to
   std::shared_ptr<ActivityHold> hold_;  ///< of a coroutine
 };
 

@@ -100,7 +100,8 @@ class Master {
   Async<Result<control::System>> system(Duration deadline = kDefaultDeadline);
 
   // One change each.
-  Async<Result<control::Done>> wire(std::string_view client, std::string_view provider, Duration deadline = kDefaultDeadline) {
+  Async<Result<control::Done>> wire(std::string_view client, std::string_view provider,
+                                    Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().wire(client, provider)), deadline);
   }
   Async<Result<control::Done>> unwire(std::string_view client, Duration deadline = kDefaultDeadline) {
@@ -109,7 +110,8 @@ class Master {
   Async<Result<control::Done>> swap(std::string_view old, std::string_view next, Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().swap(old, next)), deadline);
   }
-  Async<Result<control::Done>> state(std::string_view instance, std::string_view mode, Duration deadline = kDefaultDeadline) {
+  Async<Result<control::Done>> state(std::string_view instance, std::string_view mode,
+                                     Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().state(instance, mode)), deadline);
   }
 

@@ -14,9 +14,9 @@ namespace fiona {
 /// Ownership is shared because the same object waits in the inboxes of several consumers at once.
 struct Envelope {
   std::shared_ptr<const Object> object;
-  std::uint64_t sequence = 0;   ///< counts the provider's puts, from 1
-  TimePoint origin{};           ///< when the provider put it, or when what it describes was measured
-  std::size_t bytes = 0;        ///< serialised size, what bounded queues count
+  std::uint64_t sequence = 0;  ///< counts the provider's puts, from 1
+  TimePoint origin{};          ///< when the provider put it, or when what it describes was measured
+  std::size_t bytes = 0;       ///< serialised size, what bounded queues count
 };
 
 /// A message as a handler gets it: the object and its envelope.
@@ -41,8 +41,8 @@ Received<T> received(const Envelope& envelope) {
 }  // namespace detail
 
 /// Messages of one type that are used again, each with the count of its owners: a fresh 1 MiB costs more in page faults
-/// than in copying, and a small one more in the allocator, whose memory wanders between threads, than in the rest of its
-/// way. Idle ones are kept as far as they stay below `kKeptBytes`, newest first. [any thread]
+/// than in copying, and a small one more in the allocator, whose memory wanders between threads, than in the rest of
+/// its way. Idle ones are kept as far as they stay below `kKeptBytes`, newest first. [any thread]
 class ObjectPool {
  public:
   /// Serialised, as each message was at its largest, and `kMessageCost` for each.

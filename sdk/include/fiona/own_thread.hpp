@@ -34,13 +34,13 @@ class OwnThread {
   /// The same, for what can be called back: a `std::stop_callback` may end a read that blocks. It runs on the strand.
   const std::stop_token& stop_token() const { return stop_; }
 
-  /// Runs `job` on the strand, behind those before it; waits while as many wait as may. False, and it does not run, once
-  /// the task is to stop.
+  /// Runs `job` on the strand, behind those before it; waits while as many wait as may. False, and it does not run,
+  /// once the task is to stop.
   bool post(Job job) const;
   /// Waits for so long. False as soon as the task is to stop.
   bool wait_for(Duration duration) const;
-  /// Makes a call of a port on the strand and waits for its end: `own.await([this] { return scans_.wait_update(1s); })`.
-  /// Nothing once the task is to stop; the call then goes on to its own end without it.
+  /// Makes a call of a port on the strand and waits for its end: `own.await([this] { return scans_.wait_update(1s);
+  /// })`. Nothing once the task is to stop; the call then goes on to its own end without it.
   template <class F>
   auto await(F call) const {
     return await_value(std::function(std::move(call)));

@@ -36,10 +36,10 @@ class Plugin {
 
 /// What `fiona_plugin_entry` returns: a struct of C, version first, so that a host of another age can still read it.
 struct PluginEntry {
-  std::uint32_t size;                ///< of this struct
-  std::uint32_t edge_version;        ///< 1
-  const char* abi;                   ///< `kAbiTag` of the SDK that the plugin was built with
-  void (*declare)(Plugin& plugin);   ///< called only when the tags are equal
+  std::uint32_t size;               ///< of this struct
+  std::uint32_t edge_version;       ///< 1
+  const char* abi;                  ///< `kAbiTag` of the SDK that the plugin was built with
+  void (*declare)(Plugin& plugin);  ///< called only when the tags are equal
 };
 
 inline constexpr std::uint32_t kPluginEdgeVersion = 1;
@@ -53,11 +53,11 @@ inline constexpr const char* kAbiTag = FIONA_ABI_TAG;
 }  // namespace fiona
 
 /// Defines the plugin's one exported symbol: `FIONA_PLUGIN(plugin) { plugin.add<StepCounter>("step-counter"); }`
-#define FIONA_PLUGIN(plugin)                                                                              \
-  static void fiona_declare_plugin(::fiona::Plugin& plugin);                                              \
-  extern "C" __attribute__((visibility("default"))) const ::fiona::PluginEntry* fiona_plugin_entry() {   \
-    static const ::fiona::PluginEntry entry{sizeof(::fiona::PluginEntry), ::fiona::kPluginEdgeVersion,    \
-                                            ::fiona::kAbiTag, &fiona_declare_plugin};             \
-    return &entry;                                                                                        \
-  }                                                                                                       \
+#define FIONA_PLUGIN(plugin)                                                                           \
+  static void fiona_declare_plugin(::fiona::Plugin& plugin);                                           \
+  extern "C" __attribute__((visibility("default"))) const ::fiona::PluginEntry* fiona_plugin_entry() { \
+    static const ::fiona::PluginEntry entry{sizeof(::fiona::PluginEntry), ::fiona::kPluginEdgeVersion, \
+                                            ::fiona::kAbiTag, &fiona_declare_plugin};                  \
+    return &entry;                                                                                     \
+  }                                                                                                    \
   static void fiona_declare_plugin(::fiona::Plugin& plugin)

@@ -111,8 +111,8 @@ class RequiredPort : public Port {
   /// [any thread] When it entered its connection state, on the instance's clock.
   TimePoint connection_since() const { return TimePoint(Duration(since_ns_.load())); }
 
-  /// [any thread] The end for a wire from this provider: of one that it was arranged for, or one that takes the place of
-  /// the port's only end once it is connected.
+  /// [any thread] The end for a wire from this provider: of one that it was arranged for, or one that takes the place
+  /// of the port's only end once it is connected.
   std::shared_ptr<WireEnd> end_for(const std::string& provider);
   /// [any thread] From now on these are its providers, the best first; none: it is wired no longer. Those that it has
   /// already stay as they are. Called by the host's wiring.
@@ -181,7 +181,7 @@ class RequiredPort : public Port {
   Ends ends_;                         ///< never empty
   std::shared_ptr<WireEnd> serving_;  ///< one of them
   Duration hold_ = kDefaultHold;
-  TimerId return_timer_ = 0;          ///< strand only
+  TimerId return_timer_ = 0;  ///< strand only
 };
 
 }  // namespace fiona

@@ -21,7 +21,7 @@ struct PortCounters {
   std::atomic<std::int64_t> newest_ns{-1};   ///< origin of the newest message on the instance's clock
   std::atomic<float> rate_hz{0};             ///< over the last second or so of the instance's clock
 
-  Latencies latencies;                       ///< from the origin of what arrived to the handler, or into the slot
+  Latencies latencies;  ///< from the origin of what arrived to the handler, or into the slot
 
   /// [strand] One more message, of this origin.
   void count(TimePoint origin);

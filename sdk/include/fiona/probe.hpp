@@ -120,8 +120,7 @@ struct ProbeValue<std::string> {
   static const std::string& carried(const std::string& value) { return value; }
 };
 template <class T>
-  requires google::protobuf::is_proto_enum<T>::value
-struct ProbeValue<T> {
+requires google::protobuf::is_proto_enum<T>::value struct ProbeValue<T> {
   using Carrier = probe::Text;
   static std::string type() { return "enum " + google::protobuf::GetEnumDescriptor<T>()->name(); }
   static std::string carried(T value) {
@@ -164,7 +163,7 @@ class Probe : public detail::ProbeBase {
 
 /// The same of a message, which all who watch share.
 template <class T>
-  requires std::derived_from<T, Object>
+requires std::derived_from<T, Object>
 class Probe<T> : public detail::ProbeBase {
  public:
   template <class C>

@@ -20,7 +20,10 @@ class PushProvider : public ProvidedPort {
  public:
   PushProvider(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
                Duration cycle = Duration::zero())
-      : ProvidedPort(owner, name, service, options), rules_(service.object()), cycle_(cycle), lease_(lease_for(service, cycle)) {}
+      : ProvidedPort(owner, name, service, options),
+        rules_(service.object()),
+        cycle_(cycle),
+        lease_(lease_for(service, cycle)) {}
   ~PushProvider() override { end_watch(); }
   /// Calls that may wait for room at once.
   static constexpr std::size_t kMaxWaiting = 1024;
@@ -84,7 +87,7 @@ class PushProvider : public ProvidedPort {
   // guarded by the mutex, as are the functions
   void watch_lease();
   void tell_lease(std::optional<std::string> silence);
-  std::atomic<bool> paced_{false};  ///< somebody has waited for room
+  std::atomic<bool> paced_{false};                ///< somebody has waited for room
   std::deque<std::shared_ptr<PutCall>> waiting_;  ///< strand only
   TimePoint renewed_{};
   TimerId lease_timer_ = 0;
@@ -155,17 +158,17 @@ class Provides<S> : public detail::PushProvider {
 
   template <class C>
   Provides(C& owner, std::string_view name, PortOptions options = {})
-      : PushProvider(owner, name, S::info(), options, S::kPattern == PUSH_TIMED ? S::info().period() : Duration::zero()) {}
+      : PushProvider(owner, name, S::info(), options,
+                     S::kPattern == PUSH_TIMED ? S::info().period() : Duration::zero()) {}
 
   template <class C>
-    requires(S::kPattern == PUSH_TIMED)
-  Provides(C& owner, std::string_view name, void (C::*produce)(), Duration period = S::info().period(),
-           PortOptions options = {})
+  requires(S::kPattern == PUSH_TIMED) Provides(C& owner, std::string_view name, void (C::*produce)(),
+                                               Duration period = S::info().period(), PortOptions options = {})
       : PushProvider(owner, name, S::info(), options, period),
         producer_(std::make_unique<Task>(owner, name, period, Task::Work([this, &owner, produce] {
-          if (is_started()) (owner.*produce)();
-          return std::nullopt;
-        }))) {}
+                                           if (is_started()) (owner.*produce)();
+                                           return std::nullopt;
+                                         }))) {}
 
   /// [strand] A cleared message from the port's pool, to be filled and put.
   std::shared_ptr<ObjectType> make() { return pool_.acquire(); }
@@ -176,10 +179,10 @@ class Provides<S> : public detail::PushProvider {
   Outcome put(std::shared_ptr<const ObjectType> object, TimePoint origin) {
     return put_object(std::move(object), origin);
   }
-  /// [strand] Waits until the message fits in front of the handler of each subscriber that receives each one, then puts it:
-  /// `co_await steps_.put(step, 500ms)`. So nothing is lost to a slow consumer, and the producer goes at its pace. Not put:
-  /// with Timeout there was no room in time; NotActive, Cancelled and Rejected as of every call. Waiting calls have
-  /// their turn in their order; `put` without a deadline does not wait for them.
+  /// [strand] Waits until the message fits in front of the handler of each subscriber that receives each one, then puts
+  /// it: `co_await steps_.put(step, 500ms)`. So nothing is lost to a slow consumer, and the producer goes at its pace.
+  /// Not put: with Timeout there was no room in time; NotActive, Cancelled and Rejected as of every call. Waiting calls
+  /// have their turn in their order; `put` without a deadline does not wait for them.
   Async<Outcome> put(std::shared_ptr<const ObjectType> object, Duration within) {
     return put_with_room(std::move(object), owner_now(*this), within);
   }
@@ -194,16 +197,8 @@ class Provides<S> : public detail::PushProvider {
   void still_valid() { renew(); }
   /// [strand] Of a push timed: stops its cycle, and tells its subscribers, whose ports are *lost* until `start`. Until
   /// then puts are NotActive. A provider begins started.
-  void stop()
-    requires(S::kPattern == PUSH_TIMED)
-  {
-    set_started(false);
-  }
-  void start()
-    requires(S::kPattern == PUSH_TIMED)
-  {
-    set_started(true);
-  }
+  void stop() requires(S::kPattern == PUSH_TIMED) { set_started(false); }
+  void start() requires(S::kPattern == PUSH_TIMED) { set_started(true); }
   Outcome put(ObjectType object) { return put(std::make_shared<const ObjectType>(std::move(object))); }
   Outcome put(ObjectType object, TimePoint origin) {
     return put(std::make_shared<const ObjectType>(std::move(object)), origin);
@@ -230,8 +225,8 @@ class Requires<S> : public detail::PushClient {
       : PushClient(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
 
   /// [strand] The newest value since it was wired, however often it is asked. Fails with NoData (also when it is older
-  /// than the port's `max_age`), Unwired, Disconnected or NotActive: an old value never passes for a fresh one. Only for
-  /// a port without handler.
+  /// than the port's `max_age`), Unwired, Disconnected or NotActive: an old value never passes for a fresh one. Only
+  /// for a port without handler.
   Result<Received<ObjectType>> latest() {
     const auto slot = newest();
     const auto outcome = obstacle();
@@ -242,13 +237,9 @@ class Requires<S> : public detail::PushClient {
     return value;
   }
 
-  /// [any thread] Of a push timed: the cycle of the provider, for who wants to choose a prescale. Unwired or Disconnected
-  /// while there is none.
-  Result<Duration> cycle() const
-    requires(S::kPattern == PUSH_TIMED)
-  {
-    return provider_cycle();
-  }
+  /// [any thread] Of a push timed: the cycle of the provider, for who wants to choose a prescale. Unwired or
+  /// Disconnected while there is none.
+  Result<Duration> cycle() const requires(S::kPattern == PUSH_TIMED) { return provider_cycle(); }
 
   /// [strand] The next value that arrives: `auto next = co_await port.wait_update(1s);`
   Async<Result<Received<ObjectType>>> wait_update(Duration deadline) {

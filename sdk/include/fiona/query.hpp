@@ -172,8 +172,7 @@ class Requires<S> : public detail::QueryClient {
   using AnswerPtr = std::shared_ptr<const AnswerType>;
 
   template <class C>
-  Requires(C& owner, std::string_view name, PortOptions options = {})
-      : QueryClient(owner, name, S::info(), options) {}
+  Requires(C& owner, std::string_view name, PortOptions options = {}) : QueryClient(owner, name, S::info(), options) {}
 
   /// [strand] Exactly one outcome: the answer, or why there is none, within the deadline. Many may be open at once;
   /// answers come in any order. The answer is shared with the provider and immutable.
@@ -181,9 +180,9 @@ class Requires<S> : public detail::QueryClient {
     co_return result(co_await ask_and_wait(std::make_shared<const RequestType>(std::move(request)), deadline));
   }
 
-  /// [strand] The same in two steps. The id stays valid, until it is received or discarded, through a wait that times out
-  /// or is cancelled; a second wait for it ends the first with Cancelled. Not answered by `deadline`, the request ends
-  /// with Timeout, which is then what is received.
+  /// [strand] The same in two steps. The id stays valid, until it is received or discarded, through a wait that times
+  /// out or is cancelled; a second wait for it ends the first with Cancelled. Not answered by `deadline`, the request
+  /// ends with Timeout, which is then what is received.
   Result<QueryId> request(RequestType request, Duration deadline = kDefaultDeadline) {
     return ask(std::make_shared<const RequestType>(std::move(request)), deadline);
   }

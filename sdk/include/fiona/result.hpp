@@ -8,8 +8,8 @@
 
 namespace fiona {
 
-/// How a call ended (patterns.md, rules shared by all). A value, not an exception: the caller branches on it. Links carry
-/// its number (wire-protocol.md): a new one comes last.
+/// How a call ended (patterns.md, rules shared by all). A value, not an exception: the caller branches on it. Links
+/// carry its number (wire-protocol.md): a new one comes last.
 enum class Outcome {
   Ok,
   NoData,        ///< nothing has arrived yet

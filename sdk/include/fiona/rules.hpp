@@ -35,8 +35,10 @@ class ObjectRules {
 
   void compile(const google::protobuf::Descriptor& type);
   std::optional<std::string> check(const Object& object, const Rules& rules) const;
-  std::optional<std::string> check_field(const Object& object, const google::protobuf::Reflection& reflect, const FieldRule& rule) const;
-  std::optional<std::string> check_nested(const Object& object, const google::protobuf::Reflection& reflect, const FieldRule& rule) const;
+  std::optional<std::string> check_field(const Object& object, const google::protobuf::Reflection& reflect,
+                                         const FieldRule& rule) const;
+  std::optional<std::string> check_nested(const Object& object, const google::protobuf::Reflection& reflect,
+                                          const FieldRule& rule) const;
 
   std::unordered_map<const google::protobuf::Descriptor*, Rules> rules_;
   const Rules* root_ = nullptr;

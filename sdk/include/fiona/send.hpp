@@ -48,8 +48,8 @@ class SendProvider : public ProvidedPort {
 
 }  // namespace detail
 
-/// Receives what clients send: `Provides<DestinationProvider> destination_{*this, "destination", &Self::on_destination};`
-/// The receiver is the provider (architecture 5). Handlers as for a push client.
+/// Receives what clients send: `Provides<DestinationProvider> destination_{*this, "destination",
+/// &Self::on_destination};` The receiver is the provider (architecture 5). Handlers as for a push client.
 template <SendService S>
 class Provides<S> : public detail::SendProvider {
  public:
@@ -67,8 +67,7 @@ class Requires<S> : public detail::SendClient {
   using ObjectType = typename S::ObjectType;
 
   template <class C>
-  Requires(C& owner, std::string_view name, PortOptions options = {})
-      : SendClient(owner, name, S::info(), options) {}
+  Requires(C& owner, std::string_view name, PortOptions options = {}) : SendClient(owner, name, S::info(), options) {}
 
   /// [strand] Ok: the wire's bounded queue has it, and the provider gets it unless it dies first.
   Outcome send(ObjectType object) { return send_object(std::make_shared<const ObjectType>(std::move(object))); }

@@ -83,7 +83,7 @@ concept Service = requires {
   { S::info() } -> std::same_as<const ServiceInfo&>;
 };
 template <class S>
-concept PushService = Service<S> && (S::kPattern == PUSH_NEWEST || S::kPattern == PUSH_TIMED);
+concept PushService = Service<S> &&(S::kPattern == PUSH_NEWEST || S::kPattern == PUSH_TIMED);
 template <class S>
 concept SendService = Service<S> && S::kPattern == SEND;
 template <class S>

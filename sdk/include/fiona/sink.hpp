@@ -25,13 +25,13 @@ class Sink {
   virtual Outcome deliver(Parcel parcel) = 0;
   /// [any thread] Whether a push provider speaks, or has been silent for longer than its lease.
   virtual void lease(bool /*held*/, const std::string& /*reason*/) {}
-  /// [any thread] It subscribes to a push provider now, and is given what comes after this sequence number. `cycle`: of a
-  /// push timed; zero: there is none.
+  /// [any thread] It subscribes to a push provider now, and is given what comes after this sequence number. `cycle`: of
+  /// a push timed; zero: there is none.
   virtual void attached(std::uint64_t /*sequence*/, Duration /*cycle*/) {}
   /// [any thread] How many subscribers it stands for.
   virtual std::size_t subscribers() const { return 1; }
-  /// [strand of a push provider] Whether a message of so many bytes finds room in front of the handler of each subscriber
-  /// that receives each one. If not, `notice` is called [any thread] when that may have changed.
+  /// [strand of a push provider] Whether a message of so many bytes finds room in front of the handler of each
+  /// subscriber that receives each one. If not, `notice` is called [any thread] when that may have changed.
   virtual bool has_room(std::size_t /*bytes*/, const std::function<void()>& /*notice*/) { return true; }
 };
 

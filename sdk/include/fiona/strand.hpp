@@ -21,8 +21,8 @@ class Job {
  public:
   Job() = default;
   template <class F>
-    requires(!std::is_same_v<std::remove_cvref_t<F>, Job>)
-  Job(F&& work) : work_(std::make_unique<Holder<std::remove_cvref_t<F>>>(std::forward<F>(work))) {}
+  requires(!std::is_same_v<std::remove_cvref_t<F>, Job>) Job(F&& work)
+      : work_(std::make_unique<Holder<std::remove_cvref_t<F>>>(std::forward<F>(work))) {}
   void operator()() { work_->run(); }
   explicit operator bool() const { return work_ != nullptr; }
 
@@ -88,6 +88,9 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   std::size_t waiting_jobs() const;
   /// [any thread] Time spent running, by the machine's steady clock.
   Duration busy_time() const { return Duration(busy_ns_.load(std::memory_order_relaxed)); }
+  /// [any thread] CPU time that its work took, exact for a strand that runs at most 1000 times a second: of more runs
+  /// than that, some are measured and stand for all.
+  Duration cpu_time() const { return Duration(cpu_ns_.load(std::memory_order_relaxed)); }
 
   void run() override;
   /// [clock] Lends it the thread that was kept back when it became busy.
@@ -101,6 +104,7 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   void wake(std::unique_lock<std::mutex>& lock);
   bool take_turn(Turn& turn);
   void run_turn(Turn& turn);
+  std::int64_t weight_of_run(std::int64_t now_ns);
 
   const std::string name_;
   Executor& executor_;
@@ -111,6 +115,10 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   bool scheduled_ = false;
   std::atomic<bool> closed_{false};  ///< written under the mutex
   std::atomic<std::int64_t> busy_ns_{0};
+  std::atomic<std::int64_t> cpu_ns_{0};
+  std::int64_t window_ns_ = 0;  ///< of the thread that runs it, as are the next two: since when runs are counted
+  std::uint32_t runs_ = 0;      ///< in that window
+  std::uint32_t chance_ = 1;    ///< state of the choice which runs are measured
   int busy_count_ = 0;          ///< the virtual clock's
   std::size_t busy_place_ = 0;  ///< the virtual clock's, among those that are busy
 };

@@ -14,8 +14,8 @@
 
 namespace fiona {
 
-/// What a watcher of a probe or a push port asks for (patterns.md, Monitoring). Without a condition: push mode. With one:
-/// event mode, the value with which the condition becomes true; it has to become false before there is another.
+/// What a watcher of a probe or a push port asks for (patterns.md, Monitoring). Without a condition: push mode. With
+/// one: event mode, the value with which the condition becomes true; it has to become false before there is another.
 struct TapTerms {
   std::uint32_t every = 1;  ///< each n-th value only
   /// The shortest time between two values that are passed on or looked at, on the instance's clock: what came between

@@ -71,13 +71,13 @@ inline constexpr FreeRunning free_running{};
 ///     fiona::Task plan_{*this, "plan", fiona::after(filter_), &Self::plan, "drive"};
 ///     fiona::Task read_{*this, "read", fiona::free_running, &Self::read};  // void read(const fiona::OwnThread& own)
 ///
-/// A task that names an activity runs in the main modes that have it. What should start it while it still runs, or while
-/// the strand has not come to it, is an overrun: counted, not made up for; a periodic one keeps to its grid.
+/// A task that names an activity runs in the main modes that have it. What should start it while it still runs, or
+/// while the strand has not come to it, is an overrun: counted, not made up for; a periodic one keeps to its grid.
 ///
-/// The work runs on the strand, and may be a coroutine (`fiona::Async<> plan()`), which holds the activity while it runs.
-/// Only a free running task has a thread; its work is called again as soon as it has returned, and holds the activity
-/// from the first call on: when the mode is to be left it is asked to stop, and the change waits until it has returned.
-/// A virtual clock cannot wait for such a thread, so there a mode that has it is refused.
+/// The work runs on the strand, and may be a coroutine (`fiona::Async<> plan()`), which holds the activity while it
+/// runs. Only a free running task has a thread; its work is called again as soon as it has returned, and holds the
+/// activity from the first call on: when the mode is to be left it is asked to stop, and the change waits until it has
+/// returned. A virtual clock cannot wait for such a thread, so there a mode that has it is refused.
 class Task {
  public:
   using Work = std::function<std::optional<Async<>>()>;
@@ -88,8 +88,8 @@ class Task {
              activity) {}
   template <class C>
   Task(C& owner, std::string_view name, When when, Async<> (C::*work)(), std::string_view activity = {})
-      : Task(static_cast<Component&>(owner), name, when, Work([&owner, work] { return std::optional((owner.*work)()); }),
-             activity) {}
+      : Task(static_cast<Component&>(owner), name, when,
+             Work([&owner, work] { return std::optional((owner.*work)()); }), activity) {}
   template <class C>
   Task(C& owner, std::string_view name, FreeRunning, void (C::*work)(const OwnThread&), std::string_view activity = {})
       : Task(static_cast<Component&>(owner), name, When(When::Kind::FreeRunning), nullptr, activity,

@@ -60,8 +60,8 @@ class WireEnd final : public std::enable_shared_from_this<WireEnd> {
   bool heard_ = false;                  ///< it has said something since it was connected
   TimePoint fit_since_{};               ///< and heard
   std::shared_ptr<Sink> target_;
-  std::optional<Envelope> last_;        ///< of a service that has a last value
-  Duration cycle_{};                    ///< of a push timed
+  std::optional<Envelope> last_;  ///< of a service that has a last value
+  Duration cycle_{};              ///< of a push timed
 };
 
 }  // namespace fiona

@@ -1,5 +1,5 @@
-// FIONA under the peers' harness: --transport main (all in one process), ipc (groups), tcp (hosts, with CURVE). Provider
-// and consumer are plugins, loaded and wired by a host in the harness' own process.
+// FIONA under the peers' harness: --transport main (all in one process), ipc (groups), tcp (hosts, with CURVE).
+// Provider and consumer are plugins, loaded and wired by a host in the harness' own process.
 #include <sys/wait.h>
 
 #include <cstdlib>
@@ -66,7 +66,9 @@ class Sub final : public bench::Sub {
 class Leading final : public bench::Peer {
  public:
   explicit Leading(const bench::Options& options) : scenario_(options.scenario) {
-    const std::size_t others = options.procs == 1 ? 0 : scenario_ == "ow" || scenario_ == "tp" ? static_cast<std::size_t>(options.subs) : 1;
+    const std::size_t others = options.procs == 1                       ? 0
+                               : scenario_ == "ow" || scenario_ == "tp" ? static_cast<std::size_t>(options.subs)
+                                                                        : 1;
     system_ = make_host(options.transport, others, places_);
     for (const auto& place : places_) {
       if (scenario_ == "rt") system_->load("answerer", "answerer", place);

@@ -18,7 +18,8 @@ int main(int argc, char** argv) {
   address.sun_family = AF_UNIX;
   std::snprintf(address.sun_path, sizeof address.sun_path, "%s/%s.sock", directory, name.c_str());
   const int socket = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  if (::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address) != 0) return std::perror(address.sun_path), 1;
+  if (::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address) != 0)
+    return std::perror(address.sun_path), 1;
   if (!fiona::peer::hand_over(socket, argc, argv)) return std::perror("handing over"), 1;
   ::close(fiona::peer::kGroupSocket);
   char none = 0;

@@ -58,7 +58,9 @@ std::vector<std::pair<std::string, std::string>> announced(std::size_t processes
 host::System::Options options(const std::string& name) {
   const auto directory = run_directory() / (name + ".run");
   os::require_private_directory(directory);
-  return {.name = name, .store = directory / "store", .directory = directory,
+  return {.name = name,
+          .store = directory / "store",
+          .directory = directory,
           .plugins = std::filesystem::path(PEER_COMPONENTS_LIBRARY).parent_path()};
 }
 
@@ -111,7 +113,8 @@ void ServedSystem::serve() {
   }
 }
 
-void ServedSystem::load(const std::string& component, const std::string& name, const std::string& group, std::uint32_t index) {
+void ServedSystem::load(const std::string& component, const std::string& name, const std::string& group,
+                        std::uint32_t index) {
   control::Change change;
   auto& request = *change.mutable_load();
   request.set_plugin(std::string(PEER_COMPONENTS_LIBRARY) + "/" + component);
@@ -157,7 +160,8 @@ void ServedSystem::await_connected(const std::string& port) {
   await(port + " is connected", [&wanted](const control::System& system) {
     for (const auto& instance : system.instances()) {
       for (const auto& one : instance.ports()) {
-        if (instance.name() == wanted.instance() && one.name() == wanted.port()) return one.connection() == control::CONNECTED;
+        if (instance.name() == wanted.instance() && one.name() == wanted.port())
+          return one.connection() == control::CONNECTED;
       }
     }
     return false;
@@ -199,15 +203,18 @@ std::unique_ptr<ServedSystem> become_led_host() {
 
 void make_leader_keys() { make_keys("main"); }
 
-std::unique_ptr<ServedSystem> make_host(const std::string& transport, std::size_t processes, std::vector<std::string>& places) {
+std::unique_ptr<ServedSystem> make_host(const std::string& transport, std::size_t processes,
+                                        std::vector<std::string>& places) {
   auto with = options("main");
   const auto others = announced(processes);
   for (const auto& [name, text] : others) {
     places.push_back(name);
     if (transport != "tcp") continue;
-    const std::string address = text.substr(std::string("tcp://").size(), text.find(' ') - std::string("tcp://").size());
+    const std::string address =
+        text.substr(std::string("tcp://").size(), text.find(' ') - std::string("tcp://").size());
     with.hosts.keys = keys_of("main");
-    with.hosts.peers.push_back(host::PeerAddress::from_text(name + "=" + address + "=" + text.substr(text.find(' ') + 1)));
+    with.hosts.peers.push_back(
+        host::PeerAddress::from_text(name + "=" + address + "=" + text.substr(text.find(' ') + 1)));
   }
   auto made = std::make_unique<ServedSystem>(std::move(with));
   for (const auto& place : places) {

@@ -1,5 +1,5 @@
-// The processes of one run of the harness as places where a host can load: the harness' own holds the host, each process
-// that the harness forks becomes a group of it, or a host that it leads.
+// The processes of one run of the harness as places where a host can load: the harness' own holds the host, each
+// process that the harness forks becomes a group of it, or a host that it leads.
 #pragma once
 
 #include <atomic>
@@ -52,7 +52,8 @@ std::unique_ptr<std::thread> become_group();
 /// This process, forked by the harness, as a host that the harness' own process leads.
 std::unique_ptr<ServedSystem> become_led_host();
 /// The host of the harness' own process, with so many places beside `main`; their names are put into `places`.
-std::unique_ptr<ServedSystem> make_host(const std::string& transport, std::size_t processes, std::vector<std::string>& places);
+std::unique_ptr<ServedSystem> make_host(const std::string& transport, std::size_t processes,
+                                        std::vector<std::string>& places);
 
 /// The name under which this process is a place.
 std::string own_place();

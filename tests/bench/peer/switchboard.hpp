@@ -70,8 +70,8 @@ class Gate {
     }
     moved_.notify_all();
   }
-  /// Waits until message `number` may be put; the highest number that may be put then. A consumer that has gone does not
-  /// hold up the publisher for ever: what it loses is the harness' to count.
+  /// Waits until message `number` may be put; the highest number that may be put then. A consumer that has gone does
+  /// not hold up the publisher for ever: what it loses is the harness' to count.
   std::uint64_t room_for(std::uint64_t number, std::uint64_t window) {
     std::unique_lock lock(mutex_);
     const auto slowest = [this] {

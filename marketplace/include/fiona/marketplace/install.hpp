@@ -39,7 +39,6 @@ InstallResult install(std::string_view request, const Marketplace& from, const s
 
 /// Takes a package out of the store, as atomically. Its files are swept by the next change, once nobody holds
 /// them. Throws fiona::Error as Store::find and install do.
-InstalledPackage remove(std::string_view name, const std::filesystem::path& store,
-                        const InstallOptions& options = {});
+InstalledPackage remove(std::string_view name, const std::filesystem::path& store, const InstallOptions& options = {});
 
 }  // namespace fiona::marketplace

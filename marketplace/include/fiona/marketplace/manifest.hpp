@@ -32,8 +32,7 @@ Interface parse_interface(std::string_view text, const std::string& where);
 /// Checks a manifest of a packed package: the author's part, and the list of files that packing adds. The
 /// list holds only canonical paths, in the one order a package has, and within the limits. Throws
 /// fiona::Error (Failed).
-void check_packed_manifest(const Manifest& manifest, const std::string& where,
-                           const PackageLimits& limits = {});
+void check_packed_manifest(const Manifest& manifest, const std::string& where, const PackageLimits& limits = {});
 
 /// Why `path` cannot be a file of a package, as the end of a sentence; empty if it can. A path is
 /// interface.textproto, README.md, or below lib/ or share/; at most 100 characters; elements are ASCII

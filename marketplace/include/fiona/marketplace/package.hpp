@@ -27,8 +27,7 @@ struct PackageSource {
 std::string pack(const PackageSource& source, const PackageLimits& limits = {});
 
 /// pack(), written to `file` atomically. A file that already has these bytes is left alone: returns false.
-bool pack_to(const std::filesystem::path& file, const PackageSource& source,
-             const OsCalls& os = system_calls());
+bool pack_to(const std::filesystem::path& file, const PackageSource& source, const OsCalls& os = system_calls());
 
 /// Receives the files of a package while it is read, each as begin, write…, end; the manifest first.
 /// What it has received counts for nothing until read_package returns.

@@ -61,10 +61,10 @@ struct KnownHost {
   Key key;
 };
 
-/// Where a user keeps the key pair of his hosts and consoles (`host.key`, mode 0600) and three lists: the hosts that may
-/// connect to his (`hosts.allowed`, lines "NAME KEY"), the consoles that may (`consoles.allowed`, "NAME KEY LEVEL"), and
-/// the hosts that he has given names (`hosts.known`, "NAME ADDRESS:PORT KEY"). To be in one is to be in no other. Files are
-/// replaced whole or not at all.
+/// Where a user keeps the key pair of his hosts and consoles (`host.key`, mode 0600) and three lists: the hosts that
+/// may connect to his (`hosts.allowed`, lines "NAME KEY"), the consoles that may (`consoles.allowed`, "NAME KEY
+/// LEVEL"), and the hosts that he has given names (`hosts.known`, "NAME ADDRESS:PORT KEY"). To be in one is to be in no
+/// other. Files are replaced whole or not at all.
 class KeyDirectory {
  public:
   /// Empty: $FIONA_KEYS, else $XDG_CONFIG_HOME/fiona, else ~/.config/fiona.

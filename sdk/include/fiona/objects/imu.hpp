@@ -36,9 +36,7 @@ constexpr PhoneAxes::Vector device_to_phone(const PhoneAxes::Vector& device) {
 }
 
 /// A vector of phone axes in device axes.
-constexpr PhoneAxes::Vector phone_to_device(const PhoneAxes::Vector& phone) {
-  return {phone[1], -phone[0], phone[2]};
-}
+constexpr PhoneAxes::Vector phone_to_device(const PhoneAxes::Vector& phone) { return {phone[1], -phone[0], phone[2]}; }
 
 /// What `imu` says, in phone axes.
 inline PhoneAxes to_phone_axes(const GetIMU& imu) {

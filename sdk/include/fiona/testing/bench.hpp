@@ -112,8 +112,8 @@ class Bench : private HullEvents {
     };
   }
 
-  /// The value of a probe that the component declares, or of one of the hull's own ("mode", "steps.rate"); none if it has
-  /// none yet. T as declared; the name of an enumerator is a std::string.
+  /// The value of a probe that the component declares, or of one of the hull's own ("mode", "steps.rate"); none if it
+  /// has none yet. T as declared; the name of an enumerator is a std::string.
   template <class T>
   std::optional<T> probe(std::string_view name) const {
     const auto object = hull_.read(name).object;

@@ -1,5 +1,5 @@
-#include <fiona/testing/bench.hpp>
 #include <gtest/gtest.h>
+#include <fiona/testing/bench.hpp>
 
 #include "beeper.hpp"
 

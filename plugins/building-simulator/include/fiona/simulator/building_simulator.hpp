@@ -44,9 +44,7 @@ class BuildingSimulator final : public Component {
       ImuModel::kPeriod,
       {.doc = "the phone in the person's hand: accelerometer, gyroscope, magnetometer, 50 Hz"}};
   Provides<sensors::RFSignalRSSIService> wifi_{
-      *this,
-      "wifi",
-      {.doc = "one message for each row of the phone's Wi-Fi scans, dated when it was really heard"}};
+      *this, "wifi", {.doc = "one message for each row of the phone's Wi-Fi scans, dated when it was really heard"}};
   Provides<sensors::IbeaconlistProvider> beacons_{
       *this, "beacons", {.doc = "the iBeacons heard in the last 0.3 s; an empty list if there was none"}};
   Provides<localisation::LocationProvider> truth_{

@@ -78,8 +78,7 @@ class RadioModel {
   /// Throws fiona::Error that names the landmark if one of its tags cannot be read. `building` must outlive
   /// this. The shadows are those of the seed; the noise also depends on `run`: another walk in the same
   /// building.
-  RadioModel(const building::Building& building, std::uint64_t seed, RadioOptions options = {},
-             std::uint64_t run = 0);
+  RadioModel(const building::Building& building, std::uint64_t seed, RadioOptions options = {}, std::uint64_t run = 0);
 
   /// All that was heard since the call before, with the person at `truth`. Call it at least every 100 ms:
   /// what is heard in between counts as heard here. `phone_height` is taken as 1.2 m above the floor.
@@ -110,8 +109,7 @@ class RadioModel {
   };
 
   void add(const building::Landmark& landmark);
-  std::optional<int> receive(std::size_t transmitter, const Truth& truth, double noise_db,
-                             double sensitivity_dbm);
+  std::optional<int> receive(std::size_t transmitter, const Truth& truth, double noise_db, double sensitivity_dbm);
   void hear(const Truth& truth);
   WifiScan scan(milliseconds t);
 

@@ -80,8 +80,7 @@ class Building {
   const Graph& graph() const { return graph_; }
 
   /// The quickest way on foot; nothing if there is none with these options.
-  std::optional<Route> route(const PathPoint& from, const PathPoint& to,
-                             const RouteOptions& options = {}) const;
+  std::optional<Route> route(const PathPoint& from, const PathPoint& to, const RouteOptions& options = {}) const;
   std::optional<Route> route(const Room& from, const Room& to, const RouteOptions& options = {}) const;
 
   Point to_local(const Wgs84& place) const;

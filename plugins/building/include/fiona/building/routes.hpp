@@ -69,8 +69,8 @@ Graph build_graph(const Plan& plan);
 inline constexpr double kSnap_m = 5.0;
 
 /// The quickest way through the graph (Dijkstra).
-std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from,
-                                const PathPoint& to, const RouteOptions& options);
+std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from, const PathPoint& to,
+                                const RouteOptions& options);
 
 /// Whether one can walk straight from `a` to `b` within the room.
 bool sees(const Plan& plan, const Room& room, Point a, Point b);

@@ -21,8 +21,8 @@ struct TrackPoint {
 struct Track {
   std::string name{};
   std::vector<TrackPoint> points{};  ///< ascending in time
-  std::string colour{};  ///< "#rrggbb"; empty: the next of eight colours safe for colour-blind readers
-  std::string dash{};    ///< SVG stroke-dasharray, "none" for solid; empty: the next of eight patterns
+  std::string colour{};              ///< "#rrggbb"; empty: the next of eight colours safe for colour-blind readers
+  std::string dash{};                ///< SVG stroke-dasharray, "none" for solid; empty: the next of eight patterns
 };
 
 struct SvgOptions {
@@ -36,17 +36,15 @@ struct SvgOptions {
 /// dash patterns that are not of the form above throw fiona::Error (Usage): text from outside must not become
 /// markup.
 std::string floor_plan_svg(const Plan& plan, std::span<const Track> tracks, const SvgOptions& options = {});
-std::string floor_plan_svg(const Building& building, std::span<const Track> tracks,
-                           const SvgOptions& options = {});
+std::string floor_plan_svg(const Building& building, std::span<const Track> tracks, const SvgOptions& options = {});
 
 /// Tracks without a building, over a grid in metres.
 std::string track_svg(std::span<const Track> tracks, const SvgOptions& options = {});
 
 /// The same into a file. Throws fiona::Error if the file cannot be written.
-void write_floor_plan_svg(const std::filesystem::path& file, const Building& building,
-                          std::span<const Track> tracks, const SvgOptions& options = {});
-void write_track_svg(const std::filesystem::path& file, std::span<const Track> tracks,
-                     const SvgOptions& options = {});
+void write_floor_plan_svg(const std::filesystem::path& file, const Building& building, std::span<const Track> tracks,
+                          const SvgOptions& options = {});
+void write_track_svg(const std::filesystem::path& file, std::span<const Track> tracks, const SvgOptions& options = {});
 
 /// Text as it may stand in an XML attribute or element; control characters that XML forbids become U+FFFD.
 std::string escape_xml(const std::string& text);

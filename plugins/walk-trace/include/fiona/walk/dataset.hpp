@@ -16,7 +16,7 @@ struct Limits {
   std::uint64_t walk_bytes = 256ull << 20;   ///< text of one walk, unpacked
   std::size_t line_bytes = 1024;
   std::size_t walk_events = 4'000'000;
-  std::size_t walks = 100'000;               ///< in one archive
+  std::size_t walks = 100'000;  ///< in one archive
 };
 
 /// Called once per walk, in the order of the archive. Return false to stop.
