@@ -196,7 +196,7 @@ int HostProcess::stop() {
   int code = 1;
   try {
     code = collect();
-  } catch (const Interrupted&) {
+  } catch (const std::exception&) {
     ::kill(process_, SIGKILL);  // asked twice
     code = collect();
   }

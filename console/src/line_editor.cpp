@@ -80,7 +80,13 @@ void LineEditor::begin_editing() {
   line_.reset();
   editing_ = true;
   rl_callback_handler_install(prompt_.c_str(), &LineEditor::on_line);
-  reactor_.add(STDIN_FILENO, [] { rl_callback_read_char(); });
+  reactor_.add_terminal([this] { read_character(); });
+}
+
+/// No exception passes through the editor's library.
+void LineEditor::read_character() {
+  rl_callback_read_char();
+  if (terminated_) throw Terminated();
 }
 
 void LineEditor::end_editing() {
@@ -124,10 +130,12 @@ char** LineEditor::on_complete(const char*, int start, int end) {
   Completion completion;
   try {
     completion = editor.completer_(std::string_view(rl_line_buffer, static_cast<std::size_t>(end)));
+  } catch (const Terminated&) {
+    editor.terminated_ = true;
   } catch (const std::exception&) {
     completion.candidates.clear();  // nothing to offer; the key does nothing
   }
-  editor.reactor_.add(STDIN_FILENO, [] { rl_callback_read_char(); });
+  editor.reactor_.add_terminal([&editor] { editor.read_character(); });
   if (completion.candidates.empty() || completion.start != static_cast<std::size_t>(start)) return nullptr;
   const std::string& only = completion.candidates.front();
   const bool goes_on = completion.candidates.size() > 1 || only.ends_with('=') || only.ends_with('/');

@@ -44,6 +44,7 @@ class LineEditor {
 
   void begin_editing();
   void end_editing();
+  void read_character();
   std::size_t cursor_row() const;
 
   Reactor& reactor_;
@@ -52,6 +53,7 @@ class LineEditor {
   std::string prompt_;
   std::string last_remembered_;
   bool editing_ = false;
+  bool terminated_ = false;  ///< while it completed
   bool done_ = false;
   std::optional<std::string> line_;
 };

@@ -54,6 +54,8 @@ int main(int argc, char** argv) {
     return serve(out, {argv + 1, argv + argc});
   } catch (const Interrupted&) {
     return kInterrupted;
+  } catch (const Terminated&) {
+    return kInterrupted;
   } catch (const fiona::Error& error) {
     out.error(error);
     return static_cast<int>(error.code());

@@ -38,10 +38,21 @@ void Reactor::take_signals() {
 
 void Reactor::read_signal() {
   signalfd_siginfo info{};
-  if (::read(signals_, &info, sizeof info) > 0) throw Interrupted();
+  if (::read(signals_, &info, sizeof info) <= 0) return;
+  if (info.ssi_signo == SIGINT) throw Interrupted();
+  throw Terminated();
 }
 
 void Reactor::add(int descriptor, std::function<void()> ready) { descriptors_[descriptor] = std::move(ready); }
+
+void Reactor::add_terminal(std::function<void()> ready) {
+  add(STDIN_FILENO, [ready = std::move(ready)] {
+    pollfd keys{STDIN_FILENO, POLLIN, 0};
+    // Whoever reads the keys takes the end of a closed terminal for a key that has not come yet, for ever.
+    if (::poll(&keys, 1, 0) > 0 && (keys.revents & (POLLHUP | POLLERR | POLLNVAL)) != 0) throw Terminated();
+    ready();
+  });
+}
 
 void Reactor::remove(int descriptor) { descriptors_.erase(descriptor); }
 

@@ -108,13 +108,13 @@ TEST_F(GroupRestart, TheBetterAlternativeServesAgainOnceItIsBack) {
 }
 
 TEST_F(GroupRestart, AGroupThatEndsEachTimeIsLeftAndSaysSo) {
-  system.load_in("far", "hog", "source", "from_ms=1 die=true");
+  system.load_in("far", "hog", "source", "from_ms=50 die=true");
   system.eventually("it is left", [&] { return system.instance("source").reason().find("left") != std::string::npos; });
   EXPECT_EQ(system.instance("source").reason(), "group 'far' exited with code 3; left, after 3 restarts within 30 s");
   EXPECT_EQ(system.instance("source").restarts(), 3U);
   EXPECT_FALSE(system.system().watches_groups());
   system.unload("source");
-  system.load_in("far", "hog", "source", "from_ms=1 die=true");
+  system.load_in("far", "hog", "source", "from_ms=50 die=true");
   system.eventually("it is started again", [&] { return system.instance("source").restarts() == 1; });
 }
 

@@ -75,7 +75,7 @@ class FullScreen {
 
   /// Until q is typed, or for so long.
   void serve(std::optional<milliseconds> limit) {
-    session_.reactor.add(STDIN_FILENO, [] {});  // wakes the wait; the keys are taken below
+    session_.reactor.add_terminal([] {});  // wakes the wait; the keys are taken below
     refresh();
     std::optional<SteadyTime> deadline;
     if (limit) deadline = std::chrono::steady_clock::now() + *limit;
