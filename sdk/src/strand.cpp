@@ -17,7 +17,8 @@ namespace {
 /// Parcels and jobs that a strand handles before it lets another one have the thread.
 constexpr std::size_t kTurnLimit = 256;
 
-constexpr std::uint32_t kRunsPerMeasured = 32;
+constexpr std::uint32_t kRunsPerMeasured = 128;
+constexpr double kKeptOfMeasured = 0.98;
 
 thread_local const Strand* current_strand = nullptr;
 
@@ -62,16 +63,16 @@ void Strand::wake(std::unique_lock<std::mutex>& lock) {
 void Strand::run() {
   const Strand* outer = std::exchange(current_strand, this);
   const std::int64_t begin_ns = steady_ns();
-  const std::int64_t weight = weight_of_run(begin_ns);
-  const std::int64_t cpu_begin_ns = weight > 0 ? thread_cpu_ns() : 0;
+  const bool measured = is_measured(begin_ns);
+  const std::int64_t cpu_begin_ns = measured ? thread_cpu_ns() : 0;
   Turn turn;
   bool more = true;
   for (std::size_t turns = 0; more && turns < 8; ++turns) {
     more = take_turn(turn);
     if (more) run_turn(turn);
   }
-  if (weight > 0) cpu_ns_.fetch_add(weight * (thread_cpu_ns() - cpu_begin_ns), std::memory_order_relaxed);
-  busy_ns_.fetch_add(steady_ns() - begin_ns, std::memory_order_relaxed);
+  const std::int64_t cpu_ns = measured ? thread_cpu_ns() - cpu_begin_ns : -1;
+  count_time(steady_ns() - begin_ns, cpu_ns);
   current_strand = outer;
   if (more) {
     executor_.submit(shared_from_this());
@@ -80,17 +81,34 @@ void Strand::run() {
   }
 }
 
-// To read a thread's CPU time the kernel is called. So of the runs after the first ten of ten milliseconds one in
-// kRunsPerMeasured is measured, chosen by chance lest it be always the same one of a rhythm, and counts for all of
-// them.
-std::int64_t Strand::weight_of_run(std::int64_t now_ns) {
-  if (now_ns - window_ns_ >= 10'000'000) {
+// To read a thread's CPU time the kernel is called, which takes longer than to hand over a message. So of a strand that
+// runs often only some runs are measured, so few that the hundredth of its messages that waits longest is none of
+// theirs: the first of each tenth of a second, and one in kRunsPerMeasured, by chance lest it be always the same one of
+// a rhythm.
+bool Strand::is_measured(std::int64_t now_ns) {
+  if (now_ns - window_ns_ >= 100'000'000) {
     window_ns_ = now_ns;
-    runs_ = 0;
+    return true;
   }
-  if (++runs_ <= 10) return 1;
   chance_ = chance_ * 1664525U + 1013904223U;
-  return chance_ >> 16U & (kRunsPerMeasured - 1) ? 0 : kRunsPerMeasured;
+  return (chance_ >> 16U) % kRunsPerMeasured == 0;
+}
+
+// Those that are not measured have waited for as much of their time as those that were.
+void Strand::count_time(std::int64_t busy_ns, std::int64_t cpu_ns) {
+  busy_ns_.fetch_add(busy_ns, std::memory_order_relaxed);
+  if (cpu_ns < 0) {
+    cpu_ns = static_cast<std::int64_t>(static_cast<double>(busy_ns) * cpu_share_);
+  } else if (busy_ns > 0) {
+    cpu_ns = std::min(cpu_ns, busy_ns);
+    measured_busy_ns_ += static_cast<double>(busy_ns);
+    measured_cpu_ns_ += static_cast<double>(cpu_ns);
+    cpu_share_ = measured_cpu_ns_ / measured_busy_ns_;
+    // What was long ago counts less and less.
+    measured_busy_ns_ *= kKeptOfMeasured;
+    measured_cpu_ns_ *= kKeptOfMeasured;
+  }
+  cpu_ns_.fetch_add(cpu_ns, std::memory_order_relaxed);
 }
 
 bool Strand::take_turn(Turn& turn) {

@@ -88,8 +88,8 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   std::size_t waiting_jobs() const;
   /// [any thread] Time spent running, by the machine's steady clock.
   Duration busy_time() const { return Duration(busy_ns_.load(std::memory_order_relaxed)); }
-  /// [any thread] CPU time that its work took, exact for a strand that runs at most 1000 times a second: of more runs
-  /// than that, some are measured and stand for all.
+  /// [any thread] CPU time that its work took: exact for a strand that runs at most ten times a second. Of more runs
+  /// than that, some are measured, and the others taken to have waited for as much of their time.
   Duration cpu_time() const { return Duration(cpu_ns_.load(std::memory_order_relaxed)); }
 
   void run() override;
@@ -104,7 +104,8 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   void wake(std::unique_lock<std::mutex>& lock);
   bool take_turn(Turn& turn);
   void run_turn(Turn& turn);
-  std::int64_t weight_of_run(std::int64_t now_ns);
+  bool is_measured(std::int64_t now_ns);
+  void count_time(std::int64_t busy_ns, std::int64_t cpu_ns);
 
   const std::string name_;
   Executor& executor_;
@@ -116,9 +117,12 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   std::atomic<bool> closed_{false};  ///< written under the mutex
   std::atomic<std::int64_t> busy_ns_{0};
   std::atomic<std::int64_t> cpu_ns_{0};
-  std::int64_t window_ns_ = 0;  ///< of the thread that runs it, as are the next two: since when runs are counted
-  std::uint32_t runs_ = 0;      ///< in that window
-  std::uint32_t chance_ = 1;    ///< state of the choice which runs are measured
+  // Of the thread that runs it: which runs have their CPU time measured, and what came of it.
+  std::int64_t window_ns_ = 0;
+  std::uint32_t chance_ = 1;
+  double measured_busy_ns_ = 0;
+  double measured_cpu_ns_ = 0;
+  double cpu_share_ = 1;
   int busy_count_ = 0;          ///< the virtual clock's
   std::size_t busy_place_ = 0;  ///< the virtual clock's, among those that are busy
 };
