@@ -150,8 +150,13 @@ std::pair<bool, std::string> compare_field(const Message& object, const std::str
                                            control::Comparison comparison, const Value& value,
                                            const std::string& unit) {
   const bool is_plain = object.GetDescriptor()->file() == probe::Number::descriptor()->file();
-  if (path.empty() && !is_plain)
-    throw Error(ErrorCode::Usage, {.what = "a " + object.GetDescriptor()->name() + " compares by a field of it"});
+  if (path.empty() && !is_plain) {
+    std::vector<std::string> fields;
+    for (int i = 0; i < object.GetDescriptor()->field_count(); ++i)
+      fields.push_back(object.GetDescriptor()->field(i)->name());
+    throw Error(ErrorCode::Usage, {.what = "a " + object.GetDescriptor()->name() + " compares by a field of it",
+                                   .expected = fmt::format("one of {}", fmt::join(fields, ", "))});
+  }
   if (!path.empty() && is_plain)
     throw Error(ErrorCode::NotFound, {.what = "the probe is no object: it has no field '" + path + "'"});
   const auto place = locate(object, is_plain ? "value" : path);
