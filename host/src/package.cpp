@@ -34,13 +34,13 @@ const ComponentInterface& Package::component(const std::string& component_name) 
 
 /// A library as its author builds it: "DIR/libNAME.so" beside "DIR/NAME.interface.textproto".
 Package Packages::library(const std::filesystem::path& file) const {
-  if (!std::filesystem::exists(file)) {
-    throw Error(ErrorCode::NotFound, {.what = fmt::format("there is no library '{}'", file.string()),
-                                      .next = "look where it was built; or load a package by its name: ls plugins"});
-  }
   std::string name = file.stem().string();
   if (name.starts_with("lib")) name = name.substr(3);
   const auto description = file.parent_path() / (name + ".interface.textproto");
+  if (!std::filesystem::exists(file) && !std::filesystem::exists(description)) {
+    throw Error(ErrorCode::NotFound, {.what = fmt::format("there is no library '{}'", file.string()),
+                                      .next = "look where it was built; or load a package by its name: ls plugins"});
+  }
   Package found{"local/" + name, "0", std::filesystem::absolute(file), {}, {}, {}, nullptr, nullptr};
   std::ifstream stream(description);
   std::stringstream text;

@@ -33,8 +33,10 @@ std::int64_t thread_cpu_ns() {
 }  // namespace
 
 struct Strand::Turn {
-  std::vector<Job> jobs;
-  std::vector<Inbox*> ready;
+  std::int64_t begin_ns = steady_ns();  ///< of the run that it is part of
+  std::int64_t cpu_begin_ns = -1;       ///< the same by the thread's CPU time; negative: that is not measured
+  std::vector<Job> jobs{};
+  std::vector<Inbox*> ready{};
 };
 
 Strand::Strand(std::string name, Executor& executor, Clock& clock)
@@ -62,19 +64,16 @@ void Strand::wake(std::unique_lock<std::mutex>& lock) {
 
 void Strand::run() {
   const Strand* outer = std::exchange(current_strand, this);
-  const std::int64_t begin_ns = steady_ns();
-  const bool measured = is_measured(begin_ns);
-  const std::int64_t cpu_begin_ns = measured ? thread_cpu_ns() : 0;
   Turn turn;
+  if (is_measured(turn.begin_ns)) turn.cpu_begin_ns = thread_cpu_ns();
   bool more = true;
   for (std::size_t turns = 0; more && turns < 8; ++turns) {
     more = take_turn(turn);
     if (more) run_turn(turn);
   }
-  const std::int64_t cpu_ns = measured ? thread_cpu_ns() - cpu_begin_ns : -1;
-  count_time(steady_ns() - begin_ns, cpu_ns);
   current_strand = outer;
   if (more) {
+    count_time(turn);
     executor_.submit(shared_from_this());
   } else {
     clock_.strand_idle(*this);
@@ -95,12 +94,12 @@ bool Strand::is_measured(std::int64_t now_ns) {
 }
 
 // Those that are not measured have waited for as much of their time as those that were.
-void Strand::count_time(std::int64_t busy_ns, std::int64_t cpu_ns) {
+void Strand::count_time(const Turn& turn) {
+  const std::int64_t busy_ns = steady_ns() - turn.begin_ns;
   busy_ns_.fetch_add(busy_ns, std::memory_order_relaxed);
-  if (cpu_ns < 0) {
-    cpu_ns = static_cast<std::int64_t>(static_cast<double>(busy_ns) * cpu_share_);
-  } else if (busy_ns > 0) {
-    cpu_ns = std::min(cpu_ns, busy_ns);
+  auto cpu_ns = static_cast<std::int64_t>(static_cast<double>(busy_ns) * cpu_share_);
+  if (turn.cpu_begin_ns >= 0 && busy_ns > 0) {
+    cpu_ns = std::min(thread_cpu_ns() - turn.cpu_begin_ns, busy_ns);
     measured_busy_ns_ += static_cast<double>(busy_ns);
     measured_cpu_ns_ += static_cast<double>(cpu_ns);
     cpu_share_ = measured_cpu_ns_ / measured_busy_ns_;
@@ -114,6 +113,7 @@ void Strand::count_time(std::int64_t busy_ns, std::int64_t cpu_ns) {
 bool Strand::take_turn(Turn& turn) {
   const std::lock_guard lock(mutex_);
   if (jobs_.empty() && ready_.empty()) {
+    count_time(turn);  // before another thread may run it
     scheduled_ = false;
     return false;
   }

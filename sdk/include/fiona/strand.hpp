@@ -105,7 +105,7 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   bool take_turn(Turn& turn);
   void run_turn(Turn& turn);
   bool is_measured(std::int64_t now_ns);
-  void count_time(std::int64_t busy_ns, std::int64_t cpu_ns);
+  void count_time(const Turn& turn);
 
   const std::string name_;
   Executor& executor_;
