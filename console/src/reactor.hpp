@@ -31,8 +31,8 @@ class Reactor {
   Reactor& operator=(const Reactor&) = delete;
   ~Reactor();
 
-  /// From here on SIGINT ends a wait with Interrupted, SIGTERM and SIGHUP with Terminated, instead of the process. Once per
-  /// process.
+  /// From here on SIGINT ends a wait with Interrupted, SIGTERM and SIGHUP with Terminated, instead of the process. Once
+  /// per process.
   void take_signals();
 
   /// Calls `ready` whenever `descriptor` is readable or at its end, until remove(). The descriptor stays the caller's.

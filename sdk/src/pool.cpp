@@ -2,10 +2,12 @@
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
+#include <sys/timerfd.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <mutex>
@@ -22,11 +24,31 @@ namespace {
 constexpr int kWorkPerLook = 16;
 /// What epoll gives for the word that there is work; watches have other keys.
 constexpr std::uint64_t kWork = 0;
+/// What it gives at the times to look for work that no thread was told of.
+constexpr std::uint64_t kRound = 1;
 /// What it gives when nothing has happened.
 constexpr std::uint64_t kNothing = ~std::uint64_t{0};
 
-/// The pool in whose callback of a watched descriptor this thread is, if in any.
-thread_local const void* receiving = nullptr;
+/// To wake a thread and have it run takes about this long.
+constexpr std::int64_t kWakingNs = 20'000;
+/// The longest that submitted work waits for the end of the run that submitted it, should that not come soon this time.
+/// Rounds are made at this pace, for to set a timer for each piece costs more than the piece.
+constexpr itimerspec kRounds{{0, 10'000'000}, {0, 10'000'000}};
+constexpr itimerspec kNoRounds{};
+/// Rounds after the last such piece, until no more are made.
+constexpr int kIdleRounds = 20;
+constexpr std::int64_t kRunsInMean = 16;
+
+/// What this thread does for a pool, if anything.
+struct Doing {
+  const void* receiving = nullptr;  ///< the pool in whose callback of a watched descriptor it is
+  const void* running = nullptr;    ///< the pool whose work it runs
+  bool ends_soon = false;           ///< as that work usually does, once it has submitted something
+  std::int64_t submitted_ns = 0;    ///< when it has; 0: not yet
+};
+thread_local Doing doing;
+
+std::int64_t steady_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
 
 int checked(int result, const char* call) {
   if (result < 0) throw std::system_error(errno, std::generic_category(), call);
@@ -67,16 +89,20 @@ struct Pool::Threads {
   void call(std::uint64_t key, std::unique_lock<std::mutex>& lock);
   void tell() const;
   void wake_one();
+  bool takes_next();
+  void set_rounds(const itimerspec& times) const;
   void control(int operation, std::uint64_t key, int descriptor, std::uint32_t events) const;
 
   const Descriptor epoll{checked(::epoll_create1(EPOLL_CLOEXEC), "epoll_create1")};
   const Descriptor word{checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")};
+  const Descriptor timer{checked(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK), "timerfd_create")};
   std::mutex mutex;
   std::deque<std::shared_ptr<Runnable>> work;
   std::unordered_map<std::uint64_t, std::shared_ptr<Watch>> watches;
-  std::uint64_t next_key = kWork + 1;
+  std::uint64_t next_key = kRound + 1;
   std::size_t idle = 0;  ///< threads that wait, or are about to
   bool told = false;     ///< and none of them has heard yet
+  int rounds_left = 0;   ///< more than 0 while the timer runs
   bool stopping = false;
   std::vector<std::thread> threads;
 };
@@ -101,6 +127,23 @@ void Pool::Threads::wake_one() {
   tell();
 }
 
+/// Whether this thread will run what it submits now as soon as it is done, so that no other needs to be woken: that
+/// costs as much as the work. So it is with what a received message causes, and with the first piece that work submits
+/// whose runs usually end soon after; should this run go on, another thread finds it on its round. Called with the lock
+/// held.
+bool Pool::Threads::takes_next() {
+  if (doing.receiving == this) return true;
+  if (doing.running != this || doing.submitted_ns > 0) return false;
+  doing.submitted_ns = steady_ns();
+  if (!doing.ends_soon) return false;
+  if (std::exchange(rounds_left, kIdleRounds) == 0) set_rounds(kRounds);
+  return true;
+}
+
+void Pool::Threads::set_rounds(const itimerspec& times) const {
+  checked(::timerfd_settime(timer.number(), 0, &times, nullptr), "timerfd_settime");
+}
+
 void Pool::Threads::serve() {
   std::unique_lock lock(mutex);
   while (!stopping) {
@@ -113,7 +156,8 @@ void Pool::Threads::serve() {
     lock.lock();
     idle -= rests ? 1 : 0;
     if (key == kWork) told = false;
-    if (key != kWork && key != kNothing) call(key, lock);
+    if (key == kRound && rounds_left > 0 && --rounds_left == 0) set_rounds(kNoRounds);
+    if (key > kRound && key != kNothing) call(key, lock);
   }
 }
 
@@ -123,7 +167,13 @@ bool Pool::Threads::run_one(std::unique_lock<std::mutex>& lock) {
   work.pop_front();
   if (!work.empty()) wake_one();
   lock.unlock();
+  const std::int64_t usual_rest_ns = next->usual_rest_ns_;
+  doing = {.running = this, .ends_soon = usual_rest_ns < kWakingNs};
   next->run();
+  if (doing.submitted_ns > 0) {
+    next->usual_rest_ns_ = usual_rest_ns + (steady_ns() - doing.submitted_ns - usual_rest_ns) / kRunsInMean;
+  }
+  doing = {};
   next = nullptr;
   lock.lock();
   return true;
@@ -142,9 +192,9 @@ void Pool::Threads::call(std::uint64_t key, std::unique_lock<std::mutex>& lock) 
   {
     const std::lock_guard calling(watch->mutex);
     if (!watch->stopped) {
-      receiving = this;
+      doing = {.receiving = this};
       watch->ready();
-      receiving = nullptr;
+      doing = {};
       control(EPOLL_CTL_MOD, key, watch->descriptor, EPOLLIN | EPOLLONESHOT);
     }
   }
@@ -153,6 +203,7 @@ void Pool::Threads::call(std::uint64_t key, std::unique_lock<std::mutex>& lock) 
 
 Pool::Pool(std::size_t threads) : threads_(std::make_unique<Threads>()) {
   threads_->control(EPOLL_CTL_ADD, kWork, threads_->word.number(), EPOLLIN | EPOLLET);
+  threads_->control(EPOLL_CTL_ADD, kRound, threads_->timer.number(), EPOLLIN | EPOLLET);
   if (threads == 0) threads = std::max(2U, std::thread::hardware_concurrency());
   for (std::size_t i = 0; i < threads; ++i) threads_->threads.emplace_back([this] { threads_->serve(); });
 }
@@ -170,8 +221,7 @@ Pool::~Pool() {
 void Pool::submit(std::shared_ptr<Runnable> runnable) {
   const std::lock_guard lock(threads_->mutex);
   threads_->work.push_back(std::move(runnable));
-  // What a received message causes runs next on the thread that received it: to wake another costs as much as the work.
-  if (receiving != threads_.get()) threads_->wake_one();
+  if (!threads_->takes_next()) threads_->wake_one();
 }
 
 class Pool::WatchGuard final : public Readable {

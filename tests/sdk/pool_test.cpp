@@ -84,6 +84,44 @@ TEST(Pool, HasAllItsThreadsAtWorkWhenThereIsWorkForAll) {
   done.wait();
 }
 
+TEST(Pool, RunsWhatWorkSubmitsOnTheSameThreadOnceThatEnds) {
+  Pool pool(2);
+  std::promise<std::thread::id> first;
+  std::promise<std::thread::id> second;
+  submit(pool, [&] {
+    submit(pool, [&] { second.set_value(std::this_thread::get_id()); });
+    first.set_value(std::this_thread::get_id());
+  });
+  EXPECT_EQ(first.get_future().get(), second.get_future().get());
+}
+
+TEST(Pool, WakesAnotherThreadForWhatWasSubmittedByWorkThatGoesOn) {
+  Pool pool(2);
+  std::latch has_run(1);
+  std::promise<void> ends;
+  submit(pool, [&] {
+    submit(pool, [&] { has_run.count_down(); });
+    has_run.wait();
+    ends.set_value();
+  });
+  EXPECT_EQ(ends.get_future().wait_for(kLimit), std::future_status::ready);
+}
+
+TEST(Pool, WakesAnotherThreadForTheSecondPieceThatWorkSubmits) {
+  Pool pool(2);
+  std::barrier both(2);
+  std::latch done(2);
+  submit(pool, [&] {
+    for (int i = 0; i < 2; ++i) {
+      submit(pool, [&] {
+        both.arrive_and_wait();
+        done.count_down();
+      });
+    }
+  });
+  done.wait();
+}
+
 TEST(Pool, CallsAgainForADescriptorThatStaysReadable) {
   Pool pool(2);
   const Bell bell;

@@ -46,6 +46,10 @@ class Runnable {
  public:
   virtual ~Runnable() = default;
   virtual void run() = 0;
+
+ private:
+  friend class Pool;
+  std::atomic<std::int64_t> usual_rest_ns_ = 0;  ///< how long its runs of late went on after what they submitted first
 };
 
 /// Where strands get their threads from: a pool in a host, the caller's own thread on a test bench.
