@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 #include <fiona/error.hpp>
 #include <fiona/marketplace/index.hpp>
+#include <fiona/marketplace/manifest.hpp>
 #include <fiona/marketplace/store.hpp>
 
 namespace fiona::console {
@@ -95,6 +96,11 @@ const TypeSet& Catalogue::types_of(const KnownPlugin& plugin) const {
   auto& types = types_[&plugin];
   if (!types) types = std::make_unique<TypeSet>(plugin.interface.descriptors());
   return *types;
+}
+
+std::string from_here(const std::string& plugin) {
+  if (marketplace::library_path(plugin).empty()) return plugin;
+  return std::filesystem::absolute(plugin).lexically_normal().string();
 }
 
 }  // namespace fiona::console

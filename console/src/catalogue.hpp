@@ -30,6 +30,9 @@ struct KnownComponent {
   std::string load_name() const;
 };
 
+/// What is to be loaded, the path of a library made absolute: it begins where it is typed, and not where a host runs.
+std::string from_here(const std::string& plugin);
+
 /// What could be loaded: the user's store and the marketplace directory, read once. What cannot be read is left out
 /// and told by problems(), so that one damaged package does not hide the others.
 class Catalogue {

@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "catalogue.hpp"
 #include "locations.hpp"
 #include "verb_table.hpp"
 #include "watch_list.hpp"
@@ -64,7 +65,7 @@ const Word* blamed(const Line& line, const ErrorText& text) {
     };
     const bool is_port = word.find('.') != std::string::npos;
     return word.size() > 1 &&
-           (text.where == word || text.where.ends_with("." + word) || quoted(word) ||
+           (text.where == word || text.where.ends_with("." + word) || quoted(word) || quoted(from_here(word)) ||
             quoted(word.substr(0, word.find('.'))) || (is_port && text.what.find(word) != std::string::npos));
   };
   for (std::size_t i = 1; i < line.words.items.size(); ++i) {

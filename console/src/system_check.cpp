@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <fiona/contract.hpp>
+#include <fiona/marketplace/manifest.hpp>
 #include <fiona/params.hpp>
 
 #include "script.hpp"
@@ -69,7 +70,7 @@ class Checker {
 
   void take_load(const Line& line) {
     const Word& plugin = line.positional[0];
-    const bool is_path = plugin.text.ends_with(".so") || plugin.text.starts_with('/') || plugin.text.starts_with('.');
+    const bool is_path = !marketplace::library_path(plugin.text).empty();
     std::vector<KnownComponent> found = is_path ? std::vector<KnownComponent>{} : catalogue_.find(plugin.text);
     if (is_path)
       result_.remarks.push_back(fmt::format("{}: what {} is cannot be known without opening it",

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "fiona/error.hpp"
+#include "fiona/marketplace/manifest.hpp"
 #include "names.hpp"
 
 namespace fiona::host {
@@ -15,7 +16,7 @@ using trust::Access;
 // Neither switch has a default: a kind without a level does not compile.
 
 /// A path names any file on this machine, where a package is what its user has installed.
-bool names_a_library(const control::Load& load) { return load.plugin().find(".so") != std::string::npos; }
+bool names_a_library(const control::Load& load) { return !marketplace::library_path(load.plugin()).empty(); }
 
 bool names_a_file(const control::Set& set) {
   const auto& parameters = set.parameters();

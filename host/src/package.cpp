@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "fiona/error.hpp"
+#include "fiona/marketplace/manifest.hpp"
 
 namespace fiona::host {
 namespace {
@@ -73,10 +74,10 @@ std::shared_ptr<const Package> Packages::shared(Package package) const {
 }
 
 Packages::Choice Packages::find(const std::string& text) const {
-  if (const std::size_t ending = text.find(".so"); ending != std::string::npos) {
-    Package found = library(text.substr(0, ending + 3));
+  if (const std::string_view path = marketplace::library_path(text); !path.empty()) {
+    Package found = library(path);
     std::string component =
-        choose_component(found.interface, found.name, text.substr(std::min(text.size(), ending + 4)));
+        choose_component(found.interface, found.name, text.substr(std::min(text.size(), path.size() + 1)));
     return {shared(std::move(found)), std::move(component)};
   }
   // "publisher/name" and "name/component" look alike: an installed package of the whole text wins.

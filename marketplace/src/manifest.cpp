@@ -192,6 +192,12 @@ std::string path_fault(std::string_view path) {
 
 bool comes_before(std::string_view a, std::string_view b) { return rank(a) != rank(b) ? rank(a) < rank(b) : a < b; }
 
+std::string_view library_path(std::string_view plugin) {
+  constexpr std::string_view kEnding = ".so";
+  const std::size_t ending = plugin.find(kEnding);
+  return ending == std::string_view::npos ? std::string_view{} : plugin.substr(0, ending + kEnding.size());
+}
+
 std::string full_name(const Manifest& manifest) { return manifest.publisher() + "/" + manifest.name(); }
 
 std::string_view this_architecture() {

@@ -1,14 +1,24 @@
 // load, unload, wire, unwire: what changes the composition.
 #include <fmt/format.h>
 
+#include "../catalogue.hpp"
 #include "../changes.hpp"
 #include "verbs.hpp"
 
 namespace fiona::console::verbs {
+namespace {
+
+/// What the host is to load. What another machine's host is told it takes as it is.
+std::string plugin_of(Session& session, const Word& word) {
+  return session.host().remote() ? word.text : from_here(word.text);
+}
+
+}  // namespace
+
 void load(Session& session, const Line& line) {
   control::Change change;
   control::Load& load = *change.mutable_load();
-  load.set_plugin(line.positional[0].text);
+  load.set_plugin(plugin_of(session, line.positional[0]));
   if (const Word* name = line.clause("as")) load.set_instance(name->text);
   if (const Word* group = line.clause("in")) load.set_group(group->text);
   if (const Word* mode = line.clause("at")) load.set_mode(mode->text);

@@ -42,6 +42,10 @@ std::string path_fault(std::string_view path);
 /// Whether a package's file `a` comes before `b`: interface, README, lib/, share/; each sorted by bytes.
 bool comes_before(std::string_view a, std::string_view b);
 
+/// Of what is to be loaded the path of a library as its author builds it: of "DIR/libNAME.so" or
+/// "DIR/libNAME.so/component" the former; empty where an installed package is named.
+std::string_view library_path(std::string_view plugin);
+
 /// "publisher/name".
 std::string full_name(const Manifest& manifest);
 
