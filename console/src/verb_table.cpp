@@ -87,12 +87,15 @@ std::vector<Verb> operating_verbs() {
        "is "
        "neutral, and cancels what waits. To see the mode takes observe.",
        Access::Operate, verbs::state},
-      {"call", forms({"call INSTANCE.NAME [FIELD=VALUE …] [for T]"}),
+      {"call", forms({"call INSTANCE.NAME [OBJECT] [FIELD=VALUE …] [for T]"}),
        "uses a query port or a trigger by hand, and shows the answer",
-       "Of a required port: the provider at its wire's end. `for`, or 2 s, is how long it may take.", Access::Operate,
-       verbs::call, false},
-      {"send", forms({"send INSTANCE.NAME [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
-       "Waits until the provider's hull has it.", Access::Operate, verbs::call, false},
+       "Of a required port: the provider at its wire's end. OBJECT is protobuf text: {number: 7}. `for`, or 2 s, is "
+       "how "
+       "long it may take.",
+       Access::Operate, verbs::call, false},
+      {"send", forms({"send INSTANCE.NAME [OBJECT] [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
+       "OBJECT is protobuf text: {number: 7}. Waits until the provider's hull has it.", Access::Operate, verbs::call,
+       false},
   };
 }
 

@@ -75,6 +75,10 @@ void for_each_leaf(const Message& message, const std::string& prefix,
 
 void set_fields(Object& message, std::span<const control::Argument> changes) {
   for (const auto& change : changes) {
+    if (change.name().empty()) {
+      detail::merge_text(message, change.value());
+      continue;
+    }
     auto [holder, field] = locate(message, change.name());
     detail::set_field(*holder, *field, change.value(), change.name());
   }

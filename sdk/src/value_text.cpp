@@ -8,6 +8,7 @@
 #include <charconv>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include "fiona/error.hpp"
@@ -132,12 +133,18 @@ class FirstComplaint final : public google::protobuf::io::ErrorCollector {
   std::string text_;
 };
 
-void parse_message(const std::string& name, const FieldDescriptor& field, const Value& value, Message& target) {
+/// Adds what the text says to `target`; what had been expected where it cannot be read.
+std::optional<std::string> misread(const Value& value, Message& target) {
   FirstComplaint complaint;
   google::protobuf::TextFormat::Parser parser;
   parser.RecordErrorsTo(&complaint);
-  if (value.kind_case() == Value::kMessage && parser.ParseFromString(value.message(), &target)) return;
-  refuse(name, field, value, "protobuf text of " + field.message_type()->full_name() + " in braces" + complaint.text());
+  if (value.kind_case() == Value::kMessage && parser.MergeFromString(value.message(), &target)) return std::nullopt;
+  return "protobuf text of " + target.GetDescriptor()->full_name() + " in braces" + complaint.text();
+}
+
+void parse_message(const std::string& name, const FieldDescriptor& field, const Value& value, Message& target) {
+  target.Clear();
+  if (const auto expected = misread(value, target)) refuse(name, field, value, *expected);
 }
 
 void set_single(Message& m, const FieldDescriptor& f, const Value& v, const std::string& name) {
@@ -214,6 +221,12 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
 }
 
 }  // namespace
+
+void merge_text(Message& message, const Value& value) {
+  if (const auto expected = misread(value, message)) {
+    throw Error(ErrorCode::Usage, {.what = "'" + value_text(value) + "' cannot be read", .expected = *expected});
+  }
+}
 
 void set_field(Message& message, const FieldDescriptor& field, const Value& value, const std::string& name) {
   if (!field.is_repeated()) return set_single(message, field, value, name);

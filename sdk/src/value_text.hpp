@@ -13,6 +13,9 @@ namespace fiona::detail {
 void set_field(google::protobuf::Message& message, const google::protobuf::FieldDescriptor& field,
                const control::Value& value, const std::string& name);
 
+/// Sets those fields of `message` that protobuf text in braces names. Throws Error naming the value and the mistake.
+void merge_text(google::protobuf::Message& message, const control::Value& value);
+
 /// The value that `(fiona.default_value)` spells. Throws Error naming the field.
 control::Value parse_default(const google::protobuf::FieldDescriptor& field, const std::string& text);
 

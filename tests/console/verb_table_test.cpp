@@ -88,9 +88,21 @@ TEST(VerbTable, EveryRowHasHelpAccessAndAHandler) {
 
 TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
   // Words that only the person knows: numbers, times, new names.
-  const std::set<std::string> free{
-      "ADDRESS:PORT", "NAME=ADDRESS:PORT=KEY", "KEY",        "", "N", "T", "VALUE", "CODE", "WORD", "NAME", "FIELD",
-      "ENDPOINT",     "INSTANCE.PARAM=VALUE",  "FIELD=VALUE"};
+  const std::set<std::string> free{"ADDRESS:PORT",
+                                   "NAME=ADDRESS:PORT=KEY",
+                                   "KEY",
+                                   "",
+                                   "N",
+                                   "T",
+                                   "VALUE",
+                                   "CODE",
+                                   "WORD",
+                                   "NAME",
+                                   "FIELD",
+                                   "ENDPOINT",
+                                   "INSTANCE.PARAM=VALUE",
+                                   "FIELD=VALUE",
+                                   "OBJECT"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
     const std::string placeholder = slot.placeholder();

@@ -27,6 +27,12 @@ void tell_result(Session& session, const std::string& target, const control::Cal
   session.out.text(text);
 }
 
+control::Value object_of(const Line& line, const Word& word) {
+  if (word.kind == WordKind::Message) return value_of(word, line.words);
+  throw line.error(
+      word, {.what = fmt::format("'{}' is no object", word.text), .expected = "{FIELD: VALUE …}, or FIELD=VALUE"});
+}
+
 }  // namespace
 
 void call(Session& session, const Line& line) {
@@ -34,6 +40,7 @@ void call(Session& session, const Line& line) {
   control::Request request;
   control::Call& call = *request.mutable_call();
   *call.mutable_target() = port_name(line.positional[0], line.words);
+  if (line.positional.size() > 1) *call.add_arguments()->mutable_value() = object_of(line, line.positional[1]);
   for (control::Argument& argument : line.control_arguments()) *call.add_arguments() = std::move(argument);
   if (const Word* within = line.clause("for")) call.set_within_ms(duration_ms(*within, line.words));
   const std::string instance = call.target().instance();

@@ -55,8 +55,9 @@ class ParamsBase {
 /// or breaks its own range throws Error naming the field: a mistake of the author, seen when the plugin is built.
 void set_declared_defaults(Object& message);
 
-/// Sets the fields that `changes` name, converting units, and checks every declared rule (range, size, enumerators).
-/// Throws Error naming field, value, rule; `message` is then unspecified, so pass a draft.
+/// Sets the fields that `changes` name (one without a name: those in its protobuf text), converting units, and checks
+/// every declared rule (range, size, enumerators). Throws Error naming field, value, rule; `message` is then
+/// unspecified, so pass a draft.
 void set_fields(Object& message, std::span<const control::Argument> changes);
 
 /// The fields of `values` that differ from those of `others`, a message of the same type, as arguments that set them.
