@@ -15,6 +15,7 @@ namespace fiona::host {
 /// ZeroMQ is given more for a peer while it holds one chunk at most, so never holds more than two; and while it holds
 /// fewer messages than this, so that small ones that come while it is busy are sent together.
 inline constexpr std::size_t kMostInside_messages = 8;
+inline constexpr std::size_t kGoesOnBelow_messages = 2;
 /// The room that a chunk's message has for the frames beside it.
 inline constexpr std::size_t kFrameRoom = 64 * 1024;
 /// Lanes whose credit is paid back together.
@@ -34,13 +35,15 @@ struct LinkSocket::Turn final : Runnable {
 /// What of a peer's is inside ZeroMQ. ZeroMQ tells from its own thread what it has let go of.
 struct LinkSocket::Gate {
   Gate(Pool& p, std::shared_ptr<Turn> t, std::size_t c) : pool(p), turn(std::move(t)), chunk(c) {}
-  bool has_room() const { return messages < kMostInside_messages && bytes <= chunk + kFrameRoom; }
-  /// Whether more may go in; if not, the turn comes when something has left.
+  bool has_room(std::size_t most) const { return messages < most && bytes <= chunk + kFrameRoom; }
+  /// Whether more may go in; if not, the turn comes when enough has left.
   bool enter_or_wait() {
-    if (has_room()) return true;
+    if (!waiting && has_room(kMostInside_messages)) return true;
     waiting = true;
-    return has_room() && waiting.exchange(false);
+    return goes_on();
   }
+  /// Once it was full: not for each that leaves, or it would be filled one by one.
+  bool goes_on() { return has_room(kGoesOnBelow_messages) && waiting.exchange(false); }
 
   Pool& pool;
   const std::shared_ptr<Turn> turn;
@@ -109,7 +112,7 @@ struct LinkSocket::Release {
     if (!self->gate) return;
     self->gate->bytes -= self->bytes;
     self->gate->messages -= 1;
-    if (self->gate->waiting.exchange(false)) self->gate->pool.submit(self->gate->turn);
+    if (self->gate->goes_on()) self->gate->pool.submit(self->gate->turn);
   }
 };
 
