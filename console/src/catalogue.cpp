@@ -98,9 +98,9 @@ const TypeSet& Catalogue::types_of(const KnownPlugin& plugin) const {
   return *types;
 }
 
-std::string from_here(const std::string& plugin) {
+std::string loadable(const WordLine& line, const std::string& plugin) {
   if (marketplace::library_path(plugin).empty()) return plugin;
-  return std::filesystem::absolute(plugin).lexically_normal().string();
+  return std::filesystem::absolute(named_file(line, plugin)).lexically_normal().string();
 }
 
 }  // namespace fiona::console

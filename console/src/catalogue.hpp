@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "fiona/manifest.pb.h"
+#include "grammar.hpp"
 #include "types.hpp"
 
 namespace fiona::console {
@@ -30,8 +31,8 @@ struct KnownComponent {
   std::string load_name() const;
 };
 
-/// What is to be loaded, the path of a library made absolute: it begins where it is typed, and not where a host runs.
-std::string from_here(const std::string& plugin);
+/// What a line is to load, the path of a library made absolute: it does not begin where a host runs.
+std::string loadable(const WordLine& line, const std::string& plugin);
 
 /// What could be loaded: the user's store and the marketplace directory, read once. What cannot be read is left out
 /// and told by problems(), so that one damaged package does not hide the others.

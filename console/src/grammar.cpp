@@ -103,6 +103,10 @@ std::string place_text(const WordLine& line, const Place& place) {
   return fmt::format("column {}", place.column);
 }
 
+std::filesystem::path named_file(const WordLine& line, const std::filesystem::path& name) {
+  return name.is_relative() && !line.origin.empty() ? std::filesystem::path(line.origin).parent_path() / name : name;
+}
+
 bool is_keyword(std::string_view word) {
   return std::find(kKeywords.begin(), kKeywords.end(), word) != kKeywords.end();
 }

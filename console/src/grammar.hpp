@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -53,6 +54,9 @@ struct WordLine {
 
   bool empty() const { return items.empty(); }
 };
+
+/// The file that a line names: relative to the file in which the line stands, or to where it is typed.
+std::filesystem::path named_file(const WordLine& line, const std::filesystem::path& name);
 
 /// The command lines of a whole file; blank and comment lines leave nothing. `origin` names the file in errors.
 /// Throws fiona::Error (Usage) with line, column and a caret at the first thing that cannot be read.

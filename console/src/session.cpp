@@ -59,14 +59,14 @@ class LineOptions {
 
 /// The word that an error is about: the one that it names as its place, quotes, or has as a port.
 const Word* blamed(const Line& line, const ErrorText& text) {
-  const auto names = [&text](const std::string& word) {
+  const auto names = [&text, &line](const std::string& word) {
     const auto quoted = [&text](const std::string& name) {
       return text.what.find("'" + name + "'") != std::string::npos;
     };
     const bool is_port = word.find('.') != std::string::npos;
-    return word.size() > 1 &&
-           (text.where == word || text.where.ends_with("." + word) || quoted(word) || quoted(from_here(word)) ||
-            quoted(word.substr(0, word.find('.'))) || (is_port && text.what.find(word) != std::string::npos));
+    return word.size() > 1 && (text.where == word || text.where.ends_with("." + word) || quoted(word) ||
+                               quoted(loadable(line.words, word)) || quoted(word.substr(0, word.find('.'))) ||
+                               (is_port && text.what.find(word) != std::string::npos));
   };
   for (std::size_t i = 1; i < line.words.items.size(); ++i) {
     const WordLine::Item& item = line.words.items[i];

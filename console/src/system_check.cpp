@@ -368,9 +368,7 @@ class Checker {
     }
   }
   void take_source(const Line& line) {
-    std::filesystem::path file = line.positional[0].text;
-    if (file.is_relative() && !line.words.origin.empty())
-      file = std::filesystem::path(line.words.origin).parent_path() / file;
+    const std::filesystem::path file = named_file(line.words, line.positional[0].text);
     if (!sourcing_.insert(file.lexically_normal().string()).second)
       throw line.error(line.positional[0], {.what = "files source each other in a circle"});
     try {

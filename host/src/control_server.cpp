@@ -1,9 +1,12 @@
 #include "control_server.hpp"
 
+#include <fmt/chrono.h>
+#include <fmt/format.h>
 #include <poll.h>
 #include <unistd.h>
 
 #include <cstdio>
+#include <ctime>
 #include <iostream>
 #include <set>
 #include <vector>
@@ -23,6 +26,13 @@ constexpr std::size_t kMaxOpen = 1000;
 /// Of what a console over tcp says for the journal.
 constexpr std::size_t kMaxAuthor = 100;
 std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
+
+/// "2026-05-17 14:03:12", by the machine's clock.
+std::string text_of_time(std::int64_t ms) {
+  const std::time_t seconds = ms / 1000;
+  std::tm parts{};
+  return fmt::format("{:%F %T}", *::localtime_r(&seconds, &parts));
+}
 
 /// Unsent bytes above which a slow watcher loses samples, counted.
 constexpr std::size_t kSlowWatcher = 1024 * 1024;
@@ -46,10 +56,10 @@ ControlServer::ControlServer(const std::filesystem::path& socket, System::Option
                 if (!event.has_tapped()) return events_.push(event);
                 events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
               }),
-      restored_(restore ? Journal::read(journal_of(socket)) : std::vector<control::Change>()),
-      engine_(system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }),
+      engine_(
+          system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }, restore),
       masters_(system_, engine_, [this](std::function<void()> work) { work_.push(std::move(work)); }) {
-  if (restore) begin_restoring();
+  if (restore) this->restore(journal_of(socket));
 }
 
 ControlServer::~ControlServer() = default;
@@ -73,10 +83,15 @@ void ControlServer::add_client(os::Descriptor socket, Rights rights) {
 }
 
 /// The system as a journal tells of it is made before the host says that it is there; one that cannot be is an error.
-void ControlServer::begin_restoring() {
+void ControlServer::restore(const std::filesystem::path& journal) {
+  const Journal::Told told = Journal::read(journal);
+  if (told.damaged > 0) {
+    std::cerr << journal.string() << ": the last " << told.damaged << " of " << told.bytes + told.damaged
+              << " bytes cannot be read: changes after " << text_of_time(told.last_ms) << " are not restored\n";
+  }
   control::Transact request;
   request.set_whole(true);
-  request.mutable_changes()->Add(restored_.begin(), restored_.end());
+  request.mutable_changes()->Add(told.changes.begin(), told.changes.end());
   std::optional<control::Reply> answered;
   engine_.transact("restore", request, [&answered](const control::Reply& reply) { answered = reply; });
   while (!answered) {
@@ -91,6 +106,7 @@ void ControlServer::begin_restoring() {
     for (const auto& work : work_.take()) work();
   }
   if (answered->has_failure()) throw_failure(answered->failure());
+  engine_.restored();
 }
 
 int ControlServer::serve(int lifeline, int signals) {

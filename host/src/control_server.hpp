@@ -65,7 +65,7 @@ class ControlServer {
   Waits::Answer answer_to(std::uint64_t client, std::uint64_t request);
   void send_last(std::uint64_t client, const control::Reply& reply);
   void forget_open(std::uint64_t client, std::uint64_t request);
-  void begin_restoring();
+  void restore(const std::filesystem::path& journal);
   void send(std::uint64_t client, const control::Reply& reply);
   void on_wire_lost(const wire::WireLost& lost);
   void on_event(const wire::GroupMessage& event);
@@ -83,7 +83,6 @@ class ControlServer {
   os::UnixListener listener_;
   std::unique_ptr<RemoteConsoles> remote_;
   System system_;
-  const std::vector<control::Change> restored_;  ///< read before the journal begins anew
   Engine engine_;
   Masters masters_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;

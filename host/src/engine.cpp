@@ -81,8 +81,10 @@ void add(control::Done& total, const control::Done& one, std::size_t steps) {
 
 }  // namespace
 
-Engine::Engine(System& system, std::filesystem::path journal, Later later)
-    : system_(system), journal_(std::move(journal)), later_(std::move(later)), self_(std::make_shared<Engine*>(this)) {}
+Engine::Engine(System& system, std::filesystem::path journal, Later later, bool restores)
+    : system_(system), journal_(std::move(journal)), later_(std::move(later)), self_(std::make_shared<Engine*>(this)) {
+  if (!restores) journal_.take_over();
+}
 
 Engine::~Engine() { *self_ = nullptr; }
 

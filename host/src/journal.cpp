@@ -74,10 +74,18 @@ std::string Journal::record_of(const control::JournalEntry& entry) {
 
 Journal::Journal(std::filesystem::path file) : file_(std::move(file)) {
   if (file_.empty()) return;
+  place_ = file_.string() + ".next";
+  descriptor_ = open_new(place_);
+  write({});
+  syncer_ = std::thread([this] { sync_until_closed(); });
+}
+
+void Journal::take_over() {
+  if (file_.empty()) return;
   std::error_code none;
   std::filesystem::rename(file_, file_.string() + ".old", none);
-  descriptor_ = open_new(file_);
-  syncer_ = std::thread([this] { sync_until_closed(); });
+  if (::rename(place_.c_str(), file_.c_str()) != 0) fail(file_);
+  place_ = file_;
 }
 
 Journal::~Journal() {
@@ -168,37 +176,47 @@ void Journal::fold(const Model& now) {
   for (auto& step : Model::difference(Model(), now)) *whole.add_steps() = std::move(step);
   const std::filesystem::path fresh = file_.string() + ".new";
   os::Descriptor opened = open_new(fresh);
-  const std::string record = record_of(whole);
+  const std::string record = record_of({}) + record_of(whole);
   write_all(opened.get(), record, fresh);
-  if (::fdatasync(opened.get()) != 0 || ::rename(fresh.c_str(), file_.c_str()) != 0) fail(file_);
+  if (::fdatasync(opened.get()) != 0 || ::rename(fresh.c_str(), place_.c_str()) != 0) fail(place_);
   const std::lock_guard lock(mutex_);
   descriptor_ = std::move(opened);
   written_bytes_ = record.size();
 }
 
-std::vector<control::Change> Journal::read(const std::filesystem::path& file) {
+Journal::Told Journal::read(const std::filesystem::path& file) {
   std::ifstream stream(file, std::ios::binary);
   if (!stream) throw Error(ErrorCode::NotFound, {.what = "there is no journal", .where = file.string()});
-  return changes_in(std::string{std::istreambuf_iterator<char>(stream), {}});
+  const std::string text{std::istreambuf_iterator<char>(stream), {}};
+  Told told = told_by(text);
+  if (told.bytes > 0) return told;
+  throw Error(ErrorCode::Failed,
+              {.what = "the journal cannot be read: its first record is damaged",
+               .where = file.string(),
+               .found = fmt::format("{} bytes", text.size()),
+               .next = "begin without --restore; the journal before it is beside it, and ends in .old"});
 }
 
-std::vector<control::Change> Journal::changes_in(std::string_view text) {
+Journal::Told Journal::told_by(std::string_view text) {
+  Told told;
   std::map<std::uint64_t, control::JournalEntry> entries;
-  for (std::size_t at = 0; at + kHeadBytes <= text.size();) {
-    const std::size_t size = number_at(text, at);
-    if (size > kMaxRecord || size > text.size() - at - kHeadBytes) break;
-    const std::string_view body = text.substr(at + kHeadBytes, size);
+  while (told.bytes + kHeadBytes <= text.size()) {
+    const std::size_t size = number_at(text, told.bytes);
+    if (size > kMaxRecord || size > text.size() - told.bytes - kHeadBytes) break;
+    const std::string_view body = text.substr(told.bytes + kHeadBytes, size);
     control::JournalEntry entry;
-    if (checksum(body) != number_at(text, at + 4) || !entry.ParseFromArray(body.data(), static_cast<int>(size))) break;
+    if (checksum(body) != number_at(text, told.bytes + 4) || !entry.ParseFromArray(body.data(), static_cast<int>(size)))
+      break;
+    told.last_ms = std::max(told.last_ms, entry.time_ms());
     entries[entry.number()] = std::move(entry);
-    at += kHeadBytes + size;
+    told.bytes += kHeadBytes + size;
   }
-  std::vector<control::Change> changes;
+  told.damaged = text.size() - told.bytes;
   for (const auto& [number, entry] : entries) {
     if (entry.state() == control::JournalEntry::DONE)
-      changes.insert(changes.end(), entry.steps().begin(), entry.steps().end());
+      told.changes.insert(told.changes.end(), entry.steps().begin(), entry.steps().end());
   }
-  return changes;
+  return told;
 }
 
 }  // namespace fiona::host

@@ -20,18 +20,21 @@ namespace fiona::host {
 ///
 /// A record is written before the step that it tells of and reaches the disk within a second, off the path of whoever
 /// changes the system. Record: the length of the entry in 4 bytes and the first 4 bytes of its BLAKE2b hash, both
-/// little endian, then the JournalEntry; a later record of the same number replaces an earlier one. Reading ends at the
-/// first record that is not whole.
+/// little endian, then the JournalEntry; a later record of the same number replaces an earlier one. The first record is
+/// an entry without number, so that an empty file is no journal. Reading ends at the first record that is not whole.
 class Journal {
  public:
   /// Entries that are kept for `undo`; older ones are folded into one that builds the system as it was after them.
   static constexpr std::size_t kMaxEntries = 1000;
 
-  /// Without a file it is kept in memory only. An old journal is set aside as FILE.old.
+  /// Without a file it is kept in memory only. Written as FILE.next until it takes over.
   explicit Journal(std::filesystem::path file);
   ~Journal();
   Journal(const Journal&) = delete;
   Journal& operator=(const Journal&) = delete;
+
+  /// From now on it is the journal in FILE; the one that was there is set aside as FILE.old. Throws Error Failed.
+  void take_over();
 
   /// Numbers the entry and writes it as under way. Throws Error Failed when it cannot be written: then nothing is
   /// begun.
@@ -42,11 +45,17 @@ class Journal {
   const control::JournalEntry* last_done() const;
   const std::deque<control::JournalEntry>& entries() const { return entries_; }
 
-  /// The changes that give the system back that a journal ends with: what was under way counts as not begun. Throws
-  /// Error NotFound if there is no such file.
-  static std::vector<control::Change> read(const std::filesystem::path& file);
+  /// What a journal tells.
+  struct Told {
+    std::vector<control::Change> changes;  ///< give the system back; what was under way counts as not begun
+    std::size_t bytes = 0;                 ///< of whole records
+    std::size_t damaged = 0;               ///< behind them, which cannot be read
+    std::int64_t last_ms = 0;              ///< when the last change was begun that can be read, since 1970; 0: none
+  };
+  /// Throws Error NotFound if there is no such file, and Failed if none of it can be read.
+  static Told read(const std::filesystem::path& file);
   /// The same of the bytes of one.
-  static std::vector<control::Change> changes_in(std::string_view bytes);
+  static Told told_by(std::string_view bytes);
   static std::string record_of(const control::JournalEntry& entry);
 
  private:
@@ -56,6 +65,7 @@ class Journal {
   void sync_until_closed();
 
   const std::filesystem::path file_;
+  std::filesystem::path place_;  ///< where it is written now
   os::Descriptor descriptor_;
   std::deque<control::JournalEntry> entries_;
   std::uint64_t next_number_ = 1;

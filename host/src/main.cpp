@@ -8,6 +8,7 @@
 #include <boost/program_options.hpp>
 #include <iostream>
 #include <string>
+#include <utility>
 
 #include "control_server.hpp"
 #include "fiona/error.hpp"
@@ -69,10 +70,12 @@ std::filesystem::path runtime_directory() {
   return "/tmp/fiona-" + std::to_string(::geteuid());
 }
 
-void tell(int descriptor, const std::string& line) {
-  if (descriptor < 0) return;
-  static_cast<void>(::write(descriptor, line.data(), line.size()));
-  ::close(descriptor);
+/// Once; false if nobody waits to hear it, or nobody does any more.
+bool tell(int& descriptor, const std::string& line) {
+  if (descriptor < 0) return false;
+  const bool told = ::write(descriptor, line.data(), line.size()) == static_cast<ssize_t>(line.size());
+  ::close(std::exchange(descriptor, -1));
+  return told;
 }
 
 /// Signals that end the run, as a descriptor; blocked before any thread starts.
@@ -85,7 +88,7 @@ int signals_as_descriptor() {
   return ::signalfd(-1, &ending, SFD_CLOEXEC | SFD_NONBLOCK);
 }
 
-int serve(const Flags& flags) {
+int serve(Flags& flags) {
   const int signals = signals_as_descriptor();
   const std::filesystem::path socket =
       flags.socket.empty() ? runtime_directory() / (flags.name + ".sock") : std::filesystem::path(flags.socket);
@@ -124,12 +127,10 @@ int main(int argc, char** argv) {
     std::cerr << "fiona-host: " << error.what() << "\n" << description;
     return 2;
   } catch (const fiona::Error& error) {
-    tell(flags.ready, std::string(error.what()) + "\n");
-    std::cerr << "fiona-host: " << error.what() << "\n";
+    if (!tell(flags.ready, std::string(error.what()) + "\n")) std::cerr << "fiona-host: " << error.what() << "\n";
     return static_cast<int>(error.code());
   } catch (const std::exception& error) {
-    tell(flags.ready, std::string(error.what()) + "\n");
-    std::cerr << "fiona-host: " << error.what() << "\n";
+    if (!tell(flags.ready, std::string(error.what()) + "\n")) std::cerr << "fiona-host: " << error.what() << "\n";
     return 1;
   }
 }

@@ -51,9 +51,10 @@ void break_off(const JournalEntries& entries, std::size_t by) {
   const std::size_t cut = by % bytes.size();
   int whole = 0;
   while (ends[static_cast<std::size_t>(whole) + 1] <= cut) ++whole;
-  if (Journal::changes_in(std::string_view(bytes).substr(0, cut)).size() != changes_of(entries, whole)) std::abort();
+  if (Journal::told_by(std::string_view(bytes).substr(0, cut)).changes.size() != changes_of(entries, whole))
+    std::abort();
   bytes[cut] = static_cast<char>(bytes[cut] ^ 1);
-  if (Journal::changes_in(bytes).size() != changes_of(entries, whole)) std::abort();
+  if (Journal::told_by(bytes).changes.size() != changes_of(entries, whole)) std::abort();
 }
 
 }  // namespace
@@ -63,7 +64,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   static const auto kLogBefore = google::protobuf::SetLogHandler(nullptr);
   static_cast<void>(kLogBefore);
   const std::string_view bytes(reinterpret_cast<const char*>(data), size);
-  apply(Journal::changes_in(bytes));
+  apply(Journal::told_by(bytes).changes);
   JournalEntries entries;
   if (!entries.ParseFromArray(data, static_cast<int>(size))) return 0;
   std::size_t hash = size;

@@ -357,33 +357,52 @@ TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   make({load("source", "spare")});
   EXPECT_TRUE(undo().has_done());
   // What a killed process leaves is what has been written: read beside the one that lives.
-  const auto changes = Journal::read(directory.path / "journal");
+  const auto changes = Journal::read(directory.path / "journal").changes;
   Model restored;
   for (const auto& change : changes) restored.make(change, system.system().packages());
   EXPECT_TRUE(Model::difference(restored, system.system().model()).empty());
   EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
 }
 
-TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeIt) {
+TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeItOrIsRefused) {
   make({load("source", "source")});
   make({load("source", "spare")});
   std::ifstream stream(directory.path / "journal", std::ios::binary);
-  const std::string whole_text{std::istreambuf_iterator<char>(stream), {}};
-  std::size_t last = 3;
-  for (std::size_t size = whole_text.size(); size-- > 0;) {
-    std::ofstream(directory.path / "cut", std::ios::binary) << whole_text.substr(0, size);
-    const auto changes = texts(Journal::read(directory.path / "cut"));
-    ASSERT_LE(changes.size(), last);
-    last = changes.size();
-    ASSERT_TRUE(changes.empty() || changes.front() == "load source");
+  const std::string whole{std::istreambuf_iterator<char>(stream), {}};
+  const auto all = texts(Journal::told_by(whole).changes);
+  ASSERT_EQ(all.size(), 2U);
+  const auto check = [&](const std::string& bytes, std::size_t first_damaged) {
+    std::ofstream(directory.path / "damaged", std::ios::binary) << bytes;
+    try {
+      const Journal::Told told = Journal::read(directory.path / "damaged");
+      const auto changes = texts(told.changes);
+      EXPECT_TRUE(std::equal(changes.begin(), changes.end(), all.begin())) << "at " << first_damaged;
+      EXPECT_LE(told.bytes, first_damaged);
+      EXPECT_EQ(told.bytes + told.damaged, bytes.size());
+    } catch (const Error& error) {
+      EXPECT_LT(first_damaged, 8U) << error.what();
+      EXPECT_EQ(error.text().what, "the journal cannot be read: its first record is damaged");
+    }
+  };
+  for (std::size_t size = 0; size < whole.size(); ++size) check(whole.substr(0, size), size);
+  for (std::size_t at = 0; at < whole.size(); ++at) {
+    std::string damaged = whole;
+    damaged[at] = static_cast<char>(damaged[at] ^ (1 << (at % 8)));
+    check(damaged, at);
   }
-  EXPECT_EQ(last, 0U);
-  for (std::size_t at = 0; at < whole_text.size(); at += 7) {
-    std::string damaged = whole_text;
-    damaged[at] ^= 0x10;
-    std::ofstream(directory.path / "cut", std::ios::binary) << damaged;
-    ASSERT_LE(Journal::read(directory.path / "cut").size(), 2U);
-  }
+}
+
+TEST_P(Transactions, JournalOfTheHostBeforeStaysUntilItIsRestored) {
+  make({load("source", "source")});
+  const auto file = directory.path / "journal";
+  const auto size = std::filesystem::file_size(file);
+  Mailbox<std::function<void()>> work;
+  Engine next(
+      system.system(), file, [&](std::function<void()> job) { work.push(std::move(job)); }, true);
+  EXPECT_EQ(std::filesystem::file_size(file), size);
+  next.restored();
+  EXPECT_EQ(std::filesystem::file_size(file.string() + ".old"), size);
+  EXPECT_TRUE(Journal::read(file).changes.empty());
 }
 
 INSTANTIATE_TEST_SUITE_P(Over, Transactions,

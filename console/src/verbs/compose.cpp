@@ -9,8 +9,8 @@ namespace fiona::console::verbs {
 namespace {
 
 /// What the host is to load. What another machine's host is told it takes as it is.
-std::string plugin_of(Session& session, const Word& word) {
-  return session.host().remote() ? word.text : from_here(word.text);
+std::string plugin_of(Session& session, const Line& line, const Word& word) {
+  return session.host().remote() ? word.text : loadable(line.words, word.text);
 }
 
 }  // namespace
@@ -18,7 +18,7 @@ std::string plugin_of(Session& session, const Word& word) {
 void load(Session& session, const Line& line) {
   control::Change change;
   control::Load& load = *change.mutable_load();
-  load.set_plugin(plugin_of(session, line.positional[0]));
+  load.set_plugin(plugin_of(session, line, line.positional[0]));
   if (const Word* name = line.clause("as")) load.set_instance(name->text);
   if (const Word* group = line.clause("in")) load.set_group(group->text);
   if (const Word* mode = line.clause("at")) load.set_mode(mode->text);

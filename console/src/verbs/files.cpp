@@ -55,8 +55,7 @@ void save(Session& session, const Line& line) {
 void source(Session& session, const Line& line) {
   // A file that sources itself would never end.
   constexpr int kDeepest = 16;
-  fs::path file = line.positional[0].text;
-  if (file.is_relative() && !line.words.origin.empty()) file = fs::path(line.words.origin).parent_path() / file;
+  const fs::path file = named_file(line.words, line.positional[0].text);
   if (session.source_depth >= kDeepest)
     throw line.error(line.positional[0], {.what = fmt::format("files source each other more than {} deep", kDeepest)});
   const std::vector<Line> lines = read_script(file);
