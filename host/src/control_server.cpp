@@ -155,6 +155,11 @@ void ControlServer::poll_once(int lifeline, int signals) {
     if (waits[fixed + i].revents != 0) serve_client(ids[i]);
   }
   for (const auto& line : system_.watch_groups()) std::cerr << line << "\n";
+  if (system_.kept_threads() > System::kMostKeptThreads && !exit_code_) {
+    std::cerr << "the host ends: its components have kept " << system_.kept_threads()
+              << " threads; load those that hang in a GROUP, which is ended and started again\n";
+    exit_code_ = static_cast<int>(ErrorCode::ComponentFailed);
+  }
   send_held();
   if (waits[0].revents != 0) accept_clients();
 }

@@ -30,6 +30,8 @@ class ControlServer {
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
   /// The exit code of the run.
   int serve(int lifeline, int signals);
+  /// Whether components keep threads, which nobody can end.
+  bool has_kept_threads() const { return system_.kept_threads() > 0; }
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return system_.listens(); }
   /// Where it serves consoles over tcp; empty: nowhere.

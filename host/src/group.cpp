@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <iostream>
 #include <thread>
 
 #include "failure.hpp"
@@ -25,8 +26,6 @@ constexpr milliseconds kWaitingRequest{3'000};
 /// Of all others, which a process that does not hang answers at once.
 constexpr milliseconds kRequest{2'000};
 constexpr std::chrono::seconds kReadyDeadline{5};
-/// A process that stands still for so long hangs. A second is what it may take until its consumers know.
-constexpr milliseconds kHangs{600};
 
 milliseconds patience_with(const wire::GroupRequest& request) {
   switch (request.what_case()) {
@@ -41,6 +40,7 @@ milliseconds patience_with(const wire::GroupRequest& request) {
 /// Where a group finds its socket.
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
+constexpr int kLivenessPage = 5;
 
 std::vector<std::string> clock_arguments(const Clock& clock) {
   const auto* system = dynamic_cast<const SystemClock*>(&clock);
@@ -139,18 +139,25 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       clock_(start.clock),
       master_(start.master),
       on_event_(std::move(on_event)),
-      watched_(start.watched && !start.master) {
+      liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {
+  // Virtual time has a watchdog of its own.
+  const auto& page = *static_cast<const Liveness::Page*>(liveness_->data());
+  if (start.parts && !start.master) hangs_ = std::make_unique<HangWatch>(page, start.parts);
   auto [ours, theirs] = os::socket_pair();
   std::vector<std::string> arguments{"--name",  this->name(), "--endpoint",
                                      endpoint_, "--threads",  std::to_string(start.threads)};
   for (auto& argument : clock_arguments(clock_)) arguments.push_back(std::move(argument));
-  std::vector<std::pair<int, int>> inherited{{theirs.get(), kGroupSocket}};
+  std::vector<std::pair<int, int>> inherited{{output_.write_end(), STDOUT_FILENO},
+                                             {output_.write_end(), STDERR_FILENO},
+                                             {theirs.get(), kGroupSocket},
+                                             {liveness_->descriptor(), kLivenessPage}};
   os::Descriptor clock_socket;
   if (master_) clock_socket = master_->add(this->name(), endpoint_);
   if (master_) inherited.emplace_back(clock_socket.get(), kClockSocket);
   child_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-group", arguments, inherited);
   clock_socket.reset();
   theirs.reset();
+  output_.close_write_end();
   stream_ = std::make_unique<os::MessageStream>(std::move(ours));
   wake_ = either_readable(stream_->descriptor(), child_->descriptor());
   wire::GroupRequest welcome;
@@ -204,7 +211,7 @@ bool ChildGroup::receive() {
   return stream_->receive() && ended.revents == 0;
 }
 
-void ChildGroup::note_end() {
+void ChildGroup::note_end(const std::string& why) {
   if (!end_.empty()) return;
   // The socket closes a moment before the process can be reaped.
   for (int tries = 0; tries < 50 && end_.empty(); ++tries) {
@@ -212,6 +219,9 @@ void ChildGroup::note_end() {
     if (end_.empty()) std::this_thread::sleep_for(std::chrono::milliseconds(2));
   }
   if (end_.empty()) end_ = "closed its connection to the host";
+  if (!why.empty()) end_ = why;
+  std::cerr << output_.take(Steady::now());
+  if (const std::string said = output_.last_lines(); !said.empty()) end_ += "; it wrote: " + said;
 }
 
 /// The message with this id, passing on events meanwhile; none when the deadline passes or the process ends.
@@ -233,23 +243,20 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time de
       return std::nullopt;
     }
     const Time now = Steady::now();
-    const bool readable = wait_readable(watched_ ? std::min(deadline, now + kWatchEvery) : deadline);
+    const bool readable = wait_readable(hangs_ ? std::min(deadline, now + kWatchEvery) : deadline);
     if (!readable && now >= deadline) return std::nullopt;
     watch(now);
     ended = !alive() || (readable && !receive());
   }
 }
 
-/// A process that is stopped says nothing, not even that its lease has run out. Virtual time has a watchdog of its own.
 void ChildGroup::watch(Time now) {
-  if (!watched_ || !alive()) return;
-  if (!child_->is_stopped()) return still_since_.reset();
-  if (!still_since_) still_since_ = now;
-  const auto still = std::chrono::duration_cast<milliseconds>(now - *still_since_);
-  if (still < kHangs) return;
+  if (alive()) std::cerr << output_.take(now);
+  if (!hangs_ || !alive()) return;
+  const auto hangs = hangs_->look(now, child_->is_stopped());
+  if (hangs.empty()) return;
   child_->kill();
-  note_end();
-  end_ = "stood still for " + std::to_string(still.count()) + " ms, and was ended";
+  note_end("was ended: " + hangs.front().text());
 }
 
 /// An event, or a late answer: whoever asked waits no more, but the process answers again.

@@ -9,8 +9,11 @@
 
 #include "clock_master.hpp"
 #include "fiona/error.hpp"
+#include "group_output.hpp"
+#include "hang_watch.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
+#include "os/shared_memory.hpp"
 #include "runtime.hpp"
 
 namespace fiona::host {
@@ -68,6 +71,8 @@ class MainGroup final : public Group {
   pid_t process() const override;
   bool alive() const override { return true; }
   Links& links() { return runtime_.links(); }
+  /// [control thread] Of an instance that does not come back from its work.
+  void give_up(const std::string& instance, const std::string& reason) { runtime_.give_up(instance, reason); }
   void peer_lost(const wire::PeerLost& gone) override;
   std::map<std::string, FrameCounts> frame_counts() { return runtime_.frame_counts(); }
 
@@ -95,7 +100,7 @@ class ChildGroup final : public Group {
     const Clock& clock;
     ClockMaster* master = nullptr;
     std::size_t threads = 0;  ///< of its pool; 0: one per core
-    bool watched = true;      ///< ended when it stands still
+    HangWatch::Parts parts;   ///< what its instances may be doing; none: it is not ended when it hangs
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
@@ -115,7 +120,8 @@ class ChildGroup final : public Group {
   int descriptor() const { return wake_.get(); }
   /// [control thread] Passes on the events that have come. False once the process is gone.
   bool serve();
-  /// [control thread] Ends it once it has stood still for too long: its consumers are to be told within a second.
+  /// [control thread] Passes on what it writes. Ends it once it stands still, or one of its instances does not come
+  /// back from its work.
   void watch(Time now);
   /// How it ended; empty while it lives.
   const std::string& end() const { return end_; }
@@ -132,7 +138,8 @@ class ChildGroup final : public Group {
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, Time deadline);
   void take(const wire::GroupMessage& message);
   Error unreachable() const;
-  void note_end();
+  /// `why` we ended it; empty: it ended by itself.
+  void note_end(const std::string& why = "");
   bool send(wire::GroupRequest& request);
   void pass_on(const wire::GroupMessage& event);
 
@@ -142,8 +149,9 @@ class ChildGroup final : public Group {
   const Runtime::OnEvent on_event_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;
-  const bool watched_;
-  std::optional<Time> still_since_;
+  GroupOutput output_;
+  std::unique_ptr<os::SharedMemory> liveness_;
+  std::unique_ptr<HangWatch> hangs_;  ///< none: nobody watches
   os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
   std::optional<Unanswered> unanswered_;

@@ -1,6 +1,7 @@
 // fiona-group: the process of a group. It is started by a host, inherits a socket to it as descriptor 3, does what
 // comes over that socket, and ends when the socket closes.
 #include <poll.h>
+#include <unistd.h>
 
 #include <google/protobuf/stubs/logging.h>
 
@@ -14,6 +15,7 @@
 #include "mailbox.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
+#include "os/shared_memory.hpp"
 #include "runtime.hpp"
 
 namespace {
@@ -24,9 +26,12 @@ using fiona::host::Runtime;
 
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
+constexpr int kLivenessPage = 5;
 /// Unsent bytes above which a host is slow, and events wait: of watched values so many as the mailbox holds.
 constexpr std::size_t kSlowHost = 1024 * 1024;
 constexpr std::chrono::seconds kWelcomeDeadline{5};
+/// Once its host is gone, whatever its components do.
+constexpr std::chrono::seconds kEndsWithin{4};
 
 /// What a process that was stopped finds before it: whoever asked has been told that it was not done.
 bool has_expired(const fiona::wire::GroupRequest& request) {
@@ -100,11 +105,21 @@ std::string key_from(fiona::os::MessageStream& stream) {
   return request.welcome().key();
 }
 
+/// A library that another process wants to open.
+int try_library(const std::string& library) {
+  const std::string verdict = fiona::host::PluginLibraries::tried(library);
+  const bool told = ::write(kGroupSocket, verdict.data(), verdict.size()) > 0;
+  ::_exit(told ? 0 : 1);  // without what its destructors do
+}
+
 int run(int argc, char** argv) {
+  if (argc == 3 && argv[1] == std::string_view("--try")) return try_library(argv[2]);
   const std::string endpoint = value_of(argc, argv, "--endpoint");
   const auto clock = make_clock(argc, argv);
   auto* const follower = dynamic_cast<GroupClock*>(clock.get());
-  fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")));
+  const fiona::os::SharedMemory page(fiona::os::Descriptor(kLivenessPage), sizeof(fiona::Liveness::Page));
+  const auto liveness = std::make_shared<fiona::Liveness>(*static_cast<fiona::Liveness::Page*>(page.data()));
+  fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")), liveness);
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
@@ -123,6 +138,7 @@ int run(int argc, char** argv) {
   if (!stream.send(ready)) return 1;
   if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
   const int code = serve(runtime, follower, stream, events);
+  fiona::os::end_within(kEndsWithin, code);
   clock->stop();
   return code;
 }

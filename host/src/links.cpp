@@ -391,7 +391,7 @@ void Links::retire(std::uint64_t wire_id) {
   wire->drain([this, wire_id] { cut(wire_id, "another provider has taken its place"); });
 }
 
-void Links::release(const Hull& hull) {
+void Links::release(const Hull& hull, const std::string& reason) {
   std::vector<std::uint64_t> left;
   {
     const std::lock_guard lock(mutex_);
@@ -402,7 +402,7 @@ void Links::release(const Hull& hull) {
       if (&requirement.client->port().hull() == &hull) left.push_back(id);
     }
   }
-  for (const std::uint64_t id : left) cut(id, "'" + hull.name() + "' has ended");
+  for (const std::uint64_t id : left) cut(id, reason);
   // Another thread may have taken one of its wires out of reach just before, and not yet be done with the port.
   ports_in_use_.wait_for_end();
 }

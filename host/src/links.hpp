@@ -68,7 +68,7 @@ class Links {
   void retire(std::uint64_t wire);
   /// [control thread] The ports of `hull` are going: so does what is left of their wires. After it returned no thread
   /// of a link uses them.
-  void release(const Hull& hull);
+  void release(const Hull& hull, const std::string& reason);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
   /// Of a process on a virtual clock: by where the peer listens, which is its name towards this process too.

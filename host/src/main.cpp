@@ -19,6 +19,10 @@ namespace {
 
 namespace options = boost::program_options;
 
+/// All that it does at its end, calls of life cycles included; and where threads are kept, which do not end.
+constexpr std::chrono::seconds kEndsWithin{20};
+constexpr std::chrono::seconds kKeptThreads{1};
+
 struct Flags {
   std::string name = "main";
   std::string socket;
@@ -107,7 +111,10 @@ int serve(Flags& flags) {
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
   if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";
   tell(flags.ready, "READY\n" + server.listens());
-  return server.serve(flags.lifeline, signals);
+  const int code = server.serve(flags.lifeline, signals);
+  // A thread that a component keeps is not waited for.
+  fiona::os::end_within(server.has_kept_threads() ? kKeptThreads : kEndsWithin, code);
+  return code;
 }
 
 }  // namespace

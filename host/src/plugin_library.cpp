@@ -28,6 +28,8 @@ namespace {
   throw Error(ErrorCode::Failed, std::move(text));
 }
 
+const std::string kThrows = "a static constructor of it throws: ";
+
 boost::dll::shared_library load(const std::string& name, const std::filesystem::path& path) {
   if (!std::filesystem::exists(path)) {
     refuse(name, path, {.what = "its library is missing", .next = "market install " + name});
@@ -35,7 +37,11 @@ boost::dll::shared_library load(const std::string& name, const std::filesystem::
   std::error_code error;
   boost::dll::shared_library library;
   ::dlerror();
-  library.load(path, error, boost::dll::load_mode::rtld_now | boost::dll::load_mode::rtld_local);
+  try {
+    library.load(path, error, boost::dll::load_mode::rtld_now | boost::dll::load_mode::rtld_local);
+  } catch (...) {
+    refuse(name, path, {.what = kThrows + fiona::detail::reason_of_exception(), .next = "tell the publisher"});
+  }
   if (!error) return library;
   // Boost.DLL has only "bad file descriptor" to say; the loader itself names the symbol or file.
   const char* loader = ::dlerror();
@@ -46,6 +52,15 @@ boost::dll::shared_library load(const std::string& name, const std::filesystem::
 }
 
 }  // namespace
+
+std::string PluginLibraries::tried(const std::filesystem::path& path) {
+  try {
+    if (!::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL)) return "+";  // it is asked why when it is opened
+  } catch (...) {
+    return "+" + kThrows + fiona::detail::reason_of_exception();
+  }
+  return "+";
+}
 
 PluginLibraries::PluginLibraries() = default;
 
@@ -110,7 +125,9 @@ const Plugin& PluginLibraries::open(const std::string& name, const std::filesyst
             .expected = std::string("the symbol ") + kPluginEntrySymbol,
             .next = "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } defines it"});
   }
-  const auto& entry = *library.handle.get<const PluginEntry*()>(kPluginEntrySymbol)();
+  const PluginEntry* const found = library.handle.get<const PluginEntry*()>(kPluginEntrySymbol)();
+  if (!found) refuse(name, path, {.what = "its entry is null", .next = "tell the publisher"});
+  const PluginEntry& entry = *found;
   if (entry.size < sizeof(PluginEntry) || entry.edge_version != kPluginEdgeVersion ||
       std::string_view(entry.abi) != kAbiTag) {
     refuse(name, path,
@@ -118,6 +135,9 @@ const Plugin& PluginLibraries::open(const std::string& name, const std::filesyst
             .expected = kAbiTag,
             .found = entry.abi,
             .next = "install the package again"});
+  }
+  if (!entry.declare) {
+    refuse(name, path, {.what = "its entry has no function that names its components", .next = "tell the publisher"});
   }
   Plugin plugin;
   entry.declare(plugin);

@@ -14,6 +14,10 @@ namespace fiona::host {
 /// cannot be taken back (architecture 5), so another build of a loaded plugin needs a fresh process.
 class PluginLibraries {
  public:
+  /// Opens it as `open` would, in a process that does nothing else, and ends. What the loader says does not matter
+  /// here. How it was, for `Trials`: "+", and what was thrown.
+  static std::string tried(const std::filesystem::path& path);
+
   PluginLibraries();
   ~PluginLibraries();
 

@@ -37,6 +37,8 @@ class Runtime final {
   /// [control thread] Does what is asked. What cannot be done is in the message, as a Failure.
   wire::GroupMessage handle(const wire::GroupRequest& request);
   const std::string& endpoint() const { return links_.endpoint(); }
+  /// [control thread] An instance does not come back from its work: it has failed, its wires are lost.
+  void give_up(const std::string& instance, const std::string& reason);
   std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
   Links& links() { return links_; }
 
@@ -48,6 +50,7 @@ class Runtime final {
     std::string mode_at_load;
     std::string doc;
     std::unique_ptr<Hull> hull;
+    bool hangs = false;  ///< it has been given up
   };
   /// A wire within this process.
   struct Wire {
@@ -77,7 +80,7 @@ class Runtime final {
   void arrange(const wire::Arrange& request, wire::Switched& switched);
   void cut(const wire::Cut& request);
   void retire(std::uint64_t wire);
-  void end_wires(const Hull& hull);
+  void end_wires(const Hull& hull, Connection now, const std::string& reason);
   ProvidedPort& provided(const control::PortName& name);
   RequiredPort& required(const control::PortName& name);
 

@@ -4,6 +4,7 @@
 #include "failure.hpp"
 #include "fiona/describe.hpp"
 #include "fiona/error.hpp"
+#include "hang_watch.hpp"
 #include "runtime.hpp"
 
 namespace fiona::host {
@@ -14,9 +15,9 @@ void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& l
     hull.create(entry.make);
   } catch (const Error&) {
     throw;
-  } catch (const std::exception& error) {
+  } catch (...) {
     throw Error(ErrorCode::ComponentFailed,
-                {.what = "component '" + entry.name + "' cannot be made: " + error.what(),
+                {.what = "component '" + entry.name + "' cannot be made: " + detail::reason_of_exception(),
                  .where = library,
                  .expected = "a constructor that only declares; on_start() opens files and devices",
                  .next = "tell the publisher"});
@@ -50,8 +51,11 @@ std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Pl
 }
 
 /// Until it is in the mode that it was asked for, with its parameters.
-void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& packaged, const wire::Create& request) {
+void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& packaged, const wire::Create& request,
+              Liveness::Place& thread) {
+  thread.begins(Liveness::mark(kItsConstructor));
   make_component(hull, entry, request.library());
+  thread.rests();
   const auto difference = interface_difference(interface_of(hull, entry.name, entry.doc), packaged);
   if (!difference.empty()) {
     throw Error(ErrorCode::Failed,
@@ -67,6 +71,8 @@ void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& 
 }  // namespace
 
 void Runtime::create(const wire::Create& request) {
+  Liveness::Place thread(pool_.liveness(), request.instance());  // this one
+  thread.begins(Liveness::mark(kItsLibrary));
   const Plugin& plugin = libraries_.open(request.plugin(), request.library(), request.interface());
   const auto [entry, packaged] = component_of(plugin, request);
   auto instance = std::make_unique<Instance>();
@@ -78,7 +84,7 @@ void Runtime::create(const wire::Create& request) {
   instance->hull =
       std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});
   try {
-    bring_up(*instance->hull, entry, packaged, request);
+    bring_up(*instance->hull, entry, packaged, request, thread);
   } catch (const Error& error) {
     if (instance->hull->shut_down(kLifeCycleDeadline)) static_cast<void>(instance->hull.release());
     throw Error(error.code(), without_instance(error.text(), request.instance()));
@@ -103,13 +109,26 @@ void Runtime::set_mode(const wire::SetMode& request) {
   find(request.instance()).hull->change_mode(request.mode(), within, done);
 }
 
+/// What it would do next nobody waits for any more; its thread is the caller's to replace.
+void Runtime::give_up(const std::string& name, const std::string& reason) {
+  Instance& instance = find(name);
+  instance.hangs = true;
+  Hull& hull = *instance.hull;
+  hull.fail(reason);
+  links_.release(hull, reason);
+  end_wires(hull, Connection::Lost, reason);
+  for (Port* port : hull.ports()) {
+    if (Inbox* inbox = port->inbox()) inbox->clear(Outcome::Disconnected);
+  }
+}
+
 void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   Instance& instance = find(request.instance());
   instance.hull->abandon_changes();
   taps_.release(*instance.hull);
-  links_.release(*instance.hull);
-  end_wires(*instance.hull);
-  if (const auto runs = instance.hull->shut_down(kLifeCycleDeadline)) {
+  links_.release(*instance.hull, "'" + request.instance() + "' has ended");
+  end_wires(*instance.hull, Connection::Unwired, "'" + request.instance() + "' has ended");
+  if (const auto runs = instance.hull->shut_down(instance.hangs ? Duration::zero() : kLifeCycleDeadline)) {
     reply.mutable_done()->set_note("'" + request.instance() + "' did not come free: " + *runs +
                                    " still runs, and its memory stays until the process ends");
     static_cast<void>(instance.hull.release());

@@ -113,16 +113,18 @@ void Runtime::retire(std::uint64_t id) {
 }
 
 /// Whoever asked for the end of an instance has cut its wires, unless he did not know of it any more.
-void Runtime::end_wires(const Hull& hull) {
+void Runtime::end_wires(const Hull& hull, Connection now, const std::string& reason) {
   std::vector<std::uint64_t> left;
   for (const auto& [id, wire] : wires_) {
     if (wire.provider_hull == &hull || &wire.client->port().hull() == &hull) left.push_back(id);
   }
   for (const std::uint64_t id : left) {
+    const auto client = wires_.at(id).client;
     wire::Cut request;
     request.set_wire(id);
-    request.set_reason("'" + hull.name() + "' has ended");
+    request.set_reason(reason);
     cut(request);
+    if (now == Connection::Lost) client->set_connection(now, reason);
   }
   for (const auto& retired : retired_) {
     if (const auto wire = retired.lock()) wire->cut_from(hull);

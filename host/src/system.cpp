@@ -30,6 +30,7 @@ void System::end_threads() {
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
   hosts_.reset();
+  main_hangs_.reset();
   pool_.reset();
   waits_.reset();
 }
@@ -37,7 +38,11 @@ void System::end_threads() {
 void System::use_clock(std::unique_ptr<Clock> clock) {
   end_threads();
   clock_ = std::move(clock);
-  pool_ = std::make_unique<Pool>(options_.threads);
+  pool_ = std::make_unique<Pool>(options_.threads, std::make_shared<Liveness>());
+  const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
+  if (options_.ends_hung_groups && !is_virtual) {
+    main_hangs_ = std::make_unique<HangWatch>(pool_->liveness()->page(), parts());
+  }
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (options_.directory / (options_.name + ".main.ipc")).string();
   auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) {

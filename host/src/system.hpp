@@ -20,6 +20,7 @@
 #include "package.hpp"
 #include "remote_group.hpp"
 #include "supervision.hpp"
+#include "trial.hpp"
 #include "types.hpp"
 #include "virtual_time.hpp"
 #include "waits.hpp"
@@ -41,8 +42,9 @@ class System {
     std::chrono::milliseconds patience{300};
     HostOptions hosts{};              ///< over tcp; by default none
     std::filesystem::path plugins{};  ///< libraries that a leading host may have loaded though they are in no package
-    bool ends_hung_groups = true;     ///< those whose process stands still
+    bool ends_hung_groups = true;     ///< those that stand still; and instances of `main` that do have failed
     bool restarts_groups = true;      ///< those whose process has ended
+    bool tries_libraries = true;      ///< in a process that is thrown away, before `main` opens them
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -108,10 +110,15 @@ class System {
   /// The groups that are child processes: poll their descriptors, call `serve_group` when readable.
   std::vector<ChildGroup*> child_groups();
   /// While there are groups, or are to be.
-  bool watches_groups() { return !child_groups().empty() || supervision_.any_waits(); }
+  bool watches_groups() { return watches_main() || !child_groups().empty() || supervision_.any_waits(); }
+  /// Whether a group is to be started again, later.
+  bool awaits_restart() const { return supervision_.any_waits(); }
   /// Call it every `kWatchEvery` while it watches groups: ends those that hang, starts again those that have ended.
   /// What there is to tell people, line by line.
   std::vector<std::string> watch_groups();
+  /// Threads of `main` that its instances have kept, and that have been replaced. The host ends with one more.
+  std::size_t kept_threads() const { return kept_threads_; }
+  static constexpr std::size_t kMostKeptThreads = 4;
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
@@ -157,6 +164,9 @@ class System {
   /// Of an instance that lives; throws Error Unreachable otherwise.
   Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
+  HangWatch::Parts parts() const;
+  bool watches_main() const { return main_hangs_ && pool_->liveness()->page().used > 0; }
+  void give_up(const Hang& hang);
   void lose_if_gone(const std::string& group);
   void lose(ChildGroup& gone);
   void tell_others(const ChildGroup& gone, const std::string& reason);
@@ -267,9 +277,12 @@ class System {
   Types types_;
   Model model_;
   PluginLibraries libraries_;  ///< of `main`; kept when the clock changes
+  Trials trials_;
   std::unique_ptr<Clock> clock_;
   std::unique_ptr<VirtualTime> virtual_time_;  ///< none: the clock is the system's
   std::unique_ptr<Pool> pool_;                 ///< ends before the clock that its strands live by
+  std::unique_ptr<HangWatch> main_hangs_;      ///< none: nobody watches `main`
+  std::size_t kept_threads_ = 0;
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::map<std::string, Lost> lost_;  ///< instances whose group is gone, and why

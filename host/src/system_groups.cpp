@@ -17,7 +17,7 @@ Group& System::group(const std::string& name) {
   const std::string socket = fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++);
   const std::string endpoint = "ipc://" + (options_.directory / socket).string();
   ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
-  const ChildGroup::Start start{endpoint, *clock_, master, options_.threads, options_.ends_hung_groups};
+  const ChildGroup::Start start{endpoint, *clock_, master, options_.threads, options_.ends_hung_groups ? parts() : nullptr};
   auto made = std::make_unique<ChildGroup>(
       wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
   return *(groups_[wanted] = std::move(made));
@@ -54,8 +54,36 @@ std::vector<ChildGroup*> System::child_groups() {
   return children;
 }
 
+/// Of an instance that is just being made nothing is known yet.
+HangWatch::Parts System::parts() const {
+  return [this](const std::string& name) {
+    std::vector<std::string> texts;
+    const Model::Instance* one = model_.find(name);
+    if (!one) return texts;
+    for (const auto& port : one->interface().ports()) texts.push_back(port.name());
+    for (const auto& task : one->interface().tasks()) texts.push_back("task '" + task.name() + "'");
+    for (const auto& trigger : one->interface().triggers()) texts.push_back("trigger '" + trigger.name() + "'");
+    return texts;
+  };
+}
+
+/// An instance of `main` does not come back. It cannot be ended; but nobody is to wait for it.
+void System::give_up(const Hang& hang) {
+  ++kept_threads_;
+  pool_->add_thread();
+  if (!model_.find(hang.instance)) return;
+  dynamic_cast<MainGroup&>(*groups_.at(std::string(kMainGroup))).give_up(hang.instance, hang.what());
+  for (auto& [client, wire] : wires_) {
+    const bool uses_it = client.first == hang.instance || wire.provider.instance() == hang.instance;
+    if (uses_it && wire.id != 0) wire.reason = hang.text();
+  }
+}
+
 std::vector<std::string> System::watch_groups() {
   const auto now = std::chrono::steady_clock::now();
+  if (main_hangs_) {
+    for (const Hang& hang : main_hangs_->look(now)) give_up(hang);
+  }
   for (auto* child : child_groups()) {
     child->watch(now);
     if (!child->alive()) lose(*child);

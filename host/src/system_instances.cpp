@@ -34,11 +34,20 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
   *c.mutable_interface() = made.package->interface;
   *c.mutable_parameters() = request.parameters();
   c.set_mode(request.mode());
+  if (target.name() == kMainGroup && options_.tries_libraries) trials_.require(made.package->name, made.package->library);
   try {
     target.request(std::move(create));
-  } catch (...) {
+  } catch (const Error&) {
+    const auto* child = dynamic_cast<const ChildGroup*>(&target);
+    const std::string end = child ? child->end() : "";
+    const std::string at = target.name();
     retire_if_empty(target);
-    throw;
+    if (end.empty()) throw;
+    throw Error(ErrorCode::ComponentFailed,
+                {.what = "plugin '" + made.package->name + "' has ended group '" + at + "' while it was loaded",
+                 .where = made.package->library.string(),
+                 .found = end,
+                 .next = "tell the publisher"});
   }
   types_.add(made.package->name, made.package->types);
 }

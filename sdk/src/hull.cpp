@@ -145,7 +145,11 @@ void Hull::set_parameters(std::span<const control::Argument> changes, Duration d
   }
   // A copy: what has begun goes on after the deadline, when the caller's own are gone.
   const auto kept = std::make_shared<std::vector<control::Argument>>(changes.begin(), changes.end());
-  if (!strand_->call([this, kept] { params_->apply(*kept); }, deadline)) {
+  const auto apply = [this, kept] {
+    strand_->begins(Liveness::mark(kItsParameters));
+    params_->apply(*kept);
+  };
+  if (!strand_->call(apply, deadline)) {
     throw Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' did not take the parameters in time: it is busy",
                                          .where = name_,
                                          .next = "show " + name_});
@@ -160,6 +164,7 @@ Error Hull::failure() const {
 }
 
 void Hull::start_component() {
+  strand_->begins(Liveness::mark(kItsStart));
   try {
     component_->on_start();
   } catch (const Error& error) {
@@ -223,7 +228,9 @@ std::optional<std::string> Hull::shut_down(Duration deadline) {
 }
 
 void Hull::destroy_component() {
+  strand_->begins(Liveness::mark(kItsStop));
   if (started_) guarded([this] { component_->on_stop(); });
+  strand_->begins(Liveness::mark(kItsDestructor));
   {
     const std::lock_guard lock(mutex_);
     if (mode_ != kModeFailed) mode_ = kModeShutdown;

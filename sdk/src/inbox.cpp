@@ -25,6 +25,7 @@ Inbox::Inbox(Port& port, Delivery delivery, Handler handler, Duration max_age)
       strand_(port.hull().strand()),
       delivery_(delivery),
       handler_(std::move(handler)),
+      mark_(Liveness::mark(port.name())),
       max_age_(max_age) {}
 
 Inbox::~Inbox() = default;
@@ -234,6 +235,7 @@ void Inbox::handle() {
   port_.counters().count_arrival(current_->envelope.origin, hull.clock());
   const TimePoint since = tasks_.empty() ? TimePoint() : hull.clock().now();
   std::optional<Async<>> coroutine;
+  strand_.begins(mark_);
   hull.guarded([&] { coroutine = handler_(*current_); });
   if (!coroutine) {
     finish_parcel();

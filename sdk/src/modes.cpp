@@ -232,6 +232,7 @@ void Hull::enter(std::string_view to) {
     if (serves(to, task->activity())) task->start();
   }
   for (Port* port : ports_) port->set_served(serves(to, port->activity()));
+  strand_->begins(Liveness::mark(kItsModeChange));
   guarded([this, to] { component_->on_mode(to); });
   if (mode() == to) events().mode_changed(name_, std::string(to), {});
 }

@@ -201,11 +201,17 @@ void Pool::Threads::call(std::uint64_t key, std::unique_lock<std::mutex>& lock) 
   lock.lock();
 }
 
-Pool::Pool(std::size_t threads) : threads_(std::make_unique<Threads>()) {
+Pool::Pool(std::size_t threads, std::shared_ptr<Liveness> liveness)
+    : liveness_(std::move(liveness)), threads_(std::make_unique<Threads>()) {
   threads_->control(EPOLL_CTL_ADD, kWork, threads_->word.number(), EPOLLIN | EPOLLET);
   threads_->control(EPOLL_CTL_ADD, kRound, threads_->timer.number(), EPOLLIN | EPOLLET);
   if (threads == 0) threads = std::max(2U, std::thread::hardware_concurrency());
-  for (std::size_t i = 0; i < threads; ++i) threads_->threads.emplace_back([this] { threads_->serve(); });
+  for (std::size_t i = 0; i < threads; ++i) add_thread();
+}
+
+void Pool::add_thread() {
+  const std::lock_guard lock(threads_->mutex);
+  threads_->threads.emplace_back([this] { threads_->serve(); });
 }
 
 Pool::~Pool() {

@@ -20,6 +20,8 @@ constexpr std::size_t kTurnLimit = 256;
 constexpr std::uint32_t kRunsPerMeasured = 128;
 constexpr double kKeptOfMeasured = 0.98;
 
+constexpr std::uint32_t kWork = Liveness::mark("its work");
+
 thread_local const Strand* current_strand = nullptr;
 
 std::int64_t steady_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
@@ -40,7 +42,7 @@ struct Strand::Turn {
 };
 
 Strand::Strand(std::string name, Executor& executor, Clock& clock)
-    : name_(std::move(name)), executor_(executor), clock_(clock) {}
+    : name_(std::move(name)), executor_(executor), clock_(clock), place_(executor.liveness(), name_) {}
 
 Strand::~Strand() = default;
 
@@ -74,6 +76,7 @@ void Strand::run() {
   current_strand = outer;
   if (more) {
     count_time(turn);
+    place_.rests();
     executor_.submit(shared_from_this());
   } else {
     clock_.strand_idle(*this);
@@ -114,6 +117,7 @@ bool Strand::take_turn(Turn& turn) {
   const std::lock_guard lock(mutex_);
   if (jobs_.empty() && ready_.empty()) {
     count_time(turn);  // before another thread may run it
+    place_.rests();
     scheduled_ = false;
     return false;
   }
@@ -126,6 +130,7 @@ bool Strand::take_turn(Turn& turn) {
 void Strand::run_turn(Turn& turn) {
   // A piece of work may close the strand and destroy what the rest of the turn refers to.
   for (auto& job : turn.jobs) {
+    begins(kWork);
     if (!closed_) job();
   }
   turn.jobs.clear();

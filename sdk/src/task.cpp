@@ -30,7 +30,8 @@ Task::Task(Component& owner, std::string_view name, When when, Work work, std::s
       when_(when),
       work_(std::move(work)),
       thread_work_(std::move(thread_work)),
-      activity_(activity) {
+      activity_(activity),
+      mark_(Liveness::mark("task '" + name_ + "'")) {
   if (when_.kind() == When::Kind::Periodic && when_.period() <= Duration::zero()) {
     throw Error(ErrorCode::Usage, {.what = "task '" + name_ + "' has no period",
                                    .expected = "a period above zero",
@@ -155,6 +156,7 @@ void Task::run(TimePoint since) {
   runs_.fetch_add(1, std::memory_order_relaxed);
   late_ns_.store((hull_.clock().now() - since).count(), std::memory_order_relaxed);
   std::optional<Async<>> coroutine;
+  hull_.strand().begins(mark_);
   hull_.guarded([&] { coroutine = work_(); });
   if (!coroutine) return has_ended();
   busy_ = true;

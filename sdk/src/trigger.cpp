@@ -51,6 +51,7 @@ void TriggerBase::run(const std::shared_ptr<const Object>& argument, std::shared
     return reply->answer(Outcome::NotActive, "mode " + mode, nullptr);
   }
   std::optional<Async<>> coroutine;
+  hull_.strand().begins(Liveness::mark("trigger '" + name_ + "'"));
   hull_.guarded([&] { coroutine = handler_(*argument, std::move(reply)); });
   if (!coroutine) return;
   auto hold = hull_.acquire(activity_, "trigger '" + name_ + "'");

@@ -52,6 +52,7 @@ class ServedHost {
     host::System::Options options{"served", directory_.path / "store", directory_.path, 2};
     options.ends_hung_groups = false;  // those that a test has stopped go on
     options.restarts_groups = false;
+    options.tries_libraries = false;
     if (other_) options.hosts = other_->led_from(directory_.path / "test");
     if (!serves_) return options;
     keys().make();

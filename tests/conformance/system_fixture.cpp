@@ -148,14 +148,14 @@ host::HostOptions OtherHost::led_from(const std::filesystem::path& keys) const {
 
 RunningSystem::RunningSystem(Transport transport)
     : RunningSystem(transport, transport == Transport::Tcp ? "far" : "",
-                    {.threads = 2, .ends_hung_groups = false, .restarts_groups = false}) {}
+                    {.threads = 2, .ends_hung_groups = false, .restarts_groups = false, .tries_libraries = false}) {}
 
 RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
-    : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill, .restarts_groups = false}) {}
+    : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill, .restarts_groups = false, .tries_libraries = false}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts)
     : RunningSystem(Transport::Process, "",
-                    {.threads = 2, .hosts = hosts, .ends_hung_groups = false, .restarts_groups = false}) {}
+                    {.threads = 2, .hosts = hosts, .ends_hung_groups = false, .restarts_groups = false, .tries_libraries = false}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts, EndsHungGroups)
     : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts, .restarts_groups = false}) {}

@@ -112,7 +112,7 @@ TEST_F(GroupRestart, AGroupThatEndsEachTimeIsLeftAndSaysSo) {
   system.eventually("it is left", [&] { return system.instance("source").reason().find("left") != std::string::npos; });
   EXPECT_EQ(system.instance("source").reason(), "group 'far' exited with code 3; left, after 3 restarts within 30 s");
   EXPECT_EQ(system.instance("source").restarts(), 3U);
-  EXPECT_FALSE(system.system().watches_groups());
+  EXPECT_FALSE(system.system().awaits_restart());
   system.unload("source");
   system.load_in("far", "hog", "source", "from_ms=50 die=true");
   system.eventually("it is started again", [&] { return system.instance("source").restarts() == 1; });
@@ -125,7 +125,7 @@ TEST_F(GroupRestart, WhatIsUnloadedMeanwhileStaysAway) {
   system.eventually("its end", [&] { return system.instance("source").mode() == "failed"; });
   system.unload("source");
   system.unload("sink");
-  EXPECT_FALSE(system.system().watches_groups()) << "nobody wants it any more";
+  EXPECT_FALSE(system.system().awaits_restart()) << "nobody wants it any more";
 }
 
 TEST_F(GroupRestart, OneThatIsLoadedAnewMeanwhileIsNotMadeTwice) {

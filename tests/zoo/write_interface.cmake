@@ -3,10 +3,12 @@ if(NOT ABI)
   file(STRINGS ${DESCRIBED} line REGEX "^abi: " LIMIT_COUNT 1)
   string(REGEX REPLACE "^abi: \"(.*)\"$" "\\1" ABI "${line}")
 endif()
-file(WRITE ${OUT} "abi: \"${ABI}\"
-components {
-  name: \"${COMPONENT}\"
+file(WRITE ${OUT} "abi: \"${ABI}\"\n")
+foreach(component IN LISTS COMPONENTS)
+  file(APPEND ${OUT} "components {
+  name: \"${component}\"
   ports { name: \"${PORT}\" direction: PROVIDES service: \"fiona.localisation.StepProvider\" }
   modes { name: \"active\" }
 }
 ")
+endforeach()

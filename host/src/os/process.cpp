@@ -10,6 +10,7 @@
 #include <sys/wait.h>
 
 #include <cerrno>
+#include <csignal>
 #include <cstring>
 
 #include "fiona/error.hpp"
@@ -17,12 +18,23 @@
 extern char** environ;
 
 namespace fiona::os {
+namespace {
+
+/// Above the numbers that children find their descriptors at.
+constexpr int kFirstFree = 16;
+
+}  // namespace
 
 ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
                            const std::vector<std::pair<int, int>>& inherited) {
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
-  for (const auto& [ours, theirs] : inherited) posix_spawn_file_actions_adddup2(&actions, ours, theirs);
+  // Moved out of the way first: one of ours may have the number that another is to have there.
+  std::vector<Descriptor> moved;
+  for (const auto& [ours, theirs] : inherited) {
+    moved.emplace_back(::fcntl(ours, F_DUPFD_CLOEXEC, kFirstFree));
+    posix_spawn_file_actions_adddup2(&actions, moved.back().get(), theirs);
+  }
   std::vector<std::string> words{program.string()};
   words.insert(words.end(), arguments.begin(), arguments.end());
   std::vector<char*> argv;
@@ -84,6 +96,13 @@ void keep_freed_memory() {
   constexpr int kKept = 8 * 1024 * 1024;
   ::mallopt(M_TRIM_THRESHOLD, kKept);
   ::mallopt(M_MMAP_THRESHOLD, kKept);
+}
+
+void end_within(std::chrono::seconds time, int code) {
+  static volatile std::sig_atomic_t end_code;
+  end_code = code;
+  ::signal(SIGALRM, [](int) { ::_exit(end_code); });
+  ::alarm(static_cast<unsigned>(time.count()));
 }
 
 std::string random_token() {

@@ -2,6 +2,7 @@
 
 #include <sys/types.h>
 
+#include <chrono>
 #include <filesystem>
 #include <string>
 #include <utility>
@@ -47,6 +48,9 @@ std::filesystem::path program_directory();
 /// From now on memory that is freed stays with the process, up to 8 MiB for each of the allocator's arenas, so that the
 /// next large object does not fault its pages in anew: that costs more than copying it.
 void keep_freed_memory();
+
+/// However far it has come by then, this process ends after so long, with this code.
+void end_within(std::chrono::seconds time, int code);
 
 /// 16 bytes nobody can guess.
 std::string random_token();

@@ -3,6 +3,7 @@
 #include <coroutine>
 #include <exception>
 #include <optional>
+#include <stdexcept>
 #include <utility>
 
 namespace fiona {
@@ -35,7 +36,11 @@ struct AsyncPromiseBase {
   };
   std::suspend_always initial_suspend() const noexcept { return {}; }
   FinalAwaiter final_suspend() const noexcept { return {}; }
-  void unhandled_exception() { error = std::current_exception(); }
+  void unhandled_exception() {
+    error = std::current_exception();
+    // One of another language has no pointer.
+    if (!error) error = std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception"));
+  }
 };
 
 template <class T>

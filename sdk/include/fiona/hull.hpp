@@ -34,6 +34,14 @@ class HullEvents {
 
 class Hull;
 
+/// What an instance does beside the work of its ports, tasks and triggers, as `Liveness` marks it.
+inline constexpr std::string_view kItsConstructor = "its constructor";
+inline constexpr std::string_view kItsStart = "its start";
+inline constexpr std::string_view kItsModeChange = "its change of mode";
+inline constexpr std::string_view kItsParameters = "its parameters";
+inline constexpr std::string_view kItsStop = "its stop";
+inline constexpr std::string_view kItsDestructor = "its destructor";
+
 namespace detail {
 
 /// What is being thrown, as a reason. Call inside a catch block.

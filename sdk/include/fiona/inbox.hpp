@@ -103,6 +103,7 @@ class Inbox {
   Strand& strand_;
   const Delivery delivery_;
   const Handler handler_;
+  const std::uint32_t mark_;  ///< of its work
   const Duration max_age_;
   std::vector<Task*> tasks_;  ///< that start on an arrival
 

@@ -12,11 +12,15 @@ namespace fiona {
 class Pool final : public Executor {
  public:
   /// `threads` of 0: one per core, at least two.
-  explicit Pool(std::size_t threads = 0);
+  explicit Pool(std::size_t threads = 0, std::shared_ptr<Liveness> liveness = nullptr);
   /// Stops: work that waits is dropped, work that runs is waited for.
   ~Pool() override;
 
   void submit(std::shared_ptr<Runnable> runnable) override;
+  std::shared_ptr<Liveness> liveness() const override { return liveness_; }
+
+  /// [any thread] In the place of one that does not come back from its work.
+  void add_thread();
 
   /// Calls `ready` on a pool thread whenever `descriptor` becomes readable, until the guard is destroyed. The guard's
   /// destruction waits for a call that is running, so it must not happen inside one. The descriptor stays the caller's.
@@ -28,6 +32,7 @@ class Pool final : public Executor {
   struct Watch;
   class WatchGuard;
   struct Threads;
+  const std::shared_ptr<Liveness> liveness_;
   std::unique_ptr<Threads> threads_;
 };
 

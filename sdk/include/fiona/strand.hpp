@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "fiona/liveness.hpp"
 #include "fiona/time.hpp"
 
 namespace fiona {
@@ -60,6 +61,8 @@ class Executor {
   virtual void submit(std::shared_ptr<Runnable> runnable) = 0;
   /// Runs what waits, where the executor has no threads of its own; a caller is about to wait for it.
   virtual void help() {}
+  /// Where its strands write what they are busy with; none: nobody watches them.
+  virtual std::shared_ptr<Liveness> liveness() const { return nullptr; }
 };
 
 /// Runs the work of one instance, one piece after the other, on whichever thread the executor lends: handlers,
@@ -96,6 +99,9 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   /// than that, some are measured, and the others taken to have waited for as much of their time.
   Duration cpu_time() const { return Duration(cpu_ns_.load(std::memory_order_relaxed)); }
 
+  /// [strand] What the piece of work that runs is doing from here on, as `Liveness::mark` of a text.
+  void begins(std::uint32_t mark) { place_.begins(mark); }
+
   void run() override;
   /// [clock] Lends it the thread that was kept back when it became busy.
   void start() { executor_.submit(shared_from_this()); }
@@ -114,6 +120,7 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   const std::string name_;
   Executor& executor_;
   Clock& clock_;
+  Liveness::Place place_;
   mutable std::mutex mutex_;
   std::vector<Job> jobs_;
   std::vector<Inbox*> ready_;

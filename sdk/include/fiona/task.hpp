@@ -146,6 +146,7 @@ class Task {
   const Work work_;
   const ThreadWork thread_work_;
   const std::string activity_;
+  const std::uint32_t mark_;      ///< of its work
   std::vector<Task*> followers_;  ///< those that start after this one; fixed once the component has been made
 
   std::shared_ptr<ActivityHold> hold_;  ///< while a coroutine or the thread runs

@@ -1,0 +1,78 @@
+#include "hang_watch.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/hull.hpp"
+
+namespace fiona::host {
+namespace {
+
+constexpr std::string_view kLifeCycleCalls[] = {kItsStart, kItsModeChange, kItsStop};
+constexpr std::string_view kOtherCalls[] = {kItsParameters, kItsDestructor, kItsLibrary, kItsConstructor};
+
+std::uint32_t mark_of(std::uint64_t work) { return static_cast<std::uint32_t>(work); }
+
+HangWatch::milliseconds patience_with(std::uint64_t work) {
+  const auto is = [&](std::string_view text) { return Liveness::mark(text) == mark_of(work); };
+  if (std::any_of(std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls), is)) return HangWatch::kLifeCycle;
+  return is(kItsLibrary) || is(kItsConstructor) ? HangWatch::kOpening : HangWatch::kWork;
+}
+
+/// What another process has written may be anything.
+std::string name_in(const Liveness::Slot& slot) {
+  std::string name(slot.name, std::find(std::begin(slot.name), std::end(slot.name), '\0'));
+  std::replace_if(name.begin(), name.end(), [](char c) { return c <= ' ' || c > '~'; }, '?');
+  return name;
+}
+
+}  // namespace
+
+std::string Hang::what() const {
+  const double seconds = std::chrono::duration<double>(time).count();
+  if (instance.empty()) return fmt::format("stood still for {:.1f} s", seconds);
+  return fmt::format("stuck{} for {:.1f} s", in.empty() ? "" : " in " + in, seconds);
+}
+
+std::string Hang::text() const { return instance.empty() ? "it " + what() : "'" + instance + "' was " + what(); }
+
+HangWatch::milliseconds HangWatch::passed(Time now) {
+  const auto since = std::chrono::duration_cast<milliseconds>(now - std::exchange(looked_, now));
+  return std::min(since, kMostBetween);
+}
+
+std::vector<Hang> HangWatch::look(Time now, bool stopped) {
+  if (now - looked_ < std::chrono::milliseconds(20)) return {};
+  const milliseconds step = passed(now);
+  std::vector<Hang> hangs;
+  stopped_ = stopped ? stopped_ + step : milliseconds(0);
+  if (stopped_ >= kStopped) hangs.push_back({"", "", stopped_});
+  seen_.resize(std::min<std::size_t>(page_.used.load(std::memory_order_relaxed), Liveness::kSlots));
+  for (std::size_t i = 0; i < seen_.size(); ++i) {
+    Seen& seen = seen_[i];
+    const std::uint64_t work = page_.slots[i].work.load(std::memory_order_acquire);
+    if (work == 0 || work != seen.work) {
+      seen = {work};
+      continue;
+    }
+    seen.stood += step;
+    if (seen.told || seen.stood < patience_with(work)) continue;
+    seen.told = true;
+    hangs.push_back(hang_of(page_.slots[i], seen));
+  }
+  return hangs;
+}
+
+Hang HangWatch::hang_of(const Liveness::Slot& slot, const Seen& seen) const {
+  Hang hang{name_in(slot), "", seen.stood};
+  std::vector<std::string> texts = parts_(hang.instance);
+  texts.insert(texts.end(), std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls));
+  texts.insert(texts.end(), std::begin(kOtherCalls), std::end(kOtherCalls));
+  for (const auto& text : texts) {
+    if (Liveness::mark(text) == mark_of(seen.work)) hang.in = text;
+  }
+  return hang;
+}
+
+}  // namespace fiona::host

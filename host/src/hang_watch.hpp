@@ -1,0 +1,70 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "fiona/liveness.hpp"
+
+namespace fiona::host {
+
+/// What does not come to an end in a process.
+struct Hang {
+  std::string instance;  ///< empty: the process as a whole
+  std::string in;        ///< a port's name, "task 'ticker'", "its destructor"; empty: not known
+  std::chrono::milliseconds time;
+
+  /// "stuck in imu for 1.0 s"; of a process "stood still for 0.7 s".
+  std::string what() const;
+  /// "'steps' was stuck in imu for 1.0 s", "it stood still for 0.7 s".
+  std::string text() const;
+};
+
+/// Finds pieces of work that do not end, from what the strands of a process write. It counts only time in which it
+/// looked itself: after the machine was suspended nothing hangs that did not hang before.
+class HangWatch {
+ public:
+  using Time = std::chrono::steady_clock::time_point;
+  using milliseconds = std::chrono::milliseconds;
+  /// The texts of what an instance might be doing beside its life cycle: those of its ports, tasks and triggers.
+  using Parts = std::function<std::vector<std::string>(const std::string& instance)>;
+
+  /// A piece of work that takes so long hangs (architecture 7, bounds).
+  static constexpr milliseconds kWork{1000};
+  /// Opening a library, with all that its static constructors do; making a component, which only declares.
+  static constexpr milliseconds kOpening{2000};
+  /// What a component may need time for: opening files and devices, and closing them.
+  static constexpr milliseconds kLifeCycle{10'000};
+  /// A process that has been stopped has no work to excuse it; its consumers are to be told within a second.
+  static constexpr milliseconds kStopped{600};
+  /// Of the time since it looked last no more counts.
+  static constexpr milliseconds kMostBetween{250};
+
+  HangWatch(const Liveness::Page& page, Parts parts) : page_(page), parts_(std::move(parts)) {}
+
+  /// [one thread] What has come to hang since it was called last, each once. Call it about every 100 ms. `stopped`: the
+  /// process does not run at all.
+  std::vector<Hang> look(Time now, bool stopped = false);
+
+ private:
+  struct Seen {
+    std::uint64_t work = 0;
+    milliseconds stood{0};
+    bool told = false;
+  };
+  milliseconds passed(Time now);
+  Hang hang_of(const Liveness::Slot& slot, const Seen& seen) const;
+
+  const Liveness::Page& page_;
+  const Parts parts_;
+  Time looked_{};
+  milliseconds stopped_{0};
+  std::vector<Seen> seen_;
+};
+
+/// A library is opened for an instance.
+inline constexpr std::string_view kItsLibrary = "its library";
+
+}  // namespace fiona::host

@@ -1,0 +1,5 @@
+#include <unistd.h>
+
+#include "animal.hpp"
+
+void zoo::act() { ::_exit(0); }

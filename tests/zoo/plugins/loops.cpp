@@ -1,0 +1,5 @@
+#include "animal.hpp"
+
+void zoo::act() {
+  while (for_ever) continue;
+}

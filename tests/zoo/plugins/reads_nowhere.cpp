@@ -1,0 +1,6 @@
+#include "animal.hpp"
+
+void zoo::act() {
+  int* volatile nowhere = nullptr;
+  *nowhere = 1;
+}

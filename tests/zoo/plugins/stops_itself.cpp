@@ -1,0 +1,5 @@
+#include <csignal>
+
+#include "animal.hpp"
+
+void zoo::act() { ::raise(SIGSTOP); }

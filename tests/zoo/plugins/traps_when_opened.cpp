@@ -1,0 +1,11 @@
+#include "animal.hpp"
+
+namespace {
+
+int trap() {
+  int* volatile nowhere = nullptr;
+  return *nowhere;
+}
+[[maybe_unused]] const int trapped = trap();
+
+}  // namespace
