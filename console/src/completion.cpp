@@ -142,6 +142,7 @@ Candidates verb_names(const Asked&) {
   return found;
 }
 
+Candidates rights(const Asked&) { return {"master", "network", "confined", "unconfined"}; }
 Candidates conditions(const Asked&) { return {"above", "below", "is", "changes", "older"}; }
 Candidates operators(const Asked&) { return {"==", "!=", "<", "<=", ">", ">="}; }
 
@@ -155,6 +156,7 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"MODE", modes},
       {"PARAM", parameters},
       {"GROUP", groups},
+      {"RIGHT", rights},
       {"THING", things},
       {"VERB", verb_names},
       {"LINE", verb_names},

@@ -108,6 +108,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
   if (!launch.listen.empty()) words.insert(words.end(), {"--listen", "tcp://" + launch.listen});
   if (!launch.serve.empty()) words.insert(words.end(), {"--serve", "tcp://" + launch.serve});
+  words.insert(words.end(), launch.limits.begin(), launch.limits.end());
   for (const std::string& peer : launch.peers) words.insert(words.end(), {"--peer", peer});
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());

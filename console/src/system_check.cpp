@@ -94,6 +94,14 @@ class Checker {
     check_parameters(line, instances_[name]);
   }
 
+  /// What its manifest asks for, and what the operator alone gives: the host looks at those.
+  static bool is_of_sandbox(std::string_view right) {
+    constexpr std::string_view kWhole[] = {"network", "confined", "unconfined"};
+    constexpr std::string_view kPlaces[] = {"device:", "read:/", "write:/"};
+    return std::find(std::begin(kWhole), std::end(kWhole), right) != std::end(kWhole) ||
+           std::any_of(std::begin(kPlaces), std::end(kPlaces), [&](auto place) { return right.starts_with(place); });
+  }
+
   void check_rights(const Line& line, const Word& plugin, const KnownComponent& known) {
     if (known.component == nullptr) return;
     const auto& asked = known.component->rights();
@@ -103,7 +111,9 @@ class Checker {
                                             place_text(line.words, plugin.place), plugin.text, asked[0], plugin.text,
                                             asked[0]));
     }
-    if (granted == nullptr || std::find(asked.begin(), asked.end(), granted->text) != asked.end()) return;
+    if (granted == nullptr || is_of_sandbox(granted->text) ||
+        std::find(asked.begin(), asked.end(), granted->text) != asked.end())
+      return;
     throw line.error(*granted, {.what = fmt::format("{} has no use for the right '{}'", plugin.text, granted->text)});
   }
 

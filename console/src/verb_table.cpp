@@ -16,14 +16,19 @@ std::vector<Shape> forms(std::initializer_list<std::string_view> texts) { return
 
 std::vector<Verb> composing_verbs() {
   return {
-      {"load", forms({"load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with master] [PARAM=VALUE …]"}),
+      {"load",
+       forms({"load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with RIGHT …] "
+              "[PARAM=VALUE …]"}),
        "creates an instance of a plugin",
        "PLUGIN is publisher/name, name, name/component where a plugin has several, or the path of a library.\n"
        "Without `as` the instance has the component's name; without `in` it lives in main; in HOST or HOST/GROUP on "
        "another host; `at` is its first mode.\n"
-       "`with master` lets a component that asks for it change the system, as whoever types does. A path names a file "
-       "on the host's "
-       "machine: that takes administer.",
+       "`with master` lets a component that asks for it change the system, as whoever types does. A package of another "
+       "publisher gets a group of its own, a sandbox, of its instance's name; `with network`, `with device:NAME`, "
+       "`with "
+       "read:/PATH` and `with write:/PATH` open it as far as its manifest asks; `with confined` makes a sandbox for a "
+       "package that needs none, and `with unconfined` none for one that does. A path names a file on the host's "
+       "machine: that takes administer, as do devices, files and `unconfined`.",
        Access::Compose, verbs::load},
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
@@ -170,7 +175,8 @@ std::vector<Verb> file_verbs() {
       {"run",
        forms({"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] "
               "[--store DIR] "
-              "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …]"}),
+              "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] "
+              "[--group-memory MIB] [--group-threads N]"}),
        "starts a host and runs system files in it (from a shell)",
        "Without FILE the system begins empty. In a terminal the prompt follows; --headless lets the system run until "
        "it "
@@ -178,6 +184,7 @@ std::vector<Verb> file_verbs() {
        "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"
+       "--group-memory and --group-threads say what each group may take, other than main: 1024 MiB and 128.\n"
        "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; "
        "--serve "
        "lets consoles on other machines connect. Each needs keys: keys make.",

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "confinement.hpp"
 #include "fiona/error.hpp"
 #include "fiona/marketplace/manifest.hpp"
 #include "names.hpp"
@@ -18,6 +19,14 @@ using trust::Access;
 /// A path names any file on this machine, where a package is what its user has installed.
 bool names_a_library(const control::Load& load) { return !marketplace::library_path(load.plugin()).empty(); }
 
+/// What opens files, devices or everything to a package.
+std::optional<std::string> right_beyond_a_sandbox(const control::Load& load) {
+  const auto found = std::find_if(load.rights().begin(), load.rights().end(), [](const std::string& right) {
+    return right == kUnconfined || (opens_sandbox(right) && right != "network");
+  });
+  return found == load.rights().end() ? std::nullopt : std::optional(*found);
+}
+
 bool names_a_file(const control::Set& set) {
   const auto& parameters = set.parameters();
   return set.instance() == kHostItself &&
@@ -28,6 +37,7 @@ Need need_of(const Change& change) {
   switch (change.what_case()) {
     case Change::kLoad:
       if (names_a_library(change.load())) return {Access::Administer, "load of a path"};
+      if (const auto right = right_beyond_a_sandbox(change.load())) return {Access::Administer, "load with " + *right};
       return {Access::Compose, "load"};
     case Change::kUnload: return {Access::Compose, "unload"};
     case Change::kWire: return {Access::Compose, "wire"};

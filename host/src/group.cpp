@@ -9,6 +9,7 @@
 #include <iostream>
 #include <thread>
 
+#include "confinement.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
@@ -136,6 +137,8 @@ pid_t MainGroup::process() const { return ::getpid(); }
 ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event)
     : Group(std::move(name)),
       endpoint_(start.endpoint),
+      folder_(start.folder),
+      confinement_(start.confinement),
       clock_(start.clock),
       master_(start.master),
       on_event_(std::move(on_event)),
@@ -154,7 +157,8 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   os::Descriptor clock_socket;
   if (master_) clock_socket = master_->add(this->name(), endpoint_);
   if (master_) inherited.emplace_back(clock_socket.get(), kClockSocket);
-  child_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-group", arguments, inherited);
+  child_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-group", arguments, inherited,
+                                              confinement_.sandboxed());
   clock_socket.reset();
   theirs.reset();
   output_.close_write_end();
@@ -162,17 +166,31 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   wake_ = either_readable(stream_->descriptor(), child_->descriptor());
   wire::GroupRequest welcome;
   welcome.mutable_welcome()->set_key(link_key());
+  *welcome.mutable_welcome()->mutable_confinement() = confinement_;
   stream_->send(welcome);
   // An exit with code 0 before it says ready is a failure too.
   const auto ready = wait_for(0, Steady::now() + kReadyDeadline);
-  if (ready && ready->has_ready()) return;
-  if (master_) master_->remove(endpoint_);
-  throw Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
-                                  .found = end_.empty() ? "no answer within 5 s" : end_});
+  try {
+    if (!ready || !ready->has_ready()) throw not_started();
+    ready_ = ready->ready();
+    require_sandbox(this->name(), ready_);
+  } catch (const Error&) {
+    leave_nothing();
+    throw;
+  }
 }
 
-ChildGroup::~ChildGroup() {
+Error ChildGroup::not_started() const {
+  return Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
+                                   .found = end_.empty() ? "no answer within 5 s" : end_});
+}
+
+ChildGroup::~ChildGroup() { leave_nothing(); }
+
+void ChildGroup::leave_nothing() {
   if (master_) master_->remove(endpoint_);
+  std::error_code ignored;
+  if (!folder_.empty()) std::filesystem::remove_all(folder_, ignored);
 }
 
 void ChildGroup::pass_on(const wire::GroupMessage& event) {
@@ -250,8 +268,26 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time de
   }
 }
 
+/// Of its own memory the kernel refuses it more; what it shares, and threads, it counts for nobody.
+void ChildGroup::end_if_greedy() {
+  const auto now = os::usage_of(process());
+  if (!now) return;
+  const bool memory = os::kLimitsMemory && now->memory > confinement_.memory() + confinement_.memory() / 8;
+  const bool threads = now->threads > confinement_.threads();
+  if (!memory && !threads) return;
+  child_->kill();
+  note_end(memory ? fmt::format("was ended: it took {} MiB of memory, of {} that it may have", now->memory >> 20U,
+                                confinement_.memory() >> 20U)
+                  : fmt::format("was ended: it had {} threads, of {} that it may have", now->threads,
+                                confinement_.threads()));
+}
+
+/// A process that says much is waited for again and again: it is looked at as often as any other.
 void ChildGroup::watch(Time now) {
+  if (now - watched_ < kWatchEvery / 2) return;
+  watched_ = now;
   if (alive()) std::cerr << output_.take(now);
+  if (alive()) end_if_greedy();
   if (!hangs_ || !alive()) return;
   const auto hangs = hangs_->look(now, child_->is_stopped());
   if (hangs.empty()) return;

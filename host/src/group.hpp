@@ -11,6 +11,7 @@
 #include "fiona/error.hpp"
 #include "group_output.hpp"
 #include "hang_watch.hpp"
+#include "os/limits.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
 #include "os/shared_memory.hpp"
@@ -99,8 +100,10 @@ class ChildGroup final : public Group {
     std::string endpoint;
     const Clock& clock;
     ClockMaster* master = nullptr;
-    std::size_t threads = 0;  ///< of its pool; 0: one per core
-    HangWatch::Parts parts;   ///< what its instances may be doing; none: it is not ended when it hangs
+    std::size_t threads = 0;          ///< of its pool; 0: one per core
+    HangWatch::Parts parts;           ///< what its instances may be doing; none: it is not ended when it hangs
+    wire::Confinement confinement{};  ///< what it may take and reach
+    std::filesystem::path folder{};   ///< in which it listens; removed at its end
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
@@ -120,6 +123,11 @@ class ChildGroup final : public Group {
   int descriptor() const { return wake_.get(); }
   /// [control thread] Passes on the events that have come. False once the process is gone.
   bool serve();
+  /// The walls of its sandbox; none: it has the rights of its user.
+  const wire::Ready& ready() const { return ready_; }
+  const wire::Confinement& confinement() const { return confinement_; }
+  os::Usage usage() const { return os::usage_of(process()).value_or(os::Usage()); }
+  std::uint64_t dropped_output() const { return output_.dropped(); }
   /// [control thread] Passes on what it writes. Ends it once it stands still, or one of its instances does not come
   /// back from its work.
   void watch(Time now);
@@ -138,12 +146,19 @@ class ChildGroup final : public Group {
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, Time deadline);
   void take(const wire::GroupMessage& message);
   Error unreachable() const;
+  Error not_started() const;
   /// `why` we ended it; empty: it ended by itself.
   void note_end(const std::string& why = "");
   bool send(wire::GroupRequest& request);
   void pass_on(const wire::GroupMessage& event);
 
+  void end_if_greedy();
+  void leave_nothing();
+
   const std::string endpoint_;
+  const std::filesystem::path folder_;
+  const wire::Confinement confinement_;
+  wire::Ready ready_;
   const Clock& clock_;
   ClockMaster* const master_;
   const Runtime::OnEvent on_event_;
@@ -152,6 +167,7 @@ class ChildGroup final : public Group {
   GroupOutput output_;
   std::unique_ptr<os::SharedMemory> liveness_;
   std::unique_ptr<HangWatch> hangs_;  ///< none: nobody watches
+  Time watched_{};
   os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
   std::optional<Unanswered> unanswered_;

@@ -13,8 +13,10 @@
 #include "fiona/error.hpp"
 #include "group_clock.hpp"
 #include "mailbox.hpp"
+#include "os/limits.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
+#include "os/sandbox.hpp"
 #include "os/shared_memory.hpp"
 #include "runtime.hpp"
 
@@ -95,14 +97,14 @@ std::unique_ptr<fiona::Clock> make_clock(int argc, char** argv) {
 }
 
 /// The key of this process's links, the first thing that the host says.
-std::string key_from(fiona::os::MessageStream& stream) {
+fiona::wire::Welcome welcome_from(fiona::os::MessageStream& stream) {
   const auto end = std::chrono::steady_clock::now() + kWelcomeDeadline;
   fiona::wire::GroupRequest request;
   while (!stream.next(request)) {
     if (stream.wait_readable(end) && stream.receive()) continue;
     throw fiona::Error(fiona::ErrorCode::Unreachable, "the host has not said what this group's links are opened with");
   }
-  return request.welcome().key();
+  return request.welcome();
 }
 
 /// A library that another process wants to open.
@@ -112,9 +114,39 @@ int try_library(const std::string& library) {
   ::_exit(told ? 0 : 1);  // without what its destructors do
 }
 
+/// Before the first thread: what binds one binds those that it starts.
+void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& ready) {
+  fiona::os::limit({confinement.memory(), confinement.threads()});
+  if (!confinement.sandboxed()) return;
+  fiona::os::Reach reach;
+  reach.readable.assign(confinement.readable().begin(), confinement.readable().end());
+  reach.writable.assign(confinement.writable().begin(), confinement.writable().end());
+  reach.devices.assign(confinement.devices().begin(), confinement.devices().end());
+  reach.network = confinement.network();
+  for (const auto& layer : fiona::os::confine(reach)) {
+    auto& told = *ready.add_sandbox();
+    told.set_name(layer.name);
+    told.set_detail(layer.detail);
+    told.set_missing(layer.missing);
+  }
+}
+
+/// What a sandbox would be made of here, for people.
+int probe_sandbox() {
+  for (const auto& layer : fiona::os::confine({})) {
+    std::cout << layer.name << ": " << (layer.missing.empty() ? layer.detail : "missing: " + layer.missing) << "\n";
+  }
+  return 0;
+}
+
 int run(int argc, char** argv) {
+  if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
   if (argc == 3 && argv[1] == std::string_view("--try")) return try_library(argv[2]);
   const std::string endpoint = value_of(argc, argv, "--endpoint");
+  fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
+  const auto welcome = welcome_from(stream);
+  fiona::wire::GroupMessage ready;
+  confine(welcome.confinement(), *ready.mutable_ready());
   const auto clock = make_clock(argc, argv);
   auto* const follower = dynamic_cast<GroupClock*>(clock.get());
   const fiona::os::SharedMemory page(fiona::os::Descriptor(kLivenessPage), sizeof(fiona::Liveness::Page));
@@ -122,8 +154,7 @@ int run(int argc, char** argv) {
   fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")), liveness);
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries;
-  fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
-  Runtime runtime(pool, *clock, libraries, endpoint, key_from(stream),
+  Runtime runtime(pool, *clock, libraries, endpoint, welcome.key(),
                   [&events, follower](fiona::wire::GroupMessage event) {
                     // Counted first: virtual time waits until the host has seen what was counted, so that none may be
                     // dropped. What one instant puts bounds them.
@@ -133,7 +164,6 @@ int run(int argc, char** argv) {
                     const std::size_t bytes = event.tapped().object().size();
                     events.push_newest(tap, std::move(event), bytes);
                   });
-  fiona::wire::GroupMessage ready;
   ready.mutable_ready()->set_endpoint(endpoint);
   if (!stream.send(ready)) return 1;
   if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });

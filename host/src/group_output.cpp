@@ -14,7 +14,8 @@ namespace fiona::host {
 namespace {
 
 std::string inert(std::string line) {
-  std::replace_if(line.begin(), line.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
+  std::replace_if(
+      line.begin(), line.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
   return line;
 }
 
@@ -28,7 +29,8 @@ GroupOutput::GroupOutput() {
   read_end_ = os::Descriptor(ends[0]);
   write_end_ = os::Descriptor(ends[1]);
   ::fcntl(ends[0], F_SETFL, O_NONBLOCK);
-  ::fcntl(ends[0], F_SETPIPE_SZ, static_cast<int>(kMostRead));  // a smaller one, where the user has had his share, does too
+  ::fcntl(ends[0], F_SETPIPE_SZ,
+          static_cast<int>(kMostRead));  // a smaller one, where the user has had his share, does too
 }
 
 std::string GroupOutput::take(Time now) {

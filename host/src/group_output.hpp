@@ -16,7 +16,7 @@ class GroupOutput {
   using Time = std::chrono::steady_clock::time_point;
   /// Passed on a second, and at once.
   static constexpr std::size_t kBytesPerSecond = 64 * 1024;
-  static constexpr std::size_t kBurst = 256 * 1024;
+  static constexpr std::size_t kBurst = 64 * 1024;
   /// Read at a time: who writes more than that in 100 ms waits.
   static constexpr std::size_t kMostRead = 1024 * 1024;
   static constexpr std::size_t kKeptLines = 8;

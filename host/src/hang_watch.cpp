@@ -21,9 +21,9 @@ HangWatch::milliseconds patience_with(std::uint64_t work) {
 }
 
 /// What another process has written may be anything.
-std::string name_in(const Liveness::Slot& slot) {
-  std::string name(slot.name, std::find(std::begin(slot.name), std::end(slot.name), '\0'));
-  std::replace_if(name.begin(), name.end(), [](char c) { return c <= ' ' || c > '~'; }, '?');
+std::string inert_name(std::string name) {
+  std::replace_if(
+      name.begin(), name.end(), [](char c) { return c <= ' ' || c > '~'; }, '?');
   return name;
 }
 
@@ -65,8 +65,10 @@ std::vector<Hang> HangWatch::look(Time now, bool stopped) {
 }
 
 Hang HangWatch::hang_of(const Liveness::Slot& slot, const Seen& seen) const {
-  Hang hang{name_in(slot), "", seen.stood};
-  std::vector<std::string> texts = parts_(hang.instance);
+  const std::string name(slot.name, std::find(std::begin(slot.name), std::end(slot.name), '\0'));
+  const auto known = parts_(name);
+  Hang hang{known ? name : inert_name(name), "", seen.stood};
+  std::vector<std::string> texts = known.value_or(std::vector<std::string>());
   texts.insert(texts.end(), std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls));
   texts.insert(texts.end(), std::begin(kOtherCalls), std::end(kOtherCalls));
   for (const auto& text : texts) {

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -28,8 +29,9 @@ class HangWatch {
  public:
   using Time = std::chrono::steady_clock::time_point;
   using milliseconds = std::chrono::milliseconds;
-  /// The texts of what an instance might be doing beside its life cycle: those of its ports, tasks and triggers.
-  using Parts = std::function<std::vector<std::string>(const std::string& instance)>;
+  /// The texts of what an instance might be doing beside its life cycle: those of its ports, tasks and triggers. None:
+  /// there is no instance of this name, or not yet.
+  using Parts = std::function<std::optional<std::vector<std::string>>(const std::string& instance)>;
 
   /// A piece of work that takes so long hangs (architecture 7, bounds).
   static constexpr milliseconds kWork{1000};

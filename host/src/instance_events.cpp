@@ -1,5 +1,8 @@
 #include "instance_events.hpp"
 
+#include <algorithm>
+#include <utility>
+
 namespace fiona::host {
 
 void InstanceEvents::mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) {
@@ -30,11 +33,31 @@ void InstanceEvents::asked(const std::string& instance, std::uint64_t number, co
 }
 
 void InstanceEvents::logged(const std::string& instance, LogLevel level, std::string_view text) {
+  std::uint64_t dropped = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    Allowance& allowance = allowances_[instance];
+    const auto now = std::chrono::steady_clock::now();
+    const std::chrono::duration<double> since = now - std::exchange(allowance.counted, now);
+    allowance.lines = std::min<double>(kLinesAtOnce, allowance.lines + since.count() * kLinesPerSecond);
+    if (allowance.lines < 1) {
+      ++allowance.dropped;
+      return;
+    }
+    allowance.lines -= 1;
+    dropped = std::exchange(allowance.dropped, 0);
+  }
+  if (dropped > 0) tell(instance, LogLevel::Warning, "(" + std::to_string(dropped) + " lines were dropped: too many)");
+  const bool is_long = text.size() > kLongestLine;
+  tell(instance, level, std::string(text.substr(0, kLongestLine)) + (is_long ? "…" : ""));
+}
+
+void InstanceEvents::tell(const std::string& instance, LogLevel level, std::string text) {
   wire::GroupMessage message;
   auto& log = *message.mutable_logged();
   log.set_instance(instance);
   log.set_level(static_cast<std::uint32_t>(level));
-  log.set_text(std::string(text));
+  log.set_text(std::move(text));
   on_event_(std::move(message));
 }
 

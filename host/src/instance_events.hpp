@@ -1,6 +1,9 @@
 #pragma once
 
+#include <chrono>
 #include <functional>
+#include <map>
+#include <mutex>
 #include <string>
 
 #include "fiona/hull.hpp"
@@ -14,6 +17,12 @@ class InstanceEvents final : public HullEvents {
   /// [any thread] Called on whichever thread saw it, and must not wait.
   using OnEvent = std::function<void(wire::GroupMessage)>;
 
+  /// Lines of one instance that are passed on a second, and at once; the rest is counted.
+  static constexpr std::size_t kLinesPerSecond = 200;
+  static constexpr std::size_t kLinesAtOnce = 1000;
+  /// Bytes of a line; what is longer is cut off.
+  static constexpr std::size_t kLongestLine = 4096;
+
   explicit InstanceEvents(OnEvent on_event) : on_event_(std::move(on_event)) {}
 
   void mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) override;
@@ -22,7 +31,16 @@ class InstanceEvents final : public HullEvents {
   void asked(const std::string& instance, std::uint64_t number, const control::Request& request) override;
 
  private:
+  struct Allowance {
+    double lines = kLinesAtOnce;
+    std::chrono::steady_clock::time_point counted = std::chrono::steady_clock::now();
+    std::uint64_t dropped = 0;
+  };
+  void tell(const std::string& instance, LogLevel level, std::string text);
+
   const OnEvent on_event_;
+  std::mutex mutex_;
+  std::map<std::string, Allowance> allowances_;  ///< guarded by mutex_; one for each name that an instance has had
 };
 
 }  // namespace fiona::host

@@ -35,6 +35,8 @@ struct Flags {
   std::size_t threads = 0;
   int ready = -1;
   int lifeline = -1;
+  std::uint64_t group_memory = 0;
+  std::uint64_t group_threads = 0;
   bool restore = false;
   bool version = false;
   bool help = false;
@@ -58,6 +60,11 @@ Flags parse(int argc, char** argv, options::options_description& description) {
   add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
   add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
   add("lifeline-fd", options::value(&flags.lifeline)->default_value(-1), "descriptor whose end ends the host");
+  const fiona::os::Limits limits;
+  add("group-memory", options::value(&flags.group_memory)->default_value(limits.memory >> 20U),
+      "MiB of memory that each group may take");
+  add("group-threads", options::value(&flags.group_threads)->default_value(limits.threads),
+      "threads that each group may have");
   add("restore", options::bool_switch(&flags.restore),
       "begins with the system that this host's last journal ends with");
   add("version", options::bool_switch(&flags.version), "prints the version");
@@ -92,6 +99,18 @@ int signals_as_descriptor() {
   return ::signalfd(-1, &ending, SFD_CLOEXEC | SFD_NONBLOCK);
 }
 
+constexpr std::uint64_t kLeastMemory_MiB = 64;
+constexpr std::uint64_t kLeastThreads = 8;
+
+fiona::os::Limits limits_of(const Flags& flags) {
+  if (flags.group_memory < kLeastMemory_MiB || flags.group_threads < kLeastThreads) {
+    throw fiona::Error(fiona::ErrorCode::Usage,
+                       {.what = "a group cannot live with so little",
+                        .expected = "--group-memory of 64 MiB or more, --group-threads of 8 or more"});
+  }
+  return {flags.group_memory << 20U, flags.group_threads};
+}
+
 int serve(Flags& flags) {
   const int signals = signals_as_descriptor();
   const std::filesystem::path socket =
@@ -106,7 +125,8 @@ int serve(Flags& flags) {
                                        .directory = socket.parent_path(),
                                        .threads = flags.threads,
                                        .hosts = std::move(hosts),
-                                       .plugins = flags.plugins};
+                                       .plugins = flags.plugins,
+                                       .group_limits = limits_of(flags)};
   fiona::host::ControlServer server(socket, std::move(options), flags.restore);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
   if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";

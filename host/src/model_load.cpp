@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include "confinement.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/params.hpp"
@@ -32,24 +33,27 @@ std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<c
 
 /// What is granted must be asked for, by the component's code and by the manifest that its users have read.
 void require_rights(const control::Load& request, const Model::Instance& made) {
-  const std::vector<std::string> known{"master"};
+  const std::vector<std::string> known{"master",      "network",    "device:NAME", "read:/PATH",
+                                       "write:/PATH", "unconfined", "confined"};
+  const std::vector<std::string> of_operator{std::string(kUnconfined), std::string(kConfined)};
   const auto has = [](const auto& list, const std::string& right) {
     return std::find(list.begin(), list.end(), right) != list.end();
   };
   for (const std::string& right : request.rights()) {
-    if (!has(known, right)) {
+    if (has(of_operator, right)) continue;
+    if (!has(known, right) && !opens_sandbox(right)) {
       throw Error(ErrorCode::Usage, {.what = fmt::format("there is no right '{}' that could be granted", right),
                                      .expected = fmt::format("{}", fmt::join(known, ", ")),
                                      .near = nearest_names(right, known)});
     }
-    if (!has(made.interface().rights(), right)) {
+    if (!opens_sandbox(right) && !has(made.interface().rights(), right)) {
       throw Error(ErrorCode::Usage, {.what = fmt::format("'{}' has no use for the right '{}'", made.component, right),
                                      .expected = "a component that has a fiona::Master",
                                      .next = fmt::format("load {}, without it", request.plugin())});
     }
     if (!has(made.package->rights, right)) {
       throw Error(ErrorCode::NotAllowed,
-                  {.what = fmt::format("{} uses the right '{}', and its manifest does not ask for it",
+                  {.what = fmt::format("{} cannot be granted the right '{}': its manifest does not ask for it",
                                        made.package->name, right),
                    .expected = fmt::format("rights: \"{}\" in its manifest", right),
                    .next = "tell the publisher"});
@@ -86,11 +90,14 @@ void Model::load(const control::Load& request, const Packages& packages) {
   made->plugin = request.plugin();
   made->package = package;
   made->component = component;
-  made->group = request.group().empty() ? std::string(kMainGroup) : request.group();
   made->mode_at_load = request.mode();
   made->order = next_order_;
   made->rights = {request.rights().begin(), request.rights().end()};
   made->comment = request.comment();
+  // A stranger gets a process of its own, of its name.
+  const bool shares_main =
+      is_let_in(*package) || std::find(made->rights.begin(), made->rights.end(), kUnconfined) != made->rights.end();
+  made->group = !request.group().empty() ? request.group() : shares_main ? std::string(kMainGroup) : name;
   require_rights(request, *made);
   made->mode = made->mode_after_load();
   made->parameters = made->default_parameters();

@@ -8,7 +8,10 @@
 
 namespace fiona::host {
 
-inline constexpr std::string_view kMainGroup = "main";   ///< the host's own process
+inline constexpr std::string_view kMainGroup = "main";  ///< the host's own process
+/// Rights that an operator gives, and no manifest asks for: to be in no sandbox; to be in one all the same.
+inline constexpr std::string_view kUnconfined = "unconfined";
+inline constexpr std::string_view kConfined = "confined";
 inline constexpr std::string_view kHostItself = "host";  ///< where else an instance is named
 
 using PortKey = std::pair<std::string, std::string>;  ///< instance, port

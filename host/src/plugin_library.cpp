@@ -30,6 +30,13 @@ namespace {
 
 const std::string kThrows = "a static constructor of it throws: ";
 
+/// `dlopen` says that nothing is thrown; but static constructors are called, and throw through it. It is called as if
+/// it had not said so. Null: the loader refuses.
+void* open_library(const std::filesystem::path& path) {
+  void* (*volatile const open)(const char*, int) = &::dlopen;
+  return open(path.c_str(), RTLD_NOW | RTLD_LOCAL);
+}
+
 boost::dll::shared_library load(const std::string& name, const std::filesystem::path& path) {
   if (!std::filesystem::exists(path)) {
     refuse(name, path, {.what = "its library is missing", .next = "market install " + name});
@@ -38,7 +45,11 @@ boost::dll::shared_library load(const std::string& name, const std::filesystem::
   boost::dll::shared_library library;
   ::dlerror();
   try {
-    library.load(path, error, boost::dll::load_mode::rtld_now | boost::dll::load_mode::rtld_local);
+    if (open_library(path)) {
+      library.load(path, error, boost::dll::load_mode::rtld_now | boost::dll::load_mode::rtld_local);
+    } else {
+      error = std::make_error_code(std::errc::executable_format_error);
+    }
   } catch (...) {
     refuse(name, path, {.what = kThrows + fiona::detail::reason_of_exception(), .next = "tell the publisher"});
   }
@@ -55,7 +66,7 @@ boost::dll::shared_library load(const std::string& name, const std::filesystem::
 
 std::string PluginLibraries::tried(const std::filesystem::path& path) {
   try {
-    if (!::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL)) return "+";  // it is asked why when it is opened
+    open_library(path);  // why it cannot be, is asked when it is opened
   } catch (...) {
     return "+" + kThrows + fiona::detail::reason_of_exception();
   }

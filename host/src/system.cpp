@@ -8,6 +8,7 @@ namespace fiona::host {
 
 System::System(Options options, OnEvent on_event)
     : options_(std::move(options)), on_event_(std::move(on_event)), packages_(options_.store) {
+  prepare_links();
   use_clock(std::make_unique<SystemClock>());
   if (!options_.hosts.any()) return;
   if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers;
@@ -16,6 +17,16 @@ System::System(Options options, OnEvent on_event)
       options_.hosts, options_.name, *pool_, *clock_, main.links(),
       [this](wire::GroupMessage event) { deliver_from("", std::move(event)); },
       [](const std::string& text) { std::cerr << text << "\n"; });
+}
+
+/// Those of a host of this name that was killed are of no use.
+void System::prepare_links() const {
+  namespace fs = std::filesystem;
+  fs::create_directories(links_directory());
+  fs::permissions(links_directory(), fs::perms::owner_all);
+  for (const auto& left : fs::directory_iterator(links_directory())) {
+    if (left.path().filename().string().starts_with(options_.name + ".")) fs::remove_all(left.path());
+  }
 }
 
 System::~System() { end_threads(); }
@@ -44,7 +55,7 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
     main_hangs_ = std::make_unique<HangWatch>(pool_->liveness()->page(), parts());
   }
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
-  const std::string endpoint = "ipc://" + (options_.directory / (options_.name + ".main.ipc")).string();
+  const std::string endpoint = "ipc://" + (links_directory() / (options_.name + ".main.ipc")).string();
   auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) {
     deliver_from(std::string(kMainGroup), std::move(event));
   });

@@ -44,6 +44,7 @@ class System {
     std::filesystem::path plugins{};  ///< libraries that a leading host may have loaded though they are in no package
     bool ends_hung_groups = true;     ///< those that stand still; and instances of `main` that do have failed
     bool restarts_groups = true;      ///< those whose process has ended
+    os::Limits group_limits{};        ///< of each group, other than `main`
     bool tries_libraries = true;      ///< in a process that is thrown away, before `main` opens them
   };
   /// [any thread] What happened in a group; watched values included.
@@ -154,13 +155,20 @@ class System {
   };
 
   // ---- system.cpp
+  /// Where the host's processes listen for each other: apart from the control socket, so that a sandbox holds no more.
+  std::filesystem::path links_directory() const { return options_.directory / "links"; }
+  void prepare_links() const;
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();
   void deliver(const wire::GroupMessage& event);
   void deliver_from(const std::string& group, wire::GroupMessage event);
 
   // ---- system_groups.cpp
-  Group& group(const std::string& name);
+  Group& group(const std::string& name, const Model::Instance* first = nullptr);
+  /// Of an instance that is to be made. Throws Error NotAllowed if it may not be there.
+  Group& group_for(const Model::Instance& made);
+  const Model::Instance* first_in(const std::string& group) const;
+  wire::Confinement confinement_of_group(const Model::Instance* first, const std::filesystem::path& folder) const;
   /// Of an instance that lives; throws Error Unreachable otherwise.
   Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);

@@ -1,23 +1,56 @@
 // The processes of a system: made for their instances, served, watched, and lost.
 #include <fmt/format.h>
 
+#include "confinement.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "system.hpp"
 
 namespace fiona::host {
 
-Group& System::group(const std::string& name) {
+/// The one that was loaded first of those that are in a group.
+const Model::Instance* System::first_in(const std::string& group) const {
+  const Model::Instance* first = nullptr;
+  for (const std::string& name : model_.names_in(group)) {
+    const Model::Instance& one = model_.instance(name);
+    if (!first || one.order < first->order) first = &one;
+  }
+  return first;
+}
+
+Group& System::group_for(const Model::Instance& made) {
+  const Model::Instance* first = first_in(made.group);
+  if (host_of(made.group).empty()) require_group(first, made, made.plugin);
+  return group(made.group, first ? first : &made);
+}
+
+wire::Confinement System::confinement_of_group(const Model::Instance* first,
+                                               const std::filesystem::path& folder) const {
+  wire::Confinement confinement;
+  if (first) confinement = confinement_of(*first, folder.parent_path(), folder);
+  confinement.set_memory(options_.group_limits.memory);
+  confinement.set_threads(options_.group_limits.threads);
+  return confinement;
+}
+
+Group& System::group(const std::string& name, const Model::Instance* first) {
   const std::string wanted = name.empty() ? std::string(kMainGroup) : name;
   const auto found = groups_.find(wanted);
   if (found != groups_.end() && found->second->alive()) return *found->second;
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
   require_descriptors_for("another group", child_groups().size() + attached_names());
-  const std::string socket = fmt::format("{}.{}.{}.ipc", options_.name, wanted, next_order_++);
-  const std::string endpoint = "ipc://" + (options_.directory / socket).string();
+  const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
+  std::filesystem::create_directories(folder);
+  const std::string endpoint = "ipc://" + (folder / "link").string();
   ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
-  const ChildGroup::Start start{endpoint, *clock_, master, options_.threads, options_.ends_hung_groups ? parts() : nullptr};
+  const ChildGroup::Start start{endpoint,
+                                *clock_,
+                                master,
+                                options_.threads,
+                                options_.ends_hung_groups ? parts() : nullptr,
+                                confinement_of_group(first ? first : first_in(wanted), folder),
+                                folder};
   auto made = std::make_unique<ChildGroup>(
       wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
   return *(groups_[wanted] = std::move(made));
@@ -56,10 +89,10 @@ std::vector<ChildGroup*> System::child_groups() {
 
 /// Of an instance that is just being made nothing is known yet.
 HangWatch::Parts System::parts() const {
-  return [this](const std::string& name) {
+  return [this](const std::string& name) -> std::optional<std::vector<std::string>> {
     std::vector<std::string> texts;
     const Model::Instance* one = model_.find(name);
-    if (!one) return texts;
+    if (!one) return std::nullopt;
     for (const auto& port : one->interface().ports()) texts.push_back(port.name());
     for (const auto& task : one->interface().tasks()) texts.push_back("task '" + task.name() + "'");
     for (const auto& trigger : one->interface().triggers()) texts.push_back("trigger '" + trigger.name() + "'");

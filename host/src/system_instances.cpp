@@ -11,7 +11,7 @@ namespace fiona::host {
 control::Done System::load(const control::Load& request, const Model& next) {
   const std::string name = request.instance().empty() ? packages_.find(request.plugin()).component : request.instance();
   const Model::Instance& made = next.instance(name);
-  Group& target = group(made.group);
+  Group& target = group_for(made);
   create(target, name, made, request);
   control::Done done;
   done.set_note(fmt::format("{} {} as {}{}{}", made.package->name, made.package->version, name,
@@ -34,7 +34,8 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
   *c.mutable_interface() = made.package->interface;
   *c.mutable_parameters() = request.parameters();
   c.set_mode(request.mode());
-  if (target.name() == kMainGroup && options_.tries_libraries) trials_.require(made.package->name, made.package->library);
+  if (target.name() == kMainGroup && options_.tries_libraries)
+    trials_.require(made.package->name, made.package->library);
   try {
     target.request(std::move(create));
   } catch (const Error&) {

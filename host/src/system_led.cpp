@@ -171,7 +171,7 @@ void System::obey_create(const wire::GroupRequest& request, const std::string& g
   as_ordered.set_mode(create.mode());
   note_led(name, true);  // from its first word on
   try {
-    this->create(group(group_name), name, next.instance(name), as_ordered);
+    this->create(group_for(next.instance(name)), name, next.instance(name), as_ordered);
   } catch (...) {
     note_led(name, false);
     throw;

@@ -22,6 +22,19 @@ control::PortStatus as_declared(const PortInterface& declared) {
   return status;
 }
 
+/// Of `main` there is no limit to tell.
+void add_process(control::GroupStatus& status, const Group& group) {
+  const auto* child = dynamic_cast<const ChildGroup*>(&group);
+  const auto usage = group.process() > 0 ? os::usage_of(group.process()) : std::nullopt;
+  status.set_memory(usage ? usage->memory : 0);
+  status.set_threads(usage ? usage->threads : 0);
+  if (!child) return;
+  *status.mutable_sandbox() = child->ready().sandbox();
+  status.set_memory_limit(child->confinement().memory());
+  status.set_threads_limit(child->confinement().threads());
+  status.set_dropped_output(child->dropped_output());
+}
+
 }  // namespace
 
 control::System System::snapshot() {
@@ -64,6 +77,7 @@ std::map<std::uint64_t, control::InstanceStatus> System::status_of_groups(contro
     auto& status = *all.add_groups();
     status.set_name(name);
     status.set_process(one->process());
+    add_process(status, *one);
     auto reply = one->status(options_.patience);
     status.set_alive(one->alive());
     if (!reply) continue;

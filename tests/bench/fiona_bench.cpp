@@ -158,6 +158,7 @@ std::vector<Goal> in_one_process() {
       {"stream 1 MiB to 8, one process / 8 queues", 1 / 0.8, kLargeStream, stream_to(8, 2, here), queues(8, 64)},
       {"wire to first message, one process / queue", 2.5, kRewired, by(wire_to_first_message, here), connect_to_queue},
       {"probe set, nobody watches / lock and clock", 2.0, kSmall, set_of_probe, locked_store},
+      {"piece of work, watched for hangs / not", 1.1, kSmall, watched_work, unwatched_work},
       {"plugin load / Boost.DLL", 2.0, {0, 20, 0}, plugin_load, bare_load},
   };
 }

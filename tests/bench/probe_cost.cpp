@@ -57,6 +57,39 @@ Latency set_of_probe(const Load& load) {
   return cost;
 }
 
+namespace {
+
+/// Strands that are watched write what they do.
+class WatchedExecutor final : public Executor {
+ public:
+  explicit WatchedExecutor(std::shared_ptr<Liveness> liveness) : liveness_(std::move(liveness)) {}
+  void submit(std::shared_ptr<Runnable> runnable) override { inline_.submit(std::move(runnable)); }
+  void help() override { inline_.help(); }
+  std::shared_ptr<Liveness> liveness() const override { return liveness_; }
+
+ private:
+  const std::shared_ptr<Liveness> liveness_;
+  testing::InlineExecutor inline_;
+};
+
+Latency work_on(const Load& load, std::shared_ptr<Liveness> liveness) {
+  WatchedExecutor executor(std::move(liveness));
+  SystemClock clock;
+  const auto strand = std::make_shared<Strand>("worker", executor, clock);
+  volatile int sum = 0;
+  const Latency cost = each(load, [&](int i) {
+    strand->post([&sum, i] { sum = sum + i; });
+    executor.help();
+  });
+  strand->close();
+  return cost;
+}
+
+}  // namespace
+
+Latency watched_work(const Load& load) { return work_on(load, std::make_shared<Liveness>()); }
+Latency unwatched_work(const Load& load) { return work_on(load, nullptr); }
+
 Latency locked_store(const Load& load) {
   struct Store {
     std::mutex mutex;

@@ -151,14 +151,23 @@ RunningSystem::RunningSystem(Transport transport)
                     {.threads = 2, .ends_hung_groups = false, .restarts_groups = false, .tries_libraries = false}) {}
 
 RunningSystem::RunningSystem(std::size_t threads, std::chrono::milliseconds standstill)
-    : RunningSystem(Transport::Process, "", {.threads = threads, .standstill = standstill, .restarts_groups = false, .tries_libraries = false}) {}
+    : RunningSystem(
+          Transport::Process, "",
+          {.threads = threads, .standstill = standstill, .restarts_groups = false, .tries_libraries = false}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts)
     : RunningSystem(Transport::Process, "",
-                    {.threads = 2, .hosts = hosts, .ends_hung_groups = false, .restarts_groups = false, .tries_libraries = false}) {}
+                    {.threads = 2,
+                     .hosts = hosts,
+                     .ends_hung_groups = false,
+                     .restarts_groups = false,
+                     .tries_libraries = false}) {}
 
 RunningSystem::RunningSystem(const host::HostOptions& hosts, EndsHungGroups)
     : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts, .restarts_groups = false}) {}
+
+RunningSystem::RunningSystem(EndsHungGroups, os::Limits limits)
+    : RunningSystem(Transport::Process, "", {.threads = 2, .restarts_groups = false, .group_limits = limits}) {}
 
 RunningSystem::RunningSystem(RestartsGroups) : RunningSystem(Transport::Process, "", {.threads = 2}) {}
 

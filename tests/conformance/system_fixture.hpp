@@ -113,6 +113,8 @@ class RunningSystem {
   /// Ends groups that hang, as a host does; other systems here leave alone those that a test has stopped.
   struct EndsHungGroups {};
   RunningSystem(const host::HostOptions& hosts, EndsHungGroups);
+  /// The same, and each group may take no more than this.
+  RunningSystem(EndsHungGroups, os::Limits limits);
   /// Starts again groups that have ended, as a host does; other systems here leave them as they are.
   struct RestartsGroups {};
   explicit RunningSystem(RestartsGroups);

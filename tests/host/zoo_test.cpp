@@ -3,6 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <fcntl.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+
+#include <filesystem>
+#include <fstream>
 #include <optional>
 
 #include "fiona/error.hpp"
@@ -13,6 +19,8 @@ namespace {
 
 using conformance::RunningSystem;
 using testing::HasSubstr;
+using testing::IsSupersetOf;
+using testing::StartsWith;
 
 struct Animal {
   std::string library;
@@ -29,16 +37,22 @@ std::string name_of(const testing::TestParamInfo<Animal>& tested) {
 class ZooGroup : public testing::TestWithParam<Animal> {
  protected:
   ZooGroup() {
+    // Under a sanitizer they are to end as they do without.
+    ::setenv("ASAN_OPTIONS", "handle_segv=0:handle_sigbus=0:abort_on_error=1:allocator_may_return_null=0", 0);
     system.load_in("", "source", "source", "period_ms=1");
     system.load_in("", "sink", "sink");
     system.wire("sink.each", "source.newest");
   }
-  std::optional<Error> load(const std::string& library, const std::string& group) {
+  std::optional<Error> load(const std::string& library, const std::string& group, const std::string& right = "") {
+    return load_path(std::string(ZOO_DIRECTORY) + "/lib" + library, group, right);
+  }
+  std::optional<Error> load_path(const std::string& path, const std::string& group, const std::string& right) {
     control::Change change;
     control::Load& request = *change.mutable_load();
-    request.set_plugin(std::string(ZOO_DIRECTORY) + "/lib" + library);
+    request.set_plugin(path);
     request.set_instance("patient");
     request.set_group(group);
+    if (!right.empty()) request.add_rights(right);
     try {
       system.system().perform(change);
     } catch (const Error& error) {
@@ -57,7 +71,7 @@ class ZooGroup : public testing::TestWithParam<Animal> {
     EXPECT_EQ(system.port("sink.each").dropped(), before.dropped());
   }
 
-  RunningSystem system{HostOptions{}, RunningSystem::EndsHungGroups()};
+  RunningSystem system{RunningSystem::EndsHungGroups(), os::Limits{.memory = 256U << 20U, .threads = 64}};
 };
 
 // ---- they end their process, or have to be ended --------------------------------------------------------------
@@ -75,16 +89,15 @@ constexpr const char* kSegmentation = "group 'cage' killed by signal 11 (Segment
 constexpr const char* kAborted = "group 'cage' killed by signal 6 (Aborted)";
 constexpr const char* kStuck = "group 'cage' was ended: 'patient' was stuck for ";
 
-INSTANTIATE_TEST_SUITE_P(Each, ZooDeath,
-                         testing::Values(Animal{"reads-nowhere", kSegmentation}, Animal{"overflows-stack", kSegmentation},
-                                         Animal{"aborts", kAborted}, Animal{"frees-twice", kAborted},
-                                         Animal{"throws-from-thread", kAborted}, Animal{"leaves-its-thread", kAborted},
-                                         Animal{"exits", "group 'cage' exited with code 0"},
-                                         Animal{"kills-itself", "group 'cage' killed by signal 9 (Killed)"},
-                                         Animal{"loops", kStuck}, Animal{"locks-itself-out", kStuck},
-                                         Animal{"ignores-sigterm", kStuck},
-                                         Animal{"stops-itself", "group 'cage' was ended: it stood still for "}),
-                         name_of);
+INSTANTIATE_TEST_SUITE_P(
+    Each, ZooDeath,
+    testing::Values(Animal{"reads-nowhere", kSegmentation}, Animal{"overflows-stack", kSegmentation},
+                    Animal{"aborts", kAborted}, Animal{"frees-twice", kAborted}, Animal{"throws-from-thread", kAborted},
+                    Animal{"leaves-its-thread", kAborted}, Animal{"exits", "group 'cage' exited with code 0"},
+                    Animal{"kills-itself", "group 'cage' killed by signal 9 (Killed)"}, Animal{"loops", kStuck},
+                    Animal{"locks-itself-out", kStuck}, Animal{"ignores-sigterm", kStuck},
+                    Animal{"stops-itself", "group 'cage' was ended: it stood still for "}),
+    name_of);
 
 // ---- they do not get as far as that ---------------------------------------------------------------------------
 
@@ -106,7 +119,8 @@ INSTANTIATE_TEST_SUITE_P(Each, ZooLoad,
                          testing::Values(Animal{"traps-when-opened", "killed by signal 11 (Segmentation fault)"},
                                          Animal{"exits-when-opened", "exited with code 0"},
                                          Animal{"hangs-when-opened", "'patient' was stuck in its library for 2."},
-                                         Animal{"blocks-in-constructor", "'patient' was stuck in its constructor for "}),
+                                         Animal{"blocks-in-constructor",
+                                                "'patient' was stuck in its constructor for "}),
                          name_of);
 
 class ZooTrial : public ZooGroup {};
@@ -124,7 +138,8 @@ TEST_P(ZooTrial, KeepsFromMainWhatEndsAProcessWhenItIsOpened) {
 
 INSTANTIATE_TEST_SUITE_P(
     Each, ZooTrial,
-    testing::Values(Animal{"traps-when-opened", "opening it ends the process: a static constructor killed by signal 11"},
+    testing::Values(Animal{"traps-when-opened",
+                           "opening it ends the process: a static constructor killed by signal 11"},
                     Animal{"throws-when-opened", "a static constructor of it throws: a static constructor throws"},
                     Animal{"exits-when-opened", "opening it ends the process: a static constructor exited with code 0"},
                     Animal{"hangs-when-opened", "opening it does not come to an end: a static constructor hangs"}),
@@ -133,9 +148,10 @@ INSTANTIATE_TEST_SUITE_P(
 TEST_F(ZooGroup, ThatThrowsWhenItIsOpenedIsRefusedWithWhatItThrew) {
   const auto error = load("throws-when-opened.so", "cage");
   ASSERT_TRUE(error.has_value());
-  EXPECT_EQ(error->text().what,
-            "plugin 'local/throws-when-opened' cannot be loaded: a static constructor of it throws: a static constructor "
-            "throws");
+  EXPECT_EQ(
+      error->text().what,
+      "plugin 'local/throws-when-opened' cannot be loaded: a static constructor of it throws: a static constructor "
+      "throws");
 }
 
 TEST_F(ZooGroup, ThatEndsLeavesItsLastWordsInTheReason) {
@@ -157,8 +173,119 @@ TEST_F(ZooGroup, ThatIsStuckInAPortIsNamedWithIt) {
   system.load_in("cage", "sink", "slow", "work_ms=10000");
   system.wire("slow.newest", "source.newest");
   system.eventually("its end", [&] { return system.instance("slow").mode() == "failed"; });
-  EXPECT_THAT(system.instance("slow").reason(),
-              HasSubstr("group 'cage' was ended: 'slow' was stuck in newest for 1."));
+  EXPECT_THAT(system.instance("slow").reason(), HasSubstr("group 'cage' was ended: 'slow' was stuck in newest for 1."));
+}
+
+// ---- they take what they can get ------------------------------------------------------------------------------
+
+class ZooHog : public ZooGroup {};
+
+/// One that shares its memory may take so long for it that it hangs first.
+
+TEST_P(ZooHog, IsBounded) {
+  if (GetParam().sentence.find("memory") != std::string::npos && !os::kLimitsMemory) GTEST_SKIP() << "a sanitizer's";
+  ASSERT_EQ(load(GetParam().library + ".so", "cage", "confined"), std::nullopt);
+  await_reason(GetParam().sentence.substr(0, GetParam().sentence.find(" (memory)")));
+  expect_others_go_on();
+}
+
+INSTANTIATE_TEST_SUITE_P(Each, ZooHog,
+                         testing::Values(Animal{"takes-4-gib", "std::bad_alloc (memory)"},
+                                         Animal{"leaks", "std::bad_alloc (memory)"},
+                                         Animal{"maps-shared-memory", "group 'cage' was ended (memory)"},
+                                         Animal{"starts-10000-threads", "threads, of 64 that it may have"},
+                                         Animal{"leaks-descriptors", "it was given no more descriptors"},
+                                         Animal{"forks", "it was given no process"},
+                                         Animal{"floods-log", "it has said all"},
+                                         Animal{"floods-stderr", "it has said all"}),
+                         name_of);
+
+TEST_F(ZooGroup, ThatSpinsLeavesTimeToTheOthers) {
+  ASSERT_EQ(load("spins.so", "cage"), std::nullopt);
+  system.eventually("it spins", [&] { return system.group("cage").threads() > 0; });
+  expect_others_go_on();
+  system.unload("patient");
+}
+
+// ---- they try to get out --------------------------------------------------------------------------------------
+
+/// What an escape finds if it works, beside the machine's own.
+class ZooEscape : public ZooGroup {
+ protected:
+  ZooEscape() {
+    ::setenv("ZOO_SECRET", "the key", 1);
+    std::ofstream(of_host(".key")) << "the key";
+    ::dup2(::open(of_host(".key").c_str(), O_RDONLY | O_CLOEXEC), kLeaked);
+    listen_at(of_host(".sock"), false);
+    listen_at("fiona-zoo-" + std::to_string(::getpid()), true);
+  }
+  ~ZooEscape() override {
+    ::close(kLeaked);
+    ::unsetenv("ZOO_SECRET");
+    for (const char* ending : {".key", ".sock"}) std::filesystem::remove(of_host(ending));
+  }
+  static std::string of_host(const std::string& ending) {
+    return "/var/tmp/fiona-zoo-" + std::to_string(::getpid()) + ending;
+  }
+  void listen_at(const std::string& path, bool is_abstract) {
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    path.copy(address.sun_path + (is_abstract ? 1 : 0), sizeof address.sun_path - 2);
+    listeners.emplace_back(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    const auto length = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + path.size() + 1);
+    ASSERT_EQ(::bind(listeners.back().get(), reinterpret_cast<const sockaddr*>(&address), length), 0) << path;
+    ASSERT_EQ(::listen(listeners.back().get(), 4), 0);
+  }
+  std::string escapes(const std::string& right) {
+    EXPECT_EQ(load("escapes.so", "cage", right), std::nullopt);
+    system.eventually("it has tried", [&] { return system.instance("patient").mode() == "failed"; });
+    return system.instance("patient").reason();
+  }
+
+  static constexpr int kLeaked = 900;
+  std::vector<os::Descriptor> listeners;
+};
+
+TEST_F(ZooEscape, OutOfASandboxDoesNotSucceed) { EXPECT_THAT(escapes("confined"), StartsWith("0 of ")); }
+
+/// That nothing was found above is because of the sandbox.
+TEST_F(ZooEscape, OutOfAGroupThatIsNoneSucceedsManyTimes) {
+  const std::string found = escapes("");
+  EXPECT_GE(std::stoi(found), 20) << found;
+  for (const std::string sure : {"/etc/passwd", "a file of the host", "fork", "kill the host", "inet", "a unix socket",
+                                 "an abstract socket", "the host's environment variables"}) {
+    EXPECT_THAT(found, HasSubstr(sure));
+  }
+}
+
+TEST_F(ZooGroup, ThatIsASandboxSaysOfWhatItIsMade) {
+  ASSERT_EQ(load("loops.so", "cage", "confined"), std::nullopt);
+  std::vector<std::string> layers;
+  const auto cage = system.group("cage");
+  for (const auto& layer : cage.sandbox()) {
+    if (layer.missing().empty()) layers.push_back(layer.name());
+  }
+  EXPECT_THAT(layers, IsSupersetOf({"mounts", "network", "privileges", "seccomp"}));
+}
+
+TEST_F(ZooGroup, ThatIsASandboxIsWiredAsAnyOther) {
+  ASSERT_EQ(load_path(std::string(TEST_COMPONENTS_LIBRARY) + "/source", "cage", "confined"), std::nullopt);
+  system.load_in("", "sink", "near");
+  system.load_in("apart", "sink", "far");
+  for (const std::string sink : {"near", "far"}) {
+    system.wire(sink + ".each", "patient.newest");
+    system.eventually("messages", [&] { return system.port(sink + ".each").messages() > 5; });
+  }
+}
+
+TEST_F(ZooGroup, ThatIsASandboxTakesNoOtherPackage) {
+  ASSERT_EQ(load("loops.so", "cage", "confined"), std::nullopt);
+  try {
+    system.load_in("cage", "source", "other");
+    FAIL() << "it was loaded";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "group 'cage' is a sandbox, of local/loops and what that was granted");
+  }
 }
 
 // ---- they throw -----------------------------------------------------------------------------------------------

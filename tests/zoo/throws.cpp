@@ -1,6 +1,6 @@
 // Components that throw something, each from one of the places where the platform calls a component.
-#include <fiona/plugin.hpp>
 #include <unwind.h>
+#include <fiona/plugin.hpp>
 
 #include <chrono>
 #include <stdexcept>

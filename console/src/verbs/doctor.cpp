@@ -3,8 +3,12 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <clocale>
+#include <cstdio>
+#include <cstring>
 #include <functional>
+#include <memory>
 
 #include <fmt/format.h>
 
@@ -104,6 +108,26 @@ Finding look_at_host(Session& session, const RunningHost& running) {
   return {true, fmt::format("answers, {} instances", system.instances_size())};
 }
 
+/// As a group puts it up, in a process of its own.
+Finding look_at_sandbox() {
+  const std::string program = (host_program().parent_path() / "fiona-group").string();
+  const std::unique_ptr<FILE, int (*)(FILE*)> output(::popen(("'" + program + "' --probe").c_str(), "r"), &::pclose);
+  std::vector<std::string> found;
+  std::vector<std::string> missing;
+  char line[300];
+  while (output && std::fgets(line, sizeof line, output.get())) {
+    const std::string text(line, std::strcspn(line, "\n"));
+    (text.find(": missing: ") == std::string::npos ? found : missing).push_back(text);
+  }
+  if (found.empty()) return {false, "cannot be probed", "build or install `fiona-group` beside `fiona`"};
+  const bool holds = std::none_of(missing.begin(), missing.end(), [](const std::string& layer) {
+    return layer.starts_with("mounts") || layer.starts_with("privileges") || layer.starts_with("seccomp");
+  });
+  found.insert(found.end(), missing.begin(), missing.end());
+  return {holds, fmt::format("{}", fmt::join(found, "; ")),
+          holds ? "" : "packages of others are refused here but with unconfined; sysctl user.max_user_namespaces"};
+}
+
 std::vector<Check> all_checks(Session& session) {
   std::vector<Check> checks{
       {"programs", look_at_programs},
@@ -112,6 +136,7 @@ std::vector<Check> all_checks(Session& session) {
       {"marketplace", look_at_marketplace},
       {"keys", look_at_keys},
       {"open files", look_at_open_files},
+      {"sandbox", look_at_sandbox},
       {"character coding", look_at_locale},
   };
   try {

@@ -173,6 +173,9 @@ HostLaunch launch_of(const Line& line, const Options& options) {
   launch.socket = socket_of(launch.name);
   launch.store = options.store;
   if (line.option("--listen") != nullptr) launch.listen = line.option("--listen")->text;
+  for (const char* limit : {"--group-memory", "--group-threads"}) {
+    if (line.option(limit) != nullptr) launch.limits.insert(launch.limits.end(), {limit, line.option(limit)->text});
+  }
   if (line.option("--serve") != nullptr) launch.serve = line.option("--serve")->text;
   const auto [first, last] = line.options.equal_range("--peer");
   for (auto peer = first; peer != last; ++peer) {

@@ -94,7 +94,31 @@ std::string when_text(const fiona::TaskInterface& task) {
   }
 }
 
-void show_instance(Session& session, const control::InstanceStatus& instance) {
+std::string sandbox_text(const control::GroupStatus& group) {
+  if (group.sandbox().empty()) return "none: it has the rights of the host's user";
+  std::vector<std::string> layers;
+  for (const auto& layer : group.sandbox()) {
+    layers.push_back(layer.missing().empty() ? fmt::format("{} ({})", layer.name(), layer.detail())
+                                             : fmt::format("no {}: {}", layer.name(), layer.missing()));
+  }
+  return fmt::format("{}", fmt::join(layers, ", "));
+}
+
+/// Of `main`, which is the host, there is nothing to add.
+void add_group(Table& facts, const control::System& system, const std::string& name) {
+  const auto found = std::find_if(system.groups().begin(), system.groups().end(),
+                                  [&](const control::GroupStatus& group) { return group.name() == name; });
+  if (found == system.groups().end() || found->memory_limit() == 0) return;
+  facts.add({"sandbox", sandbox_text(*found)});
+  facts.add(
+      {"memory", {fmt::format("{} MiB of {}", found->memory() >> 20U, found->memory_limit() >> 20U), found->memory()}});
+  facts.add({"threads", {fmt::format("{} of {}", found->threads(), found->threads_limit()), found->threads()}});
+  if (found->dropped_output() > 0) {
+    facts.add({"dropped output", {fmt::format("{} bytes", found->dropped_output()), found->dropped_output()}});
+  }
+}
+
+void show_instance(Session& session, const control::System& system, const control::InstanceStatus& instance) {
   Table facts({"fact", "value"});
   facts.add({"instance", instance.name()});
   facts.add({"plugin", fmt::format("{} {}", instance.plugin(), instance.version())});
@@ -103,6 +127,7 @@ void show_instance(Session& session, const control::InstanceStatus& instance) {
   if (!instance.reason().empty()) facts.add({"reason", instance.reason()});
   facts.add({"modes", fmt::format("{}", fmt::join(instance.modes(), ", "))});
   facts.add({"group", instance.group()});
+  add_group(facts, system, instance.group());
   if (instance.restarts() > 0) {
     facts.add({"restarts", {fmt::format("{} of its group's process", instance.restarts()), instance.restarts()}});
   }
@@ -307,7 +332,7 @@ void show(Session& session, const Line& line) {
     const control::System system = session.snapshot();
     const std::string first = thing.text.substr(0, thing.text.find('.'));
     if (const auto* instance = find_instance(system, first)) {
-      if (first == thing.text) return show_instance(session, *instance);
+      if (first == thing.text) return show_instance(session, system, *instance);
       const std::string part = thing.text.substr(first.size() + 1);
       const auto probes = probes_of(*instance);
       const auto probe =

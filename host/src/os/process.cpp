@@ -9,9 +9,11 @@
 #include <sys/syscall.h>
 #include <sys/wait.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <csignal>
 #include <cstring>
+#include <string_view>
 
 #include "fiona/error.hpp"
 
@@ -23,10 +25,16 @@ namespace {
 /// Above the numbers that children find their descriptors at.
 constexpr int kFirstFree = 16;
 
+/// Of an environment, which may hold secrets.
+bool is_harmless(std::string_view variable) {
+  constexpr std::string_view kHarmless[] = {"LANG=", "LC_", "TZ=", "ASAN_OPTIONS=", "UBSAN_OPTIONS=", "TSAN_OPTIONS="};
+  return std::any_of(std::begin(kHarmless), std::end(kHarmless), [&](auto one) { return variable.starts_with(one); });
+}
+
 }  // namespace
 
 ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
-                           const std::vector<std::pair<int, int>>& inherited) {
+                           const std::vector<std::pair<int, int>>& inherited, bool clean) {
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
   // Moved out of the way first: one of ours may have the number that another is to have there.
@@ -40,7 +48,12 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
   std::vector<char*> argv;
   for (auto& word : words) argv.push_back(word.data());
   argv.push_back(nullptr);
-  const int error = ::posix_spawn(&id_, program.c_str(), &actions, nullptr, argv.data(), environ);
+  std::vector<char*> kept;
+  for (char** one = environ; *one; ++one) {
+    if (is_harmless(*one)) kept.push_back(*one);
+  }
+  kept.push_back(nullptr);
+  const int error = ::posix_spawn(&id_, program.c_str(), &actions, nullptr, argv.data(), clean ? kept.data() : environ);
   posix_spawn_file_actions_destroy(&actions);
   if (error != 0) {
     throw Error(ErrorCode::Failed, {.what = "the process cannot be started",

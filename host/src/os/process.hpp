@@ -16,9 +16,9 @@ namespace fiona::os {
 class ChildProcess {
  public:
   /// Starts `program`. Of the descriptors only those of `inherited` reach it, each (ours, its number there).
-  /// Throws Error if it cannot be started.
+  /// `clean`: of our environment it has the language alone. Throws Error if it cannot be started.
   ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
-               const std::vector<std::pair<int, int>>& inherited);
+               const std::vector<std::pair<int, int>>& inherited, bool clean = false);
   ~ChildProcess();
   ChildProcess(const ChildProcess&) = delete;
   ChildProcess& operator=(const ChildProcess&) = delete;

@@ -1,0 +1,105 @@
+#include "confinement.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/error.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// The shipped configuration lets in what this project publishes.
+constexpr std::string_view kLetIn = "fiona/";
+/// What a sandbox cannot do without; the others are second walls.
+constexpr std::string_view kNeeded[] = {"mounts", "privileges", "seccomp"};
+
+bool has(const std::vector<std::string>& rights, std::string_view right) {
+  return std::find(rights.begin(), rights.end(), right) != rights.end();
+}
+
+/// The rights that open a sandbox, of those that it was granted.
+std::vector<std::string> openings(const Model::Instance& one) {
+  std::vector<std::string> found;
+  std::copy_if(one.rights.begin(), one.rights.end(), std::back_inserter(found), &opens_sandbox);
+  return found;
+}
+
+}  // namespace
+
+bool opens_sandbox(const std::string& right) {
+  if (right.find("..") != std::string::npos) return false;
+  return right == "network" || right.starts_with("device:") || right.starts_with("read:/") ||
+         right.starts_with("write:/");
+}
+
+/// A library that was typed by its path is whoever's who typed it.
+bool is_let_in(const Package& package) {
+  const bool installed = package.hold != nullptr;
+  return !installed || package.name.starts_with(kLetIn);
+}
+
+bool is_confined(const Model::Instance& first) {
+  if (first.group == kMainGroup || has(first.rights, kUnconfined)) return false;
+  return !is_let_in(*first.package) || has(first.rights, kConfined);
+}
+
+wire::Confinement confinement_of(const Model::Instance& first, const std::filesystem::path& links,
+                                 const std::filesystem::path& own) {
+  wire::Confinement confinement;
+  if (!is_confined(first)) return confinement;
+  confinement.set_sandboxed(true);
+  const Package& package = *first.package;
+  const bool installed = package.hold != nullptr;
+  confinement.add_readable(installed ? package.library.parent_path() : package.library);
+  if (!package.share.empty()) confinement.add_readable(package.share);
+  confinement.add_readable(links);
+  confinement.add_writable(own);
+  for (const std::string& right : openings(first)) {
+    const std::string what = right.substr(right.find(':') + 1);
+    if (right == "network") confinement.set_network(true);
+    if (right.starts_with("device:")) confinement.add_devices("/dev/" + what);
+    if (right.starts_with("read:")) confinement.add_readable(what);
+    if (right.starts_with("write:")) confinement.add_writable(what);
+  }
+  return confinement;
+}
+
+void require_sandbox(const std::string& group, const wire::Ready& ready) {
+  for (const auto& layer : ready.sandbox()) {
+    const bool needed = std::find(std::begin(kNeeded), std::end(kNeeded), layer.name()) != std::end(kNeeded);
+    if (!needed || layer.missing().empty()) continue;
+    throw Error(
+        ErrorCode::NotAllowed,
+        {.what = fmt::format("group '{}' cannot be a sandbox: this system has no {} for it", group, layer.name()),
+         .found = layer.missing(),
+         .next = "doctor; or, if you trust it as you trust yourself: load … with unconfined"});
+  }
+}
+
+void require_group(const Model::Instance* first, const Model::Instance& next, const std::string& plugin) {
+  const bool may_be_in_main = is_let_in(*next.package) || has(next.rights, kUnconfined);
+  if (next.group == kMainGroup && !may_be_in_main) {
+    throw Error(
+        ErrorCode::NotAllowed,
+        {.what = fmt::format("{} is not let into main, whose process and rights it would share", next.package->name),
+         .expected = "a package of this project, or one that you let in yourself",
+         .next = fmt::format("load {} in GROUP; or, if you trust it as you trust yourself: load {} with {}", plugin,
+                             plugin, kUnconfined)});
+  }
+  if (!first || next.group == kMainGroup) return;
+  const auto rights = openings(*first);
+  const auto wanted = openings(next);
+  const bool more = std::any_of(wanted.begin(), wanted.end(), [&](const auto& right) { return !has(rights, right); });
+  const bool same = is_confined(*first) == is_confined(next) &&
+                    (!is_confined(next) || (first->package->library == next.package->library && !more));
+  if (same) return;
+  throw Error(ErrorCode::NotAllowed,
+              {.what = is_confined(*first) ? fmt::format("group '{}' is a sandbox, of {} and what that was granted",
+                                                         next.group, first->package->name)
+                                           : fmt::format("group '{}' is no sandbox, and {} belongs into one",
+                                                         next.group, next.package->name),
+               .next = fmt::format("load {} in another GROUP", plugin)});
+}
+
+}  // namespace fiona::host

@@ -1,0 +1,38 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+namespace fiona::os {
+
+/// What a process may take of the machine.
+struct Limits {
+  std::uint64_t memory = std::uint64_t{1} << 30U;  ///< bytes
+  std::uint64_t threads = 128;
+};
+
+/// A sanitizer's shadow takes terabytes of addresses, and several times the memory.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+inline constexpr bool kLimitsMemory = false;
+#elif defined(__has_feature)
+inline constexpr bool kLimitsMemory = !__has_feature(address_sanitizer) && !__has_feature(thread_sanitizer);
+#else
+inline constexpr bool kLimitsMemory = true;
+#endif
+
+/// [before the first thread] Holds this process to them where the kernel does so by itself: what it asks for beyond its
+/// memory is refused; it leaves no core, opens no more descriptors than it may now, and no program that it starts
+/// inherits any. What is left, memory that it shares and threads, is for who watches it.
+void limit(const Limits& limits);
+
+/// What a process has of it now; none: it is gone.
+struct Usage {
+  std::uint64_t memory = 0;  ///< bytes resident
+  std::uint64_t threads = 0;
+};
+std::optional<Usage> usage_of(pid_t process);
+
+}  // namespace fiona::os

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace fiona::os {
+
+/// What a process may still reach once it is confined.
+struct Reach {
+  std::vector<std::filesystem::path> readable{};  ///< files and folders
+  std::vector<std::filesystem::path> writable{};  ///< folders
+  std::vector<std::filesystem::path> devices{};   ///< files, sockets included, that are opened to read and write
+  bool network = false;
+};
+
+/// One of the walls of a sandbox, each put up by another part of the kernel.
+struct SandboxLayer {
+  std::string name;     ///< "mounts", "network", "processes", "landlock", "seccomp", "privileges"
+  std::string detail;   ///< what it is made of here: "ABI 7", "user namespace"
+  std::string missing;  ///< why it is not there; empty: it holds
+};
+
+/// [before the first thread, and before any file of others is opened] Takes from this process, for good, everything but
+/// its reach, its own threads and what it has open; each layer that the kernel has. Which those are.
+///
+/// - mounts: a file system of its own that holds the reach and the system's libraries, nothing else
+/// (mount_namespaces(7))
+/// - network: no interface but by right; no other process's abstract sockets (network_namespaces(7))
+/// - landlock: the same for files, TCP and signals, by another part of the kernel (landlock(7))
+/// - seccomp: no process, no program, no signal to others, no part of the kernel that no component needs (seccomp(2))
+/// - privileges: no capability, no new ones, no look into it by others of the same user (capabilities(7), prctl(2))
+std::vector<SandboxLayer> confine(const Reach& reach);
+
+namespace detail {
+
+// Each returns what the layer is made of, and throws std::system_error if the kernel does not have it.
+std::string enter_namespaces(const Reach& reach);
+std::string enter_own_network();
+std::string restrict_by_landlock(const Reach& reach);
+std::string filter_system_calls(const Reach& reach);
+std::string drop_privileges();
+
+}  // namespace detail
+}  // namespace fiona::os

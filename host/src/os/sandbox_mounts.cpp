@@ -1,0 +1,139 @@
+// A file system of its own: what is in reach, and the system's libraries.
+#include <fcntl.h>
+#include <sched.h>
+#include <sys/mount.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <fstream>
+#include <system_error>
+
+#include "os/descriptor.hpp"
+#include "os/sandbox.hpp"
+
+namespace fiona::os::detail {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Any directory that every system has: the new root is mounted over it, and then becomes the root.
+constexpr const char* kNewRoot = "/tmp";
+constexpr const char* kTemporarySize = "size=16m,mode=0700";
+
+/// What the loader and the C library read.
+constexpr const char* kSystemFiles[] = {"/usr/lib", "/usr/lib64", "/usr/share/zoneinfo", "/etc/ld.so.cache",
+                                        "/etc/localtime"};
+constexpr const char* kSystemLinks[] = {"/lib", "/lib64"};  // to folders below /usr; where they are folders: those
+constexpr const char* kSystemDevices[] = {"/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom"};
+
+void require_mounted(bool holds, const std::string& what) {
+  if (!holds) throw std::system_error(errno, std::generic_category(), what);
+}
+
+/// A part of the old file system, kept by a descriptor, which the new root cannot hide.
+struct Part {
+  fs::path path;
+  Descriptor descriptor;
+  unsigned long flags;
+};
+
+void add(std::vector<Part>& parts, const fs::path& path, unsigned long flags) {
+  Descriptor descriptor(::open(path.c_str(), O_PATH | O_CLOEXEC));
+  if (descriptor) parts.push_back({path, std::move(descriptor), flags});
+}
+
+std::vector<Part> parts_of(const Reach& reach) {
+  std::vector<Part> parts;
+  for (const char* file : kSystemFiles) add(parts, file, MS_RDONLY | MS_NODEV);
+  for (const char* link : kSystemLinks) {
+    if (!fs::is_symlink(link)) add(parts, link, MS_RDONLY | MS_NODEV);
+  }
+  for (const char* device : kSystemDevices) add(parts, device, 0);
+  for (const auto& path : reach.readable) add(parts, path, MS_RDONLY | MS_NODEV);
+  for (const auto& path : reach.writable) add(parts, path, MS_NODEV | MS_NOEXEC);
+  for (const auto& path : reach.devices) add(parts, path, 0);
+  // What lies in another comes after it.
+  std::stable_sort(parts.begin(), parts.end(),
+                   [](const Part& a, const Part& b) { return a.path.native().size() < b.path.native().size(); });
+  return parts;
+}
+
+/// As who it was: a normal user gets a user namespace in which it may mount.
+std::string unshare_mounts() {
+  constexpr int kSpaces = CLONE_NEWNS | CLONE_NEWIPC;
+  if (::unshare(kSpaces) == 0) return "mount namespace";
+  const uid_t user = ::geteuid();
+  const gid_t group = ::getegid();
+  require_mounted(::unshare(CLONE_NEWUSER | kSpaces) == 0, "unshare");
+  const auto write = [](const char* file, const std::string& text) {
+    std::ofstream stream(file);
+    stream << text << std::flush;
+    require_mounted(static_cast<bool>(stream), file);
+  };
+  write("/proc/self/setgroups", "deny");
+  write("/proc/self/uid_map", std::to_string(user) + " " + std::to_string(user) + " 1");
+  write("/proc/self/gid_map", std::to_string(group) + " " + std::to_string(group) + " 1");
+  return "mount and user namespace";
+}
+
+/// The flags that the part has already may be locked, and must be given again.
+unsigned long flags_at(const std::string& target, unsigned long wanted) {
+  struct statvfs there {};
+  require_mounted(::statvfs(target.c_str(), &there) == 0, target);
+  constexpr std::pair<unsigned long, unsigned long> kKept[] = {
+      {ST_RDONLY, MS_RDONLY},   {ST_NODEV, MS_NODEV},       {ST_NOEXEC, MS_NOEXEC},
+      {ST_NOATIME, MS_NOATIME}, {ST_RELATIME, MS_RELATIME}, {ST_NODIRATIME, MS_NODIRATIME}};
+  unsigned long flags = wanted | MS_NOSUID;
+  for (const auto& [has, flag] : kKept) {
+    if (there.f_flag & has) flags |= flag;
+  }
+  return flags;
+}
+
+void bind(const Part& part) {
+  const std::string source = "/proc/self/fd/" + std::to_string(part.descriptor.get());
+  const fs::path target = fs::path(kNewRoot) / part.path.relative_path();
+  struct stat kind {};
+  require_mounted(::fstat(part.descriptor.get(), &kind) == 0, part.path);
+  fs::create_directories(S_ISDIR(kind.st_mode) ? target : target.parent_path());
+  if (!S_ISDIR(kind.st_mode) && !fs::exists(target)) require_mounted(static_cast<bool>(std::ofstream(target)), target);
+  require_mounted(::mount(source.c_str(), target.c_str(), nullptr, MS_BIND | MS_REC, nullptr) == 0, part.path);
+  require_mounted(
+      ::mount(nullptr, target.c_str(), nullptr, MS_BIND | MS_REMOUNT | flags_at(target, part.flags), nullptr) == 0,
+      part.path);
+}
+
+}  // namespace
+
+std::string enter_namespaces(const Reach& reach) {
+  const std::string made_of = unshare_mounts();
+  require_mounted(::mount(nullptr, "/", nullptr, MS_REC | MS_PRIVATE, nullptr) == 0, "private mounts");
+  const std::vector<Part> parts = parts_of(reach);
+  require_mounted(::mount("fiona", kNewRoot, "tmpfs", MS_NOSUID | MS_NODEV, "size=1m,mode=0755") == 0, "a new root");
+  for (const Part& part : parts) bind(part);
+  for (const char* link : kSystemLinks) {
+    if (fs::is_symlink(link)) fs::create_symlink(fs::read_symlink(link), std::string(kNewRoot) + link);
+  }
+  const std::string temporary = std::string(kNewRoot) + "/tmp";
+  fs::create_directories(temporary);
+  // Not over what lies below it.
+  const bool is_used =
+      std::any_of(parts.begin(), parts.end(), [](const Part& part) { return part.path.native().starts_with("/tmp/"); });
+  if (!is_used) {
+    require_mounted(::mount("fiona", temporary.c_str(), "tmpfs", MS_NOSUID | MS_NODEV | MS_NOEXEC, kTemporarySize) == 0,
+                    "/tmp");
+  }
+  require_mounted(::chdir(kNewRoot) == 0, kNewRoot);
+  require_mounted(::syscall(SYS_pivot_root, ".", ".") == 0, "pivot_root");
+  require_mounted(::umount2(".", MNT_DETACH) == 0, "the old root");
+  require_mounted(::mount(nullptr, "/", nullptr, MS_BIND | MS_REMOUNT | MS_RDONLY | MS_NOSUID | MS_NODEV, nullptr) == 0,
+                  "a root that is only read");
+  require_mounted(::chdir("/") == 0, "/");
+  return made_of;
+}
+
+}  // namespace fiona::os::detail
