@@ -103,4 +103,16 @@ std::string loadable(const WordLine& line, const std::string& plugin) {
   return std::filesystem::absolute(named_file(line, plugin)).lexically_normal().string();
 }
 
+std::filesystem::path system_path(const std::string& typed, const std::filesystem::path& store) {
+  std::error_code failure;
+  if (std::filesystem::exists(typed, failure)) return typed;
+  const marketplace::Store installed(store.empty() ? marketplace::Store::default_directory() : store);
+  for (const auto& package : installed.installed()) {
+    const bool meant = package.name() == typed || package.manifest.name() == typed;
+    if (meant && package.manifest.kind() == fiona::SYSTEM)
+      return package.directory / marketplace::system_file(package.manifest);
+  }
+  return typed;
+}
+
 }  // namespace fiona::console

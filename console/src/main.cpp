@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "command_line.hpp"
+#include "line_editor.hpp"
 #include "prompt.hpp"
 #include "script.hpp"
 #include "session.hpp"
@@ -26,6 +27,14 @@ void run_standard_input(Session& session) {
   run_script(session, lines);
 }
 
+/// At a terminal; nobody answers a question that a pipe or a script asks.
+std::optional<bool> ask(Reactor& reactor, const std::string& question) {
+  if (::isatty(STDIN_FILENO) == 0 || ::isatty(STDOUT_FILENO) == 0) return std::nullopt;
+  LineEditor editor(reactor, {}, [](std::string_view) { return Completion{}; });
+  const auto answer = editor.read(question, [] { return false; });
+  return answer && (answer->starts_with('y') || answer->starts_with('Y'));
+}
+
 int serve(Output& out, const std::vector<std::string>& arguments) {
   CommandLine command = read_command_line(arguments);
   out.manner = command.manner;
@@ -34,6 +43,7 @@ int serve(Output& out, const std::vector<std::string>& arguments) {
   Reactor reactor;
   reactor.take_signals();
   Session session(reactor, out, command.options);
+  session.ask = [&reactor](const std::string& question) { return ask(reactor, question); };
   if (command.line) {
     if (!command.line->empty()) session.run(*command.line);
   } else if (::isatty(STDIN_FILENO) != 0) {

@@ -27,6 +27,10 @@ class Prompt {
             session.out.exchange_sink([this](Stream stream, std::string_view lines) { editor_.print(stream, lines); })),
         setting_(session.setting) {
     session.setting = Setting::Prompt;
+    ask_before_ = std::exchange(session.ask, [this](const std::string& question) -> std::optional<bool> {
+      const auto answer = editor_.read(question, [this] { return has_ended(); });
+      return answer && (answer->starts_with('y') || answer->starts_with('Y'));
+    });
   }
   Prompt(const Prompt&) = delete;
   Prompt& operator=(const Prompt&) = delete;
@@ -35,6 +39,7 @@ class Prompt {
     if (run_ && session_.connected()) session_.host().forget(*run_);
     if (retry_) session_.reactor.cancel_timer(*retry_);
     session_.setting = setting_;
+    session_.ask = std::move(ask_before_);
     session_.out.exchange_sink(std::move(before_));
   }
 
@@ -166,6 +171,7 @@ class Prompt {
   LineEditor editor_;
   Output::Sink before_;
   const Setting setting_;
+  std::function<std::optional<bool>(const std::string&)> ask_before_;
   std::string typed_;
   Endpoint endpoint_;
   std::optional<std::uint64_t> retry_;

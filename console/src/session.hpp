@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -48,9 +49,11 @@ class Session {
   Output& out;
   Options options;
   Setting setting = Setting::Shell;
-  int source_depth = 0;         ///< how many files are being sourced, one inside the other
-  std::optional<Batch> batch;   ///< collects changes instead of making them, from `begin` to `commit`
-  bool planning = false;        ///< transactions are tried only
+  int source_depth = 0;        ///< how many files are being sourced, one inside the other
+  std::optional<Batch> batch;  ///< collects changes instead of making them, from `begin` to `commit`
+  bool planning = false;       ///< transactions are tried only
+  /// Puts a question to whoever types; nothing: nobody is there.
+  std::function<std::optional<bool>(const std::string& question)> ask;
   std::optional<int> finished;  ///< the exit code once `quit` was typed
 
   /// The connection. Throws fiona::Error (Unreachable) with the next step where no host runs.

@@ -215,11 +215,20 @@ std::vector<Verb> waiting_verbs() {
 std::vector<Verb> remaining_verbs() {
   return {
       {"market",
-       forms({"market search [WORD …] [--from DIR]", "market info PACKAGE [--from DIR]",
-              "market install PACKAGE … [--from DIR] [-y]"}),
-       "finds packages and installs them",
-       "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.", Access::Administer,
-       verbs::market, false},
+       forms({"market search [WORD …] [for spots|FILE] [provides=SERVICE] [requires=SERVICE] [--from DIR]",
+              "market info PACKAGE [--from DIR]", "market install [PACKAGE …] [--locked FILE] [--from DIR] [-y]",
+              "market update [PACKAGE …] [--from DIR] [-y]", "market remove PACKAGE … [-y]", "market rollback [N] [-y]",
+              "market history", "market list", "market verify", "market lock [FILE]"}),
+       "finds packages, installs them with what they require, and goes back",
+       "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.\n"
+       "`search` finds words in names, texts and services; `for spots` those that fill the white spots of the running "
+       "system, `for FILE` those of a system file.\n"
+       "`install`, `update`, `remove` and `rollback` do all or nothing. What goes beyond the line typed, as packages "
+       "that are required, rights, a publisher of whom nothing is installed, is shown and asked first; -y answers yes, "
+       "and plan market … shows it and does nothing.\n"
+       "`rollback` goes back to the packages before the last change, or to generation N of `history`. `lock` writes "
+       "fiona.lock, what is installed or what FILE loads, to the byte; `install --locked` installs that.",
+       Access::Administer, verbs::market, false},
       {"keys",
        forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",
               "keys know NAME ADDRESS:PORT KEY", "keys forget NAME"}),

@@ -9,9 +9,15 @@
 #include <algorithm>
 #include <cerrno>
 #include <fiona/error.hpp>
+#include <fstream>
+#include <iterator>
 #include <memory>
 #include <optional>
+#include <sstream>
 #include <thread>
+#include <utility>
+
+#include "text_check.hpp"
 
 namespace fiona::marketplace {
 namespace {
@@ -41,6 +47,30 @@ void make_all(const OsCalls& os, const filesystem::path& path, mode_t mode) {
   if (errno != EEXIST) throw_os_error("make this directory", path, errno);
 }
 
+// "process 4711 (fiona market install acme/nav)", as far as the kernel tells.
+std::string lock_holder(const FileDescriptor& locked) {
+  struct stat status {};
+  ::fstat(locked.number(), &status);
+  std::ifstream locks("/proc/locks");
+  for (std::string line; std::getline(locks, line);) {
+    // "1: FLOCK ADVISORY WRITE 4711 00:1a:123 0 EOF"
+    std::istringstream words(line);
+    std::string number, kind, mode, access, place;
+    int process = 0;
+    words >> number >> kind >> mode >> access >> process >> place;
+    if (kind != "FLOCK" || process <= 0 || !place.ends_with(":" + std::to_string(status.st_ino))) continue;
+    std::ifstream file("/proc/" + std::to_string(process) + "/cmdline");
+    std::string command{std::istreambuf_iterator<char>(file), {}};
+    while (command.ends_with('\0')) command.pop_back();
+    std::ranges::replace(command, '\0', ' ');
+    if (const std::size_t slash = command.substr(0, command.find(' ')).rfind('/'); slash != std::string::npos)
+      command.erase(0, slash + 1);
+    const bool shown = !command.empty() && command.size() <= 200 && text_fault(command, false).empty();
+    return "process " + std::to_string(process) + (shown ? " (" + command + ")" : "");
+  }
+  return "another process";
+}
+
 }  // namespace
 
 DurableDirectory::DurableDirectory(const OsCalls& os, filesystem::path path, mode_t mode)
@@ -65,16 +95,19 @@ DurableDirectory DurableDirectory::existing_child(const std::string& name) const
   return {*os_, std::move(directory), path_ / name};
 }
 
-void DurableDirectory::lock(std::chrono::milliseconds wait) {
+void DurableDirectory::lock(std::chrono::milliseconds wait,
+                            const std::function<void(const std::string& who)>& on_wait) {
   const auto end = std::chrono::steady_clock::now() + wait;
+  bool told = false;
   while (after_signals([&] { return os_->flock(descriptor(), LOCK_EX | LOCK_NB); }) != 0) {
     if (errno != EWOULDBLOCK) throw_os_error("lock this directory", path_, errno);
     if (std::chrono::steady_clock::now() >= end) {
       throw Error(ErrorCode::Unreachable,
-                  ErrorText{.what = "another process is changing this directory and has not ended",
+                  ErrorText{.what = lock_holder(directory_) + " is changing this directory and has not ended",
                             .where = path_.string(),
                             .next = "try again when it has"});
     }
+    if (!std::exchange(told, true) && on_wait) on_wait(lock_holder(directory_));
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
   }
 }

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <filesystem>
 #include <fiona/marketplace/os_calls.hpp>
+#include <functional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -27,9 +28,9 @@ class DurableDirectory {
   /// Opens a directory below this one, not through a link in its last element.
   DurableDirectory existing_child(const std::string& name) const;
 
-  /// Waits for the directory's lock (flock), at most `wait`; throws fiona::Error (Unreachable) after that.
-  /// Held until this object ends.
-  void lock(std::chrono::milliseconds wait);
+  /// Waits for the directory's lock (flock), at most `wait`; throws fiona::Error (Unreachable) after that, with who
+  /// holds it. If it has to wait, `on_wait` is told first whom for. Held until this object ends.
+  void lock(std::chrono::milliseconds wait, const std::function<void(const std::string& who)>& on_wait = {});
 
   /// Creates a file that is not there yet; `name` may have '/' but leads through no link and not outside.
   FileDescriptor create(const std::string& name, mode_t mode) const;

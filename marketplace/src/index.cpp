@@ -160,26 +160,15 @@ std::vector<IndexEntry> Marketplace::info(std::string_view name) const {
   return entries;
 }
 
-IndexEntry Marketplace::select(std::string_view request) const {
+PackageRequest Marketplace::resolve(std::string_view request) const {
   const std::size_t at = request.find('@');
-  auto entries = info(request.substr(0, at));
-  if (at != std::string_view::npos) {
-    const auto wanted = Version::parse(request.substr(at + 1));
-    const auto all = entries;
-    std::erase_if(entries, [&](const IndexEntry& entry) { return !wanted || version_of(entry) != *wanted; });
-    if (entries.empty()) refuse_version(request.substr(at + 1), all, directory_);
-  }
-  const IndexEntry& chosen = *std::ranges::min_element(entries, is_offered_before);
-  if (!fits_this_machine(chosen)) {
-    throw Error(ErrorCode::DependencyConflict,
-                ErrorText{.what = full_name(chosen.manifest()) + " " + chosen.manifest().version() +
-                                  " is not made for this machine",
-                          .where = directory_.string(),
-                          .expected = std::string(this_architecture()),
-                          .found = chosen.manifest().architecture(),
-                          .next = "ask its publisher for a package for this machine, or build it from source"});
-  }
-  return chosen;
+  const auto entries = info(request.substr(0, at));
+  PackageRequest found{full_name(entries.front().manifest())};
+  if (at == std::string_view::npos) return found;
+  found.version = Version::parse(request.substr(at + 1));
+  const auto asked_for = [&](const IndexEntry& entry) { return found.version && version_of(entry) == *found.version; };
+  if (std::ranges::none_of(entries, asked_for)) refuse_version(request.substr(at + 1), entries, directory_);
+  return found;
 }
 
 std::vector<IndexEntry> Marketplace::providers_of(std::string_view service) const {

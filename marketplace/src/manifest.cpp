@@ -2,6 +2,7 @@
 #include <fiona/error.hpp>
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/manifest.hpp>
+#include <fiona/marketplace/requirement.hpp>
 #include <fiona/marketplace/version.hpp>
 #include <set>
 
@@ -15,6 +16,7 @@ constexpr std::string_view kNameRest = "abcdefghijklmnopqrstuvwxyz0123456789-";
 constexpr std::string_view kWord = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_";
 constexpr std::size_t kPathLength = 100;  // what a plain tar header holds without an extension
 constexpr std::size_t kNameLength = 64;
+constexpr std::size_t kMostRelations = 256;
 
 [[noreturn]] void refuse(const std::string& where, std::string what, std::string expected = {},
                          std::string found = {}) {
@@ -24,13 +26,27 @@ constexpr std::size_t kNameLength = 64;
 }
 
 void check_name(const std::string& where, const std::string& field, const std::string& name) {
-  const bool fits = !name.empty() && name.size() <= kNameLength &&
-                    kLower.find(name.front()) != std::string_view::npos &&
-                    name.find_first_not_of(kNameRest) == std::string::npos;
-  if (!fits) {
+  if (!is_name(name)) {
     refuse(where, field + " is not a name that a package may have",
            "at most 64 lower-case letters, digits and '-', beginning with a letter", "\"" + name + "\"");
   }
+}
+
+// Whom it needs, whom it does not bear, and which hosts.
+void check_relations(const Manifest& manifest, const std::string& where) {
+  if (static_cast<std::size_t>(manifest.requirements_size() + manifest.conflicts_size()) > kMostRelations)
+    refuse(where, "the package has too many requirements and conflicts", "at most " + std::to_string(kMostRelations));
+  for (const auto& text : manifest.requirements()) {
+    if (Requirement::parse(text, where + ", requirements").package == full_name(manifest))
+      refuse(where, "the package requires itself", "requirements on other packages", "\"" + text + "\"");
+  }
+  for (const auto& text : manifest.conflicts()) {
+    const Requirement conflict = Requirement::parse(text, where + ", conflicts");
+    if (conflict.package == full_name(manifest) || conflict.versions.bounds().size() > 1)
+      refuse(where, "this cannot be a conflict", "another package, with one bound of versions at most",
+             "\"" + text + "\"");
+  }
+  VersionRange::parse(manifest.host(), where + ", host");
 }
 
 void check_authors_part(const Manifest& manifest, const std::string& where) {
@@ -43,6 +59,7 @@ void check_authors_part(const Manifest& manifest, const std::string& where) {
   if (!PackageKind_IsValid(manifest.kind())) refuse(where, "kind is none that this version knows");
   if (manifest.summary().empty()) refuse(where, "summary is missing", "one line that says what the package is for");
   if (manifest.license().empty()) refuse(where, "license is missing", "an SPDX identifier, such as Apache-2.0");
+  check_relations(manifest, where);
 }
 
 int rank(std::string_view path) {
@@ -114,9 +131,13 @@ bool lists(const Manifest& manifest, std::string_view path) {
 }
 
 void check_library(const Manifest& manifest, const std::string& where) {
-  const bool wants = manifest.kind() != DATA;
+  const bool wants = manifest.kind() == PLUGIN || manifest.kind() == MESSAGES;
   if (wants != !manifest.library().empty()) {
-    refuse(where, wants ? "a package of this kind needs a library" : "a package of kind DATA has no library");
+    refuse(where, wants ? "a package of this kind needs a library"
+                        : "a package of kind " + PackageKind_Name(manifest.kind()) + " has no library");
+  }
+  if (manifest.kind() == SYSTEM && !lists(manifest, system_file(manifest))) {
+    refuse(where, "a package of kind SYSTEM needs its system file", system_file(manifest));
   }
   if (wants && (!manifest.library().starts_with("lib/") || !lists(manifest, manifest.library()))) {
     refuse(where, "library does not name a listed file below lib/", {}, "\"" + manifest.library() + "\"");
@@ -197,6 +218,13 @@ std::string_view library_path(std::string_view plugin) {
   const std::size_t ending = plugin.find(kEnding);
   return ending == std::string_view::npos ? std::string_view{} : plugin.substr(0, ending + kEnding.size());
 }
+
+bool is_name(std::string_view text) {
+  return !text.empty() && text.size() <= kNameLength && kLower.find(text.front()) != std::string_view::npos &&
+         text.find_first_not_of(kNameRest) == std::string_view::npos;
+}
+
+std::string system_file(const Manifest& manifest) { return "share/" + manifest.name() + ".fiona"; }
 
 std::string full_name(const Manifest& manifest) { return manifest.publisher() + "/" + manifest.name(); }
 

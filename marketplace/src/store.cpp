@@ -31,6 +31,7 @@ InstalledPackage located(const filesystem::path& store, const fiona::InstalledPa
   package.share = package.directory / "share";
   package.blake2b = package.directory.filename().string();
   package.source = entry.source();
+  package.as_requirement = entry.as_requirement();
   return package;
 }
 
@@ -145,6 +146,29 @@ InstalledPackage Store::find(std::string_view name) const {
   const std::string full = resolve_name(name, known, "there is no installed package", directory_.string(),
                                         "market install " + std::string(name));
   return *std::ranges::find(packages, full, &InstalledPackage::name);
+}
+
+std::vector<Generation> Store::history() const {
+  const auto described = [](const Installed& list) {
+    return Generation{.number = list.generation(),
+                      .time_s = list.time_s(),
+                      .change = list.change(),
+                      .packages = static_cast<std::size_t>(list.packages_size())};
+  };
+  std::vector<Generation> found;
+  const Installed now = read_installed(directory_);
+  if (now.generation() > 0) found.push_back(described(now));
+  for (auto& one : found) one.present = true;
+  for (const auto number : kept_generations(directory_)) {
+    if (number == now.generation()) continue;
+    try {
+      found.push_back(described(read_generation(directory_, number)));
+    } catch (const Error& error) {
+      found.push_back({.number = number, .fault = error.text().what});
+    }
+  }
+  std::ranges::sort(found, std::ranges::greater{}, &Generation::number);
+  return found;
 }
 
 void Store::verify(const InstalledPackage& package) const {

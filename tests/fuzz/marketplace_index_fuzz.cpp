@@ -39,7 +39,7 @@ void use(const Marketplace& market) {
     const std::string name = entry.manifest().publisher() + "/" + entry.manifest().name();
     if (market.info(name).empty()) std::abort();
     try {
-      market.select(name);
+      market.resolve(name);
     } catch (const fiona::Error& error) {  // for another machine
       if (error.code() != fiona::ErrorCode::DependencyConflict) std::abort();
     }

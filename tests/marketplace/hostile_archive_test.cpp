@@ -5,6 +5,7 @@
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/publish.hpp>
+#include <fiona/plugin.hpp>
 
 #include "support.hpp"
 
@@ -361,7 +362,7 @@ TEST_F(HostileArchive, AHeaderWithAWrongChecksumIsRefused) {
 
 TEST_F(HostileArchive, AManifestThatAsksForMoreThanTheTotalIsRefusedBeforeUnpacking) {
   PackageLimits limits;
-  limits.total_bytes = 210;
+  limits.total_bytes = 205 + std::string_view(kAbiTag).size();
   const Error error = refusal(honest_, limits);
   EXPECT_EQ(error.text().what, "share/help.txt makes the package larger than it may be");
 }
@@ -401,8 +402,8 @@ TEST_F(HostileArchive, AnEndlessStreamOfEmptyBlocksIsRefused) {
 }
 
 TEST_F(HostileArchive, AnInterfaceOfAnotherAbiIsRefused) {
-  expect_refused(with_manifest(edited("abi-1", "abi-2")), "the manifest and the interface speak of different ABIs",
-                 "abi-1");
+  expect_refused(with_manifest(edited(kAbiTag, "abi-2")), "the manifest and the interface speak of different ABIs",
+                 kAbiTag);
 }
 
 TEST_F(HostileArchive, AManifestThatIsNotTextIsTold) {

@@ -8,6 +8,7 @@
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/publish.hpp>
+#include <set>
 
 #include "fault_os.hpp"
 #include "support.hpp"
@@ -32,7 +33,7 @@ std::string contents(const filesystem::path& store) {
 struct Change {
   std::string name;
   std::vector<std::string> first;  // installed before
-  std::string request;             // "-NAME" removes
+  std::string request;             // "-NAME" removes, "<" goes back
   std::string before, after;
   bool rubbish = false;  // an earlier crash left some
 };
@@ -45,6 +46,8 @@ class Crash : public ::testing::TestWithParam<Change> {
     publish_plugin(scratch_.path(), market_, "steps", "1.0.0", "old");
     publish_plugin(scratch_.path(), market_, "steps", "2.0.0", "new");
     publish_plugin(scratch_.path(), market_, "maps", "1.0.0");
+    publish_plugin(scratch_.path(), market_, "walk", "1.0.0", "code",
+                   "requirements: ['acme/maps', 'acme/steps >= 2.0.0']");
   }
 
   // A store in the state that the change starts from.
@@ -68,22 +71,37 @@ class Crash : public ::testing::TestWithParam<Change> {
     InstallOptions options;
     options.os = os;
     const std::string& request = GetParam().request;
-    if (request.starts_with('-'))
+    if (request == "<")
+      apply(plan_rollback({}, Store{store}), nullptr, store, options);
+    else if (request.starts_with('-'))
       marketplace::remove(request.substr(1), store, options);
     else
       install(request, Marketplace{market_}, store, options);
   }
 
   void expect_retry_succeeds(const filesystem::path& store) {
-    if (contents(store) != GetParam().after || !GetParam().request.starts_with('-')) change(store, system_calls());
+    const bool again = GetParam().request != "<" && !GetParam().request.starts_with('-');
+    if (contents(store) != GetParam().after || again) change(store, system_calls());
     EXPECT_EQ(contents(store), GetParam().after);
     install("maps", Marketplace{market_}, store);  // the next change sweeps
     for (const auto& entry : filesystem::directory_iterator(store)) {
       const std::string name = entry.path().filename();
-      EXPECT_TRUE(name == "packages" || name == "installed.textproto") << name << " was left";
+      EXPECT_TRUE(name == "packages" || name == "generations" || name == "installed.textproto") << name << " was left";
     }
-    const auto packages = std::distance(filesystem::directory_iterator(store / "packages"), {});
-    EXPECT_EQ(static_cast<std::size_t>(packages), Store{store}.installed().size());
+    std::set<std::string> packages;
+    for (const auto& entry : filesystem::directory_iterator(store / "packages"))
+      packages.insert(entry.path().filename());
+    EXPECT_EQ(packages, listed(store));
+  }
+
+  // The directories that the lists of a store name.
+  static std::set<std::string> listed(const filesystem::path& store) {
+    std::string text = file_content(store / "installed.textproto");
+    for (const auto& entry : filesystem::directory_iterator(store / "generations")) text += file_content(entry.path());
+    std::set<std::string> names;
+    for (std::size_t at = 0; (at = text.find("packages/", at)) != std::string::npos; at += 9)
+      names.insert(text.substr(at + 9, 64));
+    return names;
   }
 
   // The calls that change something, in the undisturbed change.
@@ -175,7 +193,13 @@ INSTANTIATE_TEST_SUITE_P(
         Change{"SecondPackage", {"maps"}, "steps@1.0.0", "acme/maps@1.0.0 ", "acme/maps@1.0.0 acme/steps@1.0.0 "},
         Change{"Upgrade", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 "},
         Change{"UpgradeWithRubbish", {"steps@1.0.0"}, "steps", "acme/steps@1.0.0 ", "acme/steps@2.0.0 ", true},
-        Change{"Remove", {"maps", "steps@1.0.0"}, "-maps", "acme/maps@1.0.0 acme/steps@1.0.0 ", "acme/steps@1.0.0 "}),
+        Change{"Remove", {"maps", "steps@1.0.0"}, "-maps", "acme/maps@1.0.0 acme/steps@1.0.0 ", "acme/steps@1.0.0 "},
+        Change{"Rollback", {"steps@1.0.0", "steps"}, "<", "acme/steps@2.0.0 ", "acme/steps@1.0.0 "},
+        Change{"WithRequirement",
+               {"steps@1.0.0"},
+               "walk",
+               "acme/steps@1.0.0 ",
+               "acme/maps@1.0.0 acme/steps@2.0.0 acme/walk@1.0.0 "}),
     [](const auto& test) { return test.param.name; });
 
 // The same for a marketplace directory.

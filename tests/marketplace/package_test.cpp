@@ -3,6 +3,7 @@
 
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/package.hpp>
+#include <fiona/plugin.hpp>
 
 #include "support.hpp"
 
@@ -44,7 +45,7 @@ TEST(Package, WhatWasPackedIsReadInTheFixedOrder) {
   EXPECT_EQ(sink.files[3].second, library_bytes("code"));
   EXPECT_EQ(contents.manifest.library(), "lib/libsteps.so");
   EXPECT_EQ(contents.manifest.architecture(), this_architecture());
-  EXPECT_EQ(contents.manifest.abi(), "abi-1");
+  EXPECT_EQ(contents.manifest.abi(), kAbiTag);
   EXPECT_EQ(contents.interface.components(0).name(), "steps");
 }
 

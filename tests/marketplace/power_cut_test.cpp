@@ -136,6 +136,13 @@ class PowerCut : public ::testing::Test {
         Store{store}.verify(package);
         versions += package.manifest.version();
       }
+      // What a rollback would go back to has to be as safe.
+      const auto history = Store{store}.history();
+      for (const auto& generation : history) {
+        if (!generation.fault.empty()) return generation.fault;
+        if (generation.packages != 1) return "generation " + std::to_string(generation.number) + " is not whole";
+      }
+      if (!history.empty() && history.size() < history.front().number) return "a generation is missing";
       return versions;
     } catch (const Error& error) {
       return error.text().what;

@@ -27,6 +27,9 @@ class StoreTest : public ::testing::Test {
     pack_to(scratch_ / "other.fpk", source);
     publish(scratch_ / "other.fpk", market_);
   }
+  void roll_back(std::optional<std::uint64_t> to = {}) {
+    EXPECT_TRUE(apply(plan_rollback(to, Store{store_}), nullptr, store_));
+  }
   InstallResult install_one(std::string_view request) { return install(request, Marketplace{market_}, store_); }
 
   Scratch scratch_;
@@ -82,7 +85,7 @@ TEST_F(StoreTest, InstallingAgainChangesNothing) {
   EXPECT_EQ(snapshot(scratch_.path()), before);
 }
 
-TEST_F(StoreTest, AnUpgradeReplacesAndTheNextChangeSweepsTheOldFiles) {
+TEST_F(StoreTest, AnUpgradeReplacesAndTheOldFilesStayForARollback) {
   publish_one("steps", "1.0.0");
   const auto old = install_one("steps").package;
   publish_one("steps", "1.1.0", "new code");
@@ -90,9 +93,79 @@ TEST_F(StoreTest, AnUpgradeReplacesAndTheNextChangeSweepsTheOldFiles) {
   EXPECT_EQ(result.outcome, InstallOutcome::Replaced);
   EXPECT_EQ(result.previous_version, "1.0.0");
   EXPECT_EQ(file_content(result.package.library), library_bytes("new code"));
-  EXPECT_TRUE(filesystem::exists(old.library));
   install_one("steps");
-  EXPECT_FALSE(filesystem::exists(old.directory));
+  EXPECT_TRUE(filesystem::exists(old.library));
+  roll_back();
+  EXPECT_EQ(Store{store_}.find("steps").directory, old.directory);
+  EXPECT_NO_THROW(Store{store_}.verify(old));
+}
+
+TEST_F(StoreTest, RollbackGoesOnAndBackAgainByNumber) {
+  for (const char* version : {"1.0.0", "2.0.0", "3.0.0"}) {
+    publish_one("steps", version, version);
+    install_one("steps");
+  }
+  roll_back();
+  roll_back();
+  EXPECT_EQ(Store{store_}.find("steps").manifest.version(), "1.0.0");
+  const Error end = error_of([&] { roll_back(); });
+  EXPECT_EQ(end.code(), ErrorCode::NotFound);
+  EXPECT_EQ(end.text().what, "there is nothing to go back to");
+  roll_back(3);
+  EXPECT_EQ(Store{store_}.find("steps").manifest.version(), "3.0.0");
+  const Error unknown = error_of([&] { roll_back(9); });
+  EXPECT_EQ(unknown.text().what, "generation 9 of the store is not kept");
+  EXPECT_EQ(unknown.text().expected, "one of 1, 2, 3");
+}
+
+TEST_F(StoreTest, AChangeAfterARollbackGetsANumberOfItsOwn) {
+  publish_one("steps", "1.0.0");
+  install_one("steps");
+  publish_one("steps", "2.0.0", "new");
+  install_one("steps");
+  roll_back();
+  publish_one("maps", "1.0.0");
+  install_one("maps");
+  const auto history = Store{store_}.history();
+  ASSERT_EQ(history.size(), 3u);
+  EXPECT_EQ(history[0].number, 3u);
+  EXPECT_TRUE(history[0].present);
+  EXPECT_EQ(history[0].change, "install maps");
+  roll_back();
+  EXPECT_EQ(Store{store_}.history()[2].present, true);
+}
+
+TEST_F(StoreTest, OnlyTenGenerationsAndTheirFilesAreKept) {
+  for (int i = 1; i <= 14; ++i) {
+    publish_one("steps", std::to_string(i) + ".0.0", std::to_string(i));
+    install_one("steps");
+  }
+  EXPECT_EQ(Store{store_}.history().size(), 11u);  // the present one, and ten
+  install_one("steps");
+  EXPECT_EQ(std::distance(filesystem::directory_iterator(store_ / "packages"), {}), 11);
+}
+
+TEST_F(StoreTest, ARollbackToDamagedFilesIsRefused) {
+  publish_one("steps", "1.0.0");
+  const auto old = install_one("steps").package;
+  publish_one("steps", "2.0.0", "new");
+  install_one("steps");
+  write_file(old.library, "evil");
+  const Error error = error_of([&] { roll_back(); });
+  EXPECT_EQ(error.code(), ErrorCode::BadSignature);
+  EXPECT_EQ(error.text().what, "the files of acme/steps 1.0.0, to which this would go back, are damaged or gone");
+  EXPECT_EQ(Store{store_}.find("steps").manifest.version(), "2.0.0");
+}
+
+TEST_F(StoreTest, ADamagedGenerationCostsNoFiles) {
+  publish_one("steps", "1.0.0");
+  const auto old = install_one("steps").package;
+  publish_one("steps", "2.0.0", "new");
+  install_one("steps");
+  write_file(store_ / "generations/1.textproto", "packages {");
+  install_one("steps");
+  EXPECT_TRUE(filesystem::exists(old.library));
+  EXPECT_EQ(Store{store_}.history()[1].fault.find("the list of installed packages is damaged"), 0u);
 }
 
 TEST_F(StoreTest, APackageThatIsHeldIsNotSwept) {
@@ -102,6 +175,7 @@ TEST_F(StoreTest, APackageThatIsHeldIsNotSwept) {
     const PackageHold hold = Store{store_}.hold(old);
     publish_one("steps", "1.1.0", "new code");
     install_one("steps");
+    filesystem::remove_all(store_ / "generations");
     install_one("steps");
     EXPECT_EQ(file_content(old.library), library_bytes("code"));
   }
@@ -159,8 +233,9 @@ TEST_F(StoreTest, ADamagedListIsToldWithItsCure) {
   write_file(store_ / "installed.textproto", "packages { manifest {");
   const Error error = error_of([&] { Store{store_}.installed(); });
   EXPECT_EQ(error.text().what.find("the list of installed packages is damaged: this is not a Installed"), 0u);
-  EXPECT_EQ(error.text().next,
-            "move " + (store_ / "installed.textproto").string() + " away and install the packages again");
+  EXPECT_EQ(error.text().next, "move " + (store_ / "installed.textproto").string() +
+                                   " away and install the packages again; earlier lists are in " +
+                                   (store_ / "generations").string());
 }
 
 TEST_F(StoreTest, AListThatLeadsOutOfTheStoreIsRefused) {
@@ -173,12 +248,13 @@ TEST_F(StoreTest, AListThatLeadsOutOfTheStoreIsRefused) {
             "the list of installed packages is damaged: acme/steps has no directory of this store");
 }
 
-TEST_F(StoreTest, ARemovedPackageIsGoneAndItsFilesAreSwept) {
+TEST_F(StoreTest, ARemovedPackageIsGoneAndItsFilesAreSweptOnceNoGenerationHasThem) {
   publish_one("steps", "1.0.0");
   install_one("steps");
   publish_one("maps", "1.0.0");
   EXPECT_EQ(marketplace::remove("steps", store_).name(), "acme/steps");
   EXPECT_TRUE(Store{store_}.installed().empty());
+  filesystem::remove_all(store_ / "generations");
   install_one("maps");
   EXPECT_EQ(std::distance(filesystem::directory_iterator(store_ / "packages"), {}), 1);
 }
@@ -192,8 +268,14 @@ TEST_F(StoreTest, AnotherInstallationIsWaitedForAndThenTold) {
   options.lock_wait = std::chrono::milliseconds(0);
   const Error error = error_of([&] { install("steps", Marketplace{market_}, store_, options); });
   EXPECT_EQ(error.code(), ErrorCode::Unreachable);
-  EXPECT_EQ(error.text().what, "another process is changing this directory and has not ended");
-  ::close(other);
+  EXPECT_EQ(error.text().what.find("process " + std::to_string(::getpid()) + " ("), 0u) << error.text().what;
+  EXPECT_NE(error.text().what.find("marketplace_test"), std::string::npos);
+  EXPECT_TRUE(error.text().what.ends_with(") is changing this directory and has not ended")) << error.text().what;
+  std::string who;
+  options.on_wait = [&](const std::string& holder) { ::close(other), who = holder; };
+  options.lock_wait = std::chrono::seconds(10);
+  install("steps", Marketplace{market_}, store_, options);
+  EXPECT_TRUE(who.starts_with("process ")) << who;
 }
 
 TEST_F(StoreTest, TheDefaultStoreFollowsTheEnvironment) {
@@ -261,7 +343,9 @@ TEST_F(StoreTest, APackageForAnotherMachineIsToldSo) {
   publish(scratch_ / "other.fpk", market_);
   const Error error = error_of([&] { install_one("steps"); });
   EXPECT_EQ(error.code(), ErrorCode::DependencyConflict);
-  EXPECT_EQ(error.text().what, "acme/steps 1.0.0 is not made for this machine");
+  EXPECT_EQ(error.text().what, "acme/steps cannot be installed: acme/steps 1.0.0 is made for " +
+                                   std::string(this_architecture() == "x86_64" ? "aarch64" : "x86_64") +
+                                   ", and this machine is " + std::string(this_architecture()));
 }
 
 TEST_F(StoreTest, PublishingTheSameBytesChangesNothing) {

@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <cstring>
 #include <fiona/marketplace/publish.hpp>
+#include <fiona/plugin.hpp>
 #include <fstream>
 #include <iterator>
 
@@ -65,15 +66,15 @@ std::string library_bytes(std::string_view body) {
 }
 
 PackageSource plugin_source(const filesystem::path& scratch, const std::string& name, const std::string& version,
-                            std::string_view body) {
+                            std::string_view body, const std::string& more) {
   const filesystem::path directory = scratch / ("source-" + name + "-" + version);
   write_file(directory / ("lib" + name + ".so"), library_bytes(body));
   write_file(directory / "share/data/map.osm", "<osm/>");
   write_file(directory / "share/help.txt", "help");
   PackageSource source;
-  source.manifest =
-      "publisher: 'acme' name: '" + name + "' version: '" + version + "' summary: 'Counts steps' license: 'Apache-2.0'";
-  source.interface = "abi: 'abi-1' components { name: '" + name +
+  source.manifest = "publisher: 'acme' name: '" + name + "' version: '" + version +
+                    "' summary: 'Counts steps' license: 'Apache-2.0' " + more;
+  source.interface = "abi: '" + std::string(kAbiTag) + "' components { name: '" + name +
                      "' ports { name: 'steps' direction: PROVIDES service: 'fiona.localisation.StepProvider' } }";
   source.readme = "# " + name + "\n";
   source.libraries = {directory / ("lib" + name + ".so")};
@@ -82,9 +83,9 @@ PackageSource plugin_source(const filesystem::path& scratch, const std::string& 
 }
 
 void publish_plugin(const filesystem::path& scratch, const filesystem::path& market, const std::string& name,
-                    const std::string& version, std::string_view body) {
+                    const std::string& version, std::string_view body, const std::string& more) {
   const filesystem::path file = scratch / (name + "-" + version + ".fpk");
-  pack_to(file, plugin_source(scratch, name, version, body));
+  pack_to(file, plugin_source(scratch, name, version, body, more));
   publish(file, market);
 }
 

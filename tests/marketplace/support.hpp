@@ -33,13 +33,13 @@ std::map<std::string, std::string> snapshot(const std::filesystem::path& root);
 /// The bytes of a shared object for this machine as far as packing looks, then `body`.
 std::string library_bytes(std::string_view body);
 
-/// A small plugin package with two share files, made of files below `scratch`.
+/// A small plugin package with two share files, made of files below `scratch`; `more` goes into the manifest.
 PackageSource plugin_source(const std::filesystem::path& scratch, const std::string& name, const std::string& version,
-                            std::string_view body = "code");
+                            std::string_view body = "code", const std::string& more = {});
 
 /// Packs plugin_source and publishes it into `market`.
 void publish_plugin(const std::filesystem::path& scratch, const std::filesystem::path& market, const std::string& name,
-                    const std::string& version, std::string_view body = "code");
+                    const std::string& version, std::string_view body = "code", const std::string& more = {});
 
 /// The error that `call` throws; fails the test if it throws none.
 Error error_of(const std::function<void()>& call);

@@ -1,99 +1,330 @@
-// The only verb that changes a store; with catalogue.cpp the only file that knows the marketplace library.
+// The only verb that changes a store. What it finds is in market_search.cpp.
+#include <algorithm>
+#include <ctime>
+
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
+#include <fiona/marketplace/lock.hpp>
 
+#include "../catalogue.hpp"
+#include "../script.hpp"
 #include "../system_view.hpp"
+#include "market.hpp"
 #include "verbs.hpp"
 
 namespace fiona::console::verbs {
 namespace {
 
-marketplace::Marketplace chosen_market(const Line& line) {
-  const Word* from = line.option("--from");
-  return from == nullptr ? marketplace::Marketplace() : marketplace::Marketplace(from->text);
+using marketplace::Marketplace;
+using marketplace::Plan;
+using marketplace::PlanStep;
+using marketplace::StepKind;
+using marketplace::Store;
+
+/// Others may change the store while somebody thinks about a plan.
+constexpr int kMostPlans = 5;
+
+Store chosen_store(const Session& session) {
+  return Store(session.options.store.empty() ? Store::default_directory() : session.options.store);
 }
 
-std::string components_text(const IndexEntry& entry) {
+std::vector<std::string> names_in(const Line& line) {
   std::vector<std::string> names;
-  for (const auto& component : entry.interface().components()) names.push_back(component.name());
-  return fmt::format("{}", fmt::join(names, ", "));
+  for (std::size_t i = 1; i < line.positional.size(); ++i) names.push_back(line.positional[i].text);
+  return names;
 }
 
-void search(Session& session, const Line& line) {
-  std::vector<std::string> words;
-  for (std::size_t i = 1; i < line.positional.size(); ++i) words.push_back(line.positional[i].text);
-  Table table({"package", "version", "components", "summary"});
-  for (const IndexEntry& entry : chosen_market(line).search(words)) {
-    table.add({marketplace::full_name(entry.manifest()), entry.manifest().version(), components_text(entry),
-               entry.manifest().summary()});
+/// "install", "upgrade from 1.0.0": what a step does, for a plan.
+std::string step_text(const PlanStep& step) {
+  switch (step.kind) {
+    case StepKind::Install: return "install";
+    case StepKind::Upgrade: return "instead of " + step.previous_version;
+    case StepKind::Downgrade: return "back from " + step.previous_version;
+    case StepKind::Replace: return "other content";
+    case StepKind::Repair: return "repair";
+    case StepKind::Remove: return "remove";
   }
-  session.out.table(
-      table, words.empty() ? "the marketplace is empty" : fmt::format("no package has {}", fmt::join(words, " and ")));
+  return "";
 }
 
-void info(Session& session, const Line& line) {
-  const std::vector<IndexEntry> entries = chosen_market(line).info(line.positional[1].text);
-  const Manifest& newest = entries.front().manifest();
-  std::vector<std::string> versions;
-  for (const IndexEntry& entry : entries) versions.push_back(entry.manifest().version());
-  Table facts({"fact", "value"});
-  facts.add({"package", marketplace::full_name(newest)});
-  facts.add({"versions", fmt::format("{}", fmt::join(versions, ", "))});
-  facts.add({"summary", newest.summary()});
-  facts.add({"license", newest.license()});
-  facts.add({"rights",
-             newest.rights().empty() ? "none beyond a sandbox" : fmt::format("{}", fmt::join(newest.rights(), ", "))});
-  facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
-  facts.add({"signed", entries.front().signature().empty() ? "no" : "yes"});
-  for (const std::string& hello : split_lines(newest.hello())) facts.add({"try", hello});
-  session.out.table(facts, "", false);
-  for (const auto& component : entries.front().interface().components()) {
-    Table ports({"port", "direction", "service", "doc"});
-    for (const auto& port : component.ports())
-      ports.add({port.name(),
-                 port.direction() == PROVIDES ? "provides"
-                 : port.optional()            ? "requires, optional"
-                                              : "requires",
-                 short_name(port.service()), port.doc()});
-    session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));
-    session.out.table(ports, "it has no ports");
-  }
-}
-
-std::string outcome_text(const marketplace::InstallResult& result) {
-  const std::string package = fmt::format("{} {}", result.package.name(), result.package.manifest.version());
-  switch (result.outcome) {
-    case marketplace::InstallOutcome::Installed: return "installed " + package;
-    case marketplace::InstallOutcome::Replaced:
-      return fmt::format("installed {} in place of {}", package, result.previous_version);
-    case marketplace::InstallOutcome::Repaired: return "repaired " + package;
-    case marketplace::InstallOutcome::AlreadyInstalled: return package + " is installed already";
+std::string done_text(const PlanStep& step) {
+  const std::string package = fmt::format("{} {}", step.package, step.version);
+  switch (step.kind) {
+    case StepKind::Install: return "installed " + package;
+    case StepKind::Upgrade:
+    case StepKind::Downgrade: return fmt::format("installed {} in place of {}", package, step.previous_version);
+    case StepKind::Replace: return fmt::format("installed {} in place of {}", package, step.previous_version);
+    case StepKind::Repair: return "repaired " + package;
+    case StepKind::Remove: return "removed " + package;
   }
   return package;
 }
 
-void install(Session& session, const Line& line) {
-  const marketplace::Marketplace market = chosen_market(line);
-  const std::filesystem::path store =
-      session.options.store.empty() ? marketplace::Store::default_directory() : session.options.store;
-  for (std::size_t i = 1; i < line.positional.size(); ++i) {
-    const marketplace::InstallResult result = marketplace::install(line.positional[i].text, market, store);
-    session.out.done(outcome_text(result),
-                     {{"package", result.package.name()}, {"version", result.package.manifest.version()}});
-    if (result.outcome != marketplace::InstallOutcome::Installed) continue;
-    for (const std::string& hello : split_lines(result.package.manifest.hello())) session.out.remark("  try: " + hello);
+std::string rights_text(const std::vector<std::string>& rights) {
+  std::vector<std::string> texts;
+  for (const std::string& right : rights) texts.push_back(right_text(right));
+  return fmt::format("{}", fmt::join(texts, "; "));
+}
+
+/// What is asked for, in words: why a package comes, which rights, whose it is.
+void show_plan(Session& session, const Plan& plan) {
+  Table table({"package", "version", "does", "because", "rights"});
+  table.leave_out_if_empty("because");
+  for (const PlanStep& step : plan.steps) {
+    table.add({step.package, step.version, step_text(step), step.because, {rights_text(step.rights), step.rights}});
   }
+  session.out.table(table, "");
+  for (const PlanStep& step : plan.steps) {
+    if (!step.previous_version.empty() && !step.new_rights.empty())
+      session.out.text(fmt::format("{} {} asks for more than {}: {}", step.package, step.version, step.previous_version,
+                                   rights_text(step.new_rights)));
+  }
+  std::vector<std::string> publishers;
+  for (const PlanStep& step : plan.steps) {
+    const std::string publisher = step.package.substr(0, step.package.find('/'));
+    const bool told = std::find(publishers.begin(), publishers.end(), publisher) != publishers.end();
+    if (step.new_publisher && !told) publishers.push_back(publisher);
+  }
+  for (const std::string& publisher : publishers)
+    session.out.text(fmt::format("nothing of the publisher {} is installed yet", publisher));
+}
+
+/// What else there is to say, done or not.
+void remark(Session& session, const Plan& plan) {
+  for (const std::string& note : plan.notes) session.out.remark(note);
+  for (const auto& missing : plan.missing) {
+    session.out.remark(fmt::format(
+        "{} requires {}, which nothing installed provides{}", missing.port, short_name(missing.service),
+        missing.providers.empty() ? "; no package of the marketplace does either"
+                                  : fmt::format(": market install {}", fmt::join(missing.providers, ", or "))));
+  }
+}
+
+/// Whether it may be done. A plan that is what was typed and no more needs no question.
+bool is_agreed(Session& session, const Line& line, const Plan& plan, bool ask_always) {
+  if (line.has("-y") || (!plan.needs_consent() && !ask_always)) return true;
+  show_plan(session, plan);
+  const std::optional<bool> answer = session.ask ? session.ask("Do this? (yes/no) ") : std::nullopt;
+  if (answer) return *answer;
+  throw line.error(line.verb,
+                   {.what = fmt::format("{} does more than was typed, and nobody is here to agree", plan.change),
+                    .next = "the same line with -y, if that is meant"},
+                   ErrorCode::NotAllowed);
+}
+
+void tell_done(Session& session, const Plan& plan) {
+  for (const PlanStep& step : plan.steps) {
+    session.out.done(done_text(step), {{"package", step.package},
+                                       {"version", step.version},
+                                       {"previous", step.previous_version},
+                                       {"because", step.because}});
+    if (step.kind != StepKind::Install || !step.entry) continue;
+    for (const std::string& hello : split_lines(step.entry->manifest().hello())) session.out.remark("  try: " + hello);
+  }
+}
+
+void tell_unchanged(Session& session, const Plan& plan, const Store& store) {
+  for (const std::string& name : plan.asked) {
+    const auto steps = [&name](const PlanStep& step) { return step.package == name; };
+    if (std::any_of(plan.steps.begin(), plan.steps.end(), steps)) continue;
+    const std::string version = store.find(name).manifest.version();
+    session.out.done(fmt::format("{} {} is installed already", name, version),
+                     {{"package", name}, {"version", version}});
+  }
+  if (plan.rollback_to != 0)
+    session.out.done(fmt::format("back to generation {}", plan.rollback_to), {{"generation", plan.rollback_to}});
+  else if (plan.asked.empty() && plan.steps.empty())
+    session.out.done(fmt::format("'{}' changes nothing", plan.change));
+}
+
+/// Plans, asks and does; again where the store has changed meanwhile.
+template <class Make>
+void carry_out(Session& session, const Line& line, const Marketplace* market, bool ask_always, const Make& make) {
+  const Store store = chosen_store(session);
+  marketplace::InstallOptions options;
+  options.on_wait = [&session](const std::string& who) { session.out.remark(fmt::format("waiting for {}", who)); };
+  for (int attempt = 0; attempt < kMostPlans; ++attempt) {
+    const Plan plan = make(store);
+    if (session.planning) {
+      show_plan(session, plan);
+      remark(session, plan);
+      if (plan.steps.empty()) session.out.text(fmt::format("'{}' changes nothing", plan.change));
+      return;
+    }
+    if (!is_agreed(session, line, plan, ask_always)) return session.out.text("nothing was changed");
+    if (!marketplace::apply(plan, market, store.directory(), options)) continue;
+    tell_done(session, plan);
+    tell_unchanged(session, plan, store);
+    return remark(session, plan);
+  }
+  throw Error(ErrorCode::Unreachable, {.what = "others change this store all the time",
+                                       .where = store.directory().string(),
+                                       .next = "try again when they have ended"});
+}
+
+void install(Session& session, const Line& line) {
+  const std::vector<std::string> names = names_in(line);
+  const Word* locked = line.option("--locked");
+  if ((locked != nullptr) == !names.empty())
+    throw line.error(line.verb, {.what = locked != nullptr ? "a lock names its packages itself" : "no package is named",
+                                 .expected = "market install PACKAGE …, or market install --locked FILE"});
+  const Marketplace market = chosen_market(line);
+  const fiona::Lock wanted = locked != nullptr ? marketplace::read_lock(locked->text) : fiona::Lock{};
+  carry_out(session, line, &market, false, [&](const Store& store) {
+    return locked != nullptr ? marketplace::plan_locked(wanted, market, store)
+                             : marketplace::plan_install(names, market, store);
+  });
+}
+
+void update(Session& session, const Line& line) {
+  const Marketplace market = chosen_market(line);
+  carry_out(session, line, &market, false,
+            [&](const Store& store) { return marketplace::plan_update(names_in(line), market, store); });
+}
+
+/// The instances of the running host that a package's plugin has made.
+std::vector<std::string> instances_of(Session& session, const std::vector<std::string>& packages) {
+  std::vector<std::string> names;
+  if (session.host_if_running() == nullptr) return names;
+  const control::System system = session.snapshot();
+  for (const auto& instance : system.instances()) {
+    if (std::find(packages.begin(), packages.end(), instance.plugin()) != packages.end())
+      names.push_back(fmt::format("{} ({})", instance.name(), instance.plugin()));
+  }
+  return names;
+}
+
+void remove(Session& session, const Line& line) {
+  const Plan first = marketplace::plan_remove(names_in(line), chosen_store(session));
+  std::vector<std::string> packages;
+  for (const PlanStep& step : first.steps) packages.push_back(step.package);
+  const std::vector<std::string> running = instances_of(session, packages);
+  if (!running.empty() && !session.planning)
+    session.out.warning(
+        fmt::format("the running system uses it, and goes on with it until it ends: {}", fmt::join(running, ", ")));
+  carry_out(session, line, nullptr, !running.empty(),
+            [&](const Store& store) { return marketplace::plan_remove(names_in(line), store); });
+}
+
+void rollback(Session& session, const Line& line) {
+  std::optional<std::uint64_t> generation;
+  if (line.positional.size() > 1) generation = count_of(line.positional[1], line.words);
+  carry_out(session, line, nullptr, false,
+            [&](const Store& store) { return marketplace::plan_rollback(generation, store); });
+}
+
+std::string time_text(std::int64_t time_s) {
+  const std::time_t seconds = time_s;
+  std::tm local{};
+  ::localtime_r(&seconds, &local);
+  return fmt::format("{:%Y-%m-%d %H:%M:%S}", local);
+}
+
+void history(Session& session, const Line&) {
+  Table table({"generation", "time", "packages", "change", "state"});
+  for (const marketplace::Generation& one : chosen_store(session).history()) {
+    table.add({{fmt::format("{}", one.number), one.number},
+               {one.time_s == 0 ? "" : time_text(one.time_s), one.time_s},
+               {fmt::format("{}", one.packages), one.packages},
+               one.change,
+               one.present ? "present" : one.fault});
+  }
+  session.out.table(table, "nothing has been installed yet");
+}
+
+void list(Session& session, const Line&) {
+  Table table({"package", "version", "came", "from"});
+  for (const auto& package : chosen_store(session).installed())
+    table.add({package.name(), package.manifest.version(), package.as_requirement ? "as requirement" : "asked for",
+               package.source});
+  session.out.table(table, "nothing is installed");
+}
+
+void verify(Session& session, const Line&) {
+  const Store store = chosen_store(session);
+  std::size_t damaged = 0;
+  const auto packages = store.installed();
+  for (const auto& package : packages) {
+    try {
+      store.verify(package);
+    } catch (const Error& error) {
+      ++damaged;
+      session.out.error(error);
+    }
+  }
+  if (damaged > 0)
+    throw Error(ErrorCode::BadSignature,
+                {.what = fmt::format("{} of {} packages are damaged", damaged, packages.size()),
+                 .where = store.directory().string(),
+                 .next = "market install NAME@VERSION repairs one"});
+  session.out.done(fmt::format("{} packages, all as they were installed", packages.size()),
+                   {{"packages", packages.size()}});
+}
+
+/// The installed package of what stands after `load`: publisher/name, name, or either with /component behind it.
+std::string package_of(const std::string& plugin, const Store& store) {
+  const auto installed = store.installed();
+  for (std::string name = plugin; !name.empty();
+       name.resize(name.rfind('/') == std::string::npos ? 0 : name.rfind('/'))) {
+    for (const auto& package : installed) {
+      if (package.name() == name || package.manifest.name() == name) return store.find(name).name();
+    }
+  }
+  return store.find(plugin).name();  // which says that there is none
+}
+
+/// The packages that a system file loads.
+std::vector<std::string> loaded_by(const std::string& file, const Store& store) {
+  std::vector<std::string> packages;
+  for (const Line& line : read_script(file)) {
+    if (line.verb.text != "load") continue;
+    const Word& plugin = line.positional[0];
+    if (!marketplace::library_path(plugin.text).empty()) continue;
+    try {
+      packages.push_back(package_of(plugin.text, store));
+    } catch (const Error& error) {
+      throw LineError(line.words, plugin.place, error.text(), error.code());
+    }
+  }
+  return packages;
+}
+
+void lock(Session& session, const Line& line) {
+  const Store store = chosen_store(session);
+  std::filesystem::path target = "fiona.lock";
+  std::optional<std::vector<std::string>> packages;
+  if (line.positional.size() > 1) {
+    const std::filesystem::path file = system_path(line.positional[1].text, session.options.store);
+    packages = loaded_by(file.string(), store);
+    if (file == line.positional[1].text) target = file.parent_path() / target;
+  }
+  const fiona::Lock made = marketplace::make_lock(store, packages);
+  marketplace::write_lock(target, made);
+  session.out.done(fmt::format("locked {} packages in {}", made.packages_size(), target.string()),
+                   {{"packages", made.packages_size()}, {"file", target.string()}});
 }
 
 }  // namespace
 
+marketplace::Marketplace chosen_market(const Line& line) {
+  const Word* from = line.option("--from");
+  return from == nullptr ? Marketplace() : Marketplace(from->text);
+}
+
+std::string right_text(const std::string& right) {
+  if (right == "master") return "changes the running system (master)";
+  if (right == "network") return "speaks to the network (network)";
+  if (right.starts_with("device:")) return fmt::format("uses the device {} ({})", right.substr(7), right);
+  return right;
+}
+
 void market(Session& session, const Line& line) {
-  const std::string& action = line.positional[0].text;
-  if (action == "search") return search(session, line);
-  if (action == "info") return info(session, line);
-  install(session, line);
+  static const std::map<std::string, void (*)(Session&, const Line&)> kActions{
+      {"search", market_search}, {"info", market_info}, {"install", install}, {"update", update}, {"remove", remove},
+      {"rollback", rollback},    {"history", history},  {"list", list},       {"verify", verify}, {"lock", lock}};
+  kActions.at(line.positional[0].text)(session, line);
 }
 
 }  // namespace fiona::console::verbs

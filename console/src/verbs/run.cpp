@@ -6,6 +6,7 @@
 #include <fmt/ranges.h>
 #include <unistd.h>
 
+#include "../catalogue.hpp"
 #include "../host_process.hpp"
 #include "../locations.hpp"
 #include "../prompt.hpp"
@@ -54,10 +55,10 @@ void override_parameter(std::vector<Line>& lines, const Line& run, const TypedAr
       ErrorCode::NotFound);
 }
 
-std::vector<Line> lines_to_run(const Line& run) {
+std::vector<Line> lines_to_run(const Line& run, const std::filesystem::path& store) {
   std::vector<Line> lines;
   for (const Word& file : run.positional) {
-    for (Line& line : read_script(file.text)) lines.push_back(std::move(line));
+    for (Line& line : read_script(system_path(file.text, store))) lines.push_back(std::move(line));
   }
   for (const Line& line : lines) {
     if (line.verb.text == "run")
@@ -201,7 +202,7 @@ void run(Session& session, const Line& line) {
                                  .next = "source FILE runs the lines in this host"});
   const Word* duration = line.option("--for");
   if (duration != nullptr) duration_ms(*duration, line.words);
-  const std::vector<Line> lines = lines_to_run(line);
+  const std::vector<Line> lines = lines_to_run(line, session.options.store);
   const HostLaunch launch = launch_of(line, session.options);
   HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
   session.connect({launch.socket});

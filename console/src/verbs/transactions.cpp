@@ -99,7 +99,7 @@ void plan(Session& session, const Line& line) {
   const Line inner = inner_line(line);
   const auto planning = std::exchange(session.planning, true);
   try {
-    if (inner.verb.text == "apply" || inner.verb.text == "undo") {
+    if (inner.verb.text == "apply" || inner.verb.text == "undo" || inner.verb.text == "market") {
       find_verb(inner.verb.text)->handler(session, inner);
     } else {
       const bool looks = find_verb(inner.verb.text)->access == Access::Observe;

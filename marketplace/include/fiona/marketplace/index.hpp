@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <fiona/marketplace/version.hpp>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -9,6 +10,12 @@
 #include "fiona/manifest.pb.h"
 
 namespace fiona::marketplace {
+
+/// A package that somebody named, and a version if he did.
+struct PackageRequest {
+  std::string package;  ///< "publisher/name"
+  std::optional<Version> version{};
+};
 
 /// The index of a marketplace directory, as it was when this was made. Entries name their .fpk beside it.
 class Marketplace {
@@ -32,10 +39,9 @@ class Marketplace {
   /// nearest names, or with the full names if two publishers have it.
   std::vector<IndexEntry> info(std::string_view name) const;
 
-  /// The entry to install for "[publisher/]name[@version]" on this machine: the newest release, or the newest
-  /// pre-release where there is no release, or exactly the version. Throws fiona::Error: NotFound, with what
-  /// there is; DependencyConflict if it exists for other architectures only.
-  IndexEntry select(std::string_view request) const;
+  /// What "[publisher/]name[@version]" asks for. Throws fiona::Error (NotFound) as info() does, or with the versions
+  /// that there are.
+  PackageRequest resolve(std::string_view request) const;
 
   /// The newest versions of packages with a component that provides `service` (full name): who could fill a
   /// white spot.

@@ -4,7 +4,8 @@
 #include <filesystem>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/os_calls.hpp>
-#include <fiona/marketplace/store.hpp>
+#include <fiona/marketplace/plan.hpp>
+#include <functional>
 #include <string>
 #include <string_view>
 
@@ -25,20 +26,26 @@ struct InstallResult {
 
 struct InstallOptions {
   PackageLimits limits{};
-  std::chrono::milliseconds lock_wait{10'000};  ///< for another installation into this store to end
+  std::chrono::milliseconds lock_wait{10'000};  ///< for another change of this store to end
+  /// Told once, as "process 4711 (fiona market install acme/nav)", when that is what is waited for.
+  std::function<void(const std::string& who)> on_wait{};
   OsCalls os = system_calls();
+  Platform platform = Platform::here();
 };
 
-/// Installs "[publisher/]name[@version]" from a marketplace into a store, atomically: killed, out of space or
-/// out of power at any point, the store holds the old state or the new one, and the next installation sweeps
-/// what was left. One version of a package is installed at a time. Throws fiona::Error: NotFound,
-/// DependencyConflict, BadSignature (the package is not what the index says), Unreachable (the lock), Failed
-/// (system calls; the store is unchanged).
+/// Does what a plan says, atomically: killed, out of space or out of power at any point, the store holds the old state
+/// or the new one, and the next change sweeps what was left. The state before stays as a generation that plan_rollback
+/// can go back to. Returns false, and does nothing, if the store has changed since the plan was made: plan again.
+/// `from` is needed where the plan installs. Throws fiona::Error: BadSignature (the package is not what the index
+/// says), Unreachable (the lock), Failed (system calls; the store is unchanged).
+bool apply(const Plan& plan, const Marketplace* from, const std::filesystem::path& store,
+           const InstallOptions& options = {});
+
+/// plan_install and apply of "[publisher/]name[@version]", without questions. Throws as both.
 InstallResult install(std::string_view request, const Marketplace& from, const std::filesystem::path& store,
                       const InstallOptions& options = {});
 
-/// Takes a package out of the store, as atomically. Its files are swept by the next change, once nobody holds
-/// them. Throws fiona::Error as Store::find and install do.
+/// plan_remove and apply, without questions. The files stay as long as a generation has them or somebody holds them.
 InstalledPackage remove(std::string_view name, const std::filesystem::path& store, const InstallOptions& options = {});
 
 }  // namespace fiona::marketplace

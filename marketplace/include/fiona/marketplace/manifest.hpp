@@ -46,6 +46,13 @@ bool comes_before(std::string_view a, std::string_view b);
 /// "DIR/libNAME.so/component" the former; empty where an installed package is named.
 std::string_view library_path(std::string_view plugin);
 
+/// Whether a publisher, package or component may be called so: at most 64 lower-case letters, digits and '-',
+/// beginning with a letter.
+bool is_name(std::string_view text);
+
+/// Of a system package: the path of its system file in the package.
+std::string system_file(const Manifest& manifest);
+
 /// "publisher/name".
 std::string full_name(const Manifest& manifest);
 

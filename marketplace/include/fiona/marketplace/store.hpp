@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <fiona/marketplace/manifest.hpp>
 #include <memory>
@@ -18,6 +19,7 @@ struct InstalledPackage {
   std::filesystem::path share;      ///< absolute; its data files, may not exist
   std::string blake2b;              ///< of the .fpk that it came from; also the directory's name
   std::string source;               ///< where it was installed from
+  bool as_requirement = false;      ///< nobody asked for it by name
 
   /// "publisher/name".
   std::string name() const { return full_name(manifest); }
@@ -42,6 +44,16 @@ class PackageHold {
   int descriptor_;
 };
 
+/// One list of installed packages, the present one or one that can be gone back to.
+struct Generation {
+  std::uint64_t number = 0;
+  std::int64_t time_s = 0;   ///< when it was made, since 1970-01-01 UTC
+  std::string change{};      ///< what made it: "install acme/nav"
+  std::size_t packages = 0;  ///< how many
+  bool present = false;
+  std::string fault{};  ///< why it cannot be gone back to
+};
+
 /// Read-only view of what a user has installed. Each call reads the store anew: one file, replaced
 /// atomically, so a reader sees the state before or after an installation, never between. Takes no lock and
 /// writes nothing.
@@ -61,6 +73,10 @@ class Store {
   /// The package "publisher/name" or "name". Throws fiona::Error (NotFound): with the nearest names if it is
   /// unknown, with the full names if two publishers have it.
   InstalledPackage find(std::string_view name) const;
+
+  /// The present list and those that are kept, the newest first. Throws fiona::Error (Failed) if the present one is
+  /// damaged.
+  std::vector<Generation> history() const;
 
   /// Compares every file with the manifest: presence, kind, size, hash; and that there is no other file.
   /// Throws fiona::Error (BadSignature) that names the first difference.

@@ -1,0 +1,20 @@
+#pragma once
+
+#include <string>
+
+#include <fiona/marketplace/index.hpp>
+
+#include "../session.hpp"
+
+namespace fiona::console::verbs {
+
+/// The one that --from names, or the user's.
+marketplace::Marketplace chosen_market(const Line& line);
+
+/// What a right lets a package do, in words: "speaks to the network (network)".
+std::string right_text(const std::string& right);
+
+void market_search(Session& session, const Line& line);
+void market_info(Session& session, const Line& line);
+
+}  // namespace fiona::console::verbs

@@ -1,0 +1,226 @@
+// What a marketplace has: by name, text, service, and for white spots; and a package in full before it is installed.
+#include <algorithm>
+#include <set>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <fiona/marketplace/package.hpp>
+#include <fiona/marketplace/plan.hpp>
+#include <fiona/marketplace/requirement.hpp>
+
+#include "../catalogue.hpp"
+#include "../system_check.hpp"
+#include "../system_view.hpp"
+#include "../types.hpp"
+#include "../white_spots.hpp"
+#include "market.hpp"
+
+#include "fiona/options.pb.h"
+
+namespace fiona::console::verbs {
+namespace {
+
+using marketplace::Marketplace;
+
+/// "GetIMUService, RFSignalRSSIService": what the components of a package provide, or require.
+std::string services_text(const IndexEntry& entry, fiona::Direction direction) {
+  std::vector<std::string> names;
+  for (const auto& component : entry.interface().components()) {
+    for (const auto& port : component.ports()) {
+      const std::string name = short_name(port.service());
+      if (port.direction() == direction && std::find(names.begin(), names.end(), name) == names.end())
+        names.push_back(name);
+    }
+  }
+  return fmt::format("{}", fmt::join(names, ", "));
+}
+
+bool has_port(const IndexEntry& entry, fiona::Direction direction, const std::string& service) {
+  for (const auto& component : entry.interface().components()) {
+    for (const auto& port : component.ports()) {
+      if (port.direction() == direction && port.service() == service) return true;
+    }
+  }
+  return false;
+}
+
+/// The full name of a service that some package of the marketplace provides or requires, as it was typed in full or
+/// without its proto package.
+std::string service_named(const Marketplace& market, const Line& line, const Word& typed) {
+  std::set<std::string> known;
+  for (const IndexEntry& entry : market.search({})) {
+    for (const auto& component : entry.interface().components()) {
+      for (const auto& port : component.ports()) {
+        if (port.service() == typed.text || short_name(port.service()) == typed.text) return port.service();
+        known.insert(short_name(port.service()));
+      }
+    }
+  }
+  throw line.error(
+      typed,
+      {.what = fmt::format("no package of the marketplace provides or requires a service '{}'", typed.text),
+       .next = "market search",
+       .near = nearest_names(typed.text, std::vector<std::string>{known.begin(), known.end()})},
+      ErrorCode::NotFound);
+}
+
+std::vector<std::string> words_in(const Line& line) {
+  std::vector<std::string> words;
+  for (std::size_t i = 1; i < line.positional.size(); ++i) words.push_back(line.positional[i].text);
+  return words;
+}
+
+/// Those with every word and, where they are named, with a port that provides or requires the service.
+std::vector<IndexEntry> found_by(const Marketplace& market, const Line& line) {
+  std::vector<IndexEntry> entries = market.search(words_in(line));
+  for (const auto& [name, direction] : {std::pair{"provides", fiona::PROVIDES}, {"requires", fiona::REQUIRES}}) {
+    const Word* typed = line.argument(name);
+    if (typed == nullptr) continue;
+    const std::string service = service_named(market, line, *typed);
+    std::erase_if(entries, [&, way = direction](const IndexEntry& entry) { return !has_port(entry, way, service); });
+  }
+  return entries;
+}
+
+struct Spot {
+  std::string port;
+  std::string service;
+};
+
+/// The required ports without a provider, of the running host or of a system file.
+std::vector<Spot> spots_of(Session& session, const Word& of) {
+  std::vector<Spot> spots;
+  const Catalogue catalogue(session.options.store);
+  if (of.text == "spots") {
+    for (const WhiteSpot& spot : white_spots(session.snapshot(), catalogue)) {
+      if (spot.required) spots.push_back({spot.port, spot.service});
+    }
+    return spots;
+  }
+  const CheckResult result = check_system(system_path(of.text, session.options.store), catalogue);
+  if (!result.errors.empty()) throw LineError(result.errors.front());
+  for (const auto& spot : result.spots) spots.push_back({spot.port, spot.service});
+  return spots;
+}
+
+void search_spots(Session& session, const Line& line, const Marketplace& market, const Word& of) {
+  const std::vector<IndexEntry> entries = found_by(market, line);
+  const std::vector<Spot> spots = spots_of(session, of);
+  Table table({"port", "service", "package", "version", "summary"});
+  for (const Spot& spot : spots) {
+    for (const IndexEntry& entry : entries) {
+      if (has_port(entry, fiona::PROVIDES, spot.service))
+        table.add({spot.port, short_name(spot.service), marketplace::full_name(entry.manifest()),
+                   entry.manifest().version(), entry.manifest().summary()});
+    }
+  }
+  session.out.table(table, spots.empty() ? "there are no required ports that nobody serves"
+                                         : "no package fills any of the white spots");
+}
+
+/// "2.0.0 (for FIONA >= 1.0.0), 1.4.0": what does not fit here says why.
+std::string versions_text(const std::vector<IndexEntry>& entries) {
+  const marketplace::Platform here = marketplace::Platform::here();
+  std::vector<std::string> texts;
+  for (const IndexEntry& entry : entries) {
+    const Manifest& manifest = entry.manifest();
+    std::string fault;
+    if (!manifest.architecture().empty() && manifest.architecture() != here.architecture)
+      fault = "for " + manifest.architecture();
+    else if (!manifest.library().empty() && manifest.abi() != here.abi)
+      fault = "for another ABI: " + manifest.abi();
+    else if (!marketplace::VersionRange::parse(manifest.host(), "").has(*marketplace::Version::parse(here.version)))
+      fault = "for FIONA " + manifest.host();
+    texts.push_back(fault.empty() ? manifest.version() : fmt::format("{} ({})", manifest.version(), fault));
+  }
+  return fmt::format("{}", fmt::join(texts, ", "));
+}
+
+void show_facts(Session& session, const std::vector<IndexEntry>& entries) {
+  const Manifest& newest = entries.front().manifest();
+  Table facts({"fact", "value"});
+  facts.add({"package", marketplace::full_name(newest)});
+  facts.add({"versions", versions_text(entries)});
+  facts.add({"summary", newest.summary()});
+  facts.add({"license", newest.license()});
+  std::vector<std::string> rights;
+  for (const std::string& right : newest.rights()) rights.push_back(right_text(right));
+  facts.add({"rights", rights.empty() ? "none beyond a sandbox" : fmt::format("{}", fmt::join(rights, "; "))});
+  for (const std::string& text : newest.requirements()) facts.add({"requires", text});
+  for (const std::string& text : newest.conflicts()) facts.add({"not with", text});
+  if (!newest.host().empty()) facts.add({"works with", "FIONA " + newest.host()});
+  facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
+  facts.add({"signed", entries.front().signature().empty() ? "no" : "yes"});
+  for (const std::string& hello : split_lines(newest.hello())) facts.add({"try", hello});
+  session.out.table(facts, "", false);
+}
+
+std::string pattern_of(const TypeSet& types, const std::string& service) {
+  const auto* found = types.service(service);
+  return found == nullptr ? "" : pattern_text(found->options().GetExtension(fiona::contract).pattern());
+}
+
+/// The objects that a service carries, each once over all the ports.
+void add_objects(const TypeSet& types, const std::string& service,
+                 std::vector<const google::protobuf::Descriptor*>& objects) {
+  const auto* found = types.service(service);
+  for (int i = 0; found != nullptr && i < found->method_count(); ++i) {
+    for (const auto* type : {found->method(i)->input_type(), found->method(i)->output_type()}) {
+      if (type->full_name() != "fiona.None" && std::find(objects.begin(), objects.end(), type) == objects.end())
+        objects.push_back(type);
+    }
+  }
+}
+
+void show_component(Session& session, const fiona::ComponentInterface& component, const TypeSet& types) {
+  session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));
+  Table ports({"port", "direction", "service", "pattern", "doc"});
+  std::vector<const google::protobuf::Descriptor*> objects;
+  for (const auto& port : component.ports()) {
+    ports.add({port.name(),
+               port.direction() == PROVIDES ? "provides"
+               : port.optional()            ? "requires, optional"
+                                            : "requires",
+               short_name(port.service()), pattern_of(types, port.service()), port.doc()});
+    add_objects(types, port.service(), objects);
+  }
+  session.out.table(ports, "it has no ports");
+  if (const auto* parameters = component.parameters().empty() ? nullptr : types.object(component.parameters())) {
+    session.out.text(fmt::format("\nparameters of {}", component.name()));
+    session.out.table(field_table(*parameters), "");
+  }
+  for (const auto* object : objects) {
+    session.out.text("\n" + object->full_name());
+    session.out.table(field_table(*object), "it has no fields");
+  }
+}
+
+}  // namespace
+
+void market_search(Session& session, const Line& line) {
+  const Marketplace market = chosen_market(line);
+  if (const Word* of = line.clause("for")) return search_spots(session, line, market, *of);
+  Table table({"package", "version", "provides", "requires", "summary"});
+  for (const IndexEntry& entry : found_by(market, line)) {
+    table.add({marketplace::full_name(entry.manifest()), entry.manifest().version(),
+               services_text(entry, fiona::PROVIDES), services_text(entry, fiona::REQUIRES),
+               entry.manifest().summary()});
+  }
+  const std::vector<std::string> words = words_in(line);
+  session.out.table(table, words.empty() && line.arguments.empty() ? "the marketplace is empty"
+                           : words.empty()                         ? "no package does"
+                                           : fmt::format("no package has {}", fmt::join(words, " and ")));
+}
+
+void market_info(Session& session, const Line& line) {
+  const Marketplace market = chosen_market(line);
+  std::vector<IndexEntry> entries = market.info(line.positional[1].text);
+  // The interface with its types is in the package; reading it checks the whole file and opens no library.
+  const auto contents = marketplace::inspect_package(market.directory() / entries.front().file());
+  show_facts(session, entries);
+  const TypeSet types(contents.interface.descriptors());
+  for (const auto& component : contents.interface.components()) show_component(session, component, types);
+}
+
+}  // namespace fiona::console::verbs

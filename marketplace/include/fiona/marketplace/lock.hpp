@@ -1,0 +1,21 @@
+#pragma once
+
+#include <filesystem>
+#include <fiona/marketplace/store.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace fiona::marketplace {
+
+/// These packages of a store and all that they require; none named: everything that is installed. Throws fiona::Error
+/// (NotFound) for one that is not installed.
+Lock make_lock(const Store& store, const std::optional<std::vector<std::string>>& packages);
+
+/// Throws fiona::Error (Failed).
+void write_lock(const std::filesystem::path& file, const Lock& lock);
+
+/// Throws fiona::Error: NotFound, Failed with line and column of what is wrong.
+Lock read_lock(const std::filesystem::path& file);
+
+}  // namespace fiona::marketplace
