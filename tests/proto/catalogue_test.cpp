@@ -62,6 +62,8 @@ std::vector<std::string> dimensionless() {
           "fiona.perception.PointObjectLocation.obj_id",
           "fiona.perception.VolumeObjectLocation.obj_id",
           "fiona.localisation.CommBasePose.update_count",
+          "fiona.navigation.CommPlan.line",
+          "fiona.navigation.CommPlan.column",
           "fiona.hmi.CommUserProfileReply.authentication_level",
           "fiona.hmi.PointsOfAttentionReply.refused"};
 }
@@ -113,7 +115,7 @@ TEST(Catalogue, TheProtosHold23ServicesAndTheAddedOnes) {
     }
   }
   EXPECT_EQ(from_the_document, 23);
-  EXPECT_THAT(added, ElementsAre("fiona.localisation.StepProvider"));
+  EXPECT_THAT(added, ElementsAre("fiona.localisation.StepProvider", "fiona.navigation.PlanProvider"));
 }
 
 TEST(Catalogue, EveryServiceObjectAndAttributeOfTheDocumentIsInTheProtosAndNothingElseUnmarked) {

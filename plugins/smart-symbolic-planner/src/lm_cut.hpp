@@ -1,0 +1,56 @@
+#pragma once
+
+#include <optional>
+
+#include "states.hpp"
+
+namespace fiona::planning {
+
+/// The landmark-cut heuristic (Helmert and Domshlak, "Landmarks, critical paths and abstractions: what's the difference
+/// anyway?", ICAPS 2009): never more than the cheapest way to the goal costs. It finds sets of operators of which each
+/// plan needs one, by cuts in the graph that leads from each operator's dearest need (by h_max) to its effects, and adds
+/// up what the cheapest of each set costs.
+class LmCut {
+ public:
+  /// `unit`: what all costs are multiples of.
+  LmCut(const GroundTask& task, Cost unit, std::pmr::memory_resource* memory);
+
+  /// None: the goal cannot be reached from here, deletes or not.
+  std::optional<Cost> estimate(State state);
+
+ private:
+  static constexpr Cost kUnreached = Cost{1} << 60;
+  struct Entry {
+    Cost cost;
+    Index fact;
+    bool operator<(const Entry& other) const { return cost > other.cost; }  // the least on top of a heap
+  };
+  struct Operator {
+    Cost cost = 0;  ///< what is left of it
+    Cost supported_at = kUnreached;
+    Index supporter = kNone;  ///< its dearest need
+    Index missing = 0;
+  };
+  enum class Zone : std::uint8_t { None, Before, Goal };
+
+  void explore(State state);
+  void explore_again();
+  void reach(Index fact, Cost cost);
+  Entry pop();
+  void mark_goal_zone();
+  void find_cut(State state);
+  void take_cut(Cost cost);
+
+  const Cost unit_;
+  const Index nothing_;    ///< a fact that always holds, which operators without needs need
+  const Index goal_;       ///< a fact that the last operator adds, which needs the goal
+  Lists needs_, adds_, needed_by_, added_by_;
+  List<Operator> fresh_, operators_;
+  List<Cost> reached_at_;
+  List<Zone> zones_;
+  List<Entry> queue_;
+  List<Index> open_;
+  List<Index> cut_;
+};
+
+}  // namespace fiona::planning

@@ -1,0 +1,112 @@
+#include <algorithm>
+
+#include "pddl_terms.hpp"
+
+namespace fiona::planning {
+namespace {
+
+using Word = PddlReader::Word;
+
+class ProblemReader {
+ public:
+  ProblemReader(LiftedTask& task, Pace& pace)
+      : task_(task), in_(Text::Problem, task.problem_text, pace), terms_(task, in_) {}
+
+  void read() {
+    std::string_view name;
+    const auto sections = terms_.sections(
+        "problem", name, {":domain", ":requirements", ":objects", ":init", ":goal", ":metric"}, {});
+    const auto in_one = [&](std::string_view keyword, auto read) {
+      const auto found =
+          std::find_if(sections.begin(), sections.end(), [&](const auto& s) { return s.keyword == keyword; });
+      if (found == sections.end()) return false;
+      in_.go_to(found->inside);
+      read();
+      return true;
+    };
+    const auto missing = [&](std::string_view keyword) {
+      in_.fail(0, {.what = "the problem has no section '(" + std::string(keyword) + " ...)'"});
+    };
+    if (!in_one(":domain", [&] { domain(); })) missing(":domain");
+    in_one(":requirements", [&] { terms_.requirements(); });
+    in_one(":objects", [&] { terms_.objects(); });
+    if (!in_one(":init", [&] { init(); })) missing(":init");
+    if (!in_one(":goal", [&] { goal(); })) missing(":goal");
+    in_one(":metric", [&] { metric(); });
+  }
+
+ private:
+  void domain() {
+    const Word name = in_.name("the name of the domain");
+    if (name.text != task_.domain_name)
+      in_.fail(name, "the problem is one of the domain " + quoted(name.text) + ", and the domain given is " +
+                         quoted(task_.domain_name));
+    in_.expect(")", "')'");
+  }
+
+  void init() {
+    while (!in_.take(")")) {
+      in_.expect("(", "an atom, '(PREDICATE ...)', or ')'");
+      const Word word = in_.next();
+      if (word == "=") {
+        value();
+      } else if (word == "not") {
+        // What is not listed is false: this says no more than leaving it out.
+        in_.expect("(", "an atom, '(PREDICATE ...)'");
+        terms_.predicate(in_.name("a predicate"));
+        in_.expect(")", "')' behind the atom of 'not'");
+      } else {
+        if (!word.is_name()) in_.fail_expected(word, "a predicate or '='");
+        if (word == "at" && !task_.predicate_index.contains("at"))
+          in_.fail(word, "the predicate 'at' is not declared, and timed literals are not supported");
+        task_.init.push_back(terms_.predicate(word));
+      }
+    }
+  }
+
+  void value() {
+    in_.expect("(", "a function, '(NAME ...)'");
+    const Word name = in_.name("a function");
+    const Atom function = terms_.function(name);
+    const Word number = in_.next();
+    const Cost value = terms_.number(number);
+    in_.expect(")", "')' behind the value");
+    if (function.symbol == task_.total_cost) {
+      if (value != 0) in_.fail(number, "the total cost begins at 0");
+      return;
+    }
+    task_.values.emplace_back(function, value);
+  }
+
+  void goal() {
+    terms_.conditions(task_.goal);
+    in_.expect(")", "')' behind the goal, which is one condition");
+  }
+
+  void metric() {
+    const Word direction = in_.next();
+    if (direction.text != "minimize") in_.fail_expected(direction, "'minimize'");
+    static constexpr std::string_view kExpected = "'(total-cost)': the only metric that is supported";
+    in_.expect("(", kExpected);
+    const Word function = in_.next();
+    if (function.text != "total-cost") in_.fail_expected(function, kExpected);
+    if (task_.total_cost == kNone)
+      in_.fail(function, "'total-cost' is not declared in the domain: (:functions (total-cost) - number)");
+    in_.expect(")", "')'");
+    in_.expect(")", "')' behind the metric");
+    task_.has_metric = true;
+  }
+
+  LiftedTask& task_;
+  PddlReader in_;
+  PddlTerms terms_;
+};
+
+}  // namespace
+
+void read_problem(LiftedTask& task, std::string_view text, Pace& pace) {
+  task.problem_text = lower_case(text, task.memory);
+  ProblemReader(task, pace).read();
+}
+
+}  // namespace fiona::planning
