@@ -21,7 +21,7 @@ BestFirst::BestFirst(const GroundTask& task, const Options& options, Pace& pace,
       pace_(pace),
       statistics_(statistics),
       unit_(common_unit(task.costs)),
-      heuristic_(task, heuristic_costs(task, options.counts_costs, unit_, memory), memory),
+      heuristic_(task, heuristic_costs(task, options.counts_costs, unit_, memory), pace, memory),
       successors_(task, memory),
       states_(task.fact_count, memory),
       nodes_(memory),
@@ -50,7 +50,9 @@ Async<BestFirst::End> BestFirst::run() {
     if (entered) {
       if (evaluated_ == options_.most_evaluated) co_return End::GivenUp;
       ++evaluated_;
-      if (const auto estimate = heuristic_.estimate(states_[current_])) expand(current_, *estimate);
+      auto estimating = heuristic_.estimate(states_[current_]);
+      const std::optional<Cost> estimate = co_await estimating;
+      if (estimate) expand(current_, *estimate);
     }
     const auto entry = pop();
     if (!entry) co_return End::Exhausted;

@@ -4,9 +4,10 @@
 
 namespace fiona::planning {
 
-FfHeuristic::FfHeuristic(const GroundTask& task, List<Cost> costs, std::pmr::memory_resource* memory)
+FfHeuristic::FfHeuristic(const GroundTask& task, List<Cost> costs, Pace& pace, std::pmr::memory_resource* memory)
     : task_(task),
       costs_(std::move(costs)),
+      pace_(pace),
       needed_by_(task.needs.inverted(task.fact_count)),
       fresh_(memory),
       operators_(memory),
@@ -24,14 +25,16 @@ FfHeuristic::FfHeuristic(const GroundTask& task, List<Cost> costs, std::pmr::mem
   for (const Index fact : task.goal) is_goal_[fact] = true;
 }
 
-std::optional<Cost> FfHeuristic::estimate(State state) {
+Async<std::optional<Cost>> FfHeuristic::estimate(State state) {
   preferred_.clear();
-  if (!explore(state)) return std::nullopt;
-  return extract(state);
+  auto exploring = explore(state);
+  const bool reaches_goal = co_await exploring;
+  if (!reaches_goal) co_return std::nullopt;
+  co_return extract(state);
 }
 
 /// Dijkstra over facts, whose cost is that of the operator and the sum over its needs. False: a goal is out of reach.
-bool FfHeuristic::explore(State state) {
+Async<bool> FfHeuristic::explore(State state) {
   operators_.assign(fresh_.begin(), fresh_.end());
   std::fill(reached_at_.begin(), reached_at_.end(), kUnreached);
   queue_.clear();
@@ -41,10 +44,9 @@ bool FfHeuristic::explore(State state) {
     if (operators_[op].missing == 0) reach_effects(op);
   std::size_t goals_left = task_.goal.size();
   while (goals_left > 0) {
-    if (queue_.empty()) return false;
-    std::pop_heap(queue_.begin(), queue_.end());
-    const auto [cost, fact] = queue_.back();
-    queue_.pop_back();
+    if (pace_.due()) co_await pace_.pause();
+    if (queue_.empty()) co_return false;
+    const auto [cost, fact] = queue_.pop();
     if (cost > reached_at_[fact]) continue;
     if (is_goal_[fact]) --goals_left;
     for (const Index op : needed_by_[fact]) {
@@ -52,15 +54,14 @@ bool FfHeuristic::explore(State state) {
       if (--operators_[op].missing == 0) reach_effects(op);
     }
   }
-  return true;
+  co_return true;
 }
 
 void FfHeuristic::reach(Index fact, Cost cost, Index by) {
   if (cost >= reached_at_[fact]) return;
   reached_at_[fact] = cost;
   reached_by_[fact] = by;
-  queue_.push_back({cost, fact});
-  std::push_heap(queue_.begin(), queue_.end());
+  queue_.push(cost, fact);
 }
 
 void FfHeuristic::reach_effects(Index op) {

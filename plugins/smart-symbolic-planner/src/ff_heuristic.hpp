@@ -2,6 +2,9 @@
 
 #include <optional>
 
+#include "budget.hpp"
+#include "fact_queue.hpp"
+#include "fiona/async.hpp"
 #include "states.hpp"
 
 namespace fiona::planning {
@@ -11,39 +14,35 @@ namespace fiona::planning {
 class FfHeuristic {
  public:
   /// `costs`: of each operator, at least 1.
-  FfHeuristic(const GroundTask& task, List<Cost> costs, std::pmr::memory_resource* memory);
+  FfHeuristic(const GroundTask& task, List<Cost> costs, Pace& pace, std::pmr::memory_resource* memory);
 
   /// None: the goal cannot be reached from here, deletes or not.
-  std::optional<Cost> estimate(State state);
+  Async<std::optional<Cost>> estimate(State state);
   /// The operators of that plan which can be applied at once.
   std::span<const Index> preferred() const { return preferred_; }
 
  private:
   /// Sums stay below it.
   static constexpr Cost kUnreached = Cost{1} << 60;
-  struct Entry {
-    Cost cost;
-    Index fact;
-    bool operator<(const Entry& other) const { return cost > other.cost; }  // the least on top of a heap
-  };
   struct Operator {
     Cost cost;  ///< its own and that of its reached needs
     Index missing;
   };
 
-  bool explore(State state);
+  Async<bool> explore(State state);
   void reach(Index fact, Cost cost, Index by);
   void reach_effects(Index op);
   Cost extract(State state);
 
   const GroundTask& task_;
   const List<Cost> costs_;
+  Pace& pace_;
   const Lists needed_by_;
   List<Operator> fresh_;  ///< as all operators begin
   List<Operator> operators_;
   List<Cost> reached_at_;
   List<Index> reached_by_;
-  List<Entry> queue_;
+  FactQueue queue_;
   List<bool> is_goal_;
   List<std::uint64_t> in_plan_;  ///< bits of facts
   List<std::uint64_t> op_in_plan_;

@@ -2,11 +2,11 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory_resource>
 #include <span>
 #include <string>
 #include <string_view>
-#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -129,7 +129,8 @@ struct LiftedTask {
   Conditions goal;
   bool has_metric = false;  ///< else each action costs one
 
-  using Names = std::pmr::unordered_map<std::string_view, Index>;
+  /// Not hashed: names come from outside, and may be chosen to collide.
+  using Names = std::pmr::map<std::string_view, Index>;
   Names type_index, object_index, predicate_index, function_index, action_index;
   Index total_cost = kNone;  ///< the function of that name
 };

@@ -4,8 +4,9 @@
 
 namespace fiona::planning {
 
-LmCut::LmCut(const GroundTask& task, Cost unit, std::pmr::memory_resource* memory)
-    : unit_(unit),
+LmCut::LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_resource* memory)
+    : pace_(pace),
+      unit_(unit),
       nothing_(task.fact_count),
       goal_(task.fact_count + 1),
       needs_(memory),
@@ -31,12 +32,13 @@ LmCut::LmCut(const GroundTask& task, Cost unit, std::pmr::memory_resource* memor
   added_by_ = adds_.inverted(task.fact_count + 2);
 }
 
-std::optional<Cost> LmCut::estimate(State state) {
+Async<std::optional<Cost>> LmCut::estimate(State state) {
   operators_.assign(fresh_.begin(), fresh_.end());
   explore(state);
-  if (reached_at_[goal_] == kUnreached) return std::nullopt;
+  if (reached_at_[goal_] == kUnreached) co_return std::nullopt;
   Cost total = 0;
   while (reached_at_[goal_] > 0) {
+    if (pace_.look()) co_await pace_.pause();
     std::fill(zones_.begin(), zones_.end(), Zone::None);
     mark_goal_zone();
     find_cut(state);
@@ -46,21 +48,13 @@ std::optional<Cost> LmCut::estimate(State state) {
     take_cut(least);
     explore_again();
   }
-  return total * unit_;
+  co_return total * unit_;
 }
 
 void LmCut::reach(Index fact, Cost cost) {
   if (cost >= reached_at_[fact]) return;
   reached_at_[fact] = cost;
-  queue_.push_back({cost, fact});
-  std::push_heap(queue_.begin(), queue_.end());
-}
-
-LmCut::Entry LmCut::pop() {
-  std::pop_heap(queue_.begin(), queue_.end());
-  const Entry entry = queue_.back();
-  queue_.pop_back();
-  return entry;
+  queue_.push(cost, fact);
 }
 
 /// h_max of every fact: that of its cheapest achiever, which costs as much as its dearest need.
@@ -71,7 +65,7 @@ void LmCut::explore(State state) {
   for (Index fact = 0; fact < nothing_; ++fact)
     if (holds(state, fact)) reach(fact, 0);
   while (!queue_.empty()) {
-    const auto [cost, fact] = pop();
+    const auto [cost, fact] = queue_.pop();
     if (cost > reached_at_[fact]) continue;
     for (const Index op : needed_by_[fact]) {
       Operator& relaxed = operators_[op];
@@ -85,10 +79,11 @@ void LmCut::explore(State state) {
 
 /// The same after the operators of the cut have become cheaper: only what this changes.
 void LmCut::explore_again() {
+  queue_.clear();
   for (const Index op : cut_)
     for (const Index effect : adds_[op]) reach(effect, operators_[op].supported_at + operators_[op].cost);
   while (!queue_.empty()) {
-    const auto [cost, fact] = pop();
+    const auto [cost, fact] = queue_.pop();
     if (cost > reached_at_[fact]) continue;
     for (const Index op : needed_by_[fact]) {
       Operator& relaxed = operators_[op];

@@ -2,6 +2,9 @@
 
 #include <optional>
 
+#include "budget.hpp"
+#include "fact_queue.hpp"
+#include "fiona/async.hpp"
 #include "states.hpp"
 
 namespace fiona::planning {
@@ -13,18 +16,13 @@ namespace fiona::planning {
 class LmCut {
  public:
   /// `unit`: what all costs are multiples of.
-  LmCut(const GroundTask& task, Cost unit, std::pmr::memory_resource* memory);
+  LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_resource* memory);
 
   /// None: the goal cannot be reached from here, deletes or not.
-  std::optional<Cost> estimate(State state);
+  Async<std::optional<Cost>> estimate(State state);
 
  private:
   static constexpr Cost kUnreached = Cost{1} << 60;
-  struct Entry {
-    Cost cost;
-    Index fact;
-    bool operator<(const Entry& other) const { return cost > other.cost; }  // the least on top of a heap
-  };
   struct Operator {
     Cost cost = 0;  ///< what is left of it
     Cost supported_at = kUnreached;
@@ -36,11 +34,11 @@ class LmCut {
   void explore(State state);
   void explore_again();
   void reach(Index fact, Cost cost);
-  Entry pop();
   void mark_goal_zone();
   void find_cut(State state);
   void take_cut(Cost cost);
 
+  Pace& pace_;
   const Cost unit_;
   const Index nothing_;    ///< a fact that always holds, which operators without needs need
   const Index goal_;       ///< a fact that the last operator adds, which needs the goal
@@ -48,7 +46,7 @@ class LmCut {
   List<Operator> fresh_, operators_;
   List<Cost> reached_at_;
   List<Zone> zones_;
-  List<Entry> queue_;
+  FactQueue queue_;
   List<Index> open_;
   List<Index> cut_;
 };

@@ -14,7 +14,7 @@ class AStar {
       : task_(task),
         result_(result),
         pace_(pace),
-        heuristic_(task, unit_of(task), memory),
+        heuristic_(task, unit_of(task), pace, memory),
         successors_(task, memory),
         states_(task.fact_count, memory),
         nodes_(memory),
@@ -33,7 +33,9 @@ class AStar {
       queue_.pop_back();
       if (!is_current(entry)) continue;
       if (!nodes_[entry.number].is_estimated) {
-        estimate(entry.number);
+        auto estimating = heuristic_.estimate(states_[entry.number]);
+        const std::optional<Cost> found = co_await estimating;
+        estimated(entry.number, found);
         continue;
       }
       if (all_hold(states_[entry.number], task_.goal)) co_return take_plan(entry.number);
@@ -79,9 +81,8 @@ class AStar {
     return !node.is_closed && entry.estimate == node.estimate && entry.total == node.cost + node.estimate;
   }
 
-  void estimate(Index number) {
+  void estimated(Index number, std::optional<Cost> found) {
     Node& node = nodes_[number];
-    const auto found = heuristic_.estimate(states_[number]);
     node.estimate = found ? std::max(*found, node.estimate) : kDeadEnd;
     node.is_estimated = true;
     push(number);

@@ -134,19 +134,18 @@ Atom PddlTerms::atom(const Word& name, const LiftedTask::Names& names, const Lis
   if (found == names.end()) fail_unknown(name, "the " + std::string(kind), names);
   const Symbol& symbol = symbols[found->second];
   Atom atom{found->second, static_cast<Index>(task_.terms.size()), 0, name.offset};
+  const std::size_t wanted = symbol.parameter_types.size();
+  const std::string takes =
+      quoted(name.text) + " takes " + std::to_string(wanted) + (wanted == 1 ? " argument" : " arguments");
   while (!in_.take(")")) {
     const Word word = in_.peek();
-    const std::string count = std::to_string(symbol.parameter_types.size());
-    if (atom.term_count == symbol.parameter_types.size())
-      in_.fail(word, quoted(name.text) + " takes " + count + " arguments, and here is one more");
+    if (atom.term_count == wanted) in_.fail(word, takes + ", and here is one more");
     const Term argument = term();
     check_argument(argument, word, symbol, atom.term_count);
     task_.terms.push_back(argument);
     ++atom.term_count;
   }
-  if (atom.term_count != symbol.parameter_types.size())
-    in_.fail(name, quoted(name.text) + " takes " + std::to_string(symbol.parameter_types.size()) +
-                       " arguments, and here are " + std::to_string(atom.term_count));
+  if (atom.term_count != wanted) in_.fail(name, takes + ", and here are " + std::to_string(atom.term_count));
   return atom;
 }
 

@@ -6,8 +6,11 @@
 namespace fiona::planning {
 namespace {
 
-/// How much work is worth a better plan: about that of the first one, and at least this much.
-constexpr std::uint64_t kLeastWork = 1000;
+/// How much work is worth a better plan: that of the first one; where this is less, so many estimates, or so many
+/// operators looked at in them.
+constexpr std::uint64_t kLeastEstimates = 5000;
+constexpr std::uint64_t kLeastOperators = 30'000'000;
+/// Of the estimate in weighted A*: each search begins where the one before has found no cheaper plan.
 constexpr std::array<Cost, 4> kWeights{5, 3, 2, 1};
 
 void keep(const BestFirst& search, const GroundTask& task, SearchResult& result) {
@@ -25,20 +28,22 @@ Async<> search_satisficing(const GroundTask& task, SearchResult& result, Pace& p
   {
     BestFirst first(task, {.counts_costs = false}, pace, result.statistics, memory);
     auto running = first.run();
-    if (co_await running == BestFirst::End::Exhausted) co_return;
+    const auto end = co_await running;
+    if (end == BestFirst::End::Exhausted) co_return;
     keep(first, task, result);
-    result.is_optimal = result.cost == 0;
-    work = std::max(first.evaluated(), kLeastWork);
+    const std::uint64_t affordable = kLeastOperators / std::max<std::uint64_t>(1, task.operator_count());
+    work = std::max(first.evaluated(), std::min(kLeastEstimates, affordable));
   }
-  for (const Cost weight : kWeights) {
-    if (result.is_optimal) co_return;
-    BestFirst better(task, {.counts_costs = true, .weight = weight, .bound = result.cost, .most_evaluated = work}, pace,
+  for (std::size_t i = 0; i < kWeights.size() && result.cost > 0 && !result.is_optimal && work > 0; ++i) {
+    BestFirst better(task, {.weight = kWeights[i], .bound = result.cost, .most_evaluated = work}, pace,
                      result.statistics, memory);
     auto running = better.run();
     const auto end = co_await running;
     if (end == BestFirst::End::Found) keep(better, task, result);
-    result.is_optimal = end == BestFirst::End::Exhausted || result.cost == 0;
+    result.is_optimal = end == BestFirst::End::Exhausted;
+    work -= better.evaluated();
   }
+  result.is_optimal |= result.cost == 0;
 }
 
 }  // namespace fiona::planning
