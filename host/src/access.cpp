@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "confinement.hpp"
 #include "fiona/error.hpp"
 #include "fiona/marketplace/manifest.hpp"
 #include "names.hpp"
@@ -22,7 +21,7 @@ bool names_a_library(const control::Load& load) { return !marketplace::library_p
 /// What opens files, devices or everything to a package.
 std::optional<std::string> right_beyond_a_sandbox(const control::Load& load) {
   const auto found = std::find_if(load.rights().begin(), load.rights().end(), [](const std::string& right) {
-    return right == kUnconfined || (opens_sandbox(right) && right != "network");
+    return right == kUnconfined || (marketplace::opens_sandbox(right) && right != "network");
   });
   return found == load.rights().end() ? std::nullopt : std::optional(*found);
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "fiona/error.hpp"
+#include "fiona/marketplace/manifest.hpp"
 
 namespace fiona::host {
 namespace {
@@ -21,17 +22,11 @@ bool has(const std::vector<std::string>& rights, std::string_view right) {
 /// The rights that open a sandbox, of those that it was granted.
 std::vector<std::string> openings(const Model::Instance& one) {
   std::vector<std::string> found;
-  std::copy_if(one.rights.begin(), one.rights.end(), std::back_inserter(found), &opens_sandbox);
+  std::copy_if(one.rights.begin(), one.rights.end(), std::back_inserter(found), &marketplace::opens_sandbox);
   return found;
 }
 
 }  // namespace
-
-bool opens_sandbox(const std::string& right) {
-  if (right.find("..") != std::string::npos) return false;
-  return right == "network" || right.starts_with("device:") || right.starts_with("read:/") ||
-         right.starts_with("write:/");
-}
 
 /// A library that was typed by its path is whoever's who typed it.
 bool is_let_in(const Package& package) {

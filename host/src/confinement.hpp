@@ -25,7 +25,4 @@ void require_sandbox(const std::string& group, const wire::Ready& ready);
 /// none).
 void require_group(const Model::Instance* first, const Model::Instance& next, const std::string& plugin);
 
-/// Whether it is a right that opens a part of the sandbox: "network", "device:NAME" of /dev, "read:PATH", "write:PATH".
-bool opens_sandbox(const std::string& right);
-
 }  // namespace fiona::host

@@ -6,6 +6,7 @@
 #include "confinement.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
+#include "fiona/marketplace/manifest.hpp"
 #include "fiona/params.hpp"
 #include "model.hpp"
 
@@ -41,12 +42,12 @@ void require_rights(const control::Load& request, const Model::Instance& made) {
   };
   for (const std::string& right : request.rights()) {
     if (has(of_operator, right)) continue;
-    if (!has(known, right) && !opens_sandbox(right)) {
+    if (!has(known, right) && !marketplace::opens_sandbox(right)) {
       throw Error(ErrorCode::Usage, {.what = fmt::format("there is no right '{}' that could be granted", right),
                                      .expected = fmt::format("{}", fmt::join(known, ", ")),
                                      .near = nearest_names(right, known)});
     }
-    if (!opens_sandbox(right) && !has(made.interface().rights(), right)) {
+    if (!marketplace::opens_sandbox(right) && !has(made.interface().rights(), right)) {
       throw Error(ErrorCode::Usage, {.what = fmt::format("'{}' has no use for the right '{}'", made.component, right),
                                      .expected = "a component that has a fiona::Master",
                                      .next = fmt::format("load {}, without it", request.plugin())});

@@ -226,6 +226,12 @@ bool is_name(std::string_view text) {
 
 std::string system_file(const Manifest& manifest) { return "share/" + manifest.name() + ".fiona"; }
 
+bool opens_sandbox(std::string_view right) {
+  if (right.find("..") != std::string_view::npos) return false;
+  return right == "network" || right.starts_with("device:") || right.starts_with("read:/") ||
+         right.starts_with("write:/");
+}
+
 std::string full_name(const Manifest& manifest) { return manifest.publisher() + "/" + manifest.name(); }
 
 std::string_view this_architecture() {

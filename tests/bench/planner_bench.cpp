@@ -1,7 +1,7 @@
 // fiona-planner-bench [SECONDS [FOLDER]]: the symbolic planner on each problem of FOLDER ($FIONA_DATA/pddl, else
-// ../shared/data/pddl), one line each, in a process of its own: time, memory, and cost as a ratio to the optimum, where A*
-// finds that within SECONDS (5). Every plan is executed by a validator that shares nothing with the planner. Exit code 1
-// if any goal is short.
+// ../shared/data/pddl), one line each, in a process of its own: time, memory, and cost as a ratio to the optimum, where
+// A* finds that within SECONDS (5). Every plan is executed by a validator that shares nothing with the planner. Exit
+// code 1 if any goal is short.
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>

@@ -261,7 +261,8 @@ TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(line_of("watch stop nav.location").positional.size(), 2U);
   EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
   EXPECT_EQ(refusal_of_line("market instal a"),
-            "column 8: market cannot 'instal'\n  expected: search, info, install, update, remove, rollback, history, list, verify, lock\n  did you mean: install\n  next: "
+            "column 8: market cannot 'instal'\n  expected: search, info, install, update, remove, rollback, history, "
+            "list, verify, lock\n  did you mean: install\n  next: "
             "help market");
 }
 

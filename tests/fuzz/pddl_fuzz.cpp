@@ -1,5 +1,5 @@
-// PDDL texts, the domain before a byte 0xFF and the problem behind it: any bytes give operators, or one of the planner's
-// own ends, within small bounds; a plan that is found is one.
+// PDDL texts, the domain before a byte 0xFF and the problem behind it: any bytes give operators, or one of the
+// planner's own ends, within small bounds; a plan that is found is one.
 #include <algorithm>
 #include <chrono>
 #include <cstddef>

@@ -113,7 +113,8 @@ TEST(Pddl, ArgumentsAreCountedAndTyped) {
 }
 
 TEST(Pddl, WhatIsDeclaredTwiceIsToldWhereItIsAgain) {
-  EXPECT_EQ(problem_message("attic - room", "attic attic - room"), "problem 3:19: the object 'attic' is declared twice");
+  EXPECT_EQ(problem_message("attic - room", "attic attic - room"),
+            "problem 3:19: the object 'attic' is declared twice");
   EXPECT_EQ(problem_message("attic - room", "hall - room"), "problem 3:13: the object 'hall' is declared twice");
   EXPECT_EQ(domain_message("(has ?k - key)", "(at ?k - key)"), "domain 5:32: the predicate 'at' is declared twice");
   EXPECT_EQ(domain_message("(?a ?b - room)", "(?a ?a - room)"), "domain 8:21: the parameter '?a' is declared twice");
@@ -135,12 +136,12 @@ TEST(Pddl, TextBehindTheEndIsRefused) {
 }
 
 TEST(Pddl, WhatIsNoPddlAtAllIsToldAtItsFirstWord) {
-  EXPECT_EQ(message("hello", kProblem),
-            "domain 1:1: 'hello' has no place here: expected '(define (domain NAME) ...)'");
+  EXPECT_EQ(message("hello", kProblem), "domain 1:1: 'hello' has no place here: expected '(define (domain NAME) ...)'");
   EXPECT_EQ(message("", kProblem), "domain 1:1: the text ends too early: expected '(define (domain NAME) ...)'");
   EXPECT_EQ(message(kDomain, kDomain), "problem 1:10: 'domain' has no place here: expected 'problem'");
   EXPECT_EQ(problem_message("(at hall)", "(at h\xc3\xa4ll)"), "problem 4:15: the byte 0xc3 has no place in PDDL");
-  EXPECT_EQ(problem_message("(at hall)", std::string("(at \0)", 6)), "problem 4:14: the byte 0x00 has no place in PDDL");
+  EXPECT_EQ(problem_message("(at hall)", std::string("(at \0)", 6)),
+            "problem 4:14: the byte 0x00 has no place in PDDL");
 }
 
 TEST(Pddl, AProblemOfAnotherDomainIsRefused) {
@@ -162,9 +163,10 @@ TEST(Pddl, CostsAreNumbersThatAreNotNegative) {
 }
 
 TEST(Pddl, ACostWithoutAValueIsToldWithTheStepThatNeedsIt) {
-  EXPECT_EQ(problem_message("(= (metres hall attic) 3)", ""),
-            "domain 10:64: the cost of (go hall attic) is (metres hall attic), which has no value in the problem; add it "
-            "to :init, (= (metres hall attic) NUMBER)");
+  EXPECT_EQ(
+      problem_message("(= (metres hall attic) 3)", ""),
+      "domain 10:64: the cost of (go hall attic) is (metres hall attic), which has no value in the problem; add it "
+      "to :init, (= (metres hall attic) NUMBER)");
 }
 
 TEST(Pddl, OnlyTheTotalCostIsMinimized) {

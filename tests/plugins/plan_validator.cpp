@@ -145,7 +145,8 @@ class World {
   }
 
   void bind(const std::vector<std::pair<std::string, Types>>& parameters, const Node& step, Binding& binding) const {
-    if (parameters.size() + 1 != step.items.size()) throw std::runtime_error("it has not as many arguments as parameters");
+    if (parameters.size() + 1 != step.items.size())
+      throw std::runtime_error("it has not as many arguments as parameters");
     for (std::size_t i = 0; i < parameters.size(); ++i) {
       const std::string& object = step.at(i + 1).word;
       bool fits = false;

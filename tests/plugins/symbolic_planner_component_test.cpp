@@ -150,8 +150,7 @@ TEST(SymbolicPlannerComponent, OneRequestTooManyIsRefusedAtOnce) {
   const auto third = put(planner, building_request());
   planner.advance(0ms);
   EXPECT_EQ(third->outcome, Outcome::Rejected);
-  EXPECT_EQ(third->reason,
-            "2 requests are being planned for already: try again later, or set planner open_requests");
+  EXPECT_EQ(third->reason, "2 requests are being planned for already: try again later, or set planner open_requests");
   EXPECT_EQ(planner.probe<std::int64_t>("refused"), 1);
   EXPECT_EQ(first->outcome, Outcome::Ok);
   EXPECT_EQ(second->outcome, Outcome::Ok);

@@ -27,7 +27,8 @@ constexpr auto kAmpleTime = 60s;
 
 PlanAnswer solve(const std::string& domain, const std::string& problem, bool optimal = false,
                  std::size_t memory = std::size_t{512} << 20) {
-  return plan({.domain = domain, .problem = problem, .optimal = optimal, .time_bound = kAmpleTime, .memory_bound = memory});
+  return plan(
+      {.domain = domain, .problem = problem, .optimal = optimal, .time_bound = kAmpleTime, .memory_bound = memory});
 }
 
 testing::PlanText text_of(const PlanAnswer& answer) {
@@ -114,9 +115,9 @@ TEST(SymbolicPlanner, WhatNoActionCanReachIsUnsolvable) {
 }
 
 TEST(SymbolicPlanner, WhatOnlyTheDeletesForbidIsUnsolvable) {
-  const auto domain =
-      small_domain("(:action a :precondition (p) :effect (and (q) (not (p)))) "
-                   "(:action b :precondition (p) :effect (and (r) (not (p))))");
+  const auto domain = small_domain(
+      "(:action a :precondition (p) :effect (and (q) (not (p)))) "
+      "(:action b :precondition (p) :effect (and (r) (not (p))))");
   for (const bool optimal : {false, true})
     EXPECT_EQ(solve(domain, small_problem("(p)", "(and (q) (r))"), optimal).outcome, Outcome::Unsolvable);
 }
@@ -168,8 +169,9 @@ TEST(SymbolicPlanner, TypesMayBeNamedAfterTheirKindsAndAreKept) {
 }
 
 TEST(SymbolicPlanner, UpperAndLowerCaseAreTheSame) {
-  const auto answer = solve("(DEFINE (Domain Small) (:PREDICATES (Of ?X)) (:Action A :parameters (?x) :EFFECT (OF ?X)))",
-                            small_problem("", "(oF B)"));
+  const auto answer =
+      solve("(DEFINE (Domain Small) (:PREDICATES (Of ?X)) (:Action A :parameters (?x) :EFFECT (OF ?X)))",
+            small_problem("", "(oF B)"));
   EXPECT_THAT(text_of(answer), ElementsAre("(a b)"));
 }
 
@@ -305,7 +307,8 @@ TEST(SymbolicPlanner, ManyParametersAndObjectsAreGroundedWithinBounds) {
       "(define (problem p) (:domain wide) (:objects" + objects + ") (:init) (:goal (and (p) (of o7))))";
   const auto memory = solve(domain, problem, false, std::size_t{16} << 20);
   EXPECT_EQ(memory.outcome, Outcome::OutOfMemory);
-  const auto time = plan({.domain = domain, .problem = problem, .time_bound = 20ms, .memory_bound = std::size_t{4} << 30});
+  const auto time =
+      plan({.domain = domain, .problem = problem, .time_bound = 20ms, .memory_bound = std::size_t{4} << 30});
   EXPECT_EQ(time.outcome, Outcome::OutOfTime);
 }
 
@@ -313,9 +316,8 @@ TEST(SymbolicPlanner, AJoinThatFindsNothingEndsAtItsTimeBound) {
   std::string parameters, tests, objects;
   for (int i = 0; i < 12; ++i) parameters += " ?x" + std::to_string(i);
   for (int i = 0; i < 500; ++i) objects += " o" + std::to_string(i);
-  const std::string domain =
-      "(define (domain wide) (:predicates (p) (of ?x)) (:action a :parameters (" + parameters +
-      ") :precondition (and (not (= ?x11 ?x11))) :effect (p)))";
+  const std::string domain = "(define (domain wide) (:predicates (p) (of ?x)) (:action a :parameters (" + parameters +
+                             ") :precondition (and (not (= ?x11 ?x11))) :effect (p)))";
   const std::string problem = "(define (problem p) (:domain wide) (:objects" + objects + ") (:init) (:goal (p)))";
   EXPECT_EQ(plan({.domain = domain, .problem = problem, .time_bound = 50ms}).outcome, Outcome::OutOfTime);
 }
@@ -340,8 +342,8 @@ TEST(SymbolicPlanner, ALargeBuildingIsGroundedByWhatCanBeReached) {
       init += "(door " + pair + "(= (metres " + pair + " 3)";
     }
   }
-  const std::string problem = "(define (problem row) (:domain building) (:objects" + objects + " - room) (:init (at r0) " +
-                              init + ") (:goal (at r40)) (:metric minimize (total-cost)))";
+  const std::string problem = "(define (problem row) (:domain building) (:objects" + objects +
+                              " - room) (:init (at r0) " + init + ") (:goal (at r40)) (:metric minimize (total-cost)))";
   const auto answer = solve(testing::kBuildingDomain, problem, true);
   EXPECT_EQ(answer.steps.size(), 40u);
   EXPECT_LT(answer.memory, std::size_t{32} << 20);

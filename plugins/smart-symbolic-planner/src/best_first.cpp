@@ -100,8 +100,7 @@ void BestFirst::push(Queue& queue, Index parent, Index op, Cost estimate) {
 
 std::optional<BestFirst::Entry> BestFirst::pop() {
   if (all_.entries.empty() && preferred_.entries.empty()) return std::nullopt;
-  const bool from_all =
-      preferred_.entries.empty() || (!all_.entries.empty() && all_.turns < preferred_.turns);
+  const bool from_all = preferred_.entries.empty() || (!all_.entries.empty() && all_.turns < preferred_.turns);
   Queue& queue = from_all ? all_ : preferred_;
   ++queue.turns;
   std::pop_heap(queue.entries.begin(), queue.entries.end());

@@ -13,8 +13,8 @@ namespace fiona::planning {
 
 /// Best-first search with deferred evaluation and two queues, the second for preferred operators only, which is served
 /// more often after each progress (Richter and Helmert, "Preferred operators and deferred evaluation in satisficing
-/// planning", ICAPS 2009). Without weight it is greedy; with one it is weighted A*, which looks at a state again when it
-/// comes there at lower cost.
+/// planning", ICAPS 2009). Without weight it is greedy; with one it is weighted A*, which looks at a state again when
+/// it comes there at lower cost.
 class BestFirst {
  public:
   struct Options {

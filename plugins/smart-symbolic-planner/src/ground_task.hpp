@@ -31,11 +31,17 @@ class Lists {
 };
 
 /// A planning task without parameters: facts that are numbers, and operators that need, add and delete some of them.
-/// What never changes is left out, and what no way to the goal needs. Where an operator or the goal needs that something
-/// is not so, this is a fact of its own.
+/// What never changes is left out, and what no way to the goal needs. Where an operator or the goal needs that
+/// something is not so, this is a fact of its own.
 struct GroundTask {
   explicit GroundTask(std::pmr::memory_resource* memory)
-      : needs(memory), adds(memory), deletes(memory), costs(memory), actions(memory), arguments(memory), init(memory),
+      : needs(memory),
+        adds(memory),
+        deletes(memory),
+        costs(memory),
+        actions(memory),
+        arguments(memory),
+        init(memory),
         goal(memory) {}
 
   std::size_t operator_count() const { return costs.size(); }

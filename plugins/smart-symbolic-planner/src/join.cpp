@@ -31,8 +31,8 @@ class JoinPlanner {
       add_match(plan_.trigger);
     }
     while (!waiting_.empty()) {
-      const auto best = std::max_element(waiting_.begin(), waiting_.end(),
-                                         [this](Index a, Index b) { return rank(a) < rank(b); });
+      const auto best =
+          std::max_element(waiting_.begin(), waiting_.end(), [this](Index a, Index b) { return rank(a) < rank(b); });
       const Index condition = *best;
       waiting_.erase(best);
       add_match(condition);
@@ -73,7 +73,8 @@ class JoinPlanner {
     const Atom& atom = action_.conditions.positive[condition];
     const std::uint64_t parameters = parameters_of(atom);
     const bool is_known = (parameters & ~known_) == 0 && condition != plan_.trigger;
-    add_step({is_known ? JoinPlan::Kind::Check : JoinPlan::Kind::Match, condition, bound_arguments(atom), 0}, parameters);
+    add_step({is_known ? JoinPlan::Kind::Check : JoinPlan::Kind::Match, condition, bound_arguments(atom), 0},
+             parameters);
   }
 
   void add_step(JoinPlan::Step step, std::uint64_t binds) {
@@ -156,10 +157,10 @@ void Join::open(std::size_t depth) {
   for (Index place = 0; place < terms.size(); ++place) {
     // What is bound by an earlier argument of the same atom has no value yet.
     if ((step.bound & bit(place)) == 0) continue;
-    const bool is_repeated = !terms[place].is_object() &&
-                             std::any_of(terms.begin(), terms.begin() + place, [&](const Term& earlier) {
-                               return !earlier.is_object() && earlier.index() == terms[place].index();
-                             });
+    const bool is_repeated =
+        !terms[place].is_object() && std::any_of(terms.begin(), terms.begin() + place, [&](const Term& earlier) {
+          return !earlier.is_object() && earlier.index() == terms[place].index();
+        });
     if (is_repeated) continue;
     const auto& shorter = index_.with(pattern.symbol, place, object_of(terms[place]));
     if (shorter.size() < frame.candidates->size()) frame.candidates = &shorter;

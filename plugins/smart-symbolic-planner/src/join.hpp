@@ -21,9 +21,9 @@ struct JoinPlan {
   enum class Kind : std::uint8_t { Check, Match, Enumerate };
   struct Step {
     Kind kind = Kind::Check;
-    Index what = 0;          ///< a positive condition; Enumerate: a parameter
-    std::uint64_t bound = 0; ///< Match: which of its arguments are bound before
-    Index tests_end = 0;     ///< from the step before to here: the tests that can be made now
+    Index what = 0;           ///< a positive condition; Enumerate: a parameter
+    std::uint64_t bound = 0;  ///< Match: which of its arguments are bound before
+    Index tests_end = 0;      ///< from the step before to here: the tests that can be made now
   };
   /// Something that is known as soon as its terms are: an equality, or a static predicate that must not hold.
   struct Test {

@@ -84,7 +84,12 @@ struct Conditions {
 
 struct Action {
   explicit Action(std::pmr::memory_resource* memory)
-      : parameters(memory), parameter_types(memory), conditions(memory), added(memory), deleted(memory), costs(memory) {}
+      : parameters(memory),
+        parameter_types(memory),
+        conditions(memory),
+        added(memory),
+        deleted(memory),
+        costs(memory) {}
   std::string_view name{};
   List<std::string_view> parameters;
   List<Index> parameter_types;  ///< sets of types

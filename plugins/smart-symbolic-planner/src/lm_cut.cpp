@@ -48,7 +48,7 @@ Async<std::optional<Cost>> LmCut::estimate(State state) {
     take_cut(least);
     explore_again();
   }
-  co_return total * unit_;
+  co_return total* unit_;
 }
 
 void LmCut::reach(Index fact, Cost cost) {

@@ -11,8 +11,8 @@ namespace fiona::planning {
 
 /// The landmark-cut heuristic (Helmert and Domshlak, "Landmarks, critical paths and abstractions: what's the difference
 /// anyway?", ICAPS 2009): never more than the cheapest way to the goal costs. It finds sets of operators of which each
-/// plan needs one, by cuts in the graph that leads from each operator's dearest need (by h_max) to its effects, and adds
-/// up what the cheapest of each set costs.
+/// plan needs one, by cuts in the graph that leads from each operator's dearest need (by h_max) to its effects, and
+/// adds up what the cheapest of each set costs.
 class LmCut {
  public:
   /// `unit`: what all costs are multiples of.
@@ -40,8 +40,8 @@ class LmCut {
 
   Pace& pace_;
   const Cost unit_;
-  const Index nothing_;    ///< a fact that always holds, which operators without needs need
-  const Index goal_;       ///< a fact that the last operator adds, which needs the goal
+  const Index nothing_;  ///< a fact that always holds, which operators without needs need
+  const Index goal_;     ///< a fact that the last operator adds, which needs the goal
   Lists needs_, adds_, needed_by_, added_by_;
   List<Operator> fresh_, operators_;
   List<Cost> reached_at_;

@@ -72,7 +72,8 @@ class DomainReader {
       const Index index = task_.type_index.at(word.text);
       for (const Word& child : children) {
         const Index child_index = task_.type_index.at(child.text);
-        if (child_index == index && index != 0) in_.fail(child, "the type " + quoted(child.text) + " is its own parent");
+        if (child_index == index && index != 0)
+          in_.fail(child, "the type " + quoted(child.text) + " is its own parent");
         if (child_index == 0 && index != 0) in_.fail(child, "'object' is the kind of all types, and of no other kind");
         parents_[child_index].push_back(index);
         if (++parent_count_ > kMostParents) in_.fail(word, "the types have too many parents");
@@ -188,7 +189,8 @@ class DomainReader {
     bool has_parameters = false, has_condition = false, has_effect = false;
     for (Word word = in_.next(); word.text != ")"; word = in_.next()) {
       const auto once = [&](bool& has) {
-        if (std::exchange(has, true)) in_.fail(word, "a second " + quoted(word.text) + " of the action " + quoted(name.text));
+        if (std::exchange(has, true))
+          in_.fail(word, "a second " + quoted(word.text) + " of the action " + quoted(name.text));
       };
       if (word == ":parameters") {
         once(has_parameters);

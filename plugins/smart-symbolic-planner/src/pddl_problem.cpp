@@ -14,8 +14,8 @@ class ProblemReader {
 
   void read() {
     std::string_view name;
-    const auto sections = terms_.sections(
-        "problem", name, {":domain", ":requirements", ":objects", ":init", ":goal", ":metric"}, {});
+    const auto sections =
+        terms_.sections("problem", name, {":domain", ":requirements", ":objects", ":init", ":goal", ":metric"}, {});
     const auto in_one = [&](std::string_view keyword, auto read) {
       const auto found =
           std::find_if(sections.begin(), sections.end(), [&](const auto& s) { return s.keyword == keyword; });

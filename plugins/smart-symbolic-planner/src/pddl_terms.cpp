@@ -84,12 +84,14 @@ void PddlTerms::objects() {
   std::size_t untyped = task_.objects.size();
   typed_list(
       [&](const Word& word) {
-        const auto [place, is_new] = task_.object_index.try_emplace(word.text, static_cast<Index>(task_.objects.size()));
+        const auto [place, is_new] =
+            task_.object_index.try_emplace(word.text, static_cast<Index>(task_.objects.size()));
         if (!is_new) in_.fail(word, "the object " + quoted(word.text) + " is declared twice");
         task_.objects.push_back(word.text);
       },
       [&](Index set) {
-        if (set >= task_.types.size()) in_.fail(in_.offset() - 1, {.what = "an object is of one type, not of 'either'"});
+        if (set >= task_.types.size())
+          in_.fail(in_.offset() - 1, {.what = "an object is of one type, not of 'either'"});
         task_.object_types.resize(task_.objects.size(), set);
         untyped = task_.objects.size();
       },
@@ -108,7 +110,8 @@ Term PddlTerms::term() {
   }
   if (!word.is_name()) in_.fail_expected(word, action_ ? "a variable or an object" : "an object");
   const auto found = task_.object_index.find(word.text);
-  if (found == task_.object_index.end()) fail_unknown(word, action_ ? "the constant" : "the object", task_.object_index);
+  if (found == task_.object_index.end())
+    fail_unknown(word, action_ ? "the constant" : "the object", task_.object_index);
   return Term::object(found->second);
 }
 

@@ -37,7 +37,9 @@ class PddlTerms {
   void use_parameters_of(const Action* action) { action_ = action; }
   Atom atom(const PddlReader::Word& name, const LiftedTask::Names& names, const List<Symbol>& symbols,
             std::string_view kind);
-  Atom predicate(const PddlReader::Word& name) { return atom(name, task_.predicate_index, task_.predicates, "predicate"); }
+  Atom predicate(const PddlReader::Word& name) {
+    return atom(name, task_.predicate_index, task_.predicates, "predicate");
+  }
   Atom function(const PddlReader::Word& name) { return atom(name, task_.function_index, task_.functions, "function"); }
   Term term();
   /// "()" , an atom, an equality, or a conjunction of them, each perhaps in a `not`.

@@ -34,9 +34,9 @@ struct PlanAnswer {
   bool is_optimal = false;
   Statistics statistics{};
   std::chrono::nanoseconds time{};
-  std::size_t memory = 0;          ///< the most bytes that were held at once
-  std::string message;             ///< why there is no plan
-  std::optional<Place> fault{};    ///< of bad input
+  std::size_t memory = 0;        ///< the most bytes that were held at once
+  std::string message;           ///< why there is no plan
+  std::optional<Place> fault{};  ///< of bad input
 };
 
 /// Most steps of a plan.

@@ -13,10 +13,10 @@ namespace fiona::planning {
 struct Reachable {
   explicit Reachable(std::pmr::memory_resource* memory) : atoms(memory), actions(memory), bindings(memory) {}
   AtomTable atoms;
-  Index first_fluent = 0;  ///< the atoms before it are of static predicates, and hold
-  Index first_reached = 0; ///< the atoms before it hold in the beginning
+  Index first_fluent = 0;   ///< the atoms before it are of static predicates, and hold
+  Index first_reached = 0;  ///< the atoms before it hold in the beginning
   List<Index> actions;
-  Lists bindings;          ///< for each of them the objects
+  Lists bindings;  ///< for each of them the objects
 };
 
 Async<> reach(const LiftedTask& task, Reachable& reachable, Pace& pace);

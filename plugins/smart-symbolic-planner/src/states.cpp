@@ -60,7 +60,8 @@ Successors::Successors(const GroundTask& task, std::pmr::memory_resource* memory
     if (needs.empty()) {
       always_.push_back(op);
     } else {
-      rarest.push(*std::min_element(needs.begin(), needs.end(), [&](Index a, Index b) { return needed[a] < needed[b]; }));
+      rarest.push(
+          *std::min_element(needs.begin(), needs.end(), [&](Index a, Index b) { return needed[a] < needed[b]; }));
     }
     rarest.end_list();
   }

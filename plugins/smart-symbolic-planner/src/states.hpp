@@ -35,9 +35,7 @@ class StateTable {
 
   std::size_t words() const { return words_; }
   Index size() const { return static_cast<Index>(hashes_.size()); }
-  State operator[](Index number) const {
-    return {chunks_[number / kChunk].data() + number % kChunk * words_, words_};
-  }
+  State operator[](Index number) const { return {chunks_[number / kChunk].data() + number % kChunk * words_, words_}; }
   /// Its number, and whether it is new.
   std::pair<Index, bool> insert(State state);
 

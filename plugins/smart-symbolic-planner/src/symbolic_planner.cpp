@@ -73,8 +73,9 @@ void SymbolicPlanner::on_request(const Request& request, Reply<Answer> reply) {
   std::erase_if(open_, [](const auto& open) { return open->reply.abandoned(); });
   if (open_.size() >= params_->open_requests()) {
     refused_.set(++refused_count_);
-    return reply.reject(std::to_string(open_.size()) + " requests are being planned for already: try again later, or set " +
-                        name() + " open_requests");
+    return reply.reject(std::to_string(open_.size()) +
+                        " requests are being planned for already: try again later, or set " + name() +
+                        " open_requests");
   }
   open_.push_back(std::make_unique<Open>(request, *params_, std::move(reply)));
   waiting_.set(static_cast<std::int64_t>(open_.size()));

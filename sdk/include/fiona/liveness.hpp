@@ -20,7 +20,7 @@ class Liveness {
   /// Cache lines of its own for each strand, so that they do not slow each other down. It holds the longest name.
   struct alignas(64) Slot {
     std::atomic<std::uint64_t> work{0};  ///< 0: idle; otherwise a count, then the mark of what is being done
-    char name[120] = {};                  ///< of the strand, cut off; ends with 0
+    char name[120] = {};                 ///< of the strand, cut off; ends with 0
   };
   /// Strands of one process at most.
   static constexpr std::size_t kSlots = 4095;

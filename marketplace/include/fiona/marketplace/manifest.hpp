@@ -53,6 +53,9 @@ bool is_name(std::string_view text);
 /// Of a system package: the path of its system file in the package.
 std::string system_file(const Manifest& manifest);
 
+/// Whether it is a right that opens a part of a sandbox: "network", "device:NAME" of /dev, "read:PATH", "write:PATH".
+bool opens_sandbox(std::string_view right);
+
 /// "publisher/name".
 std::string full_name(const Manifest& manifest);
 
