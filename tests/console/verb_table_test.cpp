@@ -102,7 +102,8 @@ TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
                                    "ENDPOINT",
                                    "INSTANCE.PARAM=VALUE",
                                    "FIELD=VALUE",
-                                   "OBJECT"};
+                                   "OBJECT",
+                                   "MIB"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
     const std::string placeholder = slot.placeholder();
@@ -199,7 +200,7 @@ TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
 TEST(Lines, AMissingWordIsNamed) {
   EXPECT_EQ(refusal_of_line("load"),
             "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with "
-            "master] [PARAM=VALUE …]");
+            "RIGHT …] [PARAM=VALUE …]");
 }
 
 TEST(Lines, AMissingClauseIsNamed) {
