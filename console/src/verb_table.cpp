@@ -178,7 +178,8 @@ std::vector<Verb> file_verbs() {
               "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] "
               "[--group-memory MIB] [--group-threads N]"}),
        "starts a host and runs system files in it (from a shell)",
-       "Without FILE the system begins empty. In a terminal the prompt follows; --headless lets the system run until "
+       "FILE is a system file, or the name of an installed package that is a system. Without it the system begins "
+       "empty. In a terminal the prompt follows; --headless lets the system run until "
        "it "
        "ends, --for T for that long on its clock.\n"
        "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"

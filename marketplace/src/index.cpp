@@ -121,7 +121,8 @@ std::optional<Index> read_index(const filesystem::path& directory) {
   return index;
 }
 
-Marketplace::Marketplace(filesystem::path directory) : directory_(filesystem::absolute(directory).lexically_normal()) {
+Marketplace::Marketplace(filesystem::path directory)
+    : directory_(filesystem::absolute(directory).lexically_normal()), source_(directory_.string()) {
   auto index = read_index(directory_);
   if (!index) {
     throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no marketplace here: it has no index.binpb",
@@ -129,6 +130,15 @@ Marketplace::Marketplace(filesystem::path directory) : directory_(filesystem::ab
                                                .next = "choose one with --from DIR, or set FIONA_MARKET"});
   }
   index_ = std::move(*index);
+}
+
+filesystem::path Marketplace::package(const IndexEntry& entry) const {
+  const filesystem::path path = directory_ / entry.file();
+  std::error_code failure;
+  if (filesystem::exists(path, failure)) return path;
+  throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace's index names a package that is not there",
+                                             .where = path.string(),
+                                             .next = "publish it again, or choose another marketplace with --from"});
 }
 
 filesystem::path Marketplace::default_directory() {

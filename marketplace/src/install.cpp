@@ -20,7 +20,7 @@ void list_package(StoreChange& change, const Marketplace& from, const PlanStep& 
   }
   *listed->mutable_manifest() = step.entry->manifest();
   listed->set_directory(std::string(kPackagesDirectory) + "/" + step.entry->blake2b());
-  listed->set_source(from.directory().string());
+  listed->set_source(from.source());
 }
 
 void unlist_package(StoreChange& change, const std::string& name) {

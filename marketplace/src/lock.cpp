@@ -66,6 +66,13 @@ void write_lock(const std::filesystem::path& file, const Lock& lock) {
   DurableDirectory{os, absolute.parent_path(), 0755}.replace(absolute.filename().string(), text);
 }
 
+Lock parse_lock(std::string_view text, const std::string& where) {
+  Lock lock;
+  parse_text(text, where, lock);
+  for (const auto& locked : lock.packages()) check(locked, where);
+  return lock;
+}
+
 Lock read_lock(const std::filesystem::path& path) {
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
   if (!file) {
@@ -73,10 +80,7 @@ Lock read_lock(const std::filesystem::path& path) {
                                                .where = path.string(),
                                                .next = "market lock makes one of what is installed"});
   }
-  Lock lock;
-  parse_text(read_all(file, kMostLockBytes, path), path.string(), lock);
-  for (const auto& locked : lock.packages()) check(locked, path.string());
-  return lock;
+  return parse_lock(read_all(file, kMostLockBytes, path), path.string());
 }
 
 }  // namespace fiona::marketplace

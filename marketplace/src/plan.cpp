@@ -76,9 +76,7 @@ class Planner {
         solver_(platform_) {
     plan_.generation = installed_.generation();
     for (const auto& package : installed_.packages()) present_[full_name(package.manifest())] = &package;
-    for (const auto& entry : from.index().entries()) {
-      if (!Version::parse(entry.manifest().version())->is_prerelease()) released_.insert(full_name(entry.manifest()));
-    }
+    for (const auto& entry : from.index().entries()) offers_[full_name(entry.manifest())].push_back(&entry);
   }
 
   void want(const PackageRequest& request) {
@@ -120,9 +118,9 @@ class Planner {
   // Of several with this version, one that fits.
   const IndexEntry& best_of(const std::string& package, const Version& version) const {
     const IndexEntry* best = nullptr;
-    for (const auto& entry : from_.index().entries()) {
-      if (full_name(entry.manifest()) != package || version_in(entry.manifest()) != version) continue;
-      if (!best || solver_.fits_platform(entry.manifest())) best = &entry;
+    for (const IndexEntry* entry : offers_of(package)) {
+      if (version_in(entry->manifest()) != version) continue;
+      if (!best || solver_.fits_platform(entry->manifest())) best = entry;
     }
     return *best;
   }
@@ -132,10 +130,21 @@ class Planner {
     if (const Manifest* there = present(name); there && !exact_.contains(name)) {
       if (version_in(*there) == version_in(entry.manifest())) return false;  // it is there
     }
-    if (!version_in(entry.manifest()).is_prerelease() || !released_.contains(name)) return true;
+    if (!version_in(entry.manifest()).is_prerelease() || !has_release(name)) return true;
     const auto present = present_.find(name);
     if (present != present_.end() && version_in(present->second->manifest()).is_prerelease()) return true;
     return std::ranges::find(wanted_.exact, &entry.manifest()) != wanted_.exact.end();
+  }
+
+  const std::vector<const IndexEntry*>& offers_of(const std::string& name) const {
+    static const std::vector<const IndexEntry*> kNone;
+    const auto found = offers_.find(name);
+    return found == offers_.end() ? kNone : found->second;
+  }
+
+  bool has_release(const std::string& name) const {
+    return std::ranges::any_of(offers_of(name),
+                               [](const IndexEntry* one) { return !version_in(one->manifest()).is_prerelease(); });
   }
 
   void fill_solver() {
@@ -186,10 +195,10 @@ class Planner {
     if (!before || stepped || !is_asked(name)) return;
     const std::string hash = hash_of(*present_.at(name));
     const IndexEntry* same = nullptr;
-    for (const auto& entry : from_.index().entries()) {
-      const bool fits = full_name(entry.manifest()) == name && entry.manifest().version() == before->version() &&
-                        entry.manifest().architecture() == before->architecture();
-      if (fits && (!same || entry.blake2b() == hash)) same = &entry;
+    for (const IndexEntry* entry : offers_of(name)) {
+      const bool fits = entry->manifest().version() == before->version() &&
+                        entry->manifest().architecture() == before->architecture();
+      if (fits && (!same || entry->blake2b() == hash)) same = entry;
     }
     if (!same) return;
     const bool other_content = same->blake2b() != hash;
@@ -216,10 +225,10 @@ class Planner {
       const std::string name = full_name(*chosen);
       if (plan_.notes.size() >= kMostNotes || !is_asked(name) || exact_.contains(name)) continue;
       const Manifest* newest = nullptr;
-      for (const auto& [manifest, entry] : entries_) {
-        if (full_name(*manifest) != name || !is_eligible(*entry) || version_in(*manifest) <= version_in(*chosen))
-          continue;
-        if (!newest || version_in(*manifest) > version_in(*newest)) newest = manifest;
+      for (const IndexEntry* entry : offers_of(name)) {
+        const Version version = version_in(entry->manifest());
+        if (!is_eligible(*entry) || version <= version_in(*chosen)) continue;
+        if (!newest || version > version_in(*newest)) newest = &entry->manifest();
       }
       if (!newest) continue;
       Solver::Wanted wanted{.exact = {newest}};
@@ -261,7 +270,7 @@ class Planner {
     throw Error(ErrorCode::DependencyConflict,
                 ErrorText{.what = who + " cannot be " + verb + (names.size() > 1 ? " together: " : ": ") +
                                   listed(outcome.reasons, ", ", ", and "),
-                          .where = from_.directory().string(),
+                          .where = from_.source(),
                           .next = next_step(outcome)});
   }
 
@@ -290,9 +299,10 @@ class Planner {
   Solver solver_;
   Plan plan_;
   Solver::Wanted wanted_;
-  std::set<std::string> exact_, released_;
+  std::set<std::string> exact_;
+  std::map<std::string, std::vector<const IndexEntry*>> offers_;  // all, by name
   std::map<std::string, const fiona::InstalledPackage*> present_;
-  std::map<const Manifest*, const IndexEntry*> entries_;
+  std::map<const Manifest*, const IndexEntry*> entries_;  // all, by manifest
 };
 
 const IndexEntry& locked_entry(const LockedPackage& locked, const Marketplace& from) {
@@ -304,7 +314,7 @@ const IndexEntry& locked_entry(const LockedPackage& locked, const Marketplace& f
   }
   ErrorText text{
       .what = "the marketplace does not have " + locked.package() + " " + locked.version() + ", which the lock names",
-      .where = from.directory().string(),
+      .where = from.source(),
       .next = "market install --locked FILE --from " + locked.marketplace()};
   if (!other) throw Error(ErrorCode::NotFound, text);
   text.what =

@@ -172,13 +172,9 @@ bool StoreChange::is_held(const DurableDirectory& parent, const std::string& nam
 }
 
 void StoreChange::unpack(const Marketplace& from, const IndexEntry& entry, const std::string& name) const {
-  const filesystem::path path = from.directory() / entry.file();
+  const filesystem::path path = from.package(entry);
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
-  if (!file) {
-    throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace's index names a package that is not there",
-                                               .where = path.string(),
-                                               .next = "publish it again, or choose another marketplace with --from"});
-  }
+  if (!file) throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = path.string()});
   StagingSink sink{store_, name};
   const auto source = [&](char* buffer, std::size_t size) { return read_some(file.number(), buffer, size, path); };
   const PackageContents contents = read_package(source, path.filename().string(), sink, options_.limits);

@@ -17,6 +17,7 @@
 #include "bare_limits.hpp"
 #include "console_answer.hpp"
 #include "load_cost.hpp"
+#include "market_cost.hpp"
 #include "os/process.hpp"
 #include "probe_cost.hpp"
 #include "system_cost.hpp"
@@ -198,6 +199,8 @@ std::vector<Cost> costs() {
       {"start of 100 components in 100 groups", 1, "s", [] { return start_s(100, 100); }},
       {"start of 1000 components in main", 30, "s", [] { return start_s(1000, 0); }},
       {"start of 1000 components in 100 groups", 30, "s", [] { return start_s(1000, 100); }},
+      {"plan among 5000 packages", 1, "s", plan_s},
+      {"install of 5 MB, beyond a bare script", 300, "ms", install_beyond_script_ms},
       {"fiona ls of 100 busy instances, p99", 50, "ms", ls_ms},
       {"completion among 100 busy instances, p99", 150, "ms", completion_ms},
   };

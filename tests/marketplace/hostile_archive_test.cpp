@@ -1,12 +1,17 @@
 #include <gtest/gtest.h>
+#include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/publish.hpp>
 #include <fiona/plugin.hpp>
+#include <fstream>
 
+#include "hostile_corpus.hpp"
 #include "support.hpp"
 
 namespace fiona::marketplace {
@@ -428,6 +433,87 @@ TEST_F(HostileArchive, APipeInPlaceOfThePackageIsNotWaitedFor) {
   ASSERT_EQ(::mkfifo((market_ / entry.file()).c_str(), 0600), 0);
   EXPECT_EQ(error_of([&] { install("steps", Marketplace{market_}, store_); }).text().what,
             "this is not a regular file");
+}
+
+// What installing one archive did, seen from outside the process that did it.
+struct Attempt {
+  bool refused = false;          // with a next step, as failed or as a wrong hash
+  std::uint64_t written = 0;     // bytes into the store, all files together
+  std::uint64_t outside = 0;     // files or directories that were made elsewhere than in staging
+  std::uint64_t memory_kib = 0;  // how much larger the process became
+};
+
+std::uint64_t status_kib(const char* field) {
+  std::ifstream file("/proc/self/status");
+  for (std::string line; std::getline(file, line);) {
+    if (line.starts_with(field)) return std::stoull(line.substr(line.find(':') + 1));
+  }
+  return 0;
+}
+
+// In a process of its own, so that its memory is its own and a crash is one line.
+Attempt attempt(const filesystem::path& market, const filesystem::path& store) {
+  auto* shared = static_cast<Attempt*>(
+      ::mmap(nullptr, sizeof(Attempt), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  new (shared) Attempt;
+  const pid_t child = ::fork();
+  if (child == 0) {
+    InstallOptions options;
+    const OsCalls real = system_calls();
+    const auto in_staging = [](int directory, const char* name) {
+      const auto where = filesystem::read_symlink("/proc/self/fd/" + std::to_string(directory)) / name;
+      return where.string().find("/staging-") != std::string::npos || where.filename() == "packages" ||
+             where.filename() == "generations";
+    };
+    options.os.create = [&](int directory, const char* name, mode_t mode) {
+      if (!in_staging(directory, name)) ++shared->outside;
+      return real.create(directory, name, mode);
+    };
+    options.os.mkdir = [&](int directory, const char* name, mode_t mode) {
+      if (!in_staging(directory, name)) ++shared->outside;
+      return real.mkdir(directory, name, mode);
+    };
+    options.os.write = [&](int file, const void* bytes, std::size_t size) {
+      shared->written += size;
+      return real.write(file, bytes, size);
+    };
+    std::ofstream("/proc/self/clear_refs") << 5;  // the peak begins anew
+    const std::uint64_t before_kib = status_kib("VmRSS");
+    try {
+      install("steps", Marketplace{market}, store, options);
+    } catch (const Error& error) {
+      shared->refused = (error.code() == ErrorCode::Failed || error.code() == ErrorCode::BadSignature) &&
+                        !error.text().what.empty() && !error.text().next.empty();
+    }
+    shared->memory_kib = status_kib("VmHWM") - before_kib;
+    ::_exit(0);
+  }
+  int status = 0;
+  ::waitpid(child, &status, 0);
+  Attempt seen = *shared;
+  ::munmap(shared, sizeof(Attempt));
+  if (!WIFEXITED(status)) seen.refused = false;
+  return seen;
+}
+
+TEST_F(HostileArchive, EveryKindOfTheCorpusIsRefusedWithinItsBounds) {
+  const auto corpus = hostile_corpus(honest_);
+  EXPECT_GE(corpus.size(), 60u);
+  std::uint64_t declared = pieces_[0].size();  // the manifest, and what it says
+  const auto entry = Marketplace{market_}.info("steps")[0];
+  for (const auto& file : entry.manifest().files()) declared += file.size();
+  for (const auto& kind : corpus) {
+    offer(kind.bytes);
+    const auto before = snapshot(scratch_.path());
+    const Attempt seen = attempt(market_, store_);
+    EXPECT_TRUE(seen.refused) << kind.name;
+    EXPECT_EQ(seen.outside, 0u) << kind.name;
+    EXPECT_LE(seen.written, declared) << kind.name;
+    if (!FIONA_SANITIZED) {
+      EXPECT_LE(seen.memory_kib, 64u * 1024) << kind.name;
+    }
+    EXPECT_TRUE(snapshot(scratch_.path()) == before) << kind.name << " left something";
+  }
 }
 
 }  // namespace

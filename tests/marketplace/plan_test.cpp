@@ -76,6 +76,87 @@ TEST(DebianVersion, OrdersAsSemverDoes) {
   }
 }
 
+// A small marketplace at random, and every choice of versions tried.
+class Universe {
+ public:
+  explicit Universe(std::mt19937& random) {
+    for (int name = 0; name < kNames; ++name) {
+      for (int version = 1; version <= kVersions; ++version) {
+        Manifest& manifest = manifests_[static_cast<std::size_t>(name * kVersions + version - 1)];
+        manifest.set_publisher("acme");
+        manifest.set_name(std::string(1, static_cast<char>('a' + name)));
+        manifest.set_version(std::to_string(version) + ".0.0");
+        for (unsigned i = random() % 4 + 1; i > 0; --i) {
+          const int other = static_cast<int>(random() % kNames);
+          if (other == name) continue;
+          const char* comparisons[] = {" >= ", " < ", " = ", " <= "};
+          const std::string text = "acme/" + std::string(1, static_cast<char>('a' + other)) +
+                                   comparisons[random() % 4] + std::to_string(random() % kVersions + 1) + ".0.0";
+          random() % 4 == 0 ? manifest.add_conflicts(text) : manifest.add_requirements(text);
+        }
+      }
+    }
+  }
+
+  // Whether these versions (0: none) go together.
+  bool goes(const std::vector<int>& versions) const {
+    const auto meets = [&](const std::string& text) {
+      const Requirement requirement = Requirement::parse(text, "");
+      const int version = versions[static_cast<std::size_t>(requirement.package.back() - 'a')];
+      return version > 0 && requirement.versions.has(*Version::parse(std::to_string(version) + ".0.0"));
+    };
+    for (int name = 0; name < kNames; ++name) {
+      if (versions[static_cast<std::size_t>(name)] == 0) continue;
+      const Manifest& manifest = at(name, versions[static_cast<std::size_t>(name)]);
+      if (!std::ranges::all_of(manifest.requirements(), meets) || std::ranges::any_of(manifest.conflicts(), meets))
+        return false;
+    }
+    return true;
+  }
+
+  // Whether `a` and `b` can be there together.
+  bool can_have_both() const {
+    std::vector<int> versions(kNames, 0);
+    for (int code = 0; code < 256; ++code) {  // kVersions + 1 to the power of kNames
+      for (int name = 0, rest = code; name < kNames; ++name, rest /= kVersions + 1)
+        versions[static_cast<std::size_t>(name)] = rest % (kVersions + 1);
+      if (versions[0] > 0 && versions[1] > 0 && goes(versions)) return true;
+    }
+    return false;
+  }
+
+  const Manifest& at(int name, int version) const {
+    return manifests_[static_cast<std::size_t>(name * kVersions + version - 1)];
+  }
+  const std::vector<Manifest>& all() const { return manifests_; }
+
+  static constexpr int kNames = 4, kVersions = 3;
+
+ private:
+  std::vector<Manifest> manifests_{kNames * kVersions};
+};
+
+TEST(Solver, FindsAChoiceExactlyWhereThereIsOne) {
+  std::mt19937 random(11);
+  const Platform platform{"1.0.0", "abi", "x86_64"};
+  int found = 0;
+  for (int round = 0; round < 3000; ++round) {
+    const Universe universe(random);
+    Solver solver{platform};
+    for (const auto& manifest : universe.all()) solver.add_offered(manifest);
+    const auto outcome = solver.solve({.install = {{"acme/a", {}}, {"acme/b", {}}}});
+    ASSERT_EQ(outcome.solved(), universe.can_have_both()) << "round " << round;
+    if (!outcome.solved()) continue;
+    ++found;
+    std::vector<int> versions(Universe::kNames, 0);
+    for (const auto* manifest : outcome.packages)
+      versions[static_cast<std::size_t>(manifest->name()[0] - 'a')] = manifest->version()[0] - '0';
+    ASSERT_TRUE(universe.goes(versions) && versions[0] > 0 && versions[1] > 0) << "round " << round;
+  }
+  EXPECT_GT(found, 500);
+  EXPECT_LT(found, 2900);
+}
+
 class PlanTest : public ::testing::Test {
  protected:
   void publish_one(const std::string& name, const std::string& version, const std::string& more = {}) {

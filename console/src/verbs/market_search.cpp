@@ -217,7 +217,7 @@ void market_info(Session& session, const Line& line) {
   const Marketplace market = chosen_market(line);
   std::vector<IndexEntry> entries = market.info(line.positional[1].text);
   // The interface with its types is in the package; reading it checks the whole file and opens no library.
-  const auto contents = marketplace::inspect_package(market.directory() / entries.front().file());
+  const auto contents = marketplace::inspect_package(market.package(entries.front()));
   show_facts(session, entries);
   const TypeSet types(contents.interface.descriptors());
   for (const auto& component : contents.interface.components()) show_component(session, component, types);

@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "../catalogue.hpp"
 #include "../changes.hpp"
 #include "../script.hpp"
 #include "../table.hpp"
@@ -116,7 +117,7 @@ void plan(Session& session, const Line& line) {
 }
 
 void apply(Session& session, const Line& line) {
-  const std::vector<Line> lines = read_script(line.positional[0].text);
+  const std::vector<Line> lines = read_script(system_path(line.positional[0].text, session.options.store));
   const Batch batch = collected(session, [&] {
     for (const Line& one : lines) {
       if (composes(one)) session.run(one);

@@ -29,6 +29,8 @@ class Marketplace {
   static std::filesystem::path default_directory();
 
   const std::filesystem::path& directory() const noexcept { return directory_; }
+  /// Where it is, as a person named it: a directory or a URL.
+  const std::string& source() const noexcept { return source_; }
   const Index& index() const noexcept { return index_; }
 
   /// The newest version of each package in which every word occurs (name, publisher, summary, components,
@@ -47,8 +49,12 @@ class Marketplace {
   /// white spot.
   std::vector<IndexEntry> providers_of(std::string_view service) const;
 
+  /// The .fpk of an entry, on this machine. Throws fiona::Error (NotFound) if it is not there.
+  std::filesystem::path package(const IndexEntry& entry) const;
+
  private:
   std::filesystem::path directory_;
+  std::string source_;
   Index index_;
 };
 

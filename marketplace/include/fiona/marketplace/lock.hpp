@@ -4,6 +4,7 @@
 #include <fiona/marketplace/store.hpp>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace fiona::marketplace {
@@ -14,6 +15,9 @@ Lock make_lock(const Store& store, const std::optional<std::vector<std::string>>
 
 /// Throws fiona::Error (Failed).
 void write_lock(const std::filesystem::path& file, const Lock& lock);
+
+/// Checks a lock's text; `where` names it in errors. Throws fiona::Error (Failed) with line and column.
+Lock parse_lock(std::string_view text, const std::string& where);
 
 /// Throws fiona::Error: NotFound, Failed with line and column of what is wrong.
 Lock read_lock(const std::filesystem::path& file);
