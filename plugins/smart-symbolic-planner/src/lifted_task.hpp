@@ -10,6 +10,8 @@
 #include <utility>
 #include <vector>
 
+#include "fiona/async.hpp"
+
 namespace fiona::planning {
 
 class Pace;
@@ -140,8 +142,9 @@ struct LiftedTask {
   Index total_cost = kNone;  ///< the function of that name
 };
 
-/// Reads the domain into an empty task, then the problem. Throw PddlError, OutOfTime, OutOfMemory.
+/// Reads the domain into an empty task, then the problem. Throw PddlError, OutOfTime, OutOfMemory. Only the initial
+/// state can be so long that reading it has pauses.
 void read_domain(LiftedTask& task, std::string_view text, Pace& pace);
-void read_problem(LiftedTask& task, std::string_view text, Pace& pace);
+Async<> read_problem(LiftedTask& task, std::string_view text, Pace& pace);
 
 }  // namespace fiona::planning

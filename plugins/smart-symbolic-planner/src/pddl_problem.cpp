@@ -3,39 +3,50 @@
 #include "pddl_terms.hpp"
 
 namespace fiona::planning {
-namespace {
-
-using Word = PddlReader::Word;
 
 class ProblemReader {
+  using Word = PddlReader::Word;
+
  public:
   ProblemReader(LiftedTask& task, Pace& pace)
-      : task_(task), in_(Text::Problem, task.problem_text, pace), terms_(task, in_) {}
+      : task_(task),
+        pace_(pace),
+        in_(Text::Problem, task.problem_text, pace),
+        terms_(task, in_),
+        sections_(task.memory) {}
 
-  void read() {
-    std::string_view name;
-    const auto sections =
-        terms_.sections("problem", name, {":domain", ":requirements", ":objects", ":init", ":goal", ":metric"}, {});
-    const auto in_one = [&](std::string_view keyword, auto read) {
-      const auto found =
-          std::find_if(sections.begin(), sections.end(), [&](const auto& s) { return s.keyword == keyword; });
-      if (found == sections.end()) return false;
-      in_.go_to(found->inside);
-      read();
-      return true;
-    };
-    const auto missing = [&](std::string_view keyword) {
-      in_.fail(0, {.what = "the problem has no section '(" + std::string(keyword) + " ...)'"});
-    };
-    if (!in_one(":domain", [&] { domain(); })) missing(":domain");
-    in_one(":requirements", [&] { terms_.requirements(); });
-    in_one(":objects", [&] { terms_.objects(); });
-    if (!in_one(":init", [&] { init(); })) missing(":init");
-    if (!in_one(":goal", [&] { goal(); })) missing(":goal");
-    in_one(":metric", [&] { metric(); });
+  Async<> read() {
+    find_sections();
+    go_to(":domain");
+    domain();
+    if (find(":requirements")) terms_.requirements();
+    if (find(":objects")) terms_.objects();
+    go_to(":init");
+    auto reading = init();
+    co_await reading;
+    go_to(":goal");
+    goal();
+    if (find(":metric")) metric();
   }
 
  private:
+  void find_sections() {
+    std::string_view name;
+    sections_ =
+        terms_.sections("problem", name, {":domain", ":requirements", ":objects", ":init", ":goal", ":metric"}, {});
+  }
+
+  bool find(std::string_view keyword) {
+    const auto found =
+        std::find_if(sections_.begin(), sections_.end(), [&](const auto& s) { return s.keyword == keyword; });
+    if (found != sections_.end()) in_.go_to(found->inside);
+    return found != sections_.end();
+  }
+
+  void go_to(std::string_view keyword) {
+    if (!find(keyword)) in_.fail(0, {.what = "the problem has no section '(" + std::string(keyword) + " ...)'"});
+  }
+
   void domain() {
     const Word name = in_.name("the name of the domain");
     if (name.text != task_.domain_name)
@@ -44,8 +55,9 @@ class ProblemReader {
     in_.expect(")", "')'");
   }
 
-  void init() {
+  Async<> init() {
     while (!in_.take(")")) {
+      if (pace_.look()) co_await pace_.pause();
       in_.expect("(", "an atom, '(PREDICATE ...)', or ')'");
       const Word word = in_.next();
       if (word == "=") {
@@ -98,15 +110,17 @@ class ProblemReader {
   }
 
   LiftedTask& task_;
+  Pace& pace_;
   PddlReader in_;
   PddlTerms terms_;
+  List<PddlTerms::Section> sections_;
 };
 
-}  // namespace
-
-void read_problem(LiftedTask& task, std::string_view text, Pace& pace) {
+Async<> read_problem(LiftedTask& task, std::string_view text, Pace& pace) {
   task.problem_text = lower_case(text, task.memory);
-  ProblemReader(task, pace).read();
+  ProblemReader reader(task, pace);
+  auto reading = reader.read();
+  co_await reading;
 }
 
 }  // namespace fiona::planning

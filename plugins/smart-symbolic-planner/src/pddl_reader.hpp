@@ -25,7 +25,7 @@ class PddlReader {
     bool is_name() const;
   };
 
-  /// Keeps to the time bound of `pace`, without a pause: the texts of a request are not that long.
+  /// Keeps to the time bound of `pace`, without a pause.
   PddlReader(Text which, std::string_view text, Pace& pace) : which_(which), text_(text), pace_(pace) {}
 
   /// The next word. Throws PddlError at a byte that no word may have, OutOfTime.

@@ -55,7 +55,8 @@ Async<> Planning::run() {
 Async<> Planning::solve() {
   LiftedTask lifted(&memory_);
   read_domain(lifted, request_.domain, pace_);
-  read_problem(lifted, request_.problem, pace_);
+  auto reading = read_problem(lifted, request_.problem, pace_);
+  co_await reading;
   if (pace_.look()) co_await pace_.pause();
   GroundTask task(&memory_);
   auto grounding = ground(lifted, task, pace_);
