@@ -289,7 +289,7 @@ void ChildGroup::watch(Time now) {
   if (alive()) std::cerr << output_.take(now);
   if (alive()) end_if_greedy();
   if (!hangs_ || !alive()) return;
-  const auto hangs = hangs_->look(now, child_->is_stopped());
+  const auto hangs = hangs_->look(now, child_->id(), child_->is_stopped());
   if (hangs.empty()) return;
   child_->kill();
   note_end("was ended: " + hangs.front().text());

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "fiona/hull.hpp"
+#include "os/limits.hpp"
 
 namespace fiona::host {
 namespace {
@@ -42,13 +43,28 @@ HangWatch::milliseconds HangWatch::passed(Time now) {
   return std::min(since, kMostBetween);
 }
 
-std::vector<Hang> HangWatch::look(Time now, bool stopped) {
+/// For how long threads of the process have waited for a CPU since it was called last, while something was stuck.
+HangWatch::milliseconds HangWatch::waited_for_cpu(pid_t process) {
+  const auto now = os::time_waiting_for_cpu(process);
+  const auto before = std::exchange(delay_, now).value_or(now);
+  return std::chrono::duration_cast<milliseconds>(std::max(now - before, std::chrono::nanoseconds(0)));
+}
+
+bool HangWatch::hangs(Seen& seen, milliseconds step, milliseconds waited) const {
+  seen.in_all += step;
+  seen.stood += step - std::min(step, waited);
+  const milliseconds patience = patience_with(seen.work);
+  return !seen.told && (seen.stood >= patience || seen.in_all >= std::max(patience, kStarved));
+}
+
+std::vector<Hang> HangWatch::look(Time now, pid_t process, bool stopped) {
   if (now - looked_ < std::chrono::milliseconds(20)) return {};
   const milliseconds step = passed(now);
-  std::vector<Hang> hangs;
+  std::vector<Hang> hangs_now;
   stopped_ = stopped ? stopped_ + step : milliseconds(0);
-  if (stopped_ >= kStopped) hangs.push_back({"", "", stopped_});
+  if (stopped_ >= kStopped) hangs_now.push_back({"", "", stopped_});
   seen_.resize(std::min<std::size_t>(page_.used.load(std::memory_order_relaxed), Liveness::kSlots));
+  std::optional<milliseconds> waited;
   for (std::size_t i = 0; i < seen_.size(); ++i) {
     Seen& seen = seen_[i];
     const std::uint64_t work = page_.slots[i].work.load(std::memory_order_acquire);
@@ -56,18 +72,19 @@ std::vector<Hang> HangWatch::look(Time now, bool stopped) {
       seen = {work};
       continue;
     }
-    seen.stood += step;
-    if (seen.told || seen.stood < patience_with(work)) continue;
+    if (!waited) waited = waited_for_cpu(process);
+    if (!hangs(seen, step, *waited)) continue;
     seen.told = true;
-    hangs.push_back(hang_of(page_.slots[i], seen));
+    hangs_now.push_back(hang_of(page_.slots[i], seen));
   }
-  return hangs;
+  if (!waited) delay_.reset();
+  return hangs_now;
 }
 
 Hang HangWatch::hang_of(const Liveness::Slot& slot, const Seen& seen) const {
   const std::string name(slot.name, std::find(std::begin(slot.name), std::end(slot.name), '\0'));
   const auto known = parts_(name);
-  Hang hang{known ? name : inert_name(name), "", seen.stood};
+  Hang hang{known ? name : inert_name(name), "", seen.in_all};
   std::vector<std::string> texts = known.value_or(std::vector<std::string>());
   texts.insert(texts.end(), std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls));
   texts.insert(texts.end(), std::begin(kOtherCalls), std::end(kOtherCalls));

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <sys/types.h>
+
 #include <chrono>
 #include <cstdint>
 #include <functional>
@@ -24,7 +26,8 @@ struct Hang {
 };
 
 /// Finds pieces of work that do not end, from what the strands of a process write. It counts only time in which it
-/// looked itself: after the machine was suspended nothing hangs that did not hang before.
+/// looked itself: after the machine was suspended nothing hangs that did not hang before. And not the time for which a
+/// thread of the process waited for a CPU: on a machine that has too much to do work takes longer, and ends.
 class HangWatch {
  public:
   using Time = std::chrono::steady_clock::time_point;
@@ -41,28 +44,34 @@ class HangWatch {
   static constexpr milliseconds kLifeCycle{10'000};
   /// A process that has been stopped has no work to excuse it; its consumers are to be told within a second.
   static constexpr milliseconds kStopped{600};
+  /// For no longer than this is waiting for a CPU an excuse.
+  static constexpr milliseconds kStarved{10'000};
   /// Of the time since it looked last no more counts.
   static constexpr milliseconds kMostBetween{250};
 
   HangWatch(const Liveness::Page& page, Parts parts) : page_(page), parts_(std::move(parts)) {}
 
-  /// [one thread] What has come to hang since it was called last, each once. Call it about every 100 ms. `stopped`: the
-  /// process does not run at all.
-  std::vector<Hang> look(Time now, bool stopped = false);
+  /// [one thread] What has come to hang in this process since it was called last, each once. Call it about every 100
+  /// ms. `stopped`: the process does not run at all.
+  std::vector<Hang> look(Time now, pid_t process, bool stopped = false);
 
  private:
   struct Seen {
     std::uint64_t work = 0;
-    milliseconds stood{0};
+    milliseconds stood{0};  ///< without the time for which it may have waited for a CPU
+    milliseconds in_all{0};
     bool told = false;
   };
   milliseconds passed(Time now);
+  milliseconds waited_for_cpu(pid_t process);
+  bool hangs(Seen& seen, milliseconds step, milliseconds waited) const;
   Hang hang_of(const Liveness::Slot& slot, const Seen& seen) const;
 
   const Liveness::Page& page_;
   const Parts parts_;
   Time looked_{};
   milliseconds stopped_{0};
+  std::optional<std::chrono::nanoseconds> delay_;  ///< of all threads; none: nothing was stuck when it looked last
   std::vector<Seen> seen_;
 };
 

@@ -1,5 +1,6 @@
 // The processes of a system: made for their instances, served, watched, and lost.
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include "confinement.hpp"
 #include "fiona/error.hpp"
@@ -115,7 +116,7 @@ void System::give_up(const Hang& hang) {
 std::vector<std::string> System::watch_groups() {
   const auto now = std::chrono::steady_clock::now();
   if (main_hangs_) {
-    for (const Hang& hang : main_hangs_->look(now)) give_up(hang);
+    for (const Hang& hang : main_hangs_->look(now, ::getpid())) give_up(hang);
   }
   for (auto* child : child_groups()) {
     child->watch(now);

@@ -118,7 +118,7 @@ TEST_P(ZooLoad, IntoAGroupIsRefusedAndLeavesNothing) {
 INSTANTIATE_TEST_SUITE_P(Each, ZooLoad,
                          testing::Values(Animal{"traps-when-opened", "killed by signal 11 (Segmentation fault)"},
                                          Animal{"exits-when-opened", "exited with code 0"},
-                                         Animal{"hangs-when-opened", "'patient' was stuck in its library for 2."},
+                                         Animal{"hangs-when-opened", "'patient' was stuck in its library for "},
                                          Animal{"blocks-in-constructor",
                                                 "'patient' was stuck in its constructor for "}),
                          name_of);
@@ -165,7 +165,7 @@ TEST_F(ZooGroup, ThatBlocksInItsDestructorIsEndedAndItsUnloadSucceeds) {
   system.unload("patient");
   system.eventually("its end", [&] { return system.instance("other").mode() == "failed"; });
   EXPECT_THAT(system.instance("other").reason(),
-              HasSubstr("group 'cage' was ended: 'patient' was stuck in its destructor for 1."));
+              HasSubstr("group 'cage' was ended: 'patient' was stuck in its destructor for "));
   expect_others_go_on();
 }
 
@@ -173,7 +173,7 @@ TEST_F(ZooGroup, ThatIsStuckInAPortIsNamedWithIt) {
   system.load_in("cage", "sink", "slow", "work_ms=10000");
   system.wire("slow.newest", "source.newest");
   system.eventually("its end", [&] { return system.instance("slow").mode() == "failed"; });
-  EXPECT_THAT(system.instance("slow").reason(), HasSubstr("group 'cage' was ended: 'slow' was stuck in newest for 1."));
+  EXPECT_THAT(system.instance("slow").reason(), HasSubstr("group 'cage' was ended: 'slow' was stuck in newest for "));
 }
 
 // ---- they take what they can get ------------------------------------------------------------------------------

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
 #include <string>
 
@@ -54,6 +55,20 @@ std::optional<Usage> usage_of(pid_t process) {
     at = end + 1;
   }
   return usage;
+}
+
+/// Documentation/scheduler/sched-stats.rst: time on a CPU, time waiting for one, how often.
+std::chrono::nanoseconds time_waiting_for_cpu(pid_t process) {
+  std::chrono::nanoseconds all(0);
+  std::error_code ignored;
+  std::filesystem::directory_iterator task("/proc/" + std::to_string(process) + "/task", ignored);
+  for (; task != std::filesystem::directory_iterator(); task.increment(ignored)) {
+    std::ifstream file(task->path() / "schedstat");
+    std::int64_t ran_ns = 0;
+    std::int64_t waited_ns = 0;
+    if (file >> ran_ns >> waited_ns) all += std::chrono::nanoseconds(waited_ns);
+  }
+  return all;
 }
 
 }  // namespace fiona::os

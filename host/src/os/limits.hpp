@@ -2,6 +2,7 @@
 
 #include <sys/types.h>
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -34,5 +35,8 @@ struct Usage {
   std::uint64_t threads = 0;
 };
 std::optional<Usage> usage_of(pid_t process);
+
+/// For how long the threads of a process, all together, have been ready to run and have waited for a CPU.
+std::chrono::nanoseconds time_waiting_for_cpu(pid_t process);
 
 }  // namespace fiona::os
