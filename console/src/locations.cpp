@@ -32,7 +32,10 @@ fs::path runtime_directory() {
   const std::string given = environment("XDG_RUNTIME_DIR");
   const fs::path directory =
       given.empty() ? fs::path(fmt::format("/tmp/fiona-{}", ::getuid())) : fs::path(given) / "fiona";
-  if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST) {
+  int made = 0;
+  do made = ::mkdir(directory.c_str(), 0700);
+  while (made != 0 && errno == EINTR);
+  if (made != 0 && errno != EEXIST) {
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = fmt::format("the run-time directory cannot be made: {}", std::strerror(errno)),
                           .where = directory.string(),

@@ -6,6 +6,7 @@
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/manifest.hpp>
+#include <map>
 #include <set>
 
 #include "files.hpp"
@@ -58,16 +59,15 @@ bool provides(const IndexEntry& entry, std::string_view service) {
 
 template <typename Wanted>
 std::vector<IndexEntry> newest_where(const Index& index, Wanted&& wanted) {
-  std::vector<IndexEntry> entries{index.entries().begin(), index.entries().end()};
-  std::ranges::sort(entries, [](const IndexEntry& a, const IndexEntry& b) {
-    const std::string name_a = full_name(a.manifest()), name_b = full_name(b.manifest());
-    return name_a != name_b ? name_a < name_b : is_offered_before(a, b);
-  });
-  const auto same = [](const IndexEntry& a, const IndexEntry& b) {
-    return full_name(a.manifest()) == full_name(b.manifest());
-  };
-  entries.erase(std::unique(entries.begin(), entries.end(), same), entries.end());
-  std::erase_if(entries, [&](const IndexEntry& entry) { return !wanted(entry); });
+  std::map<std::string, const IndexEntry*> newest;
+  for (const auto& entry : index.entries()) {
+    const IndexEntry*& best = newest[full_name(entry.manifest())];
+    if (!best || is_offered_before(entry, *best)) best = &entry;
+  }
+  std::vector<IndexEntry> entries;
+  for (const auto& [name, entry] : newest) {
+    if (wanted(*entry)) entries.push_back(*entry);
+  }
   return entries;
 }
 
