@@ -61,7 +61,7 @@ Async<BestFirst::End> BestFirst::run() {
 }
 
 bool BestFirst::enter(const Entry& entry) {
-  const Cost cost = nodes_[entry.parent].cost + task_.costs[entry.op];
+  const Cost cost = sum(nodes_[entry.parent].cost, task_.costs[entry.op]);
   if (cost >= options_.bound) return false;
   std::ranges::copy(states_[entry.parent], scratch_.begin());
   apply(task_, entry.op, scratch_);
@@ -91,7 +91,7 @@ void BestFirst::expand(Index number, Cost estimate) {
 }
 
 void BestFirst::push(Queue& queue, Index parent, Index op, Cost estimate) {
-  const Cost cost = nodes_[parent].cost + task_.costs[op];
+  const Cost cost = sum(nodes_[parent].cost, task_.costs[op]);
   if (cost >= options_.bound) return;
   const Cost rank = options_.weight ? cost / unit_ + *options_.weight * estimate : estimate;
   queue.entries.push_back({rank, age_++, parent, op});

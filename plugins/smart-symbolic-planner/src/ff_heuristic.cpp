@@ -11,7 +11,7 @@ FfHeuristic::FfHeuristic(const GroundTask& task, List<Cost> costs, Pace& pace, s
       needed_by_(task.needs.inverted(task.fact_count)),
       fresh_(memory),
       operators_(memory),
-      reached_at_(task.fact_count, kUnreached, memory),
+      reached_at_(task.fact_count, kNoCost, memory),
       reached_by_(task.fact_count, kNone, memory),
       queue_(memory),
       is_goal_(task.fact_count, false, memory),
@@ -36,7 +36,7 @@ Async<std::optional<Cost>> FfHeuristic::estimate(State state) {
 /// Dijkstra over facts, whose cost is that of the operator and the sum over its needs. False: a goal is out of reach.
 Async<bool> FfHeuristic::explore(State state) {
   operators_.assign(fresh_.begin(), fresh_.end());
-  std::fill(reached_at_.begin(), reached_at_.end(), kUnreached);
+  std::fill(reached_at_.begin(), reached_at_.end(), kNoCost);
   queue_.clear();
   for (Index fact = 0; fact < task_.fact_count; ++fact)
     if (holds(state, fact)) reach(fact, 0, kNone);
@@ -50,7 +50,7 @@ Async<bool> FfHeuristic::explore(State state) {
     if (cost > reached_at_[fact]) continue;
     if (is_goal_[fact]) --goals_left;
     for (const Index op : needed_by_[fact]) {
-      operators_[op].cost = std::min(operators_[op].cost + cost, kUnreached - 1);
+      operators_[op].cost = sum(operators_[op].cost, cost);
       if (--operators_[op].missing == 0) reach_effects(op);
     }
   }
@@ -85,7 +85,7 @@ Cost FfHeuristic::extract(State state) {
     if (planning::holds(op_in_plan_, op)) continue;
     planning::set(op_in_plan_, op);
     plan_.push_back(op);
-    total = std::min(total + costs_[op], kUnreached - 1);
+    total = sum(total, costs_[op]);
     for (const Index fact : task_.needs[op]) want(fact);
     if (all_hold(state, task_.needs[op])) preferred_.push_back(op);
   }

@@ -22,8 +22,6 @@ class FfHeuristic {
   std::span<const Index> preferred() const { return preferred_; }
 
  private:
-  /// Sums stay below it.
-  static constexpr Cost kUnreached = Cost{1} << 60;
   struct Operator {
     Cost cost;  ///< its own and that of its reached needs
     Index missing;

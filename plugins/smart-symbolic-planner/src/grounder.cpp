@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "pddl_error.hpp"
+#include "pruner.hpp"
 #include "reachable.hpp"
 
 namespace fiona::planning {
@@ -186,17 +187,17 @@ class Grounder {
 
   Cost cost_of(const Action& action, std::span<const Index> binding) {
     if (!task_.has_metric) return kCostUnit;
-    Cost sum = 0;
+    Cost total = 0;
     for (const CostTerm& term : action.costs) {
       if (!term.is_function) {
-        sum += term.number;
+        total = sum(total, term.number);
         continue;
       }
       const Index value = values_.find(term.function.symbol, ground_arguments(term.function, binding));
       if (value == kNone) fail_without_value(action, binding, term.function);
-      sum += costs_[value];
+      total = sum(total, costs_[value]);
     }
-    return sum;
+    return total;
   }
 
   [[noreturn]] void fail_without_value(const Action& action, std::span<const Index> binding, const Atom& function) {
@@ -225,90 +226,6 @@ class Grounder {
   List<Index> needs_, adds_, deletes_, absent_;
 };
 
-/// Leaves out facts and operators from which no way leads to the goal.
-class Pruner {
- public:
-  Pruner(GroundTask& task, Pace& pace, std::pmr::memory_resource* memory)
-      : task_(task), pace_(pace), memory_(memory), number_(task.fact_count, kNone, memory), open_(memory) {}
-
-  Async<> run() {
-    auto marked = mark();
-    co_await marked;
-    Index count = 0;
-    for (Index& number : number_)
-      if (number != kNone) number = count++;
-    if (count == task_.fact_count) co_return;
-    GroundTask kept(memory_);
-    for (std::size_t op = 0; op < task_.operator_count(); ++op) {
-      if (pace_.due()) co_await pace_.pause();
-      if (!copy(task_.adds[op], kept.adds)) continue;
-      copy(task_.needs[op], kept.needs);
-      copy(task_.deletes[op], kept.deletes);
-      for (Lists* lists : {&kept.adds, &kept.needs, &kept.deletes}) lists->end_list();
-      kept.costs.push_back(task_.costs[op]);
-      kept.actions.push_back(task_.actions[op]);
-      kept.arguments.add(task_.arguments[op]);
-    }
-    kept.fact_count = count;
-    for (const Index fact : task_.init)
-      if (number_[fact] != kNone) kept.init.push_back(number_[fact]);
-    for (const Index fact : task_.goal) kept.goal.push_back(number_[fact]);
-    task_ = std::move(kept);
-  }
-
- private:
-  Async<> mark() {
-    const Lists adders = task_.adds.inverted(task_.fact_count);
-    List<bool> seen(task_.operator_count(), false, memory_);
-    for (const Index fact : task_.goal) want(fact);
-    while (!open_.empty()) {
-      const Index fact = open_.back();
-      open_.pop_back();
-
-      for (const Index op : adders[fact]) {
-        if (pace_.due()) co_await pace_.pause();
-        if (seen[op]) continue;
-        seen[op] = true;
-        for (const Index needed : task_.needs[op]) want(needed);
-      }
-    }
-  }
-
-  void want(Index fact) {
-    if (number_[fact] != kNone) return;
-    number_[fact] = 0;
-    open_.push_back(fact);
-  }
-
-  bool copy(std::span<const Index> from, Lists& to) const {
-    bool any = false;
-    for (const Index fact : from) {
-      if (number_[fact] == kNone) continue;
-      to.push(number_[fact]);
-      any = true;
-    }
-    return any;
-  }
-
-  GroundTask& task_;
-  Pace& pace_;
-  std::pmr::memory_resource* memory_;
-  List<Index> number_;  ///< kNone: left out
-  List<Index> open_;
-};
-
-Lists Lists::inverted(std::size_t count) const {
-  Lists result(values_.get_allocator().resource());
-  result.begins_.assign(count + 1, 0);
-  for (const Index value : values_) ++result.begins_[value + 1];
-  for (std::size_t i = 0; i < count; ++i) result.begins_[i + 1] += result.begins_[i];
-  result.values_.resize(values_.size());
-  List<std::size_t> next(result.begins_.begin(), result.begins_.end() - 1, values_.get_allocator());
-  for (std::size_t i = 0; i < size(); ++i)
-    for (const Index value : (*this)[i]) result.values_[next[value]++] = static_cast<Index>(i);
-  return result;
-}
-
 Async<> ground(const LiftedTask& task, GroundTask& ground_task, Pace& pace) {
   Reachable reachable(task.memory);
   auto reached = reach(task, reachable, pace);
@@ -317,8 +234,7 @@ Async<> ground(const LiftedTask& task, GroundTask& ground_task, Pace& pace) {
   auto grounded = grounder.run();
   co_await grounded;
   if (!ground_task.is_solvable) co_return;
-  Pruner pruner(ground_task, pace, task.memory);
-  auto pruned = pruner.run();
+  auto pruned = prune(ground_task, pace, task.memory);
   co_await pruned;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -22,6 +23,9 @@ inline constexpr Index kNone = ~Index{0};
 /// Costs are kept exactly, in millionths.
 using Cost = std::int64_t;
 inline constexpr Cost kCostUnit = 1'000'000;
+/// All costs and sums of them are below it: those that are not stay just below.
+inline constexpr Cost kNoCost = Cost{1} << 60;
+inline Cost sum(Cost a, Cost b) { return std::min(a + b, kNoCost - 1); }
 
 /// What one text may have of each; all else is bounded by memory.
 inline constexpr std::size_t kMostTypes = 4096;

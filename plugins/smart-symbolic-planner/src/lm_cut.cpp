@@ -4,9 +4,8 @@
 
 namespace fiona::planning {
 
-LmCut::LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_resource* memory)
+LmCut::LmCut(const GroundTask& task, Pace& pace, std::pmr::memory_resource* memory)
     : pace_(pace),
-      unit_(unit),
       nothing_(task.fact_count),
       goal_(task.fact_count + 1),
       needs_(memory),
@@ -15,7 +14,7 @@ LmCut::LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_res
       added_by_(memory),
       fresh_(memory),
       operators_(memory),
-      reached_at_(task.fact_count + 2, kUnreached, memory),
+      reached_at_(task.fact_count + 2, kNoCost, memory),
       zones_(task.fact_count + 2, Zone::None, memory),
       queue_(memory),
       open_(memory),
@@ -24,9 +23,9 @@ LmCut::LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_res
     if (needs.empty()) needs = {&nothing_, 1};
     needs_.add(needs);
     adds_.add(adds);
-    fresh_.push_back({cost, kUnreached, kNone, static_cast<Index>(needs.size())});
+    fresh_.push_back({cost, kNoCost, kNone, static_cast<Index>(needs.size())});
   };
-  for (std::size_t op = 0; op < task.operator_count(); ++op) add(task.needs[op], task.adds[op], task.costs[op] / unit);
+  for (std::size_t op = 0; op < task.operator_count(); ++op) add(task.needs[op], task.adds[op], task.costs[op]);
   add(task.goal, {&goal_, 1}, 0);
   needed_by_ = needs_.inverted(task.fact_count + 2);
   added_by_ = adds_.inverted(task.fact_count + 2);
@@ -35,20 +34,20 @@ LmCut::LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_res
 Async<std::optional<Cost>> LmCut::estimate(State state) {
   operators_.assign(fresh_.begin(), fresh_.end());
   explore(state);
-  if (reached_at_[goal_] == kUnreached) co_return std::nullopt;
+  if (reached_at_[goal_] == kNoCost) co_return std::nullopt;
   Cost total = 0;
   while (reached_at_[goal_] > 0) {
     if (pace_.look()) co_await pace_.pause();
     std::fill(zones_.begin(), zones_.end(), Zone::None);
     mark_goal_zone();
     find_cut(state);
-    Cost least = kUnreached;
+    Cost least = kNoCost;
     for (const Index op : cut_) least = std::min(least, operators_[op].cost);
-    total += least;
+    total = sum(total, least);
     take_cut(least);
     explore_again();
   }
-  co_return total* unit_;
+  co_return total;
 }
 
 void LmCut::reach(Index fact, Cost cost) {
@@ -59,7 +58,7 @@ void LmCut::reach(Index fact, Cost cost) {
 
 /// h_max of every fact: that of its cheapest achiever, which costs as much as its dearest need.
 void LmCut::explore(State state) {
-  std::fill(reached_at_.begin(), reached_at_.end(), kUnreached);
+  std::fill(reached_at_.begin(), reached_at_.end(), kNoCost);
   queue_.clear();
   reach(nothing_, 0);
   for (Index fact = 0; fact < nothing_; ++fact)
@@ -72,7 +71,7 @@ void LmCut::explore(State state) {
       if (--relaxed.missing > 0) continue;
       relaxed.supporter = fact;
       relaxed.supported_at = cost;
-      for (const Index effect : adds_[op]) reach(effect, cost + relaxed.cost);
+      for (const Index effect : adds_[op]) reach(effect, sum(cost, relaxed.cost));
     }
   }
 }
@@ -81,7 +80,7 @@ void LmCut::explore(State state) {
 void LmCut::explore_again() {
   queue_.clear();
   for (const Index op : cut_)
-    for (const Index effect : adds_[op]) reach(effect, operators_[op].supported_at + operators_[op].cost);
+    for (const Index effect : adds_[op]) reach(effect, sum(operators_[op].supported_at, operators_[op].cost));
   while (!queue_.empty()) {
     const auto [cost, fact] = queue_.pop();
     if (cost > reached_at_[fact]) continue;
@@ -91,7 +90,7 @@ void LmCut::explore_again() {
       for (const Index need : needs_[op])
         if (reached_at_[need] > reached_at_[relaxed.supporter]) relaxed.supporter = need;
       relaxed.supported_at = reached_at_[relaxed.supporter];
-      for (const Index effect : adds_[op]) reach(effect, relaxed.supported_at + relaxed.cost);
+      for (const Index effect : adds_[op]) reach(effect, sum(relaxed.supported_at, relaxed.cost));
     }
   }
 }

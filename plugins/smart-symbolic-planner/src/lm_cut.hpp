@@ -15,17 +15,15 @@ namespace fiona::planning {
 /// adds up what the cheapest of each set costs.
 class LmCut {
  public:
-  /// `unit`: what all costs are multiples of.
-  LmCut(const GroundTask& task, Cost unit, Pace& pace, std::pmr::memory_resource* memory);
+  LmCut(const GroundTask& task, Pace& pace, std::pmr::memory_resource* memory);
 
   /// None: the goal cannot be reached from here, deletes or not.
   Async<std::optional<Cost>> estimate(State state);
 
  private:
-  static constexpr Cost kUnreached = Cost{1} << 60;
   struct Operator {
     Cost cost = 0;  ///< what is left of it
-    Cost supported_at = kUnreached;
+    Cost supported_at = kNoCost;
     Index supporter = kNone;  ///< its dearest need
     Index missing = 0;
   };
@@ -39,7 +37,6 @@ class LmCut {
   void take_cut(Cost cost);
 
   Pace& pace_;
-  const Cost unit_;
   const Index nothing_;  ///< a fact that always holds, which operators without needs need
   const Index goal_;     ///< a fact that the last operator adds, which needs the goal
   Lists needs_, adds_, needed_by_, added_by_;

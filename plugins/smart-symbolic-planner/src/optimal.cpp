@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <limits>
-#include <numeric>
 
 #include "lm_cut.hpp"
 #include "search.hpp"
@@ -14,7 +13,7 @@ class AStar {
       : task_(task),
         result_(result),
         pace_(pace),
-        heuristic_(task, unit_of(task), pace, memory),
+        heuristic_(task, pace, memory),
         successors_(task, memory),
         states_(task.fact_count, memory),
         nodes_(memory),
@@ -62,12 +61,6 @@ class AStar {
     }
   };
 
-  static Cost unit_of(const GroundTask& task) {
-    Cost unit = 0;
-    for (const Cost cost : task.costs) unit = std::gcd(unit, cost);
-    return std::max<Cost>(unit, 1);
-  }
-
   void push(Index number) {
     const Node& node = nodes_[number];
     if (node.estimate == kDeadEnd) return;
@@ -100,7 +93,7 @@ class AStar {
   }
 
   void enter(Index parent, Index op) {
-    const Cost cost = nodes_[parent].cost + task_.costs[op];
+    const Cost cost = sum(nodes_[parent].cost, task_.costs[op]);
     const auto [number, is_new] = states_.insert(scratch_);
     if (is_new) {
       const Cost inherited = std::max<Cost>(0, nodes_[parent].estimate - task_.costs[op]);

@@ -16,7 +16,7 @@ constexpr std::array<Cost, 4> kWeights{5, 3, 2, 1};
 void keep(const BestFirst& search, const GroundTask& task, SearchResult& result) {
   search.plan(result.plan);
   result.cost = 0;
-  for (const Index op : result.plan) result.cost += task.costs[op];
+  for (const Index op : result.plan) result.cost = sum(result.cost, task.costs[op]);
   result.has_plan = true;
 }
 
