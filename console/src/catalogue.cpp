@@ -4,8 +4,8 @@
 
 #include <fmt/format.h>
 #include <fiona/error.hpp>
-#include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/manifest.hpp>
+#include <fiona/marketplace/open.hpp>
 #include <fiona/marketplace/store.hpp>
 
 namespace fiona::console {
@@ -25,7 +25,8 @@ void add_installed(std::vector<KnownPlugin>& plugins, std::vector<std::string>& 
 }
 
 void add_offered(std::vector<KnownPlugin>& plugins) {
-  const marketplace::Marketplace market;
+  // Completion and white spots must not wait for a server: of one, they know what was fetched before.
+  const auto market = marketplace::open_marketplace({}, {.ask_network = false});
   for (const auto& entry : market.search({})) {
     const auto same = [&entry](const KnownPlugin& known) {
       return known.manifest.publisher() == entry.manifest().publisher() &&

@@ -219,25 +219,36 @@ std::vector<Verb> remaining_verbs() {
        forms({"market search [WORD …] [for spots|FILE] [provides=SERVICE] [requires=SERVICE] [--from DIR]",
               "market info PACKAGE [--from DIR]", "market install [PACKAGE …] [--locked FILE] [--from DIR] [-y]",
               "market update [PACKAGE …] [--from DIR] [-y]", "market remove PACKAGE … [-y]", "market rollback [N] [-y]",
-              "market history", "market list", "market verify", "market lock [FILE]"}),
-       "finds packages, installs them with what they require, and goes back",
-       "PACKAGE is [publisher/]name[@version]. --from names a marketplace directory.\n"
+              "market history", "market list", "market verify", "market lock [FILE]", "market init DIR",
+              "market publish FILE … [--to DIR]", "market accept DIR [NAME …]"}),
+       "finds packages, installs them with what they require, and goes back; keeps a marketplace",
+       "PACKAGE is [publisher/]name[@version]. --from names a marketplace: a directory or an http(s) address, trusted "
+       "by "
+       "`keys trust`.\n"
        "`search` finds words in names, texts and services; `for spots` those that fill the white spots of the running "
        "system, `for FILE` those of a system file.\n"
        "`install`, `update`, `remove` and `rollback` do all or nothing. What goes beyond the line typed, as packages "
        "that are required, rights, a publisher of whom nothing is installed, is shown and asked first; -y answers yes, "
        "and plan market … shows it and does nothing.\n"
        "`rollback` goes back to the packages before the last change, or to generation N of `history`. `lock` writes "
-       "fiona.lock, what is installed or what FILE loads, to the byte; `install --locked` installs that.",
+       "fiona.lock, what is installed or what FILE loads, to the byte; `install --locked` installs that.\n"
+       "`init` makes a marketplace and its keys. `publish` hands in packages that `plugin sign` has signed; `accept`, "
+       "by "
+       "who has the keys, takes them in, those of new publishers where NAME names them.",
        Access::Administer, verbs::market, false},
+      {"plugin", forms({"plugin sign FILE …"}), "signs packages with their publisher's key",
+       "Writes PUBLISHER.json beside the package: what the publisher's key (keys new PUBLISHER) has signed.",
+       Access::Administer, verbs::plugin, false},
       {"keys",
        forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",
-              "keys know NAME ADDRESS:PORT KEY", "keys forget NAME"}),
-       "the key pair of this user's hosts and consoles, and which others may connect over tcp",
+              "keys know NAME ADDRESS:PORT KEY", "keys forget NAME", "keys new NAME", "keys trust FILE [--from DIR]"}),
+       "keys of this user: who may connect, what signs packages, which marketplace is trusted",
        "Without a word: who may connect, and who is known. `make` makes the pair, once; `show` prints the key that "
        "others are "
        "given. `allow` lets a host connect to those that --listen; with `as` it lets a console connect to those that "
-       "--serve, and says what it may. `know` gives a host on another machine a name: fiona --at NAME.",
+       "--serve, and says what it may. `know` gives a host on another machine a name: fiona --at NAME. `new` makes a "
+       "key "
+       "that signs packages, named as their publisher; `trust` lets a marketplace be trusted by its root.json.",
        Access::Administer, verbs::keys, false},
       {"doctor", forms({"doctor"}), "looks for what keeps fiona from working on this machine, and says what mends it",
        "Exit code 1 where something is wrong.", Access::Observe, verbs::doctor},

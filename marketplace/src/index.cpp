@@ -12,14 +12,13 @@
 #include "files.hpp"
 #include "index_file.hpp"
 #include "names.hpp"
+#include "signed_market.hpp"
 #include "text_check.hpp"
 
 namespace fiona::marketplace {
 namespace {
 
 namespace filesystem = std::filesystem;
-
-constexpr std::uint64_t kMostIndexBytes = std::uint64_t{64} << 20;
 
 Version version_of(const IndexEntry& entry) { return *Version::parse(entry.manifest().version()); }
 
@@ -72,12 +71,12 @@ std::vector<IndexEntry> newest_where(const Index& index, Wanted&& wanted) {
 }
 
 [[noreturn]] void refuse_version(std::string_view version, const std::vector<IndexEntry>& entries,
-                                 const filesystem::path& directory) {
+                                 const std::string& where) {
   std::string known;
   for (const auto& entry : entries) known += (known.empty() ? "" : ", ") + entry.manifest().version();
   const std::string name = full_name(entries.front().manifest());
   throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace has no such version of " + name,
-                                             .where = directory.string(),
+                                             .where = where,
                                              .expected = "one of " + known,
                                              .found = text_fault(version, false).empty() ? std::string(version) : "",
                                              .next = "market install " + name});
@@ -102,16 +101,25 @@ std::string package_file_name(const Manifest& manifest, std::string_view blake2b
          std::string(blake2b.substr(0, 16)) + ".fpk";
 }
 
+std::string target_path(const Manifest& manifest) {
+  const std::string architecture = manifest.architecture().empty() ? "any" : manifest.architecture();
+  return manifest.publisher() + "/" + manifest.name() + "-" + manifest.version() + "-" + architecture + ".fpk";
+}
+
 std::optional<Index> read_index(const filesystem::path& directory) {
   const filesystem::path path = directory / kIndexFile;
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
   if (!file) return std::nullopt;
+  return parse_index(read_all(file, kMostIndexFileBytes, path), path.string());
+}
+
+Index parse_index(std::string_view bytes, const std::string& where) {
   Index index;
   try {
-    if (!index.ParseFromString(read_all(file, kMostIndexBytes, path))) {
-      throw Error(ErrorCode::Failed, ErrorText{.what = "it is not an index", .where = path.string()});
+    if (!index.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
+      throw Error(ErrorCode::Failed, ErrorText{.what = "it is not an index", .where = where});
     }
-    for (const auto& entry : index.entries()) check_entry(entry, path.string());
+    for (const auto& entry : index.entries()) check_entry(entry, where);
   } catch (const Error& error) {
     ErrorText text = error.text();
     text.what = "the marketplace's index is damaged: " + text.what;
@@ -132,7 +140,13 @@ Marketplace::Marketplace(filesystem::path directory)
   index_ = std::move(*index);
 }
 
+Marketplace::Marketplace(const filesystem::path& copy, std::string source, Fetch fetch) : Marketplace(copy) {
+  source_ = std::move(source);
+  fetch_ = std::move(fetch);
+}
+
 filesystem::path Marketplace::package(const IndexEntry& entry) const {
+  if (fetch_) return fetch_(entry);
   const filesystem::path path = directory_ / entry.file();
   std::error_code failure;
   if (filesystem::exists(path, failure)) return path;
@@ -146,7 +160,7 @@ filesystem::path Marketplace::default_directory() {
   std::error_code failure;
   const filesystem::path binary = filesystem::read_symlink("/proc/self/exe", failure);
   const filesystem::path beside = binary.parent_path().parent_path() / "marketplace";
-  if (!failure && filesystem::exists(beside / kIndexFile, failure)) return beside;
+  if (!failure && filesystem::exists(beside / "metadata/timestamp.json", failure)) return beside;
   return "/usr/share/fiona/marketplace";
 }
 
@@ -160,8 +174,7 @@ std::vector<IndexEntry> Marketplace::search(const std::vector<std::string>& word
 std::vector<IndexEntry> Marketplace::info(std::string_view name) const {
   std::set<std::string> known;
   for (const auto& entry : index_.entries()) known.insert(full_name(entry.manifest()));
-  const std::string full =
-      resolve_name(name, known, "the marketplace has no package", directory_.string(), "market search");
+  const std::string full = resolve_name(name, known, "the marketplace has no package", source_, "market search");
   std::vector<IndexEntry> entries;
   for (const auto& entry : index_.entries()) {
     if (full_name(entry.manifest()) == full) entries.push_back(entry);
@@ -177,7 +190,7 @@ PackageRequest Marketplace::resolve(std::string_view request) const {
   if (at == std::string_view::npos) return found;
   found.version = Version::parse(request.substr(at + 1));
   const auto asked_for = [&](const IndexEntry& entry) { return found.version && version_of(entry) == *found.version; };
-  if (std::ranges::none_of(entries, asked_for)) refuse_version(request.substr(at + 1), entries, directory_);
+  if (std::ranges::none_of(entries, asked_for)) refuse_version(request.substr(at + 1), entries, source_);
   return found;
 }
 

@@ -17,17 +17,6 @@ namespace {
 
 namespace filesystem = std::filesystem;
 
-IndexEntry entry_for(const PackageContents& contents) {
-  IndexEntry entry;
-  *entry.mutable_manifest() = contents.manifest;
-  *entry.mutable_interface() = contents.interface;
-  entry.mutable_interface()->clear_descriptors();
-  entry.set_file(package_file_name(contents.manifest, contents.blake2b));
-  entry.set_size(contents.size);
-  entry.set_blake2b(contents.blake2b);
-  return entry;
-}
-
 IndexEntry* find_version(Index& index, const Manifest& manifest) {
   for (auto& entry : *index.mutable_entries()) {
     const bool same = full_name(entry.manifest()) == full_name(manifest) &&
@@ -76,13 +65,28 @@ void copy_in(const filesystem::path& from, const IndexEntry& entry, const Durabl
                         .next = "raise the version in the manifest, pack and publish again"});
 }
 
-void write_index(Index& index, const DurableDirectory& marketplace) {
-  index.set_generation(index.generation() + 1);
-  std::ranges::sort(*index.mutable_entries(), {}, &IndexEntry::file);
-  marketplace.replace(std::string(kIndexFile), index.SerializeAsString());
+}  // namespace
+
+IndexEntry entry_for(const PackageContents& contents) {
+  IndexEntry entry;
+  *entry.mutable_manifest() = contents.manifest;
+  *entry.mutable_interface() = contents.interface;
+  entry.mutable_interface()->clear_descriptors();
+  entry.set_file(package_file_name(contents.manifest, contents.blake2b));
+  entry.set_size(contents.size);
+  entry.set_blake2b(contents.blake2b);
+  return entry;
 }
 
-}  // namespace
+bool add_entry(Index& index, const IndexEntry& entry, bool replace, const filesystem::path& marketplace) {
+  IndexEntry* published = find_version(index, entry.manifest());
+  if (published && published->blake2b() == entry.blake2b()) return false;
+  if (published && !replace) refuse_other_content(*published, entry, marketplace);
+  *(published ? published : index.add_entries()) = entry;
+  index.set_generation(index.generation() + 1);
+  std::ranges::sort(*index.mutable_entries(), {}, &IndexEntry::file);
+  return true;
+}
 
 PublishOutcome publish(const filesystem::path& package, const filesystem::path& marketplace,
                        const PublishOptions& options) {
@@ -96,8 +100,8 @@ PublishOutcome publish(const filesystem::path& package, const filesystem::path& 
   if (published && !same && !options.replace) refuse_other_content(*published, entry, directory.path());
   const std::string replaced = published && !same ? published->file() : "";
   copy_in(package, entry, directory);
-  *(published ? published : index.add_entries()) = entry;
-  write_index(index, directory);
+  if (!add_entry(index, entry, options.replace, directory.path())) index.set_generation(index.generation() + 1);
+  directory.replace(std::string(kIndexFile), index.SerializeAsString());
   if (!replaced.empty()) directory.remove_file(replaced);
   return replaced.empty() ? PublishOutcome::Published : PublishOutcome::Replaced;
 }

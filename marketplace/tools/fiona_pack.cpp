@@ -2,9 +2,11 @@
 #include <fcntl.h>
 
 #include <boost/program_options.hpp>
+#include <chrono>
 #include <fiona/error.hpp>
+#include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/package.hpp>
-#include <fiona/marketplace/publish.hpp>
+
 #include <iostream>
 
 #include "../src/files.hpp"
@@ -15,20 +17,23 @@ namespace filesystem = std::filesystem;
 namespace options = boost::program_options;
 using fiona::marketplace::PackageSource;
 
+constexpr std::chrono::days kTenYears{3650};
+
 options::options_description described() {
   options::options_description flags{
       "fiona-pack --manifest FILE --interface FILE --readme FILE [--library FILE]... [--share DIR] -o "
       "OUT.fpk\n"
-      "fiona-pack --publish FILE... --to DIR [--replace]\n"};
+      "fiona-pack --publish FILE... --to DIR --keys DIR\n"};
   const auto text = [] { return options::value<std::string>(); };
   const auto texts = [] { return options::value<std::vector<std::string>>()->multitoken(); };
   flags.add_options()("manifest", text(), "the author's manifest.textproto")(
       "interface", text(), "what fiona plugin describe wrote")("readme", text(), "README.md")(
       "library", texts(), "shared libraries; the first is the plugin's own")(
       "share", text(), "directory of data files")("output,o", text(), "the package to write")(
-      "publish", texts(), "packages to put into a marketplace")("to", text(), "the marketplace directory")(
-      "replace", "let other content of the same version take its place: for a build's own marketplace only")(
-      "help,h", "this text")("version", "the version of this program");
+      "publish", texts(), "makes a build's own marketplace of exactly these packages, signed with keys of its own")(
+      "to", text(), "the marketplace directory; DIR.root.json is what to trust it by")(
+      "keys", text(), "where its keys are, made if they are missing (mode 0600)")("help,h", "this text")(
+      "version", "the version of this program");
   return flags;
 }
 
@@ -60,12 +65,12 @@ void pack(const options::variables_map& flags) {
 }
 
 void publish(const options::variables_map& flags) {
-  const filesystem::path to = needed(flags, "to");
-  fiona::marketplace::PublishOptions how;
-  how.replace = flags.count("replace") > 0;
-  for (const auto& package : flags["publish"].as<std::vector<std::string>>()) {
-    fiona::marketplace::publish(package, to, how);
-  }
+  std::vector<filesystem::path> packages;
+  for (const auto& package : flags["publish"].as<std::vector<std::string>>()) packages.emplace_back(package);
+  fiona::marketplace::KeeperOptions how{.keys = fiona::tuf::SigningKeys{needed(flags, "keys")}};
+  // It comes with a program, and is replaced with it: its metadata does not have to end before.
+  how.lifetimes = {.root = kTenYears, .targets = kTenYears, .online = kTenYears};
+  fiona::marketplace::make_market(packages, needed(flags, "to"), how);
 }
 
 }  // namespace

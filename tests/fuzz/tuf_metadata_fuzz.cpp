@@ -42,8 +42,10 @@ void check_role(Parse&& parse, std::string_view bytes) {
     const auto file = parse(bytes, "input");
     if (file.version < 1 || file.signed_bytes.empty()) std::abort();
     if (fiona::tuf::parse_time(fiona::tuf::time_text(file.expires), "again") != file.expires) std::abort();
-  } catch (const fiona::Error&) {
-    // Refused, as it should be.
+  } catch (const fiona::Error& error) {
+    for (const char c : std::string_view(error.what())) {
+      if ((c >= 0 && c < ' ' && c != '\n') || c == 0x7f) std::abort();
+    }
   }
 }
 

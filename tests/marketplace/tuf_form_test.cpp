@@ -47,6 +47,9 @@ TEST(CanonicalJson, FractionsAreRefused) {
 TEST(CanonicalJson, NumbersAbove64BitsAreRefused) {
   EXPECT_THAT(fault_of("[18446744073709551616]"), HasSubstr("a number that is not an integer of 64 bits"));
 }
+TEST(CanonicalJson, NumbersThatNothingHoldsAreRefused) {
+  EXPECT_THAT(fault_of("[1e744]"), HasSubstr("a number that is not an integer of 64 bits"));
+}
 TEST(CanonicalJson, NamesThatStandTwiceAreRefused) {
   EXPECT_THAT(fault_of(R"({"a":{"b":1,"b":1}})"), HasSubstr("an object in it has 'b' twice"));
 }

@@ -306,6 +306,23 @@ TEST_F(TufWorkflow, CustomDataOfATargetIsHandedOn) {
   EXPECT_EQ(client.target("file").custom, R"({"channel":"stable"})");
 }
 
+TEST_F(TufWorkflow, TwoClientsOfOneDirectoryDoNotHinderEachOther) {
+  sim.add_target("targets", "file", "content");
+  sim.publish_targets();
+  Client one{options()};
+  one.refresh();
+  EXPECT_EQ(refresh(), "");
+  EXPECT_EQ(one.target("file").length, 7U);
+}
+
+TEST_F(TufWorkflow, ATrustedDirectoryMayBeTheDownloadDirectoryToo) {
+  sim.add_target("targets", "file", "content");
+  sim.publish_targets();
+  Client client{options()};
+  client.refresh();
+  EXPECT_EQ(client.download(client.target("file"), trusted), trusted / "file");
+}
+
 // ---- delegations ----
 
 class TufDelegations : public TufWorkflow {
@@ -401,6 +418,21 @@ TEST_F(TufDelegations, RolesWithUnusualNamesHaveEncodedFiles) {
   EXPECT_EQ(download("x"), "");
   EXPECT_TRUE(std::filesystem::exists(trusted / "..%2Fa%20b.json"));
   EXPECT_THAT(sim.requests, Contains("1...%2Fa%20b.json"));
+}
+
+TEST_F(TufDelegations, ARoleMayEvenBeNamedAsADirectory) {
+  for (const auto& role : {".", ".."}) sim.delegate("targets", role, {std::string(role) + "*"});
+  sim.add_target("..", "..x", "content");
+  sim.publish_targets();
+  EXPECT_EQ(download("..x"), "");
+  EXPECT_TRUE(std::filesystem::exists(trusted / "...json"));
+}
+
+TEST_F(TufWorkflow, ATargetNamedAsADirectoryIsAFile) {
+  sim.add_target("targets", "..", "content");
+  sim.publish_targets();
+  EXPECT_EQ(download(".."), "");
+  EXPECT_TRUE(std::filesystem::is_regular_file(downloads / "%2E%2E"));
 }
 
 TEST_F(TufDelegations, AThresholdOfADelegationIsKept) {

@@ -12,7 +12,7 @@
 
 #include <fmt/format.h>
 
-#include <fiona/marketplace/index.hpp>
+#include <fiona/marketplace/open.hpp>
 #include <fiona/marketplace/store.hpp>
 #include <fiona/trust/host_keys.hpp>
 
@@ -58,8 +58,8 @@ Finding look_at_store(const fs::path& directory) {
 }
 
 Finding look_at_marketplace() {
-  const marketplace::Marketplace market;
-  return {true, fmt::format("{} packages in {}", market.index().entries_size(), market.directory().string())};
+  const auto market = marketplace::open_marketplace({}, {.ask_network = false});
+  return {true, fmt::format("{} packages in {}, signed", market.index().entries_size(), market.source())};
 }
 
 Finding look_at_keys() {

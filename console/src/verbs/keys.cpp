@@ -1,7 +1,13 @@
-// keys: the key pair of this user's hosts and consoles, which others may connect, and which are known by a name.
+// keys: the key pair of this user's hosts and consoles, which others may connect, and which are known by a name; what
+// signs packages; which marketplaces are trusted.
+#include <fiona/marketplace/open.hpp>
 #include <fiona/trust/host_keys.hpp>
+#include <fiona/trust/signing_key.hpp>
+
+#include <fstream>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "verbs.hpp"
 
@@ -17,6 +23,19 @@ void list(Session& session, const trust::KeyDirectory& keys) {
   if (!keys.has_pair()) session.out.remark("this user has no key pair\n  next: keys make");
 }
 
+void list_signing(Session& session) {
+  const tuf::SigningKeys signing;
+  Table keys({"signs", "key"});
+  for (const auto& name : signing.names()) keys.add({name, signing.get(name).open()});
+  if (!signing.names().empty()) session.out.table(keys, "");
+  const auto places = marketplace::trusted_marketplaces();
+  Table trusted({"marketplace", "root key", "root expires"});
+  for (const auto& place : places) {
+    trusted.add({place.location, fmt::format("{}", fmt::join(place.root_keys, " ")), place.expires});
+  }
+  if (!places.empty()) session.out.table(trusted, "");
+}
+
 void allow(Session& session, const trust::KeyDirectory& keys, const Line& line) {
   const std::string& name = line.positional[1].text;
   const Word* as = line.clause("as");
@@ -26,6 +45,21 @@ void allow(Session& session, const trust::KeyDirectory& keys, const Line& line) 
   }
   keys.allow_console(name, line.positional[2].text, *trust::access_of(as->text));
   session.out.done(fmt::format("console {} may connect, and {}", name, as->text));
+}
+
+std::string root_in(const Line& line) {
+  std::ifstream file(line.positional[1].text, std::ios::binary);
+  if (file) return {std::istreambuf_iterator<char>(file), {}};
+  throw line.error(line.positional[1],
+                   {.what = "the file cannot be read", .expected = "a root.json that came by a way you trust"},
+                   ErrorCode::NotFound);
+}
+
+void trust_root(Session& session, const Line& line) {
+  const Word* from = line.option("--from");
+  const std::string place = from == nullptr ? "" : from->text;
+  marketplace::trust_marketplace(root_in(line), place);
+  session.out.done(fmt::format("the marketplace {} is trusted", place.empty() ? "here" : place));
 }
 
 }  // namespace
@@ -43,11 +77,17 @@ void keys(Session& session, const Line& line) {
     return session.out.done(
         fmt::format("fiona --at {} speaks to {}", line.positional[1].text, line.positional[2].text));
   }
+  if (what == "new") {
+    const tuf::SigningKey key = tuf::SigningKeys().make(line.positional[1].text);
+    return session.out.done(fmt::format("made the signing key {}: {}", line.positional[1].text, key.open()));
+  }
+  if (what == "trust") return trust_root(session, line);
   if (what == "forget") {
     keys.forget(line.positional[1].text);
     return session.out.done(fmt::format("{} may not connect any more, and is not known", line.positional[1].text));
   }
   list(session, keys);
+  list_signing(session);
 }
 
 }  // namespace fiona::console::verbs

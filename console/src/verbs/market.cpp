@@ -7,11 +7,13 @@
 #include <fmt/ranges.h>
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/lock.hpp>
+#include <fiona/marketplace/open.hpp>
 
 #include "../catalogue.hpp"
 #include "../script.hpp"
 #include "../system_view.hpp"
 #include "market.hpp"
+#include "market_keep.hpp"
 #include "verbs.hpp"
 
 namespace fiona::console::verbs {
@@ -310,7 +312,7 @@ void lock(Session& session, const Line& line) {
 
 marketplace::Marketplace chosen_market(const Line& line) {
   const Word* from = line.option("--from");
-  return from == nullptr ? Marketplace() : Marketplace(from->text);
+  return marketplace::open_marketplace(from == nullptr ? "" : from->text);
 }
 
 std::string right_text(const std::string& right) {
@@ -322,8 +324,10 @@ std::string right_text(const std::string& right) {
 
 void market(Session& session, const Line& line) {
   static const std::map<std::string, void (*)(Session&, const Line&)> kActions{
-      {"search", market_search}, {"info", market_info}, {"install", install}, {"update", update}, {"remove", remove},
-      {"rollback", rollback},    {"history", history},  {"list", list},       {"verify", verify}, {"lock", lock}};
+      {"search", market_search}, {"info", market_info},  {"install", install},  {"update", update},
+      {"remove", remove},        {"rollback", rollback}, {"history", history},  {"list", list},
+      {"verify", verify},        {"lock", lock},         {"init", market_init}, {"publish", market_publish},
+      {"accept", market_accept}};
   kActions.at(line.positional[0].text)(session, line);
 }
 

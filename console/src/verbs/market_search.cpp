@@ -151,7 +151,6 @@ void show_facts(Session& session, const std::vector<IndexEntry>& entries) {
   for (const std::string& text : newest.conflicts()) facts.add({"not with", text});
   if (!newest.host().empty()) facts.add({"works with", "FIONA " + newest.host()});
   facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
-  facts.add({"signed", entries.front().signature().empty() ? "no" : "yes"});
   for (const std::string& hello : split_lines(newest.hello())) facts.add({"try", hello});
   session.out.table(facts, "", false);
 }

@@ -37,6 +37,7 @@ void expect(Session& session, const Line& line);
 void sleep(Session& session, const Line& line);
 void quit(Session& session, const Line& line);
 void market(Session& session, const Line& line);
+void plugin(Session& session, const Line& line);
 void keys(Session& session, const Line& line);
 void complete(Session& session, const Line& line);
 void doctor(Session& session, const Line& line);

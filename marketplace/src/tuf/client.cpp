@@ -55,7 +55,6 @@ std::string remote_name(const TargetInfo& target, bool consistent) {
 struct Client::State {
   explicit State(ClientOptions chosen)
       : options(with_defaults(std::move(chosen))), files(options.os, with_root(options.trusted), 0700) {
-    files.lock(kLockWait);
     // Read here, so that a damaged root is told before anything is asked of anybody.
     start();
   }
@@ -64,6 +63,13 @@ struct Client::State {
   void start() {
     with_root(options.trusted);
     trusted.emplace(local(std::string(kRoot), options.limits.root_bytes).value_or(""), options.now());
+  }
+
+  /// Nobody else changes the trusted files while this lives.
+  marketplace::DurableDirectory locked() const {
+    marketplace::DurableDirectory lock{options.os, files.path(), 0700};
+    lock.lock(kLockWait);
+    return lock;
   }
 
   /// A trusted file; nothing where there is none, or none that can be read.
@@ -206,6 +212,7 @@ void Client::trust(const filesystem::path& trusted, std::string_view root) {
 
 void Client::refresh() {
   State& state = *state_;
+  const auto lock = state.locked();
   state.refreshed = false;
   state.start();
   state.update_root();
@@ -218,6 +225,7 @@ void Client::refresh() {
 TargetInfo Client::target(const std::string& path) {
   if (!state_->refreshed)
     refuse(ErrorCode::Failed, {.what = "nothing is known of targets before refresh() has succeeded"});
+  const auto lock = state_->locked();
   if (auto found = state_->search(path)) return std::move(*found);
   refuse(ErrorCode::NotFound, ErrorText{.what = "nobody who may has signed for a target " + path,
                                         .where = state_->options.metadata,
@@ -264,10 +272,10 @@ bool is_there(const marketplace::DurableDirectory& directory, const std::string&
 
 filesystem::path Client::download(const TargetInfo& target, const filesystem::path& directory) {
   const State& state = *state_;
-  const std::string name = percent_encoded(target.path), fresh = name + ".new";
+  const std::string name = percent_encoded_file(target.path), fresh = name + ".new";
   marketplace::DurableDirectory files{state.options.os, directory, 0755};
   if (is_there(files, name, target)) return files.path() / name;
-  if (!filesystem::equivalent(files.path(), state.files.path())) files.lock(kLockWait);
+  files.lock(kLockWait);
   files.remove_file(fresh);
   try {
     Digests digests{target.hashes};

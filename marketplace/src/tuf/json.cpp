@@ -93,6 +93,8 @@ Json parse_json(std::string_view text, const std::string& where) {
     return Json::parse(text, StrictReading(where));
   } catch (const Json::parse_error& error) {
     refuse_form(where, "JSON ends or breaks at byte " + std::to_string(error.byte));
+  } catch (const Json::out_of_range&) {  // not even a double holds it
+    refuse_form(where, "it has a number that is not an integer of 64 bits");
   }
 }
 

@@ -184,7 +184,6 @@ bool is_directory_location(std::string_view base) {
 }
 
 std::string percent_encoded(std::string_view name) {
-  if (name == "." || name == "..") return name.size() == 1 ? "%2E" : "%2E%2E";
   std::string encoded;
   for (const char c : name) {
     const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' ||
@@ -194,11 +193,16 @@ std::string percent_encoded(std::string_view name) {
   return encoded;
 }
 
+std::string percent_encoded_file(std::string_view name) {
+  if (name == "." || name == "..") return name.size() == 1 ? "%2E" : "%2E%2E";
+  return percent_encoded(name);
+}
+
 std::string percent_encoded_path(std::string_view path) {
   std::string encoded;
   for (;;) {
     const std::size_t slash = path.find('/');
-    encoded += percent_encoded(path.substr(0, slash));
+    encoded += percent_encoded_file(path.substr(0, slash));
     if (slash == std::string_view::npos) return encoded;
     encoded += '/';
     path.remove_prefix(slash + 1);

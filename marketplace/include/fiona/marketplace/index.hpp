@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <fiona/marketplace/version.hpp>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -17,12 +18,19 @@ struct PackageRequest {
   std::optional<Version> version{};
 };
 
-/// The index of a marketplace directory, as it was when this was made. Entries name their .fpk beside it.
+/// The index of a marketplace directory, as it was when this was made. Entries name their .fpk beside it. What is in
+/// such a directory is taken as it is: open_marketplace() gives one of which every byte is signed.
 class Marketplace {
  public:
+  /// Brings the .fpk of an entry and returns where it is.
+  using Fetch = std::function<std::filesystem::path(const IndexEntry&)>;
+
   /// Reads and checks `directory`/index.binpb. Throws fiona::Error: NotFound if there is no index, Failed if
   /// it is damaged.
   explicit Marketplace(std::filesystem::path directory = default_directory());
+
+  /// The same of a copy whose packages come when they are asked for; `source` is what it is a copy of.
+  Marketplace(const std::filesystem::path& copy, std::string source, Fetch fetch);
 
   /// $FIONA_MARKET, else ../marketplace beside the running binary's directory, else
   /// /usr/share/fiona/marketplace.
@@ -49,12 +57,14 @@ class Marketplace {
   /// white spot.
   std::vector<IndexEntry> providers_of(std::string_view service) const;
 
-  /// The .fpk of an entry, on this machine. Throws fiona::Error (NotFound) if it is not there.
+  /// The .fpk of an entry, on this machine. Throws fiona::Error: NotFound if it is not there; from a signed marketplace
+  /// also BadSignature and Unreachable.
   std::filesystem::path package(const IndexEntry& entry) const;
 
  private:
   std::filesystem::path directory_;
   std::string source_;
+  Fetch fetch_;
   Index index_;
 };
 

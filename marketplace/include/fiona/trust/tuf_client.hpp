@@ -62,7 +62,8 @@ struct ClientOptions {
 
 /// A client of a TUF repository: the whole workflow of the specification's section 5 (version 1.0.x). What has been
 /// seen lies in `trusted`, written durably, one file at a time, each only after it was verified: a refresh that fails,
-/// or is killed, leaves what the next one can go on from, and never less strict. One client at a time uses a directory.
+/// or is killed, leaves what the next one can go on from, and never less strict. Clients of one directory wait for each
+/// other while they refresh or search, at most 10 s.
 ///
 ///     tuf::Client client{{.trusted = "market", .metadata = "https://example.org/metadata",
 ///                         .targets = "https://example.org/targets"}};
@@ -70,8 +71,7 @@ struct ClientOptions {
 ///     client.download(client.target("acme/steps-1.0.0.fpk"), "downloads");
 class Client {
  public:
-  /// Throws fiona::Error: NotFound where `trusted` has no root.json, BadSignature if it is damaged, Unreachable while
-  /// another process uses the directory.
+  /// Throws fiona::Error: NotFound where `trusted` has no root.json, BadSignature if it is damaged.
   explicit Client(ClientOptions options);
   ~Client();
 
@@ -96,7 +96,7 @@ class Client {
   std::unique_ptr<State> state_;
 };
 
-/// A name as one element of a path: all but letters, digits and "-._~" as %XX; "." and ".." too.
+/// A name as one element of a path: all but letters, digits and "-._~" as %XX.
 std::string percent_encoded(std::string_view name);
 
 }  // namespace fiona::tuf

@@ -1,0 +1,88 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <fiona/trust/signing_key.hpp>
+#include <fiona/trust/tuf_client.hpp>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace fiona::tuf {
+
+/// How long what is signed now is valid. Signed anew before half of it is over, at any commit.
+struct Lifetimes {
+  std::chrono::days root{730};
+  std::chrono::days targets{365};  ///< the top-level role and those that are delegated to
+  std::chrono::days online{30};    ///< snapshot, timestamp
+};
+
+struct RepositoryOptions {
+  std::filesystem::path directory{};  ///< of the repository: `metadata` and `targets` are in it
+  std::filesystem::path trusted{};    ///< what its keeper has seen of it, as a client's
+  Lifetimes lifetimes{};
+  std::function<Time()> now{};  ///< default: the system's clock
+  marketplace::OsCalls os = marketplace::system_calls();
+};
+
+/// A TUF repository in a directory, as its keeper changes it: consistent snapshots, Ed25519. What lies there is
+/// believed no more than a client would (but for its expiry), so that nobody who can write into the directory gets
+/// anything signed. Nothing is seen before commit(), which replaces timestamp.json last. Throws fiona::Error:
+/// NotAllowed where a key of a role is missing, BadSignature where the directory holds what nobody has signed.
+class Repository {
+ public:
+  /// The first version of all four roles. Throws fiona::Error (NotAllowed) if there is a repository.
+  static void create(const RepositoryOptions& options, const SigningKey& root, const SigningKey& targets,
+                     const SigningKey& online);
+
+  /// `keys` must outlive it. Takes the lock of the directory.
+  Repository(const RepositoryOptions& options, const SigningKeys& keys);
+  ~Repository();
+
+  /// Whether snapshot and timestamp can be signed with these keys.
+  bool may_commit() const;
+  /// The root that clients are given to trust.
+  std::string root() const;
+
+  /// The keys that a delegated role is signed with; empty: there is no such role.
+  std::vector<std::string> key_ids_of(const std::string& role) const;
+  /// The version that the snapshot lists; 0: there is no such role.
+  std::int64_t version_of(const std::string& role) const;
+  /// Targets of a delegated role, as it is now.
+  std::vector<TargetInfo> targets_of(const std::string& role) const;
+
+  /// Lets a role speak for the paths, and no others; in place of what it might before.
+  void delegate(const std::string& role, const OpenKey& key, const std::vector<std::string>& paths);
+  /// Takes a new version of a delegated role, signed by its keys. Throws BadSignature if it is not, or not newer.
+  void take_role(const std::string& role, std::string_view file);
+  /// Says what a target is, in a role whose key is here.
+  void set_target(const std::string& role, const std::string& path, std::uint64_t length, const std::string& sha256);
+
+  /// Signs and writes all that has changed, then snapshot and timestamp.
+  void commit();
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+/// What a delegated role's file says, if this key has signed it and nothing is wrong with its form. Throws fiona::Error
+/// (BadSignature). Its expiry is told, not judged.
+struct RoleContent {
+  std::int64_t version = 0;
+  Time expires{};
+  std::vector<TargetInfo> targets;
+};
+RoleContent read_role(std::string_view file, const OpenKey& key, const std::string& shown);
+
+/// The key that a role's file says it is signed with ("x-fiona-key"), which nobody has vouched for.
+std::optional<OpenKey> claimed_key(std::string_view file, const std::string& shown);
+
+/// The next version of a role after `before` (if any), with these targets: beside those that it had, or `only` these.
+std::string next_role(const std::optional<std::string>& before, const SigningKey& key,
+                      const std::vector<TargetInfo>& targets, bool only, Time expires);
+
+}  // namespace fiona::tuf

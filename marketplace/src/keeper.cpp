@@ -1,0 +1,424 @@
+#include <fcntl.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/keeper.hpp>
+#include <fiona/marketplace/package.hpp>
+#include <map>
+#include <optional>
+#include <set>
+
+#include "durable.hpp"
+#include "files.hpp"
+#include "index_file.hpp"
+#include "signed_market.hpp"
+#include "tuf/digest.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+namespace filesystem = std::filesystem;
+
+constexpr std::uint64_t kMostRoleFileBytes = 8 << 20;
+constexpr std::string_view kPackageEnding = ".fpk";
+
+tuf::Time now_of(const KeeperOptions& options) {
+  return options.now ? options.now() : std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
+}
+
+tuf::RepositoryOptions repository_options(const filesystem::path& market, const KeeperOptions& options) {
+  const filesystem::path place = filesystem::absolute(market).lexically_normal();
+  const filesystem::path trusted =
+      options.trusted.empty() ? options.keys.path() / "kept" / tuf::percent_encoded(place.string()) : options.trusted;
+  return {.directory = place, .trusted = trusted, .lifetimes = options.lifetimes, .now = options.now};
+}
+
+std::optional<std::string> content_if_there(const filesystem::path& path) {
+  const FileDescriptor file = open_regular(AT_FDCWD, path, path);
+  if (!file) return std::nullopt;
+  return read_all(file, kMostRoleFileBytes, path);
+}
+
+// A package that was read, and how metadata speaks of it.
+struct ReadPackage {
+  IndexEntry entry;
+  std::string path;  // among the targets
+  std::string sha256;
+};
+
+std::string sha256_of_file(const filesystem::path& path) {
+  const FileDescriptor file = open_regular(AT_FDCWD, path, path);
+  if (!file) throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = path.string()});
+  tuf::Digests digests{{{"sha256", ""}}};
+  std::array<char, 1 << 16> buffer;
+  while (const std::size_t count = read_some(file.number(), buffer.data(), buffer.size(), path)) {
+    digests.update({buffer.data(), count});
+  }
+  return digests.finish().at("sha256");
+}
+
+ReadPackage read_for_keeping(const filesystem::path& path, const KeeperOptions& options) {
+  const PackageContents contents = inspect_package(path, options.limits);
+  return {entry_for(contents), target_path(contents.manifest), sha256_of_file(path)};
+}
+
+// Copies a file whose hash is known: if it changed since, that says so.
+void copy_checked(const filesystem::path& from, const std::string& sha256, const DurableDirectory& to,
+                  const std::string& name) {
+  const std::string fresh = name + ".new";
+  to.remove_file(fresh);
+  try {
+    const FileDescriptor source = open_regular(AT_FDCWD, from, from);
+    if (!source) throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = from.string()});
+    tuf::Digests digests{{{"sha256", ""}}};
+    const FileDescriptor target = to.create(fresh, 0644);
+    std::array<char, 1 << 16> buffer;
+    while (const std::size_t count = read_some(source.number(), buffer.data(), buffer.size(), from)) {
+      digests.update({buffer.data(), count});
+      to.write(target, {buffer.data(), count}, fresh);
+    }
+    to.sync(target, fresh);
+    if (digests.finish().at("sha256") != sha256) {
+      throw Error(ErrorCode::Failed, ErrorText{.what = "the package changed while it was being copied",
+                                               .where = from.string(),
+                                               .next = "do this again"});
+    }
+    to.move(fresh, to, name);
+  } catch (...) {
+    to.remove_tree_quietly(fresh);
+    throw;
+  }
+}
+
+const tuf::TargetInfo* find_target(const std::vector<tuf::TargetInfo>& targets, const std::string& path) {
+  const auto found = std::ranges::find(targets, path, &tuf::TargetInfo::path);
+  return found == targets.end() ? nullptr : &*found;
+}
+
+bool signs_for(const tuf::RoleContent& role, const ReadPackage& package) {
+  const tuf::TargetInfo* target = find_target(role.targets, package.path);
+  return target && target->length == package.entry.size() && target->hashes.contains("sha256") &&
+         target->hashes.at("sha256") == package.sha256;
+}
+
+// The name of a target's file in the directory of its publisher.
+std::string consistent_name(const std::string& path, const std::string& sha256) {
+  return sha256 + "." + path.substr(path.find('/') + 1);
+}
+
+[[noreturn]] void refuse_unsigned(const filesystem::path& package, const std::string& publisher,
+                                  const std::string& what) {
+  throw Error(ErrorCode::BadSignature, ErrorText{.what = what,
+                                                 .where = package.string(),
+                                                 .expected = "a signature with the key of " + publisher,
+                                                 .next = "fiona plugin sign " + package.string()});
+}
+
+}  // namespace
+
+std::string init_market(const filesystem::path& market, const KeeperOptions& options) {
+  const tuf::RepositoryOptions how = repository_options(market, options);
+  std::error_code failure;
+  if (filesystem::exists(how.directory / "metadata", failure)) {
+    throw Error(ErrorCode::NotAllowed, ErrorText{.what = "there is a marketplace here already",
+                                                 .where = how.directory.string(),
+                                                 .next = "choose another directory"});
+  }
+  const std::string name = how.directory.filename().string();
+  const auto key = [&](const std::string& of) {
+    const auto names = options.keys.names();
+    const bool again = options.replace && std::ranges::find(names, name + of) != names.end();
+    return again ? options.keys.get(name + of) : options.keys.make(name + of);
+  };
+  const tuf::SigningKey root = key(".root"), targets = key(".targets"), online = key(".online");
+  tuf::Repository::create(how, root, targets, online);
+  const OsCalls os = system_calls();
+  const DurableDirectory directory{os, how.directory, 0755};
+  directory.child("incoming", 0755);
+  tuf::Repository repository{how, options.keys};
+  repository.delegate(std::string(kIndexRole), online.open(), {std::string(kIndexFile)});
+  directory.child("targets", 0755).replace(tuf::sha256_hex("") + "." + std::string(kIndexFile), "");
+  repository.set_target(std::string(kIndexRole), std::string(kIndexFile), 0, tuf::sha256_hex(""));
+  repository.commit();
+  return repository.root();
+}
+
+namespace {
+
+// The publisher's file, signed again if it does not say this yet, or not for long.
+std::string signed_role(const std::string& publisher, const std::vector<ReadPackage>& packages, bool only,
+                        const KeeperOptions& options) {
+  const tuf::SigningKey key = options.keys.get(publisher);
+  const auto before = options.keys.signed_role(publisher);
+  const tuf::Time now = now_of(options);
+  if (before) {
+    const tuf::RoleContent role = tuf::read_role(*before, key.open(), publisher + ".json");
+    const bool says_all =
+        std::ranges::all_of(packages, [&](const auto& package) { return signs_for(role, package); }) &&
+        (!only || role.targets.size() == packages.size());
+    if (says_all && role.expires > now + options.lifetimes.targets / 2) return *before;
+  }
+  std::vector<tuf::TargetInfo> targets;
+  for (const auto& package : packages) {
+    targets.emplace_back().path = package.path;
+    targets.back().length = package.entry.size();
+    targets.back().hashes["sha256"] = package.sha256;
+  }
+  const std::string role = tuf::next_role(before, key, targets, only, now + options.lifetimes.targets);
+  options.keys.keep_signed_role(publisher, role);
+  return role;
+}
+
+}  // namespace
+
+filesystem::path sign_package(const filesystem::path& package, const KeeperOptions& options) {
+  const ReadPackage read = read_for_keeping(package, options);
+  const std::string publisher = read.entry.manifest().publisher();
+  const std::string role = signed_role(publisher, {read}, false, options);
+  const OsCalls os = system_calls();
+  const filesystem::path beside = filesystem::absolute(package).parent_path();
+  DurableDirectory{os, beside, 0755}.replace(publisher + ".json", role);
+  return beside / (publisher + ".json");
+}
+
+std::string submit(const filesystem::path& package, const filesystem::path& market, const KeeperOptions& options) {
+  const ReadPackage read = read_for_keeping(package, options);
+  const std::string publisher = read.entry.manifest().publisher(), name = publisher + ".json";
+  const auto role_file = content_if_there(filesystem::absolute(package).parent_path() / name);
+  if (!role_file) refuse_unsigned(package, publisher, "this package is not signed: there is no " + name + " beside it");
+  const auto key = tuf::claimed_key(*role_file, name);
+  if (!key || !signs_for(tuf::read_role(*role_file, *key, name), read)) {
+    refuse_unsigned(package, publisher, name + " does not sign for this package");
+  }
+  const OsCalls os = system_calls();
+  DurableDirectory incoming{os, filesystem::absolute(market) / "incoming", 0755};
+  incoming.lock(std::chrono::seconds{10});
+  copy_checked(package, read.sha256, incoming, read.entry.file());
+  incoming.replace(name, *role_file);
+  return publisher;
+}
+
+namespace {
+
+// One acceptance: the marketplace as it is, and what it is to become.
+class Acceptance {
+ public:
+  Acceptance(const filesystem::path& market, const KeeperOptions& options)
+      : options_(options),
+        how_(repository_options(market, options)),
+        repository_(how_, options.keys),
+        directory_(os_, how_.directory, 0755),
+        incoming_(directory_.child("incoming", 0755)),
+        targets_(directory_.child("targets", 0755)) {
+    incoming_.lock(std::chrono::seconds{10});
+    read_market_index();
+  }
+
+  Accepted run(const std::vector<std::string>& welcome) {
+    for (const auto& name : incoming_.names()) read_incoming(name);
+    for (const auto& name : incoming_.names()) {
+      if (!name.ends_with(".json")) continue;
+      try {
+        take_publisher(name, welcome);
+      } catch (const Error& error) {
+        result_.refused.push_back(name + ": " + error.text().what);
+      }
+    }
+    write_market_index();
+    repository_.commit();
+    for (const auto& name : done_) incoming_.remove_file(name);
+    remove_unlisted_targets();
+    return std::move(result_);
+  }
+
+ private:
+  void read_market_index() {
+    for (const auto& target : repository_.targets_of(std::string(kIndexRole))) {
+      if (target.path != kIndexFile) continue;
+      const std::string name = target.hashes.at("sha256") + "." + target.path;
+      const auto bytes = index_bytes(name);
+      if (tuf::sha256_hex(bytes) != target.hashes.at("sha256")) {
+        throw Error(ErrorCode::BadSignature, ErrorText{.what = "the marketplace's index is not the one that was signed",
+                                                       .where = (targets_.path() / name).string(),
+                                                       .next = "bring it back from a copy"});
+      }
+      index_file_ = name;
+      try {
+        index_ = parse_index(bytes, name);
+      } catch (const Error&) {
+        if (!options_.replace) throw;  // a build's own of an older format: it is filled again
+      }
+    }
+  }
+
+  std::string index_bytes(const std::string& name) const {
+    const FileDescriptor file = open_regular(targets_.descriptor(), name, targets_.path() / name);
+    if (!file)
+      throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace has lost its index",
+                                                 .where = (targets_.path() / name).string(),
+                                                 .next = "bring it back from a copy"});
+    return read_all(file, kMostIndexFileBytes, targets_.path() / name);
+  }
+
+  void read_incoming(const std::string& name) {
+    if (!name.ends_with(kPackageEnding)) return;
+    try {
+      packages_.emplace(name, read_for_keeping(incoming_.path() / name, options_));
+    } catch (const Error& error) {
+      result_.refused.push_back(name + ": " + error.text().what);
+    }
+  }
+
+  void take_publisher(const std::string& file_name, const std::vector<std::string>& welcome) {
+    const std::string publisher = file_name.substr(0, file_name.size() - 5);
+    const std::string role_file = content_if_there(incoming_.path() / file_name).value_or("");
+    const auto key = tuf::claimed_key(role_file, file_name);
+    if (!is_publisher(publisher) || !key) {
+      result_.refused.push_back(file_name + ": it does not say which key has signed it");
+      return;
+    }
+    const tuf::RoleContent role = tuf::read_role(role_file, *key, file_name);
+    const auto known = repository_.key_ids_of(publisher);
+    if (known != std::vector<std::string>{tuf::key_id_of(*key)}) {
+      if (std::ranges::find(welcome, publisher) == welcome.end()) {
+        result_.unknown.push_back({publisher, *key, !known.empty()});
+        return;
+      }
+      repository_.delegate(publisher, *key, {publisher + "/*"});
+    }
+    if (role.version > repository_.version_of(publisher)) {
+      take_packages(publisher, role);
+      repository_.take_role(publisher, role_file);
+    }
+    done_.push_back(file_name);
+  }
+
+  static bool is_publisher(const std::string& name) {
+    return !name.empty() && name[0] >= 'a' && name[0] <= 'z' &&
+           name.find_first_not_of("abcdefghijklmnopqrstuvwxyz0123456789-") == std::string::npos;
+  }
+
+  // All that the role signs for must be there or have come; what it signs for no longer is withdrawn.
+  void take_packages(const std::string& publisher, const tuf::RoleContent& role) {
+    Index next = index_;
+    auto& entries = *next.mutable_entries();
+    const auto withdrawn = [&](const IndexEntry& entry) {
+      return entry.manifest().publisher() == publisher && !find_target(role.targets, target_path(entry.manifest()));
+    };
+    entries.erase(std::remove_if(entries.begin(), entries.end(), withdrawn), entries.end());
+    const DurableDirectory home = targets_.child(publisher, 0755);
+    std::vector<std::string> paths, done;
+    for (const auto& target : role.targets) {
+      const std::string& sha256 = target.hashes.at("sha256");
+      const auto came = std::ranges::find_if(
+          packages_, [&](const auto& one) { return one.second.path == target.path && one.second.sha256 == sha256; });
+      if (came != packages_.end()) {
+        if (add_entry(next, came->second.entry, options_.replace, how_.directory)) paths.push_back(target.path);
+        copy_checked(incoming_.path() / came->first, sha256, home, consistent_name(target.path, sha256));
+        done.push_back(came->first);
+      } else if (!home.has(consistent_name(target.path, sha256))) {
+        throw Error(ErrorCode::NotFound,
+                    ErrorText{.what = "it signs for " + target.path + ", which has not come with it"});
+      }
+    }
+    index_ = std::move(next);
+    for (const auto& target : role.targets) {
+      wanted_[publisher].insert(consistent_name(target.path, target.hashes.at("sha256")));
+    }
+    result_.packages.insert(result_.packages.end(), paths.begin(), paths.end());
+    done_.insert(done_.end(), done.begin(), done.end());
+  }
+
+  void write_market_index() {
+    const std::string bytes = index_.SerializeAsString(), sha256 = tuf::sha256_hex(bytes);
+    const std::string name = sha256 + "." + std::string(kIndexFile);
+    if (name == index_file_) return;
+    targets_.replace(name, bytes);
+    repository_.set_target(std::string(kIndexRole), std::string(kIndexFile), bytes.size(), sha256);
+    former_index_ = std::exchange(index_file_, name);
+  }
+
+  // What no list names any more, but for the index before this one: somebody may be reading by it.
+  void remove_unlisted_targets() const {
+    for (const auto& name : targets_.names()) {
+      if (name.ends_with(kIndexFile) && name != index_file_ && name != former_index_) targets_.remove_file(name);
+    }
+    for (const auto& [publisher, wanted] : wanted_) {
+      const DurableDirectory home = targets_.existing_child(publisher);
+      for (const auto& name : home.names()) {
+        if (!wanted.contains(name)) home.remove_file(name);
+      }
+    }
+  }
+
+  const KeeperOptions& options_;
+  const OsCalls os_ = system_calls();
+  const tuf::RepositoryOptions how_;
+  tuf::Repository repository_;
+  DurableDirectory directory_, incoming_, targets_;
+  Index index_;
+  std::string index_file_, former_index_;
+  std::map<std::string, ReadPackage> packages_;          // by file name in `incoming`
+  std::map<std::string, std::set<std::string>> wanted_;  // by publisher: the files that are signed for
+  std::vector<std::string> done_;
+  Accepted result_;
+};
+
+}  // namespace
+
+void make_market(const std::vector<filesystem::path>& packages, const filesystem::path& market, KeeperOptions options) {
+  options.replace = true;
+  bool kept = false;
+  try {
+    kept = keeps(market, options);
+  } catch (const Error&) {
+    // What is there is damaged, or of other keys: it is made anew below.
+  }
+  if (!kept) {
+    for (const char* part : {"metadata", "targets", "incoming"}) filesystem::remove_all(market / part);
+    filesystem::remove_all(repository_options(market, options).trusted);
+    init_market(market, options);
+  }
+  std::map<std::string, std::vector<ReadPackage>> by_publisher;
+  const OsCalls os = system_calls();
+  const DurableDirectory incoming{os, filesystem::absolute(market) / "incoming", 0755};
+  for (const auto& package : packages) {
+    const ReadPackage read = read_for_keeping(package, options);
+    copy_checked(package, read.sha256, incoming, read.entry.file());
+    by_publisher[read.entry.manifest().publisher()].push_back(read);
+  }
+  std::vector<std::string> publishers;
+  for (const auto& [publisher, read] : by_publisher) {
+    const auto names = options.keys.names();
+    if (std::ranges::find(names, publisher) == names.end()) options.keys.make(publisher);
+    incoming.replace(publisher + ".json", signed_role(publisher, read, true, options));
+    publishers.push_back(publisher);
+  }
+  const Accepted accepted = accept(market, publishers, options);
+  if (!accepted.refused.empty()) throw Error(ErrorCode::Failed, accepted.refused.front());
+  const filesystem::path place = filesystem::absolute(market).lexically_normal();
+  const std::string root = tuf::Repository{repository_options(market, options), options.keys}.root();
+  DurableDirectory{os, place.parent_path(), 0755}.replace(place.filename().string() + ".root.json", root);
+}
+
+Accepted accept(const filesystem::path& market, const std::vector<std::string>& welcome, const KeeperOptions& options) {
+  if (!keeps(market, options)) {
+    throw Error(ErrorCode::NotAllowed,
+                ErrorText{.what = "this user has not the keys of this marketplace",
+                          .where = market.string(),
+                          .expected = "keys of snapshot and timestamp in " + options.keys.path().string(),
+                          .next = "let who made it do this"});
+  }
+  return Acceptance{market, options}.run(welcome);
+}
+
+bool keeps(const filesystem::path& market, const KeeperOptions& options) {
+  const tuf::RepositoryOptions how = repository_options(market, options);
+  std::error_code failure;
+  if (!filesystem::exists(how.trusted / "root.json", failure)) return false;  // never opened here: not made here
+  return tuf::Repository{how, options.keys}.may_commit();
+}
+
+}  // namespace fiona::marketplace

@@ -1,0 +1,318 @@
+// Marketplaces of our own: how packages come into them, and what their users and keepers do not fall for.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include <fiona/error.hpp>
+#include <fiona/marketplace/install.hpp>
+#include <fiona/marketplace/keeper.hpp>
+#include <fiona/marketplace/open.hpp>
+#include <nlohmann/json.hpp>
+
+#include "support.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+using ::testing::ElementsAre;
+using testing::error_of;
+using testing::file_content;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using testing::write_file;
+
+tuf::Time day(int number) { return std::chrono::sys_days{std::chrono::year{2030} / 1 / 1} + std::chrono::days{number}; }
+
+class KeptMarket : public ::testing::Test {
+ protected:
+  // A keeper with a marketplace, a publisher "acme" with a key of his own, and a user who trusts the marketplace.
+  void SetUp() override {
+    root_ = init_market(market_, keeper());
+    author().keys.make("acme");
+    trust_marketplace(root_, market_.string(), user());
+  }
+
+  KeeperOptions keeper(int on_day = 0) const { return options("keeper", on_day); }
+  KeeperOptions author(int on_day = 0) const { return options("author", on_day); }
+  KeeperOptions options(const std::string& who, int on_day) const {
+    KeeperOptions options{.keys = tuf::SigningKeys{scratch_ / (who + "-keys")}};
+    options.now = [on_day] { return day(on_day); };
+    return options;
+  }
+  OpenOptions user(int on_day = 0) const {
+    OpenOptions options{.trusted = scratch_ / "user/trusted", .copies = scratch_ / "user/copies"};
+    options.now = [on_day] { return day(on_day); };
+    return options;
+  }
+
+  std::filesystem::path packed(const std::string& name, const std::string& version, const std::string& body = "code") {
+    const std::filesystem::path file = scratch_ / ("out/" + name + "-" + version + ".fpk");
+    std::filesystem::create_directories(file.parent_path());
+    std::filesystem::remove_all(scratch_ / "source");
+    pack_to(file, testing::plugin_source(scratch_ / "source", name, version, body));
+    return file;
+  }
+  Accepted hand_in(const std::filesystem::path& file) {
+    sign_package(file, author());
+    submit(file, market_, author());
+    return accept(market_, {publisher_}, keeper());
+  }
+  std::string install_fault(const std::string& name, int on_day = 0) {
+    try {
+      install(name, open_marketplace(market_.string(), user(on_day)), scratch_ / "store");
+      return {};
+    } catch (const Error& error) {
+      return error.what();
+    }
+  }
+  std::filesystem::path target(const std::string& ending) const {
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(market_ / "targets")) {
+      if (entry.path().string().ends_with(ending)) return entry.path();
+    }
+    return {};
+  }
+
+  testing::Scratch scratch_;
+  const std::filesystem::path market_ = scratch_ / "market";
+  const std::string publisher_ = "acme";
+  std::string root_;
+};
+
+TEST_F(KeptMarket, ASignedPackageIsInstalled) {
+  EXPECT_THAT(hand_in(packed("nav", "1.0.0")).packages, ElementsAre(HasSubstr("acme/nav-1.0.0-")));
+  EXPECT_EQ(install_fault("nav"), "");
+  EXPECT_NO_THROW(Store{scratch_ / "store"}.verify(Store{scratch_ / "store"}.find("nav")));
+}
+
+TEST_F(KeptMarket, SeveralVersionsAndPackagesLieSideBySide) {
+  hand_in(packed("nav", "1.0.0"));
+  hand_in(packed("map", "1.0.0"));
+  hand_in(packed("nav", "1.1.0"));
+  EXPECT_EQ(open_marketplace(market_.string(), user()).info("nav").size(), 2U);
+  EXPECT_EQ(install_fault("map"), "");
+  EXPECT_EQ(install_fault("nav@1.0.0"), "");
+}
+
+TEST_F(KeptMarket, ANewPublisherWaitsForTheKeepersWord) {
+  const auto file = packed("nav", "1.0.0");
+  sign_package(file, author());
+  submit(file, market_, author());
+  const Accepted accepted = accept(market_, {}, keeper());
+  ASSERT_EQ(accepted.unknown.size(), 1U);
+  EXPECT_EQ(accepted.unknown[0].name, "acme");
+  EXPECT_EQ(accepted.unknown[0].key, author().keys.get("acme").open());
+  EXPECT_THAT(install_fault("nav"), HasSubstr("the marketplace has no package nav"));
+  EXPECT_FALSE(accept(market_, {"acme"}, keeper()).packages.empty());
+}
+
+TEST_F(KeptMarket, AKnownPublisherNeedsNoWord) {
+  hand_in(packed("nav", "1.0.0"));
+  const auto file = packed("nav", "1.1.0");
+  sign_package(file, author());
+  submit(file, market_, author());
+  EXPECT_EQ(accept(market_, {}, keeper()).packages.size(), 1U);
+}
+
+TEST_F(KeptMarket, AKnownPublisherWithAnotherKeyIsAskedAbout) {
+  hand_in(packed("nav", "1.0.0"));
+  KeeperOptions impostor = options("impostor", 0);
+  impostor.keys.make("acme");
+  const auto file = packed("nav", "6.6.6", "evil");
+  sign_package(file, impostor);
+  submit(file, market_, impostor);
+  const Accepted accepted = accept(market_, {}, keeper());
+  ASSERT_EQ(accepted.unknown.size(), 1U);
+  EXPECT_TRUE(accepted.unknown[0].other_key);
+  EXPECT_THAT(install_fault("nav@6.6.6"), HasSubstr("no such version"));
+}
+
+TEST_F(KeptMarket, AnUnsignedPackageIsNotHandedIn) {
+  const auto file = packed("nav", "1.0.0");
+  const Error error = error_of([&] { submit(file, market_, author()); });
+  EXPECT_THAT(error.what(), HasSubstr("this package is not signed: there is no acme.json beside it"));
+  EXPECT_THAT(error.what(), HasSubstr("fiona plugin sign"));
+}
+
+TEST_F(KeptMarket, ASignatureForAnotherContentIsNoSignature) {
+  sign_package(packed("nav", "1.0.0"), author());
+  const auto file = packed("nav", "1.0.0", "other code");
+  EXPECT_THAT(error_of([&] { submit(file, market_, author()); }).what(),
+              HasSubstr("acme.json does not sign for this package"));
+}
+
+TEST_F(KeptMarket, APublishedVersionKeepsItsContent) {
+  hand_in(packed("nav", "1.0.0"));
+  const Accepted accepted = hand_in(packed("nav", "1.0.0", "other code"));
+  EXPECT_THAT(accepted.refused, ElementsAre(HasSubstr("is published already, with other content")));
+  EXPECT_EQ(install_fault("nav"), "");
+}
+
+TEST_F(KeptMarket, APackageThatWasSwappedInIncomingIsRefused) {
+  const auto file = packed("nav", "1.0.0");
+  sign_package(file, author());
+  submit(file, market_, author());
+  const auto evil = packed("nav", "1.0.0", "evil");
+  for (const auto& entry : std::filesystem::directory_iterator(market_ / "incoming")) {
+    if (entry.path().extension() == ".fpk")
+      std::filesystem::copy_file(evil, entry.path(), std::filesystem::copy_options::overwrite_existing);
+  }
+  EXPECT_THAT(accept(market_, {"acme"}, keeper()).refused, ElementsAre(HasSubstr("which has not come with it")));
+}
+
+TEST_F(KeptMarket, ATamperedPackageIsNotInstalled) {
+  hand_in(packed("nav", "1.0.0"));
+  std::string bytes = file_content(target(".fpk"));
+  bytes.back() ^= 1;
+  write_file(target(".fpk"), bytes);
+  EXPECT_THAT(install_fault("nav"), HasSubstr("is not the one that was signed for: it has another sha256"));
+}
+
+TEST_F(KeptMarket, ATamperedIndexIsNotRead) {
+  hand_in(packed("nav", "1.0.0"));
+  for (const auto& entry : std::filesystem::directory_iterator(market_ / "targets")) {
+    if (entry.path().extension() != ".binpb" || entry.file_size() == 0) continue;
+    std::string bytes = file_content(entry.path());
+    bytes[20] ^= 1;
+    write_file(entry.path(), bytes);
+  }
+  EXPECT_THAT(install_fault("nav"), HasSubstr("index.binpb is not the one that was signed for"));
+  EXPECT_THAT(error_of([&] { accept(market_, {}, keeper()); }).what(),
+              HasSubstr("index is not the one that was signed"));
+}
+
+TEST_F(KeptMarket, ChangedMetadataIsNotSignedByTheKeeper) {
+  hand_in(packed("nav", "1.0.0"));
+  for (const auto& entry : std::filesystem::directory_iterator(market_ / "metadata")) {
+    if (!entry.path().string().ends_with("targets.json")) continue;
+    auto file = nlohmann::json::parse(file_content(entry.path()));
+    file["signed"]["delegations"]["roles"][0]["paths"] = {"*"};
+    write_file(entry.path(), file.dump());
+  }
+  accept(market_, {}, keeper());  // goes by what he has seen himself
+  EXPECT_THAT(install_fault("nav"), HasSubstr("mix and match: targets.json has not the"));
+}
+
+TEST_F(KeptMarket, AChangedRoleOfAPublisherIsNotSignedByTheKeeper) {
+  hand_in(packed("nav", "1.0.0"));
+  for (const auto& entry : std::filesystem::directory_iterator(market_ / "metadata")) {
+    if (!entry.path().string().ends_with(".fiona.index.json")) continue;
+    auto file = nlohmann::json::parse(file_content(entry.path()));
+    file["signed"]["targets"]["index.binpb"]["hashes"]["sha256"] = std::string(64, '0');
+    write_file(entry.path(), file.dump());
+  }
+  EXPECT_THAT(error_of([&] { accept(market_, {}, keeper()); }).what(), HasSubstr("mix and match: "));
+}
+
+TEST_F(KeptMarket, NobodyElseAccepts) {
+  const auto file = packed("nav", "1.0.0");
+  sign_package(file, author());
+  submit(file, market_, author());
+  KeeperOptions stranger = options("stranger", 0);
+  stranger.trusted = scratch_ / "stranger-trusted";
+  tuf::Client::trust(stranger.trusted, root_);
+  EXPECT_THAT(error_of([&] { accept(market_, {"acme"}, stranger); }).what(),
+              HasSubstr("this user has not the keys of this marketplace"));
+  EXPECT_FALSE(keeps(market_, author()));
+  EXPECT_TRUE(keeps(market_, keeper()));
+}
+
+TEST_F(KeptMarket, AMarketplaceThatNobodyTrustsIsNotOpened) {
+  OpenOptions stranger = user();
+  stranger.trusted = scratch_ / "stranger-trusted";
+  const Error error = error_of([&] { open_marketplace(market_.string(), stranger); });
+  EXPECT_THAT(error.what(), HasSubstr("nobody has said that this marketplace is to be trusted"));
+  EXPECT_THAT(error.what(), HasSubstr("fiona keys trust ROOT.json --from"));
+}
+
+TEST_F(KeptMarket, ExpiredMetadataStopsInstallationsNotWhatIsInstalled) {
+  hand_in(packed("nav", "1.0.0"));
+  hand_in(packed("map", "1.0.0"));
+  EXPECT_EQ(install_fault("nav"), "");
+  EXPECT_THAT(install_fault("map", 31), HasSubstr("freeze: timestamp.json has expired"));
+  const Store store{scratch_ / "store"};
+  EXPECT_NO_THROW(store.verify(store.find("nav")));
+}
+
+TEST_F(KeptMarket, AcceptingNothingSignsTheTimeAnew) {
+  hand_in(packed("nav", "1.0.0"));
+  EXPECT_THAT(accept(market_, {}, keeper(25)).packages, IsEmpty());
+  EXPECT_EQ(install_fault("nav", 50), "");
+}
+
+TEST_F(KeptMarket, AKeeperWhoWasAwayTooLongCanSignAgain) {
+  hand_in(packed("nav", "1.0.0"));
+  EXPECT_NO_THROW(accept(market_, {}, keeper(100)));
+  EXPECT_EQ(install_fault("nav", 100), "");
+}
+
+TEST_F(KeptMarket, AClockSetBackRevivesNothing) {
+  hand_in(packed("nav", "1.0.0"));
+  const auto old_market = scratch_ / "old";
+  std::filesystem::copy(market_, old_market, std::filesystem::copy_options::recursive);
+  hand_in(packed("nav", "1.1.0"));
+  EXPECT_EQ(install_fault("nav", 10), "");
+  std::filesystem::remove_all(market_);
+  std::filesystem::rename(old_market, market_);
+  EXPECT_THAT(install_fault("nav@1.0.0", 0), HasSubstr("rollback: timestamp.json is older"));
+}
+
+TEST_F(KeptMarket, WhatAPublisherNoLongerSignsForIsWithdrawn) {
+  hand_in(packed("nav", "1.0.0"));
+  KeeperOptions own = author();
+  std::filesystem::remove(own.keys.path() / "acme.json");
+  for (int i = 0; i < 2; ++i) hand_in(packed("map", "1." + std::to_string(i) + ".0"));  // version 2 again: newer than 1
+  EXPECT_THAT(install_fault("nav"), HasSubstr("the marketplace has no package nav"));
+  EXPECT_EQ(target("nav-1.0.0-x86_64.fpk"), "");
+}
+
+TEST_F(KeptMarket, KeysArePrivateAndAKeyThatIsNotIsRefused) {
+  for (const auto& name : keeper().keys.names()) {
+    struct stat status {};
+    ASSERT_EQ(::stat((keeper().keys.path() / (name + ".key")).c_str(), &status), 0);
+    EXPECT_EQ(status.st_mode & 0777, 0600U) << name;
+  }
+  ::chmod((keeper().keys.path() / "market.online.key").c_str(), 0644);
+  EXPECT_THAT(error_of([&] { accept(market_, {}, keeper()); }).what(),
+              HasSubstr("the signing key is not private to this user"));
+}
+
+TEST_F(KeptMarket, NoPrivateKeyIsInTheMarketplace) {
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(market_)) {
+    if (!entry.is_regular_file()) continue;
+    const std::string content = file_content(entry.path());
+    for (const auto& name : keeper().keys.names()) {
+      EXPECT_EQ(content.find(keeper().keys.get(name).seed()), std::string::npos) << entry.path();
+    }
+  }
+}
+
+TEST_F(KeptMarket, MetadataDoesNotGrowWithEachSignature) {
+  for (int i = 0; i < 10; ++i) accept(market_, {}, keeper(i));
+  std::size_t files = 0;
+  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(market_ / "metadata")) ++files;
+  EXPECT_LE(files, 10U);
+}
+
+TEST_F(KeptMarket, ABuildsMarketplaceHoldsWhatItIsMadeOf) {
+  KeeperOptions build = options("build", 0);
+  const auto market = scratch_ / "built";
+  make_market({packed("nav", "1.0.0"), packed("map", "1.0.0")}, market, build);
+  make_market({packed("nav", "1.0.0", "rebuilt")}, market, build);
+  trust_marketplace(file_content(scratch_ / "built.root.json"), market.string(), user());
+  const Marketplace opened = open_marketplace(market.string(), user());
+  EXPECT_EQ(opened.search({}).size(), 1U);
+  EXPECT_NO_THROW(install("nav", opened, scratch_ / "store"));
+}
+
+TEST_F(KeptMarket, ABuildsMarketplaceThatIsDamagedIsMadeAnew) {
+  KeeperOptions build = options("build", 0);
+  const auto market = scratch_ / "built";
+  make_market({packed("nav", "1.0.0")}, market, build);
+  write_file(market / "metadata/timestamp.json", "{}");
+  make_market({packed("nav", "1.0.0")}, market, build);
+  trust_marketplace(file_content(scratch_ / "built.root.json"), market.string(), user());
+  EXPECT_EQ(open_marketplace(market.string(), user()).search({}).size(), 1U);
+}
+
+}  // namespace
+}  // namespace fiona::marketplace
