@@ -221,7 +221,7 @@ std::vector<Verb> remaining_verbs() {
               "market update [PACKAGE …] [--from DIR] [-y]", "market remove PACKAGE … [-y]", "market rollback [N] [-y]",
               "market history", "market list", "market verify", "market lock [FILE]", "market init DIR",
               "market publish FILE … [--to DIR]", "market accept DIR [NAME …]"}),
-       "finds packages, installs them with what they require, and goes back; keeps a marketplace",
+       "finds packages, installs them with what they require, goes back; keeps a marketplace",
        "PACKAGE is [publisher/]name[@version]. --from names a marketplace: a directory or an http(s) address, trusted "
        "by "
        "`keys trust`.\n"
