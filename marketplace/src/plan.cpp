@@ -101,8 +101,8 @@ class Planner {
     if (!outcome.solved()) refuse(outcome, verb);
     for (const Manifest* manifest : outcome.packages) add_step(*manifest, outcome.packages);
     for (const auto& [name, package] : present_) {
-      const bool stays =
-          std::ranges::any_of(outcome.packages, [&](const auto* one) { return full_name(*one) == name; });
+      const bool stays = std::ranges::any_of(
+          outcome.packages, [&, &wanted = name](const auto* one) { return full_name(*one) == wanted; });
       if (!stays) plan_.steps.push_back(removal_of(package->manifest()));
     }
     for (const Manifest* manifest : outcome.packages) add_same_version(*manifest, look_at_files);
