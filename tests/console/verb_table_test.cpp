@@ -263,7 +263,7 @@ TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
   EXPECT_EQ(refusal_of_line("market instal a"),
             "column 8: market cannot 'instal'\n  expected: search, info, install, update, remove, rollback, history, "
-            "list, verify, lock\n  did you mean: install\n  next: "
+            "list, verify, lock, init, publish, accept\n  did you mean: install\n  next: "
             "help market");
 }
 
