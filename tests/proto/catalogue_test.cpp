@@ -65,7 +65,17 @@ std::vector<std::string> dimensionless() {
           "fiona.navigation.CommPlan.line",
           "fiona.navigation.CommPlan.column",
           "fiona.hmi.CommUserProfileReply.authentication_level",
-          "fiona.hmi.PointsOfAttentionReply.refused"};
+          "fiona.hmi.Instruction.number",
+          "fiona.hmi.PointsOfAttentionReply.refused",
+          "fiona.navigation.CommRasterMap.map_version",
+          "fiona.navigation.CommRasterMapInfo.map_version",
+          "fiona.navigation.MapRoom.access",
+          "fiona.navigation.MapDoor.access",
+          "fiona.navigation.MapEdge.from",
+          "fiona.navigation.MapEdge.to",
+          "fiona.navigation.MapEdge.access",
+          "fiona.navigation.CommLevelMap.version",
+          "fiona.navigation.LevelMapVersion.version"};
 }
 
 std::vector<std::string> compare_with_broken_row(const std::string& object, const std::string& attribute,
@@ -115,7 +125,9 @@ TEST(Catalogue, TheProtosHold23ServicesAndTheAddedOnes) {
     }
   }
   EXPECT_EQ(from_the_document, 23);
-  EXPECT_THAT(added, ElementsAre("fiona.localisation.StepProvider", "fiona.navigation.PlanProvider"));
+  EXPECT_THAT(added, ElementsAre("fiona.localisation.StepProvider", "fiona.navigation.LevelMap",
+                                 "fiona.navigation.LevelMapChange", "fiona.navigation.PlanProvider",
+                                 "fiona.hmi.InstructionProvider"));
 }
 
 TEST(Catalogue, EveryServiceObjectAndAttributeOfTheDocumentIsInTheProtosAndNothingElseUnmarked) {
@@ -151,16 +163,19 @@ TEST(Catalogue, AWrongTypeIsNamedWithBothTypes) {
 }
 
 TEST(Catalogue, ATypeWithoutARuleNeedsADecision) {
-  EXPECT_THAT(compare_with_broken_row("RequestPointsOfAttention", "Points of Attention",
-                                      [](Row& row) { row.decision.clear(); }),
-              ElementsAre("line 1: type \"List of Integers (2 x n)\" has no proto type and no decision"));
+  EXPECT_THAT(
+      compare_with_broken_row("RequestPointsOfAttention", "Points of Attention",
+                              [](Row& row) { row.decision.clear(); }),
+      ElementsAre("line 1: type \"List of Integers (2 x n)\" has no proto type and no decision",
+                  "line 1: fiona.hmi.RequestPointsOfAttention.points_of_attention has unit \"\", expected \"m\""));
 }
 
 TEST(Catalogue, ANarrowIntegerWithoutItsRangeIsNamed) {
-  EXPECT_THAT(compare_with_broken_row("NextTurn", "DistanceToTurn", [](Row& row) { row.type = "UInt8"; }),
-              ElementsAre("line 1: fiona.hmi.NextTurn.distance_to_turn keeps the document's type as \"Uint16\", "
-                          "expected \"UInt8\"",
-                          "line 1: fiona.hmi.NextTurn.distance_to_turn does not carry the range of UInt8"));
+  EXPECT_THAT(
+      compare_with_broken_row("PointObjectLocation", "ObjID", [](Row& row) { row.type = "UInt8"; }),
+      ElementsAre("line 1: fiona.perception.PointObjectLocation.obj_id keeps the document's type as \"UInt16\", "
+                  "expected \"UInt8\"",
+                  "line 1: fiona.perception.PointObjectLocation.obj_id does not carry the range of UInt8"));
 }
 
 TEST(Catalogue, AnArrayOfAnotherLengthIsNamed) {
@@ -240,6 +255,17 @@ TEST(Catalogue, ThePasswordIsMarkedAsSecret) {
   const auto* password = protos().FindFieldByName("fiona.security.CommAuthenticationRequest.password");
   ASSERT_NE(password, nullptr);
   EXPECT_TRUE(password->options().GetExtension(fiona::secret));
+}
+
+TEST(Catalogue, ASessionHas128BitsAndIsMarkedAsSecretWhereverItTravels) {
+  for (const char* message : {"security.CommAuthenticationResponse", "hmi.CommUserProfileRequest",
+                              "navigation.CommRasterMapRequest", "navigation.CommLevelMapRequest"}) {
+    const auto* session = protos().FindFieldByName("fiona." + std::string(message) + ".session");
+    ASSERT_NE(session, nullptr) << message;
+    EXPECT_EQ(session->type(), google::protobuf::FieldDescriptor::TYPE_BYTES) << message;
+    EXPECT_EQ(session->options().GetExtension(fiona::size), 16U) << message;
+    EXPECT_TRUE(session->options().GetExtension(fiona::secret)) << message;
+  }
 }
 
 TEST(CatalogueTable, ADecisionOfNoKnownKindIsRefusedWithItsLine) {
