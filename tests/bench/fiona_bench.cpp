@@ -20,6 +20,7 @@
 #include "market_cost.hpp"
 #include "os/process.hpp"
 #include "probe_cost.hpp"
+#include "route_cost.hpp"
 #include "system_cost.hpp"
 #include "through_fiona.hpp"
 
@@ -206,6 +207,20 @@ std::vector<Cost> costs() {
   };
 }
 
+std::vector<Cost> route_costs() {
+  const auto maps = station_maps();
+  if (!maps) {
+    std::printf("routes: no maps of stations: set FIONA_DATA\n");
+    return {};
+  }
+  std::vector<Cost> lines;
+  for (const char* map : {"da_hbf.osm.xz", "da_hbf_2.osm.pbf", "moorgate.osm.xz"}) {
+    lines.push_back(
+        {std::string("route on ") + map + ", p99", 10, "ms", [file = *maps / map] { return route_ms(file); }});
+  }
+  return lines;
+}
+
 /// A line that cannot be measured is short; the others have still to be heard.
 template <class Lines>
 bool tell_all(const Lines& lines, std::string_view only) {
@@ -234,7 +249,8 @@ int main(int argc, char** argv) {
     bool all = tell_all(in_one_process(), only);
     all = tell_all(between_processes(ipc, "two groups"), only) && all;
     all = tell_all(between_processes(tcp, "two hosts"), only) && all;
-    return tell_all(costs(), only) && all ? 0 : 1;
+    all = tell_all(costs(), only) && all;
+    return tell_all(route_costs(), only) && all ? 0 : 1;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "error: %s\n", error.what());
     return 1;

@@ -6,62 +6,19 @@
 #include <string>
 
 #include <gtest/gtest.h>
+#include <osmium/io/pbf_output.hpp>
+#include <osmium/io/reader.hpp>
+#include <osmium/io/writer.hpp>
+#include <osmium/io/xml_input.hpp>
 
 #include <fiona/building/building.hpp>
 #include <fiona/building/svg.hpp>
 #include <fiona/error.hpp>
 
+#include "osm_text.hpp"
+
 namespace fiona::building {
 namespace {
-
-/// Builds OSM XML in metres around 48 N 10 E, where nodes are named by their ids.
-class Osm {
- public:
-  Osm& node(int id, double x_m, double y_m, const std::string& tags = "") {
-    std::ostringstream line;
-    line.precision(12);
-    line << "<node id=\"" << id << "\" lat=\"" << 48.0 + y_m / 111194.87 << "\" lon=\"" << 10.0 + x_m / 74629.6 << "\">"
-         << written(tags) << "</node>\n";
-    nodes_ += line.str();
-    return *this;
-  }
-  Osm& way(int id, const std::vector<int>& nodes, const std::string& tags) {
-    ways_ += "<way id=\"" + std::to_string(id) + "\">";
-    for (int node : nodes) ways_ += "<nd ref=\"" + std::to_string(node) + "\"/>";
-    ways_ += written(tags) + "</way>\n";
-    return *this;
-  }
-  /// A rectangle with nodes id .. id + 3 from its lower left corner; `on_south` are nodes on its south side.
-  Osm& rectangle(int id, double x0, double y0, double x1, double y1, const std::string& tags,
-                 const std::vector<int>& on_south = {}) {
-    node(id, x0, y0).node(id + 1, x1, y0).node(id + 2, x1, y1).node(id + 3, x0, y1);
-    std::vector<int> ring{id};
-    ring.insert(ring.end(), on_south.begin(), on_south.end());
-    for (int corner : {id + 1, id + 2, id + 3, id}) ring.push_back(corner);
-    return way(id, ring, tags);
-  }
-  std::string text() const {
-    return "<?xml version='1.0'?><osm version='0.6'>\n<node id='1' lat='48.0' lon='10.0'>"
-           "<tag k='fiona:reference' v='yes'/></node>\n" +
-           nodes_ + ways_ + "</osm>";
-  }
-  Building read() const { return Building::parse(text(), "house.osm"); }
-
- private:
-  /// "indoor=room level=0": no spaces within values.
-  static std::string written(const std::string& tags) {
-    std::string xml;
-    std::istringstream words(tags);
-    for (std::string word; words >> word;) {
-      const std::size_t equals = word.find('=');
-      xml += "<tag k=\"" + word.substr(0, equals) + "\" v=\"" + word.substr(equals + 1) + "\"/>";
-    }
-    return xml;
-  }
-
-  std::string nodes_{};
-  std::string ways_{};
-};
 
 /// A corridor 20 x 3 m with two rooms of 10 x 5 m north of it; the left one has a door.
 Osm corridor_with_two_rooms() {
@@ -133,6 +90,76 @@ TEST(BuildingFile, ARoomOnSeveralLevelsIsARoomOnEach) {
   Levels levels;
   for (const Room& room : house.rooms()) levels.push_back(room.level);
   EXPECT_EQ(levels, Levels({0, 1, 4}));
+}
+
+/// The same elements as PBF.
+std::string as_pbf(const std::string& xml) {
+  const std::filesystem::path file = std::filesystem::path(testing::TempDir()) / "building_as.osm.pbf";
+  osmium::io::Reader reader(osmium::io::File(xml.data(), xml.size(), "osm"));
+  osmium::io::Writer writer(osmium::io::File(file.string(), "pbf"), osmium::io::overwrite::allow);
+  while (osmium::memory::Buffer buffer = reader.read()) writer(std::move(buffer));
+  writer.close();
+  std::ostringstream bytes;
+  bytes << std::ifstream(file, std::ios::binary).rdbuf();
+  return bytes.str();
+}
+
+TEST(BuildingFile, PbfIsReadAsXmlIsWhateverItsName) {
+  const std::string xml = corridor_with_two_rooms().text();
+  const Building one = Building::parse(xml, "house.osm");
+  const Building two = Building::parse(as_pbf(xml), "house.osm");
+  ASSERT_EQ(one.rooms().size(), two.rooms().size());
+  for (std::size_t i = 0; i < one.rooms().size(); ++i) {
+    EXPECT_EQ(one.rooms()[i].name, two.rooms()[i].name);
+    EXPECT_EQ(one.rooms()[i].polygon.outer, two.rooms()[i].polygon.outer);
+  }
+  EXPECT_EQ(one.graph().edges.size(), two.graph().edges.size());
+}
+
+TEST(BuildingFile, APbfThatEndsEarlyIsRefusedByName) {
+  const std::string pbf = as_pbf(corridor_with_two_rooms().text());
+  for (std::size_t size : {std::size_t{20}, pbf.size() / 2, pbf.size() - 1}) {
+    EXPECT_NE(error_of(pbf.substr(0, size)).find("cannot read the building file house.osm: "), std::string::npos)
+        << size;
+  }
+}
+
+TEST(BuildingFile, EntitiesThatGrowAreRefusedBeforeTheyDo) {
+  std::string xml = "<!DOCTYPE osm [<!ENTITY a0 \"lol\">";
+  for (int i = 1; i < 30; ++i) {
+    const std::string before = "&a" + std::to_string(i - 1) + ";";
+    xml += "<!ENTITY a" + std::to_string(i) + " \"" + before + before + before + before + "\">";
+  }
+  EXPECT_NE(error_of(xml + "]><osm version='0.6'><node id='1' lat='1' lon='1'><tag k='a' v='&a29;'/></node></osm>")
+                .find("cannot read the building file house.osm: XML entities are not supported"),
+            std::string::npos);
+}
+
+TEST(BuildingFile, ANodeFarAwayLeavesItsElementOutAndTheRestInPlace) {
+  Osm osm = corridor_with_two_rooms();
+  osm.node(70, 0, 0).node(71, 900'000, 0).node(72, 0, 5).way(70, {70, 71, 72, 70}, "indoor=room level=0 name=Typo");
+  const Building house = osm.read();
+  EXPECT_EQ(house.rooms().size(), 3u);
+  ASSERT_EQ(house.warnings().size(), 1u);
+  EXPECT_EQ(house.warnings()[0], "way 70: node 71 is more than 5 km away from the building; left out");
+}
+
+TEST(BuildingFile, ABorderThatCrossesItselfIsARoomAllTheSame) {
+  Osm osm;
+  osm.node(10, 0, 0).node(11, 10, 9).node(12, 10, 0).node(13, 0, 10);
+  osm.way(10, {10, 11, 12, 13, 10}, "indoor=room level=0 name=Bow");
+  const Building house = osm.read();
+  EXPECT_LE(house.rooms().size(), 1u);
+}
+
+TEST(BuildingFile, MoreElementsThanAnyBuildingHasAreRefusedWithTheStepThatHelps) {
+  std::string xml = "<osm version='0.6'>";
+  for (int i = 1; i <= 1'500'001; ++i) {
+    xml += "<node id='" + std::to_string(i) + "' lat='48' lon='10'><tag k='level' v='0'/></node>";
+  }
+  const std::string error = error_of(xml + "</osm>");
+  EXPECT_NE(error.find("it has more than 3000000 nodes, tags and members"), std::string::npos) << error;
+  EXPECT_NE(error.find("osmium extract -b"), std::string::npos);
 }
 
 TEST(BuildingFile, AMultipolygonHasItsHole) {
@@ -514,6 +541,69 @@ TEST_F(RealFiles, MoorgateTellsWhatItLeftOut) {
                        "node 1141415207: level=0,1 is not a list of levels such as 0, -1;0 or 1-3; left out"),
             1);
   EXPECT_GE(station.connectors().size(), 20u);
+}
+
+/// Places to go from and to: the ends of all stairs and lifts, one of each.
+std::vector<PathPoint> landings(const Building& station) {
+  std::vector<PathPoint> places;
+  for (const Connector& connector : station.connectors()) {
+    places.push_back(connector.path.front());
+    places.push_back(connector.path.back());
+  }
+  return places;
+}
+
+/// Routes between all landings of different levels: how many there are, and how many break `rule`.
+template <class Rule>
+std::pair<int, int> routes_between_levels(const Building& station, const RouteOptions& options, Rule breaks) {
+  int found = 0, broken = 0;
+  const auto places = landings(station);
+  for (const PathPoint& from : places) {
+    for (const PathPoint& to : places) {
+      if (from.level == to.level) continue;
+      const auto route = station.route(from, to, options);
+      if (!route) continue;
+      ++found;
+      broken += std::any_of(route->points.begin(), route->points.end(), breaks);
+    }
+  }
+  return {found, broken};
+}
+
+constexpr auto kNothing = [](const RoutePoint&) { return false; };
+
+/// With all allowed; without stairs; without lifts; indoors only.
+void expect_profiles_to_hold(const Building& station, int least, int by_lift, int by_stairs, int indoors) {
+  EXPECT_GE(routes_between_levels(station, {}, kNothing).first, least);
+  const auto lift = routes_between_levels(station, {.stairs = false}, [](const RoutePoint& p) {
+    return p.passage == Passage::Stairs || p.passage == Passage::Escalator;
+  });
+  EXPECT_GE(lift.first, by_lift);
+  EXPECT_EQ(lift.second, 0);
+  const auto stairs =
+      routes_between_levels(station, {.lift = false}, [](const RoutePoint& p) { return p.passage == Passage::Lift; });
+  EXPECT_GE(stairs.first, by_stairs);
+  EXPECT_EQ(stairs.second, 0);
+  const auto inside =
+      routes_between_levels(station, {.outdoors = false}, [](const RoutePoint& p) { return p.outdoors; });
+  EXPECT_GE(inside.first, indoors);
+  EXPECT_EQ(inside.second, 0);
+}
+
+TEST_F(RealFiles, DarmstadtHasRoutesBetweenItsLevelsForEachProfile) {
+  expect_profiles_to_hold(read("da_hbf.osm.xz", "xz"), 1, 1, 1, 1);
+}
+
+TEST_F(RealFiles, DarmstadtAsPbfHasThemToo) {
+  expect_profiles_to_hold(Building::read(folder_ / "da_hbf_2.osm.pbf"), 1, 1, 1, 1);
+}
+
+TEST_F(RealFiles, MoorgateHasRoutesBetweenItsLevelsForEachProfile) {
+  expect_profiles_to_hold(read("moorgate.osm.xz", "xz"), 1, 1, 1, 1);
+}
+
+TEST_F(RealFiles, TheLondonCorridorHasRoutesBetweenItsLevelsForEachProfile) {
+  expect_profiles_to_hold(read("london-corridor.osm.xz", "xz"), 1, 1, 1, 1);
 }
 
 TEST_F(RealFiles, PlatformsAloneAreNoBuildingAndTheErrorSaysSo) {

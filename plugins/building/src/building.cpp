@@ -40,9 +40,12 @@ Plan make_plan(const OsmFile& file) {
   }
   add_walls(draft);
   add_doors(draft);
-  cut_doors(draft.plan);
+  cut_doors(draft);
+  draft.work.limit(draft.plan.walls.size(), kMostWalls, "walls", {});
+  draft.work.limit(draft.plan.levels.size(), kMostLevels, "levels", {});
   add_landmarks(draft);
   if (draft.plan.name.empty()) draft.plan.name = std::filesystem::path(file.name).stem().string();
+  if (draft.untold > 0) draft.plan.warnings.push_back("and " + std::to_string(draft.untold) + " more like these");
   return std::move(draft.plan);
 }
 
@@ -76,8 +79,8 @@ Building::~Building() = default;
 
 Building Building::read(const std::filesystem::path& file) { return Building(make_plan(read_osm_file(file.string()))); }
 
-Building Building::parse(std::string_view osm_xml, const std::string& name) {
-  return Building(make_plan(parse_osm(osm_xml, name)));
+Building Building::parse(std::string_view bytes, const std::string& name) {
+  return Building(make_plan(parse_osm(bytes, name)));
 }
 
 Crossings Building::walls_crossed(Point a, Point b, double level) const {

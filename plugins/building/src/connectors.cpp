@@ -63,6 +63,13 @@ std::vector<PathPoint> climb(const Draft& draft, const OsmWay& way, const std::v
   return path;
 }
 
+bool is_indoors(const Tags& tags) {
+  const std::string& tunnel = tag(tags, "tunnel");
+  return (tags.contains("indoor") && tag(tags, "indoor") != "no") || tag(tags, "highway") == "corridor" ||
+         (!tunnel.empty() && tunnel != "no") || tag(tags, "location") == "underground" ||
+         tag(tags, "location") == "indoor" || tag(tags, "level").starts_with('-');
+}
+
 ConnectorKind kind_of(const Tags& tags) {
   const std::string& conveying = tag(tags, "conveying");
   if (!conveying.empty() && conveying != "no") return ConnectorKind::Escalator;
@@ -74,6 +81,8 @@ void add_climb(Draft& draft, std::int64_t id, const OsmWay& way, const std::vect
   const auto [low, high] = std::minmax_element(levels.begin(), levels.end());
   const bool up = starts_low(draft, way, levels, *low, *high);
   Connector connector{{'w', id}, kind_of(way.tags), tag(way.tags, "name"), levels, {}, false};
+  connector.access = access_level(draft, connector.id, way.tags);
+  connector.indoors = is_indoors(way.tags);
   std::sort(connector.levels.begin(), connector.levels.end());
   connector.path = climb(draft, way, points, up ? *low : *high, up ? *high : *low);
   const std::string& conveying = tag(way.tags, "conveying");
@@ -98,6 +107,8 @@ void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
   }
   for (double level : levels) {
     Path path{element, {}, tag(way.tags, "highway") == "steps"};
+    path.indoors = is_indoors(way.tags);
+    path.access = access_level(draft, element, way.tags);
     for (Point p : *points) path.points.push_back({p, level});
     draft.plan.paths.push_back(std::move(path));
   }
@@ -105,12 +116,33 @@ void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
 
 bool is_walkable_line(const Tags& tags) {
   static const std::set<std::string> kKinds = {"footway", "corridor", "steps", "path", "pedestrian", "service"};
-  return kKinds.contains(tag(tags, "highway")) && tags.contains("level") && tag(tags, "area") != "yes";
+  return kKinds.contains(tag(tags, "highway")) && tag(tags, "area") != "yes";
 }
 
-void add_lift(Draft& draft, ElementId id, Point at, const std::string& name, std::vector<double> levels) {
+/// The level of what is mapped at an end of a line without a level, if there is exactly one; else the ground.
+double meeting_level(Draft& draft, std::int64_t node) {
+  const std::set<double> levels = levels_at_node(draft, node);
+  return levels.size() == 1 ? *levels.begin() : 0.0;
+}
+
+/// A line without a level: around the building, or from one of its levels to another.
+void add_line_around(Draft& draft, std::int64_t id, const OsmWay& way) {
+  const auto points = draft.points_of(id);
+  if (!points || points->size() < 2) return;
+  const double from = meeting_level(draft, way.nodes.front());
+  const double to = meeting_level(draft, way.nodes.back());
+  if (from != to) return add_climb(draft, id, way, {from, to}, *points);
+  Path path{{'w', id}, {}, tag(way.tags, "highway") == "steps", true, is_indoors(way.tags)};
+  path.access = access_level(draft, path.id, way.tags);
+  for (Point p : *points) path.points.push_back({p, from});
+  draft.plan.paths.push_back(std::move(path));
+}
+
+void add_lift(Draft& draft, ElementId id, const Tags& tags, Point at, std::vector<double> levels) {
   std::sort(levels.begin(), levels.end());
-  Connector lift{id, ConnectorKind::Lift, name, levels, {}, false};
+  Connector lift{id, ConnectorKind::Lift, tag(tags, "name"), levels, {}, false};
+  lift.access = access_level(draft, id, tags);
+  lift.indoors = true;
   for (double level : levels) lift.path.push_back({at, level});
   draft.plan.connectors.push_back(std::move(lift));
 }
@@ -127,7 +159,7 @@ void add_lift_nodes(Draft& draft) {
       }
     }
     if (levels.size() > 1) {
-      add_lift(draft, {'n', id}, draft.at(node), tag(node.tags, "name"), std::move(levels));
+      if (const auto at = draft.place_of({'n', id}, id)) add_lift(draft, {'n', id}, node.tags, *at, std::move(levels));
     } else {
       draft.warn({'n', id}, "the lift joins no two levels; left out");
     }
@@ -166,13 +198,13 @@ void add_shafts(Draft& draft) {
     if (first.kind == RoomKind::Lift) {
       std::vector<double> levels;
       for (const Room* room : rooms) levels.push_back(room->level);
-      add_lift(draft, id, first.centre, first.name, std::move(levels));
+      add_lift(draft, id, {{"name", first.name}}, first.centre, std::move(levels));
       continue;
     }
     for (std::size_t i = 1; i < rooms.size(); ++i) {
       const double low = rooms[i - 1]->level, high = rooms[i]->level;
       draft.plan.connectors.push_back(
-          {id, ConnectorKind::Stairs, first.name, {low, high}, climb_in(first, low, high), false});
+          {id, ConnectorKind::Stairs, first.name, {low, high}, climb_in(first, low, high), false, first.access, true});
     }
   }
 }
@@ -181,7 +213,8 @@ void add_shafts(Draft& draft) {
 
 void add_connectors(Draft& draft) {
   for (const auto& [id, way] : draft.file.ways) {
-    if (is_walkable_line(way.tags)) add_line(draft, id, way);
+    if (!is_walkable_line(way.tags)) continue;
+    way.tags.contains("level") ? add_line(draft, id, way) : add_line_around(draft, id, way);
   }
   add_lift_nodes(draft);
   add_shafts(draft);

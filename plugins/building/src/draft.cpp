@@ -1,6 +1,7 @@
 #include "draft.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace fiona::building {
 namespace {
@@ -9,21 +10,30 @@ using NodeRing = std::vector<std::int64_t>;
 
 /// Joins open ways end to end into rings; what stays open is dropped.
 std::vector<NodeRing> join(std::vector<NodeRing> pieces) {
+  std::multimap<std::int64_t, std::size_t> at_end;
+  for (std::size_t i = 0; i < pieces.size(); ++i) {
+    at_end.emplace(pieces[i].front(), i);
+    at_end.emplace(pieces[i].back(), i);
+  }
+  std::vector<bool> used(pieces.size(), false);
+  const auto next_at = [&](std::int64_t node) -> std::optional<std::size_t> {
+    for (auto [at, last] = at_end.equal_range(node); at != last; at = at_end.erase(at)) {
+      if (!used[at->second]) return at->second;
+    }
+    return std::nullopt;
+  };
   std::vector<NodeRing> rings;
-  while (!pieces.empty()) {
-    NodeRing ring = std::move(pieces.back());
-    pieces.pop_back();
-    bool grown = true;
-    while (grown && ring.front() != ring.back()) {
-      grown = false;
-      for (auto piece = pieces.begin(); piece != pieces.end(); ++piece) {
-        if (piece->back() == ring.back()) std::reverse(piece->begin(), piece->end());
-        if (piece->front() != ring.back()) continue;
-        ring.insert(ring.end(), piece->begin() + 1, piece->end());
-        pieces.erase(piece);
-        grown = true;
-        break;
-      }
+  for (std::size_t i = 0; i < pieces.size(); ++i) {
+    if (used[i]) continue;
+    used[i] = true;
+    NodeRing ring = std::move(pieces[i]);
+    while (ring.front() != ring.back()) {
+      const auto next = next_at(ring.back());
+      if (!next) break;
+      used[*next] = true;
+      NodeRing& piece = pieces[*next];
+      if (piece.front() != ring.back()) std::reverse(piece.begin(), piece.end());
+      ring.insert(ring.end(), piece.begin() + 1, piece.end());
     }
     if (ring.size() < 4 || ring.front() != ring.back()) continue;
     ring.pop_back();
@@ -53,6 +63,15 @@ std::string text(ElementId id) {
   return kind + std::to_string(id.number);
 }
 
+void Draft::warn(ElementId id, const std::string& sentence) {
+  constexpr std::size_t kMostWarnings = 1000;
+  if (plan.warnings.size() < kMostWarnings) {
+    plan.warnings.push_back(text(id) + ": " + sentence);
+  } else {
+    ++untold;
+  }
+}
+
 std::vector<double> Draft::levels_of(ElementId id, const Tags& tags) {
   std::vector<double> levels;
   for (const char* key : {"level", "repeat_on"}) {
@@ -71,15 +90,25 @@ std::vector<double> Draft::levels_of(ElementId id, const Tags& tags) {
   return levels;
 }
 
+std::optional<Point> Draft::place_of(ElementId user, std::int64_t number) {
+  const auto node = file.nodes.find(number);
+  if (node == file.nodes.end()) {
+    warn(user, "node " + std::to_string(number) + " is not in the file; left out");
+    return std::nullopt;
+  }
+  const Point point = at(node->second);
+  if (std::abs(point.x_m) <= kFarthest_m && std::abs(point.y_m) <= kFarthest_m) return point;
+  warn(user, "node " + std::to_string(number) + " is more than " + std::to_string(std::lround(kFarthest_m / 1000)) +
+                 " km away from the building; left out");
+  return std::nullopt;
+}
+
 std::optional<std::vector<Point>> Draft::points_of(std::int64_t way) {
   std::vector<Point> points;
   for (std::int64_t id : file.ways.at(way).nodes) {
-    const auto node = file.nodes.find(id);
-    if (node == file.nodes.end()) {
-      warn({'w', way}, "node " + std::to_string(id) + " is not in the file; left out");
-      return std::nullopt;
-    }
-    points.push_back(at(node->second));
+    const std::optional<Point> point = place_of({'w', way}, id);
+    if (!point) return std::nullopt;
+    points.push_back(*point);
   }
   return points;
 }
@@ -94,6 +123,18 @@ std::optional<double> Draft::attenuation_db(ElementId id, const Tags& tags) {
     if (const auto known = material_attenuation_db(tag(tags, key))) return known;
   }
   return std::nullopt;
+}
+
+int access_level(Draft& draft, ElementId id, const Tags& tags) {
+  static const std::set<std::string> kRights = {"private", "staff", "employees", "permit", "delivery", "emergency"};
+  if (const std::string& value = tag(tags, "fiona:access"); !value.empty()) {
+    const auto level = parse_metres(value);
+    if (level && *level >= kOpen && *level <= kClosed && *level == std::floor(*level)) return static_cast<int>(*level);
+    draft.warn(id, "fiona:access=" + value + " is not a whole number from 0 to 10; closed");
+    return kClosed;
+  }
+  const std::string& access = tags.contains("foot") ? tag(tags, "foot") : tag(tags, "access");
+  return access == "no" ? kClosed : kRights.contains(access) ? kByRight : kOpen;
 }
 
 std::vector<Area> areas_of(const OsmFile& file) {

@@ -10,6 +10,7 @@
 #include "fiona/building/plan.hpp"
 #include "local_frame.hpp"
 #include "osm_file.hpp"
+#include "work.hpp"
 
 namespace fiona::building {
 
@@ -24,26 +25,34 @@ struct Area {
 
 /// A plan while it is made, step by step, from the elements of a file.
 struct Draft {
-  Draft(const OsmFile& file_, const Reference& reference) : file(file_), frame(reference) {
+  Draft(const OsmFile& file_, const Reference& reference) : file(file_), frame(reference), work(file_.name) {
     plan.reference = reference;
   }
 
+  /// A building is not larger than this around its reference.
+  static constexpr double kFarthest_m = 5000.0;
+
   const OsmFile& file;
   LocalFrame frame;
+  Work work;
   Plan plan{};
   const Area* outline = nullptr;
   std::set<double> absent_levels{};  ///< non_existent_levels
   std::map<std::int64_t, std::vector<std::int64_t>> ways_of_node{};
   std::map<std::int64_t, std::set<double>> levels_of_way{};  ///< of rooms and walls that the way bounds
   std::map<ElementId, double> attenuation_of_room{};
+  std::size_t untold = 0;  ///< warnings that were counted only
 
   Point at(const OsmNode& node) const { return frame.to_local({node.latitude_deg, node.longitude_deg}); }
-  void warn(ElementId id, const std::string& sentence) { plan.warnings.push_back(text(id) + ": " + sentence); }
+  /// Beyond the first thousand they are counted only.
+  void warn(ElementId id, const std::string& sentence);
 
   /// The levels of an element by `level` and `repeat_on`; empty, and a warning if the tag is there but
   /// unreadable.
   std::vector<double> levels_of(ElementId id, const Tags& tags);
-  /// The corners of a way as points; nothing, and a warning, if nodes are missing in the file.
+  /// The place of a node that `user` names; nothing, and a warning, if it is not in the file or nowhere near.
+  std::optional<Point> place_of(ElementId user, std::int64_t node);
+  /// The corners of a way as points; nothing, and a warning, if one has no place.
   std::optional<std::vector<Point>> points_of(std::int64_t way);
   /// `fiona:attenuation`, `wall:material` or `material`.
   std::optional<double> attenuation_db(ElementId id, const Tags& tags);
@@ -61,8 +70,12 @@ void add_levels(Draft& draft);
 void add_landmarks(Draft& draft);
 void add_walls(Draft& draft);
 void add_doors(Draft& draft);
-void cut_doors(Plan& plan);
+void cut_doors(Draft& draft);
 
 bool is_indoor_area(const Tags& tags);
+
+/// The authentication level from which one may use an element: `fiona:access` (0 to 10) as it stands, else by `foot`
+/// and `access`: kClosed for no, kByRight for private, staff, employees and the like, else kOpen.
+int access_level(Draft& draft, ElementId id, const Tags& tags);
 
 }  // namespace fiona::building

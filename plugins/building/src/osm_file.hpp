@@ -47,7 +47,7 @@ struct OsmFile {
 
 /// Throws fiona::Error that names the file, the cause and the next step.
 OsmFile read_osm_file(const std::string& path);
-OsmFile parse_osm(std::string_view xml, const std::string& name);
+OsmFile parse_osm(std::string_view bytes, const std::string& name);
 
 /// The value of a tag, or "".
 const std::string& tag(const Tags& tags, const std::string& key);

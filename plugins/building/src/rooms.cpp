@@ -37,6 +37,13 @@ std::vector<Point> indoor_places(const OsmFile& file) {
   return places;
 }
 
+double median(std::vector<Point> points, double Point::*coordinate) {
+  const auto middle = points.begin() + static_cast<std::ptrdiff_t>(points.size() / 2);
+  std::nth_element(points.begin(), middle, points.end(),
+                   [&](const Point& a, const Point& b) { return a.*coordinate < b.*coordinate; });
+  return (*middle).*coordinate;
+}
+
 bool is_outline(const Area& area) {
   const std::string& building = tag(*area.tags, "building");
   return !building.empty() && building != "no" && !area.outers.empty();
@@ -88,18 +95,21 @@ RoomKind kind_of(const Tags& tags) {
 std::optional<Ring> ring_of(Draft& draft, ElementId id, const std::vector<std::int64_t>& nodes) {
   Ring ring;
   for (std::int64_t number : nodes) {
-    const auto node = draft.file.nodes.find(number);
-    if (node == draft.file.nodes.end()) {
-      draft.warn(id, "node " + std::to_string(number) + " is not in the file; left out");
-      return std::nullopt;
-    }
-    ring.push_back(draft.at(node->second));
+    const std::optional<Point> corner = draft.place_of(id, number);
+    if (!corner) return std::nullopt;
+    ring.push_back(*corner);
   }
   return ring;
 }
 
 std::vector<Polygon> polygons_of(Draft& draft, const Area& area) {
   std::vector<Polygon> polygons;
+  std::size_t corners = 0;
+  for (const auto* rings : {&area.outers, &area.inners}) {
+    for (const auto& ring : *rings) corners += ring.size();
+  }
+  draft.work.limit(corners, kMostCorners, "corners", area.id);
+  draft.work.spend(corners * (2000 + area.outers.size() * area.inners.size()), area.id);  // where its middle is
   if (area.outers.empty()) draft.warn(area.id, "its ways do not close to a ring; left out");
   for (const auto& nodes : area.outers) {
     if (auto ring = ring_of(draft, area.id, nodes)) polygons.push_back({std::move(*ring), {}});
@@ -127,12 +137,16 @@ void add_room(Draft& draft, const Area& area) {
     return;
   }
   const std::vector<double> levels = draft.levels_of(area.id, tags);
+  if (levels.empty()) return;
+  const int access = access_level(draft, area.id, tags);
   for (const Polygon& polygon : polygons_of(draft, area)) {
     const std::string& use = tags.contains("room") ? tag(tags, "room") : tag(tags, "amenity");
     const Point centre = inner_point(polygon);
+    draft.work.limit(draft.plan.rooms.size() + levels.size(), kMostRooms, "rooms", area.id);
+    draft.work.spend(levels.size() * polygon.outer.size() * 100, area.id);  // a copy for each level
     for (double level : levels) {
       draft.plan.rooms.push_back(
-          {area.id, kind_of(tags), level, tag(tags, "name"), tag(tags, "ref"), use, polygon, centre});
+          {area.id, kind_of(tags), level, tag(tags, "name"), tag(tags, "ref"), use, polygon, centre, access});
     }
   }
   for (std::int64_t way : area.ways) draft.levels_of_way[way].insert(levels.begin(), levels.end());
@@ -169,7 +183,9 @@ std::set<double> used_levels(const Plan& plan) {
   std::set<double> used;
   for (const Room& room : plan.rooms) used.insert(room.level);
   for (const Connector& connector : plan.connectors) used.insert(connector.levels.begin(), connector.levels.end());
-  for (const Path& path : plan.paths) used.insert(path.points.front().level);
+  for (const Path& path : plan.paths) {
+    if (!path.around) used.insert(path.points.front().level);
+  }
   return used;
 }
 
@@ -209,9 +225,8 @@ Reference find_reference(const OsmFile& file, const Area* outline) {
                                              std::to_string(file.ways.size()) + " ways without a level",
                                     .next = "tag them: https://wiki.openstreetmap.org/wiki/Simple_Indoor_Tagging"});
   }
-  Point sum{};
-  for (const Point& place : places) sum = sum + place;
-  return {sum.y_m / static_cast<double>(places.size()), sum.x_m / static_cast<double>(places.size()), 0.0, false};
+  // Not the mean: one node with a wrong digit would carry the reference to another town.
+  return {median(places, &Point::y_m), median(places, &Point::x_m), 0.0, false};
 }
 
 void add_rooms(Draft& draft, const std::vector<Area>& areas) {

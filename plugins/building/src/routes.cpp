@@ -36,17 +36,37 @@ std::vector<Access> access_from(const Plan& plan, const Graph& graph, const Path
   return found;
 }
 
-bool allowed(Passage passage, const RouteOptions& options) {
-  if (passage == Passage::Lift) return options.lift;
-  return options.stairs || (passage != Passage::Stairs && passage != Passage::Escalator);
+bool allowed(const GraphEdge& edge, const RouteOptions& options) {
+  if (edge.outdoors && !options.outdoors) return false;
+  if (edge.passage == Passage::Lift) return options.lift;
+  return options.stairs || (edge.passage != Passage::Stairs && edge.passage != Passage::Escalator);
 }
+
+/// Which elements and rooms a walker may use. Where one is already, one may be: else there were no way out.
+class Permission {
+ public:
+  Permission(const Plan& plan, const Graph& graph, const PathPoint& from, const RouteOptions& options)
+      : plan_(plan), graph_(graph), options_(options), own_(room_index_at(plan, from.at, from.level)) {}
+
+  bool takes(const GraphEdge& edge, std::size_t next) const {
+    if (!allowed(edge, options_) || edge.own_access > options_.access) return false;
+    const auto room = graph_.nodes[next].room;
+    return !room || room == own_ || plan_.rooms[*room].access <= options_.access;
+  }
+
+ private:
+  const Plan& plan_;
+  const Graph& graph_;
+  const RouteOptions& options_;
+  const std::optional<std::size_t> own_;
+};
 
 struct Search {
   std::vector<double> cost_s;
   std::vector<std::size_t> edge;  ///< by which a node was reached; kStart: from the start
 };
 
-Search search(const Graph& graph, const std::vector<Access>& starts, const RouteOptions& options) {
+Search search(const Graph& graph, const std::vector<Access>& starts, const Permission& permission) {
   Search found{std::vector<double>(graph.nodes.size(), kNever), std::vector<std::size_t>(graph.nodes.size(), kStart)};
   using Entry = std::pair<double, std::size_t>;
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> open;
@@ -60,8 +80,8 @@ Search search(const Graph& graph, const std::vector<Access>& starts, const Route
     if (cost > found.cost_s[node]) continue;
     for (std::size_t index : graph.edges_of_node[node]) {
       const GraphEdge& edge = graph.edges[index];
-      if (!allowed(edge.passage, options) || (edge.one_way && edge.to == node)) continue;
       const std::size_t next = edge.from == node ? edge.to : edge.from;
+      if ((edge.one_way && edge.to == node) || !permission.takes(edge, next)) continue;
       const double reached = cost + edge.cost_s;
       if (reached >= found.cost_s[next]) continue;
       found.cost_s[next] = reached;
@@ -80,8 +100,9 @@ std::optional<Route> straight(const Plan& plan, const PathPoint& from, const Pat
     if (room.level != from.level || !contains(room.polygon, from.at) || !contains(room.polygon, to.at)) continue;
     if (!sees(plan, room, from.at, to.at)) continue;
     const double length = distance_m(from.at, to.at);
-    return Route{
-        {{from.at, from.level, Passage::Walk, i}, {to.at, to.level, Passage::Walk, i}}, length, length / kWalkPace_mps};
+    return Route{{{from.at, from.level, Passage::Walk, false, i}, {to.at, to.level, Passage::Walk, false, i}},
+                 length,
+                 length / kWalkPace_mps};
   }
   return std::nullopt;
 }
@@ -97,7 +118,7 @@ void add_point(Route& route, const RoutePoint& point) {
 std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from, const PathPoint& to,
                                 const RouteOptions& options) {
   if (auto direct = straight(plan, from, to)) return direct;
-  const Search found = search(graph, access_from(plan, graph, from), options);
+  const Search found = search(graph, access_from(plan, graph, from), Permission(plan, graph, from, options));
   Access goal{kStart, 0.0};
   double best_s = kNever;
   for (const Access& end : access_from(plan, graph, to)) {
@@ -106,20 +127,21 @@ std::optional<Route> find_route(const Plan& plan, const Graph& graph, const Path
   }
   if (goal.node == kStart) return std::nullopt;
 
-  std::vector<RoutePoint> backwards{{to.at, to.level, Passage::Walk, room_index_at(plan, to.at, to.level)}};
+  std::vector<RoutePoint> backwards{{to.at, to.level, Passage::Walk, false, room_index_at(plan, to.at, to.level)}};
   double length = goal.length_m;
   for (std::size_t node = goal.node;;) {
     const GraphNode& at = graph.nodes[node];
     const std::size_t index = found.edge[node];
-    const Passage passage = index == kStart ? Passage::Walk : graph.edges[index].passage;
-    backwards.push_back({at.at, at.level, passage, at.room});
+    const bool first = index == kStart;
+    backwards.push_back({at.at, at.level, first ? Passage::Walk : graph.edges[index].passage,
+                         !first && graph.edges[index].outdoors, at.room});
     if (index == kStart) break;
     length += graph.edges[index].length_m;
     node = graph.edges[index].from == node ? graph.edges[index].to : graph.edges[index].from;
   }
   length += distance_m(from.at, backwards.back().at);
   Route route{{}, length, best_s};
-  add_point(route, {from.at, from.level, Passage::Walk, room_index_at(plan, from.at, from.level)});
+  add_point(route, {from.at, from.level, Passage::Walk, false, room_index_at(plan, from.at, from.level)});
   for (auto point = backwards.rbegin(); point != backwards.rend(); ++point) add_point(route, *point);
   return route;
 }

@@ -20,16 +20,18 @@ class WallSet {
   using End = std::pair<long, long>;  // millimetres
 
  public:
-  explicit WallSet(Plan& plan) : plan_(plan) {}
+  explicit WallSet(Draft& draft) : plan_(draft.plan), work_(draft.work) {}
 
   /// Adds a wall unless it is there already (two rooms share their wall); the stronger attenuation stays.
-  void add(const Segment& segment, double level, double attenuation_db, bool exterior) {
+  void add(ElementId of, const Segment& segment, double level, double attenuation_db, bool exterior,
+           bool drawn = false) {
     if (distance_m(segment.from, segment.to) < 0.01) return;
     const auto end = [](Point p) { return End(std::lround(p.x_m * 1000), std::lround(p.y_m * 1000)); };
     const std::pair<End, End> ends = std::minmax({end(segment.from), end(segment.to)});
     const auto [known, added] = index_.try_emplace({level, ends.first, ends.second}, plan_.walls.size());
     if (added) {
-      plan_.walls.push_back({segment, level, attenuation_db, exterior});
+      work_.limit(plan_.walls.size() + 1, kMostWalls, "walls", of);
+      plan_.walls.push_back({segment, level, attenuation_db, exterior, drawn});
       return;
     }
     Wall& wall = plan_.walls[known->second];
@@ -39,6 +41,7 @@ class WallSet {
 
  private:
   Plan& plan_;
+  const Work& work_;
   std::map<std::tuple<double, End, End>, std::size_t> index_{};
 };
 
@@ -46,6 +49,21 @@ bool outline_stands_on(double level, const Tags& tags) {
   const double lowest = parse_metres(tag(tags, "building:min_level"))
                             .value_or(-parse_metres(tag(tags, "building:levels:underground")).value_or(0.0));
   return level >= lowest;
+}
+
+/// A wall through the middle of a hall: who is in the wall would be on both of its sides.
+void keep_centres_off(Draft& draft, ElementId id, const Segment& wall, double level) {
+  constexpr double kClear_m = 0.5;
+  draft.work.spend(4 * draft.plan.rooms.size(), id);
+  const Point aside = left_of(unit(wall.to - wall.from)) * (2 * kClear_m);
+  for (Room& room : draft.plan.rooms) {
+    if (room.level != level || distance_m(room.centre, wall) >= kClear_m) continue;
+    for (const Point side : {aside, aside * -1.0}) {
+      if (!contains(room.polygon, room.centre + side)) continue;
+      room.centre = room.centre + side;
+      break;
+    }
+  }
 }
 
 void add_drawn_walls(Draft& draft, WallSet& walls) {
@@ -60,7 +78,8 @@ void add_drawn_walls(Draft& draft, WallSet& walls) {
     for (double level : levels) {
       draft.levels_of_way[id].insert(level);
       for (std::size_t i = 1; i < points->size(); ++i) {
-        walls.add({(*points)[i - 1], (*points)[i]}, level, loss, false);
+        walls.add(element, {(*points)[i - 1], (*points)[i]}, level, loss, false, true);
+        keep_centres_off(draft, element, {(*points)[i - 1], (*points)[i]}, level);
       }
     }
   }
@@ -91,11 +110,21 @@ bool is_door(const Tags& tags) {
   return (!door.empty() && door != "no") || tags.contains("entrance") || tag(tags, "indoor") == "door";
 }
 
+/// Cheap, and no for nearly all.
+bool near(Point p, const Segment& segment, double reach_m) {
+  const auto between = [&](double value, double a, double b) {
+    return value >= std::min(a, b) - reach_m && value <= std::max(a, b) + reach_m;
+  };
+  return between(p.x_m, segment.from.x_m, segment.to.x_m) && between(p.y_m, segment.from.y_m, segment.to.y_m);
+}
+
 void add_door(Draft& draft, Door door, bool told) {
   const Wall* host = nullptr;
   double nearest = kDoorReach_m;
+  draft.work.limit(draft.plan.doors.size() + 1, kMostDoors, "doors", door.id);
+  draft.work.spend(draft.plan.walls.size() * 2, door.id);
   for (const Wall& wall : draft.plan.walls) {
-    if (wall.level != door.level) continue;
+    if (wall.level != door.level || !near(door.at, wall.segment, kDoorReach_m)) continue;
     const double distance = distance_m(door.at, wall.segment);
     if (distance < nearest) host = &wall, nearest = distance;
   }
@@ -140,12 +169,12 @@ std::optional<double> material_attenuation_db(const std::string& material) {
 }
 
 void add_walls(Draft& draft) {
-  WallSet walls{draft.plan};
+  WallSet walls{draft};
   for (const Room& room : draft.plan.rooms) {
     if (room.kind == RoomKind::Corridor || room.kind == RoomKind::Area) continue;
     const auto told = draft.attenuation_of_room.find(room.id);
     const double loss = told == draft.attenuation_of_room.end() ? kInteriorWall_db : told->second;
-    for (const Segment& side : edges(room.polygon)) walls.add(side, room.level, loss, false);
+    for (const Segment& side : edges(room.polygon)) walls.add(room.id, side, room.level, loss, false);
   }
   if (draft.outline != nullptr) {
     const Tags& tags = *draft.outline->tags;
@@ -154,7 +183,7 @@ void add_walls(Draft& draft) {
             .value_or(material_attenuation_db(tag(tags, "building:material")).value_or(kExteriorWall_db));
     for (const Level& level : draft.plan.levels) {
       if (!outline_stands_on(level.level, tags)) continue;
-      for (const Segment& side : edges(draft.plan.outline)) walls.add(side, level.level, loss, true);
+      for (const Segment& side : edges(draft.plan.outline)) walls.add(draft.outline->id, side, level.level, loss, true);
     }
   }
   add_drawn_walls(draft, walls);
@@ -175,7 +204,8 @@ void add_doors(Draft& draft) {
                 door_width_m(node.tags),
                 node.tags.contains("entrance"),
                 tag(node.tags, "name"),
-                {}},
+                {},
+                access_level(draft, {'n', id}, node.tags)},
                node.tags.contains("level"));
     }
   }
@@ -192,27 +222,32 @@ void add_doors(Draft& draft) {
                 distance_m(leaf.from, leaf.to),
                 way.tags.contains("entrance"),
                 tag(way.tags, "name"),
-                {}},
+                {},
+                access_level(draft, {'w', id}, way.tags)},
                true);
     }
   }
 }
 
-void cut_doors(Plan& plan) {
+void cut_doors(Draft& draft) {
+  Plan& plan = draft.plan;
   for (const Door& door : plan.doors) {
-    std::vector<Wall> kept;
-    for (const Wall& wall : plan.walls) {
+    draft.work.spend(plan.walls.size() * 2, door.id);
+    // Pieces go to the end; they are beside this door's gap, and need not be looked at for it.
+    for (std::size_t i = 0, last = plan.walls.size(); i < last; ++i) {
+      const Wall wall = plan.walls[i];
+      if (wall.level != door.level || !near(door.at, wall.segment, kDoorReach_m)) continue;
       const Point direction = unit(wall.segment.to - wall.segment.from);
-      const bool at_door = wall.level == door.level && std::abs(dot(direction, door.normal)) < kParallel &&
-                           distance_m(door.at, wall.segment) < kDoorReach_m;
-      if (!at_door) {
-        kept.push_back(wall);
-        continue;
-      }
-      for (Wall& piece : beside_gap(wall, door.at, door.width_m)) kept.push_back(std::move(piece));
+      const bool at_door =
+          std::abs(dot(direction, door.normal)) < kParallel && distance_m(door.at, wall.segment) < kDoorReach_m;
+      if (!at_door) continue;
+      const std::vector<Wall> pieces = beside_gap(wall, door.at, door.width_m);
+      plan.walls[i].segment.to = plan.walls[i].segment.from;  // nothing is left of it, unless there is a piece
+      if (!pieces.empty()) plan.walls[i] = pieces.front();
+      if (pieces.size() > 1) plan.walls.push_back(pieces.back());
     }
-    plan.walls = std::move(kept);
   }
+  std::erase_if(plan.walls, [](const Wall& wall) { return wall.segment.from == wall.segment.to; });
   std::stable_sort(plan.walls.begin(), plan.walls.end(),
                    [](const Wall& a, const Wall& b) { return a.level < b.level; });
 }

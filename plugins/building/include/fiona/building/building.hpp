@@ -23,7 +23,7 @@ struct Wgs84 {
   double longitude_deg = 0.0;
 };
 
-/// One building, read from one OSM XML file with Simple Indoor Tagging. Immutable; may be read from any
+/// One building, read from one OSM file, XML or PBF, with Simple Indoor Tagging. Immutable; may be read from any
 /// thread.
 ///
 /// The file: `indoor=room|corridor|area|wall|level`, `level`, `repeat_on`, `non_existent_levels`, doors
@@ -38,10 +38,10 @@ class Building {
   /// Files above this size are refused: cut the building out of the extract first.
   static constexpr std::uintmax_t kMaxFileBytes = 256u << 20;
 
-  /// Throws fiona::Error if the file cannot be read, is not OSM XML 0.6, or holds no element with a level.
+  /// Throws fiona::Error if the file cannot be read, is neither OSM XML 0.6 nor PBF, or holds no element with a level.
   static Building read(const std::filesystem::path& file);
   /// The same from text in memory; `name` stands for the file in errors.
-  static Building parse(std::string_view osm_xml, const std::string& name);
+  static Building parse(std::string_view bytes, const std::string& name);
 
   explicit Building(Plan plan);
   Building(Building&&) noexcept;

@@ -56,6 +56,7 @@ struct Room {
   std::string use{};  ///< the value of `room` or `amenity`: office, toilets, ...
   Polygon polygon{};
   Point centre{};  ///< well inside the polygon
+  int access = 0;  ///< authentication level from which one may be there, see access_level()
 };
 
 /// A straight piece of wall on one level. Doors are gaps between pieces.
@@ -64,6 +65,7 @@ struct Wall {
   double level = 0.0;
   double attenuation_db = 0.0;  ///< of a radio signal at 2.4 GHz that passes through once
   bool exterior = false;
+  bool drawn = false;  ///< indoor=wall: it may end within a room
 };
 
 struct Door {
@@ -74,6 +76,7 @@ struct Door {
   bool entrance = false;  ///< leads out of the building
   std::string name{};
   Point normal{};  ///< at right angles to its wall, length 1
+  int access = 0;
 };
 
 enum class ConnectorKind : std::uint8_t { Stairs, Escalator, Ramp, Lift };
@@ -91,13 +94,19 @@ struct Connector {
   std::vector<double> levels{};   ///< ascending, at least two
   std::vector<PathPoint> path{};  ///< as walked, or the stop of a lift on each of its levels
   bool one_way = false;           ///< only from the first point of the path to the last
+  int access = 0;
+  bool indoors = false;  ///< as of a Path
 };
 
-/// A walkable line on one level (highway=footway, corridor, ... with a level tag).
+/// A walkable line on one level (highway=footway, corridor, ...). A street or a footway around the building has no
+/// level tag: it lies on the level of the elements at its ends, else on the ground.
 struct Path {
   ElementId id{};
   std::vector<PathPoint> points{};
   bool steps = false;
+  bool around = false;   ///< without a level tag: no part of the building
+  bool indoors = false;  ///< by its tags; where they do not say, the outline and the rooms do
+  int access = 0;
 };
 
 /// A node with tags of the platform's own (`fiona:...`): transmitters, markers.
@@ -125,6 +134,11 @@ struct Plan {
   /// What could not be read and was left out: one sentence each, which names the element.
   std::vector<std::string> warnings{};
 };
+
+/// Access of what everyone may use, of what needs a right, and of what nobody may use.
+inline constexpr int kOpen = 0;
+inline constexpr int kByRight = 5;
+inline constexpr int kClosed = 10;
 
 /// Attenuation that is taken for a wall whose material the file does not tell.
 inline constexpr double kInteriorWall_db = 5.0;

@@ -31,6 +31,8 @@ struct GraphEdge {
   double length_m = 0.0;  ///< in the plane; height for a lift
   double cost_s = 0.0;
   bool one_way = false;  ///< from `from` to `to` only
+  bool outdoors = false;
+  int own_access = 0;  ///< of the door, path, stairs or lift itself; a room has its own
 };
 
 /// Where one can walk. Inside a room, nodes that see each other are joined; rooms are joined by doors and by
@@ -46,12 +48,16 @@ struct Graph {
 struct RouteOptions {
   bool stairs = true;  ///< stairs and escalators may be used
   bool lift = true;
+  bool outdoors = true;  ///< the building may be left
+  /// The walker's authentication level, 0 to 9. One may be in the room where one is.
+  int access = 9;
 };
 
 struct RoutePoint {
   Point at{};
   double level = 0.0;
   Passage passage = Passage::Walk;    ///< by which this point is reached from the one before
+  bool outdoors = false;              ///< whether that was out of the building
   std::optional<std::size_t> room{};  ///< index into Plan::rooms
 };
 
@@ -71,6 +77,9 @@ inline constexpr double kSnap_m = 5.0;
 /// The quickest way through the graph (Dijkstra).
 std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from, const PathPoint& to,
                                 const RouteOptions& options);
+
+/// The access of an edge: the highest of its element and of the rooms at its ends.
+int access_of(const Plan& plan, const Graph& graph, const GraphEdge& edge);
 
 /// Whether one can walk straight from `a` to `b` within the room.
 bool sees(const Plan& plan, const Room& room, Point a, Point b);

@@ -1,0 +1,279 @@
+// Tag by tag: what each says on the map, and on the way.
+#include <algorithm>
+
+#include <gtest/gtest.h>
+
+#include "osm_text.hpp"
+#include "raster.hpp"
+
+namespace fiona::building {
+namespace {
+
+using map_server::Cell;
+
+Cell cell_at(const Building& building, double level, double x_m, double y_m, int access = 0) {
+  const auto frame = map_server::frame_of(building.plan(), 0.1);
+  const Point pixel = frame.to_pixel({x_m, y_m});
+  const auto cells = map_server::draw(building.plan(), frame,
+                                      {static_cast<int>(pixel.x_m), static_cast<int>(pixel.y_m), 1, 1}, level, access);
+  return cells.front();
+}
+
+bool uses(const std::optional<Route>& route, Passage passage) {
+  return route && std::any_of(route->points.begin(), route->points.end(),
+                              [&](const RoutePoint& p) { return p.passage == passage; });
+}
+
+/// Two halls of 10 x 10 m beside each other, with the wall between them at x = 10.
+Osm halls(const std::vector<int>& between = {}, const std::string& right = "level=0") {
+  Osm osm;
+  osm.node(10, 0, 0).node(11, 10, 0).node(12, 10, 10).node(13, 0, 10).node(14, 20, 0).node(15, 20, 10);
+  std::vector<int> left{10, 11}, second{11, 14, 15, 12};
+  left.insert(left.end(), between.begin(), between.end());
+  left.insert(left.end(), {12, 13, 10});
+  second.insert(second.end(), between.rbegin(), between.rend());
+  second.push_back(11);
+  osm.way(10, left, "indoor=room level=0 name=Left");
+  return osm.way(11, second, "indoor=room name=Right " + right);
+}
+
+/// An area of 10 x 10 m on each of two levels.
+Osm floors(const std::string& low = "0", const std::string& high = "1") {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 10, "indoor=area name=Low level=" + low);
+  osm.rectangle(20, 0, 0, 10, 10, "indoor=area name=High level=" + high);
+  return osm.node(30, 2, 5).node(31, 8, 5);
+}
+
+TEST(Tags, AWallWithoutADoorIsOccupiedAndNotPassed) {
+  const Building house = halls().read();
+  EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Wall);
+  EXPECT_FALSE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, ADoorIsOpenAndPassed) {
+  for (const char* tags : {"door=hinged level=0", "door=yes", "indoor=door", "entrance=yes level=0"}) {
+    const Building house = halls({5}).node(5, 10, 5, tags).read();
+    EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Door) << tags;
+    EXPECT_TRUE(uses(house.route(house.room("Left"), house.room("Right")), Passage::Door)) << tags;
+  }
+}
+
+TEST(Tags, DoorNoIsNoDoor) {
+  const Building house = halls({5}).node(5, 10, 5, "door=no level=0").read();
+  EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Wall);
+  EXPECT_FALSE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, ADoorIsAsWideAsItSays) {
+  const Building house = halls({5}).node(5, 10, 5, "door=yes level=0 width=3").read();
+  EXPECT_EQ(cell_at(house, 0, 10, 6.3), Cell::Door);
+  EXPECT_EQ(cell_at(house, 0, 10, 7.0), Cell::Wall);
+}
+
+TEST(Tags, ADoorOnALineOfItsOwnCountsToo) {
+  const Building house = halls({5, 6}).node(5, 10, 4).node(6, 10, 6).way(50, {5, 6}, "door=yes level=0").read();
+  EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Door);
+  EXPECT_TRUE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, ADoorIsOnTheLevelsThatItNames) {
+  Osm osm;
+  osm.node(5, 10, 5, "door=yes level=1");
+  osm.node(10, 0, 0).node(11, 10, 0).node(12, 10, 10).node(13, 0, 10).node(14, 20, 0).node(15, 20, 10);
+  osm.way(10, {10, 11, 5, 12, 13, 10}, "indoor=room level=0;1 name=Left");
+  osm.way(11, {11, 14, 15, 12, 5, 11}, "indoor=room level=0;1 name=Right");
+  const Building house = osm.read();
+  EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Wall);
+  EXPECT_EQ(cell_at(house, 1, 10, 5), Cell::Door);
+  EXPECT_FALSE(house.route(house.room("Left", 0), house.room("Right", 0)));
+  EXPECT_TRUE(house.route(house.room("Left", 1), house.room("Right", 1)));
+}
+
+TEST(Tags, AWallAcrossAHallIsWalkedAround) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 20, 10, "indoor=room level=0 name=Hall");
+  osm.node(30, 10, 0).node(31, 10, 8).way(50, {30, 31}, "indoor=wall level=0");
+  const Building house = osm.read();
+  EXPECT_EQ(cell_at(house, 0, 10, 4), Cell::Wall);
+  const auto route = house.route(PathPoint{{5, 2}, 0}, PathPoint{{15, 2}, 0});
+  ASSERT_TRUE(route);
+  EXPECT_GT(route->length_m, 15.6);
+  EXPECT_LT(route->length_m, 17.0);
+}
+
+TEST(Tags, CorridorsAndAreasAreOpenToEachOther) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 3, "indoor=corridor level=0 name=West");
+  osm.rectangle(20, 10, 0, 20, 3, "indoor=area level=0 name=East");
+  const Building house = osm.read();
+  EXPECT_EQ(cell_at(house, 0, 10, 1.5), Cell::Free);
+  EXPECT_TRUE(house.route(house.room("West"), house.room("East")));
+}
+
+TEST(Tags, ListsRangesFractionsAndNegativesAreLevelsEach) {
+  for (const auto& [tags, levels] :
+       std::vector<std::pair<std::string, std::vector<double>>>{{"level=0;2", {0, 2}},
+                                                                {"level=-2--1", {-2, -1}},
+                                                                {"level=0.5", {0.5}},
+                                                                {"level=0 repeat_on=1-2", {0, 1, 2}},
+                                                                {"level=-1;0.5;3", {-1, 0.5, 3}}}) {
+    Osm osm;
+    osm.rectangle(10, 0, 0, 10, 10, "indoor=room name=Hall " + tags);
+    const Building house = osm.read();
+    ASSERT_EQ(house.levels().size(), levels.size()) << tags;
+    for (double level : levels) {
+      EXPECT_EQ(cell_at(house, level, 5, 5), Cell::Free) << tags;
+      EXPECT_TRUE(house.route(PathPoint{{1, 1}, level}, PathPoint{{9, 9}, level})) << tags;
+    }
+  }
+}
+
+TEST(Tags, AMultipolygonIsARoomWithItsHole) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 20, 20, "").rectangle(20, 5, 5, 15, 15, "");
+  osm.multipolygon(1, {10}, {20}, "indoor=room level=0 name=Ring");
+  const Building house = osm.read();
+  EXPECT_EQ(cell_at(house, 0, 2, 10), Cell::Free);
+  EXPECT_EQ(cell_at(house, 0, 10, 10), Cell::Outside);
+  EXPECT_EQ(cell_at(house, 0, 5, 10), Cell::Wall);
+  const auto route = house.route(PathPoint{{2, 10}, 0}, PathPoint{{18, 10}, 0});
+  ASSERT_TRUE(route);
+  EXPECT_GT(route->length_m, 18.0);
+}
+
+TEST(Tags, AMultipolygonOfOpenWaysIsJoined) {
+  Osm osm;
+  osm.node(10, 0, 0).node(11, 10, 0).node(12, 10, 10).node(13, 0, 10);
+  osm.way(10, {10, 11, 12}, "").way(11, {10, 13, 12}, "");
+  osm.multipolygon(1, {10, 11}, {}, "indoor=room level=2 name=Hall");
+  EXPECT_EQ(cell_at(osm.read(), 2, 5, 5), Cell::Free);
+}
+
+TEST(Tags, StepsJoinTheirLevelsAndAreDrawnOnBoth) {
+  const Building house = floors().way(30, {30, 31}, "highway=steps level=0;1 incline=up").read();
+  EXPECT_EQ(cell_at(house, 0, 5, 5), Cell::Stairs);
+  EXPECT_EQ(cell_at(house, 1, 5, 5), Cell::Stairs);
+  EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High")), Passage::Stairs));
+  EXPECT_FALSE(house.route(house.room("Low"), house.room("High"), {.stairs = false}));
+}
+
+TEST(Tags, StepsJoinNegativeAndHalfLevels) {
+  const Building house = floors("-1", "-0.5").way(30, {30, 31}, "highway=steps level=-1;-0.5 incline=up").read();
+  EXPECT_EQ(cell_at(house, -0.5, 5, 5), Cell::Stairs);
+  EXPECT_TRUE(house.route(house.room("Low"), house.room("High")));
+}
+
+TEST(Tags, AnEscalatorLeadsOneWay) {
+  const Building house = floors().way(30, {30, 31}, "highway=steps conveying=forward level=0;1 incline=up").read();
+  EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High")), Passage::Escalator));
+  EXPECT_FALSE(house.route(house.room("High"), house.room("Low")));
+}
+
+TEST(Tags, ALiftNodeJoinsItsLevels) {
+  const Building house = floors().node(32, 5, 5, "highway=elevator level=0-1").read();
+  EXPECT_EQ(cell_at(house, 1, 5, 5), Cell::Lift);
+  EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High"), {.stairs = false}), Passage::Lift));
+  EXPECT_FALSE(house.route(house.room("Low"), house.room("High"), {.lift = false}));
+}
+
+TEST(Tags, ALiftShaftJoinsItsLevelsThroughItsDoors) {
+  const Building house = floors()
+                             .node(5, 5, 4, "door=yes level=0;1")
+                             .rectangle(40, 4, 4, 6, 6, "indoor=room room=elevator level=0;1", {5})
+                             .read();
+  EXPECT_EQ(cell_at(house, 0, 5, 5), Cell::Lift);
+  EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High")), Passage::Lift));
+}
+
+TEST(Tags, AStairwellJoinsItsLevelsThroughItsDoors) {
+  for (const char* tags : {"room=stairs", "stairs=yes"}) {
+    const Building house = floors()
+                               .node(5, 5, 4, "door=yes level=0;1")
+                               .rectangle(40, 4, 4, 6, 9, "indoor=room level=0;1 " + std::string(tags), {5})
+                               .read();
+    EXPECT_EQ(cell_at(house, 1, 5, 6), Cell::Stairs) << tags;
+    EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High")), Passage::Stairs)) << tags;
+  }
+}
+
+TEST(Tags, AFootwayWithoutALevelJoinsWhatItMeets) {
+  Osm osm = floors();
+  osm.node(50, -5, 5).node(51, -20, 5, "").way(50, {30, 50}, "highway=footway level=0");
+  const Building house = osm.way(51, {50, 51}, "highway=footway").read();
+  const auto route = house.route(PathPoint{{5, 5}, 0}, PathPoint{{-20, 5}, 0});
+  ASSERT_TRUE(route);
+  EXPECT_TRUE(route->points.back().outdoors || route->points[route->points.size() - 2].outdoors);
+}
+
+TEST(Tags, AWayThatIsDrawnThroughAWallOpensIt) {
+  Osm osm = halls();
+  osm.node(50, 5, 5).node(51, 15, 5).way(50, {50, 51}, "highway=corridor level=0");
+  const Building house = osm.read();
+  EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Path);
+  EXPECT_EQ(cell_at(house, 0, 10, 6), Cell::Wall);
+  EXPECT_TRUE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, TheEntranceLeadsOutUnlessOneStaysInside) {
+  const Building house = halls({5})
+                             .node(5, 10, 5, "entrance=main level=0")
+                             .node(50, 14, 5)
+                             .node(51, -9, 12)
+                             .way(50, {5, 50}, "highway=footway")
+                             .read();
+  EXPECT_TRUE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, WhoStaysIndoorsTakesNoWayAroundTheBuilding) {
+  Osm osm;
+  osm.node(5, 0, 5, "entrance=yes level=0").node(6, 40, 5, "entrance=yes level=0").node(50, 20, -10);
+  osm.node(10, 0, 0).node(11, 10, 0).node(12, 10, 10).node(13, 0, 10);
+  osm.way(10, {10, 11, 12, 13, 5, 10}, "indoor=room level=0 name=Left");
+  osm.node(20, 30, 0).node(21, 40, 0).node(22, 40, 10).node(23, 30, 10);
+  osm.way(20, {20, 21, 6, 22, 23, 20}, "indoor=room level=0 name=Right");
+  const Building house = osm.way(50, {5, 50, 6}, "highway=footway").read();
+  const auto around = house.route(house.room("Left"), house.room("Right"));
+  ASSERT_TRUE(around);
+  EXPECT_TRUE(
+      std::any_of(around->points.begin(), around->points.end(), [](const RoutePoint& p) { return p.outdoors; }));
+  EXPECT_FALSE(house.route(house.room("Left"), house.room("Right"), {.outdoors = false}));
+}
+
+TEST(Tags, APrivateRoomIsClosedToGuestsAndOpenToStaff) {
+  for (const char* tags : {"access=private", "access=staff", "foot=private access=yes", "fiona:access=5"}) {
+    const Building house = halls({5}, "level=0 " + std::string(tags)).node(5, 10, 5, "door=yes level=0").read();
+    EXPECT_EQ(cell_at(house, 0, 15, 5, 0), Cell::Closed) << tags;
+    EXPECT_EQ(cell_at(house, 0, 15, 5, 5), Cell::Free) << tags;
+    EXPECT_FALSE(house.route(house.room("Left"), house.room("Right"), {.access = 4})) << tags;
+    EXPECT_TRUE(house.route(house.room("Left"), house.room("Right"), {.access = 5})) << tags;
+  }
+}
+
+TEST(Tags, WhoIsInAPrivateRoomMayLeaveIt) {
+  const Building house = halls({5}, "level=0 access=private").node(5, 10, 5, "door=yes level=0").read();
+  EXPECT_TRUE(house.route(house.room("Right"), house.room("Left"), {.access = 0}));
+}
+
+TEST(Tags, ADoorForStaffIsClosedToGuests) {
+  const Building house = halls({5}).node(5, 10, 5, "door=yes level=0 access=private").read();
+  EXPECT_EQ(cell_at(house, 0, 10, 5, 0), Cell::Closed);
+  EXPECT_FALSE(house.route(house.room("Left"), house.room("Right"), {.access = 0}));
+  EXPECT_TRUE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, AccessNoIsForNobody) {
+  const Building house = halls({5}, "level=0 access=no").node(5, 10, 5, "door=yes level=0").read();
+  EXPECT_EQ(cell_at(house, 0, 15, 5, 9), Cell::Closed);
+  EXPECT_FALSE(house.route(house.room("Left"), house.room("Right")));
+}
+
+TEST(Tags, AnAccessThatIsNoNumberClosesAndIsTold) {
+  const Building house = halls({5}, "level=0 fiona:access=ten").node(5, 10, 5, "door=yes level=0").read();
+  EXPECT_EQ(house.rooms()[1].access, kClosed);
+  ASSERT_EQ(house.warnings().size(), 1u);
+  EXPECT_EQ(house.warnings()[0], "way 11: fiona:access=ten is not a whole number from 0 to 10; closed");
+}
+
+}  // namespace
+}  // namespace fiona::building
