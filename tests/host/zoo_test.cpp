@@ -180,8 +180,6 @@ TEST_F(ZooGroup, ThatIsStuckInAPortIsNamedWithIt) {
 
 class ZooHog : public ZooGroup {};
 
-/// One that shares its memory may take so long for it that it hangs first.
-
 TEST_P(ZooHog, IsBounded) {
   // A sanitizer takes memory of its own, and descriptors to look at it.
   const bool is_sanitizers = GetParam().sentence.find("memory") != std::string::npos ||

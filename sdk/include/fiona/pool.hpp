@@ -16,6 +16,8 @@ class Pool final : public Executor {
   /// Stops: work that waits is dropped, work that runs is waited for.
   ~Pool() override;
 
+  /// Wakes an idle thread; but what work of this pool submits first runs on the same thread after that work, where it
+  /// usually ends within 20 us: at the latest 10 ms later, on another one, should it go on this time.
   void submit(std::shared_ptr<Runnable> runnable) override;
   std::shared_ptr<Liveness> liveness() const override { return liveness_; }
 
