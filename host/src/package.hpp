@@ -19,6 +19,7 @@ struct Package {
   std::filesystem::path library;
   std::filesystem::path share;
   Interface interface;
+  std::string state;                ///< of the files that it was read from
   std::vector<std::string> rights;  ///< that its manifest asks for; of a library without one, those that it uses
   std::shared_ptr<const Types::Source> types;
   std::shared_ptr<marketplace::PackageHold> hold;  ///< keeps an installed one from being removed
@@ -41,8 +42,10 @@ class Packages {
   Choice find(const std::string& text) const;
 
  private:
-  Package library(const std::filesystem::path& file) const;
-  std::shared_ptr<const Package> shared(Package package) const;
+  std::shared_ptr<const Package> library(const std::filesystem::path& file) const;
+  std::shared_ptr<const Package> installed(const marketplace::InstalledPackage& package) const;
+  std::shared_ptr<const Package> known(const Package& package) const;
+  std::shared_ptr<const Package> keep(Package package) const;
 
   const marketplace::Store store_;
   mutable std::mutex mutex_;

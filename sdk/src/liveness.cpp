@@ -1,12 +1,28 @@
 #include "fiona/liveness.hpp"
 
+#include <sys/mman.h>
+
 #include <algorithm>
+#include <new>
 
 #include "fiona/error.hpp"
 
 namespace fiona {
 
-Liveness::Liveness() : own_(std::make_unique<Page>()), page_(own_.get()) {}
+namespace {
+
+Liveness::Page* map_page() {
+  void* page =
+      ::mmap(nullptr, sizeof(Liveness::Page), PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (page == MAP_FAILED) throw std::bad_alloc();
+  return static_cast<Liveness::Page*>(page);
+}
+
+}  // namespace
+
+void Liveness::Unmap::operator()(Page* page) const { ::munmap(page, sizeof(Page)); }
+
+Liveness::Liveness() : own_(map_page()), page_(own_.get()) {}
 
 Liveness::Slot& Liveness::take(std::string_view name) {
   const std::lock_guard lock(mutex_);

@@ -73,7 +73,10 @@ class Liveness {
   Slot& take(std::string_view name);
   void give_back(Slot& slot);
 
-  std::unique_ptr<Page> own_;
+  struct Unmap {
+    void operator()(Page* page) const;
+  };
+  std::unique_ptr<Page, Unmap> own_;  ///< mapped: memory that no slot has used is not there
   Page* const page_;
   std::mutex mutex_;
   std::vector<Slot*> free_;
