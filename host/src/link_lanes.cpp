@@ -116,12 +116,13 @@ Block joined(std::vector<Block>& records) {
 
 /// The record of the lane's first item, behind what the wires have lost right before it.
 void PeerLanes::begin(Lane& lane) {
-  for (const auto& [wire, messages] : std::exchange(lane.lost_, {})) {
+  for (const auto& [wire, messages] : lane.lost_) {
     wire::Frame frame;
     frame.set_wire(wire);
     frame.mutable_lost()->set_messages(messages);
     records_.push_back(make_record(frame, nullptr, 0));
   }
+  lane.lost_.clear();
   Item& item = lane.queue_.front();
   lane.waiting_ -= item.cost;
   lane.in_flight_ += item.cost;
@@ -158,6 +159,8 @@ void PeerLanes::take_small(Outgoing& out) {
     bytes += lane.queue_.front().record.size();
     begin(lane);
     lane.queue_.pop_front();
+    const bool next_too = small_.size() == 1 && lane.may_go() && !lane.queue_.front().payload;
+    if (next_too) continue;
     small_.pop_front();
     lane.turns_ = nullptr;
     update(lane);

@@ -209,11 +209,10 @@ std::shared_ptr<const Payload> payload_of(const std::shared_ptr<const Object>& o
 }  // namespace
 
 PeerLanes::Item LinkSocket::item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
-                                     Rule rule) {
+                                     std::size_t size, Rule rule) {
   PeerLanes::Item item;
   item.rule = rule;
   item.wire = frame.wire();
-  const std::size_t size = object ? object->ByteSizeLong() : 0;
   if (rule != Rule::Control) {
     item.cost = size + kFrameCost;
     frame.set_lane(lane.lane->id());
@@ -228,8 +227,8 @@ PeerLanes::Item LinkSocket::item_for(const Lane& lane, wire::Frame& frame, const
   return item;
 }
 
-bool LinkSocket::refuses(const Object& object) {
-  if (object.ByteSizeLong() <= kMaxObject) return false;
+bool LinkSocket::refuses(std::size_t size) {
+  if (size <= kMaxObject) return false;
   ++counters_.too_large;
   return true;
 }
@@ -237,9 +236,10 @@ bool LinkSocket::refuses(const Object& object) {
 LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
                                   Rule rule, Wires also) {
   if (!lane.peer) return {};
-  if (object && refuses(*object)) return {Sent::What::TooLarge, 0};
+  const std::size_t size = object ? object->ByteSizeLong() : 0;
+  if (refuses(size)) return {Sent::What::TooLarge, 0};
   if (on_dealt_with_) rule = Rule::Control;
-  PeerLanes::Item item = item_for(lane, frame, object, rule);
+  PeerLanes::Item item = item_for(lane, frame, object, size, rule);
   item.also = std::move(also);
   const std::lock_guard lock(mutex_);
   if (lane.peer->gone) return {};

@@ -110,8 +110,8 @@ class LinkSocket {
                const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt);
   /// [any thread] Handles what waits, on this thread: for whoever must not depend on the pool's threads being free.
   void read_now();
-  /// [any thread] Whether it is too large for any link; counted if so.
-  bool refuses(const Object& object);
+  /// [any thread] Whether an object of so many bytes is too large for any link; counted if so.
+  bool refuses(std::size_t size);
   /// [any thread] A frame of no lane in particular, behind whatever the peer is being told so.
   void tell(const std::string& peer, wire::Frame& frame);
   /// The name that the peer has proved; empty: none.
@@ -154,7 +154,7 @@ class LinkSocket {
   void send_plain(const std::string& peer, const wire::Frame& frame);
   void tell_locked(Peer& peer, wire::Frame& frame);
   PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
-                           Rule rule);
+                           std::size_t size, Rule rule);
   bool has_input();
 
   Pool& pool_;

@@ -19,17 +19,22 @@ class Links::Receiver final : public LinkSocket::Receiver {
  public:
   explicit Receiver(Links& links) : links_(links) {}
   void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
-  bool accepts(const std::string& peer, const wire::Frame& frame) override {
-    return links_.accepts({link_.lock(), peer}, frame);
-  }
+  bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.accepts(hop(peer), frame); }
   void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) override {
-    links_.on_frame({link_.lock(), peer}, frame, object);
+    links_.on_frame(hop(peer), frame, object);
   }
-  void on_refused(const std::string& reason) override { links_.on_refused({link_.lock(), ""}, reason); }
+  void on_refused(const std::string& reason) override { links_.on_refused(hop(""), reason); }
 
  private:
+  /// Made once for many frames of one peer.
+  const Hop& hop(const std::string& peer) {
+    if (!last_.link || last_.peer != peer) last_ = {link_.lock(), peer};
+    return last_;
+  }
+
   Links& links_;
   std::weak_ptr<LinkSocket> link_;
+  Hop last_;
 };
 
 Links::Peer::Peer() = default;

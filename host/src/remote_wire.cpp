@@ -134,7 +134,7 @@ void RemoteWire::attached(std::uint64_t sequence, Duration cycle) {
 
 Outcome RemoteWire::deliver(Parcel parcel) {
   if (fan_out_) return fan_out_->deliver_to(wire_, parcel);
-  if (parcel.reply && link_->refuses(*parcel.envelope.object)) {
+  if (parcel.reply && link_->refuses(parcel.envelope.object->ByteSizeLong())) {
     port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
     parcel.reply->answer(Outcome::Rejected, kRequestTooLarge, nullptr);
     return Outcome::Ok;

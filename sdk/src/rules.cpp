@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <google/protobuf/descriptor.h>
+#include <google/protobuf/reflection.h>
 
 #include <cmath>
 
@@ -13,26 +14,37 @@ using google::protobuf::Reflection;
 
 namespace {
 
-std::optional<double> number_of(const Object& object, const Reflection& reflect, const FieldDescriptor& field,
-                                int index) {
-  const bool repeated = index >= 0;
+/// Calls `take` with the type of the field's numbers; nothing happens where it has none.
+template <class F>
+void with_number_type(const FieldDescriptor& field, F take) {
   switch (field.cpp_type()) {
-    case FieldDescriptor::CPPTYPE_DOUBLE:
-      return repeated ? reflect.GetRepeatedDouble(object, &field, index) : reflect.GetDouble(object, &field);
-    case FieldDescriptor::CPPTYPE_FLOAT:
-      return repeated ? reflect.GetRepeatedFloat(object, &field, index) : reflect.GetFloat(object, &field);
-    case FieldDescriptor::CPPTYPE_INT32:
-      return repeated ? reflect.GetRepeatedInt32(object, &field, index) : reflect.GetInt32(object, &field);
-    case FieldDescriptor::CPPTYPE_UINT32:
-      return repeated ? reflect.GetRepeatedUInt32(object, &field, index) : reflect.GetUInt32(object, &field);
-    case FieldDescriptor::CPPTYPE_INT64:
-      return static_cast<double>(repeated ? reflect.GetRepeatedInt64(object, &field, index)
-                                          : reflect.GetInt64(object, &field));
-    case FieldDescriptor::CPPTYPE_UINT64:
-      return static_cast<double>(repeated ? reflect.GetRepeatedUInt64(object, &field, index)
-                                          : reflect.GetUInt64(object, &field));
-    default: return std::nullopt;
+    case FieldDescriptor::CPPTYPE_DOUBLE: return take(double());
+    case FieldDescriptor::CPPTYPE_FLOAT: return take(float());
+    case FieldDescriptor::CPPTYPE_INT32: return take(google::protobuf::int32());
+    case FieldDescriptor::CPPTYPE_UINT32: return take(google::protobuf::uint32());
+    case FieldDescriptor::CPPTYPE_INT64: return take(google::protobuf::int64());
+    case FieldDescriptor::CPPTYPE_UINT64: return take(google::protobuf::uint64());
+    default: return;
   }
+}
+
+double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, double) {
+  return reflect.GetDouble(object, &field);
+}
+double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, float) {
+  return reflect.GetFloat(object, &field);
+}
+double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::int32) {
+  return reflect.GetInt32(object, &field);
+}
+double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::uint32) {
+  return reflect.GetUInt32(object, &field);
+}
+double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::int64) {
+  return static_cast<double>(reflect.GetInt64(object, &field));
+}
+double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::uint64) {
+  return static_cast<double>(reflect.GetUInt64(object, &field));
 }
 
 std::optional<std::size_t> length_of(const Object& object, const Reflection& reflect, const FieldDescriptor& field) {
@@ -89,32 +101,49 @@ std::optional<std::string> ObjectRules::check(const Object& object, const Rules&
   return std::nullopt;
 }
 
+bool ObjectRules::FieldRule::allows(double value) const {
+  return (!finite || std::isfinite(value)) && !(min && value < *min) && !(max && value > *max);
+}
+
+std::string ObjectRules::FieldRule::violation(double value, const std::string& name) const {
+  if (finite && !std::isfinite(value)) return fmt::format("{} is {}, not a finite number", name, value);
+  const bool below = min && value < *min;
+  return fmt::format("{} is {}, {} {}{}", name, value, below ? "below" : "above", below ? *min : *max, unit_of(*field));
+}
+
 std::optional<std::string> ObjectRules::check_field(const Object& object, const Reflection& reflect,
                                                     const FieldRule& rule) const {
   const FieldDescriptor& field = *rule.field;
   if (field.has_presence() && !reflect.HasField(object, &field)) return std::nullopt;
-  if (const auto length = length_of(object, reflect, field)) {
+  if (rule.size > 0 || rule.max_size > 0) {
+    const auto length = length_of(object, reflect, field);
     const std::string_view things = field.is_repeated() ? "elements" : "bytes";
-    if (rule.size > 0 && *length != 0 && *length != static_cast<std::size_t>(rule.size)) {
+    if (length && rule.size > 0 && *length != 0 && *length != static_cast<std::size_t>(rule.size)) {
       return fmt::format("{} has {} {}, not {}", field.name(), *length, things, rule.size);
     }
-    if (rule.max_size > 0 && *length > rule.max_size) {
+    if (length && rule.max_size > 0 && *length > rule.max_size) {
       return fmt::format("{} has {} {}, more than {}", field.name(), *length, things, rule.max_size);
     }
   }
   if (!rule.min && !rule.max && !rule.finite) return std::nullopt;
-  const int count = field.is_repeated() ? reflect.FieldSize(object, &field) : 1;
-  for (int i = 0; i < count; ++i) {
-    const auto value = number_of(object, reflect, field, field.is_repeated() ? i : -1);
-    if (!value) return std::nullopt;
-    const auto name = [&] { return field.is_repeated() ? fmt::format("{}[{}]", field.name(), i) : field.name(); };
-    if (rule.finite && !std::isfinite(*value)) return fmt::format("{} is {}, not a finite number", name(), *value);
-    if (rule.min && *value < *rule.min)
-      return fmt::format("{} is {}, below {}{}", name(), *value, *rule.min, unit_of(field));
-    if (rule.max && *value > *rule.max)
-      return fmt::format("{} is {}, above {}{}", name(), *value, *rule.max, unit_of(field));
-  }
-  return std::nullopt;
+  std::optional<std::string> violation;
+  with_number_type(field, [&](auto type) {
+    if (!field.is_repeated()) {
+      const double value = get(reflect, object, field, type);
+      if (!rule.allows(value)) violation = rule.violation(value, field.name());
+      return;
+    }
+    int index = 0;
+    for (const auto element : reflect.GetRepeatedFieldRef<decltype(type)>(object, &field)) {
+      const auto value = static_cast<double>(element);
+      if (!rule.allows(value)) {
+        violation = rule.violation(value, fmt::format("{}[{}]", field.name(), index));
+        return;
+      }
+      ++index;
+    }
+  });
+  return violation;
 }
 
 std::optional<std::string> ObjectRules::check_nested(const Object& object, const Reflection& reflect,

@@ -23,6 +23,9 @@ class ObjectRules {
 
  private:
   struct FieldRule {
+    bool allows(double value) const;
+    std::string violation(double value, const std::string& name) const;
+
     const google::protobuf::FieldDescriptor* field;
     std::optional<double> min;
     std::optional<double> max;
