@@ -4,6 +4,7 @@
 #include <map>
 #include <set>
 
+#include "author/plugin_template.hpp"
 #include "system_view.hpp"
 #include "verb_table.hpp"
 
@@ -142,6 +143,12 @@ Candidates verb_names(const Asked&) {
   return found;
 }
 
+Candidates services(const Asked&) {
+  Candidates found;
+  for (const auto* service : platform_services()) found.push_back(service->name());
+  return found;
+}
+
 Candidates rights(const Asked&) { return {"master", "network", "confined", "unconfined"}; }
 Candidates conditions(const Asked&) { return {"above", "below", "is", "changes", "older"}; }
 Candidates operators(const Asked&) { return {"==", "!=", "<", "<=", ">", ">="}; }
@@ -157,6 +164,7 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"PARAM", parameters},
       {"GROUP", groups},
       {"RIGHT", rights},
+      {"SERVICE", services},
       {"THING", things},
       {"VERB", verb_names},
       {"LINE", verb_names},
@@ -165,6 +173,7 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"PLUGIN", [](const Asked& asked) { return asked.names.plugins(); }},
       {"PACKAGE", [](const Asked& asked) { return asked.names.packages(); }},
       {"FILE", [](const Asked& asked) { return asked.names.files(asked.word); }},
+      {"LIBRARY", [](const Asked& asked) { return asked.names.files(asked.word); }},
       {"DIR", [](const Asked& asked) { return asked.names.files(asked.word); }}};
   return kSources;
 }

@@ -146,16 +146,14 @@ fs::path history_file() {
   return home.empty() ? fs::path() : fs::path(home) / ".local" / "state" / "fiona" / "history";
 }
 
-fs::path host_program() {
+fs::path sibling_program(const std::string& name) {
   std::error_code problem;
-  const fs::path self = fs::read_symlink("/proc/self/exe", problem);
-  const fs::path program = self.parent_path() / "fiona-host";
-  if (problem || ::access(program.c_str(), X_OK) != 0) {
-    throw Error(ErrorCode::NotFound, ErrorText{.what = "the host program is missing",
-                                               .where = program.string(),
-                                               .next = "`fiona-host` belongs beside `fiona`: build or install both"});
-  }
-  return program;
+  const fs::path program = fs::read_symlink("/proc/self/exe", problem).parent_path() / name;
+  if (!problem && ::access(program.c_str(), X_OK) == 0) return program;
+  throw Error(ErrorCode::NotFound,
+              ErrorText{.what = fmt::format("the program {} is missing", name),
+                        .where = program.string(),
+                        .next = fmt::format("`{}` belongs beside `fiona`: build or install both", name)});
 }
 
 }  // namespace fiona::console

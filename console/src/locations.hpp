@@ -43,7 +43,7 @@ Endpoint chosen_endpoint(const std::string& at, const std::string& host);
 /// $XDG_STATE_HOME/fiona/history, else ~/.local/state/fiona/history; empty without a home.
 std::filesystem::path history_file();
 
-/// `fiona-host` beside the running `fiona`.
-std::filesystem::path host_program();
+/// The program of that name beside the running `fiona`. Throws fiona::Error (NotFound).
+std::filesystem::path sibling_program(const std::string& name);
 
 }  // namespace fiona::console

@@ -236,8 +236,22 @@ std::vector<Verb> remaining_verbs() {
        "by "
        "who has the keys, takes them in, those of new publishers where NAME names them.",
        Access::Administer, verbs::market, false},
-      {"plugin", forms({"plugin sign FILE …"}), "signs packages with their publisher's key",
-       "Writes PUBLISHER.json beside the package: what the publisher's key (keys new PUBLISHER) has signed.",
+      {"plugin",
+       forms({"plugin new NAME [--provides SERVICE …] [--requires SERVICE …] [--publisher NAME] [DIR]",
+              "plugin describe LIBRARY [-o FILE]", "plugin test [DIR] [for T]", "plugin check [DIR|LIBRARY|FILE]",
+              "plugin pack [DIR] [-o FILE] [for T]"}),
+       "the author's side: makes a plugin, tests it, checks it and packs it",
+       "`new` writes a folder that builds and passes its tests at once: a component with these ports, its parameters, "
+       "a "
+       "test, manifest and README. SERVICE is one of the platform's; the publisher is the user's name unless "
+       "--publisher says another.\n"
+       "`test` builds in DIR/build with cmake, runs the author's tests, then puts each component on a bench where "
+       "its ports are held to their contracts (period, lease, ranges, covariances, answers), and loads it into a host. "
+       "`for`, or 10min, is how long building and tests may take.\n"
+       "`check` says what would keep it from being published, with the place and what to do; of DIR, a library or a "
+       "package. The plugin's code runs only in a process of its own. -v lists what is well.\n"
+       "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. "
+       "`describe` shows what a library declares.",
        Access::Administer, verbs::plugin, false},
       {"keys",
        forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",

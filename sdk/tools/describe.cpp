@@ -1,46 +1,20 @@
 // fiona-describe LIBRARY [-o FILE]: writes the interface of a plugin, read from its components at the author's build.
-#include <dlfcn.h>
 #include <google/protobuf/text_format.h>
 
 #include <boost/program_options.hpp>
-#include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <string>
 
 #include "fiona/describe.hpp"
+#include "open_plugin.hpp"
 
 namespace {
 
 namespace options = boost::program_options;
 
-const fiona::PluginEntry& open_entry(const std::string& library) {
-  void* handle = dlopen(std::filesystem::absolute(library).c_str(), RTLD_NOW | RTLD_LOCAL);
-  if (!handle) {
-    throw fiona::Error(fiona::ErrorCode::Failed,
-                       {.what = "the library does not load", .where = library, .found = dlerror()});
-  }
-  auto* symbol = dlsym(handle, fiona::kPluginEntrySymbol);
-  if (!symbol) {
-    throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the library is no FIONA plugin",
-                                                  .where = library,
-                                                  .expected = std::string("the symbol ") + fiona::kPluginEntrySymbol,
-                                                  .next = "add FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); }"});
-  }
-  const auto* entry = reinterpret_cast<const fiona::PluginEntry* (*)()>(symbol)();
-  if (std::string_view(entry->abi) != fiona::kAbiTag) {
-    throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the plugin was built for another SDK",
-                                                  .where = library,
-                                                  .expected = fiona::kAbiTag,
-                                                  .found = entry->abi,
-                                                  .next = "build it again with this SDK"});
-  }
-  return *entry;
-}
-
 void describe(const std::string& library, const std::string& out) {
-  fiona::Plugin plugin;
-  open_entry(library).declare(plugin);
+  const fiona::Plugin plugin = fiona::tools::open_plugin(library);
   std::string text;
   google::protobuf::TextFormat::PrintToString(fiona::describe(plugin), &text);
   if (out.empty()) {

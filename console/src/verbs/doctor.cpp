@@ -44,7 +44,7 @@ struct Check {
 };
 
 Finding look_at_programs() {
-  const fs::path host = host_program();
+  const fs::path host = sibling_program("fiona-host");
   const fs::path group = host.parent_path() / "fiona-group";
   if (::access(group.c_str(), X_OK) == 0) return {true, host.parent_path().string()};
   return {false, group.string() + " is missing", "build or install `fiona-group` beside `fiona`"};
@@ -110,7 +110,7 @@ Finding look_at_host(Session& session, const RunningHost& running) {
 
 /// As a group puts it up, in a process of its own.
 Finding look_at_sandbox() {
-  const std::string program = (host_program().parent_path() / "fiona-group").string();
+  const std::string program = (sibling_program("fiona-host").parent_path() / "fiona-group").string();
   const std::unique_ptr<FILE, int (*)(FILE*)> output(::popen(("'" + program + "' --probe").c_str(), "r"), &::pclose);
   std::vector<std::string> found;
   std::vector<std::string> missing;
@@ -182,7 +182,7 @@ void paths(Session& session, const Line&) {
     }
   };
   Table table({"what", "path", "set by"});
-  table.add({"programs", or_problem([] { return host_program().parent_path(); }), ""});
+  table.add({"programs", or_problem([] { return sibling_program("fiona-host").parent_path(); }), ""});
   table.add({"sockets of hosts", or_problem(runtime_directory), "XDG_RUNTIME_DIR"});
   table.add({"store", store_directory(session).string(), "--store, FIONA_STORE"});
   table.add({"marketplace", marketplace::Marketplace::default_directory().string(), "--from, FIONA_MARKET"});

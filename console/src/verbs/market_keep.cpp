@@ -1,4 +1,4 @@
-// market init, publish and accept, and plugin sign: how packages come into a marketplace.
+// market init, publish and accept: how packages come into a marketplace.
 #include "market_keep.hpp"
 
 #include <algorithm>
@@ -7,8 +7,6 @@
 #include <fmt/ranges.h>
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/open.hpp>
-
-#include "verbs.hpp"
 
 namespace fiona::console::verbs {
 namespace {
@@ -59,14 +57,6 @@ void market_accept(Session& session, const Line& line) {
   std::vector<std::string> welcome;
   for (std::size_t i = 2; i < line.positional.size(); ++i) welcome.push_back(line.positional[i].text);
   tell_accepted(session, marketplace::accept(line.positional[1].text, welcome), line.positional[1].text);
-}
-
-void plugin(Session& session, const Line& line) {
-  for (std::size_t i = 1; i < line.positional.size(); ++i) {
-    const filesystem::path role = marketplace::sign_package(line.positional[i].text);
-    session.out.done(fmt::format("{} signs for {}", role.string(), line.positional[i].text),
-                     {{"file", line.positional[i].text}, {"signed", role.string()}});
-  }
 }
 
 }  // namespace fiona::console::verbs

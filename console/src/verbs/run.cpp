@@ -167,7 +167,7 @@ void run_headless(Session& session, const Word* duration, const Line& line) {
 
 HostLaunch launch_of(const Line& line, const Options& options) {
   HostLaunch launch;
-  launch.program = host_program();
+  launch.program = sibling_program("fiona-host");
   launch.name = line.option("--host") != nullptr ? line.option("--host")->text
                 : options.host.empty()           ? "main"
                                                  : options.host;

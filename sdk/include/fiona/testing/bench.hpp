@@ -17,29 +17,19 @@
 
 namespace fiona::testing {
 
-/// A component on the bench: alone, on the test's thread, on a clock that the test moves. No host, process or socket.
-///
-///     Bench<StepCounter> bench;
-///     bench.start();
-///     bench.put<GetIMUService>("imu", sample);
-///     bench.advance(100ms);
-///     EXPECT_EQ(bench.take<StepProvider>("steps").size(), 1);
-///
-/// Every port is wired to the bench: what the component puts is kept until taken, what it asks is answered by
-/// `answer_with`. An outcome or exception that fails the instance is seen by `mode()` and `reason()`.
-template <class C>
-class Bench : private HullEvents {
+/// The bench without the component's type: what one does whose components come from a plugin.
+class AnyBench : private HullEvents {
  public:
-  explicit Bench(std::string name = "component", std::filesystem::path share = {})
+  explicit AnyBench(const Hull::Factory& make, std::string name = "component", std::filesystem::path share = {})
       : hull_(std::move(name), {executor_, clock_, *this, std::move(share)}) {
-    hull_.create([this](Hull& hull) {
-      auto made = std::make_unique<C>(hull);
+    hull_.create([this, &make](Hull& hull) {
+      auto made = make(hull);
       component_ = made.get();
       return made;
     });
     for (Port* port : hull_.ports()) wire(*port);
   }
-  ~Bench() override { hull_.shut_down(kDefaultDeadline); }
+  ~AnyBench() override { hull_.shut_down(kDefaultDeadline); }
 
   /// Sets one parameter from its console spelling of kind text, number, integer or flag. Throws Error if refused.
   void set(std::string_view name, std::string_view text) {
@@ -71,7 +61,11 @@ class Bench : private HullEvents {
   /// this returns.
   template <class S>
   Outcome put(std::string_view port, typename S::ObjectType object) {
-    Envelope envelope{std::make_shared<const typename S::ObjectType>(std::move(object)), ++sequence_, clock_.now(), 0};
+    return put_any(port, std::make_shared<const typename S::ObjectType>(std::move(object)));
+  }
+  /// The same of an object that is of the port's type.
+  Outcome put_any(std::string_view port, std::shared_ptr<const Object> object) {
+    Envelope envelope{std::move(object), ++sequence_, clock_.now(), 0};
     envelope.bytes = envelope.object->ByteSizeLong();
     const Outcome outcome = inbox(port).push({std::move(envelope), nullptr});
     executor_.help();
@@ -82,33 +76,49 @@ class Bench : private HullEvents {
   template <class S>
   std::vector<Received<typename S::ObjectType>> take(std::string_view port) {
     std::vector<Received<typename S::ObjectType>> all;
-    for (const auto& parcel : std::exchange(collector(port).parcels, {})) {
-      all.push_back(detail::received<typename S::ObjectType>(parcel.envelope));
-    }
+    for (const auto& envelope : take_any(port)) all.push_back(detail::received<typename S::ObjectType>(envelope));
     return all;
   }
+  std::vector<Envelope> take_any(std::string_view port) {
+    std::vector<Envelope> all;
+    for (auto& parcel : std::exchange(collector(port).parcels, {})) all.push_back(std::move(parcel.envelope));
+    return all;
+  }
+  /// Why a provided push port has counted as silent since the last call: its lease ran out.
+  std::optional<std::string> take_silence(std::string_view port) { return std::exchange(collector(port).silence, {}); }
 
   /// Asks a provided query port; time runs until it has answered, at most for `deadline`.
   template <QueryService S>
   Result<std::shared_ptr<const typename S::AnswerType>> ask(std::string_view port, typename S::RequestType request,
                                                             Duration deadline = kDefaultDeadline) {
+    const auto answer = ask_any(port, std::make_shared<const typename S::RequestType>(std::move(request)), deadline);
+    if (!answer) return {answer.outcome(), answer.reason()};
+    return std::static_pointer_cast<const typename S::AnswerType>(*answer);
+  }
+  /// The same of a request that is of the port's type; of an event port, an activation, whose answer has no object.
+  Result<std::shared_ptr<const Object>> ask_any(std::string_view port, std::shared_ptr<const Object> request,
+                                                Duration deadline = kDefaultDeadline) {
     auto reply = std::make_shared<Collected>();
-    auto object = std::make_shared<const typename S::RequestType>(std::move(request));
-    const Outcome outcome = inbox(port).push({Envelope{object, ++sequence_, clock_.now(), 0}, reply});
+    const Outcome outcome = inbox(port).push({Envelope{std::move(request), ++sequence_, clock_.now(), 0}, reply});
     executor_.help();
     if (outcome != Outcome::Ok) return outcome;
     if (!reply->answered) advance(deadline);
     if (!reply->answered) return Outcome::Timeout;
     if (reply->outcome != Outcome::Ok) return {reply->outcome, reply->reason};
-    return std::static_pointer_cast<const typename S::AnswerType>(reply->object);
+    return reply->object;
   }
 
   /// From now on a required query port is answered by `answer(request)`.
   template <QueryService S, class F>
   void answer_with(std::string_view port, F answer) {
+    answer_any_with(port, [answer = std::move(answer)](const Object& request) {
+      return std::make_shared<const typename S::AnswerType>(
+          answer(static_cast<const typename S::RequestType&>(request)));
+    });
+  }
+  void answer_any_with(std::string_view port, std::function<std::shared_ptr<const Object>(const Object&)> answer) {
     collector(port).answer = [answer = std::move(answer)](const Parcel& parcel) {
-      const auto& request = static_cast<const typename S::RequestType&>(*parcel.envelope.object);
-      parcel.reply->answer(Outcome::Ok, {}, std::make_shared<const typename S::AnswerType>(answer(request)));
+      parcel.reply->answer(Outcome::Ok, {}, answer(*parcel.envelope.object));
     };
   }
 
@@ -133,7 +143,6 @@ class Bench : private HullEvents {
   std::string mode() const { return hull_.mode(); }
   std::string reason() const { return hull_.reason(); }
   Hull& hull() { return hull_; }
-  C& component() { return *component_; }
   /// The exit code with which the component ended the run, and why; none if it has not.
   const std::optional<std::pair<int, std::string>>& run_end() const { return run_end_; }
   const std::vector<std::string>& log() const { return log_; }
@@ -145,7 +154,11 @@ class Bench : private HullEvents {
       parcels.push_back(std::move(parcel));
       return Outcome::Ok;
     }
+    void lease(bool held, const std::string& reason) override {
+      if (!held) silence = reason;
+    }
     std::vector<Parcel> parcels;
+    std::optional<std::string> silence;
     std::function<void(const Parcel&)> answer;
   };
   struct Collected final : ReplySink {
@@ -154,6 +167,10 @@ class Bench : private HullEvents {
       outcome = result;
       reason = std::move(why);
       object = std::move(what);
+    }
+    Outcome event(Envelope event) override {
+      if (!event.object) answer(Outcome::Ok, {}, nullptr);  // the activation has been taken
+      return Outcome::Ok;
     }
     bool answered = false;
     Outcome outcome = Outcome::NoData;
@@ -208,16 +225,39 @@ class Bench : private HullEvents {
     hull_.answer(number, std::move(reply));
   }
 
+ protected:
+  Component& any_component() { return *component_; }
+
+ private:
   InlineExecutor executor_;
   VirtualClock clock_;
   Hull hull_;
-  C* component_ = nullptr;
+  Component* component_ = nullptr;
   std::map<std::string, std::shared_ptr<Collector>> collectors_;
   std::uint64_t sequence_ = 0;
   std::optional<std::pair<int, std::string>> run_end_;
   std::vector<std::string> log_;
   std::vector<control::Request> requests_;
   std::string refusal_;
+};
+
+/// A component on the bench: alone, on the test's thread, on a clock that the test moves. No host, process or socket.
+///
+///     Bench<StepCounter> bench;
+///     bench.start();
+///     bench.put<GetIMUService>("imu", sample);
+///     bench.advance(100ms);
+///     EXPECT_EQ(bench.take<StepProvider>("steps").size(), 1);
+///
+/// Every port is wired to the bench: what the component puts is kept until taken, what it asks is answered by
+/// `answer_with`. An outcome or exception that fails the instance is seen by `mode()` and `reason()`.
+template <class C>
+class Bench : public AnyBench {
+ public:
+  explicit Bench(std::string name = "component", std::filesystem::path share = {})
+      : AnyBench([](Hull& hull) { return std::make_unique<C>(hull); }, std::move(name), std::move(share)) {}
+
+  C& component() { return static_cast<C&>(any_component()); }
 };
 
 }  // namespace fiona::testing

@@ -1,0 +1,22 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <fiona/error.hpp>
+
+#include "author/plugin_files.hpp"
+
+namespace fiona::console {
+
+/// What was looked at, and what would keep a plugin from being published.
+struct PluginCheck {
+  std::vector<ErrorText> findings{};
+  std::vector<std::string> passed{};
+  std::string name{};  ///< "publisher/name", where the manifest says so
+};
+
+/// Reads all that there is of a plugin. Its code runs in a process of its own, and only to be asked what it declares.
+PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files);
+
+}  // namespace fiona::console

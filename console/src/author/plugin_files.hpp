@@ -1,0 +1,60 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "fiona/manifest.pb.h"
+#include "reactor.hpp"
+
+namespace fiona::console {
+
+/// A directory of its own below the system's temporary one; gone with this object.
+class ScratchDirectory {
+ public:
+  ScratchDirectory();
+  ScratchDirectory(const ScratchDirectory&) = delete;
+  ScratchDirectory& operator=(const ScratchDirectory&) = delete;
+  ~ScratchDirectory();
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+/// Where the parts of a plugin are. Empty: there is none, or it is not known.
+struct PluginFiles {
+  std::filesystem::path manifest{};
+  std::filesystem::path readme{};
+  std::filesystem::path protos{};  ///< folder of the author's proto files
+  std::filesystem::path library{};
+  std::filesystem::path interface {};            ///< beside the library
+  std::vector<std::filesystem::path> brought{};  ///< libraries that the package brings along
+  std::filesystem::path share{};
+  bool packed = false;  ///< the manifest is that of a package, with the list of files
+};
+
+/// The parts of an author's folder, whose build is in its folder `build`. Throws fiona::Error (NotFound) where there is
+/// no manifest.
+PluginFiles files_of_folder(const std::filesystem::path& folder);
+
+/// Of a library: its interface.
+PluginFiles files_of_library(const std::filesystem::path& library);
+
+/// Unpacks a package, whose files are checked against its manifest meanwhile, into a directory that is empty. Throws as
+/// marketplace::read_package.
+PluginFiles files_of_package(const std::filesystem::path& package, const std::filesystem::path& into);
+
+/// The content of a file. Throws fiona::Error (NotFound, Failed).
+std::string file_text(const std::filesystem::path& file);
+
+/// What fiona-describe, a process of its own, finds out about a library; `text` as it writes it. Throws fiona::Error
+/// (ComponentFailed) with what it says, or how it ended.
+struct Described {
+  fiona::Interface interface;
+  std::string text;
+};
+Described describe_library(Reactor& reactor, const std::filesystem::path& library);
+
+}  // namespace fiona::console

@@ -1,0 +1,248 @@
+// The author's side: a new plugin, what one declares, what keeps it from being published, the package and who signs.
+#include "plugin.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <fstream>
+#include <map>
+
+#include <unistd.h>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <fiona/marketplace/keeper.hpp>
+#include <fiona/marketplace/manifest.hpp>
+#include <fiona/marketplace/package.hpp>
+
+#include "../author/plugin_check.hpp"
+#include "../author/plugin_template.hpp"
+#include "../catalogue.hpp"
+#include "../system_view.hpp"
+#include "interface_view.hpp"
+#include "verbs.hpp"
+
+namespace fiona::console::verbs {
+namespace {
+
+namespace fs = std::filesystem;
+using google::protobuf::ServiceDescriptor;
+
+const ServiceDescriptor* typed_service(Session& session, const Line& line, const Word& typed) {
+  std::vector<std::string> known;
+  for (const ServiceDescriptor* service : platform_services()) {
+    if (service->full_name() == typed.text || service->name() == typed.text) return service;
+    known.push_back(service->name());
+  }
+  const Catalogue catalogue(session.options.store);
+  for (const KnownPlugin& plugin : catalogue.plugins()) {
+    for (const auto& component : plugin.interface.components()) {
+      for (const auto& port : component.ports()) {
+        if (port.service() != typed.text && short_name(port.service()) != typed.text) continue;
+        throw line.error(typed, {.what = fmt::format("the service '{}' is not one of the platform's", typed.text),
+                                 .found = fmt::format("{} has it, and brings its proto itself", plugin.name()),
+                                 .next = "make the plugin without it, and add its proto to PROTOS in CMakeLists.txt"});
+      }
+    }
+  }
+  throw line.error(typed,
+                   {.what = fmt::format("there is no service '{}'", typed.text),
+                    .next = "a service of your own is declared in the plugin's proto: docs/patterns.md",
+                    .near = nearest_names(typed.text, known)},
+                   ErrorCode::NotFound);
+}
+
+std::vector<const ServiceDescriptor*> typed_services(Session& session, const Line& line, const std::string& option) {
+  std::vector<const ServiceDescriptor*> services;
+  const auto [begin, end] = line.options.equal_range(option);
+  for (auto given = begin; given != end; ++given) services.push_back(typed_service(session, line, given->second.value));
+  return services;
+}
+
+void check_plugin_name(const Line& line, const Word& word, const std::string& text, std::string_view what) {
+  const std::string fault = plugin_name_fault(text);
+  if (fault.empty()) return;
+  throw line.error(word, {.what = fmt::format("a {} cannot be called '{}': it {}", what, text, fault),
+                          .expected = "a name like step-counter",
+                          .next = "choose another name"});
+}
+
+std::string publisher_of(const Line& line) {
+  if (const Word* typed = line.option("--publisher")) {
+    check_plugin_name(line, *typed, typed->text, "publisher");
+    return typed->text;
+  }
+  const char* user = std::getenv("USER");
+  if (user != nullptr && plugin_name_fault(user).empty()) return user;
+  throw line.error(line.verb, {.what = "nobody knows who publishes the plugin",
+                               .next = fmt::format("plugin new {} --publisher NAME", line.positional[1].text)});
+}
+
+/// All files or none: they come into the folder's place at once.
+void write_folder(const Line& line, const Word& word, const fs::path& folder,
+                  const std::map<fs::path, std::string>& files) {
+  std::error_code problem;
+  if (fs::exists(fs::symlink_status(folder, problem)))
+    throw line.error(word,
+                     {.what = fmt::format("there is a '{}' already", folder.string()),
+                      .next = "name another folder, or take that one away"},
+                     ErrorCode::Failed);
+  const fs::path staging = folder.parent_path() / fmt::format(".{}.{}", folder.filename().string(), ::getpid());
+  bool written = true;
+  for (const auto& [path, text] : files) {
+    fs::create_directories((staging / path).parent_path(), problem);
+    std::ofstream out(staging / path, std::ios::binary | std::ios::trunc);
+    out << text;
+    out.close();
+    written = written && out.good();
+  }
+  if (written) fs::rename(staging, folder, problem);
+  if (written && !problem) return;
+  std::error_code ignored;
+  fs::remove_all(staging, ignored);
+  throw Error(ErrorCode::Failed, {.what = fmt::format("the plugin cannot be written: {}",
+                                                      problem ? problem.message() : "a file is not complete"),
+                                  .where = folder.string(),
+                                  .next = "look at the folder above it: doctor"});
+}
+
+void plugin_new(Session& session, const Line& line) {
+  const Word& name = line.positional[1];
+  check_plugin_name(line, name, name.text, "plugin");
+  NewPlugin plugin{publisher_of(line), name.text, typed_services(session, line, "--provides"),
+                   typed_services(session, line, "--requires")};
+  const bool named = line.positional.size() > 2;
+  fs::path folder = fs::absolute(named ? line.positional[2].text : name.text).lexically_normal();
+  if (!folder.has_filename()) folder = folder.parent_path();
+  write_folder(line, named ? line.positional[2] : name, folder, new_plugin_files(plugin));
+  const std::string shown = named ? line.positional[2].text : name.text;
+  session.out.done(fmt::format("made {}/{} in {}", plugin.publisher, plugin.name, shown),
+                   {{"plugin", plugin.publisher + "/" + plugin.name}, {"folder", folder.string()}});
+  session.out.remark(fmt::format("  next: plugin test {}", shown));
+}
+
+void show_inner_side(Session& session, const fiona::ComponentInterface& component) {
+  Table modes({"mode", "activities"});
+  for (const auto& mode : component.modes())
+    modes.add({mode.name(), fmt::format("{}", fmt::join(mode.activities(), ", "))});
+  if (!modes.empty()) session.out.text(fmt::format("\nmodes of {}", component.name()));
+  session.out.table(modes, "");
+  Table tasks({"task", "starts", "activity"});
+  for (const auto& task : component.tasks()) {
+    const std::string starts = task.start() == fiona::PERIODIC     ? fmt::format("every {} ms", task.period_ms())
+                               : task.start() == fiona::ON_PORT    ? fmt::format("on {}", task.of())
+                               : task.start() == fiona::AFTER_TASK ? fmt::format("after {}", task.of())
+                                                                   : "runs all the time";
+    tasks.add({task.name(), starts, task.activity()});
+  }
+  if (!tasks.empty()) session.out.text(fmt::format("\ntasks of {}", component.name()));
+  session.out.table(tasks, "");
+  Table more({"name", "kind", "type", "unit", "doc"});
+  for (const auto& probe : component.probes())
+    more.add({probe.name(), "probe", probe.type(), probe.unit(), probe.doc()});
+  for (const auto& trigger : component.triggers())
+    more.add({trigger.name(), "trigger", trigger.argument(), "", trigger.doc()});
+  if (!more.empty()) session.out.text(fmt::format("\nprobes and triggers of {}", component.name()));
+  session.out.table(more, "");
+}
+
+void plugin_describe(Session& session, const Line& line) {
+  const fs::path library = line.positional[1].text;
+  const Described described = describe_library(session.reactor, files_of_library(library).library);
+  if (const Word* out = line.option("-o")) {
+    std::ofstream file(out->text, std::ios::binary | std::ios::trunc);
+    file << described.text;
+    file.close();
+    if (!file)
+      throw line.error(*out, {.what = "the interface cannot be written", .where = out->text}, ErrorCode::Failed);
+    return session.out.done(fmt::format("described {} in {}", library.string(), out->text), {{"file", out->text}});
+  }
+  Table facts({"fact", "value"});
+  facts.add({"library", library.string()});
+  facts.add({"abi", described.interface.abi()});
+  for (const auto& file : described.interface.descriptors().file()) facts.add({"proto", file.name()});
+  session.out.table(facts, "", false);
+  const TypeSet types(described.interface.descriptors());
+  for (const auto& component : described.interface.components()) {
+    show_component(session, component, types);
+    show_inner_side(session, component);
+  }
+}
+
+/// Tells all findings; the last one is thrown, and told by whoever ran this line.
+void demand_sound(Session& session, const PluginCheck& check) {
+  if (session.out.manner.verbose) {
+    for (const std::string& passed : check.passed) session.out.text(fmt::format("ok  {}", passed));
+  }
+  for (std::size_t i = 0; i + 1 < check.findings.size(); ++i)
+    session.out.error(Error(ErrorCode::Failed, check.findings[i]));
+  if (!check.findings.empty()) throw Error(ErrorCode::Failed, check.findings.back());
+}
+
+void plugin_check(Session& session, const Line& line) {
+  const fs::path what = typed_folder(line, 1);
+  const ScratchDirectory unpacked;
+  const PluginFiles files = fs::is_directory(what)       ? files_of_folder(what)
+                            : what.extension() == ".fpk" ? files_of_package(what, unpacked.path())
+                                                         : files_of_library(what);
+  PluginCheck check = console::check_plugin(session.reactor, files);
+  // Within a package a place is that of the package.
+  for (ErrorText& finding : check.findings) {
+    const std::string inside = unpacked.path().string() + "/";
+    if (finding.where.starts_with(inside)) finding.where = what.string() + ":" + finding.where.substr(inside.size());
+  }
+  demand_sound(session, check);
+  session.out.done(fmt::format("{}: {} checks, nothing to mend", check.name.empty() ? what.string() : check.name,
+                               check.passed.size()),
+                   {{"plugin", check.name}, {"checks", check.passed}});
+}
+
+void plugin_pack(Session& session, const Line& line) {
+  const fs::path folder = typed_folder(line, 1);
+  files_of_folder(folder);  // that it is one
+  build_plugin(session, folder, build_deadline(line));
+  const PluginFiles files = files_of_folder(folder);
+  demand_sound(session, console::check_plugin(session.reactor, files));
+  marketplace::PackageSource source;
+  source.manifest = file_text(files.manifest);
+  source.interface = file_text(files.interface);
+  source.readme = file_text(files.readme);
+  source.libraries = {files.library};
+  source.share = files.share;
+  const Manifest manifest = marketplace::parse_manifest(source.manifest, files.manifest.string());
+  const Word* typed = line.option("-o");
+  const std::string file = typed != nullptr ? typed->text
+                                            : fmt::format("{}-{}-{}.fpk", manifest.name(), manifest.version(),
+                                                          marketplace::this_architecture());
+  marketplace::pack_to(file, source);
+  const auto size = fs::file_size(file);
+  session.out.done(
+      fmt::format("packed {} {} in {}, {} KiB", marketplace::full_name(manifest), manifest.version(), file,
+                  size / 1024),
+      {{"package", marketplace::full_name(manifest)}, {"version", manifest.version()}, {"file", file}, {"size", size}});
+}
+
+void plugin_sign(Session& session, const Line& line) {
+  for (std::size_t i = 1; i < line.positional.size(); ++i) {
+    const fs::path role = marketplace::sign_package(line.positional[i].text);
+    session.out.done(fmt::format("{} signs for {}", role.string(), line.positional[i].text),
+                     {{"file", line.positional[i].text}, {"signed", role.string()}});
+  }
+}
+
+}  // namespace
+
+fs::path typed_folder(const Line& line, std::size_t at) {
+  return line.positional.size() > at ? fs::path(line.positional[at].text) : fs::path(".");
+}
+
+void plugin(Session& session, const Line& line) {
+  static const std::map<std::string, void (*)(Session&, const Line&)> kActions{{"new", plugin_new},
+                                                                               {"describe", plugin_describe},
+                                                                               {"test", plugin_test},
+                                                                               {"check", plugin_check},
+                                                                               {"pack", plugin_pack},
+                                                                               {"sign", plugin_sign}};
+  kActions.at(line.positional[0].text)(session, line);
+}
+
+}  // namespace fiona::console::verbs
