@@ -10,6 +10,7 @@
 #include <dlfcn.h>
 #include <fcntl.h>
 #include <gelf.h>
+#include <link.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -123,12 +124,16 @@ std::string machine_text(unsigned machine) {
   return fmt::format("machine {}", machine);
 }
 
-/// Where this process has the symbol from; null: nowhere.
+/// The library of this process that has the symbol; null: none has. Empty: the program itself, where a copy of a
+/// library's variable may be, and what a sanitizer has put there.
 const char* origin_of(const NeededSymbol& symbol) {
   void* address = symbol.version.empty() ? ::dlsym(RTLD_DEFAULT, symbol.name.c_str())
                                          : ::dlvsym(RTLD_DEFAULT, symbol.name.c_str(), symbol.version.c_str());
   Dl_info info{};
-  return address != nullptr && ::dladdr(address, &info) != 0 ? info.dli_fname : nullptr;
+  link_map* map = nullptr;
+  const bool found =
+      address != nullptr && ::dladdr1(address, &info, reinterpret_cast<void**>(&map), RTLD_DL_LINKMAP) != 0;
+  return found && map != nullptr ? map->l_name : nullptr;
 }
 
 }  // namespace
@@ -158,15 +163,12 @@ bool is_platform_library(const std::string& name) {
 }
 
 std::vector<NeededSymbol> missing_symbols(const ElfLibrary& library, const std::set<std::string>& brought) {
-  std::error_code problem;
-  const std::filesystem::path self = std::filesystem::read_symlink("/proc/self/exe", problem);
   std::vector<NeededSymbol> missing;
   for (const NeededSymbol& symbol : library.needed) {
     if (brought.contains(symbol.name)) continue;
     const char* origin = origin_of(symbol);
-    // Of our own program only what a sanitizer has put there is seen by others.
-    const bool there = origin != nullptr && (is_platform_library(std::filesystem::path(origin).filename().string()) ||
-                                             std::filesystem::equivalent(origin, self, problem));
+    const bool there = origin != nullptr &&
+                       (*origin == '\0' || is_platform_library(std::filesystem::path(origin).filename().string()));
     if (!there) missing.push_back(symbol);
   }
   return missing;
