@@ -239,8 +239,8 @@ std::vector<Verb> remaining_verbs() {
       {"plugin",
        forms({"plugin new NAME [--provides SERVICE …] [--requires SERVICE …] [--publisher NAME] [DIR]",
               "plugin describe LIBRARY [-o FILE]", "plugin test [DIR] [for T]", "plugin check [DIR|LIBRARY|FILE]",
-              "plugin pack [DIR] [-o FILE] [for T]"}),
-       "the author's side: makes a plugin, tests it, checks it and packs it",
+              "plugin pack [DIR] [-o FILE] [for T]", "plugin sign FILE …"}),
+       "the author's side: makes a plugin, tests it, checks it, packs it and signs the package",
        "`new` writes a folder that builds and passes its tests at once: a component with these ports, its parameters, "
        "a "
        "test, manifest and README. SERVICE is one of the platform's; the publisher is the user's name unless "
@@ -250,8 +250,9 @@ std::vector<Verb> remaining_verbs() {
        "`for`, or 10min, is how long building and tests may take.\n"
        "`check` says what would keep it from being published, with the place and what to do; of DIR, a library or a "
        "package. The plugin's code runs only in a process of its own. -v lists what is well.\n"
-       "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. "
-       "`describe` shows what a library declares.",
+       "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. `sign` writes "
+       "PUBLISHER.json beside it: what the publisher's key (keys new PUBLISHER) has signed.\n"
+       "`describe` shows what a library declares, or writes it to FILE, as its interface.",
        Access::Administer, verbs::plugin, false},
       {"keys",
        forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",

@@ -59,10 +59,12 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   std::stringstream text;
   text << stream.rdbuf();
   if (!stream || !google::protobuf::TextFormat::ParseFromString(text.str(), &found.interface)) {
-    throw Error(ErrorCode::NotFound,
-                {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
-                 .where = description.string(),
-                 .next = "fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona-describe " + file.string()});
+    throw Error(
+        ErrorCode::NotFound,
+        {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
+         .where = description.string(),
+         .next = fmt::format("fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona plugin describe {} -o {}",
+                             file.string(), description.string())});
   }
   found.name = "local/" + name;
   found.version = "0";

@@ -72,7 +72,7 @@ const std::map<std::string, std::vector<Sample>>& samples() {
       {"sleep", {{"sleep 1ms", Access::Observe}}},
       {"quit", {{"quit", Access::Administer}}},
       {"market", {{"market search", Access::Nothing}}},
-      {"plugin", {{"plugin sign nothing.fpk", Access::Nothing}}},
+      {"plugin", {{"plugin sign nothing.fpk", Access::Nothing}, {"plugin check nothing.fpk", Access::Nothing}}},
       {"keys", {{"keys", Access::Nothing}}},
       {"doctor", {{"doctor", Access::Nothing}}},
       {"paths", {{"paths", Access::Nothing}}},
