@@ -192,7 +192,8 @@ std::vector<Cost> costs() {
   return {
       {"hash of a library", 0, "us/MiB", hash_us_per_mib},
       {"idle instance with four ports, heap", 32, "KiB", instance_kib},
-      {"group with one instance, PSS", 2.5, "MiB", group_mib},
+      {"group with one instance, of four, PSS", 2.5, "MiB", [] { return group_mib(4); }},
+      {"group with one instance, of ten, PSS", 2.5, "MiB", [] { return group_mib(10); }},
       {"host, publisher and subscriber, RSS / bare", 1.5, "x", memory(&Memory::resident)},
       {"host, publisher and subscriber, PSS / bare", 0, "x", memory(&Memory::proportional)},
       {"start of 100 components in main", 1, "s", [] { return start_s(100, 0); }},

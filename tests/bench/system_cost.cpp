@@ -84,12 +84,13 @@ double instance_kib() {
   return (heap_bytes() - before) / 1024 / kInstances;
 }
 
-double group_mib() {
+double group_mib(std::size_t groups) {
   RunningSystem system;
-  // With siblings, as in any system with groups: what they share counts once.
-  for (const char* group : {"a", "b", "c", "d"})
-    system.load_in(group, "mover", std::string("mover_") + group, "neutral");
-  return memory_of(system.group("a").process()).proportional / 1024;
+  for (std::size_t i = 0; i < groups; ++i) {
+    const std::string number = std::to_string(i);
+    system.load_in("g" + number, "mover", "mover" + number, "neutral");
+  }
+  return memory_of(system.group("g0").process()).proportional / 1024;
 }
 
 Memory host_memory() {

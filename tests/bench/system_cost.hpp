@@ -6,8 +6,8 @@ namespace fiona::bench {
 
 /// Of the heap, for each further instance with four ports that does nothing. KiB.
 double instance_kib();
-/// Proportional set size of a group with one instance. MiB.
-double group_mib();
+/// Proportional set size of a group with one instance, beside others: what they share counts once for all. MiB.
+double group_mib(std::size_t groups);
 /// Memory of a process with one publisher and one subscriber, 64 bytes a millisecond. KiB.
 struct Memory {
   double resident = 0;      ///< RSS
