@@ -65,9 +65,10 @@ class PoolBuilder {
 };
 
 /// Short enough to read: --json has every digit. Degrees may be coordinates, large numbers counts
-/// or times: they keep their digits.
+/// or times: they keep their digits ("px or deg" may be either).
 std::string number_text(double number, const pb::FieldDescriptor& field) {
-  const bool long_one = std::abs(number) >= 1e5 || field.options().GetExtension(fiona::unit) == "deg";
+  const std::string& unit = field.options().GetExtension(fiona::unit);
+  const bool long_one = std::abs(number) >= 1e5 || unit == "deg" || unit.ends_with(" deg");
   return fmt::format("{:.{}g}", number, long_one ? 12 : 5);
 }
 
