@@ -85,6 +85,19 @@ void set_number(Object& object, const FieldDescriptor& field, double number, boo
   }
 }
 
+double number_in(const Object& object, const FieldDescriptor& field) {
+  const auto& reflect = *object.GetReflection();
+  switch (field.cpp_type()) {
+    case FieldDescriptor::CPPTYPE_DOUBLE: return reflect.GetDouble(object, &field);
+    case FieldDescriptor::CPPTYPE_FLOAT: return reflect.GetFloat(object, &field);
+    case FieldDescriptor::CPPTYPE_INT32: return reflect.GetInt32(object, &field);
+    case FieldDescriptor::CPPTYPE_UINT32: return reflect.GetUInt32(object, &field);
+    case FieldDescriptor::CPPTYPE_INT64: return static_cast<double>(reflect.GetInt64(object, &field));
+    case FieldDescriptor::CPPTYPE_UINT64: return static_cast<double>(reflect.GetUInt64(object, &field));
+    default: return 0;
+  }
+}
+
 /// An object that breaks no rule of its fields: flags are set, numbers are in the middle of their range, covariances
 /// are unit matrices.
 void fill(Object& object, int depth = 0) {
@@ -334,34 +347,45 @@ class ContractBench {
   static std::string text_of(fiona::Outcome outcome) { return std::string(to_string(outcome)); }
   std::string last_log() const { return bench_.log().empty() ? "" : bench_.log().back(); }
 
-  /// Each end of each range is taken, or refused for a reason; what is beyond it is refused.
+  /// What is beyond a range is refused, and changes nothing; its ends are taken, or refused, and lived with.
   void check_parameters() {
     if (!bench_.hull().parameters()) return;
     const Descriptor& type = *bench_.hull().parameters()->snapshot()->GetDescriptor();
-    int ranges = 0;
-    std::string wrong;
+    int ends = 0;
     for (int i = 0; i < type.field_count(); ++i) {
-      const FieldDescriptor& field = *type.field(i);
-      const auto& options = field.options();
-      const bool real =
-          field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE || field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT;
       for (const bool upper : {false, true}) {
-        if (field.is_repeated() || !options.HasExtension(upper ? fiona::max : fiona::min)) continue;
-        ++ranges;
-        const double end = options.GetExtension(upper ? fiona::max : fiona::min);
-        const double beyond = end + (upper ? 1 : -1) * (real ? std::max(1.0, std::abs(end)) * 0.01 : 1.0);
-        const auto before = bench_.hull().parameters()->snapshot();
-        if (takes(field, beyond)) wrong = field.name() + " takes what is beyond its range";
-        if (bench_.hull().parameters()->snapshot()->SerializeAsString() != before->SerializeAsString())
-          wrong = field.name() + " is changed by what was refused";
-        takes(field, end);
+        const FieldDescriptor& field = *type.field(i);
+        if (field.is_repeated() || !field.options().HasExtension(upper ? fiona::max : fiona::min)) continue;
+        ++ends;
+        if (const std::string fault = fault_at_end(field, upper); !fault.empty())
+          return tell("parameters", "wrong", fault);
       }
     }
+    if (ends > 0)
+      tell("parameters", "ok", std::to_string(ends) + " ends of ranges: beyond them is refused, at them it lives");
+  }
+
+  std::string fault_at_end(const FieldDescriptor& field, bool upper) {
+    const bool real =
+        field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE || field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT;
+    const double end = field.options().GetExtension(upper ? fiona::max : fiona::min);
+    const double beyond = end + (upper ? 1 : -1) * (real ? std::max(1.0, std::abs(end)) * 0.01 : 1.0);
+    const auto before = bench_.hull().parameters()->snapshot();
+    if (takes(field, beyond)) return field.name() + " takes what is beyond its range";
+    if (bench_.hull().parameters()->snapshot()->SerializeAsString() != before->SerializeAsString())
+      return field.name() + " is changed by what was refused";
+    if (!takes(field, end)) return "";
     bench_.advance(1s);
-    if (ranges > 0)
-      tell(
-          "parameters", wrong.empty() ? "ok" : "wrong",
-          wrong.empty() ? std::to_string(ranges) + " ends of ranges: beyond them is refused, at them it lives" : wrong);
+    if (bench_.mode() == "failed")
+      return field.name() + " may be " + number_text(end) + ", and then it fails: " + bench_.reason();
+    takes(field, number_in(*before, field));
+    return "";
+  }
+
+  static std::string number_text(double number) {
+    char text[40];
+    std::snprintf(text, sizeof text, "%g", number);
+    return text;
   }
 
   bool takes(const FieldDescriptor& field, double value) {
