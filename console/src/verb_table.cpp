@@ -238,8 +238,9 @@ std::vector<Verb> remaining_verbs() {
        Access::Administer, verbs::market, false},
       {"plugin",
        forms({"plugin new NAME [--provides SERVICE …] [--requires SERVICE …] [--publisher NAME] [DIR]",
-              "plugin describe LIBRARY [-o FILE]", "plugin test [DIR] [for T]", "plugin check [DIR|LIBRARY|FILE]",
-              "plugin pack [DIR] [-o FILE] [for T]", "plugin sign FILE …"}),
+              "plugin describe LIBRARY [-o FILE] [with unconfined]", "plugin test [DIR] [for T] [with unconfined]",
+              "plugin check [DIR|LIBRARY|FILE] [with unconfined]",
+              "plugin pack [DIR] [-o FILE] [for T] [with unconfined]", "plugin sign FILE …"}),
        "the author's side: makes a plugin, tests it, checks it, packs it and signs the package",
        "`new` writes a folder that builds and passes its tests at once: a component with these ports, its parameters, "
        "a "
@@ -249,16 +250,21 @@ std::vector<Verb> remaining_verbs() {
        "its ports are held to their contracts (period, lease, ranges, covariances, answers), and loads it into a host. "
        "`for`, or 10min, is how long building and tests may take.\n"
        "`check` says what would keep it from being published, with the place and what to do; of DIR, a library or a "
-       "package. The plugin's code runs only in a process of its own. -v lists what is well.\n"
+       "package. -v lists what is well.\n"
        "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. `sign` writes "
        "PUBLISHER.json beside it: what the publisher's key (keys new PUBLISHER) has signed.\n"
-       "`describe` shows what a library declares, or writes it to FILE, as its interface.",
+       "`describe` shows what a library declares, or writes it to FILE, as its interface.\n"
+       "To be asked what it declares, code runs in a sandbox; `with unconfined`, with all that you may: for systems "
+       "that have "
+       "no sandbox, and code that you trust as you trust yourself.",
        Access::Administer, verbs::plugin, false},
       {"keys",
-       forms({"keys", "keys make", "keys show", "keys allow NAME KEY [as observe|operate|compose|administer]",
-              "keys know NAME ADDRESS:PORT KEY", "keys forget NAME", "keys new NAME", "keys trust FILE [--from DIR]"}),
+       forms({"keys", "keys list", "keys make", "keys show",
+              "keys allow NAME KEY [as observe|operate|compose|administer]", "keys know NAME ADDRESS:PORT KEY",
+              "keys forget NAME", "keys new NAME", "keys trust FILE [--from DIR]"}),
        "keys of this user: who may connect, what signs packages, which marketplace is trusted",
-       "Without a word: who may connect, and who is known. `make` makes the pair, once; `show` prints the key that "
+       "Without a word, and with `list`: who may connect, who is known, which keys sign and what is trusted. `make` "
+       "makes the pair, once; `show` prints the key that "
        "others are "
        "given. `allow` lets a host connect to those that --listen; with `as` it lets a console connect to those that "
        "--serve, and says what it may. `know` gives a host on another machine a name: fiona --at NAME. `new` makes a "

@@ -6,14 +6,13 @@
 
 #include "fiona/error.hpp"
 #include "fiona/marketplace/manifest.hpp"
+#include "os/sandbox.hpp"
 
 namespace fiona::host {
 namespace {
 
 /// The shipped configuration lets in what this project publishes.
 constexpr std::string_view kLetIn = "fiona/";
-/// What a sandbox cannot do without; the others are second walls.
-constexpr std::string_view kNeeded[] = {"mounts", "privileges", "seccomp"};
 
 bool has(const std::vector<std::string>& rights, std::string_view right) {
   return std::find(rights.begin(), rights.end(), right) != rights.end();
@@ -62,8 +61,7 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
 
 void require_sandbox(const std::string& group, const wire::Ready& ready) {
   for (const auto& layer : ready.sandbox()) {
-    const bool needed = std::find(std::begin(kNeeded), std::end(kNeeded), layer.name()) != std::end(kNeeded);
-    if (!needed || layer.missing().empty()) continue;
+    if (!os::is_needed_layer(layer.name()) || layer.missing().empty()) continue;
     throw Error(
         ErrorCode::NotAllowed,
         {.what = fmt::format("group '{}' cannot be a sandbox: this system has no {} for it", group, layer.name()),

@@ -1,18 +1,23 @@
 // fiona-group: the process of a group. It is started by a host, inherits a socket to it as descriptor 3, does what
 // comes over that socket, and ends when the socket closes.
+#include <fcntl.h>
 #include <poll.h>
 #include <unistd.h>
 
 #include <google/protobuf/stubs/logging.h>
+#include <google/protobuf/text_format.h>
 
 #include <chrono>
+#include <filesystem>
 #include <iostream>
 #include <string>
 
 #include "failure.hpp"
+#include "fiona/describe.hpp"
 #include "fiona/error.hpp"
 #include "group_clock.hpp"
 #include "mailbox.hpp"
+#include "open_plugin.hpp"
 #include "os/limits.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
@@ -140,7 +145,33 @@ int probe_sandbox() {
   ::_exit(0);  // what would run at the end, a leak check above all, needs what was given up
 }
 
+/// fiona-group --describe confined|unconfined FILE LIBRARY [BROUGHT …]: what a library declares, into FILE. Its code
+/// runs in a sandbox which has the library, those that it brings along, and nothing else in reach. Before it runs, a
+/// line says what of the sandbox is missing, or nothing: what comes later may be the library's own words.
+int describe_library(int argc, char** argv) {
+  const fiona::os::Descriptor out(::open(argv[3], O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
+  const std::string library = std::filesystem::canonical(argv[4]);
+  fiona::os::limit({});
+  if (argv[2] == std::string_view("confined")) {
+    fiona::os::Reach reach;
+    for (int i = 4; i < argc; ++i) reach.readable.push_back(std::filesystem::canonical(argv[i]));
+    const auto layers = fiona::os::confine(reach);
+    const auto* missing = fiona::os::missing_wall(layers);
+    std::cout << (missing ? missing->name + ": " + missing->missing : "") << std::endl;
+    if (missing) return static_cast<int>(fiona::ErrorCode::NotAllowed);
+  }
+  std::string text;
+  google::protobuf::TextFormat::PrintToString(fiona::describe(fiona::tools::open_plugin(library)), &text);
+  for (std::size_t written = 0; written < text.size();) {
+    const ssize_t now = ::write(out.get(), text.data() + written, text.size() - written);
+    if (now <= 0) ::_exit(1);
+    written += static_cast<std::size_t>(now);
+  }
+  ::_exit(0);  // without what its destructors do
+}
+
 int run(int argc, char** argv) {
+  if (argc >= 5 && argv[1] == std::string_view("--describe")) return describe_library(argc, argv);
   if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
   if (argc == 3 && argv[1] == std::string_view("--try")) return try_library(argv[2]);
   const std::string endpoint = value_of(argc, argv, "--endpoint");

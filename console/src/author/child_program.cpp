@@ -113,7 +113,9 @@ pid_t spawn_child(const ChildProgram& child, int out, int err) {
   for (char** one = environ; *one != nullptr; ++one) {
     const std::string_view setting = *one;
     const auto replaced = [&](const auto& ours) { return setting.starts_with(ours.first + "="); };
-    if (std::none_of(child.environment.begin(), child.environment.end(), replaced)) settings.emplace_back(setting);
+    const bool harmless = setting.starts_with("LANG=") || setting.starts_with("LC_");
+    if ((!child.clean || harmless) && std::none_of(child.environment.begin(), child.environment.end(), replaced))
+      settings.emplace_back(setting);
   }
   for (const auto& [name, value] : child.environment) settings.push_back(name + "=" + value);
   pid_t process = -1;

@@ -19,6 +19,7 @@ struct ChildProgram {
   std::vector<std::string> arguments{};
   std::filesystem::path directory{};                               ///< where it runs; empty: here
   std::vector<std::pair<std::string, std::string>> environment{};  ///< beside ours
+  bool clean = false;                                              ///< of our environment it has the language alone
   SteadyTime deadline{};
   std::function<void(const std::string& line)> on_out{};  ///< each line of its standard output, cut at 4096 bytes
   std::function<void(const std::string& line)> on_err{};

@@ -49,7 +49,8 @@ std::string underscored(std::string name) {
 
 class PluginChecker {
  public:
-  PluginChecker(Reactor& reactor, const PluginFiles& files) : reactor_(reactor), files_(files) {}
+  PluginChecker(Reactor& reactor, const PluginFiles& files, Confinement confinement)
+      : reactor_(reactor), files_(files), confinement_(confinement) {}
 
   PluginCheck run() {
     if (!files_.manifest.empty()) look("manifest", [this] { check_manifest(); });
@@ -318,7 +319,7 @@ class PluginChecker {
   }
 
   void check_declared() {
-    const Described described = describe_library(reactor_, files_.library);
+    const Described described = describe_library(reactor_, files_, confinement_);
     const std::string place = files_.interface.string();
     const std::string next = "build it again: fiona_add_plugin describes it, or plugin describe LIBRARY -o FILE";
     const auto& now = described.interface.components();
@@ -345,6 +346,7 @@ class PluginChecker {
 
   Reactor& reactor_;
   const PluginFiles& files_;
+  const Confinement confinement_;
   PluginCheck check_;
   std::optional<fiona::Manifest> manifest_;
   std::optional<fiona::Interface> interface_;
@@ -352,6 +354,8 @@ class PluginChecker {
 
 }  // namespace
 
-PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files) { return PluginChecker(reactor, files).run(); }
+PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files, Confinement confinement) {
+  return PluginChecker(reactor, files, confinement).run();
+}
 
 }  // namespace fiona::console

@@ -16,7 +16,7 @@ struct PluginCheck {
   std::string name{};  ///< "publisher/name", where the manifest says so
 };
 
-/// Reads all that there is of a plugin. Its code runs in a process of its own, and only to be asked what it declares.
-PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files);
+/// Reads all that there is of a plugin. Its code runs only to be asked what it declares: describe_library().
+PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files, Confinement confinement);
 
 }  // namespace fiona::console

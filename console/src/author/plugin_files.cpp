@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <fstream>
 #include <iterator>
+#include <optional>
 
 #include <stdlib.h>
 
@@ -20,7 +21,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::chrono::seconds kDescribing{20};
+constexpr std::chrono::seconds kDescribing{10};
 constexpr std::size_t kMostWords = 20;  // lines of a child that are told
 constexpr std::uintmax_t kLargestText = std::uintmax_t{512} << 20;
 
@@ -130,28 +131,41 @@ PluginFiles files_of_package(const fs::path& package, const fs::path& into) {
   return files;
 }
 
-Described describe_library(Reactor& reactor, const fs::path& library) {
+Described describe_library(Reactor& reactor, const PluginFiles& files, Confinement confinement) {
   const ScratchDirectory directory;
   const fs::path out = directory.path() / "interface.textproto";
+  const bool confined = confinement == Confinement::Sandbox;
+  ChildProgram child{.program = sibling_program("fiona-group").string(),
+                     .arguments = {"--describe", confined ? "confined" : "unconfined", out.string(),
+                                   fs::absolute(files.library).string()},
+                     .clean = confined,
+                     .deadline = std::chrono::steady_clock::now() + kDescribing};
+  for (const fs::path& brought : files.brought) child.arguments.push_back(fs::absolute(brought).string());
+  std::optional<std::string> missing;  // of the sandbox: the first line
   std::vector<std::string> said;
   const auto keep = [&said](const std::string& line) {
     if (said.size() < kMostWords) said.push_back(line);
   };
-  const ChildEnd end = run_child(reactor, {.program = sibling_program("fiona-describe").string(),
-                                           .arguments = {fs::absolute(library).string(), "-o", out.string()},
-                                           .deadline = std::chrono::steady_clock::now() + kDescribing,
-                                           .on_out = keep,
-                                           .on_err = keep});
+  child.on_out = [&](const std::string& line) { confined && !missing ? void(missing = line) : keep(line); };
+  child.on_err = keep;
+  const ChildEnd end = run_child(reactor, child);
+  const std::string where = files.library.string();
+  if (missing && !missing->empty())
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "the plugin's code runs in a sandbox alone, and this system has none for it",
+                 .where = where,
+                 .found = *missing,
+                 .next = "doctor; or, if you trust it as you trust yourself: the same line, with unconfined"});
   if (!end.ok())
     throw Error(ErrorCode::ComponentFailed,
                 {.what = fmt::format("the plugin cannot be described: what reads it {}", end.text()),
-                 .where = library.string(),
+                 .where = where,
                  .found = fmt::format("{}", fmt::join(said, "\n")),
                  .next = "a constructor declares ports and parameters and does nothing else: open files and devices in "
                          "on_start()"});
   Described described;
   described.text = file_text(out);
-  described.interface = marketplace::parse_interface(described.text, library.string());
+  described.interface = marketplace::parse_interface(described.text, where);
   return described;
 }
 

@@ -49,12 +49,16 @@ PluginFiles files_of_package(const std::filesystem::path& package, const std::fi
 /// The content of a file. Throws fiona::Error (NotFound, Failed).
 std::string file_text(const std::filesystem::path& file);
 
-/// What fiona-describe, a process of its own, finds out about a library; `text` as it writes it. Throws fiona::Error
-/// (ComponentFailed) with what it says, or how it ended.
+/// Whether code of others runs in a sandbox (host/src/os/sandbox.hpp), or with all that this user may.
+enum class Confinement { Sandbox, None };
+
+/// What a library declares, with the libraries that it brings along; `text` as it is packed. Its code runs in a process
+/// of its own. Throws fiona::Error: ComponentFailed with what that says, or how it ended; NotAllowed where this system
+/// has no sandbox for it.
 struct Described {
   fiona::Interface interface;
   std::string text;
 };
-Described describe_library(Reactor& reactor, const std::filesystem::path& library);
+Described describe_library(Reactor& reactor, const PluginFiles& files, Confinement confinement);
 
 }  // namespace fiona::console

@@ -147,7 +147,7 @@ void show_inner_side(Session& session, const fiona::ComponentInterface& componen
 
 void plugin_describe(Session& session, const Line& line) {
   const fs::path library = line.positional[1].text;
-  const Described described = describe_library(session.reactor, files_of_library(library).library);
+  const Described described = describe_library(session.reactor, files_of_library(library), confinement_of(line));
   if (const Word* out = line.option("-o")) {
     std::ofstream file(out->text, std::ios::binary | std::ios::trunc);
     file << described.text;
@@ -184,7 +184,7 @@ void plugin_check(Session& session, const Line& line) {
   const PluginFiles files = fs::is_directory(what)       ? files_of_folder(what)
                             : what.extension() == ".fpk" ? files_of_package(what, unpacked.path())
                                                          : files_of_library(what);
-  PluginCheck check = console::check_plugin(session.reactor, files);
+  PluginCheck check = console::check_plugin(session.reactor, files, confinement_of(line));
   // Within a package a place is that of the package.
   for (ErrorText& finding : check.findings) {
     const std::string inside = unpacked.path().string() + "/";
@@ -201,7 +201,7 @@ void plugin_pack(Session& session, const Line& line) {
   files_of_folder(folder);  // that it is one
   build_plugin(session, folder, build_deadline(line));
   const PluginFiles files = files_of_folder(folder);
-  demand_sound(session, console::check_plugin(session.reactor, files));
+  demand_sound(session, console::check_plugin(session.reactor, files, confinement_of(line)));
   marketplace::PackageSource source;
   source.manifest = file_text(files.manifest);
   source.interface = file_text(files.interface);
@@ -235,13 +235,14 @@ fs::path typed_folder(const Line& line, std::size_t at) {
   return line.positional.size() > at ? fs::path(line.positional[at].text) : fs::path(".");
 }
 
+Confinement confinement_of(const Line& line) {
+  return line.clause("with") == nullptr ? Confinement::Sandbox : Confinement::None;
+}
+
 void plugin(Session& session, const Line& line) {
-  static const std::map<std::string, void (*)(Session&, const Line&)> kActions{{"new", plugin_new},
-                                                                               {"describe", plugin_describe},
-                                                                               {"test", plugin_test},
-                                                                               {"check", plugin_check},
-                                                                               {"pack", plugin_pack},
-                                                                               {"sign", plugin_sign}};
+  static const std::map<std::string, void (*)(Session&, const Line&)> kActions{
+      {"new", plugin_new},     {"describe", plugin_describe}, {"test", plugin_test},
+      {"check", plugin_check}, {"pack", plugin_pack},         {"sign", plugin_sign}};
   kActions.at(line.positional[0].text)(session, line);
 }
 

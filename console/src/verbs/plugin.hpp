@@ -17,6 +17,9 @@ std::filesystem::path typed_folder(const Line& line, std::size_t at);
 /// When the `for` of a line is over; by default in ten minutes.
 SteadyTime build_deadline(const Line& line);
 
+/// `with unconfined`, or not.
+Confinement confinement_of(const Line& line);
+
 void plugin_test(Session& session, const Line& line);
 
 }  // namespace fiona::console::verbs

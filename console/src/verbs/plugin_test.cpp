@@ -87,8 +87,14 @@ std::vector<ContractRow> contract_rows(Session& session, const fs::path& library
   return rows;
 }
 
+/// Whether whoever installs it gets it in a sandbox that no right of its manifest opens.
+bool is_closed(const PluginFiles& files) {
+  const auto& rights = marketplace::parse_manifest(file_text(files.manifest), files.manifest.string()).rights();
+  return std::none_of(rights.begin(), rights.end(), marketplace::opens_sandbox);
+}
+
 /// Loads each component into a host that is thrown away; what it says where one does not get there.
-std::string fault_in_host(Session& session, const fs::path& library, const fiona::Interface& interface) {
+std::string fault_in_host(Session& session, const fs::path& library, const fiona::Interface& interface, bool confined) {
   const ScratchDirectory directory;
   const fs::path file = directory.path() / "load.fiona";
   std::ofstream lines(file);
@@ -96,8 +102,8 @@ std::string fault_in_host(Session& session, const fs::path& library, const fiona
   for (const auto& component : interface.components()) {
     const std::string name = fmt::format("it{}", ++number);
     const std::string first = component.modes().empty() ? "active" : component.modes(0).name();
-    lines << fmt::format("load \"{}/{}\" as {} in {}\nwait {} {} for 5s\n", fs::absolute(library).string(),
-                         component.name(), name, name, name, first);
+    lines << fmt::format("load \"{}/{}\" as {} in {}{}\nwait {} {} for 5s\n", fs::absolute(library).string(),
+                         component.name(), name, name, confined ? " with confined" : "", name, first);
   }
   lines << "quit\n";
   lines.close();
@@ -119,7 +125,7 @@ std::string fault_in_host(Session& session, const fs::path& library, const fiona
 }
 
 /// What each port promises, and a host: a row a port. How many of them are wrong.
-std::size_t test_contracts(Session& session, const PluginFiles& files) {
+std::size_t test_contracts(Session& session, const PluginFiles& files, Confinement confinement) {
   const fiona::Interface interface = marketplace::parse_interface(file_text(files.interface), files.interface.string());
   Table table({"component", "what", "state", "found"});
   std::size_t wrong = 0;
@@ -129,10 +135,13 @@ std::size_t test_contracts(Session& session, const PluginFiles& files) {
       table.add({component.name(), row.what, row.state, row.text});
     }
   }
-  const std::string fault = fault_in_host(session, files.library, interface);
+  const bool confined = confinement == Confinement::Sandbox && is_closed(files);
+  const std::string fault = fault_in_host(session, files.library, interface, confined);
   wrong += fault.empty() ? 0 : 1;
+  const std::string done =
+      fmt::format("loaded, each in a {} of its own, and reached their first mode", confined ? "sandbox" : "process");
   table.add({fmt::format("{} components", interface.components_size()), "a host", fault.empty() ? "ok" : "wrong",
-             fault.empty() ? "loaded, each in a process of its own, and reached their first mode" : fault});
+             fault.empty() ? done : fault});
   session.out.table(table, "");
   return wrong;
 }
@@ -179,7 +188,7 @@ void plugin_test(Session& session, const Line& line) {
                                       .where = (folder / "build").string(),
                                       .expected = "NAME.interface.textproto beside libNAME.so",
                                       .next = "fiona_add_plugin(NAME …) in CMakeLists.txt makes them"});
-  const std::size_t wrong = test_contracts(session, files);
+  const std::size_t wrong = test_contracts(session, files, confinement_of(line));
   if (wrong > 0)
     throw Error(ErrorCode::ComponentFailed, {.what = fmt::format("{} of the rows above are wrong", wrong),
                                              .where = files.library.string(),

@@ -6,6 +6,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <functional>
 #include <system_error>
@@ -51,6 +52,15 @@ std::vector<SandboxLayer> confine(const Reach& reach) {
   put_up("landlock", [&] { return detail::restrict_by_landlock(reach); });
   put_up("seccomp", [&] { return detail::filter_system_calls(reach); });  // last: it forbids what the others do
   return layers;
+}
+
+bool is_needed_layer(std::string_view name) { return name == "mounts" || name == "privileges" || name == "seccomp"; }
+
+const SandboxLayer* missing_wall(const std::vector<SandboxLayer>& layers) {
+  const auto missing = std::find_if(layers.begin(), layers.end(), [](const SandboxLayer& layer) {
+    return is_needed_layer(layer.name) && !layer.missing.empty();
+  });
+  return missing == layers.end() ? nullptr : &*missing;
 }
 
 }  // namespace fiona::os

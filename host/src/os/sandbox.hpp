@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace fiona::os {
@@ -31,6 +32,12 @@ struct SandboxLayer {
 /// - seccomp: no process, no program, no signal to others, no part of the kernel that no component needs (seccomp(2))
 /// - privileges: no capability, no new ones, no look into it by others of the same user (capabilities(7), prctl(2))
 std::vector<SandboxLayer> confine(const Reach& reach);
+
+/// The first layer that is missing and without which there is no sandbox; null: it is one. The other layers are second
+/// walls.
+const SandboxLayer* missing_wall(const std::vector<SandboxLayer>& layers);
+/// Whether there is no sandbox without this layer.
+bool is_needed_layer(std::string_view name);
 
 namespace detail {
 
