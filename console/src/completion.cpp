@@ -6,6 +6,7 @@
 
 #include "author/plugin_template.hpp"
 #include "system_view.hpp"
+#include "top_view.hpp"
 #include "verb_table.hpp"
 
 namespace fiona::console {
@@ -143,7 +144,9 @@ Candidates verb_names(const Asked&) {
   return found;
 }
 
-Candidates services(const Asked&) {
+/// A new plugin has types for those of the platform; what is searched for may be anybody's.
+Candidates services(const Asked& asked) {
+  if (asked.line.verb.text == "market") return asked.names.services();
   Candidates found;
   for (const auto* service : platform_services()) found.push_back(service->name());
   return found;
@@ -170,6 +173,10 @@ const std::map<std::string, Source, std::less<>>& sources() {
       {"LINE", verb_names},
       {"OP", operators},
       {"CONDITION", conditions},
+      {"COLUMN",
+       [](const Asked&) {
+         return Candidates{TopView::kOrders.begin(), TopView::kOrders.end()};
+       }},
       {"PLUGIN", [](const Asked& asked) { return asked.names.plugins(); }},
       {"PACKAGE", [](const Asked& asked) { return asked.names.packages(); }},
       {"FILE", [](const Asked& asked) { return asked.names.files(asked.word); }},
@@ -184,6 +191,22 @@ void add_slot(Candidates& found, const Slot& slot, const Asked& asked) {
   if (source == sources().end()) return;
   const Candidates more = source->second(asked);
   found.insert(found.end(), more.begin(), more.end());
+}
+
+/// What may follow `name=` or `--option=`.
+void add_values(Candidates& found, const Shape& shape, const Asked& asked) {
+  const std::size_t begin = asked.word.find('=') + 1;
+  const std::string_view name = asked.word.substr(0, begin - 1);
+  Candidates values;
+  const Asked value{asked.word.substr(begin), asked.line, asked.names};
+  if (const ArgumentSlot* argument = shape.find_argument(name)) {
+    add_slot(values, argument->slot, value);
+  } else if (const OptionSlot* option = shape.find_option(name)) {
+    add_slot(values, option->slot, value);
+  } else {
+    values = parameter_values(asked, name);
+  }
+  for (const std::string& one : values) found.push_back(std::string(asked.word.substr(0, begin)) + one);
 }
 
 /// The words before the one that is typed, read as far as the shape goes, without complaint.
@@ -216,12 +239,7 @@ void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, 
   const Line line = partial_line(words, shape, pending);
   const Asked asked{word, line, names};
   if (pending != nullptr) return add_slot(found, *pending, asked);
-  const std::size_t equals = word.find('=');
-  if (equals != std::string_view::npos) {
-    for (const std::string& value : parameter_values(asked, word.substr(0, equals)))
-      found.push_back(std::string(word.substr(0, equals + 1)) + value);
-    return;
-  }
+  if (word.find('=') != std::string_view::npos) return add_values(found, shape, asked);
   const auto& slots = shape.positional();
   const bool first_matches = line.positional.empty() || slots.empty() || slots.front().accepts(line.positional.front());
   if (!first_matches) return;
@@ -232,10 +250,10 @@ void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, 
   for (const Clause& clause : shape.clauses()) {
     if (!line.clauses.contains(clause.keyword) || clause.slot.repeated) found.push_back(clause.keyword);
   }
-  for (const std::string& name : shape.argument_names()) {
-    if (line.argument(name) == nullptr) found.push_back(name + "=");
+  for (const ArgumentSlot& argument : shape.arguments()) {
+    if (line.argument(argument.name) == nullptr) found.push_back(argument.name + "=");
   }
-  if (shape.takes_arguments() && shape.argument_names().empty()) {
+  if (shape.takes_arguments() && shape.arguments().empty()) {
     for (const std::string& name : parameters(asked)) found.push_back(name + "=");
   }
   if (!word.starts_with('-')) return;

@@ -16,6 +16,8 @@ class Names {
   virtual const control::System* system() = 0;
   virtual std::vector<std::string> plugins() = 0;
   virtual std::vector<std::string> packages() = 0;
+  /// That packages, installed or of the marketplace, provide or require.
+  virtual std::vector<std::string> services() = 0;
   /// Paths that begin with the text, directories with a `/` at the end.
   virtual std::vector<std::string> files(std::string_view begin) = 0;
 };

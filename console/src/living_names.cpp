@@ -3,6 +3,7 @@
 #include <filesystem>
 
 #include "catalogue.hpp"
+#include "system_view.hpp"
 
 namespace fiona::console {
 namespace {
@@ -38,6 +39,17 @@ std::vector<std::string> LivingNames::packages() {
   std::vector<std::string> names;
   const Catalogue catalogue(session_.options.store);
   for (const KnownPlugin& plugin : catalogue.plugins()) names.push_back(plugin.name());
+  return names;
+}
+
+std::vector<std::string> LivingNames::services() {
+  std::vector<std::string> names;
+  const Catalogue catalogue(session_.options.store);
+  for (const KnownPlugin& plugin : catalogue.plugins()) {
+    for (const auto& component : plugin.interface.components()) {
+      for (const auto& port : component.ports()) names.push_back(short_name(port.service()));
+    }
+  }
   return names;
 }
 

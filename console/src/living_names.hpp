@@ -19,6 +19,7 @@ class LivingNames final : public Names {
   const control::System* system() override;
   std::vector<std::string> plugins() override;
   std::vector<std::string> packages() override;
+  std::vector<std::string> services() override;
   std::vector<std::string> files(std::string_view begin) override;
 
  private:

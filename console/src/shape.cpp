@@ -96,10 +96,12 @@ class Binder {
   void take_argument(const WordLine::Item& item) {
     if (!shape_.takes_arguments())
       fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text)});
-    const std::vector<std::string>& names = shape_.argument_names();
-    if (!names.empty() && std::find(names.begin(), names.end(), item.name->text) == names.end())
+    if (!shape_.arguments().empty() && shape_.find_argument(item.name->text) == nullptr) {
+      std::vector<std::string> names;
+      for (const ArgumentSlot& argument : shape_.arguments()) names.push_back(argument.name);
       fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text),
                               .near = nearest_names(item.name->text, names)});
+    }
     const auto same = [&item](const TypedArgument& known) { return known.name.text == item.name->text; };
     if (std::any_of(line_.arguments.begin(), line_.arguments.end(), same))
       fail(item.name->place, {.what = fmt::format("{} is given twice", item.name->text)});
@@ -250,7 +252,8 @@ Shape::Shape(std::string_view form) : text_(form) {
       needs_arguments_ = !word.optional;
     } else if (const std::size_t equals = word.text.find('='); equals != std::string::npos) {
       takes_arguments_ = true;
-      argument_names_.push_back(word.text.substr(0, equals));
+      const std::string value = word.text.substr(equals + 1);
+      arguments_.push_back({word.text.substr(0, equals), {split(value, '|'), !word.optional, word.repeated}});
     } else {
       positional_.push_back({split(word.text, '|'), !word.optional, word.repeated});
     }
@@ -267,6 +270,12 @@ const OptionSlot* Shape::find_option(std::string_view name) const {
   const auto found =
       std::find_if(options_.begin(), options_.end(), [name](const OptionSlot& option) { return option.name == name; });
   return found == options_.end() ? nullptr : &*found;
+}
+
+const ArgumentSlot* Shape::find_argument(std::string_view name) const {
+  const auto found = std::find_if(arguments_.begin(), arguments_.end(),
+                                  [name](const ArgumentSlot& argument) { return argument.name == name; });
+  return found == arguments_.end() ? nullptr : &*found;
 }
 
 const Word* Line::clause(std::string_view keyword) const {

@@ -32,6 +32,12 @@ struct OptionSlot {
   bool takes_value() const { return !slot.choices.empty(); }
 };
 
+/// `hold=T`
+struct ArgumentSlot {
+  std::string name;
+  Slot slot;
+};
+
 /// What a verb takes, read from the text that its help shows:
 /// `load PLUGIN [as INSTANCE] [PARAM=VALUE …]`, `ls [instances|plugins]`, `run FILE … [--for T]`.
 /// Parser, completion and help have no other source.
@@ -45,18 +51,19 @@ class Shape {
   const std::vector<OptionSlot>& options() const { return options_; }
   bool takes_arguments() const { return takes_arguments_; }
   /// Those that it takes (`[hold=T]`); empty: whatever the host knows, if any.
-  const std::vector<std::string>& argument_names() const { return argument_names_; }
+  const std::vector<ArgumentSlot>& arguments() const { return arguments_; }
   bool needs_arguments() const { return needs_arguments_; }
 
   const Clause* find_clause(std::string_view keyword) const;
   const OptionSlot* find_option(std::string_view name) const;
+  const ArgumentSlot* find_argument(std::string_view name) const;
 
  private:
   std::string text_;
   std::vector<Slot> positional_;
   std::vector<Clause> clauses_;
   std::vector<OptionSlot> options_;
-  std::vector<std::string> argument_names_;
+  std::vector<ArgumentSlot> arguments_;
   bool takes_arguments_ = false;
   bool needs_arguments_ = false;
 };

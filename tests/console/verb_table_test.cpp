@@ -44,6 +44,7 @@ class FixedNames final : public Names {
   const control::System* system() override { return silent ? nullptr : &system_; }
   std::vector<std::string> plugins() override { return {"trace-player", "fiona/trace-player"}; }
   std::vector<std::string> packages() override { return {"fiona/step-heading"}; }
+  std::vector<std::string> services() override { return {"GetIMUService", "LidarScan"}; }
   std::vector<std::string> files(std::string_view) override { return {"demo.fiona", "systems/", "with blank"}; }
 
   bool silent = false;
@@ -115,6 +116,7 @@ TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
       for (const Slot& slot : shape.positional()) check(slot, shape.text());
       for (const Clause& clause : shape.clauses()) check(clause.slot, shape.text());
       for (const OptionSlot& option : shape.options()) check(option.slot, shape.text());
+      for (const ArgumentSlot& argument : shape.arguments()) check(argument.slot, shape.text());
     }
   }
 }
@@ -258,6 +260,93 @@ TEST(Lines, SetNeedsSomethingToSet) {
   EXPECT_NE(refusal_of_line("set a").find("set needs at least one name=value"), std::string::npos);
 }
 
+TEST(Lines, OfEveryVerbAndFormAreRead) {
+  std::set<std::string> verbs;
+  for (const char* line :
+       {"load acme/lidar as l in HOST/GROUP rate=5",
+        "unload l",
+        "wire a.x to b.y else c.y else d.y every 5",
+        "unwire a.x",
+        "swap a for b watch 10s",
+        "state a",
+        "state a neutral",
+        "set a rate=5 name=\"x y\"",
+        "get a",
+        "get a rate",
+        "ls",
+        "ls instances",
+        "ls plugins",
+        "ls wires",
+        "ls services",
+        "ls hosts",
+        "show LocationProvider",
+        "spots",
+        "why a",
+        "why a.x",
+        "watch a.x position.x position.y every 500ms for 10s",
+        "watch a.spread when above 3m",
+        "watch a.spread when below 3m every 5",
+        "watch a.spread when changes",
+        "watch stop",
+        "call a.x {number: 7} for 5s",
+        "call a.go speed=2",
+        "send a.x {number: 7}",
+        "graph",
+        "graph dot",
+        "graph mermaid",
+        "top",
+        "plan swap a for b",
+        "undo",
+        "journal",
+        "begin",
+        "commit",
+        "abort",
+        "check f.fiona",
+        "apply f.fiona",
+        "save f.fiona",
+        "source f.fiona",
+        "run f.fiona g.fiona --headless --strict --for 10s",
+        "wait a active for 5s",
+        "expect a.x.field >= 3 for 5s",
+        "sleep 1s",
+        "quit",
+        "quit 3",
+        "market search lidar provides=LidarScan",
+        "market search for spots",
+        "market info lidar --from https://example.org",
+        "market install lidar --from DIR -y",
+        "market install --locked fiona.lock",
+        "market remove lidar -y",
+        "market update",
+        "market rollback",
+        "market rollback 3",
+        "market init DIR",
+        "market publish a.fpk b.fpk --to DIR",
+        "market accept DIR acme",
+        "plugin new lidar --provides LocationProvider --requires GetIMUService --requires StepProvider",
+        "plugin describe liblidar.so -o lidar.interface.textproto",
+        "plugin test",
+        "plugin test lidar for 30min with unconfined",
+        "plugin check lidar.fpk",
+        "plugin pack lidar -o lidar.fpk",
+        "plugin sign lidar.fpk",
+        "keys",
+        "keys list",
+        "keys new acme",
+        "keys trust root.json --from DIR",
+        "help",
+        "help wire",
+        "help patterns",
+        "help exit",
+        "doctor",
+        "paths",
+        "complete unload ",
+        "version"}) {
+    EXPECT_NO_THROW(verbs.insert(line_of(line).verb.text)) << line;
+  }
+  for (const Verb& verb : verb_rows()) EXPECT_TRUE(verbs.contains(verb.name)) << verb.name;
+}
+
 TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(line_of("watch stop nav.location").positional.size(), 2U);
   EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
@@ -334,6 +423,17 @@ TEST(Completion, KnowsPluginsFilesAndOptions) {
   EXPECT_EQ(candidates("load tr"), Texts{"trace-player"});
   EXPECT_EQ(candidates("source d"), Texts{"demo.fiona"});
   EXPECT_EQ(candidates("run x --h"), (Texts{"--headless", "--host"}));
+}
+
+TEST(Completion, KnowsServicesOfThePlatformForANewPlugin) {
+  EXPECT_EQ(candidates("plugin new x --provides Lo"), (Texts{"LocalPath", "LocationProvider"}));
+  EXPECT_EQ(candidates("plugin new x --provides StepProvider --requires GetI"), Texts{"GetIMUService"});
+  EXPECT_EQ(candidates("plugin new x --requires=GetI"), Texts{"--requires=GetIMUService"});
+}
+
+TEST(Completion, KnowsServicesOfPackagesToSearchFor) {
+  EXPECT_EQ(candidates("market search provides=Li"), Texts{"provides=LidarScan"});
+  EXPECT_EQ(candidates("market search lidar requires="), (Texts{"requires=GetIMUService", "requires=LidarScan"}));
 }
 
 TEST(Completion, WithoutAHostOffersWhatTheTableKnows) {
