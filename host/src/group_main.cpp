@@ -145,33 +145,44 @@ int probe_sandbox() {
   ::_exit(0);  // what would run at the end, a leak check above all, needs what was given up
 }
 
-/// fiona-group --describe confined|unconfined FILE LIBRARY [BROUGHT …]: what a library declares, into FILE. Its code
-/// runs in a sandbox which has the library, those that it brings along, and nothing else in reach. Before it runs, a
-/// line says what of the sandbox is missing, or nothing: what comes later may be the library's own words.
-int describe_library(int argc, char** argv) {
-  const fiona::os::Descriptor out(::open(argv[3], O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
-  const std::string library = std::filesystem::canonical(argv[4]);
-  fiona::os::limit({});
-  if (argv[2] == std::string_view("confined")) {
-    fiona::os::Reach reach;
-    for (int i = 4; i < argc; ++i) reach.readable.push_back(std::filesystem::canonical(argv[i]));
-    const auto layers = fiona::os::confine(reach);
-    const auto* missing = fiona::os::missing_wall(layers);
-    std::cout << (missing ? missing->name + ": " + missing->missing : "") << std::endl;
-    if (missing) return static_cast<int>(fiona::ErrorCode::NotAllowed);
-  }
+/// What a library declares, into a file.
+void describe_into(const fiona::os::Descriptor& out, const std::string& library) {
   std::string text;
   google::protobuf::TextFormat::PrintToString(fiona::describe(fiona::tools::open_plugin(library)), &text);
   for (std::size_t written = 0; written < text.size();) {
     const ssize_t now = ::write(out.get(), text.data() + written, text.size() - written);
-    if (now <= 0) ::_exit(1);
+    if (now <= 0) throw fiona::Error(fiona::ErrorCode::Failed, "the interface cannot be written");
     written += static_cast<std::size_t>(now);
   }
-  ::_exit(0);  // without what its destructors do
+}
+
+/// fiona-group --describe confined|unconfined FILE LIBRARY [BROUGHT …]: the library's code runs in a sandbox which has
+/// the library, those that it brings along, and nothing else in reach. Before it runs, a line says what of the sandbox
+/// is missing, or nothing: what comes later may be the library's own words.
+[[noreturn]] void describe_library(int argc, char** argv) {
+  const fiona::os::Descriptor out(::open(argv[3], O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
+  const std::string library = std::filesystem::canonical(argv[4]);
+  fiona::os::Reach reach;
+  for (int i = 4; i < argc; ++i) reach.readable.push_back(std::filesystem::canonical(argv[i]));
+  fiona::os::limit({});
+  int code = 0;  // the process ends without what destructors, and a leak check, would do in a sandbox
+  if (argv[2] == std::string_view("confined")) {
+    const auto layers = fiona::os::confine(reach);
+    const auto* missing = fiona::os::missing_wall(layers);
+    std::cout << (missing ? missing->name + ": " + missing->missing : "") << std::endl;
+    if (missing) ::_exit(static_cast<int>(fiona::ErrorCode::NotAllowed));
+  }
+  try {
+    describe_into(out, library);
+  } catch (const std::exception& error) {
+    std::cerr << error.what() << std::endl;
+    code = 1;
+  }
+  ::_exit(code);
 }
 
 int run(int argc, char** argv) {
-  if (argc >= 5 && argv[1] == std::string_view("--describe")) return describe_library(argc, argv);
+  if (argc >= 5 && argv[1] == std::string_view("--describe")) describe_library(argc, argv);
   if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
   if (argc == 3 && argv[1] == std::string_view("--try")) return try_library(argv[2]);
   const std::string endpoint = value_of(argc, argv, "--endpoint");

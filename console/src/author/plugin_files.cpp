@@ -146,7 +146,12 @@ Described describe_library(Reactor& reactor, const PluginFiles& files, Confineme
   const auto keep = [&said](const std::string& line) {
     if (said.size() < kMostWords) said.push_back(line);
   };
-  child.on_out = [&](const std::string& line) { confined && !missing ? void(missing = line) : keep(line); };
+  child.on_out = [&](const std::string& line) {
+    if (confined && !missing)
+      missing = line;
+    else
+      keep(line);
+  };
   child.on_err = keep;
   const ChildEnd end = run_child(reactor, child);
   const std::string where = files.library.string();
