@@ -12,12 +12,17 @@ namespace fiona::console {
 namespace {
 
 void add_installed(std::vector<KnownPlugin>& plugins, std::vector<std::string>& problems,
-                   const std::filesystem::path& directory) {
-  const marketplace::Store store(directory.empty() ? marketplace::Store::default_directory() : directory);
+                   const marketplace::Store& store) {
   for (const auto& package : store.installed()) {
     if (package.manifest.kind() != fiona::PLUGIN) continue;
     try {
       plugins.push_back({package.manifest, package.interface(), true});
+      KnownPlugin& added = plugins.back();
+      if (package.is_unsigned) {
+        added.mark = "unsigned";
+        added.manifest.set_publisher(added.mark);
+      }
+      if (const auto revoked = store.revocation(package)) added.mark = "revoked: " + revoked->reason();
     } catch (const Error& problem) {
       problems.push_back(problem.what());
     }
@@ -44,9 +49,11 @@ std::string KnownComponent::load_name() const {
   return plugin->interface.components_size() == 1 ? plugin->name() : plugin->name() + "/" + component->name();
 }
 
-Catalogue::Catalogue(const std::filesystem::path& store) {
+Catalogue::Catalogue(const std::filesystem::path& store, const std::filesystem::path& unsigned_packages) {
+  using marketplace::Store;
   try {
-    add_installed(plugins_, problems_, store);
+    add_installed(plugins_, problems_, Store(store.empty() ? Store::default_directory() : store));
+    if (!unsigned_packages.empty()) add_installed(plugins_, problems_, Store(unsigned_packages, Store::Kind::Unsigned));
   } catch (const Error& problem) {
     problems_.push_back(problem.what());
   }

@@ -18,6 +18,7 @@ struct KnownPlugin {
   fiona::Manifest manifest;
   fiona::Interface interface;
   bool installed = false;
+  std::string mark{};  ///< "unsigned", or "revoked: " and why; empty: nothing speaks against it
 
   std::string name() const { return manifest.publisher() + "/" + manifest.name(); }
 };
@@ -38,7 +39,8 @@ std::string loadable(const WordLine& line, const std::string& plugin);
 /// and told by problems(), so that one damaged package does not hide the others.
 class Catalogue {
  public:
-  explicit Catalogue(const std::filesystem::path& store);
+  /// `unsigned_packages`: a store of what nobody has signed for; empty: there is none.
+  explicit Catalogue(const std::filesystem::path& store, const std::filesystem::path& unsigned_packages = {});
 
   const std::vector<KnownPlugin>& plugins() const { return plugins_; }
   const std::vector<std::string>& problems() const { return problems_; }

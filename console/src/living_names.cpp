@@ -28,7 +28,7 @@ const control::System* LivingNames::system() {
 
 std::vector<std::string> LivingNames::plugins() {
   std::vector<std::string> names;
-  const Catalogue catalogue(session_.options.store);
+  const Catalogue catalogue = session_.catalogue();
   for (const KnownPlugin& plugin : catalogue.plugins()) {
     if (plugin.installed) names.insert(names.end(), {plugin.manifest.name(), plugin.name()});
   }
@@ -37,7 +37,7 @@ std::vector<std::string> LivingNames::plugins() {
 
 std::vector<std::string> LivingNames::packages() {
   std::vector<std::string> names;
-  const Catalogue catalogue(session_.options.store);
+  const Catalogue catalogue = session_.catalogue();
   for (const KnownPlugin& plugin : catalogue.plugins()) names.push_back(plugin.name());
   return names;
 }

@@ -70,6 +70,8 @@ fs::path socket_of(std::string_view host) {
   return runtime_directory() / (std::string(host) + ".sock");
 }
 
+fs::path unsigned_packages_of(const fs::path& socket) { return fs::path(socket).replace_extension(".unsigned"); }
+
 bool answers(const fs::path& socket) {
   sockaddr_un address{};
   address.sun_family = AF_UNIX;

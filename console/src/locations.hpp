@@ -17,6 +17,9 @@ std::filesystem::path runtime_directory();
 /// The socket of the host of that name. Throws fiona::Error (Usage) for a name that is none.
 std::filesystem::path socket_of(std::string_view host);
 
+/// The store of the packages that a host was started with though nobody has signed them, beside its socket.
+std::filesystem::path unsigned_packages_of(const std::filesystem::path& socket);
+
 struct RunningHost {
   std::string name;
   std::filesystem::path socket;

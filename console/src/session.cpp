@@ -102,6 +102,20 @@ ControlClient* Session::host_if_running() {
   return &host();
 }
 
+Catalogue Session::catalogue() { return Catalogue(options.store, unsigned_packages()); }
+
+std::filesystem::path Session::unsigned_packages() {
+  try {
+    const auto socket = (connected() ? client_->endpoint() : chosen_endpoint(options.at, options.host)).socket;
+    std::error_code failure;
+    const auto store = unsigned_packages_of(socket);
+    if (!socket.empty() && std::filesystem::exists(store, failure)) return store;
+  } catch (const Error&) {
+    // No host, or several.
+  }
+  return {};
+}
+
 void Session::connect(const Endpoint& endpoint) {
   client_ = std::make_unique<ControlClient>(reactor, endpoint, options.timeout, options.control);
 }

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "catalogue.hpp"
 #include "control_client.hpp"
 #include "output.hpp"
 #include "reactor.hpp"
@@ -61,6 +62,11 @@ class Session {
 
   /// The connection if a host can be found, for verbs that know more with one.
   ControlClient* host_if_running();
+
+  /// What could be loaded here: installed, in the marketplace, and unsigned where the host was started with such.
+  Catalogue catalogue();
+  /// The store of those, of the host that this console speaks to or would; empty: there is none.
+  std::filesystem::path unsigned_packages();
 
   void connect(const Endpoint& endpoint);
   void disconnect();

@@ -220,7 +220,9 @@ std::vector<Verb> remaining_verbs() {
               "market info PACKAGE [--from DIR]", "market install [PACKAGE …] [--locked FILE] [--from DIR] [-y]",
               "market update [PACKAGE …] [--from DIR] [-y]", "market remove PACKAGE … [-y]", "market rollback [N] [-y]",
               "market history", "market list", "market verify", "market lock [FILE]", "market init DIR",
-              "market publish FILE … [--to DIR]", "market accept DIR [NAME …]"}),
+              "market publish FILE … [--to DIR]", "market accept DIR [NAME …]", "market revoke DIR NAME [because=TEXT]",
+              "market keys DIR", "market rotate DIR root|targets|online [KEY …] [threshold=N]",
+              "market sign DIR [-y]"}),
        "finds packages, installs them with what they require, goes back; keeps a marketplace",
        "PACKAGE is [publisher/]name[@version]. --from names a marketplace: a directory or an http(s) address, trusted "
        "by "
@@ -234,7 +236,13 @@ std::vector<Verb> remaining_verbs() {
        "fiona.lock, what is installed or what FILE loads, to the byte; `install --locked` installs that.\n"
        "`init` makes a marketplace and its keys. `publish` hands in packages that `plugin sign` has signed; `accept`, "
        "by "
-       "who has the keys, takes them in, those of new publishers where NAME names them.",
+       "who has the keys, takes them in, those of new publishers where NAME names them. `revoke` takes back "
+       "publisher/name@version, all of publisher/name, or a publisher with his key: users who have it are told, and "
+       "cannot "
+       "start it.\n"
+       "`keys` lists who signs what; `rotate` gives a role other keys, a new one or those named (a name, or 64 digits "
+       "of "
+       "somebody else's); `threshold` of the root's have to sign, each by `sign`.",
        Access::Administer, verbs::market, false},
       {"plugin",
        forms({"plugin new NAME [--provides SERVICE …] [--requires SERVICE …] [--publisher NAME] [DIR]",
@@ -261,7 +269,8 @@ std::vector<Verb> remaining_verbs() {
       {"keys",
        forms({"keys", "keys list", "keys make", "keys show",
               "keys allow NAME KEY [as observe|operate|compose|administer]", "keys know NAME ADDRESS:PORT KEY",
-              "keys forget NAME", "keys new NAME", "keys trust FILE [--from DIR]"}),
+              "keys forget NAME", "keys new NAME", "keys renew NAME",
+              "keys trust FILE [--from DIR]"}),
        "keys of this user: who may connect, what signs packages, which marketplace is trusted",
        "Without a word, and with `list`: who may connect, who is known, which keys sign and what is trusted. `make` "
        "makes the pair, once; `show` prints the key that "
@@ -269,7 +278,8 @@ std::vector<Verb> remaining_verbs() {
        "given. `allow` lets a host connect to those that --listen; with `as` it lets a console connect to those that "
        "--serve, and says what it may. `know` gives a host on another machine a name: fiona --at NAME. `new` makes a "
        "key "
-       "that signs packages, named as their publisher; `trust` lets a marketplace be trusted by its root.json.",
+       "that signs packages, named as their publisher; `renew` puts another in its place and signs all again; `trust` "
+       "lets a marketplace be trusted by its root.json.",
        Access::Administer, verbs::keys, false},
       {"doctor", forms({"doctor"}), "looks for what keeps fiona from working on this machine, and says what mends it",
        "Exit code 1 where something is wrong.", Access::Observe, verbs::doctor},

@@ -38,8 +38,11 @@ void add_known(WhiteSpot& spot, const Catalogue& catalogue) {
   std::size_t offered = 0;
   for (const KnownComponent& known :
        catalogue.with_port(spot.required ? fiona::PROVIDES : fiona::REQUIRES, spot.service)) {
+    if (known.plugin->mark.starts_with("revoked")) continue;  // nobody could load it
     if (++(known.plugin->installed ? installed : offered) > kMostOfAKind) continue;
-    const std::string what = fmt::format("{} {}", known.load_name(), known.plugin->manifest.version());
+    const std::string& mark = known.plugin->mark;
+    const std::string what = fmt::format("{} {}{}", known.load_name(), known.plugin->manifest.version(),
+                                         mark.empty() ? "" : " (" + mark + ")");
     spot.fillers.push_back({known.plugin->installed ? "installed" : "market", what,
                             known.plugin->installed ? fmt::format("load {}", known.load_name())
                                                     : fmt::format("market install {}", known.plugin->name())});

@@ -93,6 +93,13 @@ void check_entry(const IndexEntry& entry, const std::string& where) {
   }
 }
 
+void check_revocation(const Revocation& revoked, const std::string& where) {
+  std::string fault = texts_fault(revoked);
+  if (!is_blake2b(revoked.blake2b())) fault = "it has no hash";
+  if (!fault.empty())
+    throw Error(ErrorCode::Failed, ErrorText{.what = "a revocation is wrong: " + fault, .where = where});
+}
+
 }  // namespace
 
 std::string package_file_name(const Manifest& manifest, std::string_view blake2b) {
@@ -120,6 +127,7 @@ Index parse_index(std::string_view bytes, const std::string& where) {
       throw Error(ErrorCode::Failed, ErrorText{.what = "it is not an index", .where = where});
     }
     for (const auto& entry : index.entries()) check_entry(entry, where);
+    for (const auto& revoked : index.revoked()) check_revocation(revoked, where);
   } catch (const Error& error) {
     ErrorText text = error.text();
     text.what = "the marketplace's index is damaged: " + text.what;
@@ -138,15 +146,21 @@ Marketplace::Marketplace(filesystem::path directory)
                                                .next = "choose one with --from DIR, or set FIONA_MARKET"});
   }
   index_ = std::move(*index);
+  behind_.first_party = true;
 }
 
-Marketplace::Marketplace(const filesystem::path& copy, std::string source, Fetch fetch) : Marketplace(copy) {
+Marketplace::Marketplace(const filesystem::path& copy, std::string source, Behind behind) : Marketplace(copy) {
   source_ = std::move(source);
-  fetch_ = std::move(fetch);
+  behind_ = std::move(behind);
+}
+
+std::vector<std::string> Marketplace::keys_of(const std::string& publisher) const {
+  const auto found = behind_.keys.find(publisher);
+  return found == behind_.keys.end() ? std::vector<std::string>{} : found->second;
 }
 
 filesystem::path Marketplace::package(const IndexEntry& entry) const {
-  if (fetch_) return fetch_(entry);
+  if (behind_.fetch) return behind_.fetch(entry);
   const filesystem::path path = directory_ / entry.file();
   std::error_code failure;
   if (filesystem::exists(path, failure)) return path;

@@ -68,6 +68,23 @@ Installed read_installed(const std::filesystem::path& store) {
   return read_list(path, next).value_or(Installed{});
 }
 
+Revocations read_revocations(const std::filesystem::path& store) {
+  const std::filesystem::path path = store / kRevokedFile;
+  const FileDescriptor file = open_regular(AT_FDCWD, path, path);
+  Revocations revoked;
+  if (!file) return revoked;
+  try {
+    parse_text(read_all(file, kMostInstalledBytes, path), path.string(), revoked);
+  } catch (const Error& error) {
+    // Without it, what was revoked would be started.
+    ErrorText text = error.text();
+    text.what = "the list of revoked packages is damaged: " + text.what;
+    text.next = "remove " + path.string() + ", then: market update, which asks the marketplaces again";
+    throw Error(error.code(), text);
+  }
+  return revoked;
+}
+
 std::vector<std::uint64_t> kept_generations(const std::filesystem::path& store) {
   std::vector<std::uint64_t> numbers;
   std::error_code failure;

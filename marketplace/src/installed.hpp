@@ -10,6 +10,7 @@
 namespace fiona::marketplace {
 
 inline constexpr std::string_view kInstalledFile = "installed.textproto";
+inline constexpr std::string_view kRevokedFile = "revoked.textproto";
 inline constexpr std::string_view kPackagesDirectory = "packages";
 inline constexpr std::string_view kGenerationsDirectory = "generations";
 /// How many earlier lists are kept, and with them the packages that they name.
@@ -18,6 +19,9 @@ inline constexpr std::size_t kKeptGenerations = 10;
 /// The list of a store, checked; an empty list if there is none. Throws fiona::Error (Failed) if it is
 /// damaged.
 Installed read_installed(const std::filesystem::path& store);
+
+/// What marketplaces have revoked of it, checked; empty if there is no such list. Throws as the above.
+Revocations read_revocations(const std::filesystem::path& store);
 
 /// The numbers of the earlier lists that are kept, in ascending order.
 std::vector<std::uint64_t> kept_generations(const std::filesystem::path& store);

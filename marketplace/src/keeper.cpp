@@ -13,33 +13,18 @@
 #include "durable.hpp"
 #include "files.hpp"
 #include "index_file.hpp"
+#include "keeper_parts.hpp"
 #include "signed_market.hpp"
+#include "text_check.hpp"
 #include "tuf/digest.hpp"
+#include "tuf/metadata.hpp"
 
 namespace fiona::marketplace {
 namespace {
 
 namespace filesystem = std::filesystem;
 
-constexpr std::uint64_t kMostRoleFileBytes = 8 << 20;
 constexpr std::string_view kPackageEnding = ".fpk";
-
-tuf::Time now_of(const KeeperOptions& options) {
-  return options.now ? options.now() : std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
-}
-
-tuf::RepositoryOptions repository_options(const filesystem::path& market, const KeeperOptions& options) {
-  const filesystem::path place = filesystem::absolute(market).lexically_normal();
-  const filesystem::path trusted =
-      options.trusted.empty() ? options.keys.path() / "kept" / tuf::percent_encoded(place.string()) : options.trusted;
-  return {.directory = place, .trusted = trusted, .lifetimes = options.lifetimes, .now = options.now};
-}
-
-std::optional<std::string> content_if_there(const filesystem::path& path) {
-  const FileDescriptor file = open_regular(AT_FDCWD, path, path);
-  if (!file) return std::nullopt;
-  return read_all(file, kMostRoleFileBytes, path);
-}
 
 // A package that was read, and how metadata speaks of it.
 struct ReadPackage {
@@ -138,7 +123,7 @@ std::string init_market(const filesystem::path& market, const KeeperOptions& opt
   const DurableDirectory directory{os, how.directory, 0755};
   directory.child("incoming", 0755);
   tuf::Repository repository{how, options.keys};
-  repository.delegate(std::string(kIndexRole), online.open(), {std::string(kIndexFile)});
+  repository.delegate(std::string(kIndexRole), {online.open()}, {std::string(kIndexFile)});
   directory.child("targets", 0755).replace(tuf::sha256_hex("") + "." + std::string(kIndexFile), "");
   repository.set_target(std::string(kIndexRole), std::string(kIndexFile), 0, tuf::sha256_hex(""));
   repository.commit();
@@ -216,6 +201,33 @@ class Acceptance {
     read_market_index();
   }
 
+  std::vector<Revocation> revoke(const std::string& what, const std::string& reason) {
+    const std::size_t at = what.find('@');
+    const std::string name = what.substr(0, at), version = at == std::string::npos ? "" : what.substr(at + 1);
+    const bool is_publisher = name.find('/') == std::string::npos;
+    auto& entries = *index_.mutable_entries();
+    std::vector<Revocation> revoked;
+    const auto is_meant = [&](const IndexEntry& entry) {
+      const Manifest& manifest = entry.manifest();
+      return (is_publisher ? manifest.publisher() : full_name(manifest)) == name &&
+             (version.empty() || manifest.version() == version);
+    };
+    for (const IndexEntry& entry : entries) {
+      if (is_meant(entry)) revoked.push_back(revocation_of(entry, reason));
+    }
+    const bool known = !revoked.empty() || (is_publisher && !repository_.key_ids_of(name).empty());
+    if (!known || (is_publisher && !version.empty())) refuse_unknown(what);
+    entries.erase(std::remove_if(entries.begin(), entries.end(), is_meant), entries.end());
+    for (const Revocation& one : revoked) *index_.add_revoked() = one;
+    index_.set_generation(index_.generation() + 1);
+    if (is_publisher && !repository_.key_ids_of(name).empty()) repository_.undelegate(name);
+    write_market_index();
+    follow_online_keys();
+    repository_.commit();
+    remove_unlisted_targets();
+    return revoked;
+  }
+
   Accepted run(const std::vector<std::string>& welcome) {
     for (const auto& name : incoming_.names()) read_incoming(name);
     for (const auto& name : incoming_.names()) {
@@ -227,6 +239,7 @@ class Acceptance {
       }
     }
     write_market_index();
+    follow_online_keys();
     repository_.commit();
     for (const auto& name : done_) incoming_.remove_file(name);
     remove_unlisted_targets();
@@ -234,6 +247,42 @@ class Acceptance {
   }
 
  private:
+  Revocation revocation_of(const IndexEntry& entry, const std::string& reason) const {
+    Revocation revoked;
+    revoked.set_package(full_name(entry.manifest()));
+    revoked.set_version(entry.manifest().version());
+    revoked.set_blake2b(entry.blake2b());
+    revoked.set_reason(reason);
+    revoked.set_time_s(now_of(options_).time_since_epoch().count());
+    return revoked;
+  }
+
+  [[noreturn]] void refuse_unknown(const std::string& what) const {
+    std::set<std::string> known;
+    for (const auto& entry : index_.entries()) {
+      known.insert({entry.manifest().publisher(), full_name(entry.manifest()),
+                    full_name(entry.manifest()) + "@" + entry.manifest().version()});
+    }
+    throw Error(ErrorCode::NotFound,
+                ErrorText{.what = "the marketplace offers nothing that is called " + what,
+                          .where = how_.directory.string(),
+                          .expected = "a publisher, publisher/name, or publisher/name@version",
+                          .next = "fiona market search --from " + how_.directory.string(),
+                          .near = nearest_names(what, std::vector<std::string>{known.begin(), known.end()})});
+  }
+
+  // Neither these bytes nor this version come back. Empty: nobody has revoked it.
+  std::string revocation_fault(const IndexEntry& entry) const {
+    for (const auto& one : index_.revoked()) {
+      const bool same_version =
+          one.package() == full_name(entry.manifest()) && one.version() == entry.manifest().version();
+      if (!same_version && one.blake2b() != entry.blake2b()) continue;
+      return fmt::format("{} {} has been revoked{}; its publisher is to raise the version", one.package(),
+                         one.version(), one.reason().empty() ? "" : ": " + one.reason());
+    }
+    return {};
+  }
+
   void read_market_index() {
     for (const auto& target : repository_.targets_of(std::string(kIndexRole))) {
       if (target.path != kIndexFile) continue;
@@ -286,18 +335,22 @@ class Acceptance {
         result_.unknown.push_back({publisher, *key, !known.empty()});
         return;
       }
-      repository_.delegate(publisher, *key, {publisher + "/*"});
+      repository_.delegate(publisher, {*key}, {publisher + "/*"});
     }
-    if (role.version > repository_.version_of(publisher)) {
+    const std::int64_t here = repository_.version_of(publisher);
+    if (role.version < here) {
+      result_.refused.push_back(
+          fmt::format("{}: it is version {}, and version {} is here already; its publisher signs the next one where "
+                      "that is kept, or "
+                      "begins with a copy of metadata/{}.{} as signing/{}",
+                      file_name, role.version, here, here, file_name, file_name));
+      return;
+    }
+    if (role.version > here) {
       take_packages(publisher, role);
       repository_.take_role(publisher, role_file);
     }
     done_.push_back(file_name);
-  }
-
-  static bool is_publisher(const std::string& name) {
-    return !name.empty() && name[0] >= 'a' && name[0] <= 'z' &&
-           name.find_first_not_of("abcdefghijklmnopqrstuvwxyz0123456789-") == std::string::npos;
   }
 
   // All that the role signs for must be there or have come; what it signs for no longer is withdrawn.
@@ -314,7 +367,11 @@ class Acceptance {
       const std::string& sha256 = target.hashes.at("sha256");
       const auto came = std::ranges::find_if(
           packages_, [&](const auto& one) { return one.second.path == target.path && one.second.sha256 == sha256; });
-      if (came != packages_.end()) {
+      const std::string fault = came == packages_.end() ? "" : revocation_fault(came->second.entry);
+      if (!fault.empty()) {
+        result_.refused.push_back(came->first + ": " + fault);
+        done.push_back(came->first);
+      } else if (came != packages_.end()) {
         if (add_entry(next, came->second.entry, options_.replace, how_.directory)) paths.push_back(target.path);
         copy_checked(incoming_.path() / came->first, sha256, home, consistent_name(target.path, sha256));
         done.push_back(came->first);
@@ -338,6 +395,16 @@ class Acceptance {
     targets_.replace(name, bytes);
     repository_.set_target(std::string(kIndexRole), std::string(kIndexFile), bytes.size(), sha256);
     former_index_ = std::exchange(index_file_, name);
+  }
+
+  // Who signs the time signs the index: the keys of both change together.
+  void follow_online_keys() {
+    const auto next = repository_.proposed(std::string(tuf::kTimestamp));
+    if (!next || repository_.proposal_lacks() != 0) return;
+    if (next->keys == repository_.keys_of(std::string(kIndexRole)).keys) return;
+    repository_.delegate(std::string(kIndexRole), next->keys, {std::string(kIndexFile)});
+    std::string bytes = index_.SerializeAsString();
+    repository_.set_target(std::string(kIndexRole), std::string(kIndexFile), bytes.size(), tuf::sha256_hex(bytes));
   }
 
   // What no list names any more, but for the index before this one: somebody may be reading by it.
@@ -403,15 +470,30 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
   DurableDirectory{os, place.parent_path(), 0755}.replace(place.filename().string() + ".root.json", root);
 }
 
+namespace {
+
+void require_keys(const filesystem::path& market, const KeeperOptions& options) {
+  if (keeps(market, options)) return;
+  throw Error(ErrorCode::NotAllowed,
+              ErrorText{.what = "this user has not the keys of this marketplace",
+                        .where = market.string(),
+                        .expected = "keys of snapshot and timestamp in " + options.keys.path().string(),
+                        .next = "let who made it do this"});
+}
+
+}  // namespace
+
 Accepted accept(const filesystem::path& market, const std::vector<std::string>& welcome, const KeeperOptions& options) {
-  if (!keeps(market, options)) {
-    throw Error(ErrorCode::NotAllowed,
-                ErrorText{.what = "this user has not the keys of this marketplace",
-                          .where = market.string(),
-                          .expected = "keys of snapshot and timestamp in " + options.keys.path().string(),
-                          .next = "let who made it do this"});
-  }
+  require_keys(market, options);
   return Acceptance{market, options}.run(welcome);
+}
+
+std::vector<Revocation> revoke(const filesystem::path& market, const std::string& what, const std::string& reason,
+                               const KeeperOptions& options) {
+  require_keys(market, options);
+  if (const std::string fault = text_fault(reason, false); !fault.empty())
+    throw Error(ErrorCode::Usage, ErrorText{.what = "the reason " + fault, .expected = "one line of text"});
+  return Acceptance{market, options}.revoke(what, reason);
 }
 
 bool keeps(const filesystem::path& market, const KeeperOptions& options) {

@@ -51,6 +51,10 @@ void check_relations(const Manifest& manifest, const std::string& where) {
 
 void check_authors_part(const Manifest& manifest, const std::string& where) {
   check_name(where, "publisher", manifest.publisher());
+  if (!is_publisher(manifest.publisher())) {
+    refuse(where, "\"" + manifest.publisher() + "\" has a meaning of its own, and cannot be a publisher",
+           "another name");
+  }
   check_name(where, "name", manifest.name());
   if (!Version::parse(manifest.version())) {
     refuse(where, "version is not a semantic version", "MAJOR.MINOR.PATCH, such as 1.0.0 or 1.2.0-rc.1",
@@ -222,6 +226,11 @@ std::string_view library_path(std::string_view plugin) {
 bool is_name(std::string_view text) {
   return !text.empty() && text.size() <= kNameLength && kLower.find(text.front()) != std::string_view::npos &&
          text.find_first_not_of(kNameRest) == std::string_view::npos;
+}
+
+bool is_publisher(std::string_view text) {
+  constexpr std::string_view kTaken[] = {"local", "unsigned", "root", "targets", "snapshot", "timestamp"};
+  return is_name(text) && std::ranges::find(kTaken, text) == std::end(kTaken);
 }
 
 std::string system_file(const Manifest& manifest) { return "share/" + manifest.name() + ".fiona"; }

@@ -125,17 +125,20 @@ Marketplace open_marketplace(const std::string& location, const OpenOptions& opt
   require_trusted(trusted, place);
   const filesystem::path copy = copies_of(options) / trusted.filename();
   if (!options.ask_network && !tuf::is_directory_location(place)) {
-    return Marketplace{copy, place, [place](const IndexEntry&) -> filesystem::path {
-                         throw Error(ErrorCode::Unreachable,
-                                     ErrorText{.what = "the marketplace was not asked", .where = place});
-                       }};
+    const auto fetch = [place](const IndexEntry&) -> filesystem::path {
+      throw Error(ErrorCode::Unreachable, ErrorText{.what = "the marketplace was not asked", .where = place});
+    };
+    return Marketplace{copy, place, Marketplace::Behind{.fetch = fetch}};
   }
   const auto client = make_client(trusted, place, options);
   client->refresh();
   remove_old_packages(copy);
   client->download(client->target(std::string(kIndexFile)), copy);
-  return Marketplace{copy, place,
-                     [client, copy](const IndexEntry& entry) { return fetch_package(*client, entry, copy); }};
+  return Marketplace{copy,
+                     place,
+                     {.fetch = [client, copy](const IndexEntry& entry) { return fetch_package(*client, entry, copy); },
+                      .keys = client->signers(),
+                      .first_party = !shipped_root(place).empty()}};
 }
 
 void trust_marketplace(std::string_view root, const std::string& location, const OpenOptions& options) {

@@ -57,12 +57,6 @@ PlanStep removal_of(const Manifest& manifest) {
   return step;
 }
 
-bool requires_package(const Manifest& manifest, const std::string& package) {
-  return std::ranges::any_of(manifest.requirements(), [&](const auto& text) {
-    return Requirement::parse(text, full_name(manifest)).package == package;
-  });
-}
-
 void sort_steps(Plan& plan) { std::ranges::sort(plan.steps, {}, &PlanStep::package); }
 
 /// One question to the solver: what is there, what is offered, what is wanted.
@@ -176,15 +170,32 @@ class Planner {
     if (before && hash_of(*present_.at(name)) == entry->second->blake2b()) return;
     PlanStep step = step_to(after, before);
     step.entry = *entry->second;
-    step.new_publisher = after.publisher() != kFirstParty && std::ranges::none_of(present_, [&](const auto& known) {
-                           return known.second->manifest().publisher() == after.publisher();
-                         });
+    look_at_publisher(step, after.publisher());
     if (!is_asked(name) || (wanted_.update_all && !before)) {
       for (const Manifest* other : all) {
         if (step.because.empty() && requires_package(*other, name)) step.because = full_name(*other) + " requires it";
       }
     }
     plan_.steps.push_back(std::move(step));
+  }
+
+  // A name is only as good as the keys behind it, and those the marketplace may change.
+  void look_at_publisher(PlanStep& step, const std::string& publisher) const {
+    std::set<std::string> known;
+    step.new_publisher = true;
+    for (const auto& [name, package] : present_) {
+      if (package->manifest().publisher() != publisher) continue;
+      step.new_publisher = false;
+      known.insert(package->keys().begin(), package->keys().end());
+    }
+    if (from_.is_first_party() && publisher == kFirstParty) {
+      step.new_publisher = false;
+      return;
+    }
+    step.known_keys = {known.begin(), known.end()};
+    for (const auto& key : from_.keys_of(publisher)) {
+      if (!known.contains(key)) step.new_keys.push_back(key);
+    }
   }
 
   // A package that stays in its version may have other content in the marketplace, or damaged files here.
@@ -206,6 +217,7 @@ class Planner {
     PlanStep step = step_to(same->manifest(), before);
     step.kind = other_content ? StepKind::Replace : StepKind::Repair;
     step.entry = *same;
+    if (other_content) look_at_publisher(step, same->manifest().publisher());
     plan_.steps.push_back(std::move(step));
   }
 
@@ -371,7 +383,7 @@ Platform Platform::here() { return {FIONA_VERSION, kAbiTag, std::string(this_arc
 
 bool Plan::needs_consent() const {
   return std::ranges::any_of(steps, [](const PlanStep& step) {
-    return !step.because.empty() || !step.new_rights.empty() || step.new_publisher;
+    return !step.because.empty() || !step.new_rights.empty() || step.new_publisher || !step.new_keys.empty();
   });
 }
 

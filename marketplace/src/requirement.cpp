@@ -104,4 +104,10 @@ std::string Requirement::text() const {
   return bounds.empty() ? package : package + " " + bounds;
 }
 
+bool requires_package(const Manifest& manifest, const std::string& package) {
+  return std::ranges::any_of(manifest.requirements(), [&](const auto& text) {
+    return Requirement::parse(text, full_name(manifest)).package == package;
+  });
+}
+
 }  // namespace fiona::marketplace

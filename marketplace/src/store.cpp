@@ -32,6 +32,7 @@ InstalledPackage located(const filesystem::path& store, const fiona::InstalledPa
   package.blake2b = package.directory.filename().string();
   package.source = entry.source();
   package.as_requirement = entry.as_requirement();
+  package.first_party = entry.first_party();
   return package;
 }
 
@@ -119,7 +120,8 @@ PackageHold::~PackageHold() {
   if (descriptor_ >= 0) ::close(descriptor_);
 }
 
-Store::Store(filesystem::path directory) : directory_(filesystem::absolute(directory).lexically_normal()) {}
+Store::Store(filesystem::path directory, Kind kind)
+    : directory_(filesystem::absolute(directory).lexically_normal()), kind_(kind) {}
 
 filesystem::path Store::default_directory() {
   const auto variable = [](const char* name) { return filesystem::path(std::getenv(name) ? std::getenv(name) : ""); };
@@ -134,18 +136,42 @@ filesystem::path Store::default_directory() {
 std::vector<InstalledPackage> Store::installed() const {
   std::vector<InstalledPackage> packages;
   const Installed list = read_installed(directory_);
-  for (const auto& entry : list.packages()) packages.push_back(located(directory_, entry));
+  for (const auto& entry : list.packages()) {
+    packages.push_back(located(directory_, entry));
+    packages.back().is_unsigned = kind_ == Kind::Unsigned;
+  }
   std::ranges::sort(packages, {}, &InstalledPackage::name);
   return packages;
 }
 
-InstalledPackage Store::find(std::string_view name) const {
-  const auto packages = installed();
+InstalledPackage Store::find(std::string_view name) const { return chosen(installed(), name, directory_); }
+
+InstalledPackage Store::chosen(const std::vector<InstalledPackage>& packages, std::string_view name,
+                               const filesystem::path& where) {
   std::set<std::string> known;
   for (const auto& package : packages) known.insert(package.name());
-  const std::string full = resolve_name(name, known, "there is no installed package", directory_.string(),
-                                        "market install " + std::string(name));
+  const std::string full =
+      resolve_name(name, known, "there is no installed package", where.string(), "market install " + std::string(name));
   return *std::ranges::find(packages, full, &InstalledPackage::name);
+}
+
+std::optional<Revocation> Store::revocation(const InstalledPackage& package) const {
+  const Revocations revoked = read_revocations(directory_);
+  for (const auto& one : revoked.packages()) {
+    if (one.blake2b() == package.blake2b && one.marketplace() == package.source) return one;
+  }
+  return std::nullopt;
+}
+
+void Store::require_not_revoked(const InstalledPackage& package) const {
+  const auto revoked = revocation(package);
+  if (!revoked) return;
+  throw Error(ErrorCode::BadSignature,
+              ErrorText{.what = package.name() + " " + package.manifest.version() + " has been revoked: " +
+                                (revoked->reason().empty() ? "no reason is given" : revoked->reason()),
+                        .where = revoked->marketplace(),
+                        .expected = "a version that its marketplace stands by",
+                        .next = "market update " + package.name() + ", or market remove " + package.name()});
 }
 
 std::vector<Generation> Store::history() const {

@@ -69,13 +69,13 @@ bool StoreChange::is_whole(const Manifest& manifest, const std::string& blake2b)
   }
 }
 
-void StoreChange::add_files(const Marketplace& from, const IndexEntry& entry) {
+void StoreChange::add_files(const IndexEntry& entry, const std::function<filesystem::path()>& fetch) {
   const std::string& hash = entry.blake2b();
   // A package that was taken out while somebody holds it is still there, and stays where its holder sees it.
   if (packages_->has(hash) && is_whole(entry.manifest(), hash)) return;
   const std::string staging = std::string(kStaging) + hash.substr(0, 16);
   try {
-    unpack(from, entry, staging);
+    unpack(entry, fetch(), staging);
     if (packages_->has(hash)) packages_->move(hash, store_, std::string(kStaging) + "damaged-" + hash.substr(0, 16));
     store_.move(staging, *packages_, hash);
   } catch (...) {
@@ -142,7 +142,7 @@ std::set<std::string> StoreChange::listed() const {
 }
 
 void StoreChange::sweep() const {
-  store_.remove_file(std::string(kInstalledFile) + ".new");
+  for (const auto file : {kInstalledFile, kRevokedFile}) store_.remove_file(std::string(file) + ".new");
   for (const auto& name : generations_->names()) {
     if (name.ends_with(".new")) generations_->remove_file(name);
   }
@@ -171,8 +171,7 @@ bool StoreChange::is_held(const DurableDirectory& parent, const std::string& nam
   return directory && options_.os.flock(directory.number(), LOCK_EX | LOCK_NB) != 0;
 }
 
-void StoreChange::unpack(const Marketplace& from, const IndexEntry& entry, const std::string& name) const {
-  const filesystem::path path = from.package(entry);
+void StoreChange::unpack(const IndexEntry& entry, const filesystem::path& path, const std::string& name) const {
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
   if (!file) throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = path.string()});
   StagingSink sink{store_, name};

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <fiona/marketplace/install.hpp>
+#include <functional>
 #include <optional>
 #include <set>
 #include <string>
@@ -18,8 +19,9 @@ class StoreChange {
   Installed& list() { return list_; }
   fiona::InstalledPackage* find(const std::string& name);
 
-  /// Unpacks a package, and makes it whole if it is there and damaged. Nothing of it is left if it fails.
-  void add_files(const Marketplace& from, const IndexEntry& entry);
+  /// Unpacks a package, which `fetch` brings, and makes it whole if it is there and damaged. Nothing of it is left if
+  /// it fails.
+  void add_files(const IndexEntry& entry, const std::function<std::filesystem::path()>& fetch);
   /// Whether the package's files are there and right.
   bool is_whole(const Manifest& manifest, const std::string& blake2b) const;
 
@@ -35,7 +37,7 @@ class StoreChange {
   std::set<std::string> listed() const;
   void sweep() const;
   bool is_held(const DurableDirectory& parent, const std::string& name) const;
-  void unpack(const Marketplace& from, const IndexEntry& entry, const std::string& name) const;
+  void unpack(const IndexEntry& entry, const std::filesystem::path& path, const std::string& name) const;
   void keep_present() const;
   void write(const Installed& list) const;
   void forget_oldest() const;

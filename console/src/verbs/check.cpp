@@ -9,7 +9,7 @@
 namespace fiona::console::verbs {
 
 void check(Session& session, const Line& line) {
-  const Catalogue catalogue(session.options.store);
+  const Catalogue catalogue = session.catalogue();
   for (const std::string& problem : catalogue.problems()) session.out.remark(problem);
   const CheckResult result = check_system(system_path(line.positional[0].text, session.options.store), catalogue);
   for (const std::string& remark : result.remarks) session.out.remark(remark);

@@ -1,5 +1,6 @@
 // keys: the key pair of this user's hosts and consoles, which others may connect, and which are known by a name; what
 // signs packages; which marketplaces are trusted.
+#include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/open.hpp>
 #include <fiona/trust/host_keys.hpp>
 #include <fiona/trust/signing_key.hpp>
@@ -80,6 +81,13 @@ void keys(Session& session, const Line& line) {
   if (what == "new") {
     const tuf::SigningKey key = tuf::SigningKeys().make(line.positional[1].text);
     return session.out.done(fmt::format("made the signing key {}: {}", line.positional[1].text, key.open()));
+  }
+  if (what == "renew") {
+    const tuf::OpenKey key = marketplace::renew_key(line.positional[1].text);
+    session.out.done(fmt::format("{} signs with another key from now on: {}", line.positional[1].text, key));
+    return session.out.remark(
+        "next: tell it to the keeper of each marketplace, who is to welcome you again: plugin sign, "
+        "market publish; then market accept DIR NAME");
   }
   if (what == "trust") return trust_root(session, line);
   if (what == "forget") {

@@ -2,6 +2,7 @@
 #include <map>
 
 #include <fmt/format.h>
+#include <fiona/marketplace/store.hpp>
 
 #include "../catalogue.hpp"
 #include "../locations.hpp"
@@ -11,8 +12,28 @@
 namespace fiona::console::verbs {
 namespace {
 
+/// What speaks against a package that something runs of: "NAME VERSION" and why.
+std::map<std::string, std::string> marks_of(const Session& session) {
+  using marketplace::Store;
+  std::map<std::string, std::string> marks;
+  const auto& chosen = session.options.store;
+  const Store store(chosen.empty() ? Store::default_directory() : chosen);
+  for (const auto& package : store.installed()) {
+    if (store.revocation(package)) marks[package.name() + " " + package.manifest.version()] = "revoked";
+  }
+  return marks;
+}
+
+std::string plugin_text(const control::InstanceStatus& instance, const std::map<std::string, std::string>& marks) {
+  const std::string name = short_name(instance.plugin().substr(instance.plugin().find('/') + 1));
+  if (instance.plugin().starts_with("unsigned/")) return name + " (unsigned)";
+  const auto mark = marks.find(instance.plugin() + " " + instance.version());
+  return mark == marks.end() ? name : fmt::format("{} ({})", name, mark->second);
+}
+
 void ls_instances(Session& session) {
   const control::System system = session.snapshot();
+  const auto marks = marks_of(session);
   Table table({"instance", "plugin", "mode", "health", "wires", "rate", "group"});
   for (const auto& instance : system.instances()) {
     int required = 0;
@@ -24,7 +45,7 @@ void ls_instances(Session& session) {
       if (port.direction() == fiona::PROVIDES) rate_hz = std::max(rate_hz, port.rate_hz());
     }
     table.add({instance.name(),
-               short_name(instance.plugin().substr(instance.plugin().find('/') + 1)),
+               plugin_text(instance, marks),
                instance.mode(),
                health_text(instance),
                required == 0 ? "-" : fmt::format("{}/{}", connected, required),
@@ -35,12 +56,13 @@ void ls_instances(Session& session) {
 }
 
 void ls_plugins(Session& session) {
-  const Catalogue catalogue(session.options.store);
+  const Catalogue catalogue = session.catalogue();
   Table table({"plugin", "component", "version", "where", "summary"});
   for (const KnownPlugin& plugin : catalogue.plugins()) {
     for (const auto& component : plugin.interface.components()) {
-      table.add({plugin.name(), component.name(), plugin.manifest.version(), plugin.installed ? "installed" : "market",
-                 plugin.manifest.summary()});
+      const std::string where = plugin.installed ? "installed" : "market";
+      table.add({plugin.name(), component.name(), plugin.manifest.version(),
+                 plugin.mark.empty() ? where : where + ", " + plugin.mark, plugin.manifest.summary()});
     }
   }
   session.out.table(table, "no plugin is installed, and there is no marketplace\n  next: market search --from DIR");

@@ -1,6 +1,7 @@
 // The only verb that changes a store. What it finds is in market_search.cpp.
 #include <algorithm>
 #include <ctime>
+#include <set>
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
@@ -30,6 +31,12 @@ constexpr int kMostPlans = 5;
 
 Store chosen_store(const Session& session) {
   return Store(session.options.store.empty() ? Store::default_directory() : session.options.store);
+}
+
+std::optional<Store> unsigned_store(Session& session) {
+  const auto directory = session.unsigned_packages();
+  if (directory.empty()) return std::nullopt;
+  return Store(directory, Store::Kind::Unsigned);
 }
 
 std::vector<std::string> names_in(const Line& line) {
@@ -70,6 +77,18 @@ std::string rights_text(const std::vector<std::string>& rights) {
   return fmt::format("{}", fmt::join(texts, "; "));
 }
 
+/// Who is behind the name of a publisher, where that is new here.
+std::string publisher_text(const std::string& publisher, const PlanStep& step) {
+  const std::string keys = fmt::format("{}", fmt::join(step.new_keys, ", "));
+  if (step.new_publisher && keys.empty()) return fmt::format("nothing of the publisher {} is installed yet", publisher);
+  if (step.new_publisher)
+    return fmt::format("nothing of the publisher {} is installed yet; its key: {}", publisher, keys);
+  if (step.known_keys.empty())
+    return fmt::format("the publisher {} signs with a key that is new here: {}", publisher, keys);
+  return fmt::format("the publisher {} signs with another key than what is installed: {}\n  before: {}", publisher,
+                     keys, fmt::join(step.known_keys, ", "));
+}
+
 /// What is asked for, in words: why a package comes, which rights, whose it is.
 void show_plan(Session& session, const Plan& plan) {
   Table table({"package", "version", "does", "because", "rights"});
@@ -83,14 +102,12 @@ void show_plan(Session& session, const Plan& plan) {
       session.out.text(fmt::format("{} {} asks for more than {}: {}", step.package, step.version, step.previous_version,
                                    rights_text(step.new_rights)));
   }
-  std::vector<std::string> publishers;
+  std::set<std::string> told;
   for (const PlanStep& step : plan.steps) {
     const std::string publisher = step.package.substr(0, step.package.find('/'));
-    const bool told = std::find(publishers.begin(), publishers.end(), publisher) != publishers.end();
-    if (step.new_publisher && !told) publishers.push_back(publisher);
+    if ((step.new_publisher || !step.new_keys.empty()) && told.insert(publisher).second)
+      session.out.text(publisher_text(publisher, step));
   }
-  for (const std::string& publisher : publishers)
-    session.out.text(fmt::format("nothing of the publisher {} is installed yet", publisher));
 }
 
 /// What else there is to say, done or not.
@@ -172,7 +189,7 @@ void install(Session& session, const Line& line) {
   if ((locked != nullptr) == !names.empty())
     throw line.error(line.verb, {.what = locked != nullptr ? "a lock names its packages itself" : "no package is named",
                                  .expected = "market install PACKAGE …, or market install --locked FILE"});
-  const Marketplace market = chosen_market(line);
+  const Marketplace market = chosen_market(session, line);
   const fiona::Lock wanted = locked != nullptr ? marketplace::read_lock(locked->text) : fiona::Lock{};
   carry_out(session, line, &market, false, [&](const Store& store) {
     return locked != nullptr ? marketplace::plan_locked(wanted, market, store)
@@ -181,7 +198,7 @@ void install(Session& session, const Line& line) {
 }
 
 void update(Session& session, const Line& line) {
-  const Marketplace market = chosen_market(line);
+  const Marketplace market = chosen_market(session, line);
   carry_out(session, line, &market, false,
             [&](const Store& store) { return marketplace::plan_update(names_in(line), market, store); });
 }
@@ -237,10 +254,18 @@ void history(Session& session, const Line&) {
 }
 
 void list(Session& session, const Line&) {
-  Table table({"package", "version", "came", "from"});
-  for (const auto& package : chosen_store(session).installed())
+  Table table({"package", "version", "came", "from", "state"});
+  table.leave_out_if_empty("state");
+  const Store store = chosen_store(session);
+  for (const auto& package : store.installed()) {
+    const auto revoked = store.revocation(package);
     table.add({package.name(), package.manifest.version(), package.as_requirement ? "as requirement" : "asked for",
-               package.source});
+               package.source, revoked ? "revoked: " + revoked->reason() : ""});
+  }
+  if (const auto unsigned_packages = unsigned_store(session)) {
+    for (const auto& package : unsigned_packages->installed())
+      table.add({package.name(), package.manifest.version(), "with --unsigned", package.source, "unsigned"});
+  }
   session.out.table(table, "nothing is installed");
 }
 
@@ -310,9 +335,21 @@ void lock(Session& session, const Line& line) {
 
 }  // namespace
 
-marketplace::Marketplace chosen_market(const Line& line) {
+marketplace::Marketplace chosen_market(Session& session, const Line& line) {
   const Word* from = line.option("--from");
-  return marketplace::open_marketplace(from == nullptr ? "" : from->text);
+  marketplace::Marketplace market = marketplace::open_marketplace(from == nullptr ? "" : from->text);
+  const Store store = chosen_store(session);
+  for (const auto& revoked : marketplace::note_revocations(market, store.directory())) {
+    session.out.warning(
+        fmt::format("{} {}, which is installed, has been revoked{}; it is not started any more\n  next: "
+                    "market update {}, or market remove {}",
+                    revoked.package(), revoked.version(), revoked.reason().empty() ? "" : ": " + revoked.reason(),
+                    revoked.package(), revoked.package()));
+    const auto running = instances_of(session, {revoked.package()});
+    if (!running.empty())
+      session.out.warning(fmt::format("it still runs: {}\n  next: unload", fmt::join(running, ", ")));
+  }
+  return market;
 }
 
 std::string right_text(const std::string& right) {
@@ -324,10 +361,15 @@ std::string right_text(const std::string& right) {
 
 void market(Session& session, const Line& line) {
   static const std::map<std::string, void (*)(Session&, const Line&)> kActions{
-      {"search", market_search}, {"info", market_info},  {"install", install},  {"update", update},
-      {"remove", remove},        {"rollback", rollback}, {"history", history},  {"list", list},
-      {"verify", verify},        {"lock", lock},         {"init", market_init}, {"publish", market_publish},
-      {"accept", market_accept}};
+      {"search", market_search}, {"info", market_info},
+      {"install", install},      {"update", update},
+      {"remove", remove},        {"rollback", rollback},
+      {"history", history},      {"list", list},
+      {"verify", verify},        {"lock", lock},
+      {"init", market_init},     {"publish", market_publish},
+      {"accept", market_accept}, {"revoke", market_revoke},
+      {"keys", market_keys},     {"rotate", market_rotate},
+      {"sign", market_sign}};
   kActions.at(line.positional[0].text)(session, line);
 }
 

@@ -9,7 +9,8 @@
 namespace fiona::console::verbs {
 
 /// The one that --from names, or the user's.
-marketplace::Marketplace chosen_market(const Line& line);
+/// Tells also what it has revoked of what is installed, and keeps that.
+marketplace::Marketplace chosen_market(Session& session, const Line& line);
 
 /// What a right lets a package do, in words: "speaks to the network (network)".
 std::string right_text(const std::string& right);

@@ -2,6 +2,7 @@
 #include "market_keep.hpp"
 
 #include <algorithm>
+#include <map>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -57,6 +58,87 @@ void market_accept(Session& session, const Line& line) {
   std::vector<std::string> welcome;
   for (std::size_t i = 2; i < line.positional.size(); ++i) welcome.push_back(line.positional[i].text);
   tell_accepted(session, marketplace::accept(line.positional[1].text, welcome), line.positional[1].text);
+}
+
+void market_revoke(Session& session, const Line& line) {
+  const Word* because = line.argument("because");
+  const std::string& what = line.positional[2].text;
+  const auto revoked = marketplace::revoke(line.positional[1].text, what, because == nullptr ? "" : because->text);
+  for (const auto& one : revoked) {
+    session.out.done(fmt::format("revoked {} {}", one.package(), one.version()),
+                     {{"package", one.package()}, {"version", one.version()}});
+  }
+  if (what.find('/') == std::string::npos)
+    session.out.done(fmt::format("{} is trusted no longer", what), {{"publisher", what}});
+}
+
+namespace {
+
+/// Who signs what, by the names that this user has for keys.
+void show_roles(Session& session, const std::vector<marketplace::MarketRole>& roles) {
+  const tuf::SigningKeys own;
+  std::map<std::string, std::string> names;
+  for (const auto& name : own.names()) names[own.get(name).open()] = name;
+  Table table({"role", "key", "here", "of", "until", "state"});
+  table.leave_out_if_empty("state");
+  const auto add = [&](const std::string& role, const tuf::Repository::RoleKeys& keys, const std::string& until,
+                       const std::string& state) {
+    for (const auto& key : keys.keys) {
+      table.add({role, key, names.contains(key) ? names.at(key) : "",
+                 fmt::format("{} of {}", keys.threshold, keys.keys.size()), until, state});
+    }
+  };
+  for (const auto& role : roles) {
+    add(role.name, role.keys, role.expires, "");
+    if (role.proposed) add(role.name, *role.proposed, "", "proposed");
+  }
+  session.out.table(table, "it has no roles");
+}
+
+}  // namespace
+
+void market_keys(Session& session, const Line& line) {
+  show_roles(session, marketplace::market_roles(line.positional[1].text));
+}
+
+namespace {
+
+void tell_root(Session& session, const marketplace::RootChange& change, const std::string& market) {
+  for (const std::string& name : change.made)
+    session.out.done(fmt::format("made the signing key {}", name), {{"key", name}});
+  if (change.lacking == 0) return session.out.done("the marketplace has a new root; its users follow by themselves");
+  session.out.done(
+      fmt::format("a new root is proposed, and lacks {} signature{}", change.lacking, change.lacking == 1 ? "" : "s"),
+      {{"lacking", change.lacking}});
+  session.out.remark(fmt::format("each who has one of its keys: fiona market sign {}", market));
+}
+
+}  // namespace
+
+void market_rotate(Session& session, const Line& line) {
+  const std::string& market = line.positional[1].text;
+  std::vector<std::string> keys;
+  for (std::size_t i = 3; i < line.positional.size(); ++i) keys.push_back(line.positional[i].text);
+  const Word* threshold = line.argument("threshold");
+  const std::uint64_t wanted = threshold == nullptr ? 1 : count_of(*threshold, line.words);
+  const auto change = marketplace::rotate(market, line.positional[2].text, keys, static_cast<std::int64_t>(wanted));
+  tell_root(session, change, market);
+}
+
+void market_sign(Session& session, const Line& line) {
+  const std::string& market = line.positional[1].text;
+  const auto roles = marketplace::market_roles(market);
+  if (!line.has("-y")) {
+    show_roles(session, roles);
+    const std::optional<bool> answer = session.ask ? session.ask("Sign what is proposed? (yes/no) ") : std::nullopt;
+    if (!answer)
+      throw line.error(line.verb,
+                       {.what = "a root says who signs everything, and nobody is here to agree",
+                        .next = "fiona market keys DIR shows it; then the same line with -y"},
+                       ErrorCode::NotAllowed);
+    if (!*answer) return session.out.text("nothing was signed");
+  }
+  tell_root(session, marketplace::sign_root(market, roles), market);
 }
 
 }  // namespace fiona::console::verbs

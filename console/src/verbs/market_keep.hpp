@@ -8,5 +8,9 @@ namespace fiona::console::verbs {
 void market_init(Session& session, const Line& line);
 void market_publish(Session& session, const Line& line);
 void market_accept(Session& session, const Line& line);
+void market_revoke(Session& session, const Line& line);
+void market_keys(Session& session, const Line& line);
+void market_rotate(Session& session, const Line& line);
+void market_sign(Session& session, const Line& line);
 
 }  // namespace fiona::console::verbs

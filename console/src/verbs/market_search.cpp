@@ -90,7 +90,7 @@ struct Spot {
 /// The required ports without a provider, of the running host or of a system file.
 std::vector<Spot> spots_of(Session& session, const Word& of) {
   std::vector<Spot> spots;
-  const Catalogue catalogue(session.options.store);
+  const Catalogue catalogue = session.catalogue();
   if (of.text == "spots") {
     for (const WhiteSpot& spot : white_spots(session.snapshot(), catalogue)) {
       if (spot.required) spots.push_back({spot.port, spot.service});
@@ -157,7 +157,7 @@ void show_facts(Session& session, const std::vector<IndexEntry>& entries) {
 }  // namespace
 
 void market_search(Session& session, const Line& line) {
-  const Marketplace market = chosen_market(line);
+  const Marketplace market = chosen_market(session, line);
   if (const Word* of = line.clause("for")) return search_spots(session, line, market, *of);
   Table table({"package", "version", "provides", "requires", "summary"});
   for (const IndexEntry& entry : found_by(market, line)) {
@@ -172,7 +172,7 @@ void market_search(Session& session, const Line& line) {
 }
 
 void market_info(Session& session, const Line& line) {
-  const Marketplace market = chosen_market(line);
+  const Marketplace market = chosen_market(session, line);
   std::vector<IndexEntry> entries = market.info(line.positional[1].text);
   // The interface with its types is in the package; reading it checks the whole file and opens no library.
   const auto contents = marketplace::inspect_package(market.package(entries.front()));

@@ -257,6 +257,7 @@ void show_plugin(Session& session, const KnownPlugin& plugin) {
   facts.add({"summary", plugin.manifest.summary()});
   facts.add({"license", plugin.manifest.license()});
   facts.add({"where", plugin.installed ? "installed" : "marketplace: market install " + plugin.name()});
+  if (!plugin.mark.empty()) facts.add({"state", plugin.mark});
   for (const std::string& hello : split_lines(plugin.manifest.hello())) facts.add({"try", hello});
   session.out.table(facts, "", false);
   for (const auto& component : plugin.interface.components()) {
@@ -342,7 +343,7 @@ void show(Session& session, const Line& line) {
     }
     known = instance_names(system);
   }
-  const Catalogue catalogue(session.options.store);
+  const Catalogue catalogue = session.catalogue();
   if (const auto found = catalogue.find(thing.text); !found.empty()) {
     show_plugin(session, *found.front().plugin);
     return show_parameters(session, catalogue, *found.front().plugin);

@@ -27,7 +27,7 @@ void print(Session& session, const std::vector<WhiteSpot>& spots, bool required,
 
 void spots(Session& session, const Line&) {
   const control::System system = session.snapshot();
-  const Catalogue catalogue(session.options.store);
+  const Catalogue catalogue = session.catalogue();
   const std::vector<WhiteSpot> found = white_spots(system, catalogue);
   if (found.empty())
     session.out.text(system.instances().empty() ? "nothing is loaded, so there are no white spots" : "no white spots");

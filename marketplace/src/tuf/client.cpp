@@ -232,6 +232,21 @@ TargetInfo Client::target(const std::string& path) {
                                         .next = "check its name; else ask its publisher"});
 }
 
+std::map<std::string, std::vector<std::string>> Client::signers() const {
+  std::map<std::string, std::vector<std::string>> found;
+  if (!state_->refreshed)
+    refuse(ErrorCode::Failed, {.what = "nothing is known of roles before refresh() has succeeded"});
+  const Targets& top = *state_->trusted->targets(std::string(kTargets), std::string(kRoot));
+  for (const Delegation& delegation : top.delegations) {
+    for (const auto& id : delegation.signers.key_ids) {
+      const auto key = top.keys.find(id);
+      const std::string open = key == top.keys.end() ? "" : key->second.open();
+      found[delegation.role].push_back(open.empty() ? "id " + id : open);
+    }
+  }
+  return found;
+}
+
 namespace {
 
 void require_target(const TargetInfo& target, std::uint64_t length, const Hashes& found) {

@@ -97,6 +97,8 @@ PublicKey::PublicKey(const Json& key, const std::string& where) {
   if (!value_.empty()) identity_ = (type_ == "ed25519" ? "ed25519 " : "openssl ") + value_;
 }
 
+std::string PublicKey::open() const { return type_ == "ed25519" ? to_hex(value_) : ""; }
+
 bool PublicKey::verifies(std::string_view message, std::string_view signature) const {
   if (value_.empty()) return false;
   if (type_ != "ed25519") return verifies_openssl(value_, scheme_ == "rsassa-pss-sha256", message, signature);

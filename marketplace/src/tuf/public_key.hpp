@@ -22,6 +22,9 @@ class PublicKey {
   /// key cannot be read.
   const std::string& identity() const { return identity_; }
 
+  /// As its owner gives it to others: 64 hexadecimal digits of an Ed25519 key; empty for another kind.
+  std::string open() const;
+
  private:
   std::string type_, scheme_;
   std::string value_;  // 32 bytes of Ed25519, else DER of a SubjectPublicKeyInfo

@@ -21,6 +21,7 @@ namespace filesystem = std::filesystem;
 constexpr std::chrono::milliseconds kRepositoryLock{10'000};
 constexpr int kVersionsKept = 3;  // of each role but root: who reads while we write still finds his
 constexpr const char* kKeyMember = "x-fiona-key";
+constexpr const char* kProposal = "root.proposed.json";  // beside the metadata: it is none yet
 
 Time clock_of(const RepositoryOptions& options) {
   return options.now ? options.now() : std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
@@ -40,6 +41,24 @@ std::string file_content_of(const filesystem::path& path) {
   const auto file = marketplace::open_regular(AT_FDCWD, path, path);
   if (!file) refuse(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = path.string()});
   return marketplace::read_all(file, Limits{}.targets_bytes, path);
+}
+
+Repository::RoleKeys role_keys(const Json& role, const Json& keys) {
+  Repository::RoleKeys found{{}, role.at("threshold").get<std::int64_t>()};
+  for (const Json& id : role.at("keyids")) {
+    const std::string name = id.get<std::string>();
+    const std::string open = keys.contains(name) ? PublicKey(keys.at(name), "metadata").open() : "";
+    found.keys.push_back(open.empty() ? "id " + name : open);
+  }
+  return found;
+}
+
+void drop_unused_keys(Json& keys, const Json& roles) {
+  std::set<std::string> used;
+  for (const Json& one : roles) used.insert(one.at("keyids").begin(), one.at("keyids").end());
+  for (auto item = keys.begin(); item != keys.end();) {
+    item = used.contains(item.key()) ? std::next(item) : keys.erase(item);
+  }
 }
 
 }  // namespace
@@ -142,11 +161,92 @@ struct Repository::State {
     return parse_time(role.at("expires").get<std::string>(), "metadata") < clock_of(options) + lifetime / 2;
   }
 
+  /// Those that a file is to be signed with: of the root to come and, so that it is good under both, of the root of
+  /// now.
+  std::vector<SigningKey> signing_keys(const std::string& role) const {
+    std::vector<SigningKey> found = keys_of(role);
+    if (!former_root || !is_top_level(role)) return found;
+    for (const Json& id : former_root->at("roles").at(role).at("keyids")) {
+      const auto is_same = [&id](const SigningKey& key) { return key_id_of(key.open()) == id; };
+      const auto key = keys.with_id(id.get<std::string>());
+      if (key && std::ranges::none_of(found, is_same)) found.push_back(*key);
+    }
+    return found;
+  }
+
   /// Signs the next version, and lets the snapshot list it.
   void sign(const std::string& role) {
     Json& signed_part = roles.at(role);
     raise_version(signed_part, clock_of(options) + options.lifetimes.targets);
-    list(role, signed_part, signed_role_file(signed_part, keys_of(role)));
+    list(role, signed_part, signed_role_file(signed_part, signing_keys(role)));
+  }
+
+  std::optional<std::string> proposal_file() const {
+    const filesystem::path path = options.directory / kProposal;
+    const auto file = marketplace::open_regular(AT_FDCWD, path, path);
+    if (!file) return std::nullopt;
+    return marketplace::read_all(file, Limits{}.root_bytes, path);
+  }
+
+  /// The body of the next root that was proposed, if it is the one after the root of now.
+  std::optional<Json> proposal() const {
+    const auto file = proposal_file();
+    if (!file) return std::nullopt;
+    parse_root(*file, kProposal);
+    Json body = role_in(*file);
+    if (body.at("version") != root.at("version").get<std::int64_t>() + 1) return std::nullopt;  // of another time
+    Json expected = root;
+    for (const char* member : {"version", "expires", "keys"}) expected[member] = body.at(member);
+    for (auto& role : expected["roles"].items()) role.value() = body.at("roles").value(role.key(), Json());
+    const Time latest = clock_of(options) + options.lifetimes.root + std::chrono::days{1};
+    if (body == expected && parse_time(body.at("expires").get<std::string>(), kProposal) <= latest) return body;
+    refuse(ErrorCode::BadSignature,
+           ErrorText{.what = "the root that is proposed changes more than keys",
+                     .where = (options.directory / kProposal).string(),
+                     .next = "find out who has proposed it; fiona market rotate takes its place"});
+  }
+
+  void keep_proposal(const Json& body, const std::vector<SigningKey>& signers, const Json& others) const {
+    Json file = parse_json(signed_role_file(body, signers), kProposal);
+    for (const Json& one : others) file["signatures"].push_back(one);
+    marketplace::DurableDirectory{os, options.directory, 0755}.replace(kProposal, file.dump(1) + "\n");
+  }
+
+  /// How many signatures of a role's keys a root still lacks.
+  static std::int64_t lacks(const Root& file, const Root& by) {
+    const Signers& signers = by.signers(kRoot);
+    std::int64_t count = 0;
+    for (const auto& id : signers.key_ids) {
+      const auto key = by.keys.find(id);
+      const bool has_signed = key != by.keys.end() && std::ranges::any_of(file.signatures, [&](const Signature& one) {
+                                return one.key_id == id && key->second.verifies(file.signed_bytes, one.bytes);
+                              });
+      count += has_signed ? 1 : 0;
+    }
+    return std::max<std::int64_t>(0, signers.threshold - count);
+  }
+
+  std::int64_t proposal_lacks(const std::string& file) const {
+    const Root next = parse_root(file, kProposal);
+    const Root now = parse_root(file_content_of(options.trusted / "root.json"), "root.json");
+    return lacks(next, now) + lacks(next, next);
+  }
+
+  /// From here on everything is signed for the root that was proposed, if it has all its signatures.
+  void turn_to_proposal() {
+    const auto body = proposal();
+    if (!body || proposal_lacks(*proposal_file()) > 0) return;
+    former_root = std::exchange(root, *body);
+    const std::string top{kTargets};
+    if (former_root->at("roles").at(top) != root.at("roles").at(top)) changed.insert(top);
+  }
+
+  /// Last of all: what was signed for both is good until then and from then on.
+  void publish_proposal() {
+    if (!former_root) return;
+    metadata.replace(versioned(root, kRoot), *proposal_file());
+    marketplace::DurableDirectory{os, options.directory, 0755}.remove_file(kProposal);
+    former_root.reset();
   }
 
   void list(const std::string& role, const Json& signed_part, const std::string& file) {
@@ -159,10 +259,11 @@ struct Repository::State {
     if (is_half_over(roles.at(top), options.lifetimes.targets) && has_keys_of(top)) changed.insert(top);
     for (const auto& delegation : parsed_targets.delegations) {
       if (changed.contains(delegation.role) || !snapshot["meta"].contains(file_of(delegation.role))) continue;
+      if (signers_of(delegation.role).at("keyids").empty()) continue;  // it is no role any more
       if (!has_keys_of(delegation.role) || !is_half_over(body(delegation.role), options.lifetimes.targets)) continue;
       changed.insert(delegation.role);
     }
-    if (!is_half_over(root, options.lifetimes.root) || !has_keys_of(std::string(kRoot))) return;
+    if (former_root || !is_half_over(root, options.lifetimes.root) || !has_keys_of(std::string(kRoot))) return;
     raise_version(root, clock_of(options) + options.lifetimes.root);
     metadata.replace(versioned(root, kRoot), signed_role_file(root, keys_of(std::string(kRoot))));
   }
@@ -187,6 +288,7 @@ struct Repository::State {
   marketplace::OsCalls os;
   marketplace::DurableDirectory metadata;
   Json root, timestamp, snapshot;
+  std::optional<Json> former_root;  // while a proposed one takes its place
   Targets parsed_targets;
   std::map<std::string, Json> roles;         // bodies that were read to be changed
   std::set<std::string> changed;             // of those
@@ -245,6 +347,12 @@ std::vector<std::string> Repository::key_ids_of(const std::string& role) const {
   return {found->signers.key_ids.begin(), found->signers.key_ids.end()};
 }
 
+std::vector<std::string> Repository::delegated_roles() const {
+  std::vector<std::string> roles;
+  for (const auto& delegation : state_->parsed_targets.delegations) roles.push_back(delegation.role);
+  return roles;
+}
+
 std::int64_t Repository::version_of(const std::string& role) const { return state_->version(role); }
 
 std::vector<TargetInfo> Repository::targets_of(const std::string& role) const {
@@ -254,22 +362,32 @@ std::vector<TargetInfo> Repository::targets_of(const std::string& role) const {
   return found;
 }
 
-void Repository::delegate(const std::string& role, const OpenKey& key, const std::vector<std::string>& paths) {
+void Repository::delegate(const std::string& role, const std::vector<OpenKey>& keys,
+                          const std::vector<std::string>& paths) {
   const std::string top{kTargets};
   Json& delegations = state_->roles.at(top)["delegations"];
   Json& roles = delegations["roles"];
-  const Json entry{
-      {"name", role}, {"keyids", {key_id_of(key)}}, {"threshold", 1}, {"paths", paths}, {"terminating", true}};
+  Json ids = Json::array();
+  for (const OpenKey& key : keys) ids.push_back(key_id_of(key));
+  const Json entry{{"name", role}, {"keyids", ids}, {"threshold", 1}, {"paths", paths}, {"terminating", true}};
   const auto known = std::find_if(roles.begin(), roles.end(), [&](const Json& one) { return one.at("name") == role; });
   known == roles.end() ? roles.push_back(entry) : void(*known = entry);
-  delegations["keys"][key_id_of(key)] = key_json(key);
-  std::set<std::string> used;
-  for (const Json& one : roles) used.insert(one.at("keyids").begin(), one.at("keyids").end());
-  Json& known_keys = delegations["keys"];
-  for (auto item = known_keys.begin(); item != known_keys.end();) {
-    item = used.contains(item.key()) ? std::next(item) : known_keys.erase(item);
-  }
+  for (const OpenKey& key : keys) delegations["keys"][key_id_of(key)] = key_json(key);
+  drop_unused_keys(delegations["keys"], roles);
   state_->changed.insert(top);
+}
+
+void Repository::undelegate(const std::string& role) {
+  const std::string top{kTargets};
+  Json& delegations = state_->roles.at(top)["delegations"];
+  Json kept = Json::array();
+  for (const Json& one : delegations["roles"]) {
+    if (one.at("name") != role) kept.push_back(one);
+  }
+  delegations["roles"] = kept;
+  drop_unused_keys(delegations["keys"], kept);
+  state_->changed.insert(top);
+  state_->changed.erase(role);
 }
 
 void Repository::take_role(const std::string& role, std::string_view file) {
@@ -306,18 +424,93 @@ void Repository::set_target(const std::string& role, const std::string& path, st
   state_->changed.insert(role);
 }
 
+Repository::RoleKeys Repository::keys_of(const std::string& role) const {
+  const Json& owner = is_top_level(role) ? state_->root : state_->roles.at(std::string(kTargets)).at("delegations");
+  return role_keys(state_->signers_of(role), owner.at("keys"));
+}
+
+std::string Repository::expires(const std::string& role) const {
+  const State& state = *state_;
+  const Json& body = role == kRoot        ? state.root
+                     : role == kTimestamp ? state.timestamp
+                     : role == kSnapshot  ? state.snapshot
+                                          : state.roles.at(std::string(kTargets));
+  return body.at("expires").get<std::string>();
+}
+
+void Repository::propose(const std::vector<std::string>& roles, const RoleKeys& keys) {
+  const std::set<OpenKey> different{keys.keys.begin(), keys.keys.end()};
+  if (keys.threshold < 1 || keys.threshold > static_cast<std::int64_t>(different.size())) {
+    refuse(ErrorCode::Usage, ErrorText{.what = "so many keys cannot sign for the role '" + roles.front() + "'",
+                                       .expected = fmt::format("a threshold of 1 to {}", different.size()),
+                                       .found = std::to_string(keys.threshold)});
+  }
+  State& state = *state_;
+  Json next = state.root;
+  raise_version(next, clock_of(state.options) + state.options.lifetimes.root);
+  Json ids = Json::array();
+  for (const OpenKey& key : different) {
+    ids.push_back(key_id_of(key));
+    next["keys"][key_id_of(key)] = key_json(key);
+  }
+  for (const auto& role : roles) next["roles"][role] = {{"keyids", ids}, {"threshold", keys.threshold}};
+  Json all = Json::array();
+  for (const Json& one : next["roles"]) all.push_back(one);
+  drop_unused_keys(next["keys"], all);
+  state.keep_proposal(next, {}, Json::array());
+}
+
+std::optional<std::int64_t> Repository::proposal_lacks() const {
+  if (!state_->proposal()) return std::nullopt;
+  return state_->proposal_lacks(*state_->proposal_file());
+}
+
+std::optional<Repository::RoleKeys> Repository::proposed(const std::string& role) const {
+  const auto next = state_->proposal();
+  if (!next) return std::nullopt;
+  return role_keys(next->at("roles").at(role), next->at("keys"));
+}
+
+void Repository::sign_proposed() const {
+  const State& state = *state_;
+  const auto next = state.proposal();
+  if (!next) {
+    refuse(ErrorCode::NotFound, ErrorText{.what = "no next root is proposed",
+                                          .where = (state.options.directory / kProposal).string(),
+                                          .next = "fiona market rotate DIR ROLE proposes one"});
+  }
+  std::set<std::string> wanted;
+  for (const Json* root : {&state.root, &*next}) {
+    for (const Json& id : root->at("roles").at(std::string(kRoot)).at("keyids")) wanted.insert(id.get<std::string>());
+  }
+  std::vector<SigningKey> own;
+  for (const auto& id : wanted) {
+    if (const auto key = state.keys.with_id(id)) own.push_back(*key);
+  }
+  const Json file = parse_json(*state.proposal_file(), kProposal);
+  Json others = Json::array();
+  for (const Json& one : file.at("signatures")) {
+    const auto is_same = [&one](const SigningKey& key) { return key_id_of(key.open()) == one.at("keyid"); };
+    if (std::ranges::none_of(own, is_same)) others.push_back(one);
+  }
+  state.keep_proposal(*next, own, others);
+}
+
 void Repository::commit() {
   State& state = *state_;
+  state.turn_to_proposal();
   state.renew_what_ages();
   for (const auto& role : state.changed) state.sign(role);
   for (const auto& [role, file] : state.taken) state.list(role, role_in(file), file);
   const Time until = clock_of(state.options) + state.options.lifetimes.online;
   raise_version(state.snapshot, until);
-  const std::string snapshot = signed_role_file(state.snapshot, state.keys_of(std::string(kSnapshot)));
+  const std::string snapshot = signed_role_file(state.snapshot, state.signing_keys(std::string(kSnapshot)));
   state.metadata.replace(versioned(state.snapshot, kSnapshot), snapshot);
   raise_version(state.timestamp, until);
   state.timestamp["meta"]["snapshot.json"] = listed_as(state.snapshot, snapshot);
-  state.metadata.replace("timestamp.json", signed_role_file(state.timestamp, state.keys_of(std::string(kTimestamp))));
+  state.metadata.replace("timestamp.json",
+                         signed_role_file(state.timestamp, state.signing_keys(std::string(kTimestamp))));
+  state.publish_proposal();
   state.remove_old_versions();
   state.changed.clear();
   state.taken.clear();

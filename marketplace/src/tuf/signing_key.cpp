@@ -79,6 +79,19 @@ std::string key_id_of(const OpenKey& key) { return key_id(key_json(key)); }
 SigningKeys::SigningKeys(filesystem::path directory)
     : directory_(directory.empty() ? trust::KeyDirectory().path() / "signing" : std::move(directory)) {}
 
+namespace {
+
+SigningKey write_key(const marketplace::DurableDirectory& directory, const std::string& file_name) {
+  SigningKey key = SigningKey::make();
+  const marketplace::FileDescriptor file = directory.create(file_name, 0600);
+  directory.write(file, std::string(kKeyHead) + key.seed() + "\n", file_name);
+  directory.sync(file, file_name);
+  directory.sync();
+  return key;
+}
+
+}  // namespace
+
 SigningKey SigningKeys::make(const std::string& name) const {
   if (!is_key_name(name)) {
     refuse(ErrorCode::Usage,
@@ -93,11 +106,18 @@ SigningKey SigningKeys::make(const std::string& name) const {
                                             .where = (directory_ / file_name).string(),
                                             .next = "fiona keys; to give it up, remove the file"});
   }
-  const SigningKey key = SigningKey::make();
-  const marketplace::FileDescriptor file = directory.create(file_name, 0600);
-  directory.write(file, std::string(kKeyHead) + key.seed() + "\n", file_name);
-  directory.sync(file, file_name);
-  directory.sync();
+  return write_key(directory, file_name);
+}
+
+SigningKey SigningKeys::renew(const std::string& name) const {
+  get(name);
+  const marketplace::OsCalls os = marketplace::system_calls();
+  const marketplace::DurableDirectory directory{os, directory_, 0700};
+  const std::string file_name = name + std::string(kKeyEnding), fresh = file_name + ".new";
+  directory.remove_file(fresh);
+  const SigningKey key = write_key(directory, fresh);
+  directory.move(file_name, directory, file_name + ".old");
+  directory.move(fresh, directory, file_name);
   return key;
 }
 

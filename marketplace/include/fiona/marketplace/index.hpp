@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <fiona/marketplace/version.hpp>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -29,8 +30,16 @@ class Marketplace {
   /// it is damaged.
   explicit Marketplace(std::filesystem::path directory = default_directory());
 
+  /// What stands behind a copy of a marketplace that is signed.
+  struct Behind {
+    Fetch fetch{};
+    std::map<std::string, std::vector<std::string>>
+        keys{};                ///< that each publisher signs with, as others are given them
+    bool first_party = false;  ///< it came with this program
+  };
+
   /// The same of a copy whose packages come when they are asked for; `source` is what it is a copy of.
-  Marketplace(const std::filesystem::path& copy, std::string source, Fetch fetch);
+  Marketplace(const std::filesystem::path& copy, std::string source, Behind behind);
 
   /// $FIONA_MARKET, else ../marketplace beside the running binary's directory, else
   /// /usr/share/fiona/marketplace.
@@ -40,6 +49,11 @@ class Marketplace {
   /// Where it is, as a person named it: a directory or a URL.
   const std::string& source() const noexcept { return source_; }
   const Index& index() const noexcept { return index_; }
+  /// The keys that a publisher signs with: 64 digits each of Ed25519, else "id " and the id that metadata has for it.
+  /// None where nobody signs.
+  std::vector<std::string> keys_of(const std::string& publisher) const;
+  /// Whether it is the one that came with this program; also for a directory that is taken as it is.
+  bool is_first_party() const noexcept { return behind_.first_party; }
 
   /// The newest version of each package in which every word occurs (name, publisher, summary, components,
   /// services; case does not count), sorted by name. No words: all packages.
@@ -64,7 +78,7 @@ class Marketplace {
  private:
   std::filesystem::path directory_;
   std::string source_;
-  Fetch fetch_;
+  Behind behind_;
   Index index_;
 };
 

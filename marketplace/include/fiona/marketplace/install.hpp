@@ -45,6 +45,15 @@ bool apply(const Plan& plan, const Marketplace* from, const std::filesystem::pat
 InstallResult install(std::string_view request, const Marketplace& from, const std::filesystem::path& store,
                       const InstallOptions& options = {});
 
+/// Keeps beside a store what the marketplace has revoked of what the store has from there; a host refuses to start that
+/// from then on. Returns what was not known before. Throws fiona::Error: Unreachable (the lock), Failed.
+std::vector<Revocation> note_revocations(const Marketplace& from, const std::filesystem::path& store,
+                                         const InstallOptions& options = {});
+
+/// Makes a store of packages that nobody has signed for, in place of what is there, for one run of a host. Each is
+/// checked as any other but for its signature. Throws fiona::Error: NotAllowed if two have the same name.
+void install_unsigned(const std::vector<std::filesystem::path>& packages, const std::filesystem::path& store);
+
 /// plan_remove and apply, without questions. The files stay as long as a generation has them or somebody holds them.
 InstalledPackage remove(std::string_view name, const std::filesystem::path& store, const InstallOptions& options = {});
 

@@ -5,6 +5,7 @@
 #include <fiona/trust/signing_key.hpp>
 #include <fiona/trust/tuf_repository.hpp>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -57,6 +58,46 @@ struct Accepted {
 /// Throws fiona::Error (NotAllowed) where the keys for that are missing.
 Accepted accept(const std::filesystem::path& market, const std::vector<std::string>& welcome,
                 const KeeperOptions& options = {});
+
+/// Who signs what in a marketplace.
+struct MarketRole {
+  std::string name;  ///< "root", "targets", "online" (index, snapshot, timestamp), or a publisher
+  tuf::Repository::RoleKeys keys{};
+  std::optional<tuf::Repository::RoleKeys> proposed{};  ///< by a next root that lacks signatures still
+  std::string expires{};                                ///< of what it signed last; empty for publishers
+};
+std::vector<MarketRole> market_roles(const std::filesystem::path& market, const KeeperOptions& options = {});
+
+/// What became of a next root.
+struct RootChange {
+  std::int64_t lacking = 0;         ///< signatures; 0: it is the root now
+  std::vector<std::string> made{};  ///< names of keys that were made for it
+};
+
+/// Gives "root", "targets" or "online" other keys: names of this user's signing keys, or 64 digits of somebody else's.
+/// None: a new one is made, "MARKET.ROLE-N". `threshold` of them have to sign; more than one only for the root, whose
+/// holders sign the proposal one after the other, each by sign_root(). Users follow by themselves. Throws fiona::Error:
+/// Usage, NotFound, NotAllowed.
+RootChange rotate(const std::filesystem::path& market, const std::string& role, const std::vector<std::string>& keys,
+                  std::int64_t threshold, const KeeperOptions& options = {});
+
+/// Signs the root that is proposed, with the keys that are here; where that is enough, and the keys of snapshot and
+/// timestamp are here, makes it the root. Anybody who can write into the directory may have proposed it: `seen` is what
+/// a person has looked at and agreed to. Throws fiona::Error: NotFound where none is proposed, BadSignature where
+/// another one is.
+RootChange sign_root(const std::filesystem::path& market, const std::vector<MarketRole>& seen,
+                     const KeeperOptions& options = {});
+
+/// Another key for a publisher, under the same name, with which all is signed again that the former one has signed for.
+/// The keeper is to welcome him again. Returns the new key.
+tuf::OpenKey renew_key(const std::string& publisher, const KeeperOptions& options = {});
+
+/// Takes back what a marketplace offers, for good: `what` is "publisher", "publisher/name" or "publisher/name@version".
+/// Nobody can install it any more, these bytes and these versions never come back, and users who have it are told and
+/// cannot start it. A publisher is trusted no longer either: who had his key signs for nothing. `reason`, one line, is
+/// shown to users. Throws fiona::Error: NotFound with what there is, NotAllowed where the keys for that are missing.
+std::vector<Revocation> revoke(const std::filesystem::path& market, const std::string& what, const std::string& reason,
+                               const KeeperOptions& options = {});
 
 /// A build's own marketplace: makes it, and keys of its own where they are missing, lets it hold exactly these
 /// packages, and writes MARKETPLACE.root.json beside it. Throws as the above.

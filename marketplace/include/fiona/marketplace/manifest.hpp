@@ -50,6 +50,10 @@ std::string_view library_path(std::string_view plugin);
 /// beginning with a letter.
 bool is_name(std::string_view text);
 
+/// Whether a publisher may be called so: a name, and none that has a meaning of its own ("local", "unsigned", the roles
+/// of a marketplace).
+bool is_publisher(std::string_view text);
+
 /// Of a system package: the path of its system file in the package.
 std::string system_file(const Manifest& manifest);
 

@@ -39,6 +39,8 @@ struct PlanStep {
   std::vector<std::string> rights;      ///< that it asks for
   std::vector<std::string> new_rights;  ///< of them those that the package that is there has not asked for
   bool new_publisher = false;           ///< nothing of this publisher is installed
+  std::vector<std::string> new_keys;    ///< of its publisher, with which nothing that is installed was signed
+  std::vector<std::string> known_keys;  ///< of its publisher, with which something was
   std::optional<IndexEntry> entry{};    ///< what to install; none to remove, or where the store has it still
 };
 

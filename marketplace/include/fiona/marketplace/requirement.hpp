@@ -5,6 +5,8 @@
 #include <string_view>
 #include <vector>
 
+#include "fiona/manifest.pb.h"
+
 namespace fiona::marketplace {
 
 /// Versions between bounds: ">= 1.2.0, < 2.0.0". Without a bound: all.
@@ -42,5 +44,8 @@ struct Requirement {
   /// "acme/maps >= 1.2.0, < 2.0.0".
   std::string text() const;
 };
+
+/// Whether a package requires another one, in whatever version.
+bool requires_package(const Manifest& manifest, const std::string& package);
 
 }  // namespace fiona::marketplace

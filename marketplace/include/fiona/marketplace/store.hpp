@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fiona/marketplace/manifest.hpp>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -20,9 +21,11 @@ struct InstalledPackage {
   std::string blake2b;              ///< of the .fpk that it came from; also the directory's name
   std::string source;               ///< where it was installed from
   bool as_requirement = false;      ///< nobody asked for it by name
+  bool first_party = false;         ///< from the marketplace that came with this program
+  bool is_unsigned = false;         ///< nobody has signed for it: who its publisher is, nobody knows
 
-  /// "publisher/name".
-  std::string name() const { return full_name(manifest); }
+  /// "publisher/name"; "unsigned/name" where nobody has signed for it.
+  std::string name() const { return is_unsigned ? "unsigned/" + manifest.name() : full_name(manifest); }
 
   /// Reads interface.textproto, checked against the hash in the manifest. Throws fiona::Error: BadSignature
   /// if the file is not what was installed.
@@ -59,8 +62,13 @@ struct Generation {
 /// writes nothing.
 class Store {
  public:
+  enum class Kind {
+    Signed,    ///< what marketplaces have brought
+    Unsigned,  ///< what install_unsigned() has put there, for one run of a host
+  };
+
   /// `directory` need not exist: such a store is empty.
-  explicit Store(std::filesystem::path directory = default_directory());
+  explicit Store(std::filesystem::path directory = default_directory(), Kind kind = Kind::Signed);
 
   /// $FIONA_STORE, else $XDG_DATA_HOME/fiona/store, else ~/.local/share/fiona/store.
   static std::filesystem::path default_directory();
@@ -74,6 +82,10 @@ class Store {
   /// unknown, with the full names if two publishers have it.
   InstalledPackage find(std::string_view name) const;
 
+  /// The same among these packages, of one store or several; `where` is named in the error.
+  static InstalledPackage chosen(const std::vector<InstalledPackage>& packages, std::string_view name,
+                                 const std::filesystem::path& where);
+
   /// The present list and those that are kept, the newest first. Throws fiona::Error (Failed) if the present one is
   /// damaged.
   std::vector<Generation> history() const;
@@ -82,12 +94,20 @@ class Store {
   /// Throws fiona::Error (BadSignature) that names the first difference.
   void verify(const InstalledPackage& package) const;
 
+  /// Why a package must not be started any more, as the marketplace that it came from has said; nothing where it may.
+  /// Throws fiona::Error (Failed) if the list of revocations is damaged.
+  std::optional<Revocation> revocation(const InstalledPackage& package) const;
+
+  /// Throws fiona::Error (BadSignature) for a package that was revoked.
+  void require_not_revoked(const InstalledPackage& package) const;
+
   /// Protects the package's files while they are in use. Throws fiona::Error (NotFound) if they are gone
   /// already.
   PackageHold hold(const InstalledPackage& package) const;
 
  private:
   std::filesystem::path directory_;
+  Kind kind_;
 };
 
 }  // namespace fiona::marketplace

@@ -47,6 +47,8 @@ class SigningKeys {
   const std::filesystem::path& path() const { return directory_; }
   /// Makes a key. Throws fiona::Error: Usage for a name that is none, NotAllowed if there is one of that name.
   SigningKey make(const std::string& name) const;
+  /// Makes another key in place of the one of that name, which stays beside it as NAME.key.old. Throws as get().
+  SigningKey renew(const std::string& name) const;
   /// Throws fiona::Error: NotFound with near names, NotAllowed if others may read the file, Failed if it is damaged.
   SigningKey get(const std::string& name) const;
   std::vector<std::string> names() const;

@@ -87,6 +87,10 @@ class Client {
   /// that does, and NotFound if nobody who may speaks of it.
   TargetInfo target(const std::string& path);
 
+  /// Who signs for which role that the top-level targets delegate to: their keys as others are given them, 64 digits of
+  /// an Ed25519 key, else "id " and the id. Only after refresh().
+  std::map<std::string, std::vector<std::string>> signers() const;
+
   /// Downloads a target into a directory, under its path, percent-encoded, unless it is there already. The name appears
   /// only once length and hashes are right. Returns the file.
   std::filesystem::path download(const TargetInfo& target, const std::filesystem::path& directory);

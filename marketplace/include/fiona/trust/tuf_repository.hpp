@@ -49,13 +49,40 @@ class Repository {
 
   /// The keys that a delegated role is signed with; empty: there is no such role.
   std::vector<std::string> key_ids_of(const std::string& role) const;
+  /// Those that the top-level targets delegate to.
+  std::vector<std::string> delegated_roles() const;
   /// The version that the snapshot lists; 0: there is no such role.
   std::int64_t version_of(const std::string& role) const;
   /// Targets of a delegated role, as it is now.
   std::vector<TargetInfo> targets_of(const std::string& role) const;
 
-  /// Lets a role speak for the paths, and no others; in place of what it might before.
-  void delegate(const std::string& role, const OpenKey& key, const std::vector<std::string>& paths);
+  /// Lets a role speak for the paths, and no others, with any of the keys; in place of what it might before.
+  void delegate(const std::string& role, const std::vector<OpenKey>& keys, const std::vector<std::string>& paths);
+  /// The keys of a role, as others are given them, and how many of them have to sign.
+  struct RoleKeys {
+    std::vector<OpenKey> keys;  ///< Ed25519; another kind as "id " and its id
+    std::int64_t threshold = 1;
+  };
+  /// Of one of the four top-level roles, or of one that is delegated to; no keys: there is no such role.
+  RoleKeys keys_of(const std::string& role) const;
+  /// When what a top-level role signed last is over: "2030-01-31T00:00:00Z".
+  std::string expires(const std::string& role) const;
+
+  /// Proposes a next root in which top-level roles have these keys, in place of what is proposed already. It becomes
+  /// the root once as many keys of the old root and of the new one have signed it as each wants. Throws fiona::Error
+  /// (Usage) for a threshold that the keys cannot meet.
+  void propose(const std::vector<std::string>& roles, const RoleKeys& keys);
+  /// The keys that a top-level role would have, where a next root is proposed. Anybody who can write into the directory
+  /// may have proposed it. Throws fiona::Error (BadSignature) where it changes more than keys.
+  std::optional<RoleKeys> proposed(const std::string& role) const;
+  /// How many signatures the proposed root still lacks; 0: the next commit makes it the root; nothing: none is
+  /// proposed.
+  std::optional<std::int64_t> proposal_lacks() const;
+  /// Signs the proposed root with the keys that are here and that it needs.
+  void sign_proposed() const;
+
+  /// Lets a role speak for nothing any more. Its file stays listed: clients take its absence for a rollback.
+  void undelegate(const std::string& role);
   /// Takes a new version of a delegated role, signed by its keys. Throws BadSignature if it is not, or not newer.
   void take_role(const std::string& role, std::string_view file);
   /// Says what a target is, in a role whose key is here.
