@@ -106,6 +106,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
                                  fmt::format("{}", kLifelineInHost)};
   if (launch.restore) words.push_back("--restore");
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
+  if (!launch.unsigned_packages.empty()) words.insert(words.end(), {"--unsigned", launch.unsigned_packages.string()});
   if (!launch.listen.empty()) words.insert(words.end(), {"--listen", "tcp://" + launch.listen});
   if (!launch.serve.empty()) words.insert(words.end(), {"--serve", "tcp://" + launch.serve});
   words.insert(words.end(), launch.limits.begin(), launch.limits.end());

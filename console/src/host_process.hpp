@@ -15,12 +15,13 @@ struct HostLaunch {
   std::filesystem::path program;
   std::filesystem::path socket;
   std::string name;
-  std::filesystem::path store;        ///< empty: the user's
-  std::string listen{};               ///< "ADDRESS:PORT"; empty: not over tcp
-  std::string serve{};                ///< "ADDRESS:PORT" for consoles; empty: none over tcp
-  std::vector<std::string> peers{};   ///< "NAME=ADDRESS:PORT=KEY"
-  std::vector<std::string> limits{};  ///< of its groups, as the words that it is given
-  bool restore = false;               ///< begins with the system of its last journal
+  std::filesystem::path store;                ///< empty: the user's
+  std::filesystem::path unsigned_packages{};  ///< a store of what nobody signs for; empty: none
+  std::string listen{};                       ///< "ADDRESS:PORT"; empty: not over tcp
+  std::string serve{};                        ///< "ADDRESS:PORT" for consoles; empty: none over tcp
+  std::vector<std::string> peers{};           ///< "NAME=ADDRESS:PORT=KEY"
+  std::vector<std::string> limits{};          ///< of its groups, as the words that it is given
+  bool restore = false;                       ///< begins with the system of its last journal
 };
 
 /// A host that this process started. It ends when this process does: the host watches the lifeline, a pipe whose

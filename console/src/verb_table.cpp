@@ -174,7 +174,7 @@ std::vector<Verb> file_verbs() {
        Access::Observe, verbs::check},
       {"run",
        forms({"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] "
-              "[--store DIR] "
+              "[--store DIR] [--unsigned DIR] "
               "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] "
               "[--group-memory MIB] [--group-threads N]"}),
        "starts a host and runs system files in it (from a shell)",
@@ -186,6 +186,7 @@ std::vector<Verb> file_verbs() {
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"
        "--group-memory and --group-threads say what each group may take, other than main: 1024 MiB and 128.\n"
+       "--unsigned lets packages in DIR be loaded that nobody has signed, as unsigned/NAME, each in a sandbox.\n"
        "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; "
        "--serve "
        "lets consoles on other machines connect. Each needs keys: keys make.",

@@ -11,7 +11,8 @@
 namespace fiona::host {
 namespace {
 
-/// The shipped configuration lets in what this project publishes.
+/// The shipped configuration lets in what this project publishes in the marketplace that it ships. Another marketplace
+/// may have a publisher of that name.
 constexpr std::string_view kLetIn = "fiona/";
 
 bool has(const std::vector<std::string>& rights, std::string_view right) {
@@ -25,16 +26,20 @@ std::vector<std::string> openings(const Model::Instance& one) {
   return found;
 }
 
+bool is_unsigned(const Package& package) { return package.origin == Package::Origin::Unsigned; }
+
 }  // namespace
 
 /// A library that was typed by its path is whoever's who typed it.
 bool is_let_in(const Package& package) {
-  const bool installed = package.hold != nullptr;
-  return !installed || package.name.starts_with(kLetIn);
+  return package.origin == Package::Origin::Path ||
+         (package.origin == Package::Origin::FirstParty && package.name.starts_with(kLetIn));
 }
 
 bool is_confined(const Model::Instance& first) {
-  if (first.group == kMainGroup || has(first.rights, kUnconfined)) return false;
+  if (first.group == kMainGroup) return false;
+  if (is_unsigned(*first.package)) return true;
+  if (has(first.rights, kUnconfined)) return false;
   return !is_let_in(*first.package) || has(first.rights, kConfined);
 }
 
@@ -44,8 +49,12 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
   if (!is_confined(first)) return confinement;
   confinement.set_sandboxed(true);
   const Package& package = *first.package;
-  const bool installed = package.hold != nullptr;
-  confinement.add_readable(installed ? package.library.parent_path() : package.library);
+  if (!package.installed()) confinement.add_readable(package.library);
+  for (const auto& file : package.files) {
+    if (!package.installed()) break;
+    confinement.add_readable(std::filesystem::path(file.path()).parent_path());
+    *confinement.add_libraries() = file;
+  }
   if (!package.share.empty()) confinement.add_readable(package.share);
   confinement.add_readable(links);
   confinement.add_writable(own);
@@ -71,14 +80,17 @@ void require_sandbox(const std::string& group, const wire::Ready& ready) {
 }
 
 void require_group(const Model::Instance* first, const Model::Instance& next, const std::string& plugin) {
-  const bool may_be_in_main = is_let_in(*next.package) || has(next.rights, kUnconfined);
+  const bool may_be_in_main =
+      is_let_in(*next.package) || (has(next.rights, kUnconfined) && !is_unsigned(*next.package));
   if (next.group == kMainGroup && !may_be_in_main) {
     throw Error(
         ErrorCode::NotAllowed,
         {.what = fmt::format("{} is not let into main, whose process and rights it would share", next.package->name),
          .expected = "a package of this project, or one that you let in yourself",
-         .next = fmt::format("load {} in GROUP; or, if you trust it as you trust yourself: load {} with {}", plugin,
-                             plugin, kUnconfined)});
+         .next = is_unsigned(*next.package)
+                     ? fmt::format("load {} in GROUP", plugin)
+                     : fmt::format("load {} in GROUP; or, if you trust it as you trust yourself: load {} with {}",
+                                   plugin, plugin, kUnconfined)});
   }
   if (!first || next.group == kMainGroup) return;
   const auto rights = openings(*first);

@@ -112,9 +112,16 @@ fiona::wire::Welcome welcome_from(fiona::os::MessageStream& stream) {
   return request.welcome();
 }
 
-/// A library that another process wants to open.
-int try_library(const std::string& library) {
-  const std::string verdict = fiona::host::PluginLibraries::tried(library);
+/// Libraries that another process wants to open: of each its path, hash and size.
+int try_libraries(int argc, char** argv) {
+  fiona::host::PluginLibraries::Files files;
+  for (int i = 2; i + 2 < argc; i += 3) {
+    auto& file = *files.Add();
+    file.set_path(argv[i]);
+    file.set_blake2b(argv[i + 1]);
+    file.set_size(std::stoull(argv[i + 2]));
+  }
+  const std::string verdict = fiona::host::PluginLibraries().tried(files);
   const bool told = ::write(kGroupSocket, verdict.data(), verdict.size()) > 0;
   ::_exit(told ? 0 : 1);  // without what its destructors do
 }
@@ -128,6 +135,10 @@ void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& re
   reach.writable.assign(confinement.writable().begin(), confinement.writable().end());
   reach.devices.assign(confinement.devices().begin(), confinement.devices().end());
   reach.network = confinement.network();
+  for (const auto& file : confinement.libraries()) {
+    const auto sealed = std::make_shared<fiona::host::SealedLibrary>(file);
+    reach.copies.push_back({file.path(), file.size(), [sealed](const auto& to) { sealed->write_to(to); }});
+  }
   for (const auto& layer : fiona::os::confine(reach)) {
     auto& told = *ready.add_sandbox();
     told.set_name(layer.name);
@@ -184,7 +195,7 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library)
 int run(int argc, char** argv) {
   if (argc >= 5 && argv[1] == std::string_view("--describe")) describe_library(argc, argv);
   if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
-  if (argc == 3 && argv[1] == std::string_view("--try")) return try_library(argv[2]);
+  if (argc >= 5 && argv[1] == std::string_view("--try")) return try_libraries(argc, argv);
   const std::string endpoint = value_of(argc, argv, "--endpoint");
   fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
   const auto welcome = welcome_from(stream);
@@ -196,7 +207,7 @@ int run(int argc, char** argv) {
   const auto liveness = std::make_shared<fiona::Liveness>(*static_cast<fiona::Liveness::Page*>(page.data()));
   fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")), liveness);
   Mailbox<fiona::wire::GroupMessage> events;
-  fiona::host::PluginLibraries libraries;
+  fiona::host::PluginLibraries libraries(welcome.confinement().sandboxed());
   Runtime runtime(pool, *clock, libraries, endpoint, welcome.key(),
                   [&events, follower](fiona::wire::GroupMessage event) {
                     // Counted first: virtual time waits until the host has seen what was counted, so that none may be

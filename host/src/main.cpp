@@ -27,6 +27,7 @@ struct Flags {
   std::string name = "main";
   std::string socket;
   std::string store;
+  std::string unsigned_packages;
   std::string keys;
   std::string listen;
   std::string serve;
@@ -56,6 +57,7 @@ Flags parse(int argc, char** argv, options::options_description& description) {
   add("peer", options::value(&flags.peers), "NAME=HOST:PORT=KEY, a host that this one leads; may be repeated");
   add("keys", options::value(&flags.keys),
       "the directory of the key pair and of the hosts and consoles that may connect");
+  add("unsigned", options::value(&flags.unsigned_packages), "store of packages that nobody has signed, for this run");
   add("plugins", options::value(&flags.plugins), "libraries in no package that a leading host may have loaded");
   add("threads", options::value(&flags.threads)->default_value(0), "threads for instances; 0: one per core");
   add("ready-fd", options::value(&flags.ready)->default_value(-1), "descriptor that gets READY once it listens");
@@ -122,6 +124,7 @@ int serve(Flags& flags) {
   for (const auto& peer : flags.peers) hosts.peers.push_back(fiona::host::PeerAddress::from_text(peer));
   fiona::host::System::Options options{.name = flags.name,
                                        .store = store,
+                                       .unsigned_packages = flags.unsigned_packages,
                                        .directory = socket.parent_path(),
                                        .threads = flags.threads,
                                        .hosts = std::move(hosts),

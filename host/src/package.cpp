@@ -10,6 +10,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/marketplace/manifest.hpp"
+#include "fiona/marketplace/requirement.hpp"
 
 namespace fiona::host {
 namespace {
@@ -41,6 +42,12 @@ const ComponentInterface& Package::component(const std::string& component_name) 
   return *std::find_if(all.begin(), all.end(), [&](const ComponentInterface& c) { return c.name() == component_name; });
 }
 
+Packages::Packages(const std::filesystem::path& store, const std::filesystem::path& unsigned_packages)
+    : store_(store),
+      unsigned_(unsigned_packages.empty()
+                    ? std::nullopt
+                    : std::make_optional<marketplace::Store>(unsigned_packages, marketplace::Store::Kind::Unsigned)) {}
+
 /// A library as its author builds it: "DIR/libNAME.so" beside "DIR/NAME.interface.textproto".
 std::shared_ptr<const Package> Packages::library(const std::filesystem::path& file) const {
   std::string name = file.stem().string();
@@ -68,6 +75,7 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   }
   found.name = "local/" + name;
   found.version = "0";
+  found.files.Add()->set_path(found.library);
   for (const auto& one : found.interface.components())
     found.rights.insert(found.rights.end(), one.rights().begin(), one.rights().end());
   if (std::filesystem::is_directory(share)) found.share = share;
@@ -75,17 +83,71 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
 }
 
 std::shared_ptr<const Package> Packages::installed(const marketplace::InstalledPackage& package) const {
+  using Origin = Package::Origin;
   Package found;
   found.library = package.library;
-  found.state = package.blake2b;
+  add_part(found, package);
+  require_not_revoked(found);
+  for (const auto& part : found.parts) found.state += part.blake2b + " ";
   if (auto same = known(found)) return same;
   found.name = package.name();
   found.version = package.manifest.version();
   found.share = package.share;
-  found.interface = package.interface();
   found.rights = {package.manifest.rights().begin(), package.manifest.rights().end()};
-  found.hold = std::make_shared<marketplace::PackageHold>(store_.hold(package));
+  found.origin = package.is_unsigned ? Origin::Unsigned : package.first_party ? Origin::FirstParty : Origin::Signed;
+  for (const auto& part : found.parts) {
+    found.holds.push_back(std::make_shared<marketplace::PackageHold>(store_of(part).hold(part)));
+    store_of(part).verify(part);  // held first: what is checked does not go away
+  }
+  for (auto part = found.parts.rbegin(); part != found.parts.rend(); ++part) add_files(found, *part);
+  found.interface = package.interface();
   return keep(std::move(found));
+}
+
+void Packages::require_not_revoked(const Package& package) const {
+  for (const auto& part : package.parts) store_of(part).require_not_revoked(part);
+}
+
+/// With the message packages that it requires.
+void Packages::add_part(Package& package, const marketplace::InstalledPackage& part) const {
+  const auto is_same = [&part](const marketplace::InstalledPackage& known) { return known.name() == part.name(); };
+  if (std::any_of(package.parts.begin(), package.parts.end(), is_same)) return;
+  package.parts.push_back(part);
+  if (part.manifest.requirements().empty()) return;
+  for (const auto& required : all()) {
+    const std::string name = marketplace::full_name(required.manifest);
+    if (required.manifest.kind() == MESSAGES && marketplace::requires_package(part.manifest, name))
+      add_part(package, required);
+  }
+}
+
+/// The libraries that a package brings, its own after those that come with it.
+void Packages::add_files(Package& package, const marketplace::InstalledPackage& of) const {
+  const Interface interface = of.manifest.kind() == MESSAGES ? of.interface() : Interface{};
+  wire::LibraryFile own;
+  for (const auto& listed : of.manifest.files()) {
+    if (!listed.path().starts_with("lib/")) continue;
+    wire::LibraryFile file;
+    file.set_path(of.directory / listed.path());
+    file.set_blake2b(listed.blake2b());
+    file.set_size(listed.size());
+    file.set_package(of.name());
+    const bool is_own = listed.path() == of.manifest.library();
+    for (const auto& proto : interface.descriptors().file()) file.add_protos(proto.name());
+    (is_own ? own : *package.files.Add()) = file;
+  }
+  if (!own.path().empty()) *package.files.Add() = own;
+}
+
+std::vector<marketplace::InstalledPackage> Packages::all() const {
+  auto packages = store_.installed();
+  if (!unsigned_) return packages;
+  for (auto& package : unsigned_->installed()) packages.push_back(std::move(package));
+  return packages;
+}
+
+const marketplace::Store& Packages::store_of(const marketplace::InstalledPackage& package) const {
+  return package.is_unsigned ? *unsigned_ : store_;
 }
 
 /// The one that is in use already, if its files have not changed since they were read.
@@ -115,9 +177,9 @@ Packages::Choice Packages::find(const std::string& text) const {
   // "publisher/name" and "name/component" look alike: an installed package of the whole text wins.
   std::string plugin = text;
   std::string wanted;
-  const auto all = store_.installed();
+  const auto packages = all();
   const auto matches = [&](const std::string& name) {
-    return std::any_of(all.begin(), all.end(),
+    return std::any_of(packages.begin(), packages.end(),
                        [&](const auto& p) { return p.name() == name || p.manifest.name() == name; });
   };
   const std::size_t slash = text.rfind('/');
@@ -125,7 +187,7 @@ Packages::Choice Packages::find(const std::string& text) const {
     plugin = text.substr(0, slash);
     wanted = text.substr(slash + 1);
   }
-  auto package = installed(store_.find(plugin));
+  auto package = installed(marketplace::Store::chosen(packages, plugin, store_.directory()));
   std::string component = choose_component(package->interface, package->name, wanted);
   return {std::move(package), std::move(component)};
 }

@@ -5,8 +5,9 @@
 #include <memory>
 #include <string>
 
-#include "fiona/manifest.pb.h"
 #include "fiona/plugin.hpp"
+#include "fiona/wire.pb.h"
+#include "sealed_library.hpp"
 
 namespace fiona::host {
 
@@ -14,25 +15,33 @@ namespace fiona::host {
 /// cannot be taken back (architecture 5), so another build of a loaded plugin needs a fresh process.
 class PluginLibraries {
  public:
-  /// Opens it as `open` would, in a process that does nothing else, and ends. What the loader says does not matter
-  /// here. How it was, for `Trials`: "+", and what was thrown.
-  static std::string tried(const std::filesystem::path& path);
+  /// What a plugin's code is in: its library, which is the last, after those that it needs.
+  using Files = google::protobuf::RepeatedPtrField<wire::LibraryFile>;
 
-  PluginLibraries();
+  /// `private_files`: what is at the paths are copies that nobody else reaches, which were checked when they were made,
+  /// as in a sandbox. Otherwise files of packages are opened from sealed copies in memory.
+  explicit PluginLibraries(bool private_files = false);
   ~PluginLibraries();
 
-  /// The plugin in the library at `path`, opened once. `interface` is what its package says of it: the ABI tag and
-  /// the names of its protos are checked before the library is opened. Throws Error saying what is wrong and what to
-  /// do: another ABI, a proto file that another plugin has brought already, a missing symbol (the loader's words),
-  /// no entry.
-  const Plugin& open(const std::string& name, const std::filesystem::path& path, const Interface& interface);
+  /// Opens them as `open` would, in a process that does nothing else, and ends. What the loader says does not matter
+  /// here. How it was, for `Trials`: "+", and what was thrown.
+  std::string tried(const Files& files);
+
+  /// The plugin in the last of these files, opened once. `interface` is what its package says of it: the ABI tag and
+  /// the names of its protos are checked before a library is opened. Throws Error saying what is wrong and what to
+  /// do: other content than was installed, another ABI, a proto file that another plugin has brought already, a missing
+  /// symbol (the loader's words), no entry.
+  const Plugin& open(const std::string& name, const Files& files, const Interface& interface);
 
  private:
   struct Library;
-  Library& opened(const std::string& name, const std::filesystem::path& path, const Interface& interface);
-  void check_before_opening(const std::string& name, const std::filesystem::path& path,
-                            const Interface& interface) const;
+  Library& opened(const std::string& name, const Files& files, const Interface& interface);
+  void open_needed(const std::string& name, const Files& files);
+  std::unique_ptr<Library> load(const std::string& name, const wire::LibraryFile& file) const;
+  static void keep(std::unique_ptr<Library> library);
+  void check_before_opening(const std::string& name, const Files& files, const Interface& interface) const;
 
+  const bool private_files_;
   std::map<std::filesystem::path, std::unique_ptr<Library>> libraries_;
   std::map<std::string, std::string> proto_owners_;  ///< descriptor file -> plugin
 };

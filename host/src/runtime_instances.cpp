@@ -73,7 +73,7 @@ void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& 
 void Runtime::create(const wire::Create& request) {
   Liveness::Place thread(pool_.liveness(), request.instance());  // this one
   thread.begins(Liveness::mark(kItsLibrary));
-  const Plugin& plugin = libraries_.open(request.plugin(), request.library(), request.interface());
+  const Plugin& plugin = libraries_.open(request.plugin(), request.files(), request.interface());
   const auto [entry, packaged] = component_of(plugin, request);
   auto instance = std::make_unique<Instance>();
   instance->plugin = request.plugin();

@@ -7,7 +7,9 @@
 namespace fiona::host {
 
 System::System(Options options, OnEvent on_event)
-    : options_(std::move(options)), on_event_(std::move(on_event)), packages_(options_.store) {
+    : options_(std::move(options)),
+      on_event_(std::move(on_event)),
+      packages_(options_.store, options_.unsigned_packages) {
   prepare_links();
   use_clock(std::make_unique<SystemClock>());
   if (!options_.hosts.any()) return;

@@ -34,7 +34,8 @@ class System {
   struct Options {
     std::string name{};
     std::filesystem::path store{};
-    std::filesystem::path directory{};  ///< for the sockets of links
+    std::filesystem::path unsigned_packages{};  ///< a store of what nobody signs for; empty: none
+    std::filesystem::path directory{};          ///< for the sockets of links
     std::size_t threads = 0;
     /// Of the machine's time: how long virtual time may stand for the same reason before whoever waits is told.
     std::chrono::milliseconds standstill{5000};

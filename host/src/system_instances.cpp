@@ -21,6 +21,7 @@ control::Done System::load(const control::Load& request, const Model& next) {
 
 void System::create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request) {
   target.require_answer();
+  if (host_of(target.name()).empty()) packages_.require_not_revoked(*made.package);  // since it was loaded, perhaps
   wire::GroupRequest create;
   auto& c = *create.mutable_create();
   c.set_instance(name);
@@ -29,13 +30,13 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
   if (host_of(target.name()).empty()) {  // another host has files of its own
     c.set_library(made.package->library.string());
     c.set_share(made.package->share.string());
+    *c.mutable_files() = made.package->files;
   }
   c.set_component(made.component);
   *c.mutable_interface() = made.package->interface;
   *c.mutable_parameters() = request.parameters();
   c.set_mode(request.mode());
-  if (target.name() == kMainGroup && options_.tries_libraries)
-    trials_.require(made.package->name, made.package->library);
+  if (target.name() == kMainGroup && options_.tries_libraries) trials_.require(made.package->name, made.package->files);
   try {
     target.request(std::move(create));
   } catch (const Error&) {

@@ -20,13 +20,15 @@ std::tuple<std::uint64_t, std::uint64_t, std::int64_t> identity_of(const std::fi
 }
 
 /// How opening it ended; empty: as it should.
-std::string fault_of(const std::filesystem::path& library) {
+std::string fault_of(const PluginLibraries::Files& files) {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC) != 0) return "";
   const os::Descriptor ours(ends[0]);
   os::Descriptor theirs(ends[1]);
-  os::ChildProcess trial(os::program_directory() / "fiona-group", {"--try", library.string()},
-                         {{theirs.get(), kVerdict}});
+  std::vector<std::string> arguments{"--try"};
+  for (const auto& file : files)
+    arguments.insert(arguments.end(), {file.path(), file.blake2b(), std::to_string(file.size())});
+  os::ChildProcess trial(os::program_directory() / "fiona-group", arguments, {{theirs.get(), kVerdict}});
   theirs.reset();
   pollfd wait{ours.get(), POLLIN, 0};
   if (::poll(&wait, 1, static_cast<int>(Trials::kWithin.count())) <= 0) {
@@ -42,11 +44,12 @@ std::string fault_of(const std::filesystem::path& library) {
 
 }  // namespace
 
-void Trials::require(const std::string& plugin, const std::filesystem::path& library) {
+void Trials::require(const std::string& plugin, const PluginLibraries::Files& files) {
+  const std::filesystem::path library = files.rbegin()->path();
   const auto file = identity_of(library);
   auto known = verdicts_.find(library);
   if (known == verdicts_.end() || known->second.file != file) {
-    known = verdicts_.insert_or_assign(library, Verdict{file, fault_of(library)}).first;
+    known = verdicts_.insert_or_assign(library, Verdict{file, fault_of(files)}).first;
   }
   if (known->second.fault.empty()) return;
   throw Error(ErrorCode::Failed, {.what = "plugin '" + plugin + "' cannot be loaded: " + known->second.fault,

@@ -7,6 +7,8 @@
 #include <string>
 #include <tuple>
 
+#include "plugin_library.hpp"
+
 namespace fiona::host {
 
 /// Opens each library in a process that is thrown away, before the host opens it in its own: what a static constructor
@@ -16,9 +18,9 @@ class Trials {
   /// How long opening may take.
   static constexpr std::chrono::milliseconds kWithin{3000};
 
-  /// Throws Error Failed, if opening the library of this plugin ends a process or does not end. What the loader
+  /// Throws Error Failed, if opening the libraries of this plugin ends a process or does not end. What the loader
   /// refuses passes: it says why to whoever opens it.
-  void require(const std::string& plugin, const std::filesystem::path& library);
+  void require(const std::string& plugin, const PluginLibraries::Files& files);
 
  private:
   struct Verdict {

@@ -41,7 +41,9 @@ Latency plugin_load(const Load& load) {
   const auto choice = host::Packages(store.path).find(SMALL_COMPONENT_LIBRARY);
   const Interface& interface = choice.package->interface;
   return each_copy(load, [&](const std::filesystem::path& copy) {
-    if (libraries.open("local/" + copy.stem().string(), copy, interface).entries().size() != 1)
+    host::PluginLibraries::Files files;
+    files.Add()->set_path(copy);
+    if (libraries.open("local/" + copy.stem().string(), files, interface).entries().size() != 1)
       throw std::runtime_error("no component");
   });
 }

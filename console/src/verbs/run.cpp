@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <unistd.h>
+#include <fiona/marketplace/install.hpp>
 
 #include "../catalogue.hpp"
 #include "../host_process.hpp"
@@ -194,6 +195,42 @@ HostLaunch launch_of(const Line& line, const Options& options) {
   return launch;
 }
 
+/// Packages that nobody has signed, in a store that is there as long as the host.
+class UnsignedPackages {
+ public:
+  UnsignedPackages(const Line& line, HostLaunch& launch) : store_(unsigned_packages_of(launch.socket)) {
+    std::error_code failure;
+    std::filesystem::remove_all(store_, failure);  // of a host that was killed
+    const Word* directory = line.option("--unsigned");
+    if (directory == nullptr) return;
+    std::vector<std::filesystem::path> packages;
+    for (std::filesystem::directory_iterator entry{directory->text, failure};
+         !failure && entry != std::filesystem::directory_iterator{}; entry.increment(failure)) {
+      if (entry->path().extension() == ".fpk") packages.push_back(entry->path());
+    }
+    if (failure || packages.empty()) {
+      throw line.error(*directory,
+                       {.what = "there are no packages here",
+                        .expected = "a directory with .fpk files",
+                        .found = failure ? failure.message() : "",
+                        .next = "plugin pack makes one"},
+                       ErrorCode::NotFound);
+    }
+    std::sort(packages.begin(), packages.end());
+    marketplace::install_unsigned(packages, store_);
+    launch.unsigned_packages = store_;
+  }
+  UnsignedPackages(const UnsignedPackages&) = delete;
+  UnsignedPackages& operator=(const UnsignedPackages&) = delete;
+  ~UnsignedPackages() {
+    std::error_code failure;
+    std::filesystem::remove_all(store_, failure);
+  }
+
+ private:
+  const std::filesystem::path store_;
+};
+
 }  // namespace
 
 void run(Session& session, const Line& line) {
@@ -203,7 +240,8 @@ void run(Session& session, const Line& line) {
   const Word* duration = line.option("--for");
   if (duration != nullptr) duration_ms(*duration, line.words);
   const std::vector<Line> lines = lines_to_run(line, session.options.store);
-  const HostLaunch launch = launch_of(line, session.options);
+  HostLaunch launch = launch_of(line, session.options);
+  const UnsignedPackages unsigned_packages(line, launch);
   HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
   session.connect({launch.socket});
   if (!line.positional.empty()) session.host().set_author(fmt::format("script {}", line.positional[0].text));

@@ -1,17 +1,27 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 namespace fiona::os {
 
+/// A file that a process has to itself: nobody outside can change it.
+struct PrivateCopy {
+  std::filesystem::path path;  ///< where it finds it
+  std::uint64_t size = 0;      ///< bytes
+  std::function<void(const std::filesystem::path&)> write_to;
+};
+
 /// What a process may still reach once it is confined.
 struct Reach {
   std::vector<std::filesystem::path> readable{};  ///< files and folders
   std::vector<std::filesystem::path> writable{};  ///< folders
   std::vector<std::filesystem::path> devices{};   ///< files, sockets included, that are opened to read and write
+  std::vector<PrivateCopy> copies{};              ///< in folders of their own, which have nothing else
   bool network = false;
 };
 

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <fstream>
+#include <map>
 #include <system_error>
 
 #include "os/descriptor.hpp"
@@ -107,6 +108,24 @@ void bind(const Part& part) {
       part.path);
 }
 
+/// Folders with nothing but the copies, over what may be there.
+void put_copies(const std::vector<PrivateCopy>& copies) {
+  constexpr std::uint64_t kRounding = 64U << 10U;
+  std::map<fs::path, std::vector<const PrivateCopy*>> folders;
+  for (const PrivateCopy& copy : copies) folders[copy.path.parent_path()].push_back(&copy);
+  for (const auto& [path, files] : folders) {
+    const fs::path folder = fs::path(kNewRoot) / path.relative_path();
+    fs::create_directories(folder);
+    std::uint64_t bytes = 0;
+    for (const PrivateCopy* file : files) bytes += file->size + kRounding;
+    const std::string options = "mode=0755,size=" + std::to_string(bytes);
+    require_mounted(::mount("fiona", folder.c_str(), "tmpfs", MS_NOSUID | MS_NODEV, options.c_str()) == 0, path);
+    for (const PrivateCopy* file : files) file->write_to(folder / file->path.filename());
+    constexpr unsigned long kReadOnly = MS_BIND | MS_REMOUNT | MS_RDONLY | MS_NOSUID | MS_NODEV;
+    require_mounted(::mount(nullptr, folder.c_str(), nullptr, kReadOnly, nullptr) == 0, path);
+  }
+}
+
 }  // namespace
 
 std::string enter_namespaces(const Reach& reach) {
@@ -115,6 +134,7 @@ std::string enter_namespaces(const Reach& reach) {
   const std::vector<Part> parts = parts_of(reach);
   require_mounted(::mount("fiona", kNewRoot, "tmpfs", MS_NOSUID | MS_NODEV, "size=1m,mode=0755") == 0, "a new root");
   for (const Part& part : parts) bind(part);
+  put_copies(reach.copies);
   for (const char* link : kSystemLinks) {
     if (fs::is_symlink(link)) fs::create_symlink(fs::read_symlink(link), std::string(kNewRoot) + link);
   }
