@@ -21,6 +21,8 @@ namespace {
 
 constexpr std::chrono::seconds kStart{10};
 constexpr std::chrono::seconds kEnd{5};
+/// For a host whose supervisor has gone to end by itself.
+constexpr std::chrono::seconds kRest{1};
 constexpr std::size_t kLongestLine = 4096;
 // The descriptors in the host; above the standard ones, below what it opens itself.
 constexpr int kReadyInHost = 3;
@@ -49,7 +51,7 @@ SteadyTime in(std::chrono::seconds time) { return std::chrono::steady_clock::now
 }  // namespace
 
 HostProcess::HostProcess(Reactor& reactor, const HostLaunch& launch, OnLine on_line)
-    : reactor_(reactor), on_line_(std::move(on_line)) {
+    : reactor_(reactor), supervised_(launch.supervised), on_line_(std::move(on_line)) {
   const Pipe ready = make_pipe();
   const Pipe lifeline = make_pipe();
   const Pipe said = make_pipe();
@@ -105,6 +107,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
                                  "--lifeline-fd",
                                  fmt::format("{}", kLifelineInHost)};
   if (launch.restore) words.push_back("--restore");
+  if (!launch.journal.empty()) words.insert(words.end(), {"--journal", launch.journal.string()});
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
   if (!launch.unsigned_packages.empty()) words.insert(words.end(), {"--unsigned", launch.unsigned_packages.string()});
   if (!launch.listen.empty()) words.insert(words.end(), {"--listen", "tcp://" + launch.listen});
@@ -189,7 +192,17 @@ int HostProcess::collect() {
   int status = 0;
   if (!exit_code_ && ::waitpid(process_, &status, 0) == process_)
     exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  if (was_killed()) end_rest();
   return exit_code_.value_or(1);
+}
+
+/// All that came of it is in its process group.
+void HostProcess::end_rest() {
+  const SteadyTime deadline = in(kRest);
+  while (::kill(-process_, 0) == 0 && std::chrono::steady_clock::now() < deadline) {
+    reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(5));
+  }
+  ::kill(-process_, SIGKILL);
 }
 
 int HostProcess::stop() {

@@ -22,10 +22,12 @@ struct HostLaunch {
   std::vector<std::string> peers{};           ///< "NAME=ADDRESS:PORT=KEY"
   std::vector<std::string> limits{};          ///< of its groups, as the words that it is given
   bool restore = false;                       ///< begins with the system of its last journal
+  bool supervised = false;                    ///< by a process between, which starts it again
+  std::filesystem::path journal{};            ///< empty: beside the socket
 };
 
-/// A host that this process started. It ends when this process does: the host watches the lifeline, a pipe whose
-/// other end only this process holds.
+/// A host that this process started, or its supervisor. It ends when this process does: it watches the lifeline, a pipe
+/// whose other end only this process holds.
 class HostProcess {
  public:
   using OnLine = std::function<void(const std::string&)>;
@@ -40,14 +42,18 @@ class HostProcess {
   /// Lets go of the lifeline and waits; kills it if it has not ended after 5 s. The exit code; 128 + signal.
   int stop();
   bool running();
+  /// Whether a supervisor has been killed: what it has left is gone once `stop` returns.
+  bool was_killed() const { return supervised_ && exit_code_.value_or(0) > 128; }
 
  private:
   void spawn(const HostLaunch& launch, int ready, int lifeline, int said);
   void wait_ready(int ready);
   void read_said();
   int collect();
+  void end_rest();
 
   Reactor& reactor_;
+  const bool supervised_;
   OnLine on_line_;
   pid_t process_ = -1;
   int lifeline_ = -1;

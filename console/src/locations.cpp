@@ -141,11 +141,26 @@ Endpoint chosen_endpoint(const std::string& at, const std::string& host) {
   return {hosts.front().socket};
 }
 
-fs::path history_file() {
+namespace {
+
+/// What outlives a reboot and is no configuration; empty without a home.
+fs::path state_directory() {
   const std::string state = environment("XDG_STATE_HOME");
   const std::string home = environment("HOME");
-  if (!state.empty()) return fs::path(state) / "fiona" / "history";
-  return home.empty() ? fs::path() : fs::path(home) / ".local" / "state" / "fiona" / "history";
+  if (!state.empty()) return fs::path(state) / "fiona";
+  return home.empty() ? fs::path() : fs::path(home) / ".local" / "state" / "fiona";
+}
+
+}  // namespace
+
+fs::path history_file() {
+  const fs::path directory = state_directory();
+  return directory.empty() ? directory : directory / "history";
+}
+
+fs::path journal_file(const std::string& host) {
+  const fs::path directory = state_directory();
+  return directory.empty() ? directory : directory / (host + ".journal");
 }
 
 fs::path sibling_program(const std::string& name) {

@@ -46,6 +46,9 @@ Endpoint chosen_endpoint(const std::string& at, const std::string& host);
 /// $XDG_STATE_HOME/fiona/history, else ~/.local/state/fiona/history; empty without a home.
 std::filesystem::path history_file();
 
+/// $XDG_STATE_HOME/fiona/HOST.journal, else below ~/.local/state: a reboot leaves it. Empty without a home.
+std::filesystem::path journal_file(const std::string& host);
+
 /// The program of that name beside the running `fiona`. Throws fiona::Error (NotFound).
 std::filesystem::path sibling_program(const std::string& name);
 

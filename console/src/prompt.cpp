@@ -126,7 +126,9 @@ class Prompt {
   }
 
   /// A host that this process started; its own exit code says why.
-  bool has_ended() const { return options_.started_host && !session_.connected(); }
+  bool has_ended() const {
+    return options_.started_host && !session_.connected() && !(options_.comes_back && options_.comes_back());
+  }
 
   void attach() {
     ControlClient& host = session_.host();
@@ -134,7 +136,7 @@ class Prompt {
     host.set_author("console");
     if (const RemoteLink* remote = host.remote())
       session_.out.remark(fmt::format("this console may {} at host '{}'", remote->level(), remote->host()));
-    if (!options_.started_host) host.on_closed([this] { lost(); });
+    if (!options_.started_host || options_.comes_back) host.on_closed([this] { lost(); });
   }
 
   void lost() {
@@ -162,6 +164,7 @@ class Prompt {
       retry_later();
       throw;
     }
+    if (options_.let_run) let_run();
     session_.out.remark("the host is back");
   }
 

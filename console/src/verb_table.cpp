@@ -173,8 +173,8 @@ std::vector<Verb> file_verbs() {
        "spots.",
        Access::Observe, verbs::check},
       {"run",
-       forms({"run [FILE …] [--restore] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE …] [--host NAME] "
-              "[--store DIR] [--unsigned DIR] "
+       forms({"run [FILE …] [--restore] [--supervised] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE "
+              "…] [--host NAME] [--store DIR] [--unsigned DIR] "
               "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] "
               "[--group-memory MIB] [--group-threads N]"}),
        "starts a host and runs system files in it (from a shell)",
@@ -183,6 +183,9 @@ std::vector<Verb> file_verbs() {
        "it "
        "ends, --for T for that long on its clock.\n"
        "--restore begins with the system that this host had when it was last changed, also if it was killed then.\n"
+       "--supervised starts the host again when it ends without being told to, or hangs, with that system; groups go "
+       "on "
+       "meanwhile, and keep the wires between them.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"
        "--group-memory and --group-threads say what each group may take, other than main: 1024 MiB and 128.\n"

@@ -48,7 +48,8 @@ struct ControlServer::Client {
   std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
 };
 
-ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore)
+ControlServer::ControlServer(const std::filesystem::path& socket, System::Options options, bool restore,
+                             const std::filesystem::path& journal)
     : listener_(socket),
       remote_(serve_remote(options)),
       system_(std::move(options),
@@ -56,10 +57,12 @@ ControlServer::ControlServer(const std::filesystem::path& socket, System::Option
                 if (!event.has_tapped()) return events_.push(event);
                 events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
               }),
+      told_(restore ? std::optional(Journal::read(journal.empty() ? journal_of(socket) : journal)) : std::nullopt),
       engine_(
-          system_, journal_of(socket), [this](std::function<void()> work) { work_.push(std::move(work)); }, restore),
+          system_, journal.empty() ? journal_of(socket) : journal,
+          [this](std::function<void()> work) { work_.push(std::move(work)); }, told_),
       masters_(system_, engine_, [this](std::function<void()> work) { work_.push(std::move(work)); }) {
-  if (restore) this->restore(journal_of(socket));
+  if (told_) this->restore(journal.empty() ? journal_of(socket) : journal);
 }
 
 ControlServer::~ControlServer() = default;
@@ -82,31 +85,25 @@ void ControlServer::add_client(os::Descriptor socket, Rights rights) {
   clients_.emplace(next_client_++, std::make_unique<Client>(std::move(socket), std::move(rights)));
 }
 
-/// The system as a journal tells of it is made before the host says that it is there; one that cannot be is an error.
+/// The system as a journal tells of it is made before the host says that it is there.
 void ControlServer::restore(const std::filesystem::path& journal) {
-  const Journal::Told told = Journal::read(journal);
-  if (told.damaged > 0) {
+  const Journal::Told told = *std::exchange(told_, std::nullopt);
+  const std::string until = text_of_time(told.last_ms);
+  if (told.older) {
+    std::cerr << journal.string() << ": none of its " << told.damaged << " bytes can be read: the system is that of "
+              << journal.filename().string() << ".old, whose last change was at " << until << "\n";
+  } else if (told.damaged > 0) {
     std::cerr << journal.string() << ": the last " << told.damaged << " of " << told.bytes + told.damaged
-              << " bytes cannot be read: changes after " << text_of_time(told.last_ms) << " are not restored\n";
+              << " bytes cannot be read: changes after " << until << " are not restored\n";
   }
-  control::Transact request;
-  request.set_whole(true);
-  request.mutable_changes()->Add(told.changes.begin(), told.changes.end());
-  std::optional<control::Reply> answered;
-  engine_.transact("restore", request, [&answered](const control::Reply& reply) { answered = reply; });
-  while (!answered) {
-    // What a group says, a mode reached there too, comes only to who reads it.
-    const auto children = system_.child_groups();
-    std::vector<pollfd> waits{{work_.descriptor(), POLLIN, 0}};
-    for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
-    if (::poll(waits.data(), waits.size(), -1) < 0) continue;
-    for (std::size_t i = 0; i < children.size(); ++i) {
-      if (waits[i + 1].revents != 0) system_.serve_group(*children[i]);
-    }
-    for (const auto& work : work_.take()) work();
-  }
-  if (answered->has_failure()) throw_failure(answered->failure());
-  engine_.restored();
+  for (const auto& line : system_.resume(told.changes)) std::cerr << line << "\n";
+}
+
+/// As somebody has asked for.
+void ControlServer::end(int code) {
+  exit_code_ = code;
+  was_ended_ = true;
+  if (system_.supervisor()) system_.supervisor()->quits();
 }
 
 int ControlServer::serve(int lifeline, int signals) {
@@ -135,12 +132,16 @@ void ControlServer::poll_once(int lifeline, int signals) {
   const auto children = system_.child_groups();
   for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
   const int groups_ms = system_.watches_groups() ? static_cast<int>(kWatchEvery.count()) : -1;
-  if (::poll(waits.data(), waits.size(), system_.has_virtual_clock() ? kTimeWatch_ms : groups_ms) < 0) return;
+  const int usual_ms = system_.has_virtual_clock() ? kTimeWatch_ms : groups_ms;
+  constexpr int kBeat_ms = static_cast<int>(SupervisorLink::kBeatEvery.count());
+  const bool beats = system_.supervisor() != nullptr;
+  if (beats) system_.supervisor()->beat();
+  const int wait_ms = beats && (usual_ms < 0 || usual_ms > kBeat_ms) ? kBeat_ms : usual_ms;
+  if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;
   system_.watch_time();
 
   if (waits[3].revents != 0 || waits[4].revents != 0) {
-    exit_code_ = waits[4].revents != 0 ? 130 : 0;
-    return;
+    return end(waits[4].revents != 0 ? 130 : 0);
   }
   for (const auto& event : events_.take()) on_event(event);
   for (const auto& work : work_.take()) work();
@@ -287,7 +288,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
       system_.detach(client, request.detach().wire());
       attached_.erase(request.detach().wire());
       return done("");
-    case Request::kQuit: exit_code_ = request.quit().exit_code(); return done("");
+    case Request::kQuit: end(request.quit().exit_code()); return done("");
     case Request::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, "the request is empty, or newer than this host");

@@ -23,14 +23,18 @@ namespace fiona::host {
 /// client may ask for follows from its level; those on the unix socket are the host's own user, and may everything.
 class ControlServer {
  public:
-  /// Its journal is kept beside the socket; `restore`: begins with the system that the last journal there ends with.
-  ControlServer(const std::filesystem::path& socket, System::Options options, bool restore = false);
+  /// `restore`: begins with the system that the journal ends with. Without a place for it, it is kept beside the
+  /// socket.
+  ControlServer(const std::filesystem::path& socket, System::Options options, bool restore = false,
+                const std::filesystem::path& journal = {});
   ~ControlServer();
 
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
   /// The exit code of the run.
   int serve(int lifeline, int signals);
   /// Whether components keep threads, which nobody can end.
+  /// Whether its end was meant; another end is one that a supervisor mends.
+  bool was_ended() const { return was_ended_; }
   bool has_kept_threads() const { return system_.kept_threads() > 0; }
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return system_.listens(); }
@@ -68,6 +72,7 @@ class ControlServer {
   void send_last(std::uint64_t client, const control::Reply& reply);
   void forget_open(std::uint64_t client, std::uint64_t request);
   void restore(const std::filesystem::path& journal);
+  void end(int code);
   void send(std::uint64_t client, const control::Reply& reply);
   void on_wire_lost(const wire::WireLost& lost);
   void on_event(const wire::GroupMessage& event);
@@ -85,6 +90,7 @@ class ControlServer {
   os::UnixListener listener_;
   std::unique_ptr<RemoteConsoles> remote_;
   System system_;
+  std::optional<Journal::Told> told_;  ///< by the journal of the host before; until it is restored
   Engine engine_;
   Masters masters_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
@@ -93,6 +99,7 @@ class ControlServer {
   std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;     ///< wire -> (client, request)
   std::uint64_t next_client_ = 1;
   std::optional<int> exit_code_;
+  bool was_ended_ = false;
 };
 
 }  // namespace fiona::host

@@ -81,10 +81,11 @@ void add(control::Done& total, const control::Done& one, std::size_t steps) {
 
 }  // namespace
 
-Engine::Engine(System& system, std::filesystem::path journal, Later later, bool restores)
-    : system_(system), journal_(std::move(journal)), later_(std::move(later)), self_(std::make_shared<Engine*>(this)) {
-  if (!restores) journal_.take_over();
-}
+Engine::Engine(System& system, std::filesystem::path journal, Later later, std::optional<Journal::Told> before)
+    : system_(system),
+      journal_(std::move(journal), std::move(before)),
+      later_(std::move(later)),
+      self_(std::make_shared<Engine*>(this)) {}
 
 Engine::~Engine() { *self_ = nullptr; }
 

@@ -26,8 +26,9 @@ class Engine {
 
   /// `later` hands work to the control thread, from any thread.
   using Later = std::function<void(std::function<void()>)>;
-  /// `restores`: the journal of the host before stays until restored() says that this one has what it told.
-  Engine(System& system, std::filesystem::path journal, Later later, bool restores = false);
+  /// `before`: what the journal of the host before has told, which this one goes on with.
+  Engine(System& system, std::filesystem::path journal, Later later,
+         std::optional<Journal::Told> before = std::nullopt);
   ~Engine();
 
   /// Answered with Done or Planned, or with why nothing has changed. A swap that is to be watched is compared first,
@@ -36,7 +37,6 @@ class Engine {
                 std::optional<std::chrono::milliseconds> within = std::nullopt);
   void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);
   control::JournalEntries journal(std::uint32_t last) const;
-  void restored() { journal_.take_over(); }
 
  private:
   struct Transaction;

@@ -1,5 +1,6 @@
 #include "group.hpp"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <poll.h>
 #include <sys/epoll.h>
@@ -27,6 +28,8 @@ constexpr milliseconds kWaitingRequest{3'000};
 /// Of all others, which a process that does not hang answers at once.
 constexpr milliseconds kRequest{2'000};
 constexpr std::chrono::seconds kReadyDeadline{5};
+/// Of a group that is to be adopted.
+constexpr std::chrono::seconds kAdoptionDeadline{3};
 
 milliseconds patience_with(const wire::GroupRequest& request) {
   switch (request.what_case()) {
@@ -42,6 +45,7 @@ milliseconds patience_with(const wire::GroupRequest& request) {
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
 constexpr int kLivenessPage = 5;
+constexpr int kAdoptionSocket = 6;
 
 std::vector<std::string> clock_arguments(const Clock& clock) {
   const auto* system = dynamic_cast<const SystemClock*>(&clock);
@@ -71,7 +75,8 @@ os::Descriptor either_readable(int first, int second) {
 
 }  // namespace
 
-Group::Group(std::string name) : name_(std::move(name)), link_key_(random_bytes(kKeyBytes)) {}
+Group::Group(std::string name, std::string link_key)
+    : name_(std::move(name)), link_key_(link_key.empty() ? random_bytes(kKeyBytes) : std::move(link_key)) {}
 
 wire::GroupMessage Group::request(wire::GroupRequest request) {
   const milliseconds patience = patience_with(request);
@@ -141,6 +146,7 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       confinement_(start.confinement),
       clock_(start.clock),
       master_(start.master),
+      supervisor_(start.master ? nullptr : start.supervisor),  // a run on virtual time ends with its host
       on_event_(std::move(on_event)),
       liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {
   // Virtual time has a watchdog of its own.
@@ -157,9 +163,13 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   os::Descriptor clock_socket;
   if (master_) clock_socket = master_->add(this->name(), endpoint_);
   if (master_) inherited.emplace_back(clock_socket.get(), kClockSocket);
+  std::pair<os::PacketSocket, os::PacketSocket> adoption;
+  if (supervisor_) adoption = os::PacketSocket::pair();
+  if (supervisor_) inherited.emplace_back(adoption.second.descriptor(), kAdoptionSocket);
   child_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-group", arguments, inherited,
                                               confinement_.sandboxed());
   clock_socket.reset();
+  adoption.second.close();
   theirs.reset();
   output_.close_write_end();
   stream_ = std::make_unique<os::MessageStream>(std::move(ours));
@@ -167,6 +177,8 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   wire::GroupRequest welcome;
   welcome.mutable_welcome()->set_key(link_key());
   *welcome.mutable_welcome()->mutable_confinement() = confinement_;
+  welcome.mutable_welcome()->set_host(start.host);
+  welcome.mutable_welcome()->set_adoptable(supervisor_ != nullptr);
   stream_->send(welcome);
   // An exit with code 0 before it says ready is a failure too.
   const auto ready = wait_for(0, Steady::now() + kReadyDeadline);
@@ -178,6 +190,66 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
     leave_nothing();
     throw;
   }
+  if (supervisor_) hand_to_supervisor(std::move(adoption.first));
+}
+
+ChildGroup::ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_event)
+    : Group(kept.told.name(), kept.told.key()),
+      endpoint_(kept.told.endpoint()),
+      folder_(kept.told.folder()),
+      confinement_(kept.told.confinement()),
+      ready_(kept.told.ready()),
+      clock_(start.clock),
+      master_(nullptr),
+      supervisor_(start.supervisor),
+      on_event_(std::move(on_event)),
+      output_(std::move(kept.output)),
+      liveness_(std::make_unique<os::SharedMemory>(std::move(kept.liveness), sizeof(Liveness::Page))) {
+  const auto& page = *static_cast<const Liveness::Page*>(liveness_->data());
+  if (start.parts) hangs_ = std::make_unique<HangWatch>(page, start.parts);
+  child_ = std::make_unique<os::ChildProcess>(
+      kept.process, std::move(kept.handle), [supervisor = supervisor_](pid_t one) { return supervisor->end_of(one); });
+  auto [ours, theirs] = os::socket_pair();
+  const os::PacketSocket adoption(std::move(kept.adoption));
+  const bool handed = adoption.send("host", {theirs.get()}) == os::PacketSocket::Sent::Yes;
+  theirs.reset();
+  stream_ = std::make_unique<os::MessageStream>(std::move(ours));
+  wake_ = either_readable(stream_->descriptor(), child_->descriptor());
+  wire::GroupRequest adopt;
+  adopt.mutable_adopt();
+  const bool asked = handed && send(adopt);
+  const auto reply = asked ? wait_for(adopt.id(), Steady::now() + kAdoptionDeadline) : std::nullopt;
+  if (reply && reply->has_adopted()) adopted_ = reply->adopted();
+  if (!adopted_) end_now("was ended: it did not answer the new host");
+}
+
+/// One that is not kept ends with this host; that is no reason not to have it.
+void ChildGroup::hand_to_supervisor(os::PacketSocket adoption) {
+  KeptGroup kept;
+  kept.process = process();
+  kept.told.set_name(name());
+  kept.told.set_endpoint(endpoint_);
+  kept.told.set_folder(folder_.string());
+  kept.told.set_key(link_key());
+  *kept.told.mutable_confinement() = confinement_;
+  *kept.told.mutable_ready() = ready_;
+  if (const auto* system = dynamic_cast<const SystemClock*>(&clock_)) {
+    kept.told.set_clock_steady_ns(system->origin().steady_ns);
+    kept.told.set_clock_start_ns(system->origin().start_ns);
+  }
+  const auto copy = [](int one) { return os::Descriptor(::fcntl(one, F_DUPFD_CLOEXEC, 0)); };
+  kept.adoption = copy(adoption.descriptor());
+  kept.liveness = copy(liveness_->descriptor());
+  kept.output = copy(output_.read_end());
+  kept.handle = copy(child_->descriptor());
+  if (!supervisor_->keep(kept)) std::cerr << "group '" << name() << "' ends with this host: its supervisor is gone\n";
+}
+
+void ChildGroup::end_now(const std::string& why) {
+  if (!alive()) return;
+  const bool lives = child_->end().empty();
+  child_->kill();
+  note_end(lives ? why : "");
 }
 
 Error ChildGroup::not_started() const {
@@ -188,6 +260,7 @@ Error ChildGroup::not_started() const {
 ChildGroup::~ChildGroup() { leave_nothing(); }
 
 void ChildGroup::leave_nothing() {
+  if (supervisor_ && child_) supervisor_->drop(child_->id());
   if (master_) master_->remove(endpoint_);
   std::error_code ignored;
   if (!folder_.empty()) std::filesystem::remove_all(folder_, ignored);
@@ -248,6 +321,7 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time de
   std::optional<wire::GroupMessage> found;
   bool ended = false;
   while (true) {
+    if (supervisor_) supervisor_->beat();
     // To the end of what has been read, though the answer be found: nobody polls for bytes that are here already.
     while (stream_->next(message)) {
       if (message.id() == id && (id != 0 || message.has_ready())) {

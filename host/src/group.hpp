@@ -16,13 +16,15 @@
 #include "os/process.hpp"
 #include "os/shared_memory.hpp"
 #include "runtime.hpp"
+#include "supervisor_link.hpp"
 
 namespace fiona::host {
 
 /// A process of the host that holds instances: the host's own (`main`), or a child.
 class Group {
  public:
-  explicit Group(std::string name);
+  /// `link_key`: one that it has already; empty: a new one.
+  explicit Group(std::string name, std::string link_key = {});
   virtual ~Group() = default;
   Group(const Group&) = delete;
   Group& operator=(const Group&) = delete;
@@ -100,14 +102,23 @@ class ChildGroup final : public Group {
     std::string endpoint;
     const Clock& clock;
     ClockMaster* master = nullptr;
-    std::size_t threads = 0;          ///< of its pool; 0: one per core
-    HangWatch::Parts parts;           ///< what its instances may be doing; none: it is not ended when it hangs
-    wire::Confinement confinement{};  ///< what it may take and reach
-    std::filesystem::path folder{};   ///< in which it listens; removed at its end
+    std::size_t threads = 0;               ///< of its pool; 0: one per core
+    HangWatch::Parts parts;                ///< what its instances may be doing; none: it is not ended when it hangs
+    wire::Confinement confinement{};       ///< what it may take and reach
+    std::filesystem::path folder{};        ///< in which it listens; removed at its end
+    std::string host{};                    ///< where `main` listens
+    SupervisorLink* supervisor = nullptr;  ///< keeps it for a host after this one; none: it ends with this one
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
+  /// Takes over one that a host before this one has started; what it holds is in `adopted`. Where it has ended, or does
+  /// not answer, it is an ended group from the beginning.
+  ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_event);
   ~ChildGroup() override;
+  /// None: it was started by this host, or has ended.
+  const std::optional<wire::Adopted>& adopted() const { return adopted_; }
+  /// [control thread] Ends it.
+  void end_now(const std::string& why);
 
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
@@ -126,6 +137,7 @@ class ChildGroup final : public Group {
   /// The walls of its sandbox; none: it has the rights of its user.
   const wire::Ready& ready() const { return ready_; }
   const wire::Confinement& confinement() const { return confinement_; }
+  const std::filesystem::path& folder() const { return folder_; }
   os::Usage usage() const { return os::usage_of(process()).value_or(os::Usage()); }
   std::uint64_t dropped_output() const { return output_.dropped(); }
   /// [control thread] Passes on what it writes. Ends it once it stands still, or one of its instances does not come
@@ -154,6 +166,7 @@ class ChildGroup final : public Group {
 
   void end_if_greedy();
   void leave_nothing();
+  void hand_to_supervisor(os::PacketSocket adoption);
 
   const std::string endpoint_;
   const std::filesystem::path folder_;
@@ -161,6 +174,8 @@ class ChildGroup final : public Group {
   wire::Ready ready_;
   const Clock& clock_;
   ClockMaster* const master_;
+  SupervisorLink* const supervisor_;
+  std::optional<wire::Adopted> adopted_;
   const Runtime::OnEvent on_event_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;

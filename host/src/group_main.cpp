@@ -20,6 +20,7 @@
 #include "open_plugin.hpp"
 #include "os/limits.hpp"
 #include "os/message_stream.hpp"
+#include "os/packet_socket.hpp"
 #include "os/process.hpp"
 #include "os/sandbox.hpp"
 #include "os/shared_memory.hpp"
@@ -34,11 +35,14 @@ using fiona::host::Runtime;
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
 constexpr int kLivenessPage = 5;
+constexpr int kAdoptionSocket = 6;
 /// Unsent bytes above which a host is slow, and events wait: of watched values so many as the mailbox holds.
 constexpr std::size_t kSlowHost = 1024 * 1024;
 constexpr std::chrono::seconds kWelcomeDeadline{5};
-/// Once its host is gone, whatever its components do.
+/// Once it has nobody left, whatever its components do.
 constexpr std::chrono::seconds kEndsWithin{4};
+/// For the supervisor to start another host: its back-off, and what a slow machine adds. It ends by itself then.
+constexpr std::chrono::seconds kAdoptedWithin{20};
 
 /// What a process that was stopped finds before it: whoever asked has been told that it was not done.
 bool has_expired(const fiona::wire::GroupRequest& request) {
@@ -83,6 +87,35 @@ int serve(Runtime& runtime, GroupClock* clock, fiona::os::MessageStream& stream,
       if (!stream.send(reply)) return 1;
     }
   }
+}
+
+/// What nobody waits for any more: it was asked for by the host that is gone.
+bool was_asked_for(const fiona::wire::GroupMessage& event) {
+  return event.has_tapped() || event.has_tap_ended() || event.has_mode_set() || event.has_call_ended();
+}
+
+/// The socket to the next host; none: there is nobody who could bring one.
+std::unique_ptr<fiona::os::MessageStream> next_host(const fiona::os::PacketSocket& adoption) {
+  fiona::os::Packet packet;
+  if (!adoption.receive_until(std::chrono::steady_clock::now() + kAdoptedWithin, packet)) return nullptr;
+  if (packet.descriptors.size() != 1) return nullptr;
+  return std::make_unique<fiona::os::MessageStream>(std::move(packet.descriptors.front()));
+}
+
+/// One host after the other: its wires to other groups go on between two.
+int serve_hosts(Runtime& runtime, std::unique_ptr<fiona::os::MessageStream> stream,
+                Mailbox<fiona::wire::GroupMessage>& events, const std::string& host) {
+  const fiona::os::PacketSocket adoption{fiona::os::Descriptor(kAdoptionSocket)};
+  while (stream) {
+    serve(runtime, nullptr, *stream, events);
+    stream.reset();
+    runtime.host_lost(host);
+    stream = next_host(adoption);
+    for (auto& event : events.take()) {
+      if (!was_asked_for(event)) events.push(std::move(event));
+    }
+  }
+  return 0;
 }
 
 std::string value_of(int argc, char** argv, std::string_view flag) {
@@ -197,8 +230,8 @@ int run(int argc, char** argv) {
   if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
   if (argc >= 5 && argv[1] == std::string_view("--try")) return try_libraries(argc, argv);
   const std::string endpoint = value_of(argc, argv, "--endpoint");
-  fiona::os::MessageStream stream{fiona::os::Descriptor(kGroupSocket)};
-  const auto welcome = welcome_from(stream);
+  auto stream = std::make_unique<fiona::os::MessageStream>(fiona::os::Descriptor(kGroupSocket));
+  const auto welcome = welcome_from(*stream);
   fiona::wire::GroupMessage ready;
   confine(welcome.confinement(), *ready.mutable_ready());
   const auto clock = make_clock(argc, argv);
@@ -219,9 +252,10 @@ int run(int argc, char** argv) {
                     events.push_newest(tap, std::move(event), bytes);
                   });
   ready.mutable_ready()->set_endpoint(endpoint);
-  if (!stream.send(ready)) return 1;
+  if (!stream->send(ready)) return 1;
   if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
-  const int code = serve(runtime, follower, stream, events);
+  const int code = welcome.adoptable() ? serve_hosts(runtime, std::move(stream), events, welcome.host())
+                                       : serve(runtime, follower, *stream, events);
   fiona::os::end_within(kEndsWithin, code);
   clock->stop();
   return code;

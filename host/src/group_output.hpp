@@ -23,6 +23,9 @@ class GroupOutput {
   static constexpr std::size_t kLongestLine = 200;
 
   GroupOutput();
+  /// Of a process that has its end already.
+  explicit GroupOutput(os::Descriptor read_end) : read_end_(std::move(read_end)) {}
+  int read_end() const { return read_end_.get(); }
   /// For the process; ours is closed once it has it.
   int write_end() const { return write_end_.get(); }
   void close_write_end() { write_end_.reset(); }

@@ -48,10 +48,21 @@ std::uint32_t number_at(std::string_view text, std::size_t at) {
                                   .next = "make room or correct the rights there, then try again"});
 }
 
+std::int64_t now_ms() {
+  const auto now = std::chrono::system_clock::now().time_since_epoch();
+  return std::chrono::duration_cast<std::chrono::milliseconds>(now).count();
+}
+
 os::Descriptor open_new(const std::filesystem::path& file) {
   os::Descriptor opened(::open(file.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
   if (!opened) fail(file);
   return opened;
+}
+
+std::optional<std::string> text_of_file(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  if (!stream) return std::nullopt;
+  return std::string{std::istreambuf_iterator<char>(stream), {}};
 }
 
 void write_all(int descriptor, std::string_view bytes, const std::filesystem::path& file) {
@@ -72,20 +83,40 @@ std::string Journal::record_of(const control::JournalEntry& entry) {
   return record + body;
 }
 
-Journal::Journal(std::filesystem::path file) : file_(std::move(file)) {
+Journal::Journal(std::filesystem::path file, std::optional<Told> before) : file_(std::move(file)) {
+  std::string records = record_of({});
+  for (auto& entry : before ? before->entries : std::vector<control::JournalEntry>()) {
+    if (entry.number() == 0) continue;
+    next_number_ = std::max(next_number_, entry.number() + 1);
+    if (entry.state() == control::JournalEntry::UNDER_WAY) {
+      entry.set_state(control::JournalEntry::ROLLED_BACK);
+      entry.set_reason("the host ended before it was done");
+    }
+    records += record_of(entry);
+    entries_.push_back(std::move(entry));
+    if (entries_.size() > kMaxEntries) entries_.pop_front();
+  }
   if (file_.empty()) return;
-  place_ = file_.string() + ".next";
-  descriptor_ = open_new(place_);
-  write({});
+  const bool whole = before && before->damaged == 0 && !before->older;
+  replace(records, !before ? ".old" : whole ? nullptr : ".damaged");
   syncer_ = std::thread([this] { sync_until_closed(); });
 }
 
-void Journal::take_over() {
-  if (file_.empty()) return;
-  std::error_code none;
-  std::filesystem::rename(file_, file_.string() + ".old", none);
-  if (::rename(place_.c_str(), file_.c_str()) != 0) fail(file_);
-  place_ = file_;
+/// Beside the file and renamed over it: whoever reads finds the old text or the new one. `set_aside`: the old text
+/// stays under this name.
+void Journal::replace(const std::string& records, const char* set_aside) {
+  const std::filesystem::path fresh = file_.string() + ".new";
+  os::Descriptor opened = open_new(fresh);
+  write_all(opened.get(), records, fresh);
+  if (set_aside) {
+    const std::string aside = file_.string() + set_aside;
+    ::unlink(aside.c_str());
+    static_cast<void>(::link(file_.c_str(), aside.c_str()));  // where there is nothing to set aside, or it cannot be
+  }
+  if (::fdatasync(opened.get()) != 0 || ::rename(fresh.c_str(), file_.c_str()) != 0) fail(file_);
+  const std::lock_guard lock(mutex_);
+  descriptor_ = std::move(opened);
+  written_bytes_ = records.size();
 }
 
 Journal::~Journal() {
@@ -132,9 +163,7 @@ void Journal::write(const control::JournalEntry& entry) {
 
 std::uint64_t Journal::begin(control::JournalEntry entry) {
   entry.set_number(next_number_);
-  entry.set_time_ms(
-      std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
-          .count());
+  entry.set_time_ms(now_ms());
   entry.set_state(control::JournalEntry::UNDER_WAY);
   write(entry);
   entries_.push_back(std::move(entry));
@@ -168,33 +197,30 @@ const control::JournalEntry* Journal::last_done() const {
   return found == entries_.rend() ? nullptr : &*found;
 }
 
-/// Beside the file and renamed over it: whoever reads finds the old text or the new one.
+/// What is folded is set aside: it ends with the same system, for when this one is damaged.
 void Journal::fold(const Model& now) {
   control::JournalEntry whole;
   whole.set_number(next_number_++);
   whole.set_state(control::JournalEntry::DONE);
+  whole.set_time_ms(now_ms());
   for (auto& step : Model::difference(Model(), now)) *whole.add_steps() = std::move(step);
-  const std::filesystem::path fresh = file_.string() + ".new";
-  os::Descriptor opened = open_new(fresh);
-  const std::string record = record_of({}) + record_of(whole);
-  write_all(opened.get(), record, fresh);
-  if (::fdatasync(opened.get()) != 0 || ::rename(fresh.c_str(), place_.c_str()) != 0) fail(place_);
-  const std::lock_guard lock(mutex_);
-  descriptor_ = std::move(opened);
-  written_bytes_ = record.size();
+  replace(record_of({}) + record_of(whole), ".old");
 }
 
 Journal::Told Journal::read(const std::filesystem::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) throw Error(ErrorCode::NotFound, {.what = "there is no journal", .where = file.string()});
-  const std::string text{std::istreambuf_iterator<char>(stream), {}};
-  Told told = told_by(text);
+  const auto text = text_of_file(file);
+  if (!text) throw Error(ErrorCode::NotFound, {.what = "there is no journal", .where = file.string()});
+  Told told = told_by(*text);
   if (told.bytes > 0) return told;
+  Told older = told_by(text_of_file(file.string() + ".old").value_or(""));
+  older.older = true;
+  older.damaged = text->size();
+  if (older.bytes > 0) return older;
   throw Error(ErrorCode::Failed,
-              {.what = "the journal cannot be read: its first record is damaged",
+              {.what = "the journal cannot be read: its first record is damaged, and there is none before it",
                .where = file.string(),
-               .found = fmt::format("{} bytes", text.size()),
-               .next = "begin without --restore; the journal before it is beside it, and ends in .old"});
+               .found = fmt::format("{} bytes", text->size()),
+               .next = "begin without --restore"});
 }
 
 Journal::Told Journal::told_by(std::string_view text) {
@@ -212,10 +238,14 @@ Journal::Told Journal::told_by(std::string_view text) {
     told.bytes += kHeadBytes + size;
   }
   told.damaged = text.size() - told.bytes;
-  for (const auto& [number, entry] : entries) {
-    if (entry.state() == control::JournalEntry::DONE)
-      told.changes.insert(told.changes.end(), entry.steps().begin(), entry.steps().end());
+  using Entry = control::JournalEntry;
+  for (auto& [number, entry] : entries) {
+    const bool happened = entry.state() == Entry::DONE || entry.state() == Entry::UNDONE;
+    if (happened) told.changes.insert(told.changes.end(), entry.steps().begin(), entry.steps().end());
+    if (const auto undone = entries.find(entry.undoes()); happened && entry.undoes() != 0 && undone != entries.end())
+      undone->second.set_state(Entry::UNDONE);
   }
+  for (auto& [number, entry] : entries) told.entries.push_back(std::move(entry));
   return told;
 }
 

@@ -5,6 +5,7 @@
 #include <deque>
 #include <filesystem>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -27,14 +28,23 @@ class Journal {
   /// Entries that are kept for `undo`; older ones are folded into one that builds the system as it was after them.
   static constexpr std::size_t kMaxEntries = 1000;
 
-  /// Without a file it is kept in memory only. Written as FILE.next until it takes over.
-  explicit Journal(std::filesystem::path file);
+  /// What a journal tells.
+  struct Told {
+    std::vector<control::JournalEntry> entries{};  ///< by number, each as it was written last
+    std::vector<control::Change> changes{};        ///< give the system back; what was under way counts as not begun
+    std::size_t bytes = 0;                         ///< of whole records
+    std::size_t damaged = 0;                       ///< behind them, which cannot be read
+    std::int64_t last_ms = 0;  ///< when the last change was begun that can be read, since 1970; 0: none
+    bool older = false;        ///< of the one that was set aside: of the newest nothing can be read
+  };
+
+  /// Begins anew in FILE, or goes on with what was told by the journal there. What was there is set aside: as FILE.old,
+  /// and where it was damaged as FILE.damaged. Without a file it is kept in memory only. At each moment there is a
+  /// whole journal in FILE. Throws Error Failed.
+  explicit Journal(std::filesystem::path file, std::optional<Told> before = std::nullopt);
   ~Journal();
   Journal(const Journal&) = delete;
   Journal& operator=(const Journal&) = delete;
-
-  /// From now on it is the journal in FILE; the one that was there is set aside as FILE.old. Throws Error Failed.
-  void take_over();
 
   /// Numbers the entry and writes it as under way. Throws Error Failed when it cannot be written: then nothing is
   /// begun.
@@ -45,14 +55,8 @@ class Journal {
   const control::JournalEntry* last_done() const;
   const std::deque<control::JournalEntry>& entries() const { return entries_; }
 
-  /// What a journal tells.
-  struct Told {
-    std::vector<control::Change> changes;  ///< give the system back; what was under way counts as not begun
-    std::size_t bytes = 0;                 ///< of whole records
-    std::size_t damaged = 0;               ///< behind them, which cannot be read
-    std::int64_t last_ms = 0;              ///< when the last change was begun that can be read, since 1970; 0: none
-  };
-  /// Throws Error NotFound if there is no such file, and Failed if none of it can be read.
+  /// That in FILE; if nothing of that can be read, that in FILE.old. Throws Error NotFound if there is no such file,
+  /// and Failed if nothing can be read of either.
   static Told read(const std::filesystem::path& file);
   /// The same of the bytes of one.
   static Told told_by(std::string_view bytes);
@@ -61,11 +65,11 @@ class Journal {
  private:
   control::JournalEntry* find(std::uint64_t number);
   void write(const control::JournalEntry& entry);
+  void replace(const std::string& records, const char* set_aside);
   void fold(const Model& now);
   void sync_until_closed();
 
   const std::filesystem::path file_;
-  std::filesystem::path place_;  ///< where it is written now
   os::Descriptor descriptor_;
   std::deque<control::JournalEntry> entries_;
   std::uint64_t next_number_ = 1;

@@ -5,6 +5,7 @@
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/push.hpp"
+#include "names.hpp"
 
 namespace fiona::host {
 namespace {
@@ -415,6 +416,39 @@ void Links::release(const Hull& hull, const std::string& reason) {
 void Links::peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason) {
   lose(endpoint, name, reason);
   server_->forget(name);
+}
+
+void Links::add_held(wire::Adopted& adopted) {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [id, grant] : grants_) {
+    auto& held = *adopted.add_wires();
+    held.set_wire(id);
+    *held.mutable_client() = port_named(grant.client_name);
+    *held.mutable_provider() = port_named(grant.provider->full_name());
+    held.set_prescale(grant.prescale);
+    held.set_provider_end(true);
+    held.set_open(grant.wire != nullptr);
+  }
+  for (const auto& [id, requirement] : requirements_) {
+    auto& held = *adopted.add_wires();
+    held.set_wire(id);
+    *held.mutable_client() = port_named(requirement.client->port().full_name());
+    *held.mutable_provider() = port_named(requirement.client->provider());
+    held.set_client_end(true);
+    held.set_open(!requirement.lost && requirement.refusal == "");
+    held.set_retired(requirement.retired);
+  }
+}
+
+void Links::cut_attached(const std::string& reason) {
+  std::vector<std::uint64_t> left;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [id, grant] : grants_) {
+      if (grant.attached) left.push_back(id);
+    }
+  }
+  for (const std::uint64_t id : left) cut(id, reason);
 }
 
 void Links::join(const std::string& endpoint, Hop hop) {

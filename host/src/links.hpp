@@ -71,6 +71,10 @@ class Links {
   void release(const Hull& hull, const std::string& reason);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
+  /// Of all ends that are here, other than of wires within the process.
+  void add_held(wire::Adopted& adopted);
+  /// Ends the wires of processes that are no group's.
+  void cut_attached(const std::string& reason);
   /// Of a process on a virtual clock: by where the peer listens, which is its name towards this process too.
   std::map<std::string, FrameCounts> frame_counts();
   /// [any thread] Another host can be reached, at the endpoint "host:…", over a socket that is not owned here.

@@ -1,4 +1,5 @@
 // fiona-host: the process that holds a running system. People start it through `fiona run`.
+#include <fcntl.h>
 #include <signal.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
@@ -7,6 +8,7 @@
 
 #include <boost/program_options.hpp>
 #include <iostream>
+#include <memory>
 #include <string>
 #include <utility>
 
@@ -33,6 +35,10 @@ struct Flags {
   std::string serve;
   std::vector<std::string> peers;
   std::string plugins;
+  std::string journal;
+  std::string restart_reason;
+  std::uint64_t restarts = 0;
+  int supervisor = -1;
   std::size_t threads = 0;
   int ready = -1;
   int lifeline = -1;
@@ -67,8 +73,13 @@ Flags parse(int argc, char** argv, options::options_description& description) {
       "MiB of memory that each group may take");
   add("group-threads", options::value(&flags.group_threads)->default_value(limits.threads),
       "threads that each group may have");
+  add("journal", options::value(&flags.journal), "where its changes are kept; without it: beside the socket");
   add("restore", options::bool_switch(&flags.restore),
       "begins with the system that this host's last journal ends with");
+  add("supervisor-fd", options::value(&flags.supervisor)->default_value(-1),
+      "descriptor of the supervisor that has started it");
+  add("restarts", options::value(&flags.restarts)->default_value(0), "how often the supervisor has started it again");
+  add("restart-reason", options::value(&flags.restart_reason), "how the host before it has ended");
   add("version", options::bool_switch(&flags.version), "prints the version");
   add("help", options::bool_switch(&flags.help), "prints this");
   options::variables_map values;
@@ -113,6 +124,29 @@ fiona::os::Limits limits_of(const Flags& flags) {
   return {flags.group_memory << 20U, flags.group_threads};
 }
 
+/// Where the journal is, and what keeps other hosts from it.
+struct Place {
+  std::filesystem::path file;
+  fiona::os::Descriptor lock;
+};
+
+/// One that cannot be where it is to be is beside the socket, where no other host of this name can be.
+Place place_of_journal(const Flags& flags, const std::filesystem::path& socket) {
+  auto beside = socket;
+  beside.replace_extension(".journal");
+  if (flags.journal.empty()) return {beside, {}};
+  const std::filesystem::path wanted = flags.journal;
+  std::string why = "another host of this name writes that";
+  try {
+    fiona::os::require_private_directory(wanted.parent_path());
+    if (auto lock = fiona::os::try_lock(wanted.string() + ".lock")) return {wanted, std::move(lock)};
+  } catch (const fiona::Error& error) {
+    why = error.text().what + ": " + error.text().found;
+  }
+  std::cerr << "the journal is " << beside.string() << ", and not " << wanted.string() << ": " << why << "\n";
+  return {beside, {}};
+}
+
 int serve(Flags& flags) {
   const int signals = signals_as_descriptor();
   const std::filesystem::path socket =
@@ -122,6 +156,12 @@ int serve(Flags& flags) {
       flags.store.empty() ? fiona::marketplace::Store::default_directory() : std::filesystem::path(flags.store);
   fiona::host::HostOptions hosts{flags.keys, flags.listen, {}, flags.serve};
   for (const auto& peer : flags.peers) hosts.peers.push_back(fiona::host::PeerAddress::from_text(peer));
+  std::unique_ptr<fiona::host::SupervisorLink> supervisor;
+  if (flags.supervisor >= 0) {
+    ::fcntl(flags.supervisor, F_SETFD, FD_CLOEXEC);
+    supervisor =
+        std::make_unique<fiona::host::SupervisorLink>(fiona::os::PacketSocket(fiona::os::Descriptor(flags.supervisor)));
+  }
   fiona::host::System::Options options{.name = flags.name,
                                        .store = store,
                                        .unsigned_packages = flags.unsigned_packages,
@@ -129,12 +169,18 @@ int serve(Flags& flags) {
                                        .threads = flags.threads,
                                        .hosts = std::move(hosts),
                                        .plugins = flags.plugins,
-                                       .group_limits = limits_of(flags)};
-  fiona::host::ControlServer server(socket, std::move(options), flags.restore);
+                                       .group_limits = limits_of(flags),
+                                       .supervisor = supervisor.get(),
+                                       .restarts = flags.restarts,
+                                       .restart_reason = flags.restart_reason};
+  const Place journal = place_of_journal(flags, socket);
+  fiona::host::ControlServer server(socket, std::move(options), flags.restore, journal.file);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
   if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";
   tell(flags.ready, "READY\n" + server.listens());
   const int code = server.serve(flags.lifeline, signals);
+  // Its groups go on without it, and the next host finds them.
+  if (supervisor && !server.was_ended()) ::_exit(code);
   // A thread that a component keeps is not waited for.
   fiona::os::end_within(server.has_kept_threads() ? kKeptThreads : kEndsWithin, code);
   return code;

@@ -20,5 +20,7 @@ PortKey key_of(const control::PortName& name);
 control::PortName port_of(const PortKey& key);
 /// "nav.location".
 std::string text_of(const control::PortName& name);
+/// The other way round; without a dot it is an instance.
+control::PortName port_named(const std::string& text);
 
 }  // namespace fiona::host

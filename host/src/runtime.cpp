@@ -74,6 +74,7 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       return links_.peer_lost(gone.endpoint(), gone.name(), gone.reason());
     }
     case Request::kAnswered: return answered(request.answered());
+    case Request::kAdopt: return adopt(*reply.mutable_adopted());
     case Request::kPing: return;
     case Request::kWelcome: throw Error(ErrorCode::Usage, "the group has its key already");
     case Request::WHAT_NOT_SET: throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");

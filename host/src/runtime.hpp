@@ -41,6 +41,8 @@ class Runtime final {
   void give_up(const std::string& instance, const std::string& reason);
   std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
   Links& links() { return links_; }
+  /// [control thread] The host has gone, and `main` with it, which has listened there.
+  void host_lost(const std::string& endpoint);
 
  private:
   struct Instance {
@@ -58,6 +60,7 @@ class Runtime final {
     detail::PushProvider* provider = nullptr;  ///< of a push
     std::shared_ptr<WireEnd> client;
     const Hull* provider_hull = nullptr;
+    std::uint32_t prescale = 1;
   };
   class CallReply;
 
@@ -88,6 +91,9 @@ class Runtime final {
   void call(const wire::Call& request);
   void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
   void answered(const wire::Answered& answer);
+
+  // ---- runtime_adoption.cpp
+  void adopt(wire::Adopted& adopted);
 
   // ---- runtime_status.cpp
   void status(wire::GroupStatusReply& reply);

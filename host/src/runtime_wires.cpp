@@ -43,7 +43,7 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
   retire(request.replaces());
   end->set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
-  wires_[request.wire()] = Wire{std::move(local), push, end, &provider.hull()};
+  wires_[request.wire()] = Wire{std::move(local), push, end, &provider.hull(), request.prescale()};
   cost.end(switched);
 }
 

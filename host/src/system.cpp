@@ -1,5 +1,6 @@
 #include "system.hpp"
 
+#include <algorithm>
 #include <iostream>
 
 #include "fiona/error.hpp"
@@ -10,10 +11,14 @@ System::System(Options options, OnEvent on_event)
     : options_(std::move(options)),
       on_event_(std::move(on_event)),
       packages_(options_.store, options_.unsigned_packages) {
+  if (options_.supervisor) kept_ = options_.supervisor->take_kept();
   prepare_links();
-  use_clock(std::make_unique<SystemClock>());
+  use_clock(system_clock());
+  // Nothing that a host before this one has numbered is taken for something of ours.
+  next_order_ += options_.restarts << 16U;
+  next_wire_ = next_tap_ = next_work_ = 1 + (options_.restarts << 24U);
   if (!options_.hosts.any()) return;
-  if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers;
+  if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers + (options_.restarts << 24U);
   auto& main = dynamic_cast<MainGroup&>(*groups_.at(std::string(kMainGroup)));
   hosts_ = std::make_unique<HostLinks>(
       options_.hosts, options_.name, *pool_, *clock_, main.links(),
@@ -21,17 +26,26 @@ System::System(Options options, OnEvent on_event)
       [](const std::string& text) { std::cerr << text << "\n"; });
 }
 
-/// Those of a host of this name that was killed are of no use.
+/// Those of a host of this name that was killed are of no use, but for those of groups that go on.
 void System::prepare_links() const {
   namespace fs = std::filesystem;
   fs::create_directories(links_directory());
   fs::permissions(links_directory(), fs::perms::owner_all);
   for (const auto& left : fs::directory_iterator(links_directory())) {
+    const auto is_here = [&](const KeptGroup& one) { return one.told.folder() == left.path(); };
+    if (std::any_of(kept_.begin(), kept_.end(), is_here)) continue;
     if (left.path().filename().string().starts_with(options_.name + ".")) fs::remove_all(left.path());
   }
 }
 
 System::~System() { end_threads(); }
+
+/// That by which the groups live that go on; else a new one.
+std::unique_ptr<SystemClock> System::system_clock() const {
+  if (kept_.empty()) return std::make_unique<SystemClock>();
+  const wire::KeptGroup& one = kept_.front().told;
+  return std::make_unique<SystemClock>(SystemClock::Origin{one.clock_steady_ns(), one.clock_start_ns()});
+}
 
 /// Groups, then the clock's thread, which posts, then the pool's; the clock last: a strand tells it that it is idle
 /// after its last job has ended.
@@ -83,6 +97,7 @@ void System::deliver_from(const std::string& group, wire::GroupMessage event) {
 }
 
 control::Done System::perform(const control::Change& change) {
+  if (options_.supervisor) options_.supervisor->beat();
   settle();
   Model next = model_;
   next.make(change, packages_);

@@ -47,6 +47,9 @@ class System {
     bool restarts_groups = true;      ///< those whose process has ended
     os::Limits group_limits{};        ///< of each group, other than `main`
     bool tries_libraries = true;      ///< in a process that is thrown away, before `main` opens them
+    SupervisorLink* supervisor = nullptr;  ///< none: nobody starts this host again
+    std::uint64_t restarts = 0;            ///< how often it has done so
+    std::string restart_reason{};          ///< how the last one has ended
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -57,6 +60,11 @@ class System {
   const Model& model() const { return model_; }
   const Packages& packages() const { return packages_; }
 
+  /// Of a system that is empty: from now on it is what these changes lead to. Groups of the host before that are as
+  /// they are meant to be go on, with the wires between them; all else is made again. What refuses to be made is lost,
+  /// with the reason; for a host that was not started again that is an Error. What there is to tell people, line by
+  /// line.
+  std::vector<std::string> resume(const std::vector<control::Change>& changes);
   /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
   control::Done perform(const control::Change& change);
   /// Answered when the change of mode has been made, or why not; throws Error if it cannot be.
@@ -119,6 +127,7 @@ class System {
   /// What there is to tell people, line by line.
   std::vector<std::string> watch_groups();
   /// Threads of `main` that its instances have kept, and that have been replaced. The host ends with one more.
+  SupervisorLink* supervisor() const { return options_.supervisor; }
   std::size_t kept_threads() const { return kept_threads_; }
   static constexpr std::size_t kMostKeptThreads = 4;
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
@@ -159,6 +168,8 @@ class System {
   /// Where the host's processes listen for each other: apart from the control socket, so that a sandbox holds no more.
   std::filesystem::path links_directory() const { return options_.directory / "links"; }
   void prepare_links() const;
+  std::unique_ptr<SystemClock> system_clock() const;
+  ChildGroup::Start start_of_group(const Model::Instance* first, const std::filesystem::path& folder);
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();
   void deliver(const wire::GroupMessage& event);
@@ -187,6 +198,15 @@ class System {
   std::string start_again(const std::string& group);
   void make_again(Group& target, const std::string& name);
   void open_again(const std::string& group, const control::PortName& client, const Model::Wire& wanted);
+
+  // ---- system_resume.cpp
+  std::vector<std::string> adopt_groups();
+  std::string difference_from(const ChildGroup& group) const;
+  void note_wires();
+  void make_missing();
+  void correct_ports();
+  void open_missing();
+  void require_all() const;
 
   // ---- system_instances.cpp
   control::Done load(const control::Load& request, const Model& next);
@@ -296,6 +316,7 @@ class System {
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::map<std::string, Lost> lost_;  ///< instances whose group is gone, and why
   Supervision supervision_;
+  std::vector<KeptGroup> kept_;                      ///< until they are adopted
   std::multimap<PortKey, Wire> wires_;               ///< by the client's port
   std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
   std::map<std::uint64_t, std::string> taps_;        ///< tap -> group

@@ -34,6 +34,19 @@ wire::Confinement System::confinement_of_group(const Model::Instance* first,
   return confinement;
 }
 
+ChildGroup::Start System::start_of_group(const Model::Instance* first, const std::filesystem::path& folder) {
+  ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
+  return {"ipc://" + (folder / "link").string(),
+          *clock_,
+          master,
+          options_.threads,
+          options_.ends_hung_groups ? parts() : nullptr,
+          confinement_of_group(first, folder),
+          folder,
+          groups_.at(std::string(kMainGroup))->endpoint(),
+          options_.supervisor};
+}
+
 Group& System::group(const std::string& name, const Model::Instance* first) {
   const std::string wanted = name.empty() ? std::string(kMainGroup) : name;
   const auto found = groups_.find(wanted);
@@ -43,15 +56,7 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   require_descriptors_for("another group", child_groups().size() + attached_names());
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   std::filesystem::create_directories(folder);
-  const std::string endpoint = "ipc://" + (folder / "link").string();
-  ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
-  const ChildGroup::Start start{endpoint,
-                                *clock_,
-                                master,
-                                options_.threads,
-                                options_.ends_hung_groups ? parts() : nullptr,
-                                confinement_of_group(first ? first : first_in(wanted), folder),
-                                folder};
+  const auto start = start_of_group(first ? first : first_in(wanted), folder);
   auto made = std::make_unique<ChildGroup>(
       wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
   return *(groups_[wanted] = std::move(made));

@@ -114,6 +114,7 @@ void System::check_order(const wire::GroupRequest& request) {
     case Request::kPing:
     case Request::kStatus: return;
     case Request::kWelcome:
+    case Request::kAdopt:
     case Request::kPeerLost: throw Error(ErrorCode::NotAllowed, "a host tells its processes about their links itself");
     case Request::WHAT_NOT_SET: break;
   }

@@ -33,6 +33,7 @@ void add_process(control::GroupStatus& status, const Group& group) {
   status.set_memory_limit(child->confinement().memory());
   status.set_threads_limit(child->confinement().threads());
   status.set_dropped_output(child->dropped_output());
+  status.set_adopted(child->adopted().has_value());
 }
 
 }  // namespace
@@ -42,6 +43,9 @@ control::System System::snapshot() {
   control::System all;
   all.set_host(options_.name);
   all.set_version(FIONA_VERSION);
+  all.set_supervised(options_.supervisor != nullptr);
+  all.set_restarts(options_.restarts);
+  all.set_restart_reason(options_.restart_reason);
   all.set_clock(virtual_time_ ? "virtual" : "system");
   all.set_speed(virtual_time_ ? virtual_time_->clock().speed() : 1);
   if (virtual_time_) all.set_deliveries(virtual_time_->deliveries());
@@ -127,7 +131,7 @@ control::InstanceStatus System::status_as_asked_for(const std::string& name) con
 void System::complete_status(control::InstanceStatus& status) const {
   const Model::Instance& known = model_.instance(status.name());
   status.set_group(known.group);
-  status.set_restarts(supervision_.restarts(known.group));
+  status.set_restarts(known.group == kMainGroup ? options_.restarts : supervision_.restarts(known.group));
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
   status.set_comment(known.comment);
   for (auto& p : *status.mutable_ports()) {

@@ -106,6 +106,10 @@ void Taps::untap(std::uint64_t id) {
   taps_.erase(found);
 }
 
+void Taps::clear() {
+  while (!taps_.empty()) untap(taps_.begin()->first);
+}
+
 void Taps::release(const Hull& hull) {
   std::erase_if(taps_, [&hull](const auto& entry) { return entry.second.first == &hull; });
 }

@@ -23,6 +23,8 @@ class Taps {
   // All [control thread].
   void tap(const wire::Tap& request, Hull& hull);
   void untap(std::uint64_t tap);
+  /// Nobody listens any more.
+  void clear();
   /// The hull is about to end; whoever watches it is told by it.
   void release(const Hull& hull);
 

@@ -73,7 +73,8 @@ class ServedHost {
 /// A connection to it. What the host refuses is thrown as fiona::Error.
 class TestConsole {
  public:
-  explicit TestConsole(const ServedHost& host) : stream_(connected(host.socket())) {
+  explicit TestConsole(const std::filesystem::path& socket) : stream_(connected(socket)) {}
+  explicit TestConsole(const ServedHost& host) : TestConsole(host.socket()) {
     if (!host.has_other()) return;
     eventually("the other host joins", [this] { return snapshot().hosts(0).state() == "joined"; });
   }

@@ -37,7 +37,8 @@ std::size_t changes_of(const JournalEntries& entries, int count) {
   for (int i = 0; i < count; ++i) last[entries.entries(i).number()] = &entries.entries(i);
   std::size_t changes = 0;
   for (const auto& [number, entry] : last) {
-    if (entry->state() == JournalEntry::DONE) changes += static_cast<std::size_t>(entry->steps_size());
+    if (entry->state() == JournalEntry::DONE || entry->state() == JournalEntry::UNDONE)
+      changes += static_cast<std::size_t>(entry->steps_size());
   }
   return changes;
 }

@@ -17,6 +17,11 @@ using conformance::TemporaryDirectory;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
+std::string bytes_of(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
 control::PortName port_name(const std::string& text) {
   return port_of({text.substr(0, text.find('.')), text.substr(text.find('.') + 1)});
 }
@@ -364,11 +369,10 @@ TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
 }
 
-TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeItOrIsRefused) {
+TEST_P(Transactions, JournalThatWasCutOrDamagedAtAnyByteGivesAStateThatWasOnceTrueOrIsRefused) {
   make({load("source", "source")});
   make({load("source", "spare")});
-  std::ifstream stream(directory.path / "journal", std::ios::binary);
-  const std::string whole{std::istreambuf_iterator<char>(stream), {}};
+  const std::string whole = bytes_of(directory.path / "journal");
   const auto all = texts(Journal::told_by(whole).changes);
   ASSERT_EQ(all.size(), 2U);
   const auto check = [&](const std::string& bytes, std::size_t first_damaged) {
@@ -381,7 +385,8 @@ TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeItOrIsRefu
       EXPECT_EQ(told.bytes + told.damaged, bytes.size());
     } catch (const Error& error) {
       EXPECT_LT(first_damaged, 8U) << error.what();
-      EXPECT_EQ(error.text().what, "the journal cannot be read: its first record is damaged");
+      EXPECT_EQ(error.text().what,
+                "the journal cannot be read: its first record is damaged, and there is none before it");
     }
   };
   for (std::size_t size = 0; size < whole.size(); ++size) check(whole.substr(0, size), size);
@@ -392,17 +397,52 @@ TEST_P(Transactions, JournalThatWasCutOrDamagedGivesWhatWasWholeBeforeItOrIsRefu
   }
 }
 
-TEST_P(Transactions, JournalOfTheHostBeforeStaysUntilItIsRestored) {
+TEST_P(Transactions, JournalOfWhichNothingCanBeReadGivesTheOneBeforeItAndSaysSo) {
   make({load("source", "source")});
   const auto file = directory.path / "journal";
-  const auto size = std::filesystem::file_size(file);
+  std::filesystem::copy_file(file, file.string() + ".old");
+  std::ofstream(file, std::ios::binary) << "rubbish";
+  const Journal::Told told = Journal::read(file);
+  EXPECT_TRUE(told.older);
+  EXPECT_EQ(told.damaged, 7U);
+  EXPECT_EQ(told.changes.size(), 1U);
+}
+
+TEST_P(Transactions, JournalGoesOnWhereTheHostBeforeHasEnded) {
+  make({load("source", "source")});
+  make({load("source", "spare")});
+  EXPECT_TRUE(undo().has_done());
+  const auto file = directory.path / "journal";
+  const auto before = texts(Journal::read(file).changes);
   Mailbox<std::function<void()>> work;
   Engine next(
-      system.system(), file, [&](std::function<void()> job) { work.push(std::move(job)); }, true);
-  EXPECT_EQ(std::filesystem::file_size(file), size);
-  next.restored();
-  EXPECT_EQ(std::filesystem::file_size(file.string() + ".old"), size);
+      system.system(), file, [&](std::function<void()> job) { work.push(std::move(job)); }, Journal::read(file));
+  EXPECT_EQ(texts(Journal::read(file).changes), before);
+  control::Undo request;
+  std::optional<control::Reply> undone;
+  next.undo("test", request, [&](const control::Reply& reply) { undone = reply; });
+  ASSERT_TRUE(undone && undone->has_done()) << "what was undone then is not undone again, but what came before it";
+  EXPECT_EQ(system.system().model().find("source"), nullptr);
+}
+
+TEST_P(Transactions, JournalThatBeginsAnewSetsTheOneBeforeAside) {
+  make({load("source", "source")});
+  const auto file = directory.path / "journal";
+  const std::string before = bytes_of(file);
+  const Journal next(file);
+  EXPECT_EQ(bytes_of(file.string() + ".old"), before);
   EXPECT_TRUE(Journal::read(file).changes.empty());
+}
+
+TEST_P(Transactions, JournalThatWasDamagedIsKeptBesideTheOneThatGoesOn) {
+  make({load("source", "source")});
+  const auto file = directory.path / "journal";
+  const std::string damaged = bytes_of(file) + "half a record";
+  std::ofstream(file, std::ios::binary) << damaged;
+  const Journal next(file, Journal::read(file));
+  EXPECT_EQ(bytes_of(file.string() + ".damaged"), damaged);
+  EXPECT_EQ(Journal::read(file).damaged, 0U);
+  EXPECT_EQ(Journal::read(file).changes.size(), 1U);
 }
 
 INSTANTIATE_TEST_SUITE_P(Over, Transactions,

@@ -188,6 +188,7 @@ void paths(Session& session, const Line&) {
   table.add({"marketplace", marketplace::Marketplace::default_directory().string(), "--from, FIONA_MARKET"});
   table.add({"keys of hosts", trust::KeyDirectory().path().string(), "FIONA_KEYS"});
   table.add({"history of the prompt", history_file().string(), "XDG_STATE_HOME"});
+  table.add({"journals of hosts", journal_file("NAME").string(), "XDG_STATE_HOME"});
   session.out.table(table, "");
 }
 

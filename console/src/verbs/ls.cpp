@@ -130,10 +130,17 @@ void ls_services(Session& session) {
   session.out.table(table, "nothing is loaded, so no service is spoken");
 }
 
+std::string answer_of(const control::System& system) {
+  std::string text = "ok";
+  const std::uint64_t refused = system.refused_hosts() + system.refused_consoles();
+  if (refused > 0) text += fmt::format(", refused {} connections", refused);
+  if (system.restarts() > 0) text += fmt::format(", restarted {}x: {}", system.restarts(), system.restart_reason());
+  return text;
+}
+
 /// What a host says of itself and of the hosts that it works with; keys by their first letters.
 void add_host(Table& table, const std::string& name, const Endpoint& endpoint, const control::System& system) {
   constexpr std::size_t kShown = 8;
-  const std::uint64_t refused = system.refused_hosts() + system.refused_consoles();
   std::string where = endpoint.text();
   for (const std::string& also : {system.listens(), system.serves()}) {
     if (!also.empty() && also != endpoint.text()) where += " " + also;
@@ -142,7 +149,7 @@ void add_host(Table& table, const std::string& name, const Endpoint& endpoint, c
              system.version(),
              system.clock(),
              {fmt::format("{}", system.instances_size()), system.instances_size()},
-             refused == 0 ? "ok" : fmt::format("ok, refused {} connections", refused),
+             answer_of(system),
              where,
              system.key().substr(0, kShown),
              "",

@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <functional>
+#include <memory>
 #include <optional>
 #include <utility>
 
@@ -115,6 +117,9 @@ class Service {
     if (asked_ && session_.connected()) session_.host().forget(*asked_);
   }
 
+  /// What the one before was asked nobody answers.
+  void host_is_back() { asked_.reset(); }
+
  private:
   void beat() {
     timer_ =
@@ -134,32 +139,107 @@ class Service {
   std::optional<std::uint64_t> asked_;
 };
 
+/// The host that this process has started, and the one after it.
+class StartedHost {
+ public:
+  StartedHost(Session& session, HostLaunch launch) : session_(session), launch_(std::move(launch)) { start(); }
+
+  /// Whether one that has gone will be back: while its supervisor lives, and once more where that was killed.
+  bool comes_back() {
+    if (!launch_.supervised || host_->running()) return launch_.supervised;
+    if (!host_->was_killed() || renewed_ == kMostRenewed) return false;
+    ++renewed_;
+    session_.out.remark("the supervisor was killed; it is started again");
+    host_->stop();
+    launch_.restore = true;
+    start();
+    return true;
+  }
+  /// Waits for it, and connects to it. False: it does not come back.
+  bool reconnect() {
+    session_.disconnect();
+    while (comes_back()) {
+      session_.reactor.run_until([] { return false; }, std::chrono::steady_clock::now() + kRetryPeriod);
+      if (!answers(launch_.socket)) continue;
+      try {
+        session_.connect({launch_.socket});
+        session_.out.remark("the host is back");
+        return true;
+      } catch (const Error&) {  // it has gone again
+      }
+    }
+    return false;
+  }
+  int stop() { return host_->stop(); }
+
+ private:
+  static constexpr std::chrono::milliseconds kRetryPeriod{100};
+  static constexpr int kMostRenewed = 3;
+
+  void start() {
+    host_.reset();
+    host_ = std::make_unique<HostProcess>(session_.reactor, launch_,
+                                          [this](const std::string& said) { session_.out.remark(said); });
+  }
+
+  Session& session_;
+  HostLaunch launch_;
+  std::unique_ptr<HostProcess> host_;
+  int renewed_ = 0;
+};
+
+/// By this process's clock, where the system's has to begin anew.
+void let_pass(Session& session, StartedHost& host, Service& service, double time_ms) {
+  const SteadyTime begin = std::chrono::steady_clock::now();
+  while (true) {
+    const std::chrono::duration<double, std::milli> passed = std::chrono::steady_clock::now() - begin;
+    control::Request request;
+    request.mutable_sleep()->set_duration_ms(std::max(0.0, time_ms - passed.count()));
+    try {
+      session.host().call_waiting(std::move(request));
+      return;
+    } catch (const Error&) {
+      if (session.connected() || !host.reconnect()) throw;
+      service.host_is_back();
+    }
+  }
+}
+
+/// None: it went without a word, and does not come back; its own exit code tells.
+std::optional<control::Reply> end_of_run(Session& session, StartedHost& host, Service& service) {
+  while (true) {
+    control::Request request;
+    request.mutable_run();
+    control::Reply ended;
+    bool here = false;
+    ControlClient& client = session.host();
+    const std::uint64_t id = client.begin(std::move(request), [&ended, &here](const control::Reply& reply) {
+      ended = reply;
+      here = reply.has_ended() || reply.has_failure();
+    });
+    session.reactor.run_until([&here, &client] { return here || client.closed(); });
+    client.forget(id);
+    if (ended.has_failure()) throw_failure(ended.failure());
+    if (here) return ended;
+    if (!host.reconnect()) return std::nullopt;
+    service.host_is_back();
+  }
+}
+
 /// Lets the system run until a component ends it, somebody quits, or the time is over.
-void run_headless(Session& session, const Word* duration, const Line& line) {
-  const Service service(session);
-  control::Request request;
+void run_headless(Session& session, StartedHost& host, const Word* duration, const Line& line) {
+  Service service(session);
   if (duration != nullptr) {
-    request.mutable_sleep()->set_duration_ms(duration_ms(*duration, line.words));
-    session.host().call_waiting(std::move(request));
+    let_pass(session, host, service, duration_ms(*duration, line.words));
     return end_host(session, 0);
   }
-  request.mutable_run();
   session.out.remark("the system runs; Ctrl-C ends it");
-  control::Reply ended;
-  bool here = false;
-  ControlClient& client = session.host();
-  const std::uint64_t id = client.begin(std::move(request), [&ended, &here](const control::Reply& reply) {
-    ended = reply;
-    here = reply.has_ended() || reply.has_failure();
-  });
-  session.reactor.run_until([&here, &client] { return here || client.closed(); });
-  client.forget(id);
-  if (ended.has_failure()) throw_failure(ended.failure());
-  if (!here) return;  // it went without a word: its own exit code tells
-  if (!ended.ended().reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended.ended().reason()));
-  session.finished = ended.ended().exit_code();
+  const auto ended = end_of_run(session, host, service);
+  if (!ended) return;
+  if (!ended->ended().reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended->ended().reason()));
+  session.finished = ended->ended().exit_code();
   try {
-    end_host(session, ended.ended().exit_code());
+    end_host(session, ended->ended().exit_code());
   } catch (const Error& error) {
     if (error.code() != ErrorCode::Unreachable)
       throw;  // somebody's `quit` ended the run, and the host is going already
@@ -168,11 +248,13 @@ void run_headless(Session& session, const Word* duration, const Line& line) {
 
 HostLaunch launch_of(const Line& line, const Options& options) {
   HostLaunch launch;
-  launch.program = sibling_program("fiona-host");
+  launch.supervised = line.has("--supervised");
+  launch.program = sibling_program(launch.supervised ? "fiona-supervisor" : "fiona-host");
   launch.name = line.option("--host") != nullptr ? line.option("--host")->text
                 : options.host.empty()           ? "main"
                                                  : options.host;
   launch.socket = socket_of(launch.name);
+  launch.journal = journal_file(launch.name);
   launch.store = options.store;
   if (line.option("--listen") != nullptr) launch.listen = line.option("--listen")->text;
   for (const char* limit : {"--group-memory", "--group-threads"}) {
@@ -242,7 +324,7 @@ void run(Session& session, const Line& line) {
   const std::vector<Line> lines = lines_to_run(line, session.options.store);
   HostLaunch launch = launch_of(line, session.options);
   const UnsignedPackages unsigned_packages(line, launch);
-  HostProcess host(session.reactor, launch, [&session](const std::string& said) { session.out.remark(said); });
+  StartedHost host(session, launch);
   session.connect({launch.socket});
   if (!line.positional.empty()) session.host().set_author(fmt::format("script {}", line.positional[0].text));
   if (line.positional.empty() && line.has("--restore")) session.host().set_author("restore");
@@ -250,8 +332,11 @@ void run(Session& session, const Line& line) {
                       ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
   try {
     run_lines(session, lines, line.has("--strict"));
-    if (!session.finished && attach) run_prompt(session, {.started_host = true, .let_run = true});
-    if (!session.finished && !attach) run_headless(session, duration, line);
+    std::function<bool()> comes_back;
+    if (launch.supervised) comes_back = [&host] { return host.comes_back(); };
+    if (!session.finished && attach)
+      run_prompt(session, {.started_host = true, .let_run = true, .comes_back = comes_back});
+    if (!session.finished && !attach) run_headless(session, host, duration, line);
   } catch (...) {
     session.disconnect();
     host.stop();

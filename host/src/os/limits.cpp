@@ -14,7 +14,7 @@ namespace fiona::os {
 namespace {
 
 /// Above those that a group is given.
-constexpr unsigned kFirstStranger = 6;
+constexpr unsigned kFirstStranger = 7;
 /// Addresses that are kept and not used: each arena of the allocator keeps 64 MiB, and libraries take some.
 constexpr std::uint64_t kReserved = std::uint64_t{4} << 30U;
 

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <malloc.h>
+#include <poll.h>
 #include <signal.h>
 #include <spawn.h>
 #include <sys/random.h>
@@ -13,6 +14,7 @@
 #include <cerrno>
 #include <csignal>
 #include <cstring>
+#include <fstream>
 #include <string_view>
 
 #include "fiona/error.hpp"
@@ -64,32 +66,43 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
   handle_ = Descriptor(static_cast<int>(::syscall(SYS_pidfd_open, id_, 0)));
 }
 
+ChildProcess::ChildProcess(pid_t id, Descriptor handle, HowItEnded how)
+    : id_(id), handle_(std::move(handle)), how_(std::move(how)) {}
+
 ChildProcess::~ChildProcess() {
   if (!end().empty()) return;
-  ::kill(id_, SIGKILL);
-  ::waitpid(id_, nullptr, 0);
+  kill();
+  if (!how_) ::waitpid(id_, nullptr, 0);
+}
+
+std::string text_of_end(int status) {
+  if (WIFEXITED(status)) return "exited with code " + std::to_string(WEXITSTATUS(status));
+  return "killed by signal " + std::to_string(WTERMSIG(status)) + " (" + strsignal(WTERMSIG(status)) + ")";
 }
 
 std::string ChildProcess::end() {
   if (!end_.empty()) return end_;
-  int status = 0;
-  if (::waitpid(id_, &status, WNOHANG) != id_) return {};
-  if (WIFEXITED(status)) {
-    end_ = "exited with code " + std::to_string(WEXITSTATUS(status));
-  } else {
-    end_ = "killed by signal " + std::to_string(WTERMSIG(status)) + " (" + strsignal(WTERMSIG(status)) + ")";
+  if (!how_) {
+    int status = 0;
+    if (::waitpid(id_, &status, WNOHANG) == id_) end_ = text_of_end(status);
+    return end_;
   }
+  pollfd ended{handle_.get(), POLLIN, 0};
+  if (::poll(&ended, 1, 0) == 1) end_ = how_(id_);
   return end_;
 }
 
+/// proc(5): the state stands behind the name, which may hold anything.
 bool ChildProcess::is_stopped() const {
-  siginfo_t info{};
-  return end_.empty() && ::waitid(P_PID, static_cast<id_t>(id_), &info, WSTOPPED | WNOHANG | WNOWAIT) == 0 &&
-         info.si_pid == id_;
+  std::ifstream file("/proc/" + std::to_string(id_) + "/stat");
+  std::string line;
+  std::getline(file, line);
+  const std::size_t name = line.rfind(')');
+  return end_.empty() && name != std::string::npos && line.compare(name, 3, ") T") == 0;
 }
 
 void ChildProcess::kill() {
-  if (end().empty()) ::kill(id_, SIGKILL);
+  if (end().empty()) ::syscall(SYS_pidfd_send_signal, handle_.get(), SIGKILL, nullptr, 0);
 }
 
 std::size_t open_descriptors() {

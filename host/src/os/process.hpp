@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -19,6 +20,10 @@ class ChildProcess {
   /// `clean`: of our environment it has the language alone. Throws Error if it cannot be started.
   ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
                const std::vector<std::pair<int, int>>& inherited, bool clean = false);
+  /// One that another process of ours has started, known by its pidfd. Who reaps it says how it has ended; empty: it is
+  /// not known.
+  using HowItEnded = std::function<std::string(pid_t)>;
+  ChildProcess(pid_t id, Descriptor handle, HowItEnded how);
   ~ChildProcess();
   ChildProcess(const ChildProcess&) = delete;
   ChildProcess& operator=(const ChildProcess&) = delete;
@@ -26,7 +31,7 @@ class ChildProcess {
   pid_t id() const { return id_; }
   /// Readable when the process has ended.
   int descriptor() const { return handle_.get(); }
-  /// "exited with code 3", "killed by signal 11 (Segmentation fault)"; empty while it runs. Reaps.
+  /// "exited with code 3", "killed by signal 11 (Segmentation fault)"; empty while it runs. Reaps one of our own.
   std::string end();
   /// Whether it has been stopped, by SIGSTOP or from a terminal, and not gone on since.
   bool is_stopped() const;
@@ -35,8 +40,12 @@ class ChildProcess {
  private:
   pid_t id_ = -1;
   Descriptor handle_;
+  HowItEnded how_;  ///< none: it is a child of this process
   std::string end_;
 };
+
+/// "exited with code 3", of what waitpid has told.
+std::string text_of_end(int status);
 
 /// How many descriptors this process has open, and how many it and its children may have.
 std::size_t open_descriptors();

@@ -56,6 +56,12 @@ Descriptor lock_beside(const std::filesystem::path& path) {
 
 }  // namespace
 
+Descriptor try_lock(const std::filesystem::path& file) {
+  Descriptor lock(::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+  if (!lock) fail("the lock cannot be opened", file);
+  return ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0 ? std::move(lock) : Descriptor();
+}
+
 void require_private_directory(const std::filesystem::path& directory) {
   std::error_code ignored;
   std::filesystem::create_directories(directory.parent_path(), ignored);

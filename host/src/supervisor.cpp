@@ -1,0 +1,279 @@
+#include "supervisor.hpp"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/signalfd.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <iostream>
+#include <sstream>
+#include <thread>
+
+#include "fiona/error.hpp"
+#include "supervisor_link.hpp"
+
+namespace fiona::host {
+namespace {
+
+using Steady = std::chrono::steady_clock;
+
+/// Where the host finds them.
+constexpr int kReadyInHost = 3;
+constexpr int kLifelineInHost = 4;
+constexpr int kLinkInHost = 5;
+constexpr std::size_t kMostReady = 64 * 1024;
+constexpr int kFailed = static_cast<int>(ErrorCode::ComponentFailed);
+constexpr int kInterrupted = 130;
+
+std::pair<os::Descriptor, os::Descriptor> make_pipe() {
+  int ends[2];
+  if (::pipe2(ends, O_CLOEXEC) != 0) {
+    throw Error(ErrorCode::Failed, {.what = "no pipe can be made", .found = std::strerror(errno)});
+  }
+  return {os::Descriptor(ends[0]), os::Descriptor(ends[1])};
+}
+
+/// Of this process: those that have lost their own parent among them.
+std::vector<pid_t> children() {
+  std::ifstream file("/proc/self/task/" + std::to_string(::getpid()) + "/children");
+  std::vector<pid_t> all;
+  for (pid_t one = 0; file >> one;) all.push_back(one);
+  return all;
+}
+
+std::string seconds(std::chrono::milliseconds time) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.1f s", static_cast<double>(time.count()) / 1e3);
+  return text;
+}
+
+void say(const std::string& line) { std::cerr << "supervisor: " + line + "\n"; }
+
+}  // namespace
+
+void Supervisor::start(Time now) {
+  auto [ready, ready_there] = make_pipe();
+  auto [lifeline_there, lifeline] = make_pipe();
+  auto [ours, theirs] = os::PacketSocket::pair();
+  std::vector<std::string> arguments = options_.arguments;
+  for (const auto& [flag, number] :
+       {std::pair("--ready-fd", kReadyInHost), {"--lifeline-fd", kLifelineInHost}, {"--supervisor-fd", kLinkInHost}}) {
+    arguments.insert(arguments.end(), {flag, std::to_string(number)});
+  }
+  const std::uint64_t restarts = supervision_.restarts("host");
+  if (restarts > 0) {
+    std::erase(arguments, "--restore");
+    arguments.insert(arguments.end(),
+                     {"--restore", "--restarts", std::to_string(restarts), "--restart-reason", reason_});
+  }
+  host_ = std::make_unique<os::ChildProcess>(options_.host, arguments,
+                                             std::vector<std::pair<int, int>>{{ready_there.get(), kReadyInHost},
+                                                                              {lifeline_there.get(), kLifelineInHost},
+                                                                              {theirs.descriptor(), kLinkInHost}});
+  ready_ = std::move(ready);
+  ::fcntl(ready_.get(), F_SETFL, O_NONBLOCK);
+  lifeline_ = std::move(lifeline);
+  link_ = std::move(ours);
+  said_ready_.clear();
+  why_.clear();
+  silent_ = milliseconds(0);
+  looked_ = now;
+  outgoing_.clear();
+  for (const auto& [process, kept] : kept_) {
+    outgoing_.push_back({"", process});
+    if (!kept.end.empty())
+      outgoing_.push_back({std::string(SupervisorLink::kEnded) + " " + std::to_string(process) + "\n" + kept.end});
+  }
+  outgoing_.push_back({std::string(SupervisorLink::kAll)});
+}
+
+int Supervisor::run(int signals) {
+  // Groups whose host has gone become children of this process, and not of the machine's first one.
+  ::prctl(PR_SET_CHILD_SUBREAPER, 1);
+  start(Steady::now());
+  while (true) {
+    if (const auto code = look(signals)) return end_all(*code);
+  }
+}
+
+int Supervisor::wait_ms(Time now) const {
+  Time until = now + kLook;
+  if (due_) until = std::min(until, *due_);
+  if (stopping_) until = std::min(until, *stopping_);
+  return static_cast<int>(std::max<std::int64_t>(0, std::chrono::ceil<milliseconds>(until - now).count()));
+}
+
+std::optional<int> Supervisor::look(int signals) {
+  // Of a number below 0 poll takes no notice.
+  std::vector<pollfd> waits{{stopping_ ? -1 : options_.lifeline.get(), POLLIN, 0},
+                            {signals, POLLIN, 0},
+                            {host_ ? host_->descriptor() : -1, POLLIN, 0},
+                            {ready_.get(), POLLIN, 0},
+                            {link_.descriptor(), static_cast<short>(outgoing_.empty() ? POLLIN : POLLIN | POLLOUT), 0}};
+  for (const auto& [process, kept] : kept_) {
+    if (kept.orphan && kept.end.empty()) waits.push_back({kept.descriptors[3].get(), POLLIN, 0});
+  }
+  ::poll(waits.data(), waits.size(), wait_ms(Steady::now()));
+  const Time now = Steady::now();
+  if (waits[1].revents != 0) {
+    signalfd_siginfo taken{};
+    static_cast<void>(::read(signals, &taken, sizeof taken));
+    if (!host_) return kInterrupted;
+    ::kill(host_->id(), SIGTERM);  // it is a child that has not been reaped: the number is its own
+    stop(now);
+  }
+  if (waits[0].revents != 0) {
+    if (!host_) return 0;
+    stop(now);
+  }
+  forward_ready();
+  serve_host();
+  reap_orphans();
+  end_if_hung(now);
+  if (host_ && !host_->end().empty()) return host_ended(now);
+  if (due_ && now >= *due_) {
+    due_.reset();
+    supervision_.take_due(now);
+    start(now);
+  }
+  return std::nullopt;
+}
+
+/// The host is told; whatever it does, it ends.
+void Supervisor::stop(Time now) {
+  lifeline_.reset();
+  if (!stopping_) stopping_ = now + kEndsWithin;
+}
+
+/// Only what the first one says is anybody's business but ours.
+void Supervisor::forward_ready() {
+  char chunk[4096];
+  while (ready_) {
+    const ssize_t got = ::read(ready_.get(), chunk, sizeof chunk);
+    if (got < 0) return;
+    if (got == 0) return ready_.reset();
+    const std::string_view text(chunk, static_cast<std::size_t>(got));
+    if (said_ready_.size() < kMostReady) said_ready_ += text;
+    if (options_.ready) static_cast<void>(::write(options_.ready.get(), text.data(), text.size()));
+    if (!said_ready_.starts_with("READY\n")) continue;
+    was_ready_ = true;
+    options_.ready.reset();
+  }
+}
+
+void Supervisor::serve_host() {
+  os::Packet packet;
+  while (link_ && link_.receive(packet) == os::PacketSocket::Got::Packet) take(packet);
+  pass_on();
+}
+
+void Supervisor::take(os::Packet& packet) {
+  silent_ = milliseconds(0);
+  const std::string_view text = packet.text;
+  if (text == SupervisorLink::kQuits) quits_ = true;
+  const std::size_t blank = text.find(' ');
+  const std::size_t end = text.find('\n');
+  if (blank == std::string_view::npos || end == std::string_view::npos || end < blank) return;
+  pid_t process = 0;
+  std::from_chars(text.data() + blank + 1, text.data() + end, process);
+  const std::string_view word = text.substr(0, blank);
+  if (word == SupervisorLink::kDrop) kept_.erase(process);
+  // One whose descriptors did not fit in is not kept: it ends with its host.
+  if (word != SupervisorLink::kKeep || process <= 0 || packet.descriptors.size() != 4) return;
+  kept_[process] = Kept{std::string(text), std::move(packet.descriptors), false, ""};
+}
+
+void Supervisor::pass_on() {
+  while (link_ && !outgoing_.empty()) {
+    const Outgoing& next = outgoing_.front();
+    std::string_view text = next.text;
+    std::vector<int> descriptors;
+    if (const auto kept = kept_.find(next.kept); kept != kept_.end()) {
+      text = kept->second.text;
+      for (const auto& one : kept->second.descriptors) descriptors.push_back(one.get());
+    }
+    if (!text.empty() && link_.send(text, descriptors) == os::PacketSocket::Sent::Full) return;
+    outgoing_.pop_front();
+  }
+}
+
+void Supervisor::end_if_hung(Time now) {
+  const auto passed = std::chrono::duration_cast<milliseconds>(now - std::exchange(looked_, now));
+  if (!host_) return;
+  silent_ += std::min(passed, 2 * kLook);
+  if (stopping_ && now >= *stopping_) why_ = "it did not come to its end within " + seconds(kEndsWithin);
+  if (!stopping_ && silent_ >= options_.hang) why_ = "it did not answer for " + seconds(options_.hang);
+  if (!why_.empty()) host_->kill();
+}
+
+/// Who has lost its host and is not kept has nobody left; how the others end, the next host is told.
+void Supervisor::reap_orphans() {
+  for (auto& [process, kept] : kept_) {
+    int status = 0;
+    if (!kept.orphan || !kept.end.empty() || ::waitpid(process, &status, WNOHANG) != process) continue;
+    kept.end = os::text_of_end(status);
+    if (host_)
+      outgoing_.push_back({std::string(SupervisorLink::kEnded) + " " + std::to_string(process) + "\n" + kept.end});
+  }
+  const auto all = children();
+  if (host_ && !host_->end().empty()) return pass_on();  // what it has said of its own is to be heard first
+  for (const pid_t child : all) {
+    if ((host_ && child == host_->id()) || kept_.contains(child)) continue;
+    ::kill(child, SIGKILL);
+    ::waitpid(child, nullptr, WNOHANG);
+  }
+  pass_on();
+}
+
+std::optional<int> Supervisor::host_ended(Time now) {
+  serve_host();  // what it said before
+  forward_ready();
+  int code = kFailed;
+  const std::string end = host_->end();
+  if (std::sscanf(end.c_str(), "exited with code %d", &code) != 1) code = kFailed;
+  const bool never_ready = !said_ready_.starts_with("READY\n");
+  reason_ = why_.empty() ? end : why_;
+  if (never_ready && !said_ready_.empty()) reason_ += ": " + said_ready_.substr(0, said_ready_.find('\n'));
+  if (never_ready && was_ready_) std::cerr << "the host did not start: " + said_ready_;
+  host_.reset();
+  link_.close();
+  ready_.reset();
+  lifeline_.reset();
+  for (auto& [process, kept] : kept_) kept.orphan = true;
+  reap_orphans();
+  if (stopping_ || quits_) return code;
+  if (!was_ready_) return code;  // it could not be started: it has said why
+  const auto due = supervision_.ended("host", now);
+  if (!due) {
+    say("the host has ended: " + reason_ + "; it is left, after " + std::to_string(Supervision::kRestarts) +
+        " restarts within " + std::to_string(Supervision::kWithin.count()) + " s");
+    return kFailed;
+  }
+  due_ = *due;
+  say("the host has ended: " + reason_ + "; it is started again");
+  return std::nullopt;
+}
+
+/// Nobody is left behind.
+int Supervisor::end_all(int code) {
+  host_.reset();
+  kept_.clear();  // groups end by themselves now
+  const Time until = Steady::now() + kRestWithin;
+  for (auto left = children(); !left.empty() && Steady::now() < until; left = children()) {
+    for (const pid_t child : left) ::kill(child, SIGKILL);
+    while (::waitpid(-1, nullptr, WNOHANG) > 0) {
+    }
+    std::this_thread::sleep_for(milliseconds(2));
+  }
+  return code;
+}
+
+}  // namespace fiona::host

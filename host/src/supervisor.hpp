@@ -1,0 +1,90 @@
+#pragma once
+
+#include <chrono>
+#include <deque>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "os/packet_socket.hpp"
+#include "os/process.hpp"
+#include "supervision.hpp"
+
+namespace fiona::host {
+
+/// Starts a host, sees it end or hang, and starts it again with the system of its journal; keeps what its groups can be
+/// adopted by meanwhile. It has one thread, no link and no plugin, and understands nothing of what it keeps. Who ends
+/// when whom: docs/decisions/0020.
+class Supervisor {
+ public:
+  using Time = std::chrono::steady_clock::time_point;
+  using milliseconds = std::chrono::milliseconds;
+  struct Options {
+    std::filesystem::path host;
+    std::vector<std::string> arguments{};  ///< of the host, as they were given
+    os::Descriptor ready{};                ///< gets what the first host says of its start
+    os::Descriptor lifeline{};             ///< its end ends all
+    /// A host that has said nothing for so long hangs. Longer than a call of a component's life cycle may take.
+    milliseconds hang{15'000};
+  };
+  /// For the host to end in, then for whatever is left.
+  static constexpr milliseconds kEndsWithin{4000};
+  static constexpr milliseconds kRestWithin{500};
+  /// Of the time since it looked last no more counts: a machine that stood still makes nobody hang.
+  static constexpr milliseconds kLook{500};
+
+  explicit Supervisor(Options options) : options_(std::move(options)) {}
+  /// Until the host's end is meant, or it has ended too often. `signals`: SIGTERM and SIGINT as a descriptor. The exit
+  /// code.
+  int run(int signals);
+
+ private:
+  /// Of a group: what it was kept with.
+  struct Kept {
+    std::string text;
+    std::vector<os::Descriptor> descriptors;
+    bool orphan = false;  ///< its host has gone: it is this process's child
+    std::string end;      ///< once it has ended
+  };
+  /// What waits for room in the socket.
+  struct Outgoing {
+    std::string text;
+    pid_t kept = 0;  ///< instead: this group
+  };
+
+  void start(Time now);
+  std::optional<int> look(int signals);
+  void forward_ready();
+  void serve_host();
+  void take(os::Packet& packet);
+  void pass_on();
+  void end_if_hung(Time now);
+  void reap_orphans();
+  std::optional<int> host_ended(Time now);
+  void stop(Time now);
+  int end_all(int code);
+  int wait_ms(Time now) const;
+
+  Options options_;
+  Supervision supervision_;
+  std::unique_ptr<os::ChildProcess> host_;
+  os::PacketSocket link_;
+  os::Descriptor ready_;     ///< what the host says of its start
+  os::Descriptor lifeline_;  ///< its end ends the host
+  std::string said_ready_;
+  bool was_ready_ = false;  ///< a host of ours
+  bool quits_ = false;      ///< its end is meant
+  std::optional<Time> stopping_;
+  std::optional<Time> due_;
+  Time looked_{};
+  milliseconds silent_{0};
+  std::string why_;  ///< we have ended it; empty: it ended by itself
+  std::string reason_;
+  std::map<pid_t, Kept> kept_;
+  std::deque<Outgoing> outgoing_;
+};
+
+}  // namespace fiona::host

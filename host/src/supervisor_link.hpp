@@ -1,0 +1,65 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <chrono>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "fiona/wire.pb.h"
+#include "os/packet_socket.hpp"
+
+namespace fiona::host {
+
+/// A group that a host before this one has started, as its supervisor has kept it.
+struct KeptGroup {
+  wire::KeptGroup told;
+  pid_t process = -1;
+  os::Descriptor adoption;  ///< where it waits for a host
+  os::Descriptor liveness;  ///< its page
+  os::Descriptor output;    ///< what it writes can be read here
+  os::Descriptor handle;    ///< its pidfd
+};
+
+/// What a host says to its supervisor, and hears from it. A packet begins with a line: a word, and for groups the
+/// number of the process. All functions [control thread].
+class SupervisorLink {
+ public:
+  /// The words. From the host: it is alive; its end is meant; keep this group for the host after it; do so no longer.
+  static constexpr std::string_view kBeat = "beat";
+  static constexpr std::string_view kQuits = "quits";
+  static constexpr std::string_view kKeep = "keep";
+  static constexpr std::string_view kDrop = "drop";
+  /// From the supervisor: how a process that it was kept for has ended; there are no more groups to adopt.
+  static constexpr std::string_view kEnded = "ended";
+  static constexpr std::string_view kAll = "all";
+  /// A host says so often that it is alive, unless it hangs.
+  static constexpr std::chrono::milliseconds kBeatEvery{200};
+
+  explicit SupervisorLink(os::PacketSocket socket) : socket_(std::move(socket)) {}
+
+  /// The groups that are there to be adopted.
+  std::vector<KeptGroup> take_kept();
+  /// Called often; says so once in a while.
+  void beat();
+  void quits();
+  /// False: it does not keep it, so the group ends with this host.
+  bool keep(const KeptGroup& group);
+  void drop(pid_t process);
+  /// "killed by signal 9 (Killed)"; empty: it has not been told yet.
+  std::string end_of(pid_t process);
+
+ private:
+  void receive();
+  void take(os::Packet& packet);
+
+  os::PacketSocket socket_;
+  std::chrono::steady_clock::time_point beaten_{};
+  std::vector<KeptGroup> kept_;
+  bool all_ = false;
+  bool gone_ = false;
+  std::map<pid_t, std::string> ends_;
+};
+
+}  // namespace fiona::host

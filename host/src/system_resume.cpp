@@ -1,0 +1,204 @@
+// The system of the host before this one, brought back: what of it still runs, and what has to be made again.
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "fiona/error.hpp"
+#include "fiona/hull.hpp"
+#include "system.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// Of a wire that is not there, until it is opened.
+constexpr const char* kHostEnded = "the host has ended";
+
+/// The end of a wire as it is meant to be; null: it is not in this process.
+const wire::HeldWire* held_in(const ChildGroup* group, const control::PortName& client,
+                              const control::PortName& provider, bool provides) {
+  if (!group || !group->adopted()) return nullptr;
+  for (const auto& one : group->adopted()->wires()) {
+    if ((provides ? one.provider_end() : one.client_end()) && !one.retired() &&
+        key_of(one.client()) == key_of(client) && key_of(one.provider()) == key_of(provider))
+      return &one;
+  }
+  return nullptr;
+}
+
+std::string difference_of(const control::InstanceStatus& is, const Model::Instance& wanted, const control::Load& load) {
+  if (is.plugin() != wanted.package->name || is.version() != wanted.package->version ||
+      is.component() != wanted.component)
+    return fmt::format("'{}' is {} {} there", is.name(), is.plugin(), is.version());
+  if (is.has_pending()) return fmt::format("'{}' is about to change its mode", is.name());
+  if (is.mode() != wanted.mode && is.mode() != kModeFailed)
+    return fmt::format("'{}' is in mode {} there", is.name(), is.mode());
+  const auto same = [](const auto& a, const auto& b) { return a.SerializeAsString() == b.SerializeAsString(); };
+  if (!std::equal(is.set_parameters().begin(), is.set_parameters().end(), load.parameters().begin(),
+                  load.parameters().end(), same))
+    return fmt::format("'{}' has other parameters there", is.name());
+  return "";
+}
+
+}  // namespace
+
+std::vector<std::string> System::resume(const std::vector<control::Change>& changes) {
+  Model next;
+  for (const auto& change : changes) next.make(change, packages_);
+  if (next.clock().is_virtual && options_.restarts > 0) {
+    options_.supervisor->quits();
+    throw Error(ErrorCode::Failed, {.what = "a run on virtual time is not brought back: its end is part of the result",
+                                    .found = "the host has ended: " + options_.restart_reason,
+                                    .next = "fiona run --restore: the same system, from the beginning of its time"});
+  }
+  set_clock(next.clock());
+  model_ = std::move(next);
+  auto lines = adopt_groups();
+  note_wires();
+  make_missing();
+  correct_ports();
+  open_missing();
+  if (options_.restarts == 0) require_all();
+  for (const auto& [name, lost] : lost_)
+    lines.push_back(fmt::format("'{}' is not brought back: {}", name, lost.reason));
+  return lines;
+}
+
+/// Empty: it holds what the system is meant to have there.
+std::string System::difference_from(const ChildGroup& group) const {
+  const auto& there = group.adopted()->status().instances();
+  const auto names = model_.names_in(group.name());
+  for (const std::string& name : names) {
+    const auto found = std::find_if(there.begin(), there.end(), [&](const auto& one) { return one.name() == name; });
+    if (found == there.end()) return fmt::format("'{}' is not there", name);
+    const auto difference = difference_of(*found, model_.instance(name), model_.load_of(name));
+    if (!difference.empty()) return difference;
+  }
+  if (names.size() != static_cast<std::size_t>(there.size())) return "it holds more than it is meant to";
+  const auto wanted = confinement_of_group(first_in(group.name()), group.folder());
+  const bool same = wanted.SerializeAsString() == group.confinement().SerializeAsString();
+  return names.empty() ? "nothing is meant to be there" : same ? "" : "it is meant to have other rights";
+}
+
+/// The wires of the others to one that is gone end before any are opened.
+std::vector<std::string> System::adopt_groups() {
+  std::vector<std::string> lines;
+  std::vector<std::unique_ptr<ChildGroup>> gone;
+  for (KeptGroup& kept : std::exchange(kept_, {})) {
+    const std::string name = kept.told.name();
+    const ChildGroup::Start start = start_of_group(nullptr, kept.told.folder());
+    auto group = std::make_unique<ChildGroup>(
+        std::move(kept), start, [this, name](wire::GroupMessage event) { deliver_from(name, std::move(event)); });
+    if (group->alive()) {
+      if (const auto difference = difference_from(*group); !difference.empty())
+        group->end_now("was ended: after the host's end " + difference);
+    }
+    if (group->alive()) {
+      lines.push_back(fmt::format("group '{}' goes on", name));
+      groups_[name] = std::move(group);
+    } else {
+      lines.push_back(fmt::format("group '{}' {}", name, group->end()));
+      gone.push_back(std::move(group));
+    }
+  }
+  for (const auto& one : gone) tell_others(*one, "group '" + one->name() + "' " + one->end());
+  return lines;
+}
+
+/// Those that are open at both ends stay; whatever else groups hold of wires is cut.
+void System::note_wires() {
+  std::set<std::uint64_t> kept;
+  const auto group_of_name = [this](const std::string& instance) -> ChildGroup* {
+    const auto* one = model_.find(instance);
+    const auto found = one ? groups_.find(one->group) : groups_.end();
+    return found == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(found->second.get());
+  };
+  for (const auto& [key, wanted] : model_.wires()) {
+    const control::PortName client = port_of(key);
+    for (const auto& provider : wanted.providers) {
+      const auto* ours = held_in(group_of_name(client.instance()), client, provider, false);
+      const auto* theirs = held_in(group_of_name(provider.instance()), client, provider, true);
+      Wire wire{provider, ours ? ours->wire() : 0, ours && ours->provider_end(), kHostEnded, {}};
+      const bool is_open = ours && theirs && ours->wire() == theirs->wire() && ours->open() && theirs->open() &&
+                           theirs->prescale() == wanted.prescale;
+      if (is_open) wire.reason.clear();
+      if (ours) kept.insert(ours->wire());
+      wires_.emplace(key, std::move(wire));
+    }
+  }
+  for (auto* child : child_groups()) {
+    for (const auto& one : child->adopted()->wires()) {
+      next_wire_ = std::max(next_wire_, one.wire() + 1);
+      if (!kept.contains(one.wire()) && !one.retired()) cut_at(child->name(), one.wire(), kHostEnded);
+    }
+  }
+}
+
+/// In the order of their loading, each in its group.
+void System::make_missing() {
+  std::map<std::uint64_t, std::string> ordered;
+  for (const std::string& name : model_.names()) {
+    const auto& one = model_.instance(name);
+    const auto at = groups_.find(one.group);
+    const auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
+    if (child && child->adopted()) continue;
+    ordered[one.order] = name;
+    lost_[name].reason = kHostEnded;
+  }
+  for (const auto& [order, name] : ordered) {
+    if (options_.supervisor) options_.supervisor->beat();
+    settle();
+    const std::string at = model_.instance(name).group;
+    if (supervision_.waits(at)) continue;  // it has ended of what was made in it
+    try {
+      Group& target = group(at);
+      make_again(target, name);
+      lose_if_gone(at);
+    } catch (const Error& error) {
+      start_again_later(at, error.text().what);
+    }
+  }
+}
+
+/// A change that was under way may have left a port with alternatives, or waiting, that is to have one wire or none.
+void System::correct_ports() {
+  for (auto* child : child_groups()) {
+    if (!child->adopted()) continue;
+    for (const auto& instance : child->adopted()->status().instances()) {
+      for (const auto& port : instance.ports()) {
+        if (port.direction() != REQUIRES) continue;
+        const control::PortName client = port_of({instance.name(), port.name()});
+        const Model::Wire* wanted = model_.wire_of(client);
+        const bool has_several = port.providers_size() > 0 && (!wanted || wanted->providers.size() == 1);
+        if (!has_several && (wanted || port.connection() == control::UNWIRED)) continue;
+        arrange(client, wanted ? wanted->providers : std::vector<control::PortName>(), Model::Wire::kHold_ms, {},
+                model_, nullptr);
+      }
+    }
+  }
+}
+
+void System::open_missing() {
+  for (const auto& [key, wanted] : model_.wires()) {
+    const control::PortName client = port_of(key);
+    if (lost_.contains(client.instance())) continue;
+    settle();
+    try {
+      if (wanted.providers.size() > 1) arrange(client, wanted.providers, wanted.hold_ms, {}, model_, nullptr);
+      for (auto [wire, last] = wires_.equal_range(key); wire != last; ++wire) {
+        control::Done ignored;
+        if (!wire->second.reason.empty())
+          wire->second = open_or_wait(client, wire->second.provider, model_, wire->second, ignored);
+      }
+    } catch (const Error&) {  // its process has ended meanwhile, which is noted where that is seen
+    }
+  }
+}
+
+void System::require_all() const {
+  for (const auto& [name, lost] : lost_) {
+    throw Error(ErrorCode::Failed, {.what = fmt::format("'{}' is not brought back: {}", name, lost.reason),
+                                    .next = "mend that, or begin without --restore"});
+  }
+}
+
+}  // namespace fiona::host
