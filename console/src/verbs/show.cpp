@@ -127,16 +127,10 @@ void show_instance(Session& session, const control::System& system, const contro
   if (!instance.reason().empty()) facts.add({"reason", instance.reason()});
   facts.add({"modes", fmt::format("{}", fmt::join(instance.modes(), ", "))});
   facts.add({"group", instance.group()});
-  if (instance.restarts() > 0) {
-    const bool in_main = instance.group() == "main";
-    facts.add({"restarts",
-               {in_main ? fmt::format("{}, with the host: {}", system.restarts(), system.restart_reason())
-                        : fmt::format("{}", instance.restarts()),
-                instance.restarts()}});
-  }
   add_group(facts, system, instance.group());
   if (instance.restarts() > 0) {
-    facts.add({"restarts", {fmt::format("{} of its group's process", instance.restarts()), instance.restarts()}});
+    const std::string of = instance.group() == "main" ? "the host: " + system.restart_reason() : "its group's process";
+    facts.add({"restarts", {fmt::format("{} of {}", instance.restarts(), of), instance.restarts()}});
   }
   if (!instance.rights().empty()) facts.add({"rights", fmt::format("{}", fmt::join(instance.rights(), ", "))});
   facts.add({"handlers",
