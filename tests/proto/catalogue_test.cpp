@@ -66,6 +66,7 @@ std::vector<std::string> dimensionless() {
           "fiona.navigation.CommPlan.column",
           "fiona.hmi.CommUserProfileReply.authentication_level",
           "fiona.hmi.Instruction.number",
+          "fiona.security.CommSession.authentication_level",
           "fiona.hmi.PointsOfAttentionReply.refused",
           "fiona.navigation.CommRasterMap.map_version",
           "fiona.navigation.CommRasterMapInfo.map_version",
@@ -127,7 +128,8 @@ TEST(Catalogue, TheProtosHold23ServicesAndTheAddedOnes) {
   EXPECT_EQ(from_the_document, 23);
   EXPECT_THAT(added, ElementsAre("fiona.localisation.StepProvider", "fiona.navigation.LevelMap",
                                  "fiona.navigation.LevelMapChange", "fiona.navigation.PlanProvider",
-                                 "fiona.hmi.InstructionProvider"));
+                                 "fiona.security.SessionProvider", "fiona.security.LogoutProvider",
+                                 "fiona.hmi.InstructionProvider", "fiona.hmi.ProfileUpdate"));
 }
 
 TEST(Catalogue, EveryServiceObjectAndAttributeOfTheDocumentIsInTheProtosAndNothingElseUnmarked) {
