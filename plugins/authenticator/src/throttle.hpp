@@ -1,0 +1,38 @@
+#pragma once
+
+#include <cstddef>
+#include <map>
+#include <optional>
+#include <string>
+
+#include "fiona/time.hpp"
+
+namespace fiona::authenticator {
+
+/// How many attempts a source still has: each failure takes one, time gives them back, and a success all of them. By
+/// source and not by user, so that nobody can lock another one out.
+class Throttle {
+ public:
+  /// Sources that are remembered; one more forgets the one that was silent the longest.
+  static constexpr std::size_t kMaxSources = 4096;
+
+  struct Rule {
+    double attempts = 10;
+    Duration period{};  ///< gives one attempt back
+  };
+
+  /// Takes an attempt; or says how long the source has to wait for one.
+  std::optional<Duration> take(const std::string& source, TimePoint now, const Rule& rule);
+  void succeeded(const std::string& source) { sources_.erase(source); }
+
+  std::size_t sources() const { return sources_.size(); }
+
+ private:
+  struct Source {
+    double left = 0;
+    TimePoint at{};
+  };
+  std::map<std::string, Source> sources_;
+};
+
+}  // namespace fiona::authenticator

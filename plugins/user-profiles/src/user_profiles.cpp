@@ -1,0 +1,161 @@
+#include "user_profiles.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <chrono>
+
+#include "fiona/records/data_directory.hpp"
+
+namespace fiona::user_profiles {
+namespace {
+
+constexpr std::string_view kTable = "profile";
+constexpr auto kDeadline = std::chrono::milliseconds(500);
+/// A building's levels change with its file: hardly ever.
+constexpr auto kLevelsKept = std::chrono::seconds(10);
+
+std::string number(double value) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof(text), value).ptr};
+}
+
+/// Why it cannot be watched, in words for the user; empty: it can.
+std::string fault_of(const hmi::PointOfAttention& point, const std::vector<navigation::MapLevel>& levels) {
+  if (!point.has_level()) return "it is not said on which level it is";
+  const auto is_its = [&](const navigation::MapLevel& level) { return level.level() == point.level(); };
+  if (levels.empty() || std::any_of(levels.begin(), levels.end(), is_its)) return {};
+  return "the building has no level " + number(point.level());
+}
+
+}  // namespace
+
+std::string landmark(const hmi::PointOfAttention& point) {
+  const std::string place = number(point.x()) + "," + number(point.y()) + "," + number(point.level());
+  return point.name().empty() ? place : place + " " + point.name();
+}
+
+void UserProfiles::check(const Parameters& draft) const {
+  if (!store_ || draft.database() == params_->database()) return;
+  throw Error(ErrorCode::NotAllowed, {.what = "the database is in use: another one takes another start",
+                                      .where = name(),
+                                      .next = "unload " + name() + ", then load it with database=FILE"});
+}
+
+void UserProfiles::on_start() {
+  const std::string& given = params_->database();
+  store_ = std::make_unique<records::RecordStore>(
+      given.empty() ? records::data_file("profiles.db") : std::filesystem::path(given), "profiles");
+}
+
+Profile UserProfiles::profile_of(const std::string& user) const {
+  Profile profile;
+  if (const auto bytes = store_->get(kTable, user)) profile.ParseFromString(*bytes);
+  return profile;
+}
+
+/// Who the session says it is; the guest without name and session.
+Async<UserProfiles::User> UserProfiles::user_of(std::string user_name, std::string session) {
+  if (user_name.empty() && session.empty()) co_return User{};
+  if (session.empty()) {
+    throw Error(ErrorCode::NotAllowed, {.what = "the request names a user and carries no session",
+                                        .where = name(),
+                                        .next = "log in, or leave user_name out to be a guest"});
+  }
+  security::CommSessionRequest request;
+  request.set_session(session);
+  const auto found = co_await sessions_.query(std::move(request), kDeadline);
+  if (!found) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "the session could not be checked: " + std::string(to_string(found.outcome())) +
+                         (found.reason().empty() ? "" : ", " + found.reason()),
+                 .where = name() + ".sessions",
+                 .next = "try again, or leave user_name and session out to be a guest"});
+  }
+  if (!(*found)->is_valid()) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "there is no such session, or it has ended", .where = name(), .next = "log in again"});
+  }
+  if ((*found)->user_name() != user_name) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "the session is another user's", .where = name(), .next = "name the user who logged in"});
+  }
+  co_return User{std::move(user_name), (*found)->authentication_level()};
+}
+
+/// None where nobody knows them.
+Async<std::vector<navigation::MapLevel>> UserProfiles::levels() {
+  if (!known_levels_.empty() && now() - levels_at_ < kLevelsKept) co_return known_levels_;
+  const auto map = co_await levels_.query({}, kDeadline);
+  if (map) {
+    known_levels_.assign((*map)->levels().begin(), (*map)->levels().end());
+    levels_at_ = now();
+  }
+  co_return known_levels_;
+}
+
+Async<hmi::CommUserProfileReply> UserProfiles::answer(User user) {
+  hmi::CommUserProfileReply reply;
+  reply.set_authentication_level(user.level);
+  const auto all = co_await levels();
+  for (const navigation::MapLevel& level : all) reply.add_map_list(level.map_name());
+  if (user.name.empty()) co_return reply;
+  const Profile profile = profile_of(user.name);
+  if (profile.has_use_elevator()) reply.set_use_elevator(profile.use_elevator());
+  if (profile.has_use_stairs()) reply.set_use_stairs(profile.use_stairs());
+  if (profile.has_use_outdoor_navigation()) reply.set_use_outdoor_navigation(profile.use_outdoor_navigation());
+  for (const hmi::PointOfAttention& point : profile.points()) reply.add_landmark_list(landmark(point));
+  co_return reply;
+}
+
+Async<hmi::CommUserProfileReply> UserProfiles::on_profile(const hmi::CommUserProfileRequest& request) {
+  auto user = co_await user_of(request.user_name(), request.session());
+  auto reply = co_await answer(std::move(user));
+  co_return reply;
+}
+
+Async<hmi::CommUserProfileReply> UserProfiles::on_update(const hmi::CommUserProfileUpdate& asked) {
+  const hmi::CommUserProfileUpdate request = asked;  // it may be gone when the session has been checked
+  auto user = co_await user_of(request.user_name(), request.session());
+  if (user.name.empty()) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "a guest has no profile that could be kept", .where = name(), .next = "log in first"});
+  }
+  Profile profile = profile_of(user.name);
+  profile.clear_use_elevator();
+  profile.clear_use_stairs();
+  profile.clear_use_outdoor_navigation();
+  if (request.has_use_elevator()) profile.set_use_elevator(request.use_elevator());
+  if (request.has_use_stairs()) profile.set_use_stairs(request.use_stairs());
+  if (request.has_use_outdoor_navigation()) profile.set_use_outdoor_navigation(request.use_outdoor_navigation());
+  store_->put(kTable, user.name, profile.SerializeAsString());
+  auto reply = co_await answer(std::move(user));
+  co_return reply;
+}
+
+Async<hmi::PointsOfAttentionReply> UserProfiles::on_points(const hmi::RequestPointsOfAttention& asked) {
+  const hmi::RequestPointsOfAttention request = asked;
+  const auto user = co_await user_of(request.user_name(), request.session());
+  if (user.name.empty()) {
+    throw Error(
+        ErrorCode::NotAllowed,
+        {.what = "a guest has no points of attention that could be kept", .where = name(), .next = "log in first"});
+  }
+  const auto all = co_await levels();
+  Profile profile = profile_of(user.name);
+  profile.clear_points();
+  hmi::PointsOfAttentionReply reply;
+  for (int i = 0; i < request.points_of_attention_size(); ++i) {
+    const hmi::PointOfAttention& point = request.points_of_attention(i);
+    const std::string fault = fault_of(point, all);
+    if (fault.empty()) {
+      *profile.add_points() = point;
+    } else {
+      reply.add_refused(static_cast<std::uint32_t>(i));
+      reply.add_reason(fault);
+    }
+  }
+  store_->put(kTable, user.name, profile.SerializeAsString());
+  co_return reply;
+}
+
+}  // namespace fiona::user_profiles
