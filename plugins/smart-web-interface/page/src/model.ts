@@ -1,0 +1,112 @@
+// What the server tells, as it tells it. Lengths in metres, x east and y north of the building's reference.
+
+export interface Ellipse {
+  major: number; // semi-axes of the region that holds the walker with 95 %
+  minor: number;
+  angle: number; // of the major one, radians counter-clockwise from east
+}
+
+export interface Location {
+  x: number;
+  y: number;
+  level?: number; // absent outdoors
+  valid: boolean;
+  ellipse?: Ellipse;
+}
+
+export type Waypoint = [x: number, y: number, level?: number];
+
+export interface Path {
+  valid: boolean;
+  points: Waypoint[];
+}
+
+export interface Instruction {
+  number: number;
+  kind: string;
+  text: string;
+  language: string;
+  distance?: number;
+  hour?: number; // of a clock face; 12 is straight on
+  level?: number;
+  toLevel?: number;
+}
+
+export type PortState = "connected" | "waiting" | "lost" | "unwired" | "silent";
+
+export interface Status {
+  location: PortState;
+  path: PortState;
+  instructions: PortState;
+  destination: PortState;
+  map: PortState;
+  login: PortState;
+  profile: PortState;
+  points: PortState;
+}
+
+export interface Level {
+  level: number;
+  name: string;
+}
+
+export interface Room {
+  id: string;
+  kind: string;
+  level: number;
+  name: string;
+  ref: string;
+  use: string;
+  access: number;
+  x: number;
+  y: number;
+  outline: [number, number][];
+  holes: [number, number][][];
+}
+
+export interface Door {
+  x: number;
+  y: number;
+  level: number;
+  width: number;
+  entrance: boolean;
+  name: string;
+}
+
+export type Wall = [x1: number, y1: number, x2: number, y2: number, level: number, exterior: number];
+
+export interface BuildingMap {
+  title: string;
+  levels: Level[];
+  rooms: Room[];
+  walls: Wall[];
+  doors: Door[];
+}
+
+export interface Point {
+  x: number;
+  y: number;
+  level: number;
+  name: string;
+}
+
+export interface Profile {
+  level: number;
+  use_elevator: boolean | null;
+  use_stairs: boolean | null;
+  use_outdoor_navigation: boolean | null;
+  points: Point[];
+}
+
+export interface Me {
+  user: string | null;
+  profile: Profile | null;
+  notice: string;
+}
+
+export interface Destination {
+  x: number;
+  y: number;
+  level: number;
+  label: string;
+}

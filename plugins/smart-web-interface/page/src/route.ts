@@ -1,0 +1,155 @@
+import type { BuildingMap, Location, Path, Waypoint } from "./model";
+import { levelName, metres, turnOf } from "./text";
+
+export interface Step {
+  text: string;
+  hour?: number;
+  kind: "walk" | "turn" | "lift" | "stairs" | "level" | "arrive";
+  at: number; // metres along the path
+}
+
+export interface Progress {
+  along: number; // metres of the path behind the walker
+  segment: number;
+  heading: number | null; // radians counter-clockwise from east: where the path goes from here
+  off: number; // metres from the path
+}
+
+const kShortest_m = 2.2;
+
+const length = (a: Waypoint, b: Waypoint): number => Math.hypot(b[0] - a[0], b[1] - a[1]);
+const sameLevel = (a?: number, b?: number): boolean => (a ?? 0) === (b ?? 0);
+
+/// Where on the path the walker is: the nearest point of what is on the walker's level.
+export function progressOf(path: Path, location: Location | null): Progress | null {
+  if (!path.valid || path.points.length < 2 || !location) return null;
+  const level = Math.round((location.level ?? 0) * 2) / 2;
+  let best: Progress | null = null;
+  let behind = 0;
+  path.points.slice(1).forEach((to, i) => {
+    const from = path.points[i]!;
+    const long = length(from, to);
+    const near = Math.min(Math.abs((from[2] ?? 0) - level), Math.abs((to[2] ?? 0) - level)) < 0.51;
+    if (near && long > 0) {
+      const share = ((location.x - from[0]) * (to[0] - from[0]) + (location.y - from[1]) * (to[1] - from[1])) / long ** 2;
+      const t = Math.min(1, Math.max(0, share));
+      const off = Math.hypot(from[0] + t * (to[0] - from[0]) - location.x, from[1] + t * (to[1] - from[1]) - location.y);
+      if (!best || off < best.off) {
+        best = { along: behind + t * long, segment: i, heading: Math.atan2(to[1] - from[1], to[0] - from[0]), off };
+      }
+    }
+    behind += long;
+  });
+  return best;
+}
+
+/// Bends of less than half a metre are how a path hugs corners, not turns.
+function simplified(points: Waypoint[]): Waypoint[] {
+  if (points.length < 3) return points;
+  const first = points[0]!;
+  const last = points[points.length - 1]!;
+  const long = length(first, last) || 1;
+  let worst = 0;
+  let at = 0;
+  points.forEach((point, i) => {
+    const off = Math.abs((last[0] - first[0]) * (point[1] - first[1]) - (last[1] - first[1]) * (point[0] - first[0])) / long;
+    if (i > 0 && i < points.length - 1 && off > worst) [worst, at] = [off, i];
+  });
+  if (worst < 0.5) return [first, last];
+  return [...simplified(points.slice(0, at + 1)).slice(0, -1), ...simplified(points.slice(at))];
+}
+
+/// Two bends close to each other, as before and behind a door, are one to who walks.
+function withoutJogs(points: Waypoint[]): Waypoint[] {
+  const kept = [...points];
+  for (let i = 1; i + 2 < kept.length; ) {
+    const a = kept[i]!;
+    const b = kept[i + 1]!;
+    if (length(a, b) < kShortest_m) kept.splice(i, 2, [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2, a[2]]);
+    else i += 1;
+  }
+  return simplified(kept);
+}
+
+/// A lift or stairs: what the map has where the path leaves its level.
+function connectorAt(point: Waypoint, map: BuildingMap | null): "lift" | "stairs" | "level" {
+  const inside = (map?.rooms ?? []).find(
+    (room) =>
+      (room.kind === "LIFT_SHAFT" || room.kind === "STAIRWELL") &&
+      sameLevel(room.level, Math.round(point[2] ?? 0)) &&
+      contains(room.outline, point),
+  );
+  return inside ? (inside.kind === "LIFT_SHAFT" ? "lift" : "stairs") : "level";
+}
+
+function contains(ring: [number, number][], [x, y]: Waypoint): boolean {
+  let inside = false;
+  ring.forEach(([x1, y1], i) => {
+    const [x2, y2] = ring[(i + 1) % ring.length]!;
+    if (y1 > y !== y2 > y && x < ((x2 - x1) * (y - y1)) / (y2 - y1) + x1) inside = !inside;
+  });
+  return inside;
+}
+
+/// The pieces of a path between changes of level, and where along the path each begins.
+function pieces(path: Path): { points: Waypoint[]; begin: number }[] {
+  const all: { points: Waypoint[]; begin: number }[] = [];
+  let behind = 0;
+  path.points.forEach((point, i) => {
+    const before = path.points[i - 1];
+    if (before) behind += length(before, point);
+    const piece = all[all.length - 1];
+    if (before && piece && sameLevel(before[2], point[2])) piece.points.push(point);
+    else all.push({ points: [point], begin: behind });
+  });
+  return all;
+}
+
+/// The whole way in words, for who does not see the plan.
+export function stepsOf(path: Path, map: BuildingMap | null, destination: string): Step[] {
+  const steps: Step[] = [];
+  if (!path.valid || path.points.length < 2) return steps;
+  // Landings are levels of their own on the way, and no place to stay: no room is on them.
+  const isFloor = (level?: number) => !map || map.rooms.some((room) => sameLevel(room.level, level));
+  const all = pieces(path);
+  const stays = all.filter(
+    (piece, i) => i === 0 || i === all.length - 1 || (piece.points.length > 1 && isFloor(piece.points[0]![2])),
+  );
+  let end = 0;
+  stays.forEach((piece, i) => {
+    const before = stays[i - 1];
+    if (before) {
+      const from = before.points[before.points.length - 1]!;
+      const to = piece.points[0]!;
+      const kind = connectorAt(from, map) === "level" ? connectorAt(to, map) : connectorAt(from, map);
+      const name = levelName(to[2] ?? 0, map?.levels ?? []);
+      const how = kind === "lift" ? "Take the lift" : kind === "stairs" ? "Take the stairs" : "Go";
+      steps.push({ text: `${how} to ${name}`, kind, at: end });
+    }
+    const points = withoutJogs(simplified(piece.points));
+    let at = piece.begin;
+    points.slice(1).forEach((to, k) => {
+      const from = points[k]!;
+      const ahead = length(from, to);
+      const last = points[k - 1];
+      const turn = last ? hourBetween(last, from, to) : 12;
+      const walk = `${metres(ahead)}`;
+      if (turn !== 12) steps.push({ text: `${turnOf(turn)}, then ${walk}`, hour: turn, kind: "turn", at });
+      else steps.push({ text: `Straight on for ${walk}`, hour: 12, kind: "walk", at });
+      at += ahead;
+    });
+    end = at;
+  });
+  steps.push({ text: `Arrive${destination ? ` at ${destination}` : ""}`, kind: "arrive", at: end });
+  return steps;
+}
+
+function hourBetween(a: Waypoint, b: Waypoint, c: Waypoint): number {
+  const left = Math.atan2(c[1] - b[1], c[0] - b[0]) - Math.atan2(b[1] - a[1], b[0] - a[0]);
+  const hour = Math.round((-left * 6) / Math.PI);
+  return ((hour % 12) + 12) % 12 || 12;
+}
+
+export function pathLength(path: Path): number {
+  return path.points.reduce((sum, point, i) => (i ? sum + length(path.points[i - 1]!, point) : 0), 0);
+}

@@ -1,0 +1,129 @@
+// The one way to the server: calls, and the stream of what is new.
+
+const kSession = "fiona-session";
+const kSilence_ms = 1600; // three beats of the server
+const kCall_ms = 12000;
+
+export class Refused extends Error {
+  constructor(
+    readonly status: number,
+    text: string,
+  ) {
+    super(text);
+  }
+}
+
+const session = (): string | null => sessionStorage.getItem(kSession);
+
+async function post(name: string, body: unknown, signal: AbortSignal): Promise<Response> {
+  const headers: Record<string, string> = { "Content-Type": "application/json" };
+  const bearer = session();
+  if (bearer) headers["Authorization"] = `Bearer ${bearer}`;
+  return fetch(`/api/${name}`, { method: "POST", headers, body: JSON.stringify(body), signal, cache: "no-store" });
+}
+
+export async function call<T>(name: string, body: unknown = {}): Promise<T> {
+  const give_up = new AbortController();
+  const timer = setTimeout(() => give_up.abort(), kCall_ms);
+  let response: Response;
+  let answer: { error?: string };
+  try {
+    response = await post(name, body, give_up.signal);
+    answer = await response.json();
+  } catch {
+    throw new Refused(0, "The system cannot be reached.");
+  } finally {
+    clearTimeout(timer);
+  }
+  if (!response.ok) throw new Refused(response.status, sentence(answer.error ?? "The system refused that."));
+  return answer as T;
+}
+
+export const sentence = (text: string): string => {
+  const whole = text.charAt(0).toUpperCase() + text.slice(1);
+  return /[.!?]$/.test(whole) ? whole : `${whole}.`;
+};
+
+/// Exchanges the token behind '#' for a session, and takes it out of the address and the history. Why the page cannot
+/// be used, or nothing.
+export async function open(): Promise<string | null> {
+  const token = location.hash.slice(1);
+  if (token) {
+    history.replaceState(null, "", "/");
+    try {
+      const opened = await call<{ session: string }>("session", { token });
+      sessionStorage.setItem(kSession, opened.session);
+    } catch (error) {
+      if (!session()) return (error as Error).message;
+    }
+  }
+  return session() ? null : "This page is opened with a link.";
+}
+
+export type News = (topic: string, value: unknown) => void;
+
+export interface Link {
+  stop(): void;
+}
+
+/// Follows what is new until stopped; connects again by itself. `told`: connected or not; `ended`: for good, the session
+/// is over.
+export function follow(news: News, told: (connected: boolean) => void, ended: (why: string) => void): Link {
+  let stopped = false;
+  let current: AbortController | null = null;
+  let tries = 0;
+
+  const once = async (): Promise<void> => {
+    const give_up = new AbortController();
+    current = give_up;
+    let watchdog = setTimeout(() => give_up.abort(), kSilence_ms * 2);
+    try {
+      const response = await post("events", {}, give_up.signal);
+      if (response.status === 401) {
+        sessionStorage.removeItem(kSession);
+        stopped = true;
+        ended(sentence((await response.json()).error));
+        return;
+      }
+      if (!response.ok || !response.body) return;
+      tries = 0;
+      const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+      let text = "";
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (done) return;
+        clearTimeout(watchdog);
+        watchdog = setTimeout(() => give_up.abort(), kSilence_ms);
+        told(true);
+        text += value;
+        for (let end = text.indexOf("\n\n"); end >= 0; end = text.indexOf("\n\n")) {
+          const event = /^event: (.*)\ndata: (.*)$/.exec(text.slice(0, end));
+          text = text.slice(end + 2);
+          if (event) news(event[1]!, JSON.parse(event[2]!));
+        }
+      }
+    } catch {
+      // Lost: told below, and tried again.
+    } finally {
+      clearTimeout(watchdog);
+    }
+  };
+
+  const run = async (): Promise<void> => {
+    while (!stopped) {
+      await once();
+      if (stopped) return;
+      told(false);
+      // Many pages that lose one server come back one after the other.
+      const pause = Math.min(5000, 250 * 2 ** Math.min(tries++, 5)) * (0.5 + Math.random());
+      await new Promise((resolve) => setTimeout(resolve, pause));
+    }
+  };
+  void run();
+  return {
+    stop() {
+      stopped = true;
+      current?.abort();
+    },
+  };
+}

@@ -1,0 +1,75 @@
+import type { Instruction } from "./model";
+import type { Step } from "./route";
+import { inert, metres, turnOf } from "./text";
+
+const kArrow = "M12 3 19 11H15V21H9V11H5Z";
+const kIcons: Record<string, string> = {
+  lift: "M5 3h14v18H5zM12 3v18M8.5 10 7 12h3zM15.5 14 17 12h-3z",
+  stairs: "M4 20h4v-4h4v-4h4V8h4V4",
+  arrive: "M12 21C7 15 6 12 6 9.500a6 6 0 0 1 12 0C18 12 17 15 12 21ZM12 7.500v4",
+  level: "M12 20V4M6 10l6-6 6 6",
+  lost: "M9 9a3 3 0 1 1 4 3c-1 .500-1 1-1 2M12 18v.100",
+  door: "M6 21V3h12v18M14 12h.100",
+};
+
+function Icon({ kind, hour }: { kind: string; hour?: number }) {
+  const path = kIcons[kind];
+  if (path) return <svg class="icon line" viewBox="0 0 24 24" aria-hidden="true"><path d={path} /></svg>;
+  if (hour === undefined) return <svg class="icon" viewBox="0 0 24 24" aria-hidden="true"><circle cx="12" cy="12" r="4" /></svg>;
+  return (
+    <svg class="icon" viewBox="0 0 24 24" aria-hidden="true">
+      <path d={kArrow} transform={`rotate(${(hour % 12) * 30} 12 12)`} />
+    </svg>
+  );
+}
+
+const kKinds: Record<string, string> = {
+  LIFT: "lift", STAIRS: "stairs", ESCALATOR: "stairs", RAMP: "level", ARRIVE: "arrive", DOOR: "door", ENTER: "door", LEAVE: "door",
+  NO_PATH: "lost", LOST: "lost", REROUTE: "lost", KIND_UNSPECIFIED: "lost",
+};
+
+/// Nothing is known of what is to be done: said, and never shown as "straight on".
+export function NoGuidance({ why }: { why: string }) {
+  return (
+    <section class="now unknown" aria-label="Now">
+      <Icon kind="lost" />
+      <p class="text" role="status">{why}</p>
+    </section>
+  );
+}
+
+/// What is to be done now: what the guide says, else what the way itself says.
+export function Now({ instruction, next, ahead }: { instruction: Instruction | null; next: Step | null; ahead: number | null }) {
+  const text = instruction
+    ? inert(instruction.text) || (instruction.hour ? turnOf(instruction.hour) : "No direction is known")
+    : next?.text;
+  if (!text) return null;
+  const kind = instruction ? (kKinds[instruction.kind] ?? "walk") : next!.kind;
+  const distance = instruction ? instruction.distance : (ahead ?? undefined);
+  return (
+    <section class="now" aria-label="Now">
+      <Icon kind={kind} hour={instruction ? instruction.hour : next!.hour} />
+      <div>
+        <p class="text" lang={instruction?.language || undefined} role="status">{text}</p>
+        {distance !== undefined && distance >= 1 && <p class="distance">in {metres(distance)}</p>}
+      </div>
+    </section>
+  );
+}
+
+/// Those that are still to be done, the current one first.
+export function Steps({ steps, current, total }: { steps: Step[]; current: number; total: number }) {
+  return (
+    <section class="steps" aria-labelledby="steps">
+      <h2 id="steps">Steps <small>{metres(total)} to go</small></h2>
+      <ol>
+        {steps.slice(current).map((step, i) => (
+          <li key={current + i} aria-current={i === 0 ? "step" : undefined}>
+            <Icon kind={step.kind} hour={step.hour} />
+            <span>{step.text}</span>
+          </li>
+        ))}
+      </ol>
+    </section>
+  );
+}

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "board.hpp"
+#include "web_request.hpp"
+
+namespace fiona::smart_web_interface {
+
+struct WebReply {
+  int status = 200;
+  std::string json{};
+};
+
+/// The duty to answer one request, from any thread; dropped, the page is told that there is no answer.
+class Responder {
+ public:
+  explicit Responder(std::function<void(WebReply)> send) : send_(std::move(send)) {}
+  Responder(const Responder&) = delete;
+  Responder& operator=(const Responder&) = delete;
+  ~Responder();
+  void answer(WebReply reply);
+
+ private:
+  std::function<void(WebReply)> send_;
+};
+
+/// An HTTP server in a thread of its own: the page's files, its calls, and streams of what is on the board.
+///
+/// Bounds: connections, the size of a request, the time to send one and to take an answer. A stream that is slow skips
+/// what was replaced meanwhile, and ends when nothing of it is taken for 10 s.
+class WebServer {
+ public:
+  static constexpr std::size_t kMaxConnections = 64;
+
+  struct Settings {
+    std::string address;
+    std::uint16_t port = 0;                    ///< 0: a free one
+    std::map<std::string, std::string> files;  ///< by name: "index.html"
+    Board& board;
+    /// [the server's thread] A call of a page; `from` is the address it comes from.
+    std::function<void(ApiCall call, std::string from, std::shared_ptr<Responder> respond)> on_call;
+    /// [the server's thread]
+    std::function<bool(const std::string& bearer)> is_open;
+  };
+
+  /// Listens when this returns. Throws Error (Failed) where it cannot, Usage for an address that is not this machine's
+  /// alone.
+  explicit WebServer(Settings settings);
+  ~WebServer();
+  WebServer(const WebServer&) = delete;
+  WebServer& operator=(const WebServer&) = delete;
+
+  std::uint16_t port() const;
+  /// "http://127.0.0.1:8080"
+  std::string url() const;
+  /// [any thread]
+  std::size_t connections() const;
+
+ private:
+  class Impl;
+  class Connection;
+  std::shared_ptr<Impl> impl_;  ///< shared with connections, which end after it has asked them to
+};
+
+}  // namespace fiona::smart_web_interface

@@ -1,0 +1,298 @@
+// What the page's server decides, keeps and tells; the page itself is tested in tests/web, in a browser.
+#include "web_interface.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "fiona/testing/bench.hpp"
+#include "page_calls.hpp"
+#include "to_json.hpp"
+
+namespace fiona::smart_web_interface {
+namespace {
+
+using namespace std::chrono_literals;
+using nlohmann::json;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+const Site kSite{{{"/", "index.html"}, {"/page.js", "page.js"}}, {"127.0.0.1:8080", "localhost:8080"}};
+
+WebRequest call_of_page() {
+  return {.method = "POST",
+          .target = "/api/me",
+          .host = "127.0.0.1:8080",
+          .origin = "http://127.0.0.1:8080",
+          .fetch_site = "same-origin",
+          .content_type = "application/json",
+          .authorization = "Bearer abc",
+          .body = "{}"};
+}
+
+int status_of(const WebRequest& request) {
+  const Route route = smart_web_interface::route(request, kSite);
+  const auto* refusal = std::get_if<Refusal>(&route);
+  return refusal ? refusal->status : 200;
+}
+
+TEST(WebRoute, TheOwnPagesCallIsLetThrough) {
+  const Route route = smart_web_interface::route(call_of_page(), kSite);
+  ASSERT_TRUE(std::holds_alternative<ApiCall>(route));
+  EXPECT_EQ(std::get<ApiCall>(route).name, "me");
+  EXPECT_EQ(std::get<ApiCall>(route).bearer, "abc");
+}
+
+TEST(WebRoute, WhatAnotherPageCanSendIsRefused) {
+  const std::vector<std::pair<int, std::function<void(WebRequest&)>>> changes{
+      {421, [](WebRequest& r) { r.host = "evil.test:8080"; }},
+      {421, [](WebRequest& r) { r.host = "127.0.0.1:8081"; }},
+      {421, [](WebRequest& r) { r.host = ""; }},
+      {403, [](WebRequest& r) { r.origin = "http://evil.test"; }},
+      {403, [](WebRequest& r) { r.origin = "http://localhost:8080"; }},
+      {403, [](WebRequest& r) { r.origin = "null"; }},
+      {403, [](WebRequest& r) { r.origin = ""; }},
+      {403, [](WebRequest& r) { r.fetch_site = "cross-site"; }},
+      {403, [](WebRequest& r) { r.fetch_site = "same-site"; }},
+      {405, [](WebRequest& r) { r.method = "GET"; }},
+      {415, [](WebRequest& r) { r.content_type = "text/plain"; }},
+      {415, [](WebRequest& r) { r.content_type = "application/x-www-form-urlencoded"; }},
+      {401, [](WebRequest& r) { r.authorization = ""; }},
+      {401, [](WebRequest& r) { r.authorization = "Basic abc"; }},
+      {404, [](WebRequest& r) { r.target = "/api/shutdown"; }},
+      {404, [](WebRequest& r) { r.target = "/api/me?x=1"; }}};
+  for (std::size_t i = 0; i < changes.size(); ++i) {
+    WebRequest request = call_of_page();
+    changes[i].second(request);
+    EXPECT_EQ(status_of(request), changes[i].first) << "change " << i;
+  }
+}
+
+TEST(WebRoute, OnlyTheFilesOfThePageAreServed) {
+  for (const auto& [target, status] : std::map<std::string, int>{{"/", 200},
+                                                                 {"/page.js", 200},
+                                                                 {"/../web.db", 404},
+                                                                 {"/page.js/", 404},
+                                                                 {"//page.js", 404},
+                                                                 {"/%70age.js", 404},
+                                                                 {"", 404}}) {
+    EXPECT_EQ(status_of({.method = "GET", .target = target, .host = "localhost:8080"}), status) << target;
+  }
+  EXPECT_EQ(status_of({.method = "POST", .target = "/", .host = "localhost:8080"}), 405);
+}
+
+TEST(WebRequestBytes, TwoHeadersOfOneNameAreNone) {
+  const auto request = parse_request("GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nHost: evil\r\n\r\n");
+  ASSERT_TRUE(request.has_value());
+  EXPECT_EQ(status_of(*request), 421);
+}
+
+TEST(WebRequestBytes, WhatIsTooLargeIsNoRequest) {
+  EXPECT_FALSE(parse_request("GET / HTTP/1.1\r\nX: " + std::string(kMaxHeader, 'x') + "\r\n\r\n"));
+  EXPECT_FALSE(parse_request("POST / HTTP/1.1\r\nContent-Length: 70000\r\n\r\n" + std::string(70000, 'x')));
+  EXPECT_FALSE(parse_request("POST / HTTP/1.1\r\nContent-Length: 10\r\n\r\nshort"));
+}
+
+std::string refusal_of(const std::string& name, const std::string& body) {
+  ApiCall call{name, "", body};
+  const auto read = read_call(call);
+  const auto* refusal = std::get_if<Refusal>(&read);
+  return refusal ? refusal->text : "";
+}
+
+TEST(PageCalls, SayWhatIsWrong) {
+  EXPECT_EQ(refusal_of("login", "["), "the request is no JSON object");
+  EXPECT_EQ(refusal_of("login", "[]"), "the request is no JSON object");
+  EXPECT_EQ(refusal_of("login", R"({"name":"a"})"), "'password' is missing");
+  EXPECT_EQ(refusal_of("login", R"({"name":1,"password":"b"})"), "'name' is no text");
+  EXPECT_EQ(refusal_of("login", R"({"name":"a","password":")" + std::string(1025, 'x') + "\"}"),
+            "'password' is longer than 1024 bytes");
+  EXPECT_EQ(refusal_of("destination", R"({"x":1e99,"y":0,"level":0})"), "'x' is no coordinate");
+  EXPECT_EQ(refusal_of("destination", R"({"x":1,"y":0})"), "'level' is missing");
+  EXPECT_EQ(refusal_of("profile", R"({"use_elevator":1,"use_stairs":null,"use_outdoor_navigation":null})"),
+            "'use_elevator' is neither true, false nor null");
+  EXPECT_EQ(refusal_of("points", R"({"points":[1]})"), "a point is no object");
+}
+
+TEST(PageCalls, LeaveNoPasswordInTheBody) {
+  ApiCall call{"login", "", R"({"name":"anna","password":"canary"})"};
+  const auto read = read_call(call);
+  EXPECT_EQ(std::get<Login>(std::get<PageCall>(read)).password, "canary");
+  EXPECT_THAT(call.body, Not(HasSubstr("canary")));
+}
+
+TEST(LocationJson, TheEllipseHoldsTheWalkerWith95Percent) {
+  localisation::CommLocation location;
+  localisation::CommPosition& position = *location.mutable_position();
+  for (const double value : {4.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1}) position.add_confidence(value);
+  const json ellipse = json::parse(location_json(location))["ellipse"];
+  EXPECT_NEAR(ellipse["major"].get<double>(), 2 * std::sqrt(5.991464547), 1e-6);
+  EXPECT_NEAR(ellipse["minor"].get<double>(), std::sqrt(5.991464547), 1e-6);
+  EXPECT_NEAR(ellipse["angle"].get<double>(), 0, 1e-9);
+}
+
+TEST(LocationJson, ACovarianceThatIsNoneGivesNoEllipse) {
+  for (const std::vector<double>& covariance : std::vector<std::vector<double>>{
+           {}, {1, 2, 0, 2, 1, 0, 0, 0, 1}, {-1, 0, 0, 0, 1, 0, 0, 0, 1}, {NAN, 0, 0, 0, 1, 0, 0, 0, 1}}) {
+    localisation::CommLocation location;
+    for (const double value : covariance) location.mutable_position()->add_confidence(value);
+    EXPECT_FALSE(json::parse(location_json(location)).contains("ellipse"));
+  }
+}
+
+TEST(LocationJson, IsValidOnlyWhereBothSayItAndNumbersAreFinite) {
+  localisation::CommLocation location;
+  location.set_is_valid(true);
+  EXPECT_FALSE(json::parse(location_json(location))["valid"]);
+  location.mutable_position()->set_is_valid(true);
+  EXPECT_TRUE(json::parse(location_json(location))["valid"]);
+  location.mutable_position()->set_x(NAN);
+  EXPECT_FALSE(json::parse(location_json(location))["valid"]);
+}
+
+TEST(Board, ASlowReaderSkipsWhatWasReplaced) {
+  Board board;
+  std::uint64_t seen = 0;
+  board.set("a", "1");
+  board.set("b", "1");
+  board.set("a", "2");
+  const auto news = board.since(seen);
+  ASSERT_EQ(news.size(), 2U);
+  EXPECT_EQ(news[0].topic + news[0].text, "b1");
+  EXPECT_EQ(news[1].topic + news[1].text, "a2");
+  board.set("a", "2");
+  EXPECT_TRUE(board.since(seen).empty()) << "nothing has changed";
+}
+
+class PageSessionsTest : public ::testing::Test {
+ protected:
+  PageSessionsTest() {
+    std::string name = (std::filesystem::temp_directory_path() / "fiona-pages-XXXXXX").string();
+    folder_ = ::mkdtemp(name.data());
+    begin();
+  }
+  ~PageSessionsTest() override {
+    pages_.reset();
+    store_.reset();
+    std::filesystem::remove_all(folder_);
+  }
+  void begin() {
+    pages_.reset();
+    store_.reset();
+    store_ = std::make_unique<records::RecordStore>(folder_ / "web.db", "pages");
+    pages_ = std::make_unique<PageSessions>(*store_, now_, 1h);
+  }
+  std::string open() { return pages_->open(pages_->make_token(now_), now_, 1h).value(); }
+
+  std::filesystem::path folder_;
+  TimePoint now_{24h};
+  std::unique_ptr<records::RecordStore> store_;
+  std::unique_ptr<PageSessions> pages_;
+};
+
+TEST_F(PageSessionsTest, ATokenOpensOneSession) {
+  const std::string token = pages_->make_token(now_);
+  EXPECT_EQ(token.size(), 32U);
+  const auto session = pages_->open(token, now_, 1h);
+  ASSERT_TRUE(session);
+  EXPECT_EQ(session->size(), 64U);
+  EXPECT_TRUE(pages_->is_open(*session, now_));
+  EXPECT_FALSE(pages_->open(token, now_, 1h));
+  EXPECT_FALSE(pages_->open("", now_, 1h));
+}
+
+TEST_F(PageSessionsTest, ATokenIsGoodForTenMinutes) {
+  const std::string token = pages_->make_token(now_);
+  EXPECT_FALSE(pages_->open(token, now_ + 10min, 1h));
+}
+
+TEST_F(PageSessionsTest, SessionsAndTheirUsersSurviveARestart) {
+  const std::string session = open();
+  PageUser user;
+  user.set_name("anna");
+  user.set_session(std::string(16, 's'));
+  ASSERT_TRUE(pages_->set_user(session, user, now_));
+  begin();
+  EXPECT_TRUE(pages_->is_open(session, now_));
+  EXPECT_EQ(pages_->user(session, now_)->name(), "anna");
+  EXPECT_FALSE(pages_->is_open(session, now_ + 1h));
+  EXPECT_FALSE(pages_->user(std::string(64, '0'), now_));
+}
+
+TEST_F(PageSessionsTest, TheFileOpensNoPageAndNamesNoUser) {
+  const std::string session = open();
+  PageUser user;
+  user.set_name("canary-name");
+  user.set_session("canary-number---");
+  pages_->set_user(session, user, now_);
+  for (const auto& entry : std::filesystem::directory_iterator(folder_)) {
+    std::ifstream in(entry.path(), std::ios::binary);
+    const std::string bytes((std::istreambuf_iterator<char>(in)), {});
+    EXPECT_THAT(bytes, Not(HasSubstr("canary"))) << entry.path();
+    EXPECT_THAT(bytes, Not(HasSubstr(session))) << entry.path();
+  }
+}
+
+TEST_F(PageSessionsTest, OneTooManyEndsTheOldest) {
+  const std::string first = open();
+  now_ += 1s;
+  for (std::size_t i = 0; i < PageSessions::kMaxSessions; ++i) open();
+  EXPECT_FALSE(pages_->is_open(first, now_));
+  const std::string token = pages_->make_token(now_);
+  now_ += 1s;
+  for (std::size_t i = 0; i < PageSessions::kMaxTokens; ++i) pages_->make_token(now_);
+  EXPECT_FALSE(pages_->open(token, now_, 1h));
+}
+
+class WebInterfaceTest : public PageSessionsTest {
+ protected:
+  WebInterfaceTest() {
+    for (const char* file : {"index.html", "page.js", "page.css", "icon.svg"})
+      std::ofstream(folder_ / file) << "content";
+  }
+  std::unique_ptr<testing::Bench<WebInterface>> bench() const {
+    auto made = std::make_unique<testing::Bench<WebInterface>>("web", folder_);
+    made->set("database", (folder_ / "bench.db").string());
+    return made;
+  }
+};
+
+TEST_F(WebInterfaceTest, AnAddressThatOthersReachIsRefused) {
+  for (const char* address : {"0.0.0.0", "192.168.1.1", "::", "localhost.", ""}) {
+    const auto one = bench();
+    one->set("address", address);
+    EXPECT_THROW(one->start(), Error);
+    EXPECT_THAT(one->reason(), HasSubstr("the page is served to this machine only"));
+  }
+}
+
+TEST_F(WebInterfaceTest, ThePortOfTheLastStartIsTakenAgainAndAnotherWhereItIsTaken) {
+  const auto port = [](const std::vector<std::string>& log) {
+    for (const std::string& line : log) {
+      const auto at = line.find("http://127.0.0.1:");
+      if (at != std::string::npos) return line.substr(at, line.find(';') - at);
+    }
+    return std::string();
+  };
+  auto first = bench();
+  first->start();
+  const std::string at = port(first->log());
+  EXPECT_NE(at, "");
+  first.reset();
+  auto again = bench();
+  again->start();
+  EXPECT_EQ(port(again->log()), at);
+  const auto beside = bench();
+  beside->start();
+  EXPECT_EQ(beside->mode(), "active");
+  EXPECT_NE(port(beside->log()), at);
+  EXPECT_THAT(beside->log().front(), HasSubstr("another port than last time, pages that are open do not find it"));
+}
+
+}  // namespace
+}  // namespace fiona::smart_web_interface
