@@ -1,0 +1,314 @@
+#include "beacon_filter.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <utility>
+
+namespace fiona::beacons {
+namespace {
+
+constexpr Time kSecond{1000};
+constexpr std::size_t kFirstDraws = 10;  // for each particle of the first fix
+constexpr std::size_t kPastSeconds = 20;
+constexpr double kNewPlace_m = 1.0;      // walked in a second, after which what is heard is news
+constexpr double kDensityCell_m = 6.0;   // of particles: modes nearer than that are one
+constexpr double kMode_m = 9.0;          // around the densest place: particles that are of its mode
+constexpr double kLeastOfMode = 0.3;     // of the weight; with less, and a wide spread, an estimate guides nobody
+constexpr std::size_t kJumpDraws = 500;  // each second, to see whether elsewhere fits better
+constexpr double kBeforeWay_m = 2.0;     // of stairs or a lift: who is there may take it
+constexpr double kWidestSpread_m = 25.0;
+constexpr double kLongestGap_s = 10.0;
+
+}  // namespace
+
+BeaconFilter::BeaconFilter(std::shared_ptr<const BeaconField> field, std::shared_ptr<const FloorPlan> plan,
+                           const BeaconMap::Accuracy& accuracy, double offset_sd_db, const FilterOptions& options)
+    : field_(std::move(field)),
+      accuracy_(accuracy),
+      options_(options),
+      offset_sd_db_(options.rssi_offset ? offset_sd_db : 0.0),
+      random_(options.seed) {
+  use(std::move(plan));
+}
+
+void BeaconFilter::use(std::shared_ptr<const FloorPlan> plan) {
+  plan_ = std::move(plan);
+  places_.clear();
+  for (std::uint32_t l = 0; l < field_->levels().size(); ++l) {
+    const auto& level = field_->levels()[l];
+    for (std::size_t cell = 0; cell < std::size_t{level.columns} * level.rows; ++cell) {
+      const auto at = field_->centre(l, cell);
+      if (!options_.walls || plan_->may_be_at(level.level, at.x_m, at.y_m)) places_.push_back({at.x_m, at.y_m, l});
+    }
+  }
+}
+
+bool BeaconFilter::is_blocked(const Particle& p, double x_m, double y_m) const {
+  return options_.walls && plan_->wall_between(field_->levels()[p.level_index].level, p.x_m, p.y_m, x_m, y_m);
+}
+
+void BeaconFilter::step(const StepInput& step) {
+  steps_ = true;
+  walked_m_ += step.length_m;
+  for (Past& past : past_) {
+    past.east_m += step.length_m * std::cos(step.heading_rad);
+    past.north_m += step.length_m * std::sin(step.heading_rad);
+  }
+  for (Particle& p : particles_) {
+    if (options_.heading_bias) p.heading_bias_rad += options_.heading_drift_rad * random_.normal();
+    p.step_gain += options_.step_gain_drift * random_.normal();
+    const double length = p.step_gain * step.length_m + step.length_sd_m * random_.normal();
+    const double heading = step.heading_rad + p.heading_bias_rad + 0.5 * step.heading_sd_rad * random_.normal();
+    const double x = p.x_m + length * std::cos(heading), y = p.y_m + length * std::sin(heading);
+    if (is_blocked(p, x, y)) {
+      p.weight *= options_.through_wall;
+      continue;
+    }
+    p.x_m = x;
+    p.y_m = y;
+  }
+}
+
+void BeaconFilter::heard(std::uint32_t beacon, double rssi_dbm) {
+  auto& [sum, count] = readings_[beacon];
+  sum += rssi_dbm;
+  ++count;
+}
+
+void BeaconFilter::advance(Time now) {
+  if (now_ && now <= *now_) return;
+  const double dt_s = now_ ? std::min(kLongestGap_s, std::chrono::duration<double>(now - *now_).count()) : 0.0;
+  now_ = now;
+  if (!used_) used_ = now;
+  diffuse(dt_s);
+  if (now - *used_ < kSecond) return;
+  const double since_s = std::min(kLongestGap_s, std::chrono::duration<double>(now - *used_).count());
+  used_ = now;
+  take_ways(since_s);
+  use_second(since_s);
+}
+
+void BeaconFilter::diffuse(double dt_s) {
+  const double sd = (steps_ ? options_.still_diffusion_m : options_.free_diffusion_m) * std::sqrt(dt_s);
+  const double offset_sd = options_.rssi_offset ? options_.offset_drift_db * std::sqrt(dt_s) : 0.0;
+  for (Particle& p : particles_) {
+    p.offset_db += offset_sd * random_.normal();
+    const double x = p.x_m + sd * random_.normal(), y = p.y_m + sd * random_.normal();
+    if (is_blocked(p, x, y)) continue;
+    p.x_m = x;
+    p.y_m = y;
+  }
+}
+
+void BeaconFilter::take_ways(double dt_s) {
+  const double share = -std::expm1(-options_.way_rate_per_s * dt_s);
+  for (Particle& p : particles_) {
+    for (const FloorPlan::Way& way : plan_->ways()) {
+      if (way.from_level != field_->levels()[p.level_index].level ||
+          std::hypot(p.x_m - way.from_x_m, p.y_m - way.from_y_m) > kBeforeWay_m || random_.uniform() > share) {
+        continue;
+      }
+      const auto levels = field_->levels();
+      const auto to =
+          std::find_if(levels.begin(), levels.end(), [&](const auto& l) { return l.level == way.to_level; });
+      if (to == levels.end()) continue;
+      p.level_index = static_cast<std::uint32_t>(to - levels.begin());
+      p.x_m = way.to_x_m;
+      p.y_m = way.to_y_m;
+      break;
+    }
+  }
+}
+
+double BeaconFilter::weight_of_second() {
+  const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
+  return options_.temper * (options_.still_temper + (1.0 - options_.still_temper) * moved);
+}
+
+double BeaconFilter::log_likelihood(const Particle& p, const Second& second, double weight) const {
+  return weight *
+         field_->log_likelihood(field_->at(p.level_index, p.x_m, p.y_m), second, p.offset_db, options_.silence);
+}
+
+BeaconFilter::Particle BeaconFilter::anywhere() {
+  const Place& place = places_[std::min(
+      places_.size() - 1, static_cast<std::size_t>(random_.uniform() * static_cast<double>(places_.size())))];
+  return {place.x_m + field_->cell_m() * (random_.uniform() - 0.5),
+          place.y_m + field_->cell_m() * (random_.uniform() - 0.5),
+          options_.heading_bias ? options_.heading_bias_sd_rad * random_.normal() : 0.0,
+          1.0 + options_.step_gain_sd * random_.normal(),
+          offset_sd_db_ * random_.normal(),
+          place.level_index,
+          1.0};
+}
+
+void BeaconFilter::use_second(double dt_s) {
+  Second second;
+  for (const auto& [beacon, reading] : readings_) {
+    second.push_back({beacon, static_cast<float>(reading.first / reading.second)});
+  }
+  readings_.clear();
+  if (places_.empty()) return;
+  // A second in which nothing was heard may be one in which nobody listened.
+  if (second.empty()) return;
+  if (particles_.empty()) return start(second);
+  const double weight = weight_of_second();
+  for (Particle& p : particles_) {
+    p.weight = std::log(std::max(p.weight, 1e-300)) + log_likelihood(p, second, weight);
+  }
+  const double log_evidence = normalise();
+  past_.push_back({std::move(second), weight, log_evidence, 0.0, 0.0});
+  if (past_.size() > kPastSeconds) past_.pop_front();
+  jump_or_resample(dt_s);
+}
+
+/// Of one who is there now and went as the steps say.
+double BeaconFilter::log_likelihood_of_past(const Particle& p) const {
+  const double c = p.step_gain * std::cos(p.heading_bias_rad), s = p.step_gain * std::sin(p.heading_bias_rad);
+  double sum = 0.0;
+  for (const Past& past : past_) {
+    Particle then = p;
+    then.x_m -= c * past.east_m - s * past.north_m;
+    then.y_m -= s * past.east_m + c * past.north_m;
+    sum += log_likelihood(then, past.second, past.weight);
+  }
+  return sum;
+}
+
+/// Turns weights from logarithms into shares; answers the logarithm of their sum.
+double BeaconFilter::normalise() {
+  double largest = particles_.front().weight, sum = 0.0;
+  for (const Particle& p : particles_) largest = std::max(largest, p.weight);
+  for (Particle& p : particles_) sum += p.weight = std::exp(p.weight - largest);
+  for (Particle& p : particles_) p.weight /= sum;
+  return largest + std::log(sum);
+}
+
+void BeaconFilter::start(const Second& second) {
+  for (std::size_t i = 0; i < kFirstDraws * options_.particles; ++i) {
+    Particle p = anywhere();
+    p.weight = log_likelihood(p, second, options_.temper);
+    particles_.push_back(p);
+  }
+  normalise();
+  scratch_.clear();
+  resample(options_.particles, scratch_);
+  particles_.swap(scratch_);
+}
+
+/// One second says little: whether the walker is elsewhere is judged by the last ones together.
+void BeaconFilter::jump_or_resample(double dt_s) {
+  std::vector<Particle> elsewhere;
+  double largest = -1e300, log_evidence = 0.0;
+  for (const Past& past : past_) log_evidence += past.log_evidence;
+  for (std::size_t i = 0; i < kJumpDraws; ++i) {
+    elsewhere.push_back(anywhere());
+    largest = std::max(largest, elsewhere.back().weight = log_likelihood_of_past(elsewhere.back()));
+  }
+  double sum = 0.0;
+  for (Particle& p : elsewhere) sum += p.weight = std::exp(p.weight - largest);
+  const double believed = options_.jump_rate_per_s * dt_s;
+  const double log_odds = std::log(believed) + largest + std::log(sum / static_cast<double>(kJumpDraws)) -
+                          std::log1p(-believed) - log_evidence;
+  const double odds = std::exp(std::min(50.0, log_odds));
+  const double expected = static_cast<double>(options_.particles) * odds / (1.0 + odds);
+  const auto jumps = std::min(options_.particles, static_cast<std::size_t>(expected + random_.uniform()));
+
+  double squares = 0.0;
+  for (const Particle& p : particles_) squares += p.weight * p.weight;
+  if (jumps == 0 && 1.0 / squares > 0.5 * static_cast<double>(options_.particles)) return;
+  scratch_.clear();
+  resample(options_.particles - jumps, scratch_);
+  for (std::size_t i = 0; i < jumps; ++i) {
+    double wanted = random_.uniform() * sum;
+    std::size_t chosen = 0;
+    while (chosen + 1 < elsewhere.size() && (wanted -= elsewhere[chosen].weight) > 0.0) ++chosen;
+    scratch_.push_back(elsewhere[chosen]);
+    scratch_.back().weight = 1.0 / static_cast<double>(options_.particles);
+  }
+  particles_.swap(scratch_);
+  if (2 * jumps > options_.particles) past_.clear();  // they were judged by it already
+}
+
+void BeaconFilter::resample(std::size_t count, std::vector<Particle>& into) {
+  if (count == 0) return;
+  double total = 0.0;
+  for (const Particle& p : particles_) total += p.weight;
+  const double stride = total / static_cast<double>(count);
+  double wanted = random_.uniform() * stride, reached = 0.0;
+  for (const Particle& p : particles_) {
+    reached += p.weight;
+    for (; wanted < reached && into.size() < count; wanted += stride) into.push_back(p);
+  }
+  while (into.size() < count) into.push_back(particles_.back());
+  for (Particle& p : into) p.weight = 1.0 / static_cast<double>(options_.particles);
+}
+
+std::size_t BeaconFilter::best_level(double& weight) const {
+  std::vector<double> weights(field_->levels().size(), 0.0);
+  for (const Particle& p : particles_) weights[p.level_index] += p.weight;
+  const auto best = std::max_element(weights.begin(), weights.end());
+  weight = *best;
+  return static_cast<std::size_t>(best - weights.begin());
+}
+
+/// The mean of particles on several ways lies on none of them.
+Eigen::Vector2d BeaconFilter::densest_place(std::size_t level_index) const {
+  const auto cell = [](double m) { return static_cast<std::int64_t>(std::floor(m / kDensityCell_m)); };
+  std::map<std::pair<std::int64_t, std::int64_t>, double> density;
+  for (const Particle& p : particles_) {
+    if (p.level_index != level_index) continue;
+    for (std::int64_t dx = -1; dx <= 1; ++dx) {
+      for (std::int64_t dy = -1; dy <= 1; ++dy) density[{cell(p.x_m) + dx, cell(p.y_m) + dy}] += p.weight;
+    }
+  }
+  const auto densest = std::max_element(density.begin(), density.end(),
+                                        [](const auto& a, const auto& b) { return a.second < b.second; });
+  return kDensityCell_m * Eigen::Vector2d(static_cast<double>(densest->first.first) + 0.5,
+                                          static_cast<double>(densest->first.second) + 0.5);
+}
+
+Estimate BeaconFilter::estimate() const {
+  Estimate result;
+  if (particles_.empty()) return result;
+  double on_level = 0.0;
+  const std::size_t best = best_level(on_level);
+  if (!(on_level > 0.0)) return result;
+  result.level = field_->levels()[best].level;
+  const Eigen::Vector2d densest = densest_place(best);
+  Eigen::Vector2d mean = Eigen::Vector2d::Zero();
+  double all = 0.0, of_mode = 0.0, bias_squares = 0.0;
+  for (const Particle& p : particles_) {
+    all += p.weight;
+    result.rssi_offset_db += p.weight * p.offset_db;
+    result.heading_bias_rad += p.weight * p.heading_bias_rad;
+    bias_squares += p.weight * p.heading_bias_rad * p.heading_bias_rad;
+    const double levels_off = field_->levels()[p.level_index].level - result.level;
+    result.level_variance += p.weight * levels_off * levels_off;
+    const Eigen::Vector2d at(p.x_m, p.y_m);
+    if (p.level_index != best || (at - densest).norm() > kMode_m) continue;
+    of_mode += p.weight;
+    mean += p.weight * at;
+  }
+  if (!(of_mode > 0.0)) return result;
+  mean /= of_mode;
+  result.rssi_offset_db /= all;
+  result.heading_bias_rad /= all;
+  result.level_variance /= all;
+  result.heading_bias_variance = std::max(0.0, bias_squares / all - result.heading_bias_rad * result.heading_bias_rad);
+  for (const Particle& p : particles_) {
+    if (p.level_index != best) continue;
+    const Eigen::Vector2d d = Eigen::Vector2d(p.x_m, p.y_m) - mean;
+    result.spread += p.weight / on_level * d * d.transpose();
+  }
+  result.covariance =
+      accuracy_.factor() * result.spread + accuracy_.floor() * accuracy_.floor() * Eigen::Matrix2d::Identity();
+  result.x_m = mean.x();
+  result.y_m = mean.y();
+  const bool wide = result.spread.trace() > kWidestSpread_m * kWidestSpread_m && of_mode < kLeastOfMode * all;
+  result.validity = wide ? Validity::Ambiguous : Validity::Valid;
+  return result;
+}
+
+}  // namespace fiona::beacons

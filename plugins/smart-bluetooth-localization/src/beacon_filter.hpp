@@ -1,0 +1,133 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "beacon_field.hpp"
+#include "floor_plan.hpp"
+#include "random.hpp"
+
+namespace fiona::beacons {
+
+using Time = std::chrono::milliseconds;  ///< since any fixed epoch
+
+struct FilterOptions {
+  std::size_t particles = 2000;
+  std::uint64_t seed = 1;
+  bool walls = true;          ///< nobody walks through them
+  bool heading_bias = true;   ///< as a state; false: headings of steps are taken as they are
+  bool rssi_offset = true;    ///< as a state; false: the receiver reads as the survey's did
+  double temper = 0.8;        ///< weight of a second's log-likelihood: seconds are not independent
+  double still_temper = 0.1;  ///< share of that for who stands: what a place does to a signal stays the same there
+  double silence = 0.5;       ///< weight of what a second did not hear, beside what it did
+  double heading_bias_sd_rad = 0.15;
+  double heading_drift_rad = 0.02;  ///< per step
+  double step_gain_sd = 0.08, step_gain_drift = 0.006;
+  double offset_drift_db = 0.1;    ///< per square root of a second
+  double still_diffusion_m = 0.4;  ///< per square root of a second, with steps
+  double free_diffusion_m = 2.0;   ///< the same without a source of steps
+  double through_wall = 0.01;      ///< what remains of a particle's weight that walks through a wall
+  double way_rate_per_s = 0.1;     ///< at which who stands before stairs or a lift is on the other level
+  double jump_rate_per_s = 3e-3;   ///< carried off unseen
+};
+
+struct StepInput {
+  double length_m, length_sd_m;
+  double heading_rad;  ///< counter-clockwise from east
+  double heading_sd_rad;
+};
+
+enum class Validity : std::uint8_t {
+  Valid,
+  NoEvidence,  ///< too little was heard yet
+  Ambiguous,   ///< the evidence fits too many places
+};
+
+struct Estimate {
+  Validity validity = Validity::NoEvidence;
+  double x_m = 0.0, y_m = 0.0;  ///< east, north
+  int level = 0;
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  ///< of (x, y), m^2
+  Eigen::Matrix2d spread = Eigen::Matrix2d::Zero();      ///< of the particles alone
+  double level_variance = 0.0;
+  double rssi_offset_db = 0.0;  ///< receiver's reading above the survey's
+  double heading_bias_rad = 0.0, heading_bias_variance = 0.0;
+
+  bool is_valid() const { return validity == Validity::Valid; }
+};
+
+/// Position from beacons and steps within walls: a particle filter over position, level, heading bias, step gain and
+/// RSSI offset of the receiver. Causal and deterministic. States and likelihood after Murata et al. (doi
+/// 10.1016/j.pmcj.2019.04.003), walls after Woodman and Harle (doi 10.1145/1409635.1409651), first fix and recovery by
+/// the mixture proposal of Thrun, Burgard, Fox, "Probabilistic Robotics" (2005), chapter 8.
+class BeaconFilter {
+ public:
+  BeaconFilter(std::shared_ptr<const BeaconField> field, std::shared_ptr<const FloorPlan> plan,
+               const BeaconMap::Accuracy& accuracy, double offset_sd_db, const FilterOptions& options = {});
+
+  /// From now on with this plan; what the particles know stays.
+  void use(std::shared_ptr<const FloorPlan> plan);
+
+  void step(const StepInput& step);
+  /// One reading. Those of a second are used as one.
+  void heard(std::uint32_t beacon, double rssi_dbm);
+  /// Moves time on; to be called at least once a second, and before each estimate.
+  void advance(Time now);
+  Estimate estimate() const;
+
+ private:
+  struct Particle {
+    double x_m, y_m, heading_bias_rad, step_gain, offset_db;
+    std::uint32_t level_index;
+    double weight;
+  };
+  using Second = std::vector<Heard>;
+  struct Past {
+    Second second;
+    double weight;           ///< of its log-likelihood
+    double log_evidence;     ///< of the particles when it came
+    double east_m, north_m;  ///< walked since, by the steps alone
+  };
+
+  bool is_blocked(const Particle& p, double x_m, double y_m) const;
+  void diffuse(double dt_s);
+  void take_ways(double dt_s);
+  void use_second(double dt_s);
+  void start(const Second& second);
+  double log_likelihood(const Particle& p, const Second& second, double weight) const;
+  double weight_of_second();
+  Eigen::Vector2d densest_place(std::size_t level_index) const;
+  Particle anywhere();
+  double normalise();
+  void resample(std::size_t count, std::vector<Particle>& into);
+  double log_likelihood_of_past(const Particle& p) const;
+  void jump_or_resample(double dt_s);
+  std::size_t best_level(double& weight) const;
+
+  std::shared_ptr<const BeaconField> field_;
+  std::shared_ptr<const FloorPlan> plan_;
+  BeaconMap::Accuracy accuracy_;
+  FilterOptions options_;
+  double offset_sd_db_;
+  radio::Random random_;
+  struct Place {
+    double x_m, y_m;
+    std::uint32_t level_index;
+  };
+  std::vector<Place> places_;  ///< where a person may be, one for each cell of the field
+  std::vector<Particle> particles_, scratch_;
+  std::map<std::uint32_t, std::pair<double, int>> readings_;  ///< of this second: sum and count, by beacon
+  std::deque<Past> past_;
+  std::optional<Time> now_, used_;
+  bool steps_ = false;
+  double walked_m_ = 0.0;  ///< since the last second was used
+};
+
+}  // namespace fiona::beacons

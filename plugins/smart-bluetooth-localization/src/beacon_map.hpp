@@ -1,0 +1,30 @@
+#pragma once
+
+#include <filesystem>
+#include <string_view>
+
+#include "fiona/smart_bluetooth_localization/beacon_map.pb.h"
+
+namespace fiona::beacons {
+
+using smart_bluetooth_localization::BeaconMap;
+
+inline constexpr double kUsualExponent = 2.5;
+
+/// What is taken for members of `radio` and `accuracy` that a map leaves at 0.
+BeaconMap::Radio usual_radio();
+BeaconMap::Accuracy careful_accuracy();
+
+/// Reads a map from text, `name` standing for the file in errors, and fills in what it leaves out. Throws fiona::Error
+/// that names line and column of what is no map, or the beacon, place or member whose value cannot be.
+BeaconMap parse(std::string_view text, const std::string& name);
+/// The same from a file of at most 64 MiB.
+BeaconMap load(const std::filesystem::path& file);
+
+/// Writes the file anew. Throws fiona::Error if it cannot.
+void save(const BeaconMap& map, const std::filesystem::path& file);
+
+/// How ids are compared: lower case; an address without its separators.
+std::string normalised_id(std::string_view id);
+
+}  // namespace fiona::beacons

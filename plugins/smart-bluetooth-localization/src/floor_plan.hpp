@@ -1,0 +1,62 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "fiona/navigation.pb.h"
+
+#include "beacon_field.hpp"
+
+namespace fiona::beacons {
+
+/// What a level map says about where a person can be and go: walls, rooms, and what joins levels. Immutable.
+class FloorPlan {
+ public:
+  struct Way {
+    int from_level, to_level;
+    double from_x_m, from_y_m, to_x_m, to_y_m;
+  };
+
+  /// Without a map: no walls, and everywhere may be gone.
+  FloorPlan() = default;
+  explicit FloorPlan(const navigation::CommLevelMap& map);
+
+  bool has_walls() const { return !levels_.empty(); }
+
+  /// Whether a wall of the level lies between two points at most a few metres apart.
+  bool wall_between(int level, double x1_m, double y1_m, double x2_m, double y2_m) const;
+
+  /// Whether the point is in a room, or the level has none.
+  bool may_be_at(int level, double x_m, double y_m) const;
+
+  /// Stairs, lifts and the like, each way that they may be taken.
+  std::span<const Way> ways() const { return ways_; }
+
+  /// What rooms and walls of each level span.
+  std::vector<Extent> extents() const;
+
+ private:
+  struct Wall {
+    double x1_m, y1_m, x2_m, y2_m;
+  };
+  struct Level {
+    int level;
+    std::vector<Wall> walls;
+    std::vector<navigation::MapRoom> rooms;
+    Extent extent;
+    std::uint32_t columns = 0, rows = 0;
+    std::vector<std::uint32_t> first;  ///< of each bucket into `in_bucket`, one more at the end
+    std::vector<std::uint32_t> in_bucket;
+  };
+  Level& level_at(double level, double x_m, double y_m);
+  const Level* find(int level) const;
+  void read_graph(const navigation::CommLevelMap& map);
+  static void fill_buckets(Level& level);
+
+  std::vector<Level> levels_;  ///< ascending
+  std::vector<Way> ways_;
+};
+
+}  // namespace fiona::beacons

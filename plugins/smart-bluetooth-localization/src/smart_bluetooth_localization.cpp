@@ -1,0 +1,170 @@
+#include "smart_bluetooth_localization.hpp"
+
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+namespace fiona::smart_bluetooth_localization {
+namespace {
+
+constexpr std::chrono::seconds kOldestReading{3};
+constexpr std::chrono::seconds kOldestOrientation{1};
+
+std::string text_of(beacons::Validity validity) {
+  switch (validity) {
+    case beacons::Validity::Valid: return "valid";
+    case beacons::Validity::NoEvidence: return "no known beacon heard yet";
+    case beacons::Validity::Ambiguous: return "ambiguous";
+  }
+  return "unknown";
+}
+
+}  // namespace
+
+void SmartBluetoothLocalization::on_start() {
+  if (params_->beacons().empty()) {
+    throw Error(ErrorCode::Usage, {.what = "no beacon map is named",
+                                   .where = name(),
+                                   .next = "fiona-beaconmap learn FOLDER -o FILE, or write one by hand; then load "
+                                           "smart-bluetooth-localization as " +
+                                           name() + " beacons=FILE"});
+  }
+  beacon_map_ = beacons::load(params_->beacons());
+  make_field();
+}
+
+void SmartBluetoothLocalization::check(const SmartBluetoothLocalizationParams& draft) const {
+  if (!field_ || draft.beacons() == params_->beacons()) return;
+  throw Error(ErrorCode::Usage, {.what = "the beacon map is read when the instance starts",
+                                 .where = name() + ".beacons",
+                                 .next = "load another instance with beacons=" + draft.beacons() + ", and swap"});
+}
+
+/// A map with a survey covers what was surveyed; one written by hand covers what the plan does.
+void SmartBluetoothLocalization::make_field() {
+  const auto extents = plan_->extents();
+  const bool by_hand = beacon_map_.survey().empty();
+  field_ = std::make_shared<const beacons::BeaconField>(
+      beacon_map_, by_hand ? std::span<const beacons::Extent>(extents) : std::span<const beacons::Extent>{});
+  make_filter();
+}
+
+void SmartBluetoothLocalization::make_filter() {
+  if (!field_) return;
+  beacons::FilterOptions options;
+  options.particles = params_->particles();
+  options.seed = params_->seed();
+  options.walls = params_->walls();
+  filter_.emplace(field_, plan_, beacon_map_.accuracy(), beacon_map_.radio().offset(), options);
+  has_walls_.set(options.walls && plan_->has_walls());
+}
+
+void SmartBluetoothLocalization::on_beacons(const sensors::CommiBeaconList& list) {
+  const std::int64_t now_ms = to_milliseconds(now());
+  for (const auto& beacon : list.beacon_list()) {
+    if (!beacon.has_rssi()) continue;
+    auto number = beacon.address().empty() ? std::nullopt : field_->find(beacon.address());
+    if (!number) {
+      number =
+          field_->find(beacon.uuid() + "/" + std::to_string(beacon.major()) + "/" + std::to_string(beacon.minor()));
+    }
+    if (!number) {
+      unknown_.set(++unknown_readings_);
+      continue;
+    }
+    const std::int64_t heard_ms = beacon.has_t() ? beacon.t() : now_ms;
+    const auto [last, is_new] = last_heard_ms_.try_emplace(*number, heard_ms);
+    const bool told_before = !is_new && beacon.has_t() && last->second >= heard_ms;
+    if (told_before || beacons::Time(now_ms - heard_ms) > kOldestReading) continue;
+    last->second = heard_ms;
+    filter_->heard(*number, beacon.rssi());
+  }
+}
+
+void SmartBluetoothLocalization::on_step(const localisation::CommStep& step) {
+  if (!step.is_valid()) return;
+  filter_->step({step.length(), std::sqrt(step.length_var()), step.heading(), std::sqrt(step.heading_var())});
+}
+
+void SmartBluetoothLocalization::on_orientation(const Received<localisation::CommOrientation>& orientation) {
+  newest_orientation_ = orientation;
+}
+
+void SmartBluetoothLocalization::on_map_change(const Fired<navigation::LevelMapVersion>&) { map_wanted_ = true; }
+
+Async<> SmartBluetoothLocalization::look_for_map() {
+  if (!change_told_ && map_change_.connection() == Connection::Connected) {
+    navigation::LevelMapVersion known;
+    known.set_version(level_map_ ? level_map_->version() : 0);
+    const auto activated = co_await map_change_.activate(EventMode::Continuous, std::move(known));
+    change_told_ = activated.outcome() == Outcome::Ok;
+  }
+  if (!map_wanted_ || map_.connection() != Connection::Connected) co_return;
+  const auto answer = co_await map_.query({});
+  if (!answer) {
+    log(LogLevel::Warning, "the level map was not told: " + std::string(answer.reason()));
+    co_return;
+  }
+  map_wanted_ = false;
+  use(*answer);
+}
+
+void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevelMap> map) {
+  if (level_map_ && level_map_->version() == map->version()) return;
+  level_map_ = std::move(map);
+  plan_ = std::make_shared<const beacons::FloorPlan>(*level_map_);
+  log(LogLevel::Info, "walls of '" + level_map_->name() + "' in use: " + std::to_string(level_map_->walls_size()));
+  if (beacon_map_.survey().empty()) return make_field();
+  filter_->use(plan_);
+  has_walls_.set(params_->walls() && plan_->has_walls());
+}
+
+void SmartBluetoothLocalization::produce() {
+  filter_->advance(clock_ms());
+  const beacons::Estimate estimate = filter_->estimate();
+  note_validity(estimate.validity);
+  spread_.set(estimate.is_valid() ? std::sqrt(estimate.covariance.trace()) : std::numeric_limits<double>::infinity());
+  rssi_offset_.set(estimate.rssi_offset_db);
+  heading_bias_.set(estimate.heading_bias_rad);
+  validity_probe_.set(text_of(estimate.validity));
+  location_.put(location_of(estimate));
+}
+
+localisation::CommLocation SmartBluetoothLocalization::location_of(const beacons::Estimate& estimate) const {
+  localisation::CommLocation location;
+  auto& position = *location.mutable_position();
+  if (level_map_ && level_map_->reference().has_reference_lat()) {
+    position.set_reference_lat(level_map_->reference().reference_lat());
+    position.set_reference_long(level_map_->reference().reference_long());
+  }
+  if (newest_orientation_ && (*newest_orientation_)->is_valid() &&
+      now() - newest_orientation_->origin <= kOldestOrientation) {
+    auto& orientation = *location.mutable_orientation();
+    orientation = **newest_orientation_;
+    const double yaw = std::remainder(orientation.yaw() + estimate.heading_bias_rad, 2 * std::numbers::pi);
+    orientation.set_yaw(yaw < 0 ? yaw + 2 * std::numbers::pi : yaw);
+    if (orientation.confidence_size() == 9) {
+      orientation.set_confidence(0, orientation.confidence(0) + estimate.heading_bias_variance);
+    }
+  }
+  if (!estimate.is_valid()) return location;
+  position.set_x(estimate.x_m);
+  position.set_y(estimate.y_m);
+  position.set_z(estimate.level);
+  const auto& c = estimate.covariance;
+  for (const double v : {c(0, 0), c(0, 1), 0.0, c(1, 0), c(1, 1), 0.0, 0.0, 0.0, estimate.level_variance}) {
+    position.add_confidence(v);
+  }
+  position.set_is_valid(true);
+  location.set_is_valid(true);
+  return location;
+}
+
+/// Says once, each time that it changes, why there is no position.
+void SmartBluetoothLocalization::note_validity(beacons::Validity validity) {
+  if (validity == validity_) return;
+  validity_ = validity;
+  if (validity == beacons::Validity::Ambiguous) log(LogLevel::Info, "what is heard fits too many places");
+}
+
+}  // namespace fiona::smart_bluetooth_localization

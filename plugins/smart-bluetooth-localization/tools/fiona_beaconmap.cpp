@@ -1,0 +1,140 @@
+#include <exception>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include <boost/program_options.hpp>
+
+#include <fiona/error.hpp>
+#include <fiona/walk/dataset.hpp>
+
+#include "beacon_map.hpp"
+#include "level_map.hpp"
+#include "survey_csv.hpp"
+#include "survey_learner.hpp"
+#include "survey_plan.hpp"
+#include "survey_walks.hpp"
+
+namespace {
+
+namespace options = boost::program_options;
+namespace beacons = fiona::beacons;
+using fiona::Error;
+using fiona::ErrorCode;
+
+constexpr const char* kUsage =
+    "usage: fiona-beaconmap learn DIR|SURVEY.csv -o FILE [--plan BUILDING.osm] [--name NAME]\n"
+    "       fiona-beaconmap plan DIR -o BUILDING.osm --reference LAT,LON [--width METRES] [--name NAME]\n"
+    "       fiona-beaconmap help\n"
+    "DIR holds recorded survey walks; SURVEY.csv has the columns walk,second,x,y,level,beacon,rssi_dbm, with an\n"
+    "empty beacon in a second that heard none.\n";
+
+[[noreturn]] void usage_error(const std::string& what, const std::string& found) {
+  throw Error(ErrorCode::Usage, {.what = what, .found = found, .next = "fiona-beaconmap help"});
+}
+
+std::vector<fiona::radio::Journey> survey_walks(const fiona::walk::Dataset& dataset) {
+  std::vector<fiona::radio::Journey> walks;
+  dataset.for_each_survey_walk([&](const fiona::walk::Walk& walk) {
+    walks.push_back(fiona::radio::journey_of(walk));
+    return true;
+  });
+  return walks;
+}
+
+beacons::FloorPlan plan_of(const options::variables_map& given) {
+  if (given.count("plan") == 0) return {};
+  const auto building = fiona::building::Building::read(given["plan"].as<std::string>());
+  return beacons::FloorPlan(fiona::map_server::level_map_of(building, "plan", {}));
+}
+
+int learn(const options::variables_map& given, const std::filesystem::path& from) {
+  if (given.count("output") == 0) usage_error("learn needs to know where to write", "no -o FILE");
+  const std::string name = given.count("name") != 0 ? given["name"].as<std::string>() : from.stem().string();
+  beacons::BeaconMap map;
+  if (std::filesystem::is_directory(from)) {
+    const auto walks = survey_walks(fiona::walk::Dataset::open(from));
+    std::vector<beacons::SurveySecond> seconds;
+    for (std::size_t i = 0; i < walks.size(); ++i) {
+      const auto more = beacons::seconds_of(walks[i], static_cast<std::uint32_t>(i));
+      seconds.insert(seconds.end(), more.begin(), more.end());
+    }
+    map = beacons::learn(seconds, name);
+    *map.mutable_accuracy() = beacons::accuracy_of(walks, plan_of(given), {});
+  } else {
+    map = beacons::learn(beacons::read_survey(from), name);
+    *map.mutable_accuracy() = beacons::careful_accuracy();
+  }
+  const std::string output = given["output"].as<std::string>();
+  beacons::save(map, output);
+  const auto& radio = map.radio();
+  std::cerr << "learnt " << map.name() << ": " << map.beacons_size() << " beacons, " << map.survey_size()
+            << " places; shadowing " << radio.shadowing() << " dB alike over " << radio.shadowing_reach()
+            << " m, a second's reading " << radio.reading() << " dB, receivers " << radio.offset() << " dB; covariance "
+            << map.accuracy().factor() << " times the spread and at least " << map.accuracy().floor()
+            << " m; written to " << output << '\n';
+  return 0;
+}
+
+int plan(const options::variables_map& given, const std::string& folder) {
+  if (given.count("output") == 0) usage_error("plan needs to know where to write", "no -o BUILDING.osm");
+  fiona::building::Wgs84 reference;
+  char comma = 0;
+  std::istringstream text(given.count("reference") != 0 ? given["reference"].as<std::string>() : "");
+  text >> reference.latitude_deg >> comma >> reference.longitude_deg;
+  if (!text || comma != ',' || std::abs(reference.latitude_deg) > 90 || std::abs(reference.longitude_deg) > 180) {
+    usage_error("--reference is not a position: LAT,LON in degrees", text.str());
+  }
+  const double width_m = given["width"].as<double>();
+  if (!(width_m >= 1.0 && width_m <= 20.0))
+    usage_error("--width is out of range: 1 to 20 metres", std::to_string(width_m));
+  const auto dataset = fiona::walk::Dataset::open(folder);
+  const std::string name = given.count("name") != 0 ? given["name"].as<std::string>() : dataset.name();
+  std::ofstream out(given["output"].as<std::string>());
+  out << beacons::plan_of(survey_walks(dataset), {name, reference, 0.5 * width_m});
+  out.close();
+  if (!out) throw Error(ErrorCode::Failed, {.what = "cannot write", .where = given["output"].as<std::string>()});
+  return 0;
+}
+
+int run(int argc, char** argv) {
+  options::options_description named;
+  named.add_options()("help,h", "")("output,o", options::value<std::string>(), "")(
+      "name", options::value<std::string>(), "")("plan", options::value<std::string>(), "")(
+      "reference", options::value<std::string>(), "")("width", options::value<double>()->default_value(4.0), "")(
+      "words", options::value<std::vector<std::string>>(), "");
+  options::positional_options_description words;
+  words.add("words", -1);
+  options::variables_map given;
+  options::store(options::command_line_parser(argc, argv).options(named).positional(words).run(), given);
+  const auto line =
+      given.count("words") != 0 ? given["words"].as<std::vector<std::string>>() : std::vector<std::string>{};
+  if (given.count("help") != 0 || (line.size() == 1 && line[0] == "help")) {
+    std::cout << kUsage;
+    return 0;
+  }
+  if (line.size() == 2 && line[0] == "learn") return learn(given, line[1]);
+  if (line.size() == 2 && line[0] == "plan") return plan(given, line[1]);
+  usage_error(line.empty() ? "fiona-beaconmap needs a command" : "fiona-beaconmap did not understand its command",
+              line.empty() ? "nothing" : line[0] + " with " + std::to_string(line.size() - 1) + " words");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return run(argc, argv);
+  } catch (const Error& error) {
+    std::cerr << "error: " << error.what() << '\n';
+    return static_cast<int>(error.code());
+  } catch (const options::error& error) {
+    std::cerr << "error: " << error.what() << '\n' << kUsage;
+    return static_cast<int>(ErrorCode::Usage);
+  } catch (const std::exception& error) {
+    std::cerr << "error: " << error.what() << '\n';
+    return static_cast<int>(ErrorCode::Failed);
+  }
+}

@@ -1,0 +1,276 @@
+// Beacon maps, walls, the filter over them, and the component around it.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <functional>
+
+#include "beacon_filter.hpp"
+#include "beacon_map.hpp"
+#include "fiona/error.hpp"
+#include "fiona/testing/bench.hpp"
+#include "floor_plan.hpp"
+#include "smart_bluetooth_localization.hpp"
+#include "survey_learner.hpp"
+
+namespace fiona::beacons {
+namespace {
+
+using namespace std::chrono_literals;
+using smart_bluetooth_localization::SmartBluetoothLocalization;
+using testing::Bench;
+
+std::string error_of(const std::function<void()>& act) {
+  try {
+    act();
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "no error";
+}
+
+constexpr const char* kFourBeacons =
+    "name: 'hall'\n"
+    "beacons { id: '02:00:00:00:00:01' x: 0 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n"
+    "beacons { id: '02:00:00:00:00:02' x: 20 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n"
+    "beacons { id: '02:00:00:00:00:03' x: 0 y: 20 heard { level: 0 power: -59 } exponent: 2 }\n"
+    "beacons { id: 'c0de/1/4' x: 20 y: 20 heard { level: 0 power: -59 } exponent: 2 }\n";
+
+double rssi_dbm(double x, double y, int beacon) {
+  const double dx = x - (beacon % 2 == 1 ? 20.0 : 0.0), dy = y - (beacon >= 2 ? 20.0 : 0.0);
+  return -59 - 10 * std::log10(dx * dx + dy * dy + 1.0);
+}
+
+/// A filter over the hall, for one who is heard there `offset_db` too strong.
+struct Hall {
+  explicit Hall(const FilterOptions& options = {}, navigation::CommLevelMap plan_map = {})
+      : map(parse(kFourBeacons, "hall")),
+        field(std::make_shared<const BeaconField>(map)),
+        filter(field, std::make_shared<const FloorPlan>(plan_map), map.accuracy(), map.radio().offset(), options) {}
+
+  void hear(double x, double y, double offset_db = 0.0) {
+    for (int beacon = 0; beacon < 4; ++beacon)
+      filter.heard(static_cast<std::uint32_t>(beacon), rssi_dbm(x, y, beacon) + offset_db);
+    filter.advance(now += 1000ms);
+  }
+
+  BeaconMap map;
+  std::shared_ptr<const BeaconField> field;
+  BeaconFilter filter;
+  Time now{0};
+};
+
+void add_wall(navigation::CommLevelMap& map, double x1, double y1, double x2, double y2, double level = 0) {
+  auto& wall = *map.add_walls();
+  wall.set_x1(x1), wall.set_y1(y1), wall.set_x2(x2), wall.set_y2(y2), wall.set_level(level);
+}
+
+TEST(BeaconMap, AMapByHandTakesTheUsualRadio) {
+  const BeaconMap map = parse(kFourBeacons, "hall");
+  EXPECT_EQ(map.beacons_size(), 4);
+  EXPECT_EQ(map.radio().reading(), usual_radio().reading());
+}
+
+TEST(BeaconMap, WhatIsNoMapIsNamedByLineAndColumn) {
+  const std::string error = error_of([] { parse("name: 'hall'\nbeacon { }", "hall.beacons"); });
+  EXPECT_NE(error.find("hall.beacons:2:"), std::string::npos) << error;
+  EXPECT_NE(error.find("this is no beacon map"), std::string::npos) << error;
+}
+
+TEST(BeaconMap, ABeaconWhoseValueCannotBeIsNamed) {
+  const std::string error = error_of([] { parse("beacons { id: 'a' x: nan heard { level: 0 power: -59 } }", "hall"); });
+  EXPECT_NE(error.find("beacon 'a': x cannot be"), std::string::npos) << error;
+}
+
+TEST(BeaconMap, OneBeaconTwiceIsRefusedHoweverItsAddressIsSpelt) {
+  const std::string error = error_of([] {
+    parse("beacons { id: 'AA:01' heard { level: 0 power: -59 } } beacons { id: 'aa01' heard { level: 0 power: -59 } }",
+          "hall");
+  });
+  EXPECT_NE(error.find("beacon 'aa01' is there twice"), std::string::npos) << error;
+}
+
+TEST(FloorPlan, AWallIsBetweenItsSidesAndNotBesideItsEnds) {
+  navigation::CommLevelMap map;
+  add_wall(map, 5, 0, 5, 10);
+  const FloorPlan plan(map);
+  EXPECT_TRUE(plan.wall_between(0, 4, 5, 6, 5));
+  EXPECT_FALSE(plan.wall_between(0, 4, 11, 6, 11));
+  EXPECT_FALSE(plan.wall_between(0, 3, 5, 4, 5));
+  EXPECT_FALSE(plan.wall_between(1, 4, 5, 6, 5)) << "another level";
+}
+
+TEST(FloorPlan, WallsLongerThanABucketAreSeenEverywhere) {
+  navigation::CommLevelMap map;
+  add_wall(map, -50, -30, 50, 30);
+  const FloorPlan plan(map);
+  for (double x = -49; x < 50; x += 1.7) EXPECT_TRUE(plan.wall_between(0, x, 0.6 * x - 0.5, x, 0.6 * x + 0.5)) << x;
+}
+
+TEST(FloorPlan, StairsOverALandingAreOneWayUpAndOneDown) {
+  navigation::CommLevelMap map;
+  for (const double level : {0.0, 0.5, 1.0}) {
+    auto& node = *map.add_nodes();
+    node.set_x(level), node.set_level(level);
+  }
+  for (std::uint32_t i = 0; i < 2; ++i) {
+    auto& edge = *map.add_edges();
+    edge.set_from(i), edge.set_to(i + 1), edge.set_kind(navigation::MapEdge::STAIRS);
+  }
+  const FloorPlan plan(map);
+  ASSERT_EQ(plan.ways().size(), 2u);
+  EXPECT_EQ(plan.ways()[0].to_level, 1);
+  EXPECT_EQ(plan.ways()[1].to_level, 0);
+}
+
+TEST(BeaconFilter, WithoutReadingsThereIsNoPosition) {
+  Hall hall;
+  for (int i = 0; i < 20; ++i) hall.filter.advance(hall.now += 200ms);
+  EXPECT_EQ(hall.filter.estimate().validity, Validity::NoEvidence);
+}
+
+TEST(BeaconFilter, WhoStandsAmongBeaconsIsFound) {
+  Hall hall;
+  for (int i = 0; i < 20; ++i) hall.hear(6, 13);
+  const Estimate at = hall.filter.estimate();
+  ASSERT_TRUE(at.is_valid());
+  EXPECT_NEAR(at.x_m, 6, 2.0);
+  EXPECT_NEAR(at.y_m, 13, 2.0);
+}
+
+TEST(BeaconFilter, AReceiversOffsetIsLearntAndMovesNobody) {
+  Hall hall;
+  for (int i = 0; i < 30; ++i) hall.hear(6, 13, 8.0);
+  const Estimate at = hall.filter.estimate();
+  EXPECT_NEAR(at.rssi_offset_db, 8.0, 3.0);
+  EXPECT_NEAR(at.x_m, 6, 2.5);
+  EXPECT_NEAR(at.y_m, 13, 2.5);
+}
+
+TEST(BeaconFilter, AHeadingBiasIsLearntOnTheWay) {
+  FilterOptions options;
+  options.still_diffusion_m = 0.2;
+  Hall hall(options);
+  for (int i = 0; i < 5; ++i) hall.hear(2, 10);
+  for (double x = 2; x < 18; x += 1.0) {  // eastward; the steps say 0.25 rad to the left of that
+    hall.filter.step({1.0, 0.1, 0.25, 0.1});
+    hall.hear(x + 1, 10);
+  }
+  EXPECT_LT(hall.filter.estimate().heading_bias_rad, -0.04) << "the truth is -0.25; beacons alone tell it slowly";
+}
+
+TEST(BeaconFilter, AWallHoldsBackWhoseStepsRunIntoIt) {
+  navigation::CommLevelMap plan;
+  add_wall(plan, 12, -10, 12, 40);
+  const auto walked = [&](bool walls) {
+    FilterOptions options;
+    options.walls = walls;
+    Hall hall(options, plan);
+    for (int i = 0; i < 10; ++i) hall.hear(8, 10);
+    for (int i = 0; i < 10; ++i) hall.filter.step({1.0, 0.05, 0.0, 0.05});
+    return hall.filter.estimate().x_m;
+  };
+  EXPECT_LT(walked(true), walked(false) - 2.0);
+}
+
+TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {
+  Hall one, two;
+  for (int i = 0; i < 10; ++i) one.hear(3, 4), two.hear(3, 4);
+  EXPECT_EQ(one.filter.estimate().x_m, two.filter.estimate().x_m);
+}
+
+TEST(SurveyLearner, BeaconsAreFoundWhereTheyAreAndReceiversBesideEachOther) {
+  std::vector<SurveySecond> survey;
+  for (std::uint32_t walk = 0; walk < 2; ++walk) {
+    for (double x = 0; x <= 20; x += 1.0) {
+      for (double y = 0; y <= 20; y += 2.0) {
+        SurveySecond second{walk, x, y, 0, {}};
+        for (int b = 0; b < 4; ++b)
+          second.rssi_dbm[std::to_string(b)] = static_cast<float>(rssi_dbm(x, y, b) + (walk == 0 ? 4 : -4));
+        survey.push_back(second);
+      }
+    }
+  }
+  const BeaconMap map = learn(survey, "hall");
+  ASSERT_EQ(map.beacons_size(), 4);
+  EXPECT_NEAR(map.beacons(3).x(), 20, 1.0);
+  EXPECT_NEAR(map.beacons(3).y(), 20, 1.0);
+  EXPECT_NEAR(map.beacons(3).exponent(), 2.0, 0.1);
+  EXPECT_NEAR(map.beacons(3).heard(0).power(), -59, 1.0);
+}
+
+/// The component over the hall's map in a file.
+class Component : public ::testing::Test {
+ protected:
+  Component() {
+    std::ofstream(file_) << kFourBeacons;
+    bench_.set("beacons", file_.c_str());
+  }
+  void hear(double x, double y) {
+    sensors::CommiBeaconList list;
+    for (int b = 0; b < 4; ++b) {
+      auto& beacon = *list.add_beacon_list();
+      if (b < 3) beacon.set_address("02:00:00:00:00:0" + std::to_string(b + 1));
+      beacon.set_uuid("c0de"), beacon.set_major(1), beacon.set_minor(static_cast<std::uint32_t>(b + 1));
+      beacon.set_rssi(static_cast<int>(std::lround(rssi_dbm(x, y, b))));
+    }
+    bench_.put<sensors::IbeaconlistProvider>("beacons", list);
+    bench_.advance(1s);
+  }
+  localisation::CommLocation location() {
+    const auto all = bench_.take<localisation::LocationProvider>("location");
+    return all.empty() ? localisation::CommLocation() : *all.back();
+  }
+
+  const std::string file_ = ::testing::TempDir() + "hall" + std::to_string(::getpid()) + ".beacons";
+  Bench<SmartBluetoothLocalization> bench_{"ble"};
+};
+
+TEST_F(Component, BeaconsByAddressAndByTripletGiveAValidLocationFiveTimesASecond) {
+  bench_.start();
+  for (int i = 0; i < 15; ++i) hear(6, 13);
+  bench_.take<localisation::LocationProvider>("location");
+  bench_.advance(2s);
+  const auto all = bench_.take<localisation::LocationProvider>("location");
+  ASSERT_NEAR(static_cast<double>(all.size()), 10, 1);
+  EXPECT_TRUE(all.back()->is_valid());
+  EXPECT_NEAR(all.back()->position().x(), 6, 2.5);
+  EXPECT_EQ(all.back()->position().confidence_size(), 9);
+}
+
+TEST_F(Component, BeforeAnythingIsHeardTheLocationIsInvalid) {
+  bench_.start();
+  bench_.advance(1s);
+  EXPECT_FALSE(location().is_valid());
+  EXPECT_EQ(bench_.probe<std::string>("validity"), "no known beacon heard yet");
+}
+
+TEST_F(Component, WallsComeFromTheLevelMap) {
+  bench_.answer_with<navigation::LevelMap>("map", [](const navigation::CommLevelMapRequest&) {
+    navigation::CommLevelMap map;
+    map.set_version(7);
+    add_wall(map, 12, -10, 12, 40);
+    return map;
+  });
+  bench_.start();
+  bench_.advance(3s);
+  EXPECT_EQ(bench_.probe<bool>("has_walls"), true);
+}
+
+TEST_F(Component, ABeaconThatIsNotInTheMapIsCounted) {
+  bench_.start();
+  sensors::CommiBeaconList list;
+  list.add_beacon_list()->set_rssi(-60);
+  bench_.put<sensors::IbeaconlistProvider>("beacons", list);
+  EXPECT_EQ(bench_.probe<std::uint64_t>("unknown_beacons"), 1u);
+}
+
+TEST(SmartBluetoothLocalization, WithoutABeaconMapItRefusesToStartAndSaysHowToMakeOne) {
+  Bench<SmartBluetoothLocalization> bench("ble");
+  const std::string error = error_of([&] { bench.start(); });
+  EXPECT_NE(error.find("no beacon map is named"), std::string::npos) << error;
+  EXPECT_NE(error.find("fiona-beaconmap learn FOLDER -o FILE"), std::string::npos) << error;
+}
+
+}  // namespace
+}  // namespace fiona::beacons
