@@ -5,9 +5,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <variant>
 
 #include "fiona/building/building.hpp"
 #include "fiona/hull.hpp"
+#include "fiona/simulator/guided_walker.hpp"
 #include "fiona/simulator/radio_model.hpp"
 #include "fiona/simulator/walker.hpp"
 #include "messages.hpp"
@@ -53,14 +55,31 @@ std::uint64_t walker_seed(const Parameters& parameters) {
 
 /// What is made when the instance starts. The parts refer to the building: it does not move.
 struct BuildingSimulator::World {
+  using Person = std::variant<Walker, GuidedWalker>;
+
   World(const std::filesystem::path& file, const Parameters& parameters)
       : building(Building::read(file)),
-        walker(building, walker_seed(parameters), walker_options(parameters)),
+        person(person_of(building, parameters)),
         imu(parameters.seed(), {}, parameters.walk()),
-        radio(building, parameters.seed(), {}, parameters.walk()) {}
+        radio(building, parameters.seed(), parameters.drawn_radio() ? drawn_radio(parameters.seed()) : RadioOptions{},
+              parameters.walk()) {}
+
+  static Person person_of(const Building& building, const Parameters& parameters) {
+    if (!parameters.guided()) return Person(std::in_place_type<Walker>, building, walker_seed(parameters), walker_options(parameters));
+    GuidedWalker::Options options;
+    options.gait = gait_of(parameters);
+    options.start_room = parameters.start_room();
+    return Person(std::in_place_type<GuidedWalker>, building, walker_seed(parameters), std::move(options));
+  }
+  const Truth& truth() const {
+    return std::visit([](const auto& one) -> const Truth& { return one.truth(); }, person);
+  }
+  void advance(std::chrono::milliseconds to) {
+    std::visit([to](auto& one) { one.advance(to); }, person);
+  }
 
   const Building building;
-  Walker walker;
+  Person person;
   ImuModel imu;
   RadioModel radio;
 };
@@ -116,8 +135,8 @@ void BuildingSimulator::walk_on() {
 
 void BuildingSimulator::step() {
   ++periods_;
-  world_->walker.advance(periods_ * kPeriod);
-  const Truth& truth = world_->walker.truth();
+  world_->advance(periods_ * kPeriod);
+  const Truth& truth = world_->truth();
   imu_.put(imu_message(world_->imu.sample(truth)), begun_ + truth.t);
   put_radio();
   const double duration_s = params_->duration_s();
@@ -125,7 +144,7 @@ void BuildingSimulator::step() {
 }
 
 void BuildingSimulator::put_radio() {
-  RadioOutput heard = world_->radio.advance(world_->walker.truth());
+  RadioOutput heard = world_->radio.advance(world_->truth());
   for (WifiScan& scan : heard.scans) {
     // What was heard before a pause cannot be dated on a clock that went on meanwhile.
     std::erase_if(scan.readings, [this](const WifiReading& reading) { return reading.heard < resumed_; });
@@ -143,12 +162,19 @@ void BuildingSimulator::end() {
   end_run(0, fmt::format("the walk of {:g} s is over", params_->duration_s()));
 }
 
+void BuildingSimulator::on_instruction(const hmi::Instruction& instruction) {
+  auto* guided = std::get_if<GuidedWalker>(&world_->person);
+  if (!guided || ended_) return;
+  walk_on();
+  guided->hear(instruction);
+}
+
 void BuildingSimulator::produce_imu() { walk_on(); }
 
 void BuildingSimulator::produce_truth() {
   if (ended_) return;
   walk_on();
-  const Truth& truth = world_->walker.truth();
+  const Truth& truth = world_->truth();
   truth_.put(truth_message(truth, ImuOptions{}), begun_ + truth.t);
 }
 

@@ -46,6 +46,20 @@ bool take_number(std::string_view& text, char before, int& value) {
 
 }  // namespace
 
+RadioOptions drawn_radio(std::uint64_t seed) {
+  Random random(seed, hash("radio-world"));
+  RadioOptions options;
+  options.path_loss_exponent = random.uniform(1.8, 2.6);
+  options.most_wall_loss_db = random.uniform(35.0, 50.0);
+  options.floor_loss_db = random.uniform(14.0, 22.0);
+  options.shadowing_db = random.uniform(3.0, 6.0);
+  options.shadowing_size_m = random.uniform(1.5, 5.0);
+  options.wifi_noise_db = random.uniform(1.5, 3.0);
+  options.beacon_noise_db = random.uniform(2.5, 5.0);
+  options.miss_share = random.uniform(0.03, 0.15);
+  return options;
+}
+
 double beacon_distance_m(int measured_power_dbm, int rssi_dbm) {
   return std::pow(10.0, (measured_power_dbm - rssi_dbm) / 20.0);
 }

@@ -10,67 +10,22 @@ namespace {
 constexpr double kNever = std::numeric_limits<double>::infinity();
 constexpr std::size_t kStart = std::numeric_limits<std::size_t>::max();
 
-struct Access {
-  std::size_t node;
-  double length_m;
-};
-
-/// The nodes that one reaches straight from a place: those of the rooms around it, else the nearest one.
-std::vector<Access> access_from(const Plan& plan, const Graph& graph, const PathPoint& place) {
-  std::vector<Access> found;
-  for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
-    const Room& room = plan.rooms[i];
-    if (room.level != place.level || !contains(room.polygon, place.at)) continue;
-    for (std::size_t node : graph.nodes_of_room[i]) {
-      const Point at = graph.nodes[node].at;
-      if (sees(plan, room, place.at, at)) found.push_back({node, distance_m(place.at, at)});
-    }
-  }
-  if (!found.empty()) return found;
-  Access nearest{kStart, kSnap_m};
-  for (std::size_t i = 0; i < graph.nodes.size(); ++i) {
-    const double length = distance_m(graph.nodes[i].at, place.at);
-    if (graph.nodes[i].level == place.level && length <= nearest.length_m) nearest = {i, length};
-  }
-  if (nearest.node != kStart) found.push_back(nearest);
-  return found;
-}
-
 bool allowed(const GraphEdge& edge, const RouteOptions& options) {
   if (edge.outdoors && !options.outdoors) return false;
   if (edge.passage == Passage::Lift) return options.lift;
   return options.stairs || (edge.passage != Passage::Stairs && edge.passage != Passage::Escalator);
 }
 
-/// Which elements and rooms a walker may use. Where one is already, one may be: else there were no way out.
-class Permission {
- public:
-  Permission(const Plan& plan, const Graph& graph, const PathPoint& from, const RouteOptions& options)
-      : plan_(plan), graph_(graph), options_(options), own_(room_index_at(plan, from.at, from.level)) {}
-
-  bool takes(const GraphEdge& edge, std::size_t next) const {
-    if (!allowed(edge, options_) || edge.own_access > options_.access) return false;
-    const auto room = graph_.nodes[next].room;
-    return !room || room == own_ || plan_.rooms[*room].access <= options_.access;
-  }
-
- private:
-  const Plan& plan_;
-  const Graph& graph_;
-  const RouteOptions& options_;
-  const std::optional<std::size_t> own_;
-};
-
 struct Search {
   std::vector<double> cost_s;
   std::vector<std::size_t> edge;  ///< by which a node was reached; kStart: from the start
 };
 
-Search search(const Graph& graph, const std::vector<Access>& starts, const Permission& permission) {
+Search search(const Graph& graph, const std::vector<Approach>& starts, const Permission& permission) {
   Search found{std::vector<double>(graph.nodes.size(), kNever), std::vector<std::size_t>(graph.nodes.size(), kStart)};
   using Entry = std::pair<double, std::size_t>;
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> open;
-  for (const Access& start : starts) {
+  for (const Approach& start : starts) {
     const double cost = start.length_m / kWalkPace_mps;
     if (cost < found.cost_s[start.node]) open.emplace(found.cost_s[start.node] = cost, start.node);
   }
@@ -81,7 +36,7 @@ Search search(const Graph& graph, const std::vector<Access>& starts, const Permi
     for (std::size_t index : graph.edges_of_node[node]) {
       const GraphEdge& edge = graph.edges[index];
       const std::size_t next = edge.from == node ? edge.to : edge.from;
-      if ((edge.one_way && edge.to == node) || !permission.takes(edge, next)) continue;
+      if (!permission.takes(edge, next)) continue;
       const double reached = cost + edge.cost_s;
       if (reached >= found.cost_s[next]) continue;
       found.cost_s[next] = reached;
@@ -92,8 +47,45 @@ Search search(const Graph& graph, const std::vector<Access>& starts, const Permi
   return found;
 }
 
-/// One walks straight if nothing is between: no detour over the nodes of the room.
-std::optional<Route> straight(const Plan& plan, const PathPoint& from, const PathPoint& to) {
+void add_point(Route& route, const RoutePoint& point) {
+  const bool same =
+      !route.points.empty() && route.points.back().at == point.at && route.points.back().level == point.level;
+  if (!same) route.points.push_back(point);
+}
+
+}  // namespace
+
+std::vector<Approach> approaches(const Plan& plan, const Graph& graph, const PathPoint& place) {
+  std::vector<Approach> found;
+  for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
+    const Room& room = plan.rooms[i];
+    if (room.level != place.level || !contains(room.polygon, place.at)) continue;
+    for (std::size_t node : graph.nodes_of_room[i]) {
+      const Point at = graph.nodes[node].at;
+      if (sees(plan, room, place.at, at)) found.push_back({node, distance_m(place.at, at)});
+    }
+  }
+  if (!found.empty()) return found;
+  Approach nearest{kStart, kSnap_m};
+  for (std::size_t i = 0; i < graph.nodes.size(); ++i) {
+    const double length = distance_m(graph.nodes[i].at, place.at);
+    if (graph.nodes[i].level == place.level && length <= nearest.length_m) nearest = {i, length};
+  }
+  if (nearest.node != kStart) found.push_back(nearest);
+  return found;
+}
+
+Permission::Permission(const Plan& plan, const Graph& graph, const PathPoint& from, const RouteOptions& options)
+    : plan_(plan), graph_(graph), options_(options), own_(room_index_at(plan, from.at, from.level)) {}
+
+bool Permission::takes(const GraphEdge& edge, std::size_t next) const {
+  if (edge.one_way && edge.from == next) return false;
+  if (!allowed(edge, options_) || edge.own_access > options_.access) return false;
+  const auto room = graph_.nodes[next].room;
+  return !room || room == own_ || plan_.rooms[*room].access <= options_.access;
+}
+
+std::optional<Route> straight_route(const Plan& plan, const PathPoint& from, const PathPoint& to) {
   if (from.level != to.level) return std::nullopt;
   for (std::size_t i = 0; i < plan.rooms.size(); ++i) {
     const Room& room = plan.rooms[i];
@@ -107,21 +99,14 @@ std::optional<Route> straight(const Plan& plan, const PathPoint& from, const Pat
   return std::nullopt;
 }
 
-void add_point(Route& route, const RoutePoint& point) {
-  const bool same =
-      !route.points.empty() && route.points.back().at == point.at && route.points.back().level == point.level;
-  if (!same) route.points.push_back(point);
-}
-
-}  // namespace
-
 std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from, const PathPoint& to,
                                 const RouteOptions& options) {
-  if (auto direct = straight(plan, from, to)) return direct;
-  const Search found = search(graph, access_from(plan, graph, from), Permission(plan, graph, from, options));
-  Access goal{kStart, 0.0};
+  // No detour over the nodes of the room.
+  if (auto direct = straight_route(plan, from, to)) return direct;
+  const Search found = search(graph, approaches(plan, graph, from), Permission(plan, graph, from, options));
+  Approach goal{kStart, 0.0};
   double best_s = kNever;
-  for (const Access& end : access_from(plan, graph, to)) {
+  for (const Approach& end : approaches(plan, graph, to)) {
     const double cost = found.cost_s[end.node] + end.length_m / kWalkPace_mps;
     if (cost < best_s) goal = end, best_s = cost;
   }

@@ -7,6 +7,7 @@
 
 #include "fiona/building_simulator/params.pb.h"
 #include "fiona/component.hpp"
+#include "fiona/hmi.fiona.hpp"
 #include "fiona/localisation.fiona.hpp"
 #include "fiona/sensors.fiona.hpp"
 #include "fiona/simulator/imu_model.hpp"
@@ -28,6 +29,7 @@ class BuildingSimulator final : public Component {
   void on_mode(std::string_view mode) override;
   void check(const Parameters& draft) const;
 
+  void on_instruction(const hmi::Instruction& instruction);
   void produce_imu();
   void produce_truth();
   void resume();
@@ -53,6 +55,11 @@ class BuildingSimulator final : public Component {
       &BuildingSimulator::produce_truth,
       std::chrono::milliseconds(200),
       {.doc = "where the person really is: no localisation has this port, compare with it"}};
+  Requires<hmi::InstructionProvider> instructions_{
+      *this,
+      "instructions",
+      &BuildingSimulator::on_instruction,
+      {.optional = true, .doc = "what the person is told to do; heeded with guided=true"}};
 
   std::unique_ptr<World> world_;
   /// The instance's time at the simulation's zero. A pause moves it on: the person stands still meanwhile.

@@ -67,6 +67,10 @@ struct RadioOptions {
   milliseconds batch_period{300};
 };
 
+/// Another radio world with each seed: what differs from building to building, within what is measured in such
+/// (ITU-R P.1238, tables 2 and 3; COST 231, chapter 4.7).
+RadioOptions drawn_radio(std::uint64_t seed);
+
 /// The distance by the log-distance path loss: 10^((measured power - rssi) / (10 n)), n = 2.
 double beacon_distance_m(int measured_power_dbm, int rssi_dbm);
 

@@ -74,6 +74,32 @@ Graph build_graph(const Plan& plan);
 /// here.
 inline constexpr double kSnap_m = 5.0;
 
+/// A node that one reaches straight from a place.
+struct Approach {
+  std::size_t node = 0;
+  double length_m = 0.0;
+};
+
+/// The nodes of the rooms around a place that are seen from there, else the nearest one on its level.
+std::vector<Approach> approaches(const Plan& plan, const Graph& graph, const PathPoint& place);
+
+/// Which edges a walker may take. Where one is already, one may be: else there were no way out.
+class Permission {
+ public:
+  Permission(const Plan& plan, const Graph& graph, const PathPoint& from, const RouteOptions& options);
+  /// Whether the edge may be taken towards its end `next`.
+  bool takes(const GraphEdge& edge, std::size_t next) const;
+
+ private:
+  const Plan& plan_;
+  const Graph& graph_;
+  const RouteOptions options_;
+  const std::optional<std::size_t> own_;
+};
+
+/// The way straight to a place in the same room, if nothing is between.
+std::optional<Route> straight_route(const Plan& plan, const PathPoint& from, const PathPoint& to);
+
 /// The quickest way through the graph (Dijkstra).
 std::optional<Route> find_route(const Plan& plan, const Graph& graph, const PathPoint& from, const PathPoint& to,
                                 const RouteOptions& options);

@@ -1,0 +1,207 @@
+#include "guide.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <utility>
+
+#include <fiona/building/geometry.hpp>
+
+#include "words.hpp"
+
+namespace fiona::guidance {
+namespace {
+
+using building::Passage;
+using building::Point;
+using hmi::Instruction;
+using hmi::NextTurn;
+using namespace std::chrono_literals;
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+/// A walker goes back a little, or takes a short cut, and is still on the path.
+constexpr double kBack_m = 4.0;
+constexpr double kAhead_m = 10.0;
+/// So far from the path is off it; a localisation that is less sure gets twice its standard deviation.
+constexpr double kOff_m = 2.5;
+constexpr double kMostOff_m = 8.0;
+constexpr double kOffLevels = 0.6;
+constexpr auto kOffFor = 2s;
+constexpr double kLookAhead_m = 2.5;
+/// Beyond it a walker does not walk along the path; and is back on it within the smaller one.
+constexpr double kAstray_rad = 65.0 * kDegree;
+constexpr double kAlong_rad = 40.0 * kDegree;
+constexpr double kThere_m = 1.5;
+constexpr double kMostThere_m = 3.0;
+/// Who does not move is told again.
+constexpr auto kRepeat = 8s;
+constexpr double kMoved_m = 0.7;
+constexpr double kStarted_m = 0.8;
+constexpr auto kStartedFor = 4s;
+
+bool changes_level(const Maneuver& maneuver) { return maneuver.to_level.has_value(); }
+
+}  // namespace
+
+Guide::Guide(const LevelPlan& plan, building::Route route, std::string destination, bool first, TimePoint now)
+    : plan_(plan),
+      path_(std::move(route)),
+      maneuvers_(maneuvers(path_)),
+      destination_(std::move(destination)),
+      first_(first),
+      begun_(now) {}
+
+Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
+  locate(walker, now);
+  Advice advice;
+  advice.off_path = wrong_since_ && now - *wrong_since_ >= kOffFor;
+  advice.arrived = arrived(walker);
+  if (!advice.arrived) pass(walker);
+  Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
+  if (std::abs(at_m_ - said_at_m_) > kMoved_m) said_at_m_ = at_m_, said_since_ = now;
+  const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived;
+  if (stands) ++key.repeated;
+  advice.is_new = said_ != key;
+  if (advice.is_new) said_at_m_ = at_m_, said_since_ = now;
+  fill(advice, key, walker);
+  said_ = key;
+  return advice;
+}
+
+void Guide::locate(const Walker& walker, TimePoint now) {
+  const auto behind_wall = [&](const Path::Match& match) {
+    const auto level = plan_.level_near(walker.place.level, 0.1);
+    const Point on_path = path_.place(match.at_m).at;
+    return level && match.off_m > 0.3 && path_.passage(match.at_m) == Passage::Walk &&
+           plan_.walled(walker.place.at, on_path, *level);
+  };
+  Path::Match match = path_.match(walker.place, std::max(0.0, at_m_ - kBack_m), at_m_ + kAhead_m);
+  if (match.off_m > 1.0 || match.off_levels > kOffLevels) {
+    const Path::Match further = path_.match(walker.place, at_m_, path_.end_m());
+    if (further.off_m < 1.0 && further.off_levels < 0.3 && !behind_wall(further)) match = further;
+  }
+  at_m_ = match.at_m;
+  const double most_m = std::clamp(2.0 * walker.sigma_m, kOff_m, kMostOff_m);
+  const bool wrong = match.off_m > most_m || match.off_levels > kOffLevels || behind_wall(match);
+  if (!wrong) {
+    wrong_since_.reset();
+  } else if (!wrong_since_) {
+    wrong_since_ = now;
+  }
+}
+
+bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
+  if (changes_level(maneuver)) {
+    return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < 0.2;
+  }
+  if (maneuver.kind != Instruction::TURN) return at_m_ >= maneuver.end_m - 0.2;
+  const auto rest = turn_to(maneuver.out, walker);
+  return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && rest && std::abs(*rest) < kAlong_rad);
+}
+
+void Guide::pass(const Walker& walker) {
+  while (next_ > 0 && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m) --next_;
+  while (next_ + 1 < maneuvers_.size() && has_passed(next(), walker)) ++next_;
+}
+
+bool Guide::arrived(const Walker& walker) const {
+  const auto end = path_.place(path_.end_m());
+  const double there_m = std::clamp(walker.sigma_m, kThere_m, kMostThere_m);
+  return distance_m(walker.place.at, end.at) <= there_m && std::abs(walker.place.level - end.level) < 0.3 &&
+         !plan_.walled(walker.place.at, end.at, end.level);
+}
+
+/// The way to turn, clockwise; nothing if it is not known where the walker looks.
+std::optional<double> Guide::turn_to(Point direction, const Walker& walker) const {
+  if (!walker.heading_rad || direction == Point{}) return std::nullopt;
+  const double bearing = std::atan2(direction.x_m, direction.y_m) + plan_.heading_rad;
+  return std::remainder(bearing - *walker.heading_rad, 2.0 * std::numbers::pi);
+}
+
+/// The direction to walk in now: to a place of the path a little ahead that is in sight, at most to the next maneuver,
+/// and at that one the direction in which it leads.
+Point Guide::aim(const Walker& walker) const {
+  const bool is_there = to_next_m() < 1.0 && next().kind != Instruction::ARRIVE;
+  const double far_m = is_there ? std::min(next().end_m + kLookAhead_m, path_.end_m())
+                                : std::min(at_m_ + kLookAhead_m, next().at_m);
+  const auto level = plan_.level_near(walker.place.level, 0.1);
+  for (const double at : {far_m, (at_m_ + far_m) / 2.0, at_m_}) {
+    const Point to = path_.place(at).at;
+    if (distance_m(walker.place.at, to) < 0.3) continue;
+    if (level && plan_.walled(walker.place.at, to, *level)) continue;
+    return building::unit(to - walker.place.at);
+  }
+  return is_there && next().out != Point{} ? next().out : path_.direction(at_m_);
+}
+
+Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
+  if (first_ && at_m_ < kStarted_m && now - begun_ < kStartedFor) return Phase::Start;
+  const bool in_it = at_m_ > next().at_m - 0.3;
+  const double ahead_m = to_next_m();
+  if (changes_level(next()) && in_it) return Phase::Now;
+  const auto rest = turn_to(aim(walker), walker);
+  if (!rest || std::abs(*rest) < kAlong_rad) aligned_ = true;
+  if (rest && std::abs(*rest) > kAstray_rad) aligned_ = false;
+  if (!aligned_ && (ahead_m >= 1.0 || next().kind == Instruction::ARRIVE)) return Phase::Align;
+  if (next().kind == Instruction::ARRIVE) return Phase::Ahead;
+  return ahead_m <= kNow_m ? Phase::Now : ahead_m <= kAnnounced_m ? Phase::Announced : Phase::Ahead;
+}
+
+NextTurn::TypeOfTurn Guide::hour(Phase phase, const Walker& walker) const {
+  if (phase == Phase::Arrived) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
+  const bool at_turn = (phase == Phase::Now && to_next_m() >= 1.0) || phase == Phase::Announced;
+  const Point to = at_turn ? next().out : aim(walker);
+  if (to == Point{}) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
+  if (const auto rest = turn_to(to, walker)) return hour_of(*rest);
+  // Not known where the walker looks: along the path.
+  const Point along = path_.direction(std::max(0.0, at_turn ? next().at_m - 0.1 : at_m_));
+  return along == Point{} ? NextTurn::TYPE_OF_TURN_UNSPECIFIED : hour_of(-std::atan2(cross(along, to), dot(along, to)));
+}
+
+void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
+  Instruction& made = advice.instruction;
+  const bool now = key.phase == Phase::Start || key.phase == Phase::Align || key.phase == Phase::Arrived;
+  made.set_kind(key.phase == Phase::Arrived ? Instruction::ARRIVE
+                : key.phase == Phase::Start ? Instruction::START
+                : key.phase == Phase::Align ? Instruction::TURN
+                : key.phase == Phase::Ahead ? Instruction::CONTINUE
+                                            : next().kind);
+  made.set_distance(now ? 0.0 : to_next_m());
+  made.set_hour(hour(key.phase, walker));
+  made.set_level(path_.place(now ? at_m_ : next().at_m).level);
+  if ((key.phase == Phase::Now || key.phase == Phase::Announced) && next().to_level) made.set_to_level(*next().to_level);
+  if (advice.is_new) words_ = words(key, made, walker);
+  made.set_text(words_);
+  made.set_language("en");
+  if (key.phase == Phase::Start || key.phase == Phase::Align) {
+    advice.turn.set_distance_to_turn(0);
+    advice.turn.set_type_of_turn(made.hour());
+  } else if (key.phase != Phase::Arrived && next().out != Point{}) {
+    advice.turn.set_distance_to_turn(static_cast<std::uint32_t>(std::lround(1000.0 * to_next_m())));
+    advice.turn.set_type_of_turn(hour(key.phase == Phase::Ahead ? Phase::Announced : key.phase, walker));
+  }
+}
+
+std::string Guide::words(const Key& key, const Instruction& instruction, const Walker& walker) const {
+  switch (key.phase) {
+    case Phase::Arrived: return "You have arrived: " + destination_ + ".";
+    case Phase::Start:
+      return "To " + destination_ + ", " + metres(path_.route().length_m) + ": " +
+             (instruction.hour() == NextTurn::HOUR_6    ? "turn around"
+              : instruction.hour() == NextTurn::HOUR_12 ? "go straight on"
+                                                        : "turn " + direction_words(instruction.hour())) +
+             ".";
+    case Phase::Align:
+      return instruction.hour() == NextTurn::HOUR_6 ? "Turn around."
+                                                    : "Turn " + direction_words(instruction.hour()) + " to the path.";
+    case Phase::Ahead:
+      return next().kind == Instruction::ARRIVE ? "Go on for " + metres(to_next_m()) + " to " + destination_ + "."
+                                                : "Go straight on for " + metres(to_next_m()) + ".";
+    default: break;
+  }
+  const bool now = key.phase == Phase::Now;
+  return maneuver_words(plan_.plan, next(), instruction.hour(), walker.place.level,
+                        now ? std::nullopt : std::optional(to_next_m()));
+}
+
+}  // namespace fiona::guidance

@@ -1,0 +1,84 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <fiona/hmi.pb.h>
+#include <fiona/time.hpp>
+
+#include "level_plan.hpp"
+#include "maneuvers.hpp"
+
+namespace fiona::guidance {
+
+struct Walker {
+  building::PathPoint place{};
+  std::optional<double> heading_rad{};  ///< clockwise from true north
+  double sigma_m = 0.0;                 ///< of the place, along its longer axis
+};
+
+/// Leads a walker along a path. A turn is announced 6 m before it and again at 2 m, hours are those on a clock face in
+/// front of the walker, and a walker who looks elsewhere is turned to the path first. No direction that it gives leads
+/// through a wall.
+class Guide {
+ public:
+  static constexpr double kAnnounced_m = 6.0;
+  static constexpr double kNow_m = 2.0;
+
+  /// `plan` must outlive it. `first`: the walk begins, and is told as such.
+  Guide(const LevelPlan& plan, building::Route route, std::string destination, bool first, TimePoint now);
+
+  struct Advice {
+    hmi::Instruction instruction{};  ///< without number
+    bool is_new = false;             ///< another instruction than the one before, to be numbered
+    hmi::NextTurn turn{};
+    bool off_path = false;  ///< for some time: another path is needed
+    bool arrived = false;
+  };
+  Advice follow(const Walker& walker, TimePoint now);
+
+  const Path& path() const { return path_; }
+  /// Where on the path the walker is.
+  double at_m() const { return at_m_; }
+
+ private:
+  enum class Phase { Start, Align, Ahead, Announced, Now, Arrived };
+  struct Key {
+    Phase phase = Phase::Ahead;
+    std::size_t maneuver = 0;
+    int repeated = 0;
+    bool operator==(const Key&) const = default;
+  };
+
+  void locate(const Walker& walker, TimePoint now);
+  void pass(const Walker& walker);
+  bool has_passed(const Maneuver& maneuver, const Walker& walker) const;
+  bool arrived(const Walker& walker) const;
+  Phase phase_of(const Walker& walker, TimePoint now);
+  building::Point aim(const Walker& walker) const;
+  std::optional<double> turn_to(building::Point direction, const Walker& walker) const;
+  hmi::NextTurn::TypeOfTurn hour(Phase phase, const Walker& walker) const;
+  void fill(Advice& advice, const Key& key, const Walker& walker);
+  std::string words(const Key& key, const hmi::Instruction& instruction, const Walker& walker) const;
+  const Maneuver& next() const { return maneuvers_[next_]; }
+  double to_next_m() const { return std::max(0.0, next().at_m - at_m_); }
+
+  const LevelPlan& plan_;
+  const Path path_;
+  const std::vector<Maneuver> maneuvers_;
+  const std::string destination_;
+  const bool first_;
+  const TimePoint begun_;
+
+  double at_m_ = 0.0;
+  std::size_t next_ = 0;
+  bool aligned_ = true;
+  std::optional<TimePoint> wrong_since_;
+  std::optional<Key> said_;
+  std::string words_;
+  double said_at_m_ = 0.0;
+  TimePoint said_since_{};
+};
+
+}  // namespace fiona::guidance

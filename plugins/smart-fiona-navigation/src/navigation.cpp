@@ -1,0 +1,418 @@
+#include "navigation.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include <fiona/building/geometry.hpp>
+#include <fiona/building/levels.hpp>
+
+#include "words.hpp"
+
+namespace fiona::guidance {
+namespace {
+
+using building::PathPoint;
+using building::Point;
+using hmi::Instruction;
+using navigation::CommPlan;
+using namespace std::chrono_literals;
+
+/// A provider of places is silent after so long; the person is told, and does not walk on.
+constexpr auto kLost = 1500ms;
+constexpr auto kAgain = 2s;
+constexpr auto kProfileDeadline = 500ms;
+constexpr auto kProfilePeriod = 5s;
+constexpr auto kPlannerGrace = 500ms;
+constexpr auto kOnStairs = 5s;
+/// Without a compass the course tells where a person looks: over so much way, and for so long.
+constexpr double kCourse_m = 1.0;
+constexpr auto kCourseFor = 4s;
+constexpr int kMostWaypoints = 4096;
+/// 95 % of two dimensions lie within so many standard deviations.
+constexpr double kRegionSigmas = 2.4477;
+
+double radians(double degrees) { return degrees * std::numbers::pi / 180.0; }
+
+Covariance covariance_of(const localisation::CommPosition& position) {
+  if (position.confidence_size() != 9) return {};
+  return {std::max(0.0, position.confidence(0)), position.confidence(1), std::max(0.0, position.confidence(4))};
+}
+
+/// Why a call to another component gave nothing.
+template <class T>
+std::string reason_of(const Result<T>& result) {
+  switch (result.outcome()) {
+    case Outcome::Timeout: return "it does not answer";
+    case Outcome::Unwired: return "there is none";
+    case Outcome::Rejected: return result.reason();
+    default: return "it is gone";
+  }
+}
+
+}  // namespace
+
+void Navigation::on_destination(const navigation::CommDestination& wish) {
+  end_guidance();
+  trip_ = Trip{.number = ++trips_, .wish = wish};
+  trip_->goal = {{wish.destination().x(), wish.destination().y()}, wish.destination().z()};
+  plan_due_ = true;
+  try_at_ = now();
+  profile_at_.reset();
+  options_ = {.access = 0};
+  passing_.watch({});
+  if (!watches_) map_due_ = true;  // nobody tells of changes
+}
+
+void Navigation::on_map_change(const Fired<navigation::LevelMapVersion>& change) {
+  if (!map_ || map_->plan.version != change->version()) map_due_ = true;
+}
+
+/// All that guidance waits for is done here, one after the other.
+Async<> Navigation::work() {
+  watch_location();
+  instructions_.still_valid();
+  turn_.still_valid();
+  path_.still_valid();
+  if (map_due_) co_await fetch_map();
+  if (trip_ && guide_ && profile_at_ && now() - *profile_at_ >= kProfilePeriod) co_await refresh_profile();
+  if (trip_ && plan_due_ && now() >= try_at_) co_await plan();
+}
+
+Async<> Navigation::watch_map() {
+  if (watches_ || change_.connection() != Connection::Connected) co_return;
+  navigation::LevelMapVersion known;
+  if (map_) known.set_version(map_->plan.version);
+  const auto activation = co_await change_.activate(EventMode::Continuous, known);
+  watches_ = activation.ok();
+}
+
+Async<> Navigation::fetch_map() {
+  map_due_ = false;
+  const auto answer = co_await levels_.query({});
+  map_fault_.clear();
+  try {
+    if (answer) {
+      map_ = std::make_shared<Map>(read_level_plan(**answer));
+    } else {
+      map_fault_ = "there is no map of the building: " + reason_of(answer);
+    }
+  } catch (const Error& error) {
+    map_fault_ = error.text().what;
+  }
+  if (!map_fault_.empty()) {
+    log(LogLevel::Warning, map_fault_);
+    // A map that cannot be read is not led by, and neither is the one before it: a door may be closed.
+    map_.reset();
+  }
+  if (trip_) plan_due_ = true, try_at_ = now();
+}
+
+Async<std::optional<Navigation::Refusal>> Navigation::ask_profile() {
+  hmi::CommUserProfileRequest request;
+  request.set_user_name(trip_->wish.user_name());
+  request.set_session(trip_->wish.session());
+  const bool guest = request.user_name().empty() && request.session().empty();
+  const std::uint64_t number = trip_->number;
+  const auto answer = co_await profile_.query(std::move(request), kProfileDeadline);
+  if (!is_trip(number)) co_return std::nullopt;
+  profile_at_ = now();
+  if (!answer) {
+    if (guest && answer.outcome() == Outcome::Unwired) co_return std::nullopt;
+    const bool refused = answer.outcome() == Outcome::Rejected;
+    co_return Refusal{"Your profile cannot be had: " + reason_of(answer) + ".",
+                      refused ? std::nullopt : std::optional<Duration>(kAgain)};
+  }
+  const hmi::CommUserProfileReply& profile = **answer;
+  options_ = {.stairs = !profile.has_use_stairs() || profile.use_stairs(),
+              .lift = !profile.has_use_elevator() || profile.use_elevator(),
+              .outdoors = !profile.has_use_outdoor_navigation() || profile.use_outdoor_navigation(),
+              .access = profile.authentication_level()};
+  std::vector<Landmark> points;
+  for (const std::string& text : profile.landmark_list()) {
+    if (auto point = parse_landmark(text)) {
+      points.push_back(std::move(*point));
+    } else if (!std::exchange(refused_point_, true)) {
+      log(LogLevel::Warning, "a point of attention is no 'X,Y,Z NAME': " + text);
+    }
+  }
+  passing_.watch(std::move(points));
+  co_return std::nullopt;
+}
+
+/// A profile that is changed on the way holds from then on; one that cannot be had just now stays as it was.
+Async<> Navigation::refresh_profile() {
+  const building::RouteOptions before = options_;
+  const auto refusal = co_await ask_profile();
+  if (refusal && !refusal->again) {
+    end_guidance();
+    trip_.reset();
+    say(Instruction::NO_PATH, refusal->text);
+  }
+  if (before.stairs != options_.stairs || before.lift != options_.lift || before.outdoors != options_.outdoors ||
+      before.access != options_.access) {
+    plan_due_ = true;
+  }
+}
+
+Async<> Navigation::plan() {
+  const std::uint64_t number = trip_->number;
+  const auto from = start();
+  if (!from) co_return;
+  plan_due_ = false;
+  std::optional<Refusal> refusal;
+  if (!map_) {
+    map_due_ = true;
+    refusal = Refusal{"The way cannot be planned: " + map_fault_ + ".", kAgain};
+  } else {
+    refusal = check(*trip_);
+  }
+  if (!refusal && !profile_at_) {
+    refusal = co_await ask_profile();
+    if (refusal) profile_at_.reset();
+    if (!is_trip(number)) co_return;
+  }
+  if (!refusal) refusal = co_await find_path(*from);
+  if (!is_trip(number) || !refusal) co_return;
+  end_guidance();
+  say(Instruction::NO_PATH, refusal->text);
+  if (!refusal->again) co_return;
+  plan_due_ = true;
+  try_at_ = now() + *refusal->again;
+}
+
+std::optional<Navigation::Refusal> Navigation::check(const Trip& trip) const {
+  const localisation::CommPosition& place = trip.wish.destination();
+  if (!place.is_valid()) return Refusal{"The destination is not a valid place.", {}};
+  if (!place.has_z()) return Refusal{"The destination has no level: destinations are indoors.", {}};
+  if (!map_->plan.level_near(place.z(), 0.0)) {
+    return Refusal{map_->plan.name + " has no level " + building::level_text(place.z()) + ".", {}};
+  }
+  if (building::approaches(map_->plan.plan, map_->plan.graph, trip.goal).empty()) {
+    return Refusal{"The destination is in no room of " + map_->plan.name + ".", {}};
+  }
+  return std::nullopt;
+}
+
+/// Where to plan from. On stairs and in a lift that waits until a level is reached, for a while.
+std::optional<PathPoint> Navigation::start() {
+  if (!walker_ || now() - located_ > kLost) return std::nullopt;  // told already
+  if (!map_) return walker_->place;
+  auto level = map_->plan.level_near(walker_->place.level, 0.3);
+  if (!level) {
+    if (!between_levels_) between_levels_ = now();
+    if (now() - *between_levels_ < kOnStairs) return std::nullopt;
+    level = map_->plan.level_near(walker_->place.level, 1.0);
+  } else {
+    between_levels_.reset();
+  }
+  return PathPoint{walker_->place.at, level.value_or(walker_->place.level)};
+}
+
+Async<std::optional<Navigation::Refusal>> Navigation::find_path(PathPoint from) {
+  const std::shared_ptr<Map> map = map_;
+  const std::uint64_t number = trip_->number;
+  if (building::approaches(map->plan.plan, map->plan.graph, from).empty()) {
+    co_return Refusal{"You are at a place from which the map knows no way. Go to a corridor or a room.", kAgain};
+  }
+  if (!map->tasks || !map->tasks->suits(from, options_)) {
+    map->tasks = std::make_unique<TaskGraph>(map->plan, from, options_);
+  }
+  const TaskGraph::Request request = map->tasks->request(from, trip_->goal);
+  navigation::CommPlanRequest question;
+  question.set_domain(task_domain());
+  question.set_problem(request.problem());
+  question.set_search(navigation::CommPlanRequest::OPTIMAL);
+  question.set_time_bound(params_->planning_time());
+  const Duration deadline = std::chrono::milliseconds(params_->planning_time()) + kPlannerGrace;
+  const auto answer = co_await planner_.query(std::move(question), deadline);
+  if (!is_trip(number)) co_return std::nullopt;
+  if (!answer) co_return Refusal{"The way cannot be planned: the planner fails, " + reason_of(answer) + ".", kAgain};
+  const CommPlan& plan = **answer;
+  planned_in_.set(plan.time());
+  if (plan.outcome() == CommPlan::UNSOLVABLE) co_return no_way(*map, from);
+  if (plan.outcome() != CommPlan::SOLVED) {
+    log(LogLevel::Warning, "the planner: " + plan.message());
+    co_return Refusal{"The way cannot be planned: " + plan.message() + ".", kAgain};
+  }
+  try {
+    begin_guidance(map, request.route(plan));
+  } catch (const Error& error) {
+    log(LogLevel::Error, error.what());
+    co_return Refusal{"The way cannot be planned: " + error.text().what + ".", kAgain};
+  }
+  co_return std::nullopt;
+}
+
+/// Which wish of the profile stands in the way.
+Navigation::Refusal Navigation::no_way(const Map& map, const PathPoint& from) const {
+  const auto leads = [&](const building::RouteOptions& options) {
+    return building::find_route(map.plan.plan, map.plan.graph, from, trip_->goal, options).has_value();
+  };
+  building::RouteOptions more = options_;
+  const std::string to = goal_name();
+  const std::string no = "There is no way to " + to;
+  more.access = 9;
+  if (leads(more)) return {no + " that is open to you: doors on it need another right.", {}};
+  more = options_, more.stairs = true;
+  if (leads(more)) return {no + " without stairs, and your profile leaves stairs out.", {}};
+  more = options_, more.lift = true;
+  if (leads(more)) return {no + " without a lift, and your profile leaves lifts out.", {}};
+  more = options_, more.outdoors = true;
+  if (leads(more)) return {no + " within the building, and your profile stays indoors.", {}};
+  if (leads({})) return {no + " that your profile allows.", {}};
+  return {no + " from here.", {}};
+}
+
+std::string Navigation::goal_name() const {
+  const auto room = map_ ? map_->plan.room_name(trip_->goal) : std::nullopt;
+  return room && !room->empty() ? *room : "the destination";
+}
+
+void Navigation::begin_guidance(std::shared_ptr<Map> map, building::Route route) {
+  if (route.points.size() > static_cast<std::size_t>(kMostWaypoints)) {
+    throw Error(ErrorCode::Failed, "the way has " + std::to_string(route.points.size()) + " places, more than a path may");
+  }
+  const bool first = !std::exchange(trip_->begun, true);
+  guide_.reset();
+  led_by_ = std::move(map);
+  guide_.emplace(led_by_->plan, std::move(route), goal_name(), first, now());
+  other_said_ = true;
+  plans_.set(++plans_count_);
+  put_path(&guide_->path().route());
+  lead();
+}
+
+void Navigation::end_guidance() {
+  if (guide_) put_path(nullptr);
+  guide_.reset();
+  led_by_.reset();
+}
+
+void Navigation::on_location(const Received<localisation::CommLocation>& location) {
+  const localisation::CommPosition& position = location->position();
+  if (!location->is_valid() || !position.is_valid()) return;
+  const ShownPosition::Shown shown =
+      blender_.follow({position.x(), position.y()}, covariance_of(position), now());
+  note_heading(*location);
+  std::optional<double> heading = course_rad_;
+  if (location->orientation().is_valid()) {
+    // Yaw goes counter-clockwise from magnetic north.
+    heading = radians(params_->declination()) - location->orientation().yaw();
+  }
+  const double sigma_m = shown.covariance.sigma_m();
+  walker_ = Walker{{shown.at, position.z()}, heading, sigma_m};
+  uncertain_ = shown.blending || kRegionSigmas * sigma_m > params_->uncertain_radius();
+  located_ = now();
+  put_shown(*location, shown);
+  lead();
+  tell_passed_points();
+}
+
+void Navigation::note_heading(const localisation::CommLocation& location) {
+  const Point at{location.position().x(), location.position().y()};
+  if (!course_from_ || now() - course_from_->second > kCourseFor) {
+    if (course_from_) course_rad_.reset();
+    course_from_ = {at, now()};
+  } else if (const Point way = at - course_from_->first; length_m(way) > kCourse_m) {
+    course_rad_ = std::atan2(way.x_m, way.y_m) + (map_ ? map_->plan.heading_rad : 0.0);
+    course_from_ = {at, now()};
+  }
+}
+
+void Navigation::watch_location() {
+  if (walker_ && now() - located_ <= kLost) return;
+  blender_.forget();
+  course_from_.reset();
+  course_rad_.reset();
+  if (!trip_) return;
+  say(Instruction::LOST, walker_ ? "Your place is not known any more. Stop, and wait."
+                                 : "Your place is not known yet. Stay where you are.");
+}
+
+void Navigation::lead() {
+  if (!guide_ || !walker_) return;
+  const Guide::Advice advice = guide_->follow(*walker_, now());
+  if (advice.off_path) {
+    reroutes_.set(++reroutes_count_);
+    end_guidance();
+    plan_due_ = true;
+    try_at_ = now();
+    return say(Instruction::REROUTE, "You have left the path. Stop: another one is being planned.");
+  }
+  const bool again = std::exchange(other_said_, false);
+  say(advice.instruction, advice.is_new || again);
+  turn_.put(advice.turn);
+  if (!advice.arrived) return;
+  end_guidance();
+  trip_.reset();
+}
+
+void Navigation::tell_passed_points() {
+  if (!map_) return;
+  for (const Landmark& point : passing_.follow(map_->plan, walker_->place, params_->attention_distance())) {
+    Instruction attention;
+    attention.set_kind(Instruction::ATTENTION);
+    attention.set_text("You are passing " + (point.name.empty() ? "a point of attention" : point.name) + ".");
+    attention.set_language("en");
+    attention.set_level(point.place.level);
+    attention.set_distance(distance_m(walker_->place.at, point.place.at));
+    attention.set_number(++number_);
+    attention.set_uncertain(uncertain_);
+    instructions_.put(attention);
+  }
+}
+
+/// The same sentence is said once; who comes later is given it by the service.
+void Navigation::say(Instruction::Kind kind, const std::string& text) {
+  const bool is_new = said_.kind() != kind || said_.text() != text;
+  if (!is_new) return;
+  Instruction instruction;
+  instruction.set_kind(kind);
+  instruction.set_text(text);
+  instruction.set_language("en");
+  say(std::move(instruction), true);
+  turn_.put(hmi::NextTurn{});  // no direction
+  other_said_ = true;
+}
+
+void Navigation::say(Instruction instruction, bool is_new) {
+  if (is_new) ++number_;
+  instruction.set_number(is_new ? number_ : said_.number());
+  instruction.set_uncertain(uncertain_ || instruction.kind() == Instruction::LOST);
+  said_ = instruction;
+  instructions_.put(std::move(instruction));
+}
+
+void Navigation::put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown) {
+  localisation::CommLocation told = location;
+  localisation::CommPosition& position = *told.mutable_position();
+  position.set_x(shown.at.x_m);
+  position.set_y(shown.at.y_m);
+  if (shown.blending) position.mutable_confidence()->Resize(9, 0.0);
+  if (position.confidence_size() == 9) {
+    position.set_confidence(0, shown.covariance.xx_m2);
+    position.set_confidence(1, shown.covariance.xy_m2);
+    position.set_confidence(3, shown.covariance.xy_m2);
+    position.set_confidence(4, shown.covariance.yy_m2);
+  }
+  shown_.put(std::move(told));
+}
+
+void Navigation::put_path(const building::Route* route) {
+  navigation::CommPath path;
+  path.set_is_valid(route != nullptr);
+  if (route) {
+    for (const building::RoutePoint& point : route->points) {
+      localisation::CommPosition& waypoint = *path.add_waypoints();
+      waypoint.set_x(point.at.x_m);
+      waypoint.set_y(point.at.y_m);
+      waypoint.set_z(point.level);
+      waypoint.set_is_valid(true);
+    }
+  }
+  path_.put(std::move(path));
+}
+
+}  // namespace fiona::guidance

@@ -1,0 +1,296 @@
+// The navigation component on the bench.
+#include <cmath>
+#include <memory>
+#include <numbers>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "fiona/testing/bench.hpp"
+#include "navigation.hpp"
+#include "navigation_world.hpp"
+
+namespace fiona::guidance {
+namespace {
+
+using hmi::Instruction;
+using hmi::InstructionProvider;
+using hmi::NextTurn;
+using localisation::CommLocation;
+using localisation::LocationProvider;
+using ::testing::HasSubstr;
+using namespace std::chrono_literals;
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+
+CommLocation location(double x, double y, double level, double heading_deg = 0, double sigma_m = 0.1) {
+  CommLocation told;
+  told.set_is_valid(true);
+  auto& position = *told.mutable_position();
+  position.set_x(x);
+  position.set_y(y);
+  position.set_z(level);
+  position.set_is_valid(true);
+  const double var = sigma_m * sigma_m;
+  for (double element : {var, 0.0, 0.0, 0.0, var, 0.0, 0.0, 0.0, 0.0}) position.add_confidence(element);
+  auto& orientation = *told.mutable_orientation();
+  orientation.set_yaw(std::fmod((720 - heading_deg) * kDegree, 2 * std::numbers::pi));
+  orientation.set_is_valid(true);
+  return told;
+}
+
+navigation::CommDestination destination(double x, double y, double level) {
+  navigation::CommDestination wish;
+  wish.mutable_destination()->set_x(x);
+  wish.mutable_destination()->set_y(y);
+  wish.mutable_destination()->set_z(level);
+  wish.mutable_destination()->set_is_valid(true);
+  return wish;
+}
+
+/// Navigation in the house of the tests, with map, planner and profile on the bench.
+struct Led {
+  explicit Led(const building::Osm& osm = world::house()) : map(world::told(osm.read())) {
+    bench.answer_with<navigation::LevelMap>("levels", [this](const auto&) { return map; });
+    bench.answer_with<navigation::PlanProvider>("planner", [](const auto& request) { return world::solve(request); });
+    bench.answer_with<hmi::ProfileProvider>("profile", [this](const auto& request) {
+      asked = request;
+      return profile;
+    });
+    bench.start();
+  }
+  void stand(const CommLocation& at, Duration time = 600ms) {
+    for (Duration passed{}; passed < time; passed += 200ms) {
+      bench.put<LocationProvider>("location", at);
+      bench.advance(200ms);
+    }
+  }
+  void go_to(const navigation::CommDestination& wish) { bench.put<navigation::DestinationProvider>("destination", wish); }
+  std::vector<Instruction> said() {
+    std::vector<Instruction> all;
+    for (const auto& one : bench.take<InstructionProvider>("instructions")) all.push_back(*one);
+    return all;
+  }
+  Instruction last() {
+    const auto all = said();
+    return all.empty() ? Instruction{} : all.back();
+  }
+  std::vector<navigation::CommPath> paths() {
+    std::vector<navigation::CommPath> all;
+    for (const auto& one : bench.take<navigation::PathProvider>("path")) all.push_back(*one);
+    return all;
+  }
+
+  testing::Bench<Navigation> bench{"nav"};
+  navigation::CommLevelMap map;
+  hmi::CommUserProfileReply profile;
+  hmi::CommUserProfileRequest asked;
+};
+
+TEST(Navigation, ADestinationGivesAPathAndAnInstruction) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0));
+  const auto paths = led.paths();
+  ASSERT_EQ(paths.size(), 1u);
+  EXPECT_TRUE(paths[0].is_valid());
+  EXPECT_DOUBLE_EQ(paths[0].waypoints(0).x(), 5);
+  EXPECT_DOUBLE_EQ(paths[0].waypoints().rbegin()->z(), 1);
+  const Instruction first = led.last();
+  EXPECT_EQ(first.kind(), Instruction::START);
+  EXPECT_THAT(first.text(), HasSubstr("To D, "));
+  EXPECT_EQ(first.number(), 1u);
+  EXPECT_EQ(led.bench.probe<std::int64_t>("plans"), 1);
+}
+
+TEST(Navigation, TheProfileOfTheSessionIsAskedForAndObeyed) {
+  Led led;
+  led.profile.set_use_stairs(false);
+  led.stand(location(5, 6, 0));
+  auto wish = destination(25, 6, 1);
+  wish.set_user_name("ada");
+  wish.set_session("0123456789abcdef");
+  led.go_to(wish);
+  led.stand(location(5, 6, 0));
+  EXPECT_EQ(led.asked.user_name(), "ada");
+  EXPECT_EQ(led.asked.session(), "0123456789abcdef");
+  bool by_lift = false;
+  const auto paths = led.paths();
+  ASSERT_EQ(paths.size(), 1u);
+  for (const auto& place : paths[0].waypoints()) by_lift = by_lift || std::abs(place.x() - 28) < 0.1;
+  EXPECT_TRUE(by_lift);
+}
+
+TEST(Navigation, AQuarterTurnRightIsHourThreeWhereTheCompassIsFifteenDegreesOff) {
+  Led led;
+  led.bench.set("declination", 15);
+  // East along the hall to the door of C in the north: the compass, held to the east, reads 90 - 15 degrees.
+  led.stand(location(10, 2, 0, 90 - 15));
+  led.go_to(destination(25, 6, 0));
+  led.stand(location(10, 2, 0, 90 - 15));
+  const auto turns = led.bench.take<hmi::LocalPath>("turn");
+  ASSERT_FALSE(turns.empty());
+  led.stand(location(12, 2, 0, 90 - 15), 4s);
+  const auto later = led.bench.take<hmi::LocalPath>("turn");
+  EXPECT_EQ(later.back()->type_of_turn(), NextTurn::HOUR_9);  // north, seen from who looks east
+  EXPECT_GT(later.back()->distance_to_turn(), 10000u);
+}
+
+TEST(Navigation, EveryDestinationThatLeadsNowhereIsASentence) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  const auto answer_to = [&](navigation::CommDestination wish) {
+    led.go_to(wish);
+    led.stand(location(5, 6, 0));
+    const Instruction last = led.last();
+    EXPECT_EQ(last.kind(), Instruction::NO_PATH) << last.ShortDebugString();
+    return last.text();
+  };
+  auto invalid = destination(25, 6, 1);
+  invalid.mutable_destination()->set_is_valid(false);
+  EXPECT_EQ(answer_to(invalid), "The destination is not a valid place.");
+  auto outdoors = destination(25, 6, 1);
+  outdoors.mutable_destination()->clear_z();
+  EXPECT_EQ(answer_to(outdoors), "The destination has no level: destinations are indoors.");
+  EXPECT_EQ(answer_to(destination(25, 6, 7)), "house has no level 7.");
+  EXPECT_EQ(answer_to(destination(500, 6, 1)), "The destination is in no room of house.");
+  EXPECT_EQ(answer_to(destination(15, 6, 0)), "There is no way to B that is open to you: doors on it need another right.");
+  led.profile.set_use_stairs(false);
+  led.profile.set_use_elevator(false);
+  EXPECT_EQ(answer_to(destination(25, 6, 1)), "There is no way to D without stairs, and your profile leaves stairs out.");
+}
+
+TEST(Navigation, AMapWithoutLevelsIsTold) {
+  Led led;
+  led.map.clear_levels();
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0));
+  EXPECT_EQ(led.last().text(), "The way cannot be planned: the map of house has no levels.");
+}
+
+TEST(Navigation, APlannerThatIsLateIsToldAndTriedAgain) {
+  Led led;
+  bool answers = false;
+  led.bench.answer_with<navigation::PlanProvider>("planner", [&](const auto& request) { return world::solve(request); });
+  Led late;
+  int asked = 0;
+  late.bench.answer_with<navigation::PlanProvider>("planner", [&](const auto& request) {
+    ++asked;
+    if (answers) return world::solve(request);
+    navigation::CommPlan plan;
+    plan.set_outcome(navigation::CommPlan::OUT_OF_TIME);
+    plan.set_message("no plan was found within the time bound of 1000 ms");
+    return plan;
+  });
+  late.stand(location(5, 6, 0));
+  late.go_to(destination(25, 6, 1));
+  late.stand(location(5, 6, 0));
+  EXPECT_EQ(late.last().text(), "The way cannot be planned: no plan was found within the time bound of 1000 ms.");
+  answers = true;
+  late.stand(location(5, 6, 0), 3s);
+  EXPECT_EQ(late.last().kind(), Instruction::START);
+  EXPECT_EQ(asked, 2);
+}
+
+TEST(Navigation, APlannerThatDoesNotAnswerIsTold) {
+  testing::Bench<Navigation> bench("nav");
+  const auto map = world::told(world::house().read());
+  bench.answer_with<navigation::LevelMap>("levels", [&](const auto&) { return map; });
+  bench.start();
+  bench.put<LocationProvider>("location", location(5, 6, 0));
+  bench.put<navigation::DestinationProvider>("destination", destination(25, 6, 0));
+  for (int i = 0; i < 20; ++i) {
+    bench.put<LocationProvider>("location", location(5, 6, 0));
+    bench.advance(200ms);
+  }
+  std::string told;
+  for (const auto& one : bench.take<InstructionProvider>("instructions")) told = one->text();
+  EXPECT_THAT(told, HasSubstr("it does not answer"));
+}
+
+TEST(Navigation, WhoseLocalisationIsSilentIsToldToStopAndThenLedOn) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0));
+  led.said();
+  led.bench.advance(2s);
+  const auto told = led.said();
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_EQ(told[0].kind(), Instruction::LOST);
+  EXPECT_TRUE(told[0].uncertain());
+  led.stand(location(5, 6, 0), 200ms);
+  const Instruction again = led.last();
+  EXPECT_NE(again.kind(), Instruction::LOST);
+  EXPECT_EQ(again.number(), told[0].number() + 1);
+}
+
+TEST(Navigation, WhoLeavesThePathIsToldAndLedFromThere) {
+  Led led;
+  led.stand(location(5, 2, 0, 90));
+  led.go_to(destination(25, 6, 0));
+  led.stand(location(5, 2, 0, 90), 1s);
+  led.paths();
+  led.said();
+  led.stand(location(5, 6, 0, 90), 7s);  // into A: behind a wall
+  std::vector<int> kinds;
+  for (const auto& one : led.said()) kinds.push_back(one.kind());
+  EXPECT_THAT(kinds, ::testing::Contains(int{Instruction::REROUTE}));
+  const auto paths = led.paths();
+  ASSERT_GE(paths.size(), 2u);
+  EXPECT_FALSE(paths.front().is_valid());
+  EXPECT_TRUE(paths.back().is_valid());
+  EXPECT_NEAR(paths.back().waypoints(0).y(), 6, 0.5);
+  EXPECT_EQ(led.bench.probe<std::int64_t>("reroutes"), 1);
+}
+
+TEST(Navigation, AtTheDestinationThePersonIsToldAndThePathEnds) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(8, 6, 0));
+  led.stand(location(5, 6, 0));
+  led.stand(location(7.2, 6, 0), 3s);
+  EXPECT_EQ(led.last().kind(), Instruction::ARRIVE);
+  EXPECT_FALSE(led.paths().back().is_valid());
+}
+
+TEST(Navigation, APointOfAttentionStandsBesideTheInstruction) {
+  Led led;
+  led.profile.add_landmark_list("5,6,0 statue");
+  led.profile.add_landmark_list("5,6,1 fountain");
+  led.profile.add_landmark_list("nonsense");
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0), 1s);
+  std::vector<std::string> told;
+  for (const auto& one : led.said()) {
+    if (one.kind() == Instruction::ATTENTION) told.push_back(one.text());
+  }
+  EXPECT_THAT(told, ::testing::ElementsAre("You are passing statue."));
+  EXPECT_THAT(led.bench.log(), ::testing::Contains(HasSubstr("nonsense")));
+}
+
+TEST(Navigation, TheLocationShownIsBlendedAndTheInstructionSaysUncertain) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(8, 6, 0));
+  led.stand(location(5, 6, 0));
+  led.bench.take<LocationProvider>("shown");
+  led.said();
+  led.stand(location(2, 6, 0), 200ms);
+  const auto shown = led.bench.take<LocationProvider>("shown");
+  ASSERT_EQ(shown.size(), 1u);
+  EXPECT_NEAR(shown[0]->position().x(), 5, 0.3);
+  EXPECT_GT(shown[0]->position().confidence(0), 1.0);
+  EXPECT_TRUE(led.last().uncertain());
+  led.stand(location(2, 6, 0), 4s);
+  EXPECT_EQ(led.bench.take<LocationProvider>("shown").back()->position().x(), 2);
+  EXPECT_FALSE(led.last().uncertain());
+}
+
+}  // namespace
+}  // namespace fiona::guidance

@@ -1,0 +1,473 @@
+// How navigation finds a way and leads along it, without component and clock.
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <numbers>
+#include <random>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "fiona/error.hpp"
+#include "guide.hpp"
+#include "landmarks.hpp"
+#include "navigation_world.hpp"
+#include "shown_position.hpp"
+#include "words.hpp"
+
+namespace fiona::guidance {
+namespace {
+
+using building::Building;
+using building::PathPoint;
+using building::RouteOptions;
+using hmi::Instruction;
+using hmi::NextTurn;
+using world::house;
+using world::plan_of;
+using world::solve;
+using ::testing::HasSubstr;
+using namespace std::chrono_literals;
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+
+TimePoint at(double seconds) { return TimePoint(Duration(static_cast<std::int64_t>(seconds * 1e9))); }
+
+// ---- tasks
+
+std::vector<std::string> actions(const navigation::CommPlan& plan) {
+  std::vector<std::string> names;
+  for (const auto& step : plan.steps()) names.push_back(step.action());
+  return names;
+}
+
+building::Route way(const LevelPlan& plan, PathPoint from, PathPoint to, const RouteOptions& options = {}) {
+  TaskGraph tasks(plan, from, options);
+  const auto request = tasks.request(from, to);
+  return request.route(solve(request));
+}
+
+const PathPoint kA{{5, 6}, 0};
+const PathPoint kB{{15, 6}, 0};
+const PathPoint kC{{25, 6}, 0};
+const PathPoint kD{{25, 6}, 1};
+
+TEST(Tasks, AWayThroughDoorsAndByStairsIsWalkPassClimb) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph tasks(plan, kA, {.lift = false});
+  const auto found = solve(tasks.request(kA, kD));
+  EXPECT_THAT(actions(found), ::testing::ElementsAre("walk", "pass", "walk", "climb", "walk", "pass", "walk"));
+  EXPECT_TRUE(found.is_optimal());
+}
+
+TEST(Tasks, WithoutStairsTheLiftIsRidden) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph tasks(plan, kA, {.stairs = false});
+  EXPECT_THAT(actions(solve(tasks.request(kA, kD))), ::testing::Contains("ride"));
+}
+
+TEST(Tasks, WithoutEitherThereIsNoPlan) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph tasks(plan, kA, {.stairs = false, .lift = false});
+  EXPECT_EQ(solve(tasks.request(kA, kD)).outcome(), navigation::CommPlan::UNSOLVABLE);
+}
+
+TEST(Tasks, ARoomForStaffIsClosedToGuestsAndOpenToWhoIsInIt) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph guest(plan, kA, {.access = 0});
+  EXPECT_EQ(solve(guest.request(kA, kB)).outcome(), navigation::CommPlan::UNSOLVABLE);
+  EXPECT_FALSE(guest.suits(kB, {.access = 0}));
+  EXPECT_EQ(way(plan, kA, kB, {.access = 5}).points.back().at, kB.at);
+}
+
+TEST(Tasks, WhoSeesTheGoalWalksStraight) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph tasks(plan, kA, {});
+  EXPECT_EQ(tasks.request({{2, 5}, 0}, {{8, 7}, 0}).tasks(), 1u);
+}
+
+TEST(Tasks, RoomsThatNoWayLeadsThroughAreLeftOut) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph tasks(plan, kA, {.stairs = false, .lift = false});
+  // Out of A, along the hall, into C: neither B nor the street, and nothing twice.
+  EXPECT_EQ(tasks.request(kA, kC).tasks(), 8u) << tasks.request(kA, kC).problem();
+}
+
+TEST(Tasks, APlanOfAnotherBuildingIsRefused) {
+  const LevelPlan plan = plan_of(house().read());
+  TaskGraph tasks(plan, kA, {});
+  const auto request = tasks.request(kA, kD);
+  navigation::CommPlan made_up;
+  auto& step = *made_up.add_steps();
+  step.set_action("fly");
+  step.add_arguments("start");
+  step.add_arguments("goal");
+  try {
+    request.route(made_up);
+    ADD_FAILURE() << "nothing was refused";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("the plan is none of this building: there is no task 'fly start goal'"));
+  }
+  EXPECT_THROW(request.route(navigation::CommPlan{}), Error);
+}
+
+/// Ways between places drawn by chance: what the tasks cost is what the graph's optimum costs.
+void compare_costs(const Building& building, const std::vector<PathPoint>& places, int draws) {
+  const LevelPlan plan = plan_of(building);
+  const RouteOptions profiles[] = {{}, {.stairs = false}, {.lift = false}, {.outdoors = false}, {.access = 0}};
+  std::mt19937 random(7);
+  int ways = 0;
+  for (const RouteOptions& options : profiles) {
+    for (int i = 0; i < draws; ++i) {
+      const PathPoint& from = places[random() % places.size()];
+      const PathPoint& to = places[random() % places.size()];
+      TaskGraph tasks(plan, from, options);
+      const auto request = tasks.request(from, to);
+      const auto solved = solve(request);
+      const auto best = building.route(from, to, options);
+      ASSERT_EQ(solved.outcome() == navigation::CommPlan::SOLVED, best.has_value()) << solved.message();
+      if (!best) continue;
+      ++ways;
+      EXPECT_NEAR(solved.cost(), best->cost_s, 1e-4);
+      const auto route = request.route(solved);
+      EXPECT_NEAR(route.cost_s, best->cost_s, 1e-4);
+      EXPECT_NEAR(route.length_m, best->length_m, 1e-6 + 0.05 * best->length_m);
+      EXPECT_EQ(route.points.back().at, to.at);
+    }
+  }
+  EXPECT_GT(ways, draws);
+}
+
+TEST(Tasks, CostWhatTheGraphsOptimumCostsInTheHouse) {
+  const Building building = Building::read(FIONA_BUILDING_FILE);
+  std::vector<PathPoint> places;
+  for (const auto& room : building.rooms()) places.push_back({room.centre, room.level});
+  compare_costs(building, places, 30);
+}
+
+TEST(Tasks, CostWhatTheGraphsOptimumCostsInAStation) {
+  const char* data = std::getenv("FIONA_DATA");
+  const auto file = std::filesystem::path(data ? data : FIONA_SHARED_DATA) / "osm_indoor" / "da_hbf_2.osm.pbf";
+  if (!std::filesystem::exists(file)) GTEST_SKIP() << "no map of a station: " << file;
+  const Building building = Building::read(file);
+  std::vector<PathPoint> places;
+  for (const auto& connector : building.connectors()) places.push_back(connector.path.front());
+  compare_costs(building, places, 6);
+}
+
+// ---- maps that make no sense
+
+std::string refusal_of(const navigation::CommLevelMap& map) {
+  try {
+    read_level_plan(map);
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "nothing was refused";
+}
+
+TEST(LevelPlan, AMapWithoutLevelsIsRefused) {
+  navigation::CommLevelMap map = world::told(house().read());
+  map.clear_levels();
+  EXPECT_THAT(refusal_of(map), HasSubstr("has no levels"));
+}
+
+TEST(LevelPlan, AnEdgeToNowhereIsRefused) {
+  navigation::CommLevelMap map = world::told(house().read());
+  map.mutable_edges(0)->set_to(100000);
+  EXPECT_THAT(refusal_of(map), HasSubstr("100000"));
+}
+
+TEST(LevelPlan, AnOutlineWithMoreXThanYIsRefused) {
+  navigation::CommLevelMap map = world::told(house().read());
+  map.mutable_rooms(0)->mutable_outline()->add_x(1);
+  EXPECT_THAT(refusal_of(map), HasSubstr("has a broken outline of room"));
+}
+
+// ---- a walk along the path
+
+building::Route corner() {
+  building::Route route;
+  for (const building::Point point : {building::Point{0, 0}, {0, 20}, {20, 20}}) route.points.push_back({point, 0.0});
+  route.length_m = 40;
+  return route;
+}
+
+struct Heard {
+  std::vector<Guide::Advice> all;
+  std::vector<Instruction> numbered;
+};
+
+/// Walks along the path at 1.3 m/s, told five times a second; `heading_off` from the path's direction.
+Heard walk(Guide& guide, double heading_off_rad = 0.0) {
+  Heard heard;
+  double along_m = 0.0;
+  for (double t = 0.0; along_m < guide.path().end_m(); t += 0.2, along_m += 0.26) {
+    const auto direction = guide.path().direction(along_m);
+    const Walker walker{guide.path().place(along_m), std::atan2(direction.x_m, direction.y_m) + heading_off_rad, 0.0};
+    heard.all.push_back(guide.follow(walker, at(t)));
+    if (heard.all.back().is_new) heard.numbered.push_back(heard.all.back().instruction);
+    if (heard.all.back().arrived) break;
+  }
+  return heard;
+}
+
+TEST(Guide, ATurnIsAnnouncedSixMetresBeforeAndAgainAtTwo) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", true, at(0));
+  std::vector<double> turns_m;
+  for (const Instruction& said : walk(guide).numbered) {
+    if (said.kind() != Instruction::TURN) continue;
+    turns_m.push_back(said.distance());
+    EXPECT_EQ(said.hour(), NextTurn::HOUR_3);
+  }
+  ASSERT_EQ(turns_m.size(), 2u);
+  EXPECT_NEAR(turns_m[0], 6.0, 0.3);
+  EXPECT_NEAR(turns_m[1], 2.0, 0.3);
+}
+
+TEST(Guide, SaysInOrderStartOnTurnOnArrive) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", true, at(0));
+  std::vector<std::string> words;
+  for (const Instruction& said : walk(guide).numbered) words.push_back(said.text());
+  EXPECT_THAT(words, ::testing::ElementsAre("To Room 7, 40 m: go straight on.", "Go straight on for 19 m.", "In 6 m turn right.",
+                                            "Turn right now.", "Go on for 20 m to Room 7.", "You have arrived: Room 7."));
+}
+
+TEST(Guide, HoursAreThoseInFrontOfTheWalkerNow) {
+  const LevelPlan plan;
+  for (const auto& [looks_rad, hour] : {std::pair{0.0, NextTurn::HOUR_12}, std::pair{90 * kDegree, NextTurn::HOUR_9},
+                                       std::pair{180 * kDegree, NextTurn::HOUR_6}, std::pair{-90 * kDegree, NextTurn::HOUR_3}}) {
+    Guide guide(plan, corner(), "Room 7", true, at(0));
+    const auto advice = guide.follow({{{0, 0}, 0}, looks_rad, 0}, at(0));
+    EXPECT_EQ(advice.instruction.kind(), Instruction::START);
+    EXPECT_EQ(advice.instruction.hour(), hour);
+    EXPECT_EQ(advice.turn.distance_to_turn(), 0u);
+  }
+}
+
+TEST(Guide, WhoLooksElsewhereIsTurnedToThePathFirst) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  const auto astray = guide.follow({{{0, 8}, 0}, 180 * kDegree, 0}, at(0));
+  EXPECT_EQ(astray.instruction.kind(), Instruction::TURN);
+  EXPECT_EQ(astray.instruction.text(), "Turn around.");
+  const auto along = guide.follow({{{0, 8}, 0}, 10 * kDegree, 0}, at(1));
+  EXPECT_EQ(along.instruction.kind(), Instruction::CONTINUE);
+}
+
+TEST(Guide, TheNextTurnIsInMillimetresAndByTheCurrentHeading) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  const auto advice = guide.follow({{{0, 10}, 0}, 30 * kDegree, 0}, at(0));
+  EXPECT_EQ(advice.turn.distance_to_turn(), 10000u);
+  EXPECT_EQ(advice.turn.type_of_turn(), NextTurn::HOUR_2);
+}
+
+TEST(Guide, WithoutHeadingTheHourIsThatOfThePath) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  EXPECT_EQ(guide.follow({{{0, 10}, 0}, std::nullopt, 0}, at(0)).turn.type_of_turn(), NextTurn::HOUR_3);
+}
+
+TEST(Guide, WhoGoesOnBeyondTheTurnIsOffThePathAfterTwoSeconds) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  double off_at_m = 0;
+  for (double t = 0, y = 15; t < 12 && off_at_m == 0; t += 0.2, y += 0.26) {
+    if (guide.follow({{{0, y}, 0}, 0.0, 0}, at(t)).off_path) off_at_m = y;
+  }
+  EXPECT_NEAR(off_at_m, 20 + 2.5 + 2 * 1.3, 0.6);
+}
+
+TEST(Guide, ALocalisationThatIsLessSureIsFollowedLonger) {
+  const LevelPlan plan;
+  for (const auto& [sigma_m, off] : {std::pair{0.5, true}, std::pair{3.0, false}}) {
+    Guide guide(plan, corner(), "Room 7", false, at(0));
+    guide.follow({{{4, 10}, 0}, 0.0, sigma_m}, at(0));
+    EXPECT_EQ(guide.follow({{{4, 10}, 0}, 0.0, sigma_m}, at(2.1)).off_path, off);
+  }
+}
+
+TEST(Guide, BehindAWallIsOffThePath) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  plan.plan.walls.push_back({.segment = {{0.5, 0}, {0.5, 19}}, .level = 0.0});
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(0));
+  EXPECT_TRUE(guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(2.1)).off_path);
+}
+
+TEST(Guide, WhoStandsIsToldAgainUnderAnotherNumber) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  const Walker stands{{{0, 10}, 0}, 0.0, 0};
+  EXPECT_TRUE(guide.follow(stands, at(0)).is_new);
+  EXPECT_FALSE(guide.follow(stands, at(7)).is_new);
+  EXPECT_TRUE(guide.follow(stands, at(8.2)).is_new);
+}
+
+TEST(Guide, NoDirectionLeadsThroughAWallAnywhereInTheHouse) {
+  const Building building = Building::read(FIONA_BUILDING_FILE);
+  const LevelPlan plan = plan_of(building);
+  std::mt19937 random(3);
+  std::normal_distribution<double> noise(0.0, 0.3);
+  int checked = 0;
+  for (int i = 0; i < 60; ++i) {
+    const auto& from = building.rooms()[random() % building.rooms().size()];
+    const auto& to = building.rooms()[random() % building.rooms().size()];
+    const auto found = building.route(from, to);
+    if (!found || found->length_m < 5) continue;
+    Guide guide(plan, *found, "there", true, at(0));
+    for (double along = 0, t = 0; along < guide.path().end_m(); along += 0.26, t += 0.2) {
+      Walker walker{guide.path().place(along), 0.0, 0.0};
+      const building::Point wish{walker.place.at.x_m + noise(random), walker.place.at.y_m + noise(random)};
+      if (!plan.walled(walker.place.at, wish, walker.place.level)) walker.place.at = wish;
+      const auto advice = guide.follow(walker, at(t));
+      const bool steers = advice.instruction.kind() == Instruction::CONTINUE || advice.instruction.kind() == Instruction::START;
+      if (!steers || !plan.level_near(walker.place.level, 0.0)) continue;
+      // The hour says it to 15 degrees: one of the directions that it stands for must be free for half a metre.
+      bool free = false;
+      for (int off = -15; off <= 15; off += 5) {
+        const double angle = advice.instruction.hour() * 30 * kDegree + off * kDegree;
+        const building::Point ahead{walker.place.at.x_m + 0.5 * std::sin(angle), walker.place.at.y_m + 0.5 * std::cos(angle)};
+        free = free || !plan.walled(walker.place.at, ahead, walker.place.level);
+      }
+      EXPECT_TRUE(free) << advice.instruction.ShortDebugString() << " at " << walker.place.at.x_m << ", "
+                        << walker.place.at.y_m;
+      ++checked;
+    }
+  }
+  EXPECT_GT(checked, 500);
+}
+
+TEST(Maneuvers, DoorsStairsAndLiftsAreThoseOfTheWay) {
+  const LevelPlan plan = plan_of(house().read());
+  const auto kinds = [&](const RouteOptions& options) {
+    std::vector<int> all;
+    for (const Maneuver& one : maneuvers(Path(way(plan, kA, kD, options)))) all.push_back(one.kind);
+    return all;
+  };
+  EXPECT_THAT(kinds({.lift = false}), ::testing::IsSupersetOf({int{Instruction::DOOR}, int{Instruction::STAIRS},
+                                                               int{Instruction::DOOR}, int{Instruction::ARRIVE}}));
+  EXPECT_THAT(kinds({.stairs = false}), ::testing::Contains(int{Instruction::LIFT}));
+}
+
+TEST(Maneuvers, ADoorToTheStreetIsLeftByAndEnteredBy) {
+  const LevelPlan plan = plan_of(house().read());
+  const auto kind = [](const building::Route& route) { return maneuvers(Path(route)); };
+  const auto is = [](Instruction::Kind wanted) { return ::testing::Field(&Maneuver::kind, wanted); };
+  EXPECT_THAT(kind(way(plan, kA, {{-10, 1.5}, 0})), ::testing::Contains(is(Instruction::LEAVE)));
+  EXPECT_THAT(kind(way(plan, {{-10, 1.5}, 0}, kA)), ::testing::Contains(is(Instruction::ENTER)));
+}
+
+TEST(Words, LiftsAndStairsNameTheLevel) {
+  building::Plan plan;
+  plan.levels = {{0, 0, "Ground"}, {1, 3, ""}};
+  const Maneuver stairs{Instruction::STAIRS, 0, 0, {}, 1.0};
+  EXPECT_EQ(maneuver_words(plan, stairs, NextTurn::HOUR_12, 0, std::nullopt), "Take the stairs up to level 1.");
+  const Maneuver lift{Instruction::LIFT, 0, 0, {}, 0.0};
+  EXPECT_EQ(maneuver_words(plan, lift, NextTurn::HOUR_12, 1, 6.2), "In 6 m take the lift to Ground.");
+}
+
+// ---- points of attention
+
+TEST(Landmarks, ATextIsThreeNumbersAndAName) {
+  const auto lift = parse_landmark("12.5,-3,1 lift B");
+  ASSERT_TRUE(lift);
+  EXPECT_EQ(lift->place.at, (building::Point{12.5, -3}));
+  EXPECT_EQ(lift->place.level, 1);
+  EXPECT_EQ(lift->name, "lift B");
+  EXPECT_TRUE(parse_landmark("0,0,-0.5"));
+  for (const char* text : {"", "1,2", "1,2,", "a,b,c", "1;2;3", "1,2,3x", "nan,0,0", "1e999,0,0"}) {
+    EXPECT_FALSE(parse_landmark(text)) << text;
+  }
+}
+
+TEST(Landmarks, APointIsToldOnceInPassingAndAgainAfterOneWasAway) {
+  const LevelPlan plan;
+  Passing passing;
+  passing.watch({{{{10, 0}, 0}, "statue"}});
+  std::vector<double> told_m;
+  for (double x : {0.0, 5.0, 8.0, 10.0, 12.0, 20.0, 10.0}) {
+    if (!passing.follow(plan, {{x, 0}, 0}, 3.0).empty()) told_m.push_back(x);
+  }
+  EXPECT_THAT(told_m, ::testing::ElementsAre(8.0, 10.0));
+}
+
+TEST(Landmarks, APointIsNeverToldOnAnotherLevelOrThroughAWall) {
+  LevelPlan plan;
+  plan.plan.walls.push_back({.segment = {{-5, 1}, {5, 1}}, .level = 0.0});
+  Passing passing;
+  passing.watch({{{{0, 0}, 0}, "statue"}});
+  EXPECT_TRUE(passing.follow(plan, {{0, 0}, 1}, 3.0).empty());
+  EXPECT_TRUE(passing.follow(plan, {{0, 0}, 0.5}, 3.0).empty());
+  EXPECT_TRUE(passing.follow(plan, {{0, 2}, 0}, 3.0).empty());
+  EXPECT_EQ(passing.follow(plan, {{0, -2}, 0}, 3.0).size(), 1u);
+}
+
+// ---- the place shown
+
+TEST(ShownPosition, FollowsAWalkerAsLocalisationSays) {
+  ShownPosition shown;
+  for (int i = 0; i < 50; ++i) {
+    const auto now = shown.follow({0.26 * i, 0}, {1, 0, 1}, at(0.2 * i));
+    EXPECT_DOUBLE_EQ(now.at.x_m, 0.26 * i);
+    EXPECT_FALSE(now.blending);
+  }
+}
+
+TEST(ShownPosition, AJumpIsBlendedWithinThreeSeconds) {
+  ShownPosition shown;
+  shown.follow({0, 0}, {0.1, 0, 0.1}, at(0));
+  double before = 0;
+  for (double t = 0.2; t < 3.3; t += 0.2) {
+    const auto now = shown.follow({6, 0}, {0.1, 0, 0.1}, at(t));
+    EXPECT_LE(now.at.x_m - before, 0.5);
+    EXPECT_GE(now.at.x_m, before);
+    EXPECT_EQ(now.blending, now.at.x_m < 6);
+    before = now.at.x_m;
+  }
+  EXPECT_EQ(before, 6);
+}
+
+TEST(ShownPosition, WhatIsLessThanTwoSigmaIsNoJump) {
+  ShownPosition shown;
+  shown.follow({0, 0}, {4, 0, 4}, at(0));
+  EXPECT_FALSE(shown.follow({3.9, 0}, {4, 0, 4}, at(0.2)).blending);
+  EXPECT_TRUE(shown.follow({8.1, 0}, {4, 0, 4}, at(0.4)).blending);
+}
+
+/// Whether the 95 % ellipse at `middle` contains a place.
+bool covers(const ShownPosition::Shown& shown, building::Point place) {
+  const building::Point d = place - shown.at;
+  const Covariance& c = shown.covariance;
+  const double det = c.xx_m2 * c.yy_m2 - c.xy_m2 * c.xy_m2;
+  return (c.yy_m2 * d.x_m * d.x_m - 2 * c.xy_m2 * d.x_m * d.y_m + c.xx_m2 * d.y_m * d.y_m) / det <= 5.991 + 1e-6;
+}
+
+TEST(ShownPosition, TheEllipseCoversThatOfBeforeAndTheNewOneAllTheWay) {
+  ShownPosition shown;
+  const Covariance before{0.5, 0.2, 0.3};
+  const Covariance after{0.4, -0.1, 0.9};
+  shown.follow({1, 2}, before, at(0));
+  const auto on_ellipse = [](building::Point middle, const Covariance& c, double angle) {
+    // Cholesky of the covariance, at the 95 % radius.
+    const double a = std::sqrt(c.xx_m2), b = c.xy_m2 / a, e = std::sqrt(c.yy_m2 - b * b);
+    const double u = std::sqrt(5.991) * std::cos(angle), v = std::sqrt(5.991) * std::sin(angle);
+    return building::Point{middle.x_m + a * u, middle.y_m + b * u + e * v};
+  };
+  for (double t = 0.2; t < 3.0; t += 0.2) {
+    const auto now = shown.follow({5, -1}, after, at(t));
+    for (double angle = 0; angle < 6.3; angle += 0.1) {
+      EXPECT_TRUE(covers(now, on_ellipse({5, -1}, after, angle))) << t << " " << angle;
+      if (t < 0.3) {
+        EXPECT_TRUE(covers(now, on_ellipse({1, 2}, before, angle))) << angle;
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace fiona::guidance

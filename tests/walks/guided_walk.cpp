@@ -1,0 +1,217 @@
+#include "guided_walk.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include "fiona/building/geometry.hpp"
+#include "fiona/simulator/building_simulator.hpp"
+#include "fiona/simulator/random.hpp"
+#include "map_server.hpp"
+#include "navigation.hpp"
+#include "stage.hpp"
+#include "symbolic_planner.hpp"
+
+namespace fiona::walks {
+namespace {
+
+using building::Building;
+using building::Point;
+using building::Room;
+using hmi::Instruction;
+using namespace std::chrono_literals;
+
+constexpr double kShortest_m = 15.0;
+constexpr double kInTime = 1.5;  ///< of the route's time
+constexpr double kAtDoor_m = 2.0;
+
+/// Stands between navigation and the walker: asks for the destination, has the profile, passes on what is said, and sees
+/// where the walker really is.
+class Referee final : public Component {
+ public:
+  using Component::Component;
+
+  void begin(const Building& building, const Errand& errand, Guidance guidance) {
+    building_ = &building;
+    errand_ = errand;
+    guidance_ = guidance;
+  }
+  void send() {
+    navigation::CommDestination wish;
+    auto& place = *wish.mutable_destination();
+    place.set_x(errand_.to->centre.x_m);
+    place.set_y(errand_.to->centre.y_m);
+    place.set_z(errand_.to->level);
+    place.set_is_valid(true);
+    destination_.send(std::move(wish));
+  }
+  bool ended() const { return !outcome.ending.empty(); }
+
+  Outcome outcome;
+
+ private:
+  hmi::CommUserProfileReply on_profile(const hmi::CommUserProfileRequest&) {
+    hmi::CommUserProfileReply profile;
+    profile.set_use_stairs(errand_.profile.stairs);
+    profile.set_use_elevator(errand_.profile.lift);
+    profile.set_use_outdoor_navigation(errand_.profile.outdoors);
+    profile.set_authentication_level(errand_.profile.access);
+    return profile;
+  }
+
+  void on_truth(const localisation::CommLocation& location) {
+    at_ = {location.position().x(), location.position().y()};
+    level_ = location.position().z();
+  }
+
+  void on_instruction(const Instruction& said) {
+    outcome.instructions = outcome.instructions * 1099511628211u ^
+                           (std::hash<std::string>()(said.SerializeAsString()) + static_cast<std::uint64_t>(to_milliseconds(now())));
+    if (said.number() != number_) check(said);
+    number_ = said.number();
+    if (said.kind() == Instruction::REROUTE) ++outcome.reroutes;
+    if (said.kind() == Instruction::ARRIVE) end_at_goal();
+    if (said.kind() == Instruction::NO_PATH) outcome.ending = "told: " + said.text();
+    Instruction told = said;
+    if (guidance_ == Guidance::Muted) {
+      told.Clear();
+      told.set_number(said.number());
+      told.set_kind(Instruction::CONTINUE);
+    }
+    passed_on_.put(std::move(told));
+  }
+
+  /// A turn is announced at 6 +- 2 m, unless the way there is shorter, and again at 2 m.
+  void check(const Instruction& said) {
+    const bool to_do = said.kind() >= Instruction::TURN && said.kind() <= Instruction::LEAVE && said.kind() != Instruction::CONTINUE;
+    if (to_do && said.distance() > 8.0) fault(said.text() + " at " + std::to_string(said.distance()) + " m");
+    if (said.uncertain()) fault("uncertain with the true place");
+  }
+
+  void end_at_goal() {
+    const Room& goal = *errand_.to;
+    bool right = std::abs(level_ - goal.level) < 0.01 && building::contains(goal.polygon, at_);
+    for (const building::Door& door : building_->doors()) {
+      if (door.level != goal.level || level_ != goal.level) continue;
+      for (const building::Segment& side : building::edges(goal.polygon)) {
+        right = right || (distance_m(door.at, side) < 0.05 && distance_m(door.at, at_) <= kAtDoor_m);
+      }
+    }
+    outcome.arrived = right;
+    outcome.ending = right ? "arrived" : "told to have arrived elsewhere";
+  }
+
+  /// What lies on a published path must be open to the profile, and walked without crossing a wall.
+  void on_path(const navigation::CommPath& path) {
+    for (int i = 0; i < path.waypoints_size(); ++i) {
+      const auto& to = path.waypoints(i);
+      const Point at{to.x(), to.y()};
+      const Room* room = building_->room_at(at, to.z());
+      if (room && room->access > errand_.profile.access) fault("a path through " + room->name);
+      const bool outdoors = !room && !building::contains(building_->plan().outline.outer, at) &&
+                            std::none_of(building_->doors().begin(), building_->doors().end(),
+                                         [&](const auto& door) { return distance_m(door.at, at) < 0.1; });
+      if (outdoors && !errand_.profile.outdoors) fault("a path outdoors");
+      if (i > 0) check_way(path.waypoints(i - 1), to);
+    }
+  }
+
+  void check_way(const localisation::CommPosition& from, const localisation::CommPosition& to) {
+    const Point a{from.x(), from.y()};
+    const Point b{to.x(), to.y()};
+    if (from.z() != to.z()) {
+      const bool by_lift = distance_m(a, b) < 0.3;
+      if (by_lift ? !errand_.profile.lift : !errand_.profile.stairs) fault(by_lift ? "a path by lift" : "a path by stairs");
+    } else if (building_->walls_crossed(a, b, to.z()).walls > 0) {
+      fault("a path through a wall at " + std::to_string(b.x_m) + ", " + std::to_string(b.y_m));
+    }
+  }
+
+  void fault(std::string text) {
+    if (outcome.faults.size() < 20) outcome.faults.push_back(std::move(text));
+  }
+
+  const Building* building_ = nullptr;
+  Errand errand_;
+  Guidance guidance_ = Guidance::Whole;
+  Point at_{};
+  double level_ = 0.0;
+  std::uint32_t number_ = 0;
+
+  Provides<hmi::ProfileProvider> profile_{*this, "profile", &Referee::on_profile};
+  Provides<hmi::InstructionProvider> passed_on_{*this, "passed_on"};
+  Requires<navigation::DestinationProvider> destination_{*this, "destination"};
+  Requires<navigation::PathProvider> path_{*this, "path", &Referee::on_path};
+  Requires<hmi::InstructionProvider> instructions_{*this, "instructions", &Referee::on_instruction};
+  Requires<localisation::LocationProvider> truth_{*this, "truth", &Referee::on_truth};
+};
+
+std::string label(const Room& room) { return room.ref.empty() ? room.name : room.ref; }
+
+}  // namespace
+
+std::string Errand::text() const {
+  return "seed " + std::to_string(seed) + ": " + label(*from) + " to " + label(*to) + (profile.stairs ? "" : ", no stairs") +
+         (profile.lift ? "" : ", no lift") + (profile.outdoors ? "" : ", indoors") + ", level " +
+         std::to_string(profile.access);
+}
+
+Errand draw_errand(const Building& building, std::uint64_t seed) {
+  simulator::Random random(seed, simulator::hash("errand"));
+  std::vector<const Room*> rooms;
+  for (const Room& room : building.rooms()) {
+    if (room.kind == building::RoomKind::Room && room.access < building::kClosed) rooms.push_back(&room);
+  }
+  for (;;) {
+    Errand errand{seed, rooms[random.below(rooms.size())], rooms[random.below(rooms.size())], {}, 0.0};
+    errand.profile = {.stairs = random.uniform() < 0.7,
+                      .lift = random.uniform() < 0.7,
+                      .outdoors = random.uniform() < 0.5,
+                      .access = random.uniform() < 0.5 ? 0 : static_cast<int>(random.below(10))};
+    if (errand.from->access > building::kOpen) continue;
+    const auto route = building.route(*errand.from, *errand.to, errand.profile);
+    if (!route || route->length_m < kShortest_m) continue;
+    errand.route_s = route->cost_s;
+    return errand;
+  }
+}
+
+Outcome lead(const Building& building, const std::string& file, const Errand& errand, Guidance guidance) {
+  Stage stage;
+  stage.add<simulator::BuildingSimulator>("phone");
+  stage.add<map_server::MapServer>("map");
+  stage.add<planning::SymbolicPlanner>("planner");
+  stage.add<guidance::Navigation>("nav");
+  Referee& referee = stage.add<Referee>("referee");
+  referee.begin(building, errand, guidance);
+  stage.set("phone", "building", file);
+  stage.set("phone", "seed", static_cast<int>(errand.seed));
+  stage.set("phone", "guided", true);
+  stage.set("phone", "drawn_radio", true);
+  stage.set("phone", "start_room", label(*errand.from));
+  stage.set("map", "building", file);
+  stage.set("nav", "declination", 4);
+  stage.wire("nav.location", "phone.truth");
+  stage.wire("nav.levels", "map.levels");
+  stage.wire("nav.change", "map.change");
+  stage.wire("nav.planner", "planner.plan");
+  stage.wire("nav.profile", "referee.profile");
+  stage.wire("referee.destination", "nav.destination");
+  stage.wire("referee.path", "nav.path");
+  stage.wire("referee.instructions", "nav.instructions");
+  stage.wire("referee.truth", "phone.truth");
+  stage.wire("phone.instructions", "referee.passed_on");
+  stage.start();
+  stage.advance(1500ms);
+  const TimePoint begun = stage.now();
+  referee.send();
+  const double most_s = kInTime * errand.route_s;
+  while (!referee.ended() && to_seconds(stage.now() - begun) < most_s) stage.advance(500ms);
+  Outcome outcome = referee.outcome;
+  outcome.took_s = to_seconds(stage.now() - begun);
+  if (outcome.ending.empty()) outcome.ending = "not there in time";
+  for (const std::string& line : stage.log()) outcome.faults.push_back(line);
+  return outcome;
+}
+
+}  // namespace fiona::walks

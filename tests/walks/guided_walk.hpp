@@ -1,0 +1,41 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <fiona/building/building.hpp>
+
+namespace fiona::walks {
+
+/// Who is led, from where to where: drawn from a seed.
+struct Errand {
+  std::uint64_t seed = 0;
+  const building::Room* from = nullptr;
+  const building::Room* to = nullptr;
+  building::RouteOptions profile{};
+  double route_s = 0.0;  ///< that the quickest way takes
+  std::string text() const;
+};
+
+/// A way of 15 m at least that the profile allows. The building must outlive it.
+Errand draw_errand(const building::Building& building, std::uint64_t seed);
+
+struct Outcome {
+  bool arrived = false;   ///< told so in time, in the room or within 2 m of its door
+  std::string ending{};   ///< what happened, in a few words
+  double took_s = 0.0;
+  int reroutes = 0;
+  std::vector<std::string> faults{};  ///< instructions and paths that must not be
+  std::uint64_t instructions = 0;     ///< a hash of all that was said, and when
+};
+
+enum class Guidance {
+  Whole,
+  Muted,  ///< the walker hears that there is an instruction, and nothing of where to
+};
+
+/// Leads a simulated person through the building, on virtual time.
+Outcome lead(const building::Building& building, const std::string& file, const Errand& errand, Guidance guidance);
+
+}  // namespace fiona::walks
