@@ -67,6 +67,9 @@ class Referee final : public Component {
   void on_instruction(const Instruction& said) {
     outcome.instructions = outcome.instructions * 1099511628211u ^
                            (std::hash<std::string>()(said.SerializeAsString()) + static_cast<std::uint64_t>(to_milliseconds(now())));
+    if (said.number() != number_) {
+      if (std::getenv("FIONA_TRACE")) std::printf("%6.1f (%5.1f %5.1f %.2f) #%u %s %.1f h%d | %s\n", to_seconds(now().time_since_epoch()), at_.x_m, at_.y_m, level_, said.number(), Instruction::Kind_Name(said.kind()).c_str(), said.distance(), said.hour(), said.text().c_str());
+    }
     if (said.number() != number_) check(said);
     number_ = said.number();
     if (said.kind() == Instruction::REROUTE) ++outcome.reroutes;
@@ -107,7 +110,7 @@ class Referee final : public Component {
       const auto& to = path.waypoints(i);
       const Point at{to.x(), to.y()};
       const Room* room = building_->room_at(at, to.z());
-      if (room && room->access > errand_.profile.access) fault("a path through " + room->name);
+      if (room && room->access > errand_.profile.access) fault("a path through " + room->name + " at " + std::to_string(at.x_m) + ", " + std::to_string(at.y_m));
       const bool outdoors = !room && !building::contains(building_->plan().outline.outer, at) &&
                             std::none_of(building_->doors().begin(), building_->doors().end(),
                                          [&](const auto& door) { return distance_m(door.at, at) < 0.1; });
@@ -188,6 +191,7 @@ Outcome lead(const Building& building, const std::string& file, const Errand& er
   stage.set("phone", "seed", static_cast<int>(errand.seed));
   stage.set("phone", "guided", true);
   stage.set("phone", "drawn_radio", true);
+  stage.set("phone", "access", errand.profile.access);
   stage.set("phone", "start_room", label(*errand.from));
   stage.set("map", "building", file);
   stage.set("nav", "declination", 4);

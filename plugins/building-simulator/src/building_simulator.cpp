@@ -69,6 +69,7 @@ struct BuildingSimulator::World {
     GuidedWalker::Options options;
     options.gait = gait_of(parameters);
     options.start_room = parameters.start_room();
+    options.access = parameters.access();
     return Person(std::in_place_type<GuidedWalker>, building, walker_seed(parameters), std::move(options));
   }
   const Truth& truth() const {

@@ -28,6 +28,9 @@ constexpr double kBlockedFor_s = 3.0;
 constexpr double kVeerTime_s = 3.0;
 constexpr double kBeforeDoor_m = 0.6;
 constexpr double kDoors_s = 6.0;
+/// Behind a door, and while one is about to turn, one walks slowly.
+constexpr milliseconds kCareful{1000};
+constexpr double kCarefulShare = 0.6;
 constexpr double kSidewards_rad = 1.35;  ///< a doorway is looked for so far to either side of the direction told
 
 double turn_between(double to_rad, double from_rad) {
@@ -37,6 +40,12 @@ double turn_between(double to_rad, double from_rad) {
 double around(double angle_rad) {
   const double turned = std::fmod(angle_rad, 2.0 * std::numbers::pi);
   return turned < 0.0 ? turned + 2.0 * std::numbers::pi : turned;
+}
+
+/// Whether it is to be done now, and more than to go on.
+bool is_done_here(const Instruction& said) {
+  return said.has_distance() && said.distance() <= kHere_m && said.kind() != Instruction::CONTINUE &&
+         said.kind() != Instruction::START && said.kind() != Instruction::ARRIVE;
 }
 
 /// What is nearest to a place and ahead.
@@ -49,6 +58,7 @@ struct Best {
 
 GuidedWalker::GuidedWalker(const building::Building& building, std::uint64_t seed, Options options)
     : building_(building), options_(std::move(options)), random_(seed, hash("guided-walker")) {
+  set_barriers();
   const building::Room* room = nullptr;
   if (!options_.start_room.empty()) {
     room = &building.room(options_.start_room);
@@ -104,6 +114,7 @@ void GuidedWalker::act(const Heard& heard) {
     case Instruction::CONTINUE:
       walking_ = true;
       turn_.reset();
+      careful_until_ = truth_.t;
       // Straight on is where one walks already.
       if (said.hour() != hmi::NextTurn::HOUR_12 && said.hour() != hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED) {
         wish_rad_ = along_walls(heard.direction_rad + 0.5 * turn_error_rad_);
@@ -137,7 +148,7 @@ void GuidedWalker::act_here(const Heard& heard) {
     case Instruction::LIFT: found = enter_lift(said.to_level()); break;
     case Instruction::DOOR:
     case Instruction::ENTER:
-    case Instruction::LEAVE: found = go_through_door(heard.direction_rad); break;
+    case Instruction::LEAVE: found = go_through_door(heard); break;
     default: found = climb(said.to_level()); break;
   }
   if (found) {
@@ -152,16 +163,19 @@ void GuidedWalker::turn_at(const Heard& heard) {
   turn_ = Turn{along_walls(heard.direction_rad + turn_error_rad_), heard.walked_m + heard.said.distance() - 0.4};
 }
 
-bool GuidedWalker::go_through_door(double direction_rad) {
+/// The doorway nearest to where it was told to be, that leads about where it was told to lead.
+bool GuidedWalker::go_through_door(const Heard& heard) {
+  const double left_m = std::max(0.0, heard.walked_m + heard.said.distance() - walked_m_);
+  const Point told = at() + direction(truth_.heading_rad) * left_m;
   Best best;
   Errand errand;
   for (const building::Door& door : building_.doors()) {
     const Point way = door.at - at();
-    if (door.level != truth_.level || length_m(way) > kSight_m) continue;
+    if (door.level != truth_.level || length_m(way) > kSight_m || door.access > options_.access) continue;
     const Point through = door.normal * (dot(way, door.normal) < 0.0 ? -1.0 : 1.0);
-    const double aside = std::abs(turn_between(heading(through), direction_rad));
+    const double aside = std::abs(turn_between(heading(through), heard.direction_rad));
     const Point before = door.at - through * kBeforeDoor_m;
-    if (aside > kSidewards_rad || !sees(at(), before) || !best.takes(length_m(way) + 2.0 * aside)) continue;
+    if (aside > kSidewards_rad || !sees(at(), before) || !best.takes(distance_m(told, door.at) + 2.0 * aside)) continue;
     errand.points = {{before, door.level}, {door.at + through * kBeforeDoor_m, door.level}};
   }
   if (errand.points.empty()) return false;
@@ -235,6 +249,7 @@ void GuidedWalker::run(Errand& errand) {
   if (errand.points.empty()) {
     if (errand.ride_to) return ride(errand);
     errand_.reset();
+    careful_until_ = truth_.t + kCareful;
     return;
   }
   const PathPoint& to = errand.points.front();
@@ -278,6 +293,7 @@ void GuidedWalker::ride(Errand& errand) {
   truth_.height_m = goal_m;
   truth_.level = *errand.ride_to;
   errand_.reset();
+  careful_until_ = truth_.t + kCareful;
 }
 
 void GuidedWalker::walk() {
@@ -291,7 +307,9 @@ void GuidedWalker::walk() {
   const double noise = options_.veer_rad * std::sqrt(2.0 * kStep_s / kVeerTime_s);
   veer_rad_ += -veer_rad_ * kStep_s / kVeerTime_s + noise * random_.normal();
   const bool turned = std::abs(turn_between(wish_rad_, truth_.heading_rad)) < 0.5;
-  const double wanted = walking_ && turned ? options_.gait.speed_mps : 0.0;
+  const bool careful = truth_.t < careful_until_ || (!heard_.empty() && is_done_here(heard_.front().said));
+  const double speed_mps = options_.gait.speed_mps * (careful ? kCarefulShare : 1.0);
+  const double wanted = walking_ && turned ? speed_mps : 0.0;
   const double change = options_.gait.acceleration_mps2 * kStep_s;
   pace_mps_ = std::clamp(wanted, std::max(0.0, pace_mps_ - 2.0 * change), pace_mps_ + change);
   const Point before = at();
@@ -357,16 +375,28 @@ bool GuidedWalker::turn_towards(double heading_rad) {
   return std::abs(rest) <= most;
 }
 
+void GuidedWalker::set_barriers() {
+  for (const building::Wall& wall : building_.walls()) barriers_[wall.level].push_back(wall.segment);
+  for (const building::Door& door : building_.doors()) {
+    const Point half = building::left_of(door.normal) * (door.width_m / 2.0);
+    barriers_[door.level].push_back({door.at - half, door.at + half});
+  }
+}
+
 bool GuidedWalker::sees(Point from, Point to) const {
-  return building_.walls_crossed(from, to, truth_.level).walls == 0;
+  const auto level = barriers_.find(truth_.level);
+  return level == barriers_.end() || std::none_of(level->second.begin(), level->second.end(), [&](const Segment& one) {
+           return building::crossing({from, to}, one).has_value();
+         });
 }
 
 double GuidedWalker::free_m(Point from, Point towards, double most_m) const {
   double free = most_m;
   const Segment ray{from, from + towards * most_m};
-  for (const building::Wall& wall : building_.walls()) {
-    if (wall.level != truth_.level) continue;
-    if (const auto share = building::crossing(ray, wall.segment)) free = std::min(free, *share * most_m);
+  const auto level = barriers_.find(truth_.level);
+  if (level == barriers_.end()) return free;
+  for (const Segment& one : level->second) {
+    if (const auto share = building::crossing(ray, one)) free = std::min(free, *share * most_m);
   }
   return free;
 }
@@ -404,8 +434,8 @@ const std::vector<Segment>& GuidedWalker::near_walls() {
   if (!walls_at_ || walls_at_->level != truth_.level || distance_m(walls_at_->at, at()) > kReach_m / 2.0) {
     walls_at_ = PathPoint{at(), truth_.level};
     walls_.clear();
-    for (const building::Wall& wall : building_.walls()) {
-      if (wall.level == truth_.level && distance_m(at(), wall.segment) < kReach_m) walls_.push_back(wall.segment);
+    for (const Segment& one : barriers_[truth_.level]) {
+      if (distance_m(at(), one) < kReach_m) walls_.push_back(one);
     }
   }
   return walls_;

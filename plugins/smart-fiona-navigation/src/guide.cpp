@@ -59,7 +59,8 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   if (!advice.arrived) pass(walker);
   Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
   if (std::abs(at_m_ - said_at_m_) > kMoved_m) said_at_m_ = at_m_, said_since_ = now;
-  const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived;
+  const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
+  const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived && !waits;
   if (stands) ++key.repeated;
   advice.is_new = said_ != key;
   if (advice.is_new) said_at_m_ = at_m_, said_since_ = now;
@@ -92,11 +93,13 @@ void Guide::locate(const Walker& walker, TimePoint now) {
 
 bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   if (changes_level(maneuver)) {
-    return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < 0.2;
+    return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < 0.05;
   }
-  if (maneuver.kind != Instruction::TURN) return at_m_ >= maneuver.end_m - 0.2;
+  // Who looks through the door goes through it, and has to know by then where to turn behind it.
   const auto rest = turn_to(maneuver.out, walker);
-  return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && rest && std::abs(*rest) < kAlong_rad);
+  const bool looks_there = rest && std::abs(*rest) < kAlong_rad;
+  if (maneuver.kind == Instruction::TURN) return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && looks_there);
+  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there);
 }
 
 void Guide::pass(const Walker& walker) {

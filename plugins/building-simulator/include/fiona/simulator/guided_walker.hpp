@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -17,7 +18,7 @@ namespace fiona::simulator {
 
 /// A person who does as they are told, as people do: late, not quite in the direction that was meant, and now and then
 /// not at all. Knows nothing of any map: hears instructions, and sees walls, doorways, stairs and lifts that are near
-/// and not behind a wall. Stands until the first instruction.
+/// and not behind a wall. Doors are closed, and opened by who is told to go through. Stands until the first instruction.
 class GuidedWalker {
  public:
   struct Options {
@@ -27,6 +28,7 @@ class GuidedWalker {
     double longest_reaction_s = 1.5;
     double turn_error_rad = 0.1;  ///< standard deviation of a turn
     double veer_rad = 0.05;       ///< standard deviation by which one walks beside where one looks, over some seconds
+    int access = 0;               ///< authentication level of the key: doors that ask for more are locked
     double missed_share = 0.05;   ///< of turns, doors, stairs and lifts: not noticed
   };
 
@@ -65,7 +67,7 @@ class GuidedWalker {
   bool notices(std::uint32_t number);
   void act_here(const Heard& heard);
   void turn_at(const Heard& heard);
-  bool go_through_door(double direction_rad);
+  bool go_through_door(const Heard& heard);
   bool climb(double to_level);
   bool enter_lift(double to_level);
 
@@ -78,6 +80,7 @@ class GuidedWalker {
   void note_motion(building::Point before, double height_before_m);
   bool turn_towards(double heading_rad);
 
+  void set_barriers();
   bool sees(building::Point from, building::Point to) const;
   double free_m(building::Point from, building::Point direction, double most_m) const;
   double along_walls(double direction_rad) const;
@@ -104,7 +107,10 @@ class GuidedWalker {
   double pace_mps_ = 0.0;
   double walked_m_ = 0.0;
   double blocked_s_ = 0.0;
-  std::vector<building::Segment> walls_{};
+  milliseconds careful_until_{0};  ///< one looks around behind a door, and where one is about to turn
+  /// By level: walls, and doors, which are closed but for who goes through.
+  std::map<double, std::vector<building::Segment>> barriers_{};
+  std::vector<building::Segment> walls_{};  ///< those nearby
   std::optional<building::PathPoint> walls_at_{};
 };
 
