@@ -31,6 +31,9 @@ constexpr double kDoors_s = 6.0;
 /// Behind a door, and while one is about to turn, one walks slowly.
 constexpr milliseconds kCareful{1000};
 constexpr double kCarefulShare = 0.6;
+/// A direction that one was told is corrected by the walls so far; and while one only walks on.
+constexpr double kNarrow_rad = 0.35;
+constexpr double kWide_rad = 0.6;
 constexpr double kSidewards_rad = 1.35;  ///< a doorway is looked for so far to either side of the direction told
 
 double turn_between(double to_rad, double from_rad) {
@@ -117,7 +120,7 @@ void GuidedWalker::act(const Heard& heard) {
       careful_until_ = truth_.t;
       // Straight on is where one walks already.
       if (said.hour() != hmi::NextTurn::HOUR_12 && said.hour() != hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED) {
-        wish_rad_ = along_walls(heard.direction_rad + 0.5 * turn_error_rad_);
+        wish_rad_ = along_walls(heard.direction_rad + 0.5 * turn_error_rad_, kNarrow_rad);
       }
       break;
     case Instruction::TURN:
@@ -130,6 +133,7 @@ void GuidedWalker::act(const Heard& heard) {
     case Instruction::LIFT:
       walking_ = true;
       if (here && notices(said.number())) act_here(heard);
+      if (!here) wish_rad_ = along_walls(wish_rad_, kWide_rad);
       break;
     default:
       walking_ = false;
@@ -155,12 +159,12 @@ void GuidedWalker::act_here(const Heard& heard) {
     done_.insert(said.number());
     turn_.reset();
   } else if (said.hour() != hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED && said.distance() < 0.5) {
-    wish_rad_ = along_walls(heard.direction_rad);
+    wish_rad_ = along_walls(heard.direction_rad, kNarrow_rad);
   }
 }
 
 void GuidedWalker::turn_at(const Heard& heard) {
-  turn_ = Turn{along_walls(heard.direction_rad + turn_error_rad_), heard.walked_m + heard.said.distance() - 0.4};
+  turn_ = Turn{along_walls(heard.direction_rad + turn_error_rad_, kNarrow_rad), heard.walked_m + heard.said.distance() - 0.4};
 }
 
 /// The doorway nearest to where it was told to be, that leads about where it was told to lead.
@@ -307,7 +311,9 @@ void GuidedWalker::walk() {
   const double noise = options_.veer_rad * std::sqrt(2.0 * kStep_s / kVeerTime_s);
   veer_rad_ += -veer_rad_ * kStep_s / kVeerTime_s + noise * random_.normal();
   const bool turned = std::abs(turn_between(wish_rad_, truth_.heading_rad)) < 0.5;
-  const bool careful = truth_.t < careful_until_ || (!heard_.empty() && is_done_here(heard_.front().said));
+  const bool about_to = !heard_.empty() && is_done_here(heard_.front().said) &&
+                        walked_m_ - heard_.front().walked_m > heard_.front().said.distance() - 0.3;
+  const bool careful = truth_.t < careful_until_ || about_to;
   const double speed_mps = options_.gait.speed_mps * (careful ? kCarefulShare : 1.0);
   const double wanted = walking_ && turned ? speed_mps : 0.0;
   const double change = options_.gait.acceleration_mps2 * kStep_s;
@@ -402,8 +408,7 @@ double GuidedWalker::free_m(Point from, Point towards, double most_m) const {
 }
 
 /// In a corridor one walks along its walls, not exactly where one was told.
-double GuidedWalker::along_walls(double direction_rad) const {
-  constexpr double kAlong_rad = 0.35;
+double GuidedWalker::along_walls(double direction_rad, double most_rad) const {
   constexpr double kBeside_m = 3.0;
   double best = direction_rad;
   double nearest_m = kBeside_m;
@@ -412,7 +417,7 @@ double GuidedWalker::along_walls(double direction_rad) const {
     if (wall.level != truth_.level || away_m > nearest_m || length_m(wall.segment.to - wall.segment.from) < 1.0) continue;
     const double along = heading(wall.segment.to - wall.segment.from);
     for (const double side : {along, along + std::numbers::pi}) {
-      if (std::abs(turn_between(side, direction_rad)) > kAlong_rad) continue;
+      if (std::abs(turn_between(side, direction_rad)) > most_rad) continue;
       best = side;
       nearest_m = away_m;
     }

@@ -28,9 +28,11 @@ constexpr double kMostOff_m = 8.0;
 constexpr double kOffLevels = 0.6;
 constexpr auto kOffFor = 2s;
 constexpr double kLookAhead_m = 2.5;
+/// Who is further from a turn or a door has missed it.
+constexpr double kBeside_m = 1.2;
 /// Beyond it a walker does not walk along the path; and is back on it within the smaller one.
-constexpr double kAstray_rad = 65.0 * kDegree;
-constexpr double kAlong_rad = 40.0 * kDegree;
+constexpr double kAstray_rad = 50.0 * kDegree;
+constexpr double kAlong_rad = 30.0 * kDegree;
 constexpr double kThere_m = 1.5;
 constexpr double kMostThere_m = 3.0;
 /// Who does not move is told again.
@@ -70,20 +72,20 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
 }
 
 void Guide::locate(const Walker& walker, TimePoint now) {
-  const auto behind_wall = [&](const Path::Match& match) {
-    const auto level = plan_.level_near(walker.place.level, 0.1);
-    const Point on_path = path_.place(match.at_m).at;
-    return level && match.off_m > 0.3 && path_.passage(match.at_m) == Passage::Walk &&
-           plan_.walled(walker.place.at, on_path, *level);
+  const auto level = plan_.level_near(walker.place.level, 0.1);
+  const Path::Hidden behind_wall = [&](const building::PathPoint& on_path, Passage passage) {
+    return level && passage == Passage::Walk && distance_m(walker.place.at, on_path.at) > 0.3 &&
+           plan_.walled(walker.place.at, on_path.at, *level);
   };
-  Path::Match match = path_.match(walker.place, std::max(0.0, at_m_ - kBack_m), at_m_ + kAhead_m);
-  if (match.off_m > 1.0 || match.off_levels > kOffLevels) {
-    const Path::Match further = path_.match(walker.place, at_m_, path_.end_m());
-    if (further.off_m < 1.0 && further.off_levels < 0.3 && !behind_wall(further)) match = further;
+  Path::Match match = path_.match(walker.place, std::max(0.0, at_m_ - kBack_m), at_m_ + kAhead_m, behind_wall);
+  if (match.off_m > 1.0 || match.off_levels > kOffLevels || match.hidden) {
+    const Path::Match further = path_.match(walker.place, at_m_, path_.end_m(), behind_wall);
+    if (further.off_m < 1.0 && further.off_levels < 0.3 && !further.hidden) match = further;
   }
   at_m_ = match.at_m;
+  off_m_ = match.off_m;
   const double most_m = std::clamp(2.0 * walker.sigma_m, kOff_m, kMostOff_m);
-  const bool wrong = match.off_m > most_m || match.off_levels > kOffLevels || behind_wall(match);
+  const bool wrong = match.off_m > most_m || match.off_levels > kOffLevels || match.hidden;
   if (!wrong) {
     wrong_since_.reset();
   } else if (!wrong_since_) {
@@ -99,7 +101,8 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   const auto rest = turn_to(maneuver.out, walker);
   const bool looks_there = rest && std::abs(*rest) < kAlong_rad;
   if (maneuver.kind == Instruction::TURN) return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && looks_there);
-  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there);
+  const double in_doorway_m = (maneuver.at_m + maneuver.end_m) / 2.0 - 0.1;
+  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > in_doorway_m && looks_there);
 }
 
 void Guide::pass(const Walker& walker) {
@@ -145,7 +148,8 @@ Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
   const auto rest = turn_to(aim(walker), walker);
   if (!rest || std::abs(*rest) < kAlong_rad) aligned_ = true;
   if (rest && std::abs(*rest) > kAstray_rad) aligned_ = false;
-  if (!aligned_ && (ahead_m >= 1.0 || next().kind == Instruction::ARRIVE)) return Phase::Align;
+  const bool is_there = ahead_m < 1.0 && off_m_ < kBeside_m && next().kind != Instruction::ARRIVE;
+  if (!aligned_ && !is_there) return Phase::Align;
   if (next().kind == Instruction::ARRIVE) return Phase::Ahead;
   return ahead_m <= kNow_m ? Phase::Now : ahead_m <= kAnnounced_m ? Phase::Announced : Phase::Ahead;
 }

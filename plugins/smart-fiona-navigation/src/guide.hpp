@@ -72,6 +72,7 @@ class Guide {
   const TimePoint begun_;
 
   double at_m_ = 0.0;
+  double off_m_ = 0.0;
   std::size_t next_ = 0;
   bool aligned_ = true;
   std::optional<TimePoint> wrong_since_;

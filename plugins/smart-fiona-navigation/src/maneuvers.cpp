@@ -149,9 +149,10 @@ Point Path::direction(double at_m) const {
   return building::unit(route_.points[i + 1].at - route_.points[i].at);
 }
 
-Path::Match Path::match(const PathPoint& place, double from_m, double to_m) const {
+Path::Match Path::match(const PathPoint& place, double from_m, double to_m, const Hidden& hidden) const {
+  constexpr double kHidden_m = 4.0;
   constexpr double kLevelWeight_m = 6.0;  // half a level off is 3 m off
-  Match best{from_m, std::numeric_limits<double>::max(), 0.0};
+  Match best{from_m, std::numeric_limits<double>::max(), 0.0, false};
   double best_score = std::numeric_limits<double>::max();
   for (std::size_t i = segment(from_m); i + 1 < at_m_.size() && at_m_[i] <= to_m; ++i) {
     const auto& a = route_.points[i];
@@ -169,8 +170,12 @@ Path::Match Path::match(const PathPoint& place, double from_m, double to_m) cons
     const double length = at_m_[i + 1] - at_m_[i];
     const double at = std::clamp(at_m_[i] + share * length, from_m, to_m);
     if (length > 0.0) share = std::clamp((at - at_m_[i]) / length, 0.0, 1.0);
-    const Match match{at, distance_m(place.at, a.at + along * share), std::abs(place.level - (a.level + rise * share))};
-    const double score = std::hypot(match.off_m, kLevelWeight_m * match.off_levels);
+    const PathPoint on_path{a.at + along * share, a.level + rise * share};
+    Match match{at, distance_m(place.at, on_path.at), std::abs(place.level - on_path.level), false};
+    double score = std::hypot(match.off_m, kLevelWeight_m * match.off_levels);
+    if (score >= best_score) continue;
+    match.hidden = hidden(on_path, b.passage);
+    if (match.hidden) score += kHidden_m;
     if (score < best_score - 1e-9) best = match, best_score = score;
   }
   return best;

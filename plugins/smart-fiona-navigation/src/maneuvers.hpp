@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -30,9 +31,12 @@ class Path {
     double at_m = 0.0;
     double off_m = 0.0;  ///< in the plane
     double off_levels = 0.0;
+    bool hidden = false;
   };
+  /// Whether a place of the way, and how one gets on there, is out of sight: then a place in sight is nearer.
+  using Hidden = std::function<bool(const building::PathPoint& place, building::Passage passage)>;
   /// The nearest place of the way between two.
-  Match match(const building::PathPoint& place, double from_m, double to_m) const;
+  Match match(const building::PathPoint& place, double from_m, double to_m, const Hidden& hidden) const;
 
  private:
   std::size_t segment(double at_m) const;

@@ -83,7 +83,7 @@ class GuidedWalker {
   void set_barriers();
   bool sees(building::Point from, building::Point to) const;
   double free_m(building::Point from, building::Point direction, double most_m) const;
-  double along_walls(double direction_rad) const;
+  double along_walls(double direction_rad, double most_rad) const;
   building::Point direction(double heading_rad) const;
   double heading(building::Point direction) const;
   building::Point at() const { return {truth_.x_m, truth_.y_m}; }
