@@ -67,7 +67,9 @@ struct Led {
       bench.advance(200ms);
     }
   }
-  void go_to(const navigation::CommDestination& wish) { bench.put<navigation::DestinationProvider>("destination", wish); }
+  void go_to(const navigation::CommDestination& wish) {
+    bench.put<navigation::DestinationProvider>("destination", wish);
+  }
   std::vector<Instruction> said() {
     std::vector<Instruction> all;
     for (const auto& one : bench.take<InstructionProvider>("instructions")) all.push_back(*one);
@@ -157,10 +159,12 @@ TEST(Navigation, EveryDestinationThatLeadsNowhereIsASentence) {
   EXPECT_EQ(answer_to(outdoors), "The destination has no level: destinations are indoors.");
   EXPECT_EQ(answer_to(destination(25, 6, 7)), "house has no level 7.");
   EXPECT_EQ(answer_to(destination(500, 6, 1)), "The destination is in no room of house.");
-  EXPECT_EQ(answer_to(destination(15, 6, 0)), "There is no way to B that is open to you: doors on it need another right.");
+  EXPECT_EQ(answer_to(destination(15, 6, 0)),
+            "There is no way to B that is open to you: doors on it need another right.");
   led.profile.set_use_stairs(false);
   led.profile.set_use_elevator(false);
-  EXPECT_EQ(answer_to(destination(25, 6, 1)), "There is no way to D without stairs, and your profile leaves stairs out.");
+  EXPECT_EQ(answer_to(destination(25, 6, 1)),
+            "There is no way to D without stairs, and your profile leaves stairs out.");
 }
 
 TEST(Navigation, AMapWithoutLevelsIsTold) {
@@ -175,7 +179,8 @@ TEST(Navigation, AMapWithoutLevelsIsTold) {
 TEST(Navigation, APlannerThatIsLateIsToldAndTriedAgain) {
   Led led;
   bool answers = false;
-  led.bench.answer_with<navigation::PlanProvider>("planner", [&](const auto& request) { return world::solve(request); });
+  led.bench.answer_with<navigation::PlanProvider>("planner",
+                                                  [&](const auto& request) { return world::solve(request); });
   Led late;
   int asked = 0;
   late.bench.answer_with<navigation::PlanProvider>("planner", [&](const auto& request) {

@@ -23,10 +23,10 @@ using building::PathPoint;
 using building::RouteOptions;
 using hmi::Instruction;
 using hmi::NextTurn;
+using ::testing::HasSubstr;
 using world::house;
 using world::plan_of;
 using world::solve;
-using ::testing::HasSubstr;
 using namespace std::chrono_literals;
 
 constexpr double kDegree = std::numbers::pi / 180.0;
@@ -231,14 +231,16 @@ TEST(Guide, SaysInOrderStartOnTurnOnArrive) {
   Guide guide(plan, corner(), "Room 7", true, at(0));
   std::vector<std::string> words;
   for (const Instruction& said : walk(guide).numbered) words.push_back(said.text());
-  EXPECT_THAT(words, ::testing::ElementsAre("To Room 7, 40 m: go straight on.", "Go straight on for 19 m.", "In 6 m turn right.",
-                                            "Turn right now.", "Go on for 20 m to Room 7.", "You have arrived: Room 7."));
+  EXPECT_THAT(words, ::testing::ElementsAre("To Room 7, 40 m: go straight on.", "Go straight on for 19 m.",
+                                            "In 6 m turn right.", "Turn right now.", "Go on for 20 m to Room 7.",
+                                            "You have arrived: Room 7."));
 }
 
 TEST(Guide, HoursAreThoseInFrontOfTheWalkerNow) {
   const LevelPlan plan;
-  for (const auto& [looks_rad, hour] : {std::pair{0.0, NextTurn::HOUR_12}, std::pair{90 * kDegree, NextTurn::HOUR_9},
-                                       std::pair{180 * kDegree, NextTurn::HOUR_6}, std::pair{-90 * kDegree, NextTurn::HOUR_3}}) {
+  for (const auto& [looks_rad, hour] :
+       {std::pair{0.0, NextTurn::HOUR_12}, std::pair{90 * kDegree, NextTurn::HOUR_9},
+        std::pair{180 * kDegree, NextTurn::HOUR_6}, std::pair{-90 * kDegree, NextTurn::HOUR_3}}) {
     Guide guide(plan, corner(), "Room 7", true, at(0));
     const auto advice = guide.follow({{{0, 0}, 0}, looks_rad, 0}, at(0));
     EXPECT_EQ(advice.instruction.kind(), Instruction::START);
@@ -325,13 +327,15 @@ TEST(Guide, NoDirectionLeadsThroughAWallAnywhereInTheHouse) {
       const building::Point wish{walker.place.at.x_m + noise(random), walker.place.at.y_m + noise(random)};
       if (!plan.walled(walker.place.at, wish, walker.place.level)) walker.place.at = wish;
       const auto advice = guide.follow(walker, at(t));
-      const bool steers = advice.instruction.kind() == Instruction::CONTINUE || advice.instruction.kind() == Instruction::START;
+      const bool steers =
+          advice.instruction.kind() == Instruction::CONTINUE || advice.instruction.kind() == Instruction::START;
       if (!steers || !plan.level_near(walker.place.level, 0.0)) continue;
       // The hour says it to 15 degrees: one of the directions that it stands for must be free for half a metre.
       bool free = false;
       for (int off = -15; off <= 15; off += 5) {
         const double angle = advice.instruction.hour() * 30 * kDegree + off * kDegree;
-        const building::Point ahead{walker.place.at.x_m + 0.5 * std::sin(angle), walker.place.at.y_m + 0.5 * std::cos(angle)};
+        const building::Point ahead{walker.place.at.x_m + 0.5 * std::sin(angle),
+                                    walker.place.at.y_m + 0.5 * std::cos(angle)};
         free = free || !plan.walled(walker.place.at, ahead, walker.place.level);
       }
       EXPECT_TRUE(free) << advice.instruction.ShortDebugString() << " at " << walker.place.at.x_m << ", "

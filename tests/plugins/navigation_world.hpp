@@ -47,8 +47,8 @@ inline navigation::CommPlan solve(const TaskGraph::Request& request) {
   return solve(question);
 }
 
-/// A corridor 30 x 3 m on level 0 with rooms A, B (for staff) and C north of it; stairs in the corridor's west end and a
-/// lift in its east end lead to a corridor with room D on level 1. The main entrance is in the west.
+/// A corridor 30 x 3 m on level 0 with rooms A, B (for staff) and C north of it; stairs in the corridor's west end and
+/// a lift in its east end lead to a corridor with room D on level 1. The main entrance is in the west.
 inline building::Osm house() {
   building::Osm osm;
   osm.node(5, 5, 3, "door=hinged level=0").node(6, 15, 3, "door=hinged level=0 access=private");

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,8 +23,11 @@ struct Errand {
 Errand draw_errand(const building::Building& building, std::uint64_t seed);
 
 struct Outcome {
-  bool arrived = false;   ///< told so in time, in the room or within 2 m of its door
-  std::string ending{};   ///< what happened, in a few words
+  /// Within 2 m of the right door, on its level, within 1.5 times the route's time; and then told to have arrived,
+  /// there or in the room.
+  bool arrived = false;
+  std::optional<double> at_door_s{};  ///< when the door was reached
+  std::string ending{};               ///< what happened, in a few words
   double took_s = 0.0;
   int reroutes = 0;
   std::vector<std::string> faults{};  ///< instructions and paths that must not be

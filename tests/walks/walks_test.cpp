@@ -42,7 +42,8 @@ Tally walk(std::uint64_t count, Guidance guidance) {
     tally.time += outcome.took_s / errand.route_s;
     tally.faults += static_cast<int>(outcome.faults.size());
     if (guidance == Guidance::Whole && (!outcome.arrived || !outcome.faults.empty())) {
-      std::printf("%s: %s after %.0f s of %.0f s\n", errand.text().c_str(), outcome.ending.c_str(), outcome.took_s, errand.route_s);
+      std::printf("%s: %s after %.0f s of %.0f s\n", errand.text().c_str(), outcome.ending.c_str(), outcome.took_s,
+                  errand.route_s);
       for (const std::string& fault : outcome.faults) std::printf("  %s\n", fault.c_str());
     }
   }

@@ -57,17 +57,19 @@ std::uint64_t walker_seed(const Parameters& parameters) {
 struct BuildingSimulator::World {
   using Person = std::variant<Walker, GuidedWalker>;
 
-  World(const std::filesystem::path& file, const Parameters& parameters)
+  World(const std::filesystem::path& file, const Parameters& parameters, bool guided)
       : building(Building::read(file)),
-        person(person_of(building, parameters)),
+        person(person_of(building, parameters, guided)),
         imu(parameters.seed(), {}, parameters.walk()),
         radio(building, parameters.seed(), parameters.drawn_radio() ? drawn_radio(parameters.seed()) : RadioOptions{},
               parameters.walk()) {}
 
-  static Person person_of(const Building& building, const Parameters& parameters) {
-    if (!parameters.guided()) return Person(std::in_place_type<Walker>, building, walker_seed(parameters), walker_options(parameters));
+  static Person person_of(const Building& building, const Parameters& parameters, bool guided) {
+    if (!guided)
+      return Person(std::in_place_type<Walker>, building, walker_seed(parameters), walker_options(parameters));
     GuidedWalker::Options options;
     options.gait = gait_of(parameters);
+    options.gait.stairs_speed_mps = std::min(building::kStairsPace_mps, parameters.speed_mps());
     options.start_room = parameters.start_room();
     options.access = parameters.access();
     return Person(std::in_place_type<GuidedWalker>, building, walker_seed(parameters), std::move(options));
@@ -85,7 +87,7 @@ struct BuildingSimulator::World {
   RadioModel radio;
 };
 
-BuildingSimulator::BuildingSimulator(Hull& hull) : Component(hull) {}
+BuildingSimulator::BuildingSimulator(Hull& hull, bool guided) : Component(hull), guided_(guided) {}
 BuildingSimulator::~BuildingSimulator() = default;
 
 void BuildingSimulator::check(const Parameters& draft) const {
@@ -101,7 +103,7 @@ void BuildingSimulator::check(const Parameters& draft) const {
 void BuildingSimulator::on_start() {
   const std::filesystem::path file(params_->building().empty() ? resource("building.osm").string()
                                                                : params_->building());
-  world_ = std::make_unique<World>(file, *params_);
+  world_ = std::make_unique<World>(file, *params_, guided_);
   const auto& warnings = world_->building.warnings();
   for (std::size_t i = 0; i < std::min(warnings.size(), kMostWarnings); ++i) log(LogLevel::Warning, warnings[i]);
   if (warnings.size() > kMostWarnings) {
@@ -163,7 +165,7 @@ void BuildingSimulator::end() {
   end_run(0, fmt::format("the walk of {:g} s is over", params_->duration_s()));
 }
 
-void BuildingSimulator::on_instruction(const hmi::Instruction& instruction) {
+void BuildingSimulator::hear(const hmi::Instruction& instruction) {
   auto* guided = std::get_if<GuidedWalker>(&world_->person);
   if (!guided || ended_) return;
   walk_on();

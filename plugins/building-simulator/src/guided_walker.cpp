@@ -19,11 +19,11 @@ using hmi::Instruction;
 
 constexpr double kStep_s = 0.005;
 constexpr double kHour_rad = std::numbers::pi / 6.0;
-constexpr double kBody_m = 0.25;     ///< half a person's width
-constexpr double kHere_m = 2.3;      ///< what is so near is done now
-constexpr double kSight_m = 6.0;     ///< doorways, stairs and lifts that one recognises
-constexpr double kOpen_m = 1.8;      ///< a way that is free for so far can be turned into
-constexpr double kTooLate_m = 4.0;   ///< beyond the place of a turn one does not look for it any more
+constexpr double kBody_m = 0.25;    ///< half a person's width
+constexpr double kHere_m = 2.3;     ///< what is so near is done now
+constexpr double kSight_m = 6.0;    ///< doorways, stairs and lifts that one recognises
+constexpr double kOpen_m = 1.8;     ///< a way that is free for so far can be turned into
+constexpr double kTooLate_m = 4.0;  ///< beyond the place of a turn one does not look for it any more
 constexpr double kBlockedFor_s = 3.0;
 constexpr double kVeerTime_s = 3.0;
 constexpr double kBeforeDoor_m = 0.6;
@@ -164,7 +164,8 @@ void GuidedWalker::act_here(const Heard& heard) {
 }
 
 void GuidedWalker::turn_at(const Heard& heard) {
-  turn_ = Turn{along_walls(heard.direction_rad + turn_error_rad_, kNarrow_rad), heard.walked_m + heard.said.distance() - 0.4};
+  turn_ = Turn{along_walls(heard.direction_rad + turn_error_rad_, kNarrow_rad),
+               heard.walked_m + heard.said.distance() - 0.4};
 }
 
 /// The doorway nearest to where it was told to be, that leads about where it was told to lead.
@@ -217,7 +218,8 @@ bool GuidedWalker::enter_lift(double to_level) {
     const bool stops = std::any_of(connector.path.begin(), connector.path.end(),
                                    [&](const PathPoint& stop) { return stop.level == to_level; });
     for (const PathPoint& stop : connector.path) {
-      if (stop.level != truth_.level || !stops || distance_m(stop.at, at()) > kSight_m || !sees(at(), stop.at)) continue;
+      if (stop.level != truth_.level || !stops || distance_m(stop.at, at()) > kSight_m || !sees(at(), stop.at))
+        continue;
       errand_ = Errand{{stop}, to_level, kDoors_s + building::kLiftWait_s / 2.0, false};
       wish_rad_ = truth_.heading_rad + std::numbers::pi;  // one leaves by the door that one came in by
       return true;
@@ -270,7 +272,7 @@ void GuidedWalker::run(Errand& errand) {
     return;
   }
   const double limit = errand.stairs && errand.points.front().level != truth_.level ? options_.gait.stairs_speed_mps
-                                                                                   : options_.gait.speed_mps;
+                                                                                    : options_.gait.speed_mps;
   pace_mps_ = std::min(limit, pace_mps_ + options_.gait.acceleration_mps2 * kStep_s);
   const double step_m = std::min(left_m, pace_mps_ * kStep_s);
   const Point next = at() + way * (step_m / left_m);
@@ -414,7 +416,8 @@ double GuidedWalker::along_walls(double direction_rad, double most_rad) const {
   double nearest_m = kBeside_m;
   for (const building::Wall& wall : building_.walls()) {
     const double away_m = distance_m(at(), wall.segment);
-    if (wall.level != truth_.level || away_m > nearest_m || length_m(wall.segment.to - wall.segment.from) < 1.0) continue;
+    if (wall.level != truth_.level || away_m > nearest_m || length_m(wall.segment.to - wall.segment.from) < 1.0)
+      continue;
     const double along = heading(wall.segment.to - wall.segment.from);
     for (const double side : {along, along + std::numbers::pi}) {
       if (std::abs(turn_between(side, direction_rad)) > most_rad) continue;

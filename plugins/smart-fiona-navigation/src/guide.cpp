@@ -33,6 +33,7 @@ constexpr double kBeside_m = 1.2;
 /// Beyond it a walker does not walk along the path; and is back on it within the smaller one.
 constexpr double kAstray_rad = 50.0 * kDegree;
 constexpr double kAlong_rad = 30.0 * kDegree;
+constexpr auto kThroughDoor = 2s;
 constexpr double kThere_m = 1.5;
 constexpr double kMostThere_m = 3.0;
 /// Who does not move is told again.
@@ -58,7 +59,7 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   Advice advice;
   advice.off_path = wrong_since_ && now - *wrong_since_ >= kOffFor;
   advice.arrived = arrived(walker);
-  if (!advice.arrived) pass(walker);
+  if (!advice.arrived) pass(walker, now);
   Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
   if (std::abs(at_m_ - said_at_m_) > kMoved_m) said_at_m_ = at_m_, said_since_ = now;
   const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
@@ -100,14 +101,18 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   // Who looks through the door goes through it, and has to know by then where to turn behind it.
   const auto rest = turn_to(maneuver.out, walker);
   const bool looks_there = rest && std::abs(*rest) < kAlong_rad;
-  if (maneuver.kind == Instruction::TURN) return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && looks_there);
-  const double in_doorway_m = (maneuver.at_m + maneuver.end_m) / 2.0 - 0.1;
-  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > in_doorway_m && looks_there);
+  if (maneuver.kind == Instruction::TURN)
+    return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && looks_there);
+  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && shut_ != next_);
 }
 
-void Guide::pass(const Walker& walker) {
+void Guide::pass(const Walker& walker, TimePoint now) {
+  const std::size_t before = next_;
   while (next_ > 0 && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m) --next_;
+  // Who seemed to go through a door and still stands before it is told of the door again.
+  if (next_ > 0 && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2) shut_ = --next_;
   while (next_ + 1 < maneuvers_.size() && has_passed(next(), walker)) ++next_;
+  if (next_ != before) passed_at_ = now;
 }
 
 bool Guide::arrived(const Walker& walker) const {
@@ -128,8 +133,8 @@ std::optional<double> Guide::turn_to(Point direction, const Walker& walker) cons
 /// and at that one the direction in which it leads.
 Point Guide::aim(const Walker& walker) const {
   const bool is_there = to_next_m() < 1.0 && next().kind != Instruction::ARRIVE;
-  const double far_m = is_there ? std::min(next().end_m + kLookAhead_m, path_.end_m())
-                                : std::min(at_m_ + kLookAhead_m, next().at_m);
+  const double far_m =
+      is_there ? std::min(next().end_m + kLookAhead_m, path_.end_m()) : std::min(at_m_ + kLookAhead_m, next().at_m);
   const auto level = plan_.level_near(walker.place.level, 0.1);
   for (const double at : {far_m, (at_m_ + far_m) / 2.0, at_m_}) {
     const Point to = path_.place(at).at;
@@ -176,7 +181,8 @@ void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
   made.set_distance(now ? 0.0 : to_next_m());
   made.set_hour(hour(key.phase, walker));
   made.set_level(path_.place(now ? at_m_ : next().at_m).level);
-  if ((key.phase == Phase::Now || key.phase == Phase::Announced) && next().to_level) made.set_to_level(*next().to_level);
+  if ((key.phase == Phase::Now || key.phase == Phase::Announced) && next().to_level)
+    made.set_to_level(*next().to_level);
   if (advice.is_new) words_ = words(key, made, walker);
   made.set_text(words_);
   made.set_language("en");

@@ -52,7 +52,7 @@ class Guide {
   };
 
   void locate(const Walker& walker, TimePoint now);
-  void pass(const Walker& walker);
+  void pass(const Walker& walker, TimePoint now);
   bool has_passed(const Maneuver& maneuver, const Walker& walker) const;
   bool arrived(const Walker& walker) const;
   Phase phase_of(const Walker& walker, TimePoint now);
@@ -74,6 +74,8 @@ class Guide {
   double at_m_ = 0.0;
   double off_m_ = 0.0;
   std::size_t next_ = 0;
+  TimePoint passed_at_{};
+  std::optional<std::size_t> shut_{};  ///< a door that the walker stood before: passed only once it is behind
   bool aligned_ = true;
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;

@@ -72,8 +72,9 @@ class Reader {
     add_levels();
     for (const MapRoom& room : map_.rooms()) add_room(room);
     for (const navigation::MapWall& wall : map_.walls()) {
-      made_.plan.walls.push_back(
-          {.segment = {{wall.x1(), wall.y1()}, {wall.x2(), wall.y2()}}, .level = wall.level(), .exterior = wall.exterior()});
+      made_.plan.walls.push_back({.segment = {{wall.x1(), wall.y1()}, {wall.x2(), wall.y2()}},
+                                  .level = wall.level(),
+                                  .exterior = wall.exterior()});
     }
     std::stable_sort(made_.plan.walls.begin(), made_.plan.walls.end(),
                      [](const building::Wall& a, const building::Wall& b) { return a.level < b.level; });
@@ -153,8 +154,8 @@ class Reader {
                            .own_access = own_access(edge)});
   }
 
-  /// The map tells the highest of the element and the rooms at its ends. A room's part counts only on the way in: who is
-  /// in it may leave.
+  /// The map tells the highest of the element and the rooms at its ends. A room's part counts only on the way in: who
+  /// is in it may leave.
   int own_access(const MapEdge& edge) const {
     int of_rooms = 0;
     int of_door = 0;

@@ -4,8 +4,8 @@
 #include <optional>
 #include <string>
 
-#include <fiona/building/routes.hpp>
 #include <fiona/navigation.pb.h>
+#include <fiona/building/routes.hpp>
 
 namespace fiona::guidance {
 

@@ -107,7 +107,8 @@ building::Route thinned(building::Route route) {
   std::vector<building::RoutePoint> kept;
   for (std::size_t i = 0; i < route.points.size(); ++i) {
     const building::RoutePoint& point = route.points[i];
-    const bool same = !kept.empty() && kept.back().level == point.level && distance_m(kept.back().at, point.at) < kShortest_m;
+    const bool same =
+        !kept.empty() && kept.back().level == point.level && distance_m(kept.back().at, point.at) < kShortest_m;
     if (!same) {
       kept.push_back(point);
     } else if (i + 1 == route.points.size() && kept.size() > 1) {

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include <fiona/building/routes.hpp>
 #include <fiona/hmi.pb.h>
+#include <fiona/building/routes.hpp>
 
 namespace fiona::guidance {
 
@@ -48,9 +48,9 @@ class Path {
 /// Something to be done on the way.
 struct Maneuver {
   hmi::Instruction::Kind kind = hmi::Instruction::TURN;
-  double at_m = 0.0;       ///< where it is to be done
-  double end_m = 0.0;      ///< where it has been done
-  building::Point out{};   ///< the direction to take there; (0, 0): none
+  double at_m = 0.0;      ///< where it is to be done
+  double end_m = 0.0;     ///< where it has been done
+  building::Point out{};  ///< the direction to take there; (0, 0): none
   std::optional<double> to_level{};
 };
 

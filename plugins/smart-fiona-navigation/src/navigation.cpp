@@ -272,7 +272,8 @@ std::string Navigation::goal_name() const {
 
 void Navigation::begin_guidance(std::shared_ptr<Map> map, building::Route route) {
   if (route.points.size() > static_cast<std::size_t>(kMostWaypoints)) {
-    throw Error(ErrorCode::Failed, "the way has " + std::to_string(route.points.size()) + " places, more than a path may");
+    throw Error(ErrorCode::Failed,
+                "the way has " + std::to_string(route.points.size()) + " places, more than a path may");
   }
   const bool first = !std::exchange(trip_->begun, true);
   guide_.reset();
@@ -293,8 +294,7 @@ void Navigation::end_guidance() {
 void Navigation::on_location(const Received<localisation::CommLocation>& location) {
   const localisation::CommPosition& position = location->position();
   if (!location->is_valid() || !position.is_valid()) return;
-  const ShownPosition::Shown shown =
-      blender_.follow({position.x(), position.y()}, covariance_of(position), now());
+  const ShownPosition::Shown shown = blender_.follow({position.x(), position.y()}, covariance_of(position), now());
   note_heading(*location);
   std::optional<double> heading = course_rad_;
   if (location->orientation().is_valid()) {

@@ -19,8 +19,8 @@
 
 namespace fiona::guidance {
 
-/// Leads a person to a destination: asks for the map, for the person's profile and for a plan, and gives instructions on
-/// the way until the person is there. What it cannot do it says, to the person, as an instruction.
+/// Leads a person to a destination: asks for the map, for the person's profile and for a plan, and gives instructions
+/// on the way until the person is there. What it cannot do it says, to the person, as an instruction.
 class Navigation final : public Component {
  public:
   using Component::Component;
@@ -106,7 +106,7 @@ class Navigation final : public Component {
   bool map_due_ = true;
   bool watches_ = false;
   building::RouteOptions options_{};
-  bool refused_point_ = false;  ///< of the profile: told once
+  bool refused_point_ = false;           ///< of the profile: told once
   std::optional<TimePoint> profile_at_;  ///< when it was asked for
   // where the person is
   ShownPosition blender_;

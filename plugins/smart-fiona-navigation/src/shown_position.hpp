@@ -41,8 +41,8 @@ class ShownPosition {
 
  private:
   std::optional<Shown> last_;
-  building::Point offset_{};   ///< of what was shown from what is said, when the newest jump came
-  Covariance before_{};        ///< of what was shown then
+  building::Point offset_{};  ///< of what was shown from what is said, when the newest jump came
+  Covariance before_{};       ///< of what was shown then
   std::optional<TimePoint> jumped_;
 };
 

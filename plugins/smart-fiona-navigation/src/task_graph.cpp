@@ -367,8 +367,8 @@ class TaskGraph::Draft {
     if (!added && known->second.cost_s <= task.cost_s) return;
     char cost[64];
     std::snprintf(cost, sizeof cost, "%.6f", task.cost_s);
-    facts_[kKinds[kind].action + arguments] =
-        std::string("(") + kKinds[kind].predicate + arguments + ") (= (" + kKinds[kind].cost + arguments + ") " + cost + ")";
+    facts_[kKinds[kind].action + arguments] = std::string("(") + kKinds[kind].predicate + arguments + ") (= (" +
+                                              kKinds[kind].cost + arguments + ") " + cost + ")";
     known->second = std::move(task);
   }
 

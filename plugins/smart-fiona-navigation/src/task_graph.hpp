@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include <fiona/building/routes.hpp>
 #include <fiona/navigation.pb.h>
+#include <fiona/building/routes.hpp>
 
 #include "level_plan.hpp"
 

@@ -3,8 +3,8 @@
 #include <optional>
 #include <string>
 
-#include <fiona/building/plan.hpp>
 #include <fiona/hmi.pb.h>
+#include <fiona/building/plan.hpp>
 
 #include "maneuvers.hpp"
 

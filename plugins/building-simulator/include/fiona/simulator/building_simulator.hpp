@@ -16,10 +16,16 @@ namespace fiona::simulator {
 
 /// A person with a phone who walks from room to room of a building: what the phone's sensors say, and where
 /// the person really is. The same parameters give the same messages, at the same times after the start.
-class BuildingSimulator final : public Component {
+class BuildingSimulator : public Component {
  public:
-  explicit BuildingSimulator(Hull& hull);
+  explicit BuildingSimulator(Hull& hull) : BuildingSimulator(hull, false) {}
   ~BuildingSimulator() override;
+
+ protected:
+  /// `guided`: the person does what they hear.
+  BuildingSimulator(Hull& hull, bool guided);
+  /// [strand] The person hears it now.
+  void hear(const hmi::Instruction& instruction);
 
  private:
   using Parameters = building_simulator::Parameters;
@@ -29,7 +35,6 @@ class BuildingSimulator final : public Component {
   void on_mode(std::string_view mode) override;
   void check(const Parameters& draft) const;
 
-  void on_instruction(const hmi::Instruction& instruction);
   void produce_imu();
   void produce_truth();
   void resume();
@@ -55,18 +60,27 @@ class BuildingSimulator final : public Component {
       &BuildingSimulator::produce_truth,
       std::chrono::milliseconds(200),
       {.doc = "where the person really is: no localisation has this port, compare with it"}};
-  Requires<hmi::InstructionProvider> instructions_{
-      *this,
-      "instructions",
-      &BuildingSimulator::on_instruction,
-      {.optional = true, .doc = "what the person is told to do; heeded with guided=true"}};
 
+  const bool guided_;
   std::unique_ptr<World> world_;
   /// The instance's time at the simulation's zero. A pause moves it on: the person stands still meanwhile.
   TimePoint begun_{};
   std::int64_t periods_ = 0;              ///< of ImuModel::kPeriod, simulated so far
   std::chrono::milliseconds resumed_{0};  ///< the simulation's time at which it last went on after a pause
   bool ended_ = false;
+};
+
+/// The same, and the person knows nothing of the building, stands until there is an instruction, and then does as it
+/// says.
+class GuidedWalkSimulator final : public BuildingSimulator {
+ public:
+  explicit GuidedWalkSimulator(Hull& hull) : BuildingSimulator(hull, true) {}
+
+ private:
+  void on_instruction(const hmi::Instruction& instruction) { hear(instruction); }
+
+  Requires<hmi::InstructionProvider> instructions_{
+      *this, "instructions", &GuidedWalkSimulator::on_instruction, {.doc = "what the person is told to do"}};
 };
 
 }  // namespace fiona::simulator

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include <fiona/building/building.hpp>
 #include <fiona/hmi.pb.h>
+#include <fiona/building/building.hpp>
 
 #include "fiona/simulator/random.hpp"
 #include "fiona/simulator/walker.hpp"
@@ -18,7 +18,8 @@ namespace fiona::simulator {
 
 /// A person who does as they are told, as people do: late, not quite in the direction that was meant, and now and then
 /// not at all. Knows nothing of any map: hears instructions, and sees walls, doorways, stairs and lifts that are near
-/// and not behind a wall. Doors are closed, and opened by who is told to go through. Stands until the first instruction.
+/// and not behind a wall. Doors are closed, and opened by who is told to go through. Stands until the first
+/// instruction.
 class GuidedWalker {
  public:
   struct Options {
