@@ -49,7 +49,8 @@ class ServedHost {
 
  private:
   host::System::Options options() const {
-    host::System::Options options{"served", directory_.path / "store", directory_.path, 2};
+    host::System::Options options{
+        .name = "served", .store = directory_.path / "store", .directory = directory_.path, .threads = 2};
     options.ends_hung_groups = false;  // those that a test has stopped go on
     options.restarts_groups = false;
     options.tries_libraries = false;
