@@ -49,7 +49,6 @@ class Runtime final {
     std::string plugin;
     std::string version;
     std::string component;
-    std::string mode_at_load;
     std::string doc;
     std::unique_ptr<Hull> hull;
     bool hangs = false;  ///< it has been given up

@@ -79,7 +79,6 @@ void Runtime::create(const wire::Create& request) {
   instance->plugin = request.plugin();
   instance->version = request.version();
   instance->component = request.component();
-  instance->mode_at_load = request.mode();
   instance->doc = entry.doc;
   instance->hull =
       std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});

@@ -76,7 +76,6 @@ control::InstanceStatus Runtime::status_of(const Instance& instance, TimePoint n
   status.set_component(instance.component);
   status.set_version(instance.version);
   status.set_doc(instance.doc);
-  status.set_mode_at_load(instance.mode_at_load);
   fill_mode(status, hull, now);
   for (Port* port : hull.ports()) fill_port(*status.add_ports(), *port, now);
   if (hull.parameters()) {

@@ -103,7 +103,6 @@ control::InstanceStatus System::status_as_asked_for(const std::string& name) con
   status.set_component(one.component);
   status.set_version(one.package->version);
   const control::Load load = model_.load_of(name);
-  status.set_mode_at_load(load.mode());
   *status.mutable_rights() = load.rights();
   *status.mutable_set_parameters() = load.parameters();
   const auto group = groups_.find(one.group);
@@ -133,6 +132,7 @@ void System::complete_status(control::InstanceStatus& status) const {
   status.set_group(known.group);
   status.set_restarts(known.group == kMainGroup ? options_.restarts : supervision_.restarts(known.group));
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
+  status.set_mode_at_load(known.mode_at_load);
   status.set_comment(known.comment);
   for (auto& p : *status.mutable_ports()) {
     for (const auto& [client, wanted] : model_.wires()) {

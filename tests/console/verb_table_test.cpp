@@ -104,7 +104,8 @@ TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
                                    "INSTANCE.PARAM=VALUE",
                                    "FIELD=VALUE",
                                    "OBJECT",
-                                   "MIB"};
+                                   "MIB",
+                                   "TEXT"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
     const std::string placeholder = slot.placeholder();
@@ -352,7 +353,7 @@ TEST(Lines, ASecondFormIsChosenByItsWord) {
   EXPECT_EQ(line_of("market install a b -y").positional.size(), 3U);
   EXPECT_EQ(refusal_of_line("market instal a"),
             "column 8: market cannot 'instal'\n  expected: search, info, install, update, remove, rollback, history, "
-            "list, verify, lock, init, publish, accept\n  did you mean: install\n  next: "
+            "list, verify, lock, init, publish, accept, revoke, keys, rotate, sign\n  did you mean: install\n  next: "
             "help market");
 }
 
@@ -426,7 +427,7 @@ TEST(Completion, KnowsPluginsFilesAndOptions) {
 }
 
 TEST(Completion, KnowsServicesOfThePlatformForANewPlugin) {
-  EXPECT_EQ(candidates("plugin new x --provides Lo"), (Texts{"LocalPath", "LocationProvider"}));
+  EXPECT_EQ(candidates("plugin new x --provides Lo"), (Texts{"LocalPath", "LocationProvider", "LogoutProvider"}));
   EXPECT_EQ(candidates("plugin new x --provides StepProvider --requires GetI"), Texts{"GetIMUService"});
   EXPECT_EQ(candidates("plugin new x --requires=GetI"), Texts{"--requires=GetIMUService"});
 }
