@@ -12,6 +12,9 @@
 
 #include "bluez_scanner.hpp"
 
+/// sdbus-c++ 1.2 loses the connection that it could not open.
+extern "C" const char* __lsan_default_suppressions() { return "leak:sd_bus_new\nleak:libsystemd"; }  // NOLINT: its name
+
 namespace fiona::beacon_server {
 namespace {
 

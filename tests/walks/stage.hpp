@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -17,6 +18,7 @@ namespace fiona::walks {
 class Stage final : private HullEvents {
  public:
   ~Stage() override {
+    for (const auto& cut : cuts_) cut();
     for (auto& [name, hull] : hulls_) hull->shut_down(kDefaultDeadline);
   }
 
@@ -63,11 +65,17 @@ class Stage final : private HullEvents {
     const std::string name = client + "<" + provider;
     if (auto* push = dynamic_cast<detail::PushProvider*>(&provided)) {
       end->set_connection(Connection::Connected, provider);
-      push->attach(std::make_shared<LocalWire>(name, end, 1));
+      const auto local = std::make_shared<LocalWire>(name, end, 1);
+      push->attach(local);
+      cuts_.push_back([push, local] { push->detach(*local); });
     } else {
       end->set_target(std::make_shared<LocalWire>(name, *provided.inbox()));
       end->set_connection(Connection::Connected, provider);
     }
+    cuts_.push_back([end] {
+      end->set_target(nullptr);
+      end->set_connection(Connection::Unwired, "");
+    });
   }
 
   void start() {
@@ -103,6 +111,7 @@ class Stage final : private HullEvents {
   VirtualClock clock_;
   std::vector<std::string> log_;
   std::map<std::string, std::unique_ptr<Hull>> hulls_;
+  std::vector<std::function<void()>> cuts_;  ///< end the wires, as long as both of their ends are there
 };
 
 }  // namespace fiona::walks
