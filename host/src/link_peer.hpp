@@ -13,9 +13,10 @@
 namespace fiona::host {
 
 /// ZeroMQ is given more for a peer while it holds one chunk at most, so never holds more than two; and while it holds
-/// fewer messages than this, so that small ones that come while it is busy are sent together.
-inline constexpr std::size_t kMostInside_messages = 8;
-inline constexpr std::size_t kGoesOnBelow_messages = 2;
+/// fewer messages without a chunk than this, so that small ones that come while it is busy are sent together.
+inline constexpr std::size_t kMostInside_messages = 2;
+/// Once it was full.
+inline constexpr std::size_t kGoesOnBelow_messages = 1;
 /// The room that a chunk's message has for the frames beside it.
 inline constexpr std::size_t kFrameRoom = 64 * 1024;
 /// Lanes whose credit is paid back together.
@@ -48,7 +49,7 @@ struct LinkSocket::Gate {
   Pool& pool;
   const std::shared_ptr<Turn> turn;
   const std::size_t chunk;
-  std::atomic<std::size_t> messages{0};
+  std::atomic<std::size_t> messages{0};  ///< those without a chunk
   std::atomic<std::size_t> bytes{0};
   std::atomic<bool> waiting{false};
 };
@@ -111,7 +112,7 @@ struct LinkSocket::Release {
     const std::unique_ptr<Release> self(static_cast<Release*>(hint));
     if (!self->gate) return;
     self->gate->bytes -= self->bytes;
-    self->gate->messages -= 1;
+    if (!self->payload) self->gate->messages -= 1;
     if (self->gate->goes_on()) self->gate->pool.submit(self->gate->turn);
   }
 };

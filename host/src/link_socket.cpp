@@ -299,7 +299,7 @@ void LinkSocket::pump(Peer& peer) {
 bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   const std::size_t bytes = out.bytes();
   peer.gate->bytes += bytes;
-  peer.gate->messages += 1;
+  if (!out.payload) peer.gate->messages += 1;
   auto release = std::make_unique<Release>();
   release->gate = peer.gate;
   release->bytes = bytes;
