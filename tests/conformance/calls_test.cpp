@@ -439,8 +439,8 @@ TEST_P(Event, ContinuousActivationDeliversEachEventInOrder) {
   wire_all();
   system.state("source", "active");
   const auto rings = system.watch("caller.rings");
-  ASSERT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
   const auto before = system.port("source.newest").messages();
+  ASSERT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
   const auto first = system.wait_for(rings, [](const auto&) { return true; });
   EXPECT_GE(first.value(), static_cast<double>(before));
   const auto last = system.wait_for(rings, [](const auto& one) { return one.number() == 100; });
