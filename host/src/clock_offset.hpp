@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <mutex>
@@ -8,6 +9,10 @@
 #include "fiona/wire.pb.h"
 
 namespace fiona::host {
+
+/// A time, or how long something lasts, that a peer has told: not before 1970, and before 2043, where sums of times do
+/// not overflow.
+constexpr std::int64_t told_ns(std::int64_t ns) { return std::clamp<std::int64_t>(ns, 0, 1LL << 61); }
 
 /// How far another host's timeline is ahead of ours, from the beats that go to and fro. Half of a round trip at most is
 /// its error (Mills, RFC 5905, section 8), and that of an old one grows by what clocks wander: what has the smallest

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "clock_offset.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/push.hpp"
@@ -346,7 +347,7 @@ void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, const
   if (found == requirements_.end() || found->second.refusal) return;
   found->second.refusal = refusal;
   found->second.from_sequence = opened.from_sequence();
-  found->second.client->set_cycle(std::max(Duration::zero(), Duration(opened.cycle_ns())));
+  found->second.client->set_cycle(Duration(told_ns(opened.cycle_ns())));
   answered_.notify_all();
 }
 

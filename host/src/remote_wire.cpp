@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "clock_offset.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 
@@ -392,7 +393,7 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
     if (!object.refusal) {
       const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();
       Envelope envelope{object.object, request ? frame.request().id() : frame.object().sequence(),
-                        TimePoint(Duration(origin_ns)), object.bytes};
+                        TimePoint(Duration(told_ns(origin_ns))), object.bytes};
       Parcel parcel{std::move(envelope), reply, frame.request().continuous(), 0};
       outcome = end_ ? end_->push(std::move(parcel)) : inbox_->push(std::move(parcel));
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
@@ -425,7 +426,7 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
     return;  // the client sees the gap in the sequence
   }
   const Outcome outcome = activation->event(
-      Envelope{std::move(parsed), fired.sequence(), TimePoint(Duration(fired.origin_ns())), object.size()});
+      Envelope{std::move(parsed), fired.sequence(), TimePoint(Duration(told_ns(fired.origin_ns()))), object.size()});
   if (outcome == Outcome::Rejected) port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
 }
 

@@ -4,6 +4,7 @@
 #include <google/protobuf/descriptor.h>
 #include <google/protobuf/reflection.h>
 
+#include <algorithm>
 #include <cmath>
 
 namespace fiona {
@@ -63,6 +64,39 @@ bool is_floating(const FieldDescriptor& field) {
   return field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE || field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT;
 }
 
+/// Whether a row-major matrix is one of covariances, as far as rounding tells: by elimination with the largest diagonal
+/// element first (Higham, Accuracy and Stability of Numerical Algorithms, 10.3).
+bool is_covariance(std::vector<double> matrix) {
+  const auto side = static_cast<std::size_t>(std::lround(std::sqrt(static_cast<double>(matrix.size()))));
+  if (side * side != matrix.size()) return false;
+  double scale = 0;
+  for (const double element : matrix) scale = std::max(scale, std::abs(element));
+  if (scale == 0) return true;
+  for (double& element : matrix) element /= scale;
+  constexpr double kSmall = 1e-9;
+  const auto at = [&](std::size_t row, std::size_t column) -> double& { return matrix[row * side + column]; };
+  std::vector<std::size_t> left;
+  for (std::size_t i = 0; i < side; ++i) {
+    for (const std::size_t j : left) {
+      if (std::abs(at(i, j) - at(j, i)) > kSmall) return false;
+    }
+    left.push_back(i);
+  }
+  while (!left.empty()) {
+    const auto largest =
+        std::max_element(left.begin(), left.end(), [&](auto a, auto b) { return at(a, a) < at(b, b); });
+    const std::size_t pivot = *largest;
+    const double diagonal = at(pivot, pivot);
+    left.erase(largest);
+    if (diagonal < -kSmall) return false;
+    for (const std::size_t i : left) {
+      if (diagonal <= kSmall && std::abs(at(i, pivot)) > kSmall) return false;
+      for (const std::size_t j : left) at(i, j) -= diagonal > kSmall ? at(i, pivot) * at(pivot, j) / diagonal : 0;
+    }
+  }
+  return true;
+}
+
 }  // namespace
 
 ObjectRules::ObjectRules(const Descriptor& type) {
@@ -76,15 +110,18 @@ void ObjectRules::compile(const Descriptor& type) {
   for (int i = 0; i < type.field_count(); ++i) {
     const FieldDescriptor& field = *type.field(i);
     const auto& options = field.options();
-    FieldRule rule{&field, {}, {}, 0, 0, false, false};
+    FieldRule rule{&field, {}, {}, 0, 0, false, false, false};
     if (options.HasExtension(fiona::min)) rule.min = options.GetExtension(fiona::min);
     if (options.HasExtension(fiona::max)) rule.max = options.GetExtension(fiona::max);
     rule.size = static_cast<int>(options.GetExtension(fiona::size));
     rule.max_size = options.GetExtension(fiona::max_size);
     rule.finite = is_floating(field) && !options.GetExtension(fiona::allow_not_finite);
+    rule.covariance = field.is_repeated() && field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE &&
+                      options.GetExtension(fiona::covariance);
     rule.nested = field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE;
     if (rule.nested) compile(*field.message_type());
-    if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.nested) rules.push_back(rule);
+    if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.covariance || rule.nested)
+      rules.push_back(rule);
   }
   rules_[&type] = std::move(rules);
 }
@@ -125,7 +162,7 @@ std::optional<std::string> ObjectRules::check_field(const Object& object, const 
       return fmt::format("{} has {} {}, more than {}", field.name(), *length, things, rule.max_size);
     }
   }
-  if (!rule.min && !rule.max && !rule.finite) return std::nullopt;
+  if (!rule.min && !rule.max && !rule.finite && !rule.covariance) return std::nullopt;
   std::optional<std::string> violation;
   with_number_type(field, [&](auto type) {
     if (!field.is_repeated()) {
@@ -143,7 +180,10 @@ std::optional<std::string> ObjectRules::check_field(const Object& object, const 
       ++index;
     }
   });
-  return violation;
+  if (violation || !rule.covariance) return violation;
+  const auto elements = reflect.GetRepeatedFieldRef<double>(object, &field);
+  if (is_covariance({elements.begin(), elements.end()})) return std::nullopt;
+  return fmt::format("{} is no covariance: not symmetric and positive semi-definite", field.name());
 }
 
 std::optional<std::string> ObjectRules::check_nested(const Object& object, const Reflection& reflect,

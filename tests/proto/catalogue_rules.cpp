@@ -52,6 +52,10 @@ void check_field(const FieldDescriptor& field, const std::set<std::string>& dime
   const std::string& frame = options.GetExtension(fiona::frame);
   if (!frame.empty() && frames().count(frame) == 0) out.push_back(name + " has the unknown frame \"" + frame + '"');
   if (!default_is_in_range(field)) out.push_back(name + " is refused when nobody sets it: 0 is out of its range");
+  const bool says_covariance =
+      field.is_repeated() && options.GetExtension(fiona::doc).find("covariance") != std::string::npos;
+  if (says_covariance != options.GetExtension(fiona::covariance))
+    out.push_back(name + " is a covariance in its doc or in its rule, and not in both");
   if (!is_bounded(field)) out.push_back(name + " may grow without bound: no size, no max_size");
   if (options.HasExtension(fiona::min) && options.HasExtension(fiona::max) &&
       options.GetExtension(fiona::min) >= options.GetExtension(fiona::max)) {

@@ -177,6 +177,25 @@ TEST_F(Rules, EachElementIsChecked) {
   EXPECT_EQ(violation(), "triple[2] is 1.5, above 1");
 }
 
+TEST_F(Rules, CovarianceIsSymmetricPositiveSemidefiniteAndSquare) {
+  const auto with = [this](const std::vector<double>& elements) {
+    object.mutable_spread()->Assign(elements.begin(), elements.end());
+    return violation();
+  };
+  const std::string none = "spread is no covariance: not symmetric and positive semi-definite";
+  EXPECT_EQ(with({}), std::nullopt) << "not known";
+  EXPECT_EQ(with({0, 0, 0, 0}), std::nullopt) << "certain";
+  EXPECT_EQ(with({4, 6, 6, 9}), std::nullopt) << "of rank 1, as of two that are the same";
+  EXPECT_EQ(with({1e-20, 0, 0, 1e300}), std::nullopt);
+  EXPECT_EQ(with({4, 6.1, 6.1, 9}), none);
+  EXPECT_EQ(with({4, 1, 2, 9}), none);
+  EXPECT_EQ(with({-1e-3}), none);
+  EXPECT_EQ(with({0, 1, 1, 0}), none);
+  EXPECT_EQ(with({1, 0, 0}), none);
+  EXPECT_EQ(with({1e308, -1e308, -1e308, 1e308}), std::nullopt);
+  EXPECT_EQ(with({1, 0, 0, std::nan("")}), "spread[3] is nan, not a finite number");
+}
+
 TEST_F(Rules, StringIsAtMostItsSize) {
   object.set_name("four");
   EXPECT_EQ(violation(), std::nullopt);

@@ -54,7 +54,8 @@ TEST(Promises, AServiceWithALeaseIsNotSilentForLonger) {
 TEST(Promises, ACovarianceIsSymmetricAndPositiveSemidefinite) {
   for (const char* component : {"negative-variance", "too-strong-correlation", "asymmetric-covariance"})
     EXPECT_EQ(rows_of(component).at("location"),
-              "wrong position.confidence is no covariance: not symmetric and positive semi-definite")
+              "wrong 20 objects break a rule: position.confidence is no covariance: not symmetric and positive "
+              "semi-definite")
         << component;
 }
 

@@ -321,6 +321,19 @@ class WireProtocol(WireProtocolCase):
             sums[sample.number] = sample.value
             self.assertEqual(sample.value, sample.number * (sample.number + 1) / 2)
 
+    def test_times_that_no_clock_shows_are_taken_as_the_nearest_that_one_could(self):
+        self.load("sink", "sink")
+        link, wire, _ = self.attach("sink.orders", ORDER)
+        seen, report, _ = self.attach("sink.report", LAST, client="witness")
+        times = [-(2**63), -1, 0, 1, 2**62, 2**63 - 1]
+        for number, origin in enumerate(times, 1):
+            frame = wire_pb2.Frame(wire=wire, object=wire_pb2.Object(sequence=number, origin_ns=origin))
+            link.send(frame, test_pb2.Sample(number=number).SerializeToString())
+        while self.next_object(seen, report)[1].number < len(times):
+            pass
+        self.eventually(lambda: self.port("sink.orders").messages == len(times), "all have been counted")
+        self.assertGreater(self.port("sink.orders").latency_p99_ms, 0)
+
     def test_an_activation_is_taken_then_fires_until_it_is_cancelled_or_once(self):
         self.load("source", "src", "far", period_ms=1.0)
         link, wire, _ = self.attach("src.bell", BELL)

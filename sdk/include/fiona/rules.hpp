@@ -9,8 +9,8 @@
 
 namespace fiona {
 
-/// The rules that an object's fields declare: range, number of elements, finiteness (options.proto). Compiled once
-/// per type; checking costs a few nanoseconds per ruled field, and nothing where no field has a rule.
+/// The rules that an object's fields declare: range, number of elements, finiteness, covariance (options.proto).
+/// Compiled once per type; checking costs a few nanoseconds per ruled field, and nothing where no field has a rule.
 class ObjectRules {
  public:
   explicit ObjectRules(const google::protobuf::Descriptor& type);
@@ -32,6 +32,7 @@ class ObjectRules {
     int size = 0;
     std::size_t max_size = 0;
     bool finite = false;
+    bool covariance = false;
     bool nested = false;
   };
   using Rules = std::vector<FieldRule>;
