@@ -118,6 +118,17 @@ void require_descriptors_for(const std::string& newcomer, std::size_t peers) {
                        std::to_string(4 * needed)});
 }
 
+void require_descriptors_to_start() {
+  constexpr std::size_t kNeeded = kReserve + kGroupBase + kPerPeer;
+  const std::size_t limit = os::descriptor_limit();
+  if (limit >= kNeeded) return;
+  throw Error(ErrorCode::NotAllowed,
+              {.what = "a host cannot live with so few descriptors",
+               .expected = fmt::format("{} or more, and {} for each group", kNeeded, kPerGroup + kPerPeer),
+               .found = fmt::format("a limit of {}", limit),
+               .next = "ulimit -n 1024"});
+}
+
 MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint,
                      Runtime::OnEvent on_event)
     : Group("main"),

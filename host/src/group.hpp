@@ -88,6 +88,8 @@ class MainGroup final : public Group {
 /// Throws Error NotAllowed when one more process than `peers` (groups, and clients that no host has started) could
 /// bring this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
 void require_descriptors_for(const std::string& newcomer, std::size_t peers);
+/// Throws Error NotAllowed where this process may have fewer than a host without groups needs.
+void require_descriptors_to_start();
 
 /// How often groups are looked at, whether they stand still.
 inline constexpr std::chrono::milliseconds kWatchEvery{100};

@@ -24,6 +24,7 @@
 #include "os/process.hpp"
 #include "os/sandbox.hpp"
 #include "os/shared_memory.hpp"
+#include "os/spare_descriptor.hpp"
 #include "runtime.hpp"
 
 namespace {
@@ -267,6 +268,7 @@ int main(int argc, char** argv) {
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
   fiona::os::keep_freed_memory();
+  fiona::os::keep_spare_descriptor();
   try {
     return run(argc, argv);
   } catch (const std::exception& error) {

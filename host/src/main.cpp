@@ -14,7 +14,9 @@
 
 #include "control_server.hpp"
 #include "fiona/error.hpp"
+#include "group.hpp"
 #include "os/process.hpp"
+#include "os/spare_descriptor.hpp"
 #include "os/unix_socket.hpp"
 
 namespace {
@@ -148,6 +150,7 @@ Place place_of_journal(const Flags& flags, const std::filesystem::path& socket) 
 }
 
 int serve(Flags& flags) {
+  fiona::host::require_descriptors_to_start();
   const int signals = signals_as_descriptor();
   const std::filesystem::path socket =
       flags.socket.empty() ? runtime_directory() / (flags.name + ".sock") : std::filesystem::path(flags.socket);
@@ -194,6 +197,7 @@ int main(int argc, char** argv) {
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
   fiona::os::keep_freed_memory();
+  fiona::os::keep_spare_descriptor();
   try {
     flags = parse(argc, argv, description);
     if (flags.help) return std::cout << description, 0;
