@@ -116,6 +116,9 @@ std::string line_of(const control::Change& change) {
       return fmt::format(
           "swap {} for {}{}", typed_text(change.replace().old()), typed_text(change.replace().next()),
           change.replace().watch_ms() > 0 ? fmt::format(" watch {:g}ms", change.replace().watch_ms()) : "");
+    case control::Change::kUpgrade:
+      return fmt::format("upgrade {}{}", typed_text(change.upgrade().instance()),
+                         change.upgrade().version().empty() ? "" : " to " + typed_text(change.upgrade().version()));
     case control::Change::WHAT_NOT_SET: break;
   }
   return "# a change that this console does not know";
@@ -145,7 +148,9 @@ void make(Session& session, const Line& line, control::Change change, const std:
     return;
   }
   control::Request request;
-  const bool waits = change.has_state() || change.replace().watch_ms() > 0;
+  // A component may need its time.
+  const bool waits = change.has_state() || change.has_load() || change.has_unload() || change.has_upgrade() ||
+                     change.replace().watch_ms() > 0;
   *request.mutable_transact()->add_changes() = std::move(change);
   const std::string place = line.words.origin.empty() ? "" : place_text(line.words, line.verb.place);
   tell(session, waits ? session.host().call_waiting(std::move(request)) : session.call(std::move(request)), otherwise,

@@ -64,7 +64,7 @@ class Checker {
         {"state", &Checker::take_mode},    {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},
         {"get", &Checker::take_instance},  {"call", &Checker::take_call},     {"send", &Checker::take_call},
         {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
-        {"market", &Checker::take_market}, {"run", &Checker::take_run}};
+        {"market", &Checker::take_market}, {"run", &Checker::take_run},       {"upgrade", &Checker::take_instance}};
     if (const auto found = kChecks.find(line.verb.text); found != kChecks.end()) (this->*found->second)(line);
   }
 

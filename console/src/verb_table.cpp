@@ -51,6 +51,16 @@ std::vector<Verb> composing_verbs() {
        "If the "
        "new one says nothing, or nothing valid, while the old one does, nothing is swapped.",
        Access::Compose, verbs::swap},
+      {"upgrade", forms({"upgrade INSTANCE [to VERSION] [watch T]"}),
+       "puts the installed version of an instance's package in the place of the one that runs",
+       "The new version starts beside the old one in a process of its own, with its mode, parameters and wires; if it "
+       "fits, reaches the mode and says what the old one says, it takes over, and what was asked before is still "
+       "answered. "
+       "The old one stands by for T, 10s unless `watch` says otherwise, and takes its place again if the new one ends, "
+       "hangs, fails or falls silent. What is answered is told when that is over; `watch 0s` waits for nothing.\n"
+       "As in: market update wifi, upgrade wifi. `to` names another version that the store still has; `undo` goes "
+       "back.",
+       Access::Compose, verbs::upgrade, false},
   };
 }
 
@@ -176,7 +186,7 @@ std::vector<Verb> file_verbs() {
        forms({"run [FILE …] [--restore] [--supervised] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE "
               "…] [--host NAME] [--store DIR] [--unsigned DIR] "
               "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] "
-              "[--group-memory MIB] [--group-threads N]"}),
+              "[--group-memory MIB] [--group-threads N] [--group-descriptors N] [--group-cpu CORES]"}),
        "starts a host and runs system files in it (from a shell)",
        "FILE is a system file, or the name of an installed package that is a system. Without it the system begins "
        "empty. In a terminal the prompt follows; --headless lets the system run until "
@@ -188,7 +198,11 @@ std::vector<Verb> file_verbs() {
        "meanwhile, and keep the wires between them.\n"
        "--set replaces or adds a parameter of an instance that the files load. --strict refuses white spots (exit code "
        "4).\n"
-       "--group-memory and --group-threads say what each group may take, other than main: 1024 MiB and 128.\n"
+       "--group-memory, --group-threads and --group-descriptors say what each group may take, other than main: 1024 "
+       "MiB, "
+       "128 and 1024; one that takes more is ended. One that takes more than --group-cpu cores (0.5 or so; 0: no "
+       "limit) "
+       "for two seconds gets what others leave from then on.\n"
        "--unsigned lets packages in DIR be loaded that nobody has signed, as unsigned/NAME, each in a sandbox.\n"
        "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; "
        "--serve "
@@ -273,8 +287,7 @@ std::vector<Verb> remaining_verbs() {
       {"keys",
        forms({"keys", "keys list", "keys make", "keys show",
               "keys allow NAME KEY [as observe|operate|compose|administer]", "keys know NAME ADDRESS:PORT KEY",
-              "keys forget NAME", "keys new NAME", "keys renew NAME",
-              "keys trust FILE [--from DIR]"}),
+              "keys forget NAME", "keys new NAME", "keys renew NAME", "keys trust FILE [--from DIR]"}),
        "keys of this user: who may connect, what signs packages, which marketplace is trusted",
        "Without a word, and with `list`: who may connect, who is known, which keys sign and what is trusted. `make` "
        "makes the pair, once; `show` prints the key that "

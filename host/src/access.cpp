@@ -42,6 +42,7 @@ Need need_of(const Change& change) {
     case Change::kWire: return {Access::Compose, "wire"};
     case Change::kUnwire: return {Access::Compose, "unwire"};
     case Change::kReplace: return {Access::Compose, "swap"};
+    case Change::kUpgrade: return {Access::Compose, "upgrade"};
     case Change::kSet:
       if (names_a_file(change.set())) return {Access::Administer, "set host deliveries"};
       return {Access::Operate, "set"};

@@ -387,7 +387,8 @@ void ControlServer::send_sample(Watched& watch, Client& client, const wire::Tapp
   reply.set_id(watch.request);
   auto& sample = *reply.mutable_sample();
   sample = sample_of(tapped, std::exchange(watch.described, watch.described || !tapped.type().empty()));
-  // What the tap left out, and what it said and was lost on the way.
+  // What the tap left out, and what it said and was lost on the way. Of another version of the instance it begins anew.
+  if (tapped.number() <= watch.number) watch.number = watch.skipped = 0;
   sample.set_skipped(tapped.skipped() - watch.skipped + tapped.number() - watch.number - 1);
   watch.skipped = tapped.skipped();
   watch.number = tapped.number();

@@ -4,34 +4,11 @@
 
 #include <algorithm>
 
+#include "engine_transaction.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
 
 namespace fiona::host {
-
-/// Steps that are made in their order; after a failure, those that take back what has been made.
-struct Engine::Transaction {
-  std::string author;
-  control::Transact request;
-  bool is_undo = false;
-  std::uint64_t undoes = 0;
-  Waits::Answer answer;
-  std::optional<std::chrono::steady_clock::time_point> expires;
-
-  std::vector<control::Change> steps;
-  std::vector<control::Change> reverse;
-  std::vector<std::string> warnings;
-  Model before;
-  std::uint64_t entry = 0;
-  std::size_t at = 0;
-  bool takes_back = false;
-  control::Done done;
-  std::optional<control::Failure> failure;
-  std::vector<std::string> not_taken_back;
-
-  /// A change of mode alone: it may take long, has nothing to take back, and holds up nobody.
-  bool is_aside() const { return steps.size() == 1 && steps.front().has_state(); }
-};
 
 namespace {
 
@@ -69,6 +46,12 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   std::string text = "what '" + name + "' knows is lost: loaded again it begins anew";
   if (!clients.empty()) text += fmt::format("; these wait meanwhile: {}", fmt::join(clients, ", "));
   return text;
+}
+
+/// Which it was: a host that is started again loads the same, where it is still there.
+void note_version(control::Load& load, const Model& after, const Packages& packages) {
+  const std::string name = load.instance().empty() ? packages.find(load.plugin()).component : load.instance();
+  load.set_version(after.load_of(name).version());
 }
 
 void add(control::Done& total, const control::Done& one, std::size_t steps) {
@@ -189,9 +172,11 @@ void Engine::plan(Transaction& transaction) const {
   Model after = request.whole() ? Model() : transaction.before;
   for (int i = 0; i < request.changes_size(); ++i) {
     try {
+      if (request.changes(i).has_upgrade() && !request.whole()) return plan_upgrade(transaction);
       for (auto& step : after.steps_of(request.changes(i))) {
         if (auto warning = warning_of(step, after)) transaction.warnings.push_back(std::move(*warning));
         after.make(step, system_.packages());
+        if (step.has_load() && !request.whole()) note_version(*step.mutable_load(), after, system_.packages());
         transaction.steps.push_back(std::move(step));
       }
     } catch (...) {
@@ -202,6 +187,24 @@ void Engine::plan(Transaction& transaction) const {
   }
   if (request.whole()) transaction.steps = Model::difference(transaction.before, after);
   transaction.reverse = Model::difference(after, transaction.before);
+}
+
+/// What undoes it is an upgrade too.
+void Engine::plan_upgrade(Transaction& transaction) const {
+  if (transaction.request.changes_size() != 1) {
+    throw Error(ErrorCode::Usage, {.what = "an upgrade is a transaction of its own", .next = "a line of its own"});
+  }
+  control::Change step;
+  *step.mutable_upgrade() = system_.completed(transaction.request.changes(0).upgrade());
+  const Model::Instance& before = transaction.before.instance(step.upgrade().instance());
+  Model after = transaction.before;
+  after.make(step, system_.packages());
+  auto& back = *transaction.reverse.emplace_back().mutable_upgrade();
+  back.set_instance(step.upgrade().instance());
+  back.set_version(before.package->version);
+  back.set_group(before.group);
+  back.set_watch_ms(0);  // to what is known
+  transaction.steps.push_back(std::move(step));
 }
 
 void Engine::begin(const TransactionPtr& transaction) {
@@ -227,6 +230,7 @@ void Engine::begin(const TransactionPtr& transaction) {
   control::JournalEntry entry;
   entry.set_author(transaction->author);
   entry.set_undoes(transaction->undoes);
+  entry.set_reason(transaction->reason);
   entry.mutable_steps()->Add(transaction->steps.begin(), transaction->steps.end());
   entry.mutable_reverse()->Add(transaction->reverse.begin(), transaction->reverse.end());
   try {
@@ -243,7 +247,8 @@ void Engine::begin(const TransactionPtr& transaction) {
 void Engine::go_on(const TransactionPtr& transaction) {
   while (transaction->at < transaction->steps.size()) {
     const control::Change step = transaction->steps[transaction->at];
-    if (step.has_state()) return begin_state(transaction, step.state());
+    if (step.has_upgrade()) return begin_upgrade(transaction);
+    if (step.has_state() || (step.has_load() && system_.loads_later(step.load()))) return begin_step(transaction, step);
     try {
       add(transaction->done, system_.perform(step), transaction->steps.size());
       ++transaction->at;
@@ -254,15 +259,15 @@ void Engine::go_on(const TransactionPtr& transaction) {
   finish(transaction);
 }
 
-void Engine::begin_state(const TransactionPtr& transaction, const control::State& request) {
-  const auto ended = [later = later_, alive = std::weak_ptr(self_), transaction, request](control::Reply reply) {
-    later([alive, transaction, request, reply = std::move(reply)] {
+/// A step for which a component may need time: nobody waits for it meanwhile.
+void Engine::begin_step(const TransactionPtr& transaction, const control::Change& step) {
+  const auto ended = [later = later_, alive = std::weak_ptr(self_), transaction, step](control::Reply reply) {
+    later([alive, transaction, step, reply = std::move(reply)] {
       const auto self = alive.lock();
       if (!self || !*self) return;
       Engine& engine = **self;
       if (reply.has_done()) {
-        engine.system_.note_state(request);
-        add(transaction->done, reply.done(), transaction->steps.size());
+        add(transaction->done, engine.end_step(step, reply.done()), transaction->steps.size());
         ++transaction->at;
       } else {
         control::Failure failure = reply.failure();
@@ -273,11 +278,21 @@ void Engine::begin_state(const TransactionPtr& transaction, const control::State
     });
   };
   try {
-    system_.state(kEngine, transaction->entry, request, ended);
+    if (step.has_load()) {
+      system_.begin_load(step.load(), ended);
+    } else {
+      system_.state(kEngine, transaction->entry, step.state(), ended);
+    }
   } catch (...) {
     step_failed(transaction, failure_of_exception());
     go_on(transaction);
   }
+}
+
+control::Done Engine::end_step(const control::Change& step, const control::Done& done) {
+  if (step.has_load()) return system_.end_load(step.load());
+  system_.note_state(step.state());
+  return done;
 }
 
 /// From here on the steps are those that take back what has been made. One that fails among these is told, and passed.
@@ -302,7 +317,7 @@ void Engine::step_failed(const TransactionPtr& transaction, const control::Failu
 void Engine::finish(const TransactionPtr& transaction) {
   using Entry = control::JournalEntry;
   if (transaction->entry != 0) {
-    const std::string reason = transaction->failure ? transaction->failure->what() : "";
+    const std::string reason = transaction->failure ? transaction->failure->what() : transaction->reason;
     try {
       journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason,
                    system_.model());

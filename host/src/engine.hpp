@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -41,6 +42,8 @@ class Engine {
  private:
   struct Transaction;
   using TransactionPtr = std::shared_ptr<Transaction>;
+  struct Watched;
+  using WatchedPtr = std::shared_ptr<Watched>;
 
   bool compare_first(const TransactionPtr& transaction);
   void compared(const TransactionPtr& transaction, const control::Reply& reply);
@@ -48,11 +51,29 @@ class Engine {
   void begin(const TransactionPtr& transaction);
   void choose_what_to_undo(Transaction& transaction) const;
   void plan(Transaction& transaction) const;
+  void plan_upgrade(Transaction& transaction) const;
   void go_on(const TransactionPtr& transaction);
   bool make_step(const TransactionPtr& transaction, const control::Change& step);
-  void begin_state(const TransactionPtr& transaction, const control::State& request);
+  void begin_step(const TransactionPtr& transaction, const control::Change& step);
+  control::Done end_step(const control::Change& step, const control::Done& done);
   void step_failed(const TransactionPtr& transaction, const control::Failure& failure);
   void finish(const TransactionPtr& transaction);
+
+  // ---- engine_upgrade.cpp
+  template <class Work>
+  Waits::Answer then(Work work);
+  template <class Step>
+  Waits::Answer then_with(const TransactionPtr& transaction, Step step);
+  template <class Step>
+  void try_upgrade(const TransactionPtr& transaction, Step step);
+  void begin_upgrade(const TransactionPtr& transaction);
+  void take_over(const TransactionPtr& transaction);
+  void watch(const WatchedPtr& watched);
+  void looked(const WatchedPtr& watched, const control::Reply& reply);
+  void end_watch(const std::string& instance, const std::string& warning);
+  void take_back(const WatchedPtr& watched, const control::Failure& why);
+  void told_back(const Watched& watched, const control::Failure& why, const control::Reply& reply);
+  void upgrade_failed(const TransactionPtr& transaction, const control::Failure& why);
 
   System& system_;
   Journal journal_;
@@ -61,6 +82,7 @@ class Engine {
   std::deque<TransactionPtr> waiting_;
   TransactionPtr current_;
   std::size_t comparing_ = 0;
+  std::map<std::string, WatchedPtr> watched_;  ///< by instance: upgrades that may be taken back
 };
 
 }  // namespace fiona::host

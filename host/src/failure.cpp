@@ -30,13 +30,23 @@ control::Failure failure_of_exception() {
   return failure;
 }
 
-void throw_failure(const control::Failure& failure) {
-  throw Error(static_cast<ErrorCode>(failure.code()), {.what = failure.what(),
-                                                       .where = failure.where(),
-                                                       .expected = failure.expected(),
-                                                       .found = failure.found(),
-                                                       .next = failure.next(),
-                                                       .near = {failure.near().begin(), failure.near().end()}});
+Error error_of(const control::Failure& failure) {
+  return Error(static_cast<ErrorCode>(failure.code()), {.what = failure.what(),
+                                                        .where = failure.where(),
+                                                        .expected = failure.expected(),
+                                                        .found = failure.found(),
+                                                        .next = failure.next(),
+                                                        .near = {failure.near().begin(), failure.near().end()}});
+}
+
+void throw_failure(const control::Failure& failure) { throw error_of(failure); }
+
+ErrorText without_instance(ErrorText text, const std::string& instance) {
+  if (text.where.empty()) text.where = instance;
+  if (text.next == "show " + instance || text.next == "get " + instance) {
+    text.next = "'" + instance + "' was not loaded: correct that, then load it again";
+  }
+  return text;
 }
 
 }  // namespace fiona::host

@@ -10,6 +10,9 @@ control::Failure failure_of(const Error& error);
 /// The exception being handled, as a Failure. Call inside a catch block.
 control::Failure failure_of_exception();
 /// The other way round.
+Error error_of(const control::Failure& failure);
 [[noreturn]] void throw_failure(const control::Failure& failure);
+/// The text of what went wrong at a load: there is no instance afterwards that one could look at.
+ErrorText without_instance(ErrorText text, const std::string& instance);
 
 }  // namespace fiona::host

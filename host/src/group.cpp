@@ -105,8 +105,16 @@ std::optional<wire::GroupStatusReply> Group::status(milliseconds) {
   return perform(request, patience_with(request)).status();
 }
 
-void require_descriptors_for(const std::string& newcomer, std::size_t peers) {
+void require_descriptors_for(const std::string& newcomer, std::size_t peers, std::uint64_t of_group) {
   const std::size_t links = kPerPeer * (peers + 1);
+  if (kGroupBase + links > of_group) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = newcomer + " would bring the other groups to the end of their descriptors",
+                 .expected = "room for " + std::to_string(kGroupBase + links) + " in each, most of them for its links",
+                 .found = std::to_string(of_group),
+                 .next = "use a group that is there, or start the host with --group-descriptors " +
+                         std::to_string(4 * (kGroupBase + links))});
+  }
   const std::size_t needed = kReserve + links + std::max(os::open_descriptors() + kPerGroup, kGroupBase);
   const std::size_t limit = os::descriptor_limit();
   if (needed <= limit) return;
@@ -159,6 +167,7 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       master_(start.master),
       supervisor_(start.master ? nullptr : start.supervisor),  // a run on virtual time ends with its host
       on_event_(std::move(on_event)),
+      cpu_(start.cores),
       liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {
   // Virtual time has a watchdog of its own.
   const auto& page = *static_cast<const Liveness::Page*>(liveness_->data());
@@ -214,6 +223,7 @@ ChildGroup::ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_e
       master_(nullptr),
       supervisor_(start.supervisor),
       on_event_(std::move(on_event)),
+      cpu_(start.cores),
       output_(std::move(kept.output)),
       liveness_(std::make_unique<os::SharedMemory>(std::move(kept.liveness), sizeof(Liveness::Page))) {
   const auto& page = *static_cast<const Liveness::Page*>(liveness_->data());
@@ -359,12 +369,27 @@ void ChildGroup::end_if_greedy() {
   if (!now) return;
   const bool memory = os::kLimitsMemory && now->memory > confinement_.memory() + confinement_.memory() / 8;
   const bool threads = now->threads > confinement_.threads();
-  if (!memory && !threads) return;
+  const bool descriptors = now->descriptors > confinement_.descriptors();
+  if (cpu_.exceeds(Steady::now(), now->cpu_time)) put_last(cpu_.cores());
+  if (!memory && !threads && !descriptors) return;
   child_->kill();
-  note_end(memory ? fmt::format("was ended: it took {} MiB of memory, of {} that it may have", now->memory >> 20U,
-                                confinement_.memory() >> 20U)
-                  : fmt::format("was ended: it had {} threads, of {} that it may have", now->threads,
-                                confinement_.threads()));
+  if (memory) {
+    note_end(fmt::format("was ended: it took {} MiB of memory, of {} that it may have", now->memory >> 20U,
+                         confinement_.memory() >> 20U));
+  } else {
+    note_end(fmt::format("was ended: it had {} {}, of {} that it may have", threads ? now->threads : now->descriptors,
+                         threads ? "threads" : "descriptors",
+                         threads ? confinement_.threads() : confinement_.descriptors()));
+  }
+}
+
+/// Nothing but a control group, which few users have, holds a process to a share; but it can be put behind all others.
+void ChildGroup::put_last(double cores) {
+  os::put_last(process());
+  std::cerr << fmt::format(
+      "group '{}' has taken {:.2f} cores, of {:.2f} that it may take: from now on it gets what others "
+      "leave\n",
+      name(), cores, cpu_.most());
 }
 
 /// A process that says much is waited for again and again: it is looked at as often as any other.

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "clock_master.hpp"
+#include "cpu_share.hpp"
 #include "fiona/error.hpp"
 #include "group_output.hpp"
 #include "hang_watch.hpp"
@@ -87,7 +88,7 @@ class MainGroup final : public Group {
 
 /// Throws Error NotAllowed when one more process than `peers` (groups, and clients that no host has started) could
 /// bring this process or a group to the end of its descriptors: ZeroMQ ends a process that cannot accept a connection.
-void require_descriptors_for(const std::string& newcomer, std::size_t peers);
+void require_descriptors_for(const std::string& newcomer, std::size_t peers, std::uint64_t of_group);
 /// Throws Error NotAllowed where this process may have fewer than a host without groups needs.
 void require_descriptors_to_start();
 
@@ -108,6 +109,7 @@ class ChildGroup final : public Group {
     HangWatch::Parts parts;                ///< what its instances may be doing; none: it is not ended when it hangs
     wire::Confinement confinement{};       ///< what it may take and reach
     std::filesystem::path folder{};        ///< in which it listens; removed at its end
+    double cores = 0;                      ///< that it may take in the long run; 0: as many as there are
     std::string host{};                    ///< where `main` listens
     SupervisorLink* supervisor = nullptr;  ///< keeps it for a host after this one; none: it ends with this one
   };
@@ -142,6 +144,7 @@ class ChildGroup final : public Group {
   const std::filesystem::path& folder() const { return folder_; }
   os::Usage usage() const { return os::usage_of(process()).value_or(os::Usage()); }
   std::uint64_t dropped_output() const { return output_.dropped(); }
+  const CpuShare& cpu() const { return cpu_; }
   /// [control thread] Passes on what it writes. Ends it once it stands still, or one of its instances does not come
   /// back from its work.
   void watch(Time now);
@@ -167,6 +170,7 @@ class ChildGroup final : public Group {
   void pass_on(const wire::GroupMessage& event);
 
   void end_if_greedy();
+  void put_last(double cores);
   void leave_nothing();
   void hand_to_supervisor(os::PacketSocket adoption);
 
@@ -179,6 +183,7 @@ class ChildGroup final : public Group {
   SupervisorLink* const supervisor_;
   std::optional<wire::Adopted> adopted_;
   const Runtime::OnEvent on_event_;
+  CpuShare cpu_;
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;
   GroupOutput output_;

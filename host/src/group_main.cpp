@@ -162,7 +162,7 @@ int try_libraries(int argc, char** argv) {
 
 /// Before the first thread: what binds one binds those that it starts.
 void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& ready) {
-  fiona::os::limit({confinement.memory(), confinement.threads()});
+  fiona::os::limit({confinement.memory(), confinement.threads(), confinement.descriptors()});
   if (!confinement.sandboxed()) return;
   fiona::os::Reach reach;
   reach.readable.assign(confinement.readable().begin(), confinement.readable().end());

@@ -46,6 +46,8 @@ struct Flags {
   int lifeline = -1;
   std::uint64_t group_memory = 0;
   std::uint64_t group_threads = 0;
+  std::uint64_t group_descriptors = 0;
+  double group_cores = 0;
   bool restore = false;
   bool version = false;
   bool help = false;
@@ -75,6 +77,10 @@ Flags parse(int argc, char** argv, options::options_description& description) {
       "MiB of memory that each group may take");
   add("group-threads", options::value(&flags.group_threads)->default_value(limits.threads),
       "threads that each group may have");
+  add("group-descriptors", options::value(&flags.group_descriptors)->default_value(limits.descriptors),
+      "descriptors that each group may have open");
+  add("group-cpu", options::value(&flags.group_cores)->default_value(limits.cores),
+      "cores that each group may take in the long run, 0.5 or so; 0: as many as there are");
   add("journal", options::value(&flags.journal), "where its changes are kept; without it: beside the socket");
   add("restore", options::bool_switch(&flags.restore),
       "begins with the system that this host's last journal ends with");
@@ -116,14 +122,17 @@ int signals_as_descriptor() {
 
 constexpr std::uint64_t kLeastMemory_MiB = 64;
 constexpr std::uint64_t kLeastThreads = 8;
+constexpr std::uint64_t kLeastDescriptors = 64;
 
 fiona::os::Limits limits_of(const Flags& flags) {
-  if (flags.group_memory < kLeastMemory_MiB || flags.group_threads < kLeastThreads) {
+  if (flags.group_memory < kLeastMemory_MiB || flags.group_threads < kLeastThreads ||
+      flags.group_descriptors < kLeastDescriptors || !(flags.group_cores >= 0)) {
     throw fiona::Error(fiona::ErrorCode::Usage,
                        {.what = "a group cannot live with so little",
-                        .expected = "--group-memory of 64 MiB or more, --group-threads of 8 or more"});
+                        .expected = "--group-memory of 64 MiB or more, --group-threads of 8 or more, "
+                                    "--group-descriptors of 64 or more, --group-cpu of 0 or more"});
   }
-  return {flags.group_memory << 20U, flags.group_threads};
+  return {flags.group_memory << 20U, flags.group_threads, flags.group_descriptors, flags.group_cores};
 }
 
 /// Where the journal is, and what keeps other hosts from it.

@@ -76,6 +76,12 @@ void Model::make(const control::Change& change, const Packages& packages) {
     case control::Change::kReplace:
       for (const auto& step : steps_of(change)) make(step, packages);
       return;
+    case control::Change::kUpgrade: {
+      const control::Upgrade& request = change.upgrade();
+      const Instance& old = instance(request.instance());
+      return upgrade(request.instance(), packages.find(old.source(), request.version()).package,
+                     request.group().empty() ? old.group : request.group());
+    }
     case control::Change::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, "the change is empty, or newer than this host");

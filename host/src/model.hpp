@@ -38,6 +38,8 @@ class Model {
     bool led = false;                          ///< of the system of the host that leads this one
 
     const ComponentInterface& interface() const { return package->component(component); }
+    /// What finds its package, and its component in it.
+    std::string source() const;
     /// The mode that loading it brings it to.
     std::string mode_after_load() const;
     /// Null: the component has none.
@@ -82,6 +84,9 @@ class Model {
   control::Load load_of(const std::string& name) const;
   /// The change as steps that each do one thing: a swap as its wires.
   std::vector<control::Change> steps_of(const control::Change& change) const;
+  /// Another version of its package takes the place of an instance, in this group. Throws Error, and changes nothing,
+  /// where it does not fit who uses it and whom it uses, its mode or its parameters.
+  void upgrade(const std::string& name, std::shared_ptr<const Package> package, const std::string& group);
   /// The ports that clients would be moved from by a swap, each with the one that takes its place.
   std::vector<std::pair<control::PortName, control::PortName>> replaced_by(const control::Replace& swap) const;
   /// The provider's port fits the client's; throws Error WiringInvalid naming both services and who would fit.
@@ -99,6 +104,7 @@ class Model {
   void set_host(const control::Set& request);
   void state(const control::State& request);
   void require_waiting_fit(const std::string& name) const;
+  void require_wires_fit(const std::string& name) const;
   std::string providers_of(const std::string& service) const;
   control::PortName counterpart(const control::PortName& provider, const std::string& next) const;
 

@@ -78,7 +78,7 @@ std::string Model::Instance::mode_after_load() const {
 }
 
 void Model::load(const control::Load& request, const Packages& packages) {
-  const auto [package, component] = packages.find(request.plugin());
+  const auto [package, component] = packages.find(request.plugin(), request.version());
   const std::string name = request.instance().empty() ? component : request.instance();
   require_name(name, "an instance");
   if (const Instance* taken = find(name)) {
@@ -118,6 +118,59 @@ void Model::load(const control::Load& request, const Packages& packages) {
   ++next_order_;
 }
 
+std::string Model::Instance::source() const {
+  return (package->installed() ? package->name : package->library.string()) + "/" + component;
+}
+
+void Model::upgrade(const std::string& name, std::shared_ptr<const Package> package, const std::string& group) {
+  require_own(name);
+  const auto before = instances_.at(name);
+  const std::string found = fmt::format("{} {}", package->name, package->version);
+  auto made = std::make_shared<Instance>(*before);
+  made->package = std::move(package);
+  made->group = group;
+  // What it does not ask for any more it is not given.
+  std::erase_if(made->rights, [&](const std::string& right) {
+    const auto& asked = made->package->rights;
+    return right != kUnconfined && right != kConfined && std::find(asked.begin(), asked.end(), right) == asked.end();
+  });
+  try {
+    const auto& modes = made->interface().modes();
+    const bool knows_mode =
+        made->mode == kModeNeutral || (modes.empty() && made->mode == kModeActive) ||
+        std::any_of(modes.begin(), modes.end(), [&](const auto& m) { return m.name() == made->mode; });
+    if (!knows_mode) {
+      throw Error(ErrorCode::NotAllowed,
+                  {.what = fmt::format("it has no mode '{}', which '{}' is in", made->mode, name), .where = name});
+    }
+    made->parameters = made->default_parameters();
+    const auto set = before->parameters ? differences(*before->parameters, *before->default_parameters())
+                                        : std::vector<control::Argument>();
+    if (!set.empty()) {
+      made->parameters =
+          changed(name, made->parameters, {set.begin(), set.end()}, "set " + name + " to what both take");
+    }
+    instances_[name] = std::move(made);
+    require_wires_fit(name);
+  } catch (const Error& error) {
+    instances_[name] = before;
+    ErrorText text = error.text();
+    text.what = fmt::format("{} cannot take the place of {}: {}", found, before->package->version, text.what);
+    throw Error(error.code(), std::move(text));
+  }
+}
+
+/// All that begin or end there.
+void Model::require_wires_fit(const std::string& name) const {
+  for (const auto& [client, wire] : wires_) {
+    for (const auto& provider : wire.providers) {
+      if ((client.first == name || provider.instance() == name) && find(provider.instance()))
+        require_fit(port_of(client), provider);
+    }
+    if (client.first == name) port(port_of(client), REQUIRES);
+  }
+}
+
 /// The wires that wait for this instance.
 void Model::require_waiting_fit(const std::string& name) const {
   for (const auto& [client, wire] : wires_) {
@@ -140,6 +193,7 @@ control::Load Model::load_of(const std::string& name) const {
   load.set_plugin(one.plugin);
   load.set_instance(name);
   if (one.group != kMainGroup) load.set_group(one.group);
+  if (one.package->installed()) load.set_version(one.package->version);
   load.set_mode(one.mode_at_load);
   load.mutable_rights()->Add(one.rights.begin(), one.rights.end());
   load.set_comment(one.comment);

@@ -60,7 +60,7 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   const auto share = file.parent_path() / (name + ".share");
   Package found;
   found.library = std::filesystem::absolute(file);
-  found.state = state_of(description) + " " + state_of(share);
+  found.state = state_of(file) + " " + state_of(description) + " " + state_of(share);
   if (auto same = known(found)) return same;
   std::ifstream stream(description);
   std::stringstream text;
@@ -82,11 +82,12 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   return keep(std::move(found));
 }
 
-std::shared_ptr<const Package> Packages::installed(const marketplace::InstalledPackage& package) const {
+std::shared_ptr<const Package> Packages::installed(const marketplace::InstalledPackage& package,
+                                                   const Installed& packages) const {
   using Origin = Package::Origin;
   Package found;
   found.library = package.library;
-  add_part(found, package);
+  add_part(found, package, packages);
   require_not_revoked(found);
   for (const auto& part : found.parts) found.state += part.blake2b + " ";
   if (auto same = known(found)) return same;
@@ -109,15 +110,14 @@ void Packages::require_not_revoked(const Package& package) const {
 }
 
 /// With the message packages that it requires.
-void Packages::add_part(Package& package, const marketplace::InstalledPackage& part) const {
+void Packages::add_part(Package& package, const marketplace::InstalledPackage& part, const Installed& packages) const {
   const auto is_same = [&part](const marketplace::InstalledPackage& known) { return known.name() == part.name(); };
   if (std::any_of(package.parts.begin(), package.parts.end(), is_same)) return;
   package.parts.push_back(part);
-  if (part.manifest.requirements().empty()) return;
-  for (const auto& required : all()) {
+  for (const auto& required : packages) {
     const std::string name = marketplace::full_name(required.manifest);
     if (required.manifest.kind() == MESSAGES && marketplace::requires_package(part.manifest, name))
-      add_part(package, required);
+      add_part(package, required, packages);
   }
 }
 
@@ -139,11 +139,22 @@ void Packages::add_files(Package& package, const marketplace::InstalledPackage& 
   if (!own.path().empty()) *package.files.Add() = own;
 }
 
-std::vector<marketplace::InstalledPackage> Packages::all() const {
+Packages::Installed Packages::all() const {
   auto packages = store_.installed();
   if (!unsigned_) return packages;
   for (auto& package : unsigned_->installed()) packages.push_back(std::move(package));
   return packages;
+}
+
+/// Another version of it, with all that was installed beside that one, where they are kept and it may be started.
+void Packages::take_kept(marketplace::InstalledPackage& package, Installed& packages,
+                         const std::string& version) const {
+  auto kept = store_.installed_with(package.name(), version);
+  const auto found =
+      std::find_if(kept.begin(), kept.end(), [&](const auto& one) { return one.name() == package.name(); });
+  if (found == kept.end() || store_.revocation(*found)) return;
+  package = *found;
+  packages = std::move(kept);
 }
 
 const marketplace::Store& Packages::store_of(const marketplace::InstalledPackage& package) const {
@@ -167,7 +178,7 @@ std::shared_ptr<const Package> Packages::keep(Package package) const {
   return made;
 }
 
-Packages::Choice Packages::find(const std::string& text) const {
+Packages::Choice Packages::find(const std::string& text, const std::string& version) const {
   if (const std::string_view path = marketplace::library_path(text); !path.empty()) {
     auto package = library(path);
     std::string component =
@@ -177,7 +188,7 @@ Packages::Choice Packages::find(const std::string& text) const {
   // "publisher/name" and "name/component" look alike: an installed package of the whole text wins.
   std::string plugin = text;
   std::string wanted;
-  const auto packages = all();
+  auto packages = all();
   const auto matches = [&](const std::string& name) {
     return std::any_of(packages.begin(), packages.end(),
                        [&](const auto& p) { return p.name() == name || p.manifest.name() == name; });
@@ -187,9 +198,12 @@ Packages::Choice Packages::find(const std::string& text) const {
     plugin = text.substr(0, slash);
     wanted = text.substr(slash + 1);
   }
-  auto package = installed(marketplace::Store::chosen(packages, plugin, store_.directory()));
-  std::string component = choose_component(package->interface, package->name, wanted);
-  return {std::move(package), std::move(component)};
+  auto package = marketplace::Store::chosen(packages, plugin, store_.directory());
+  if (!version.empty() && version != package.manifest.version() && !package.is_unsigned)
+    take_kept(package, packages, version);
+  auto found = installed(package, packages);
+  std::string component = choose_component(found->interface, found->name, wanted);
+  return {std::move(found), std::move(component)};
 }
 
 }  // namespace fiona::host

@@ -55,18 +55,23 @@ class Packages {
     std::string component;
   };
   /// "publisher/name", "name", "name/component", "DIR/libNAME.so", "DIR/libNAME.so/component". Throws Error: NotFound
-  /// with what would be found; BadSignature for a package that was changed since it was installed, or revoked.
-  Choice find(const std::string& text) const;
+  /// with what would be found; BadSignature for a package that was changed since it was installed, or revoked. Of a
+  /// package the version that is installed, unless another is asked for that is kept and was not revoked.
+  Choice find(const std::string& text, const std::string& version = "") const;
 
   /// Throws Error BadSignature if a package of it has been revoked, since it was found or before.
   void require_not_revoked(const Package& package) const;
 
  private:
+  using Installed = std::vector<marketplace::InstalledPackage>;
+
   std::shared_ptr<const Package> library(const std::filesystem::path& file) const;
-  std::shared_ptr<const Package> installed(const marketplace::InstalledPackage& package) const;
-  void add_part(Package& package, const marketplace::InstalledPackage& part) const;
+  std::shared_ptr<const Package> installed(const marketplace::InstalledPackage& package,
+                                           const Installed& packages) const;
+  void add_part(Package& package, const marketplace::InstalledPackage& part, const Installed& packages) const;
   void add_files(Package& package, const marketplace::InstalledPackage& of) const;
-  std::vector<marketplace::InstalledPackage> all() const;
+  Installed all() const;
+  void take_kept(marketplace::InstalledPackage& package, Installed& packages, const std::string& version) const;
   const marketplace::Store& store_of(const marketplace::InstalledPackage& package) const;
   std::shared_ptr<const Package> known(const Package& package) const;
   std::shared_ptr<const Package> keep(Package package) const;

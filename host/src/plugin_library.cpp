@@ -2,9 +2,13 @@
 #include "plugin_library.hpp"
 
 #include <dlfcn.h>
+#include <elf.h>
 
 #include <algorithm>
 #include <boost/dll/shared_library.hpp>
+#include <cstdint>
+#include <cstring>
+#include <fstream>
 #include <optional>
 #include <system_error>
 #include <vector>
@@ -28,6 +32,41 @@ namespace {
   text.what = "plugin '" + name + "' cannot be loaded: " + text.what;
   text.where = path.string();
   throw Error(ErrorCode::Failed, std::move(text));
+}
+
+#if defined(__x86_64__)
+constexpr std::uint16_t kOurMachine = EM_X86_64;
+#elif defined(__aarch64__)
+constexpr std::uint16_t kOurMachine = EM_AARCH64;
+#endif
+
+/// What the code of a library runs on (ELF, e_machine); 0: it is no ELF file of this size.
+std::uint16_t machine_of(const std::filesystem::path& path) {
+  Elf64_Ehdr head{};
+  std::ifstream file(path, std::ios::binary);
+  if (!file.read(reinterpret_cast<char*>(&head), sizeof head)) return 0;
+  return std::memcmp(head.e_ident, ELFMAG, SELFMAG) == 0 ? head.e_machine : 0;
+}
+
+std::string machine_name(std::uint16_t machine) {
+  switch (machine) {
+    case EM_X86_64: return "x86-64";
+    case EM_AARCH64: return "arm64";
+    case EM_386: return "x86, 32 bits";
+    case EM_ARM: return "arm, 32 bits";
+    case EM_RISCV: return "RISC-V";
+    default: return "machine " + std::to_string(machine);
+  }
+}
+
+void require_machine(const std::string& name, const std::filesystem::path& path) {
+  const std::uint16_t its = machine_of(path);
+  if (its == 0 || its == kOurMachine) return;  // what is no library the loader has words for
+  refuse(name, path,
+         {.what = "it was built for another machine",
+          .expected = machine_name(kOurMachine),
+          .found = machine_name(its),
+          .next = "install a build of it for this machine"});
 }
 
 const std::string kThrows = "a static constructor of it throws: ";
@@ -59,6 +98,7 @@ std::unique_ptr<PluginLibraries::Library> PluginLibraries::load(const std::strin
   if (!std::filesystem::exists(file.path())) {
     refuse(name, file.path(), {.what = "its library is missing", .next = "market install " + name});
   }
+  require_machine(name, file.path());
   auto library = std::make_unique<Library>();
   library->owner = name;
   library->written = time_of(file.path());
@@ -117,19 +157,11 @@ void PluginLibraries::check_before_opening(const std::string& name, const Files&
             .found = interface.abi().empty() ? "no ABI tag" : interface.abi(),
             .next = "install a build of it for this version of FIONA"});
   }
-  const auto is_shared = [&files](const std::string& proto) {
-    return std::any_of(files.begin(), files.end(), [&proto](const wire::LibraryFile& file) {
-      return std::find(file.protos().begin(), file.protos().end(), proto) != file.protos().end();
-    });
-  };
+  for (const auto& file : files) {
+    for (const auto& proto : file.protos()) require_not_brought(name, files, proto);
+  }
   for (const auto& file : interface.descriptors().file()) {
-    const auto owner = proto_owners_.find(file.name());
-    if (owner != proto_owners_.end() && owner->second != name && !is_shared(file.name())) {
-      refuse(name, path,
-             {.what = "its proto file '" + file.name() + "' has already been brought by plugin '" + owner->second +
-                      "', and protobuf ends a process that gets it twice",
-              .next = "load " + name + " in GROUP: a group is a process of its own"});
-    }
+    require_not_brought(name, files, file.name());
     if (is_platform_proto(file.name())) {
       refuse(name, path,
              {.what = "its proto file '" + file.name() + "' is one of the platform's",
@@ -137,6 +169,20 @@ void PluginLibraries::check_before_opening(const std::string& name, const Files&
               .next = "ask the publisher to rename the file and its package"});
     }
   }
+}
+
+/// By a library that is none of these: another plugin's, or of another version of what these belong to.
+void PluginLibraries::require_not_brought(const std::string& name, const Files& files, const std::string& proto) const {
+  const auto owner = proto_owners_.find(proto);
+  if (owner == proto_owners_.end()) return;
+  const auto is_its = [&](const wire::LibraryFile& file) { return file.path() == owner->second.library; };
+  if (std::any_of(files.begin(), files.end(), is_its)) return;
+  const std::string who =
+      owner->second.plugin == name ? "another version of it" : "plugin '" + owner->second.plugin + "'";
+  refuse(name, files.rbegin()->path(),
+         {.what = "its proto file '" + proto + "' has already been brought by " + who +
+                  ", and protobuf ends a process that gets it twice",
+          .next = "load " + name + " in GROUP: a group is a process of its own"});
 }
 
 /// Which of them needs which, only the loader knows: each is tried until all are open, or none goes on.
@@ -151,7 +197,7 @@ void PluginLibraries::open_needed(const std::string& name, const Files& files) {
     std::erase_if(waiting, [&](const wire::LibraryFile* file) {
       try {
         libraries_.emplace(file->path(), load(name, *file));
-        for (const auto& proto : file->protos()) proto_owners_.emplace(proto, file->package());
+        for (const auto& proto : file->protos()) proto_owners_.emplace(proto, Owner{file->package(), file->path()});
         return true;
       } catch (const Error& error) {
         if (error.code() != ErrorCode::Failed) throw;
@@ -176,7 +222,7 @@ PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const
   check_before_opening(name, files, interface);
   open_needed(name, files);
   auto library = load(name, own);
-  for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), name);
+  for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), Owner{name, own.path()});
   return *libraries_.emplace(own.path(), std::move(library)).first->second;
 }
 

@@ -40,10 +40,15 @@ class PluginLibraries {
   std::unique_ptr<Library> load(const std::string& name, const wire::LibraryFile& file) const;
   static void keep(std::unique_ptr<Library> library);
   void check_before_opening(const std::string& name, const Files& files, const Interface& interface) const;
+  void require_not_brought(const std::string& name, const Files& files, const std::string& proto) const;
 
   const bool private_files_;
   std::map<std::filesystem::path, std::unique_ptr<Library>> libraries_;
-  std::map<std::string, std::string> proto_owners_;  ///< descriptor file -> plugin
+  struct Owner {
+    std::string plugin;
+    std::filesystem::path library;
+  };
+  std::map<std::string, Owner> proto_owners_;  ///< by descriptor file
 };
 
 }  // namespace fiona::host

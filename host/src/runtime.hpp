@@ -71,6 +71,7 @@ class Runtime final {
   void create(const wire::Create& request);
   void set_parameters(const wire::SetParameters& request);
   void set_mode(const wire::SetMode& request);
+  Hull::ModeDone mode_set(std::uint64_t change);
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
 
   // ---- runtime_wires.cpp

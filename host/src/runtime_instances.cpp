@@ -24,15 +24,6 @@ void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& l
   }
 }
 
-/// The text of what went wrong at a load: there is no instance afterwards that one could look at.
-ErrorText without_instance(ErrorText text, const std::string& instance) {
-  if (text.where.empty()) text.where = instance;
-  if (text.next == "show " + instance || text.next == "get " + instance) {
-    text.next = "'" + instance + "' was not loaded: correct that, then load it again";
-  }
-  return text;
-}
-
 /// The component that is asked for: what makes it, and what its package says of it.
 std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Plugin& plugin,
                                                                         const wire::Create& request) {
@@ -50,7 +41,7 @@ std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Pl
                .near = known});
 }
 
-/// Until it is in the mode that it was asked for, with its parameters.
+/// Until it has its parameters.
 void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& packaged, const wire::Create& request,
               Liveness::Place& thread) {
   thread.begins(Liveness::mark(kItsConstructor));
@@ -65,7 +56,6 @@ void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& 
   }
   const std::vector<control::Argument> parameters(request.parameters().begin(), request.parameters().end());
   hull.set_parameters(parameters, kDefaultDeadline);
-  hull.set_mode(request.mode().empty() ? hull.main_modes().front() : request.mode(), kLifeCycleDeadline);
 }
 
 }  // namespace
@@ -82,10 +72,17 @@ void Runtime::create(const wire::Create& request) {
   instance->doc = entry.doc;
   instance->hull =
       std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});
+  Hull& hull = *instance->hull;
   try {
-    bring_up(*instance->hull, entry, packaged, request, thread);
+    bring_up(hull, entry, packaged, request, thread);
+    const std::string mode = request.mode().empty() ? hull.main_modes().front() : request.mode();
+    if (request.change() == 0) {
+      hull.set_mode(mode, kLifeCycleDeadline);
+    } else {
+      hull.change_mode(mode, kLifeCycleDeadline, mode_set(request.change()));
+    }
   } catch (const Error& error) {
-    if (instance->hull->shut_down(kLifeCycleDeadline)) static_cast<void>(instance->hull.release());
+    if (hull.shut_down(kLifeCycleDeadline)) static_cast<void>(instance->hull.release());
     throw Error(error.code(), without_instance(error.text(), request.instance()));
   }
   instances_.emplace(request.instance(), std::move(instance));
@@ -96,16 +93,19 @@ void Runtime::set_parameters(const wire::SetParameters& request) {
   find(request.instance()).hull->set_parameters(changes, kDefaultDeadline);
 }
 
-void Runtime::set_mode(const wire::SetMode& request) {
-  const auto done = [this, change = request.change()](const std::optional<Error>& error) {
+Hull::ModeDone Runtime::mode_set(std::uint64_t change) {
+  return [this, change](const std::optional<Error>& error) {
     wire::GroupMessage message;
     message.mutable_mode_set()->set_change(change);
     if (error) *message.mutable_mode_set()->mutable_failure() = failure_of(*error);
     emit(std::move(message));
   };
+}
+
+void Runtime::set_mode(const wire::SetMode& request) {
   const std::chrono::duration<double, std::milli> asked(request.within_ms());
   const Duration within = asked.count() > 0 ? std::chrono::duration_cast<Duration>(asked) : kLifeCycleDeadline;
-  find(request.instance()).hull->change_mode(request.mode(), within, done);
+  find(request.instance()).hull->change_mode(request.mode(), within, mode_set(request.change()));
 }
 
 /// What it would do next nobody waits for any more; its thread is the caller's to replace.

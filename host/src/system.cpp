@@ -53,6 +53,7 @@ void System::end_threads() {
   if (virtual_time_) clock_->stop();  // it asks the groups how far they are
   if (hosts_) hosts_->stop();
   groups_.clear();
+  retired_groups_.clear();
   virtual_time_.reset();
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
@@ -93,6 +94,8 @@ void System::deliver(const wire::GroupMessage& event) {
 /// Of a group of this host; none: of another host, which has looked at it.
 void System::deliver_from(const std::string& group, wire::GroupMessage event) {
   if (event.has_asked()) event.mutable_asked()->set_group(group);
+  if (event.has_mode_changed() && is_beside(group, event.mode_changed().instance()))
+    event.mutable_mode_changed()->set_instance(beside_name(event.mode_changed().instance()));
   deliver(event);
 }
 

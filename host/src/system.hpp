@@ -16,12 +16,14 @@
 #include "fiona/pool.hpp"
 #include "group.hpp"
 #include "host_links.hpp"
+#include "mailbox.hpp"
 #include "model.hpp"
 #include "package.hpp"
 #include "remote_group.hpp"
 #include "supervision.hpp"
 #include "trial.hpp"
 #include "types.hpp"
+#include "upgrade.hpp"
 #include "virtual_time.hpp"
 #include "waits.hpp"
 
@@ -67,12 +69,35 @@ class System {
   std::vector<std::string> resume(const std::vector<control::Change>& changes);
   /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
   control::Done perform(const control::Change& change);
+  /// Whether a load may be made so that nobody waits for the component meanwhile.
+  bool loads_later(const control::Load& request) const;
+  /// Makes an instance. Answered with Done once it is in its mode, or with why it does not get there: then `unload`
+  /// takes it away. Throws Error, and has changed nothing, if it cannot be made.
+  void begin_load(const control::Load& request, Waits::Answer answer);
+  /// It is in its mode: the wires that have waited for it are opened.
+  control::Done end_load(const control::Load& request);
   /// Answered when the change of mode has been made, or why not; throws Error if it cannot be.
   void state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer);
   /// A change of mode has been made: from now on it is what the system is meant to be.
   void note_state(const control::State& request);
   /// Uses a query or send port, or a trigger; answered with how it ended.
   void call(std::uint64_t owner, std::uint64_t id, const control::Call& request, Waits::Answer answer);
+
+  /// An upgrade, with all that is left to the host. Throws Error if it cannot be.
+  control::Upgrade completed(control::Upgrade request) const;
+  /// In this order, each once the one before has been answered with Done: another version of an instance is made beside
+  /// it; it must say what the other one says; it takes its wires over. Until then `drop_candidate` takes it away.
+  void begin_upgrade(const control::Upgrade& request, Waits::Answer answer);
+  void check_upgrade(Waits::Answer answer);
+  control::Done take_over(bool keeps);
+  void drop_candidate();
+  /// Whether there is one that takes its place again.
+  bool stands_by(const std::string& name) const;
+  void watch_upgrade(const std::string& name, double left_ms, Waits::Answer answer);
+  void end_watch(const std::string& name);
+  void dispose_standby(const std::string& name);
+  /// What an upgrade that went wrong has left lost is started again, or left.
+  void leave_to_supervision(const std::string& name);
 
   /// What both say of the ports that the swaps would move is compared for so long on the system's clock. Answered with
   /// Done, its agreements in it, or with why none of them should be made: what would take over says nothing valid. What
@@ -158,11 +183,33 @@ class System {
     std::string group;  ///< the provider's
     control::AttachedClient client;
   };
+  /// An instance on its way to its first mode.
+  struct Making {
+    std::uint64_t change = 0;
+    std::string group{};
+    std::shared_ptr<const Package> package{};
+  };
   struct Lost {
     std::string reason;
     bool away = false;  ///< its host is silent: it may come back
     std::chrono::steady_clock::time_point since = std::chrono::steady_clock::now();
   };
+
+  /// A version of an instance beside the one that serves: about to take its place, ready to take it again, or on its
+  /// way out. Both have the name; its process is another one.
+  struct Beside {
+    std::string name{};
+    Model::Instance made{};
+    std::multimap<PortKey, Wire> wires{};  ///< of what it requires
+    std::vector<std::uint64_t> taps{};     ///< of those that check it, or the one that serves
+    bool is_back = false;                  ///< it has served before, and has nothing to prove
+    std::optional<std::chrono::steady_clock::time_point> rests_at{};  ///< what it was asked is answered by then
+  };
+  struct Tap {
+    std::string group;
+    control::Watch watch;
+  };
+  static constexpr std::uint64_t kNobody = 0;  ///< the owner of waits that no client has
 
   // ---- system.cpp
   /// Where the host's processes listen for each other: apart from the control socket, so that a sandbox holds no more.
@@ -197,25 +244,61 @@ class System {
   std::map<std::uint64_t, std::string> lost_in(const std::string& group) const;
   std::string start_again(const std::string& group);
   void make_again(Group& target, const std::string& name);
-  void open_again(const std::string& group, const control::PortName& client, const Model::Wire& wanted);
+  void made_again(const std::string& name, std::uint64_t change, const control::Reply& reply);
+  void open_again(const std::string& instance, const control::PortName& client, const Model::Wire& wanted);
 
   // ---- system_resume.cpp
   std::vector<std::string> adopt_groups();
   std::string difference_from(const ChildGroup& group) const;
   void note_wires();
+  std::vector<std::string> end_surplus();
   void make_missing();
+  std::vector<std::string> finish_making();
   void correct_ports();
   void open_missing();
   void require_all() const;
 
   // ---- system_instances.cpp
   control::Done load(const control::Load& request, const Model& next);
-  void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request);
+  void bring_up(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
+                Waits::Answer answer);
+  void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
+              std::uint64_t change = 0);
+  control::Done told_of_load(const std::string& name, const Model& next);
+  std::string name_of(const control::Load& request) const;
+  /// It is no more on its way.
+  void made_known(const std::string& name) { making_.erase(name); }
+  void lose_what_is_made(const std::string& group, const std::string& end);
+  void discard(const std::string& name);
   control::Done unload(const control::Unload& request);
   std::string destroyed(Group& target, wire::GroupRequest destroy);
   control::Done set(const control::Set& request, const Model& next);
 
+  // ---- system_upgrade.cpp
+  std::string fresh_group(const std::string& instance) const;
+  Model upgraded(const Beside& version) const;
+  void wake(const std::string& name, Waits::Answer answer);
+  void listen_to(const std::shared_ptr<Deliveries>& check, double within_ms, const std::function<void()>& begin,
+                 Waits::EndOf end_of, Waits::Answer answer);
+  Group& candidate_group();
+  std::vector<std::string> heard_ports(const std::string& name) const;
+  void wire_candidate(const Model& next, bool sends_too);
+  Wire open_for_candidate(const control::PortName& client, const control::PortName& provider, const Model& next);
+  void switch_clients(const std::string& name, const Model& next, control::Done& done);
+  void hand_over(const Model& next, const Model::Instance& old, bool keeps);
+  void untap_candidate();
+  void dispose_later(Beside version);
+  void cut_beside(Beside& version);
+  void look_after_versions(std::chrono::steady_clock::time_point now);
+  void destroy_version(Beside& version);
+  void end_group(const std::string& name);
+  void set_beside(const std::string& group, const std::string& name, bool is_beside);
+  bool is_beside(const std::string& group, const std::string& name);
+
   // ---- system_calls.cpp
+  static wire::GroupRequest mode_request(const std::string& name, const std::string& mode, std::uint64_t change,
+                                         double within_ms = 0);
+  static Waits::EndOf end_of_mode(std::uint64_t change, const std::string& done = "");
   control::PortName callee(const control::PortName& name);
   control::Called called(const wire::CallEnded& ended, TimePoint begun) const;
 
@@ -249,6 +332,8 @@ class System {
   const char* transport(const std::string& client, const Wire& wire) const;
 
   // ---- system_taps.cpp
+  void tap_in(Group& target, std::uint64_t tap, const control::Watch& watch);
+  void move_taps(const std::string& instance, const std::string& from);
   void end_taps(const std::string& group, const std::string& reason);
 
   // ---- system_status.cpp
@@ -265,6 +350,7 @@ class System {
   void add_attached(const std::string& instance, control::PortStatus& port) const;
   void end_attachment(std::uint64_t wire);
   void lose_attachments(const std::string& group, const std::string& reason);
+  void end_attachments_to(const std::string& instance);
 
   // ---- system_hosts.cpp
   std::string host_of(const std::string& group) const;
@@ -314,13 +400,22 @@ class System {
   std::size_t kept_threads_ = 0;
   std::unique_ptr<Waits> waits_;
   std::map<std::string, std::unique_ptr<Group>> groups_;
-  std::map<std::string, Lost> lost_;  ///< instances whose group is gone, and why
+  std::vector<std::unique_ptr<Group>> retired_groups_;  ///< until whoever polled them is done
+  std::map<std::string, Making> making_;                ///< by instance
+  std::optional<Beside> candidate_;
+  std::map<std::string, Beside> standbys_;  ///< by instance
+  std::vector<Beside> leaving_;
+  std::map<std::string, std::chrono::steady_clock::time_point> ending_;  ///< groups, once empty; by then at the latest
+  std::mutex beside_mutex_;
+  std::set<std::pair<std::string, std::string>> beside_;  ///< group, instance; guarded by beside_mutex_
+  Mailbox<std::function<void()>> made_;                   ///< what is to be done when one has been made again, or not
+  std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
   Supervision supervision_;
   std::vector<KeptGroup> kept_;                      ///< until they are adopted
   std::multimap<PortKey, Wire> wires_;               ///< by the client's port
   std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
-  std::map<std::uint64_t, std::string> taps_;        ///< tap -> group
-  std::set<std::string> noted_dead_;                 ///< endpoints of groups whose end has been dealt with
+  std::map<std::uint64_t, Tap> taps_;
+  std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
   static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;
   std::uint64_t next_wire_ = 1;

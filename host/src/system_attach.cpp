@@ -60,7 +60,8 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
     throw Error(ErrorCode::NotAllowed,
                 {.what = fmt::format("this connection holds {} wires already", held), .next = "detach one"});
   }
-  require_descriptors_for("another client", child_groups().size() + attached_names());
+  require_descriptors_for("another client", child_groups().size() + attached_names(),
+                          options_.group_limits.descriptors);
   Group& group = group_of(provider.instance(), model_);
 
   Attachment made{owner, fmt::format("client:{}:{}", owner, request.client()), provider, group.name(), {}};
@@ -127,6 +128,18 @@ void System::lose_attachments(const std::string& group, const std::string& reaso
     wire::GroupMessage event;
     event.mutable_wire_lost()->set_wire(wire);
     event.mutable_wire_lost()->set_reason(reason);
+    deliver(event);
+  }
+}
+
+/// Another version of it serves: whoever is outside asks for a wire to that one.
+void System::end_attachments_to(const std::string& instance) {
+  for (const auto& [wire, one] : attachments_) {
+    if (one.provider.instance() != instance) continue;
+    cut_at(one.group, wire, "another version serves");
+    wire::GroupMessage event;
+    event.mutable_wire_lost()->set_wire(wire);
+    event.mutable_wire_lost()->set_reason("another version of '" + instance + "' serves: attach again");
     deliver(event);
   }
 }

@@ -19,28 +19,37 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
   model_.require_own(name);
   const std::uint64_t change = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
-  const auto begin = [&] {
-    wire::GroupRequest set;
-    set.mutable_set_mode()->set_instance(name);
-    set.mutable_set_mode()->set_mode(request.mode());
-    set.mutable_set_mode()->set_change(change);
-    set.mutable_set_mode()->set_within_ms(within_ms);
-    target.request(std::move(set));
-  };
-  const auto end_of = [change, done = name + " is " + request.mode()](const wire::GroupMessage& event) {
-    std::optional<control::Reply> reply;
-    if (!event.has_mode_set() || event.mode_set().change() != change) return reply;
-    reply.emplace().mutable_done()->set_note(done);
-    if (event.mode_set().has_failure()) *reply->mutable_failure() = event.mode_set().failure();
-    return reply;
-  };
+  const auto begin = [&] { target.request(mode_request(name, request.mode(), change, within_ms)); };
   // The instance itself withdraws a change that is blocked; this is for one that hangs.
   const auto expired =
       failure_reply(ErrorCode::Unreachable,
                     {.what = "'" + name + "' did not change its mode in time: a handler still runs, or it has ended",
                      .where = name,
                      .next = "show " + name});
-  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
+  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of_mode(change, name + " is " + request.mode()), expired,
+               std::move(answer));
+}
+
+wire::GroupRequest System::mode_request(const std::string& name, const std::string& mode, std::uint64_t change,
+                                        double within_ms) {
+  wire::GroupRequest request;
+  auto& set = *request.mutable_set_mode();
+  set.set_instance(name);
+  set.set_mode(mode);
+  set.set_change(change);
+  set.set_within_ms(within_ms);
+  return request;
+}
+
+/// Of the change of mode of this number; `done` is for people.
+Waits::EndOf System::end_of_mode(std::uint64_t change, const std::string& done) {
+  return [change, done](const wire::GroupMessage& event) {
+    std::optional<control::Reply> reply;
+    if (!event.has_mode_set() || event.mode_set().change() != change) return reply;
+    reply.emplace().mutable_done()->set_note(done);
+    if (event.mode_set().has_failure()) *reply->mutable_failure() = event.mode_set().failure();
+    return reply;
+  };
 }
 
 /// What a call by hand reaches: the port or trigger that is named, of a required port the provider at its wire's end.

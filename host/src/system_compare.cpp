@@ -6,9 +6,6 @@
 namespace fiona::host {
 namespace {
 
-/// Of no client: what is compared goes on though whoever asked has gone.
-constexpr std::uint64_t kNobody = 0;
-
 bool pushes(const Model& model, const control::PortName& name) {
   const auto* service =
       Types::service(*model.instance(name.instance()).package->types, model.port(name, PROVIDES).service());

@@ -31,6 +31,7 @@ wire::Confinement System::confinement_of_group(const Model::Instance* first,
   if (first) confinement = confinement_of(*first, folder.parent_path(), folder);
   confinement.set_memory(options_.group_limits.memory);
   confinement.set_threads(options_.group_limits.threads);
+  confinement.set_descriptors(options_.group_limits.descriptors);
   return confinement;
 }
 
@@ -43,6 +44,7 @@ ChildGroup::Start System::start_of_group(const Model::Instance* first, const std
           options_.ends_hung_groups ? parts() : nullptr,
           confinement_of_group(first, folder),
           folder,
+          options_.group_limits.cores,
           groups_.at(std::string(kMainGroup))->endpoint(),
           options_.supervisor};
 }
@@ -53,13 +55,15 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   if (found != groups_.end() && found->second->alive()) return *found->second;
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
-  require_descriptors_for("another group", child_groups().size() + attached_names());
+  require_descriptors_for("another group", child_groups().size() + attached_names(), options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   std::filesystem::create_directories(folder);
   const auto start = start_of_group(first ? first : first_in(wanted), folder);
   auto made = std::make_unique<ChildGroup>(
       wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
-  return *(groups_[wanted] = std::move(made));
+  auto& place = groups_[wanted];
+  if (place) retired_groups_.push_back(std::move(place));  // whoever polls may hold it still
+  return *(place = std::move(made));
 }
 
 Group& System::group_of(const std::string& name, const Model& model) {
@@ -67,18 +71,20 @@ Group& System::group_of(const std::string& name, const Model& model) {
   lose_if_gone(one.group);
   const auto lost = lost_.find(name);
   if (lost == lost_.end()) return group(one.group);
-  throw Error(ErrorCode::Unreachable,
-              {.what = "'" + name + "' is lost: " + lost->second.reason,
-               .where = name,
-               .next = lost->second.away               ? "ls hosts"
-                       : supervision_.waits(one.group) ? "wait for it"
-                                                       : "unload " + name + ", then load it again"});
+  throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second.reason,
+                                       .where = name,
+                                       .next = lost->second.away ? "ls hosts"
+                                               : supervision_.waits(one.group) || making_.contains(name)
+                                                   ? "wait for it"
+                                                   : "unload " + name + ", then load it again"});
 }
 
 /// A process that was started for an instance that could not be made has no purpose.
 void System::retire_if_empty(const Group& target) {
   const std::string name = target.name();
-  if (model_.names_in(name).empty() && name != kMainGroup && host_of(name).empty()) groups_.erase(name);
+  if (!model_.names_in(name).empty() || name == kMainGroup || !host_of(name).empty()) return;
+  retired_groups_.push_back(std::move(groups_.at(name)));
+  groups_.erase(name);
 }
 
 std::vector<ChildGroup*> System::child_groups() {
@@ -127,6 +133,9 @@ std::vector<std::string> System::watch_groups() {
     child->watch(now);
     if (!child->alive()) lose(*child);
   }
+  for (const auto& work : made_.take()) work();
+  look_after_versions(now);
+  retired_groups_.clear();
   std::vector<std::string> lines;
   for (const std::string& name : supervision_.take_due(now)) {
     if (std::string line = start_again(name); !line.empty()) lines.push_back(std::move(line));
@@ -148,6 +157,8 @@ void System::lose_if_gone(const std::string& name) {
 void System::lose(ChildGroup& gone) {
   if (!noted_dead_.insert(gone.endpoint()).second) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
+  lose_what_is_made(gone.name(), gone.end());
+  std::erase_if(standbys_, [&](const auto& one) { return one.second.made.group == gone.name(); });
   tell_others(gone, reason);
   for (const std::string& name : model_.names_in(gone.name())) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);

@@ -1,27 +1,110 @@
 // Instances: loading, unloading, their parameters and their modes.
 #include <fmt/format.h>
 
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/probe.pb.h"
 #include "system.hpp"
 
 namespace fiona::host {
+namespace {
 
-control::Done System::load(const control::Load& request, const Model& next) {
-  const std::string name = request.instance().empty() ? packages_.find(request.plugin()).component : request.instance();
+Error ended_while_loaded(const Package& package, const std::string& group, const std::string& end) {
+  return Error(ErrorCode::ComponentFailed,
+               {.what = "plugin '" + package.name + "' has ended group '" + group + "' while it was loaded",
+                .where = package.library.string(),
+                .found = end,
+                .next = "tell the publisher"});
+}
+
+}  // namespace
+
+bool System::loads_later(const control::Load& request) const {
+  return !virtual_time_ && host_of(request.group()).empty();
+}
+
+/// Part of the system from here on: whoever asked takes it away again where it does not get to its mode.
+void System::begin_load(const control::Load& request, Waits::Answer answer) {
+  if (options_.supervisor) options_.supervisor->beat();
+  control::Change change;
+  *change.mutable_load() = request;
+  Model next = model_;
+  next.make(change, packages_);
+  const std::string name = name_of(request);
   const Model::Instance& made = next.instance(name);
-  Group& target = group_for(made);
-  create(target, name, made, request);
+  const auto ended = [name, answer = std::move(answer)](control::Reply reply) {
+    if (reply.has_failure()) {
+      const Error error = error_of(reply.failure());
+      *reply.mutable_failure() = failure_of(Error(error.code(), without_instance(error.text(), name)));
+    }
+    answer(std::move(reply));
+  };
+  bring_up(group_for(made), name, made, request, ended);
+  model_ = std::move(next);
+}
+
+control::Done System::end_load(const control::Load& request) {
+  const std::string name = name_of(request);
+  made_known(name);
+  return told_of_load(name, model_);
+}
+
+control::Done System::told_of_load(const std::string& name, const Model& next) {
+  const Model::Instance& made = next.instance(name);
   control::Done done;
   done.set_note(fmt::format("{} {} as {}{}{}", made.package->name, made.package->version, name,
-                            target.name() == kMainGroup ? "" : " in " + target.name(), connect_waiting(name, next)));
+                            made.group == kMainGroup ? "" : " in " + made.group, connect_waiting(name, next)));
   return done;
 }
 
-void System::create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request) {
+std::string System::name_of(const control::Load& request) const {
+  return request.instance().empty() ? packages_.find(request.plugin()).component : request.instance();
+}
+
+/// Made in this group, and on its way to its mode; answered, under the number of the change, once it is there, or why
+/// it does not get there. Nobody waits meanwhile: what a component does in its life-cycle calls may take ten seconds.
+/// Throws Error if it cannot be made.
+void System::bring_up(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
+                      Waits::Answer answer) {
+  const std::uint64_t change = next_work_++;
+  made_known(name);
+  const auto begin = [&] {
+    create(target, name, made, request, change);
+    making_[name] = {change, target.name(), made.package};
+  };
+  const auto expired =
+      failure_reply(ErrorCode::Unreachable,
+                    {.what = "'" + name + "' did not reach its mode in time", .where = name, .next = "show " + name});
+  constexpr double kWithin_ms = 11'000;  // a second more than its life-cycle calls have
+  waits_->work(kNobody, change, kWithin_ms, begin, end_of_mode(change), expired, std::move(answer));
+}
+
+/// What is being made in a group that has gone does not get there.
+void System::lose_what_is_made(const std::string& group, const std::string& end) {
+  for (const auto& [name, one] : making_) {
+    if (one.group != group) continue;
+    wire::GroupMessage event;
+    event.mutable_mode_set()->set_change(one.change);
+    *event.mutable_mode_set()->mutable_failure() = failure_of(ended_while_loaded(*one.package, group, end));
+    deliver(event);
+  }
+  std::erase_if(making_, [&](const auto& one) { return one.second.group == group; });
+}
+
+control::Done System::load(const control::Load& request, const Model& next) {
+  const std::string name = name_of(request);
+  const Model::Instance& made = next.instance(name);
+  create(group_for(made), name, made, request);
+  return told_of_load(name, next);
+}
+
+void System::create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
+                    std::uint64_t change) {
   target.require_answer();
   if (host_of(target.name()).empty()) packages_.require_not_revoked(*made.package);  // since it was loaded, perhaps
+  const bool is_candidate = candidate_ && candidate_->name == name && candidate_->made.group == target.name();
+  set_beside(target.name(), name, is_candidate);
   wire::GroupRequest create;
   auto& c = *create.mutable_create();
   c.set_instance(name);
@@ -36,6 +119,7 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
   *c.mutable_interface() = made.package->interface;
   *c.mutable_parameters() = request.parameters();
   c.set_mode(request.mode());
+  c.set_change(change);
   if (target.name() == kMainGroup && options_.tries_libraries) trials_.require(made.package->name, made.package->files);
   try {
     target.request(std::move(create));
@@ -45,11 +129,7 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
     const std::string at = target.name();
     retire_if_empty(target);
     if (end.empty()) throw;
-    throw Error(ErrorCode::ComponentFailed,
-                {.what = "plugin '" + made.package->name + "' has ended group '" + at + "' while it was loaded",
-                 .where = made.package->library.string(),
-                 .found = end,
-                 .next = "tell the publisher"});
+    throw ended_while_loaded(*made.package, at, end);
   }
   types_.add(made.package->name, made.package->types);
 }
@@ -57,6 +137,8 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
 control::Done System::unload(const control::Unload& request) {
   const std::string& name = request.instance();
   const std::string at = model_.instance(name).group;
+  const bool was_made = making_.contains(name) && !lost_.contains(name);  // it did not get to its mode
+  dispose_standby(name);
   lose_if_gone(at);
   if (!lost_.contains(name) && !silent_group(at)) group(at).require_answer();  // before anything is touched
   // First: a change of mode that waits in the instance is answered, before what it waits for ends with the wires.
@@ -71,8 +153,13 @@ control::Done System::unload(const control::Unload& request) {
     note += destroyed(group(at), std::move(destroy));
   }
   const std::vector<std::string> dependents = leave_wires(name);
+  // It may just be made again where its group was started again.
+  if (making_.contains(name) && lost_.contains(name)) discard(name);
   lost_.erase(name);
+  made_known(name);
   if (model_.names_in(at).size() == 1) supervision_.forget(at);
+  if (was_made && model_.names_in(at).size() == 1 && host_of(at).empty() && at != kMainGroup)
+    ending_.emplace(at, std::chrono::steady_clock::now());
   if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));
   done.set_note(note);
   return done;

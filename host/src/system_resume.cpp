@@ -1,7 +1,9 @@
 // The system of the host before this one, brought back: what of it still runs, and what has to be made again.
 #include <fmt/format.h>
+#include <poll.h>
 
 #include <algorithm>
+#include <iterator>
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
@@ -13,12 +15,13 @@ namespace {
 /// Of a wire that is not there, until it is opened.
 constexpr const char* kHostEnded = "the host has ended";
 
-/// The end of a wire as it is meant to be; null: it is not in this process.
+/// The end of a wire as it is meant to be, of this number unless that is 0; null: it is not in this process. Two
+/// versions of an instance have wires between the same ports.
 const wire::HeldWire* held_in(const ChildGroup* group, const control::PortName& client,
-                              const control::PortName& provider, bool provides) {
+                              const control::PortName& provider, bool provides, std::uint64_t wire = 0) {
   if (!group || !group->adopted()) return nullptr;
   for (const auto& one : group->adopted()->wires()) {
-    if ((provides ? one.provider_end() : one.client_end()) && !one.retired() &&
+    if ((provides ? one.provider_end() : one.client_end()) && !one.retired() && (wire == 0 || one.wire() == wire) &&
         key_of(one.client()) == key_of(client) && key_of(one.provider()) == key_of(provider))
       return &one;
   }
@@ -29,7 +32,6 @@ std::string difference_of(const control::InstanceStatus& is, const Model::Instan
   if (is.plugin() != wanted.package->name || is.version() != wanted.package->version ||
       is.component() != wanted.component)
     return fmt::format("'{}' is {} {} there", is.name(), is.plugin(), is.version());
-  if (is.has_pending()) return fmt::format("'{}' is about to change its mode", is.name());
   if (is.mode() != wanted.mode && is.mode() != kModeFailed)
     return fmt::format("'{}' is in mode {} there", is.name(), is.mode());
   const auto same = [](const auto& a, const auto& b) { return a.SerializeAsString() == b.SerializeAsString(); };
@@ -54,8 +56,10 @@ std::vector<std::string> System::resume(const std::vector<control::Change>& chan
   model_ = std::move(next);
   auto lines = adopt_groups();
   note_wires();
-  make_missing();
+  std::ranges::move(end_surplus(), std::back_inserter(lines));
   correct_ports();
+  make_missing();
+  std::ranges::move(finish_making(), std::back_inserter(lines));
   open_missing();
   if (options_.restarts == 0) require_all();
   for (const auto& [name, lost] : lost_)
@@ -63,7 +67,8 @@ std::vector<std::string> System::resume(const std::vector<control::Change>& chan
   return lines;
 }
 
-/// Empty: it holds what the system is meant to have there.
+/// Empty: it holds what the system is meant to have there. What it holds beside that is no reason to end the rest,
+/// unless it would keep the process busy.
 std::string System::difference_from(const ChildGroup& group) const {
   const auto& there = group.adopted()->status().instances();
   const auto names = model_.names_in(group.name());
@@ -73,7 +78,8 @@ std::string System::difference_from(const ChildGroup& group) const {
     const auto difference = difference_of(*found, model_.instance(name), model_.load_of(name));
     if (!difference.empty()) return difference;
   }
-  if (names.size() != static_cast<std::size_t>(there.size())) return "it holds more than it is meant to";
+  const auto moves = std::find_if(there.begin(), there.end(), [](const auto& one) { return one.has_pending(); });
+  if (moves != there.end()) return fmt::format("'{}' is about to change its mode", moves->name());
   const auto wanted = confinement_of_group(first_in(group.name()), group.folder());
   const bool same = wanted.SerializeAsString() == group.confinement().SerializeAsString();
   return names.empty() ? "nothing is meant to be there" : same ? "" : "it is meant to have other rights";
@@ -104,6 +110,25 @@ std::vector<std::string> System::adopt_groups() {
   return lines;
 }
 
+/// What groups that go on hold beside what they are meant to: the version before an upgrade, or the one after it that
+/// was not to be yet; what was about to be loaded. Nothing stands by for a host that did not see it begin to.
+std::vector<std::string> System::end_surplus() {
+  std::vector<std::string> lines;
+  for (auto* child : child_groups()) {
+    for (const auto& one : child->adopted()->status().instances()) {
+      const auto* meant = model_.find(one.name());
+      if (meant && meant->group == child->name()) continue;
+      lines.push_back(fmt::format("'{}' {} is ended in group '{}', where it is not meant to be", one.name(),
+                                  one.version(), child->name()));
+      set_beside(child->name(), one.name(), meant != nullptr);
+      Beside left{.name = one.name()};
+      left.made.group = child->name();
+      destroy_version(left);
+    }
+  }
+  return lines;
+}
+
 /// Those that are open at both ends stay; whatever else groups hold of wires is cut.
 void System::note_wires() {
   std::set<std::uint64_t> kept;
@@ -116,10 +141,10 @@ void System::note_wires() {
     const control::PortName client = port_of(key);
     for (const auto& provider : wanted.providers) {
       const auto* ours = held_in(group_of_name(client.instance()), client, provider, false);
-      const auto* theirs = held_in(group_of_name(provider.instance()), client, provider, true);
+      const auto* theirs =
+          ours ? held_in(group_of_name(provider.instance()), client, provider, true, ours->wire()) : nullptr;
       Wire wire{provider, ours ? ours->wire() : 0, ours && ours->provider_end(), kHostEnded, {}};
-      const bool is_open = ours && theirs && ours->wire() == theirs->wire() && ours->open() && theirs->open() &&
-                           theirs->prescale() == wanted.prescale;
+      const bool is_open = theirs && ours->open() && theirs->open() && theirs->prescale() == wanted.prescale;
       if (is_open) wire.reason.clear();
       if (ours) kept.insert(ours->wire());
       wires_.emplace(key, std::move(wire));
@@ -133,7 +158,7 @@ void System::note_wires() {
   }
 }
 
-/// In the order of their loading, each in its group.
+/// In the order of their loading, each in its group; they are on their way to their modes then.
 void System::make_missing() {
   std::map<std::uint64_t, std::string> ordered;
   for (const std::string& name : model_.names()) {
@@ -157,6 +182,24 @@ void System::make_missing() {
       start_again_later(at, error.text().what);
     }
   }
+}
+
+/// Until each is in its mode, or has failed to get there, for which it has its time. What groups say is heard
+/// meanwhile.
+std::vector<std::string> System::finish_making() {
+  std::vector<std::string> lines;
+  while (!making_.empty()) {
+    if (options_.supervisor) options_.supervisor->beat();
+    const auto children = child_groups();
+    std::vector<pollfd> waits{{made_.descriptor(), POLLIN, 0}};
+    for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
+    if (::poll(waits.data(), waits.size(), static_cast<int>(kWatchEvery.count())) < 0) continue;
+    for (std::size_t i = 0; i < children.size(); ++i) {
+      if (waits[i + 1].revents != 0) serve_group(*children[i]);
+    }
+    std::ranges::move(watch_groups(), std::back_inserter(lines));
+  }
+  return lines;
 }
 
 /// A change that was under way may have left a port with alternatives, or waiting, that is to have one wire or none.

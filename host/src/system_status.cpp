@@ -28,10 +28,15 @@ void add_process(control::GroupStatus& status, const Group& group) {
   const auto usage = group.process() > 0 ? os::usage_of(group.process()) : std::nullopt;
   status.set_memory(usage ? usage->memory : 0);
   status.set_threads(usage ? usage->threads : 0);
+  status.set_descriptors(usage ? usage->descriptors : 0);
   if (!child) return;
   *status.mutable_sandbox() = child->ready().sandbox();
   status.set_memory_limit(child->confinement().memory());
   status.set_threads_limit(child->confinement().threads());
+  status.set_descriptors_limit(child->confinement().descriptors());
+  status.set_cpu(child->cpu().cores());
+  status.set_cpu_limit(child->cpu().most());
+  if (child->cpu().is_held()) status.set_cpu_held_by("it gets what others leave");
   status.set_dropped_output(child->dropped_output());
   status.set_adopted(child->adopted().has_value());
 }
@@ -87,7 +92,9 @@ std::map<std::uint64_t, control::InstanceStatus> System::status_of_groups(contro
     if (!reply) continue;
     *status.mutable_links() = reply->links();
     for (auto& instance : *reply->mutable_instances()) {
-      if (const auto* known = model_.find(instance.name())) ordered[known->order] = std::move(instance);
+      // Another version of it may stand by in another group.
+      const auto* known = model_.find(instance.name());
+      if (known && known->group == name) ordered[known->order] = std::move(instance);
     }
   }
   child_groups();  // notes those that turned out to be gone
@@ -131,6 +138,8 @@ void System::complete_status(control::InstanceStatus& status) const {
   const Model::Instance& known = model_.instance(status.name());
   status.set_group(known.group);
   status.set_restarts(known.group == kMainGroup ? options_.restarts : supervision_.restarts(known.group));
+  if (const auto standby = standbys_.find(status.name()); standby != standbys_.end())
+    status.set_stands_by(standby->second.made.package->version);
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
   status.set_mode_at_load(known.mode_at_load);
   status.set_comment(known.comment);

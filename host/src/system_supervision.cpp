@@ -1,6 +1,8 @@
 // Groups whose process has ended are started again, with all that they are meant to hold.
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "fiona/error.hpp"
 #include "system.hpp"
 
@@ -10,13 +12,19 @@ namespace fiona::host {
 void System::start_again_later(const std::string& group, const std::string& reason) {
   if (!options_.restarts_groups || virtual_time_) return;
   const auto lost = lost_in(group);
-  if (lost.empty()) return;
+  const auto stands_by_for = [this](const auto& one) { return standbys_.contains(one.second); };
+  if (lost.empty() || std::any_of(lost.begin(), lost.end(), stands_by_for)) return;
   const bool again = supervision_.ended(group, std::chrono::steady_clock::now()).has_value();
   for (const auto& [order, name] : lost) {
     lost_[name].reason = again ? reason + "; it is started again"
                                : fmt::format("{}; left, after {} restarts within {} s", reason, Supervision::kRestarts,
                                              Supervision::kWithin.count());
   }
+}
+
+void System::leave_to_supervision(const std::string& name) {
+  dispose_standby(name);
+  if (lost_.contains(name)) start_again_later(model_.instance(name).group, lost_[name].reason);
 }
 
 /// This system's own instances that ended with their group, in the order of their loading.
@@ -40,25 +48,24 @@ std::string System::start_again(const std::string& name) {
   try {
     Group& target = group(name);
     for (const auto& [order, instance] : lost) make_again(target, instance);
-    // It may have ended of what was made.
-    if (!target.alive()) {
-      lose_if_gone(name);
-      return line;
-    }
+    if (!target.alive()) lose_if_gone(name);  // of what was made
   } catch (const Error& error) {
     start_again_later(name, error.text().what + (error.text().found.empty() ? "" : ": " + error.text().found));
-    return line;
   }
-  for (const auto& [client, wanted] : model_.wires()) open_again(name, port_of(client), wanted);
   return line;
 }
 
-/// As it is meant to be. What refuses to be made stays lost, with the reason; the others of its group go on.
+/// As it is meant to be. What refuses to be made stays lost, with the reason; the others of its group go on. It is
+/// lost until it is in its mode, which is waited for only where nothing else can be done meanwhile.
 void System::make_again(Group& target, const std::string& name) {
   if (!target.alive()) return;
   control::Load request = model_.load_of(name);
   request.set_mode(model_.instance(name).mode);
+  const auto ended = [this, name](const control::Reply& reply) {
+    made_.push([this, name, change = reply.id(), reply] { made_again(name, change, reply); });
+  };
   try {
+    if (loads_later(request)) return bring_up(target, name, model_.instance(name), request, ended);
     create(target, name, model_.instance(name), request);
     lost_.erase(name);
   } catch (const Error& error) {
@@ -66,17 +73,39 @@ void System::make_again(Group& target, const std::string& name) {
   }
 }
 
-/// The wires of a port that begin or end in the group.
-void System::open_again(const std::string& group, const control::PortName& client, const Model::Wire& wanted) {
+/// Unless its group has ended again meanwhile, or nobody wants it any more.
+void System::made_again(const std::string& name, std::uint64_t change, const control::Reply& reply) {
+  const auto making = making_.find(name);
+  if (making == making_.end() || making->second.change != change) return;
+  if (!reply.has_done()) {
+    lost_[name].reason = reply.failure().what();
+    return discard(name);
+  }
+  making_.erase(making);
+  lost_.erase(name);
+  for (const auto& [client, wanted] : model_.wires()) open_again(name, port_of(client), wanted);
+}
+
+/// What did not get to its mode, or is not wanted any more. Nobody waits for its end.
+void System::discard(const std::string& name) {
+  const auto at = groups_.find(making_.at(name).group);
+  making_.erase(name);
+  if (at == groups_.end() || !at->second->alive()) return;
+  wire::GroupRequest destroy;
+  destroy.mutable_destroy()->set_instance(name);
+  at->second->tell(std::move(destroy));
+}
+
+/// The wires of a port that begin or end at the instance.
+void System::open_again(const std::string& instance, const control::PortName& client, const Model::Wire& wanted) {
   if (lost_.contains(client.instance())) return;
-  const bool is_new = model_.instance(client.instance()).group == group;
+  const bool is_new = client.instance() == instance;
   control::Done ignored;
   try {
     if (is_new && wanted.providers.size() > 1) arrange(client, wanted.providers, wanted.hold_ms, {}, model_, nullptr);
     const auto [first, last] = wires_.equal_range(key_of(client));
     for (auto wire = first; wire != last; ++wire) {
-      const Model::Instance* provider = model_.find(wire->second.provider.instance());
-      const bool was_lost = provider && provider->group == group && !wire->second.reason.empty();
+      const bool was_lost = wire->second.provider.instance() == instance && !wire->second.reason.empty();
       if (is_new) wire->second.id = 0;  // nobody knows it any more
       if (is_new || was_lost) wire->second = open_or_wait(client, wire->second.provider, model_, wire->second, ignored);
     }

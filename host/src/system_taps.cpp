@@ -19,17 +19,40 @@ void System::tap(std::uint64_t id, const control::Watch& request) {
   if (unwired) {
     throw Error(ErrorCode::Usage, {.what = text_of(name) + " has no wire: nothing comes to it", .next = "spots"});
   }
-  Group& target_group = group_of(target.instance(), model_);
+  control::Watch watch = request;
+  *watch.mutable_port() = target;
+  tap_in(group_of(target.instance(), model_), id, watch);
+}
+
+void System::tap_in(Group& target, std::uint64_t id, const control::Watch& watch) {
   wire::GroupRequest tap;
   tap.mutable_tap()->set_tap(id);
-  *tap.mutable_tap()->mutable_watch() = request;
-  *tap.mutable_tap()->mutable_watch()->mutable_port() = target;
-  taps_.emplace(id, target_group.name());
+  *tap.mutable_tap()->mutable_watch() = watch;
+  taps_.insert_or_assign(id, Tap{target.name(), watch});
   try {
-    target_group.request(std::move(tap));
+    target.request(std::move(tap));
   } catch (...) {
     taps_.erase(id);
     throw;
+  }
+}
+
+/// Another version of the instance serves, in another process: whoever looks at it looks there.
+void System::move_taps(const std::string& instance, const std::string& from) {
+  std::vector<std::pair<std::uint64_t, control::Watch>> moved;
+  for (const auto& [id, tap] : taps_) {
+    if (tap.group == from && tap.watch.port().instance() == instance) moved.emplace_back(id, tap.watch);
+  }
+  for (const auto& [id, watch] : moved) {
+    untap(id);
+    try {
+      tap_in(group_of(instance, model_), id, watch);
+    } catch (const Error& error) {
+      wire::GroupMessage event;
+      event.mutable_tap_ended()->set_tap(id);
+      *event.mutable_tap_ended()->mutable_failure() = failure_of(error);
+      deliver(event);
+    }
   }
 }
 
@@ -70,7 +93,7 @@ control::Expect System::expected(control::Expect request) {
 void System::untap(std::uint64_t id) {
   const auto found = taps_.find(id);
   if (found == taps_.end()) return;
-  const auto owner = groups_.find(found->second);
+  const auto owner = groups_.find(found->second.group);
   taps_.erase(found);
   if (owner == groups_.end() || !owner->second->alive()) return;
   wire::GroupRequest request;
@@ -80,13 +103,13 @@ void System::untap(std::uint64_t id) {
 
 void System::end_taps(const std::string& group, const std::string& reason) {
   for (const auto& [tap, owner] : taps_) {
-    if (owner != group) continue;
+    if (owner.group != group) continue;
     wire::GroupMessage event;
     event.mutable_tap_ended()->set_tap(tap);
     *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
     deliver(event);
   }
-  std::erase_if(taps_, [&group](const auto& tap) { return tap.second == group; });
+  std::erase_if(taps_, [&group](const auto& tap) { return tap.second.group == group; });
 }
 
 }  // namespace fiona::host

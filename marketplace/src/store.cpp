@@ -133,9 +133,10 @@ filesystem::path Store::default_directory() {
                                              .next = "set FIONA_STORE to a directory"});
 }
 
-std::vector<InstalledPackage> Store::installed() const {
+std::vector<InstalledPackage> Store::installed() const { return all_of(read_installed(directory_)); }
+
+std::vector<InstalledPackage> Store::all_of(const Installed& list) const {
   std::vector<InstalledPackage> packages;
-  const Installed list = read_installed(directory_);
   for (const auto& entry : list.packages()) {
     packages.push_back(located(directory_, entry));
     packages.back().is_unsigned = kind_ == Kind::Unsigned;
@@ -153,6 +154,24 @@ InstalledPackage Store::chosen(const std::vector<InstalledPackage>& packages, st
   const std::string full =
       resolve_name(name, known, "there is no installed package", where.string(), "market install " + std::string(name));
   return *std::ranges::find(packages, full, &InstalledPackage::name);
+}
+
+std::vector<InstalledPackage> Store::installed_with(std::string_view name, std::string_view version) const {
+  const auto has_it = [&](const std::vector<InstalledPackage>& packages) {
+    return std::ranges::any_of(packages, [&](const InstalledPackage& package) {
+      return package.name() == name && package.manifest.version() == version;
+    });
+  };
+  if (auto packages = installed(); has_it(packages)) return packages;
+  auto numbers = kept_generations(directory_);
+  std::ranges::sort(numbers, std::ranges::greater{});
+  for (const auto number : numbers) {
+    try {
+      if (auto packages = all_of(read_generation(directory_, number)); has_it(packages)) return packages;
+    } catch (const Error&) {  // it cannot be gone back to: history() says why
+    }
+  }
+  return {};
 }
 
 std::optional<Revocation> Store::revocation(const InstalledPackage& package) const {

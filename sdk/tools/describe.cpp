@@ -1,10 +1,13 @@
 // fiona-describe LIBRARY [-o FILE]: writes the interface of a plugin, read from its components at the author's build.
 #include <google/protobuf/text_format.h>
+#include <signal.h>
+#include <unistd.h>
 
 #include <boost/program_options.hpp>
 #include <fstream>
 #include <iostream>
 #include <string>
+#include <string_view>
 
 #include "fiona/describe.hpp"
 #include "open_plugin.hpp"
@@ -13,7 +16,22 @@ namespace {
 
 namespace options = boost::program_options;
 
+/// A build is not to hang because a component does.
+constexpr unsigned kWithin_s = 20;
+
+void end_in_time() {
+  ::signal(SIGALRM, [](int) {
+    constexpr std::string_view kText =
+        "fiona-describe: the plugin does not come to an end within 20 s: a constructor waits or loops, a static one or "
+        "that of a component; constructors declare, on_start() opens files and devices\n";
+    static_cast<void>(::write(STDERR_FILENO, kText.data(), kText.size()));
+    ::_exit(1);
+  });
+  ::alarm(kWithin_s);
+}
+
 void describe(const std::string& library, const std::string& out) {
+  end_in_time();
   const fiona::Plugin plugin = fiona::tools::open_plugin(library);
   std::string text;
   google::protobuf::TextFormat::PrintToString(fiona::describe(plugin), &text);

@@ -1,6 +1,7 @@
 // What is rewired under load, and knows exactly what it has heard.
 #include <algorithm>
 #include <map>
+#include <utility>
 
 #include "components.hpp"
 
@@ -16,6 +17,7 @@ class Ticker final : public Paced {
     Sample sample;
     sample.set_number(++ticked_);
     sample.set_value(static_cast<double>(params_->source()));
+    sample.set_sent_ns(born_ns_);
     samples_.put(std::move(sample));
     again_after(params_->period_ms());
   }
@@ -32,6 +34,7 @@ class Ticker final : public Paced {
     return report;
   }
 
+  const std::int64_t born_ns_ = steady_ns();  ///< one that is started again counts from 1 again
   std::uint64_t ticked_ = 0;
   std::uint64_t answered_ = 0;
   Params<TickerParams> params_{*this};
@@ -46,6 +49,8 @@ class Witness final : public Paced {
   using Paced::Paced;
 
  private:
+  static constexpr int kMostRuns = 100'000;
+
   void on_change() {
     if (params_->asks()) again_after(0);
   }
@@ -56,11 +61,12 @@ class Witness final : public Paced {
           std::max(testimony_.longest_gap_ms(), static_cast<double>(heard_ns - heard_ns_) / 1e6));
     heard_ns_ = heard_ns;
     const auto source = static_cast<std::uint64_t>(sample.value());
-    std::uint64_t& newest = newest_[source];
+    std::uint64_t& newest = newest_[{source, sample.sent_ns()}];
     if (sample.number() <= newest) testimony_.set_backward(testimony_.backward() + 1);
     newest = std::max(newest, sample.number());
     Run* run = testimony_.runs_size() == 0 ? nullptr : testimony_.mutable_runs(testimony_.runs_size() - 1);
     if (!run || run->source() != source || sample.number() != run->first() + run->count()) {
+      if (testimony_.runs_size() >= kMostRuns) testimony_.clear_runs();
       run = testimony_.add_runs();
       run->set_source(source);
       run->set_first(sample.number());
@@ -89,7 +95,7 @@ class Witness final : public Paced {
 
   Testimony testimony_;
   std::int64_t heard_ns_ = 0;
-  std::map<std::uint64_t, std::uint64_t> newest_;
+  std::map<std::pair<std::uint64_t, std::int64_t>, std::uint64_t> newest_;  ///< by ticker, and when it was made
   Params<WitnessParams> params_{*this, nullptr, &Witness::on_change};
   Requires<SampleNewest> samples_{*this, "samples", &Witness::on_sample};
   Requires<Echo> echo_{*this, "echo"};

@@ -31,6 +31,7 @@ const std::map<std::string, std::vector<Sample>>& samples() {
       {"wire", {{"wire nav.imu to walk.imu", Access::Compose}}},
       {"unwire", {{"unwire nav.imu", Access::Compose}}},
       {"swap", {{"swap walk for nav", Access::Compose}, {"swap walk for nav watch 1s", Access::Compose}}},
+      {"upgrade", {{"upgrade walk", Access::Compose}, {"upgrade walk to 1.0.0 watch 0s", Access::Compose}}},
       {"begin", {{"begin", Access::Nothing}}},
       {"commit",
        {{"begin\nload a\nset a rate=5\ncommit", Access::Compose}, {"begin\nset walk rate=5\ncommit", Access::Operate}}},

@@ -105,6 +105,8 @@ TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
                                    "FIELD=VALUE",
                                    "OBJECT",
                                    "MIB",
+                                   "CORES",
+                                   "VERSION",
                                    "TEXT"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {

@@ -97,6 +97,9 @@ INSTANTIATE_TEST_SUITE_P(
                 "install a build of it for this version of FIONA"},
         Refusal{"other-library", ErrorCode::Failed, "the library is not the one that its interface describes",
                 "fiona9.9-cxxabi9999", "install the package again"},
+        Refusal{"other-strings", ErrorCode::Failed,
+                "plugin 'local/other-strings' cannot be loaded: the system's loader refuses it",
+                "undefined symbol: _ZN5fiona", "ask the publisher for a build for this system"},
         Refusal{"throws-in-factory", ErrorCode::ComponentFailed,
                 "component 'throws-in-factory' cannot be made: the antenna is not plugged in", "",
                 "tell the publisher"},
@@ -187,6 +190,26 @@ TEST_F(CopiedPlugin, TruncatedLibraryIsRefusedInTheLoadersWords) {
   const auto error = error_of_load(system, component());
   ASSERT_TRUE(error.has_value());
   EXPECT_THAT(error->text().found, HasSubstr("file too short"));
+}
+
+TEST_F(CopiedPlugin, LibraryWithoutItsSecondHalfIsRefusedInTheLoadersWords) {
+  std::filesystem::resize_file(library(), std::filesystem::file_size(library()) / 2);
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_EQ(error->text().what, "plugin 'local/copy' cannot be loaded: the system's loader refuses it");
+  EXPECT_THAT(error->text().found, HasSubstr("libcopy.so: "));
+}
+
+TEST_F(CopiedPlugin, LibraryForAnotherMachineIsRefusedWithBothNames) {
+  std::fstream file(library(), std::ios::in | std::ios::out | std::ios::binary);
+  file.seekp(18);  // e_machine
+  file.put(static_cast<char>(0xf3)).put(0);
+  file.close();
+  const auto error = error_of_load(system, component());
+  ASSERT_TRUE(error.has_value());
+  EXPECT_EQ(error->text().what, "plugin 'local/copy' cannot be loaded: it was built for another machine");
+  EXPECT_EQ(error->text().found, "RISC-V");
+  EXPECT_EQ(error->text().next, "install a build of it for this machine");
 }
 
 TEST_F(CopiedPlugin, TextInPlaceOfALibraryIsRefusedInTheLoadersWords) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <fcntl.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 
@@ -71,7 +72,8 @@ class ZooGroup : public testing::TestWithParam<Animal> {
     EXPECT_EQ(system.port("sink.each").dropped(), before.dropped());
   }
 
-  RunningSystem system{RunningSystem::EndsHungGroups(), os::Limits{.memory = 256U << 20U, .threads = 64}};
+  RunningSystem system{RunningSystem::EndsHungGroups(),
+                       os::Limits{.memory = 256U << 20U, .threads = 64, .descriptors = 200, .cores = 0.5}};
 };
 
 // ---- they end their process, or have to be ended --------------------------------------------------------------
@@ -195,15 +197,18 @@ INSTANTIATE_TEST_SUITE_P(Each, ZooHog,
                                          Animal{"leaks", "std::bad_alloc (memory)"},
                                          Animal{"maps-shared-memory", "group 'cage' was ended (memory)"},
                                          Animal{"starts-10000-threads", "threads, of 64 that it may have"},
+                                         Animal{"keeps-descriptors", "descriptors, of 200 that it may have"},
                                          Animal{"leaks-descriptors", "it was given no more descriptors"},
                                          Animal{"forks", "it was given no process"},
                                          Animal{"floods-log", "it has said all"},
                                          Animal{"floods-stderr", "it has said all"}),
                          name_of);
 
-TEST_F(ZooGroup, ThatSpinsLeavesTimeToTheOthers) {
+TEST_F(ZooGroup, ThatSpinsGetsWhatOthersLeaveAndSaysSo) {
   ASSERT_EQ(load("spins.so", "cage"), std::nullopt);
-  system.eventually("it spins", [&] { return system.group("cage").threads() > 0; });
+  system.eventually("it has been put last", [&] { return !system.group("cage").cpu_held_by().empty(); });
+  EXPECT_GT(system.group("cage").cpu(), 0.5);
+  EXPECT_EQ(::getpriority(PRIO_PROCESS, static_cast<id_t>(system.group("cage").process())), 10);
   expect_others_go_on();
   system.unload("patient");
 }

@@ -144,6 +144,23 @@ void tell_done(Session& session, const Plan& plan) {
   }
 }
 
+/// A running system goes on with what it has loaded.
+void tell_running(Session& session, const Plan& plan) {
+  const bool replaces = std::any_of(plan.steps.begin(), plan.steps.end(), [](const PlanStep& step) {
+    return step.kind != StepKind::Install && step.kind != StepKind::Remove && step.kind != StepKind::Repair;
+  });
+  if (!replaces || session.host_if_running() == nullptr) return;
+  const control::System system = session.snapshot();
+  for (const auto& instance : system.instances()) {
+    const auto is_its = [&](const PlanStep& step) {
+      return step.package == instance.plugin() && step.version != instance.version() && step.kind != StepKind::Remove;
+    };
+    if (std::any_of(plan.steps.begin(), plan.steps.end(), is_its))
+      session.out.remark(fmt::format("{} runs {} {}: upgrade {}", instance.name(), instance.plugin(),
+                                     instance.version(), instance.name()));
+  }
+}
+
 void tell_unchanged(Session& session, const Plan& plan, const Store& store) {
   for (const std::string& name : plan.asked) {
     const auto steps = [&name](const PlanStep& step) { return step.package == name; };
@@ -175,6 +192,7 @@ void carry_out(Session& session, const Line& line, const Marketplace* market, bo
     if (!is_agreed(session, line, plan, ask_always)) return session.out.text("nothing was changed");
     if (!marketplace::apply(plan, market, store.directory(), options)) continue;
     tell_done(session, plan);
+    tell_running(session, plan);
     tell_unchanged(session, plan, store);
     return remark(session, plan);
   }

@@ -257,7 +257,7 @@ HostLaunch launch_of(const Line& line, const Options& options) {
   launch.journal = journal_file(launch.name);
   launch.store = options.store;
   if (line.option("--listen") != nullptr) launch.listen = line.option("--listen")->text;
-  for (const char* limit : {"--group-memory", "--group-threads"}) {
+  for (const char* limit : {"--group-memory", "--group-threads", "--group-descriptors", "--group-cpu"}) {
     if (line.option(limit) != nullptr) launch.limits.insert(launch.limits.end(), {limit, line.option(limit)->text});
   }
   if (line.option("--serve") != nullptr) launch.serve = line.option("--serve")->text;

@@ -113,6 +113,13 @@ void add_group(Table& facts, const control::System& system, const std::string& n
   facts.add(
       {"memory", {fmt::format("{} MiB of {}", found->memory() >> 20U, found->memory_limit() >> 20U), found->memory()}});
   facts.add({"threads", {fmt::format("{} of {}", found->threads(), found->threads_limit()), found->threads()}});
+  if (found->descriptors() > 0) {
+    facts.add({"descriptors",
+               {fmt::format("{} of {}", found->descriptors(), found->descriptors_limit()), found->descriptors()}});
+  }
+  const std::string most = found->cpu_limit() > 0 ? fmt::format(" of {:.2f}", found->cpu_limit()) : "";
+  const std::string held = found->cpu_held_by().empty() ? "" : "; more once, so " + found->cpu_held_by();
+  facts.add({"cpu", {fmt::format("{:.2f}{} cores{}", found->cpu(), most, held), found->cpu()}});
   if (found->dropped_output() > 0) {
     facts.add({"dropped output", {fmt::format("{} bytes", found->dropped_output()), found->dropped_output()}});
   }
@@ -132,6 +139,8 @@ void show_instance(Session& session, const control::System& system, const contro
     const std::string of = instance.group() == "main" ? "the host: " + system.restart_reason() : "its group's process";
     facts.add({"restarts", {fmt::format("{} of {}", instance.restarts(), of), instance.restarts()}});
   }
+  if (!instance.stands_by().empty())
+    facts.add({"stands by", instance.stands_by() + ", which serves again if this one fails"});
   if (!instance.rights().empty()) facts.add({"rights", fmt::format("{}", fmt::join(instance.rights(), ", "))});
   facts.add({"handlers",
              {fmt::format("{:.1f} ms busy, {:.1f} ms of it on a CPU", instance.handler_ms(), instance.cpu_ms()),

@@ -75,6 +75,15 @@ void swap(Session& session, const Line& line) {
   make(session, line, std::move(change), fmt::format("swapped {}", line.positional[0].text));
 }
 
+void upgrade(Session& session, const Line& line) {
+  control::Change change;
+  control::Upgrade& upgrade = *change.mutable_upgrade();
+  upgrade.set_instance(line.positional[0].text);
+  if (const Word* version = line.clause("to")) upgrade.set_version(version->text);
+  if (const Word* watch = line.clause("watch")) upgrade.set_watch_ms(duration_ms(*watch, line.words));
+  make(session, line, std::move(change), fmt::format("upgraded {}", line.positional[0].text));
+}
+
 void begin(Session& session, const Line& line) {
   if (session.batch)
     throw line.error(line.verb, {.what = "a transaction has begun already", .next = "commit, or abort"});
@@ -104,7 +113,10 @@ void plan(Session& session, const Line& line) {
       find_verb(inner.verb.text)->handler(session, inner);
     } else {
       const bool looks = find_verb(inner.verb.text)->access == Access::Observe;
-      const Batch batch = looks ? Batch{} : collected(session, [&] { session.run(inner); });
+      const bool alone = inner.verb.text == "upgrade";  // no part of a transaction, but its change can be planned
+      const Batch batch = looks ? Batch{} : collected(session, [&] {
+        alone ? find_verb(inner.verb.text)->handler(session, inner) : session.run(inner);
+      });
       if (batch.changes.empty())
         throw line.error(inner.verb, {.what = fmt::format("'{}' changes nothing", inner.verb.text)});
       make(session, batch, false);

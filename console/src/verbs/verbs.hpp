@@ -10,6 +10,7 @@ void unload(Session& session, const Line& line);
 void wire(Session& session, const Line& line);
 void unwire(Session& session, const Line& line);
 void swap(Session& session, const Line& line);
+void upgrade(Session& session, const Line& line);
 void begin(Session& session, const Line& line);
 void commit(Session& session, const Line& line);
 void abort(Session& session, const Line& line);

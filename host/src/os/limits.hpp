@@ -13,6 +13,8 @@ namespace fiona::os {
 struct Limits {
   std::uint64_t memory = std::uint64_t{1} << 30U;  ///< bytes
   std::uint64_t threads = 128;
+  std::uint64_t descriptors = 1024;
+  double cores = 0;  ///< of the CPU, in the long run; 0: as many as there are
 };
 
 /// A sanitizer's shadow takes terabytes of addresses, and several times the memory.
@@ -25,16 +27,21 @@ inline constexpr bool kLimitsMemory = true;
 #endif
 
 /// [before the first thread] Holds this process to them where the kernel does so by itself: what it asks for beyond its
-/// memory is refused; it leaves no core, opens no more descriptors than it may now, and no program that it starts
-/// inherits any. What is left, memory that it shares and threads, is for who watches it.
+/// memory is refused; it leaves no core, opens few more descriptors than it may, and no program that it starts inherits
+/// any. What is left, memory that it shares, threads, CPU time, is for who watches it.
 void limit(const Limits& limits);
 
 /// What a process has of it now; none: it is gone.
 struct Usage {
   std::uint64_t memory = 0;  ///< bytes resident
   std::uint64_t threads = 0;
+  std::uint64_t descriptors = 0;         ///< 0: it is not to be seen by this user
+  std::chrono::nanoseconds cpu_time{0};  ///< of all its threads, since it started
 };
 std::optional<Usage> usage_of(pid_t process);
+
+/// From now on the threads that it has, and those that they start, get what others leave of the CPU.
+void put_last(pid_t process);
 
 /// For how long the threads of a process, all together, have been ready to run and have waited for a CPU.
 std::chrono::nanoseconds time_waiting_for_cpu(pid_t process);

@@ -82,6 +82,10 @@ class Store {
   /// unknown, with the full names if two publishers have it.
   InstalledPackage find(std::string_view name) const;
 
+  /// The packages of the newest list that has "publisher/name" in this version: the present one, or one that is kept;
+  /// none: no list has it. What it requires is there as it was with it. Throws as installed() does.
+  std::vector<InstalledPackage> installed_with(std::string_view name, std::string_view version) const;
+
   /// The same among these packages, of one store or several; `where` is named in the error.
   static InstalledPackage chosen(const std::vector<InstalledPackage>& packages, std::string_view name,
                                  const std::filesystem::path& where);
@@ -106,6 +110,8 @@ class Store {
   PackageHold hold(const InstalledPackage& package) const;
 
  private:
+  std::vector<InstalledPackage> all_of(const Installed& list) const;
+
   std::filesystem::path directory_;
   Kind kind_;
 };

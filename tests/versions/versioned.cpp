@@ -1,0 +1,136 @@
+// A component of which there are many versions, good ones and bad ones: the words in the file `behaviour` of its share
+// folder say which this is.
+#include <dlfcn.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <fiona/plugin.hpp>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "fiona/test/test.fiona.hpp"
+
+namespace fiona::test {
+namespace {
+
+using namespace std::chrono_literals;
+
+std::string read(const std::filesystem::path& file) {
+  std::stringstream text;
+  text << std::ifstream(file).rdbuf();
+  return text.str();
+}
+
+/// "version=2 dies_after_ms=500": the value behind a name, 0 where there is none.
+double word(const std::string& behaviour, const std::string& name) {
+  std::istringstream text(behaviour);
+  for (std::string one; text >> one;) {
+    if (one.starts_with(name + "=")) return std::atof(one.substr(name.size() + 1).c_str());
+  }
+  return 0;
+}
+
+std::filesystem::path beside_library() {
+  Dl_info found{};
+  ::dladdr(reinterpret_cast<const void*>(&beside_library), &found);
+  const std::filesystem::path library = found.dli_fname ? found.dli_fname : "";
+  return library.parent_path() / "versioned.share" / "behaviour";
+}
+
+const bool kOpened = [] {
+  if (word(read(beside_library()), "dies_when_opened") > 0) ::raise(SIGSEGV);
+  return true;
+}();
+
+Duration from_ms(double ms) {
+  return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
+}
+
+}  // namespace
+
+/// Ticks, answers and gives orders, so that whoever hears it can tell which version it was, and whether anything is
+/// missing.
+class Versioned final : public Component {
+ public:
+  using Component::Component;
+  void on_start() override {
+    behaviour_ = read(resource("behaviour"));  // once: the next build may overwrite it
+    std::this_thread::sleep_for(from_ms(word(behaviour_, "start_ms")));
+    if (word(behaviour_, "refuses") > 0) throw std::runtime_error("the antenna does not fit");
+    if (word(behaviour_, "dies_in_start") > 0) ::abort();
+    if (word(behaviour_, "hangs_in_start") > 0) std::this_thread::sleep_for(1h);
+  }
+  void on_stop() override { std::this_thread::sleep_for(from_ms(word(behaviour_, "stop_ms"))); }
+  void on_mode(std::string_view mode) override {
+    if (mode != kModeActive) return;
+    next_.at(now());
+    if (const double ms = word(behaviour_, "dies_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
+    if (const double ms = word(behaviour_, "hangs_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
+    if (const double ms = word(behaviour_, "fails_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
+    if (const double ms = word(behaviour_, "silent_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
+  }
+
+ private:
+  void tick() {
+    next_.at(now() + from_ms(params_->period_ms()));
+    if (silent_ || word(behaviour_, "silent") > 0) return;
+    Sample sample;
+    sample.set_number(++ticked_);
+    sample.set_value(word(behaviour_, "version"));
+    orders_.send(sample);
+    leased_.put(sample);
+    samples_.put(std::move(sample));
+  }
+  void end() {
+    if (word(behaviour_, "dies_after_ms") > 0) ::abort();
+    if (word(behaviour_, "hangs_after_ms") > 0) std::this_thread::sleep_for(1h);
+    if (word(behaviour_, "fails_after_ms") > 0) throw std::runtime_error("the antenna fell off");
+    silent_ = true;
+  }
+  void on_question(const Question& question, fiona::Reply<Reply> reply) {
+    Reply answer;
+    answer.set_number(question.number());
+    if (waiting_.empty()) answer_.at(now() + 5ms);
+    waiting_.emplace_back(std::move(answer), std::move(reply));
+  }
+  /// Later, so that there are questions on their way at every moment.
+  void answer_waiting() {
+    for (auto& [answer, reply] : std::exchange(waiting_, {})) {
+      ++answered_;
+      reply.answer(std::move(answer));
+    }
+  }
+  TickerReport report(const Question&) {
+    TickerReport report;
+    report.set_ticked(ticked_);
+    report.set_answered(answered_);
+    return report;
+  }
+
+  std::string behaviour_;
+  bool silent_ = false;
+  std::uint64_t ticked_ = 0;
+  std::uint64_t answered_ = 0;
+  std::vector<std::pair<Reply, fiona::Reply<Reply>>> waiting_;
+  Params<TickerParams> params_{*this};
+  Provides<SampleNewest> samples_{*this, "samples"};
+  Provides<SampleLeased> leased_{*this, "leased"};
+  Provides<Echo> echo_{*this, "echo", &Versioned::on_question};
+  Requires<Order> orders_{*this, "orders", {.optional = true}};
+  Trigger<Question, TickerReport> report_{*this, "report", &Versioned::report};
+  Timer next_{*this, &Versioned::tick};
+  Timer end_{*this, &Versioned::end};
+  Timer answer_{*this, &Versioned::answer_waiting};
+};
+
+}  // namespace fiona::test
+
+FIONA_PLUGIN(plugin) { plugin.add<fiona::test::Versioned>("versioned", "says which version of it this is"); }
