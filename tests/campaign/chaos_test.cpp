@@ -1,0 +1,433 @@
+// Promise R35: a host with twenty components under load, and each second a fault by chance, while all oracles look on:
+// it answers; who has nothing to do with a fault notices nothing; nothing comes twice or in another's place; each
+// question has one outcome; no old value is shown for one of now; what was hit is back in time; nothing grows.
+// FIONA_CHAOS_S sets for how long, FIONA_SEED what happens.
+#include <google/protobuf/dynamic_message.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iostream>
+#include <random>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "campaign.hpp"
+#include "fiona/error.hpp"
+#include "served_host.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// What a host promises of one that was hit: three restarts within 30 s. More than that is left, and loaded anew here.
+constexpr auto kBackWithin = 8s;
+constexpr double kAnswersWithin_ms = 2000;
+constexpr double kGrowth_MiB = 32;
+
+/// A host as `fiona run` starts it, in a process of its own.
+class HostProcess {
+ public:
+  explicit HostProcess(const std::filesystem::path& directory) : directory_(directory / "host") { start(); }
+  pid_t id() const { return process_->id(); }
+  bool lives() const { return process_->end().empty(); }
+  std::string end() const { return process_->end(); }
+  std::filesystem::path socket() const { return directory_ / "chaos.sock"; }
+  std::string last_words() const {
+    std::ifstream file(directory_ / "said");
+    std::string text{std::istreambuf_iterator<char>(file), {}};
+    return text.substr(text.size() - std::min<std::size_t>(text.size(), 4000));
+  }
+
+ private:
+  /// Killing it comes with who supervises it: it would be started here again, with what its journal tells.
+  void start() {
+    os::require_private_directory(directory_);
+    int ends[2];
+    if (::pipe2(ends, O_CLOEXEC) != 0) throw std::runtime_error("no pipe");
+    const os::Descriptor ready(ends[0]);
+    os::Descriptor theirs(ends[1]);
+    const os::Descriptor log(::open((directory_ / "said").c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600));
+    const std::vector<std::string> words{"--name",         "chaos",
+                                         "--socket",       socket().string(),
+                                         "--store",        (directory_ / "store").string(),
+                                         "--threads",      "2",
+                                         "--ready-fd",     "3",
+                                         "--group-memory", FIONA_SANITIZED ? "4096" : "256"};
+    process_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-host", words,
+                                                  std::vector<std::pair<int, int>>{{log.get(), 2}, {theirs.get(), 3}});
+    theirs.reset();
+    std::string told;
+    char chunk[256];
+    for (ssize_t count = 0; (count = ::read(ready.get(), chunk, sizeof chunk)) > 0;)
+      told.append(chunk, static_cast<std::size_t>(count));
+    if (!told.starts_with("READY")) throw std::runtime_error("the host did not start: " + told + last_words());
+  }
+
+  const std::filesystem::path directory_;
+  std::unique_ptr<os::ChildProcess> process_;
+};
+
+/// What a trigger of a component returned, of a type that the test does not link.
+class Told {
+ public:
+  explicit Told(const control::Sample& sample) {
+    for (const auto& file : sample.files().file()) pool_.BuildFile(file);
+    const auto* type = pool_.FindMessageTypeByName(sample.type());
+    if (!type) throw std::runtime_error("an unknown type: " + sample.type());
+    object_.reset(factory_.GetPrototype(type)->New());
+    object_->ParseFromString(sample.object());
+  }
+  Seen seen() const { return Seen(*object_); }
+
+ private:
+  google::protobuf::DescriptorPool pool_{google::protobuf::DescriptorPool::generated_pool()};
+  google::protobuf::DynamicMessageFactory factory_{&pool_};
+  std::unique_ptr<google::protobuf::Message> object_;
+};
+
+struct Place {
+  std::string component;
+  std::string name;
+  std::string group;
+  std::string parameters;
+};
+
+class Chaos : public testing::Test {
+ protected:
+  static constexpr int kTickers = 5;
+  static constexpr int kWitnesses = 6;
+  static constexpr int kStations = 2;
+
+  Chaos() {
+    RecordProperty("seed", static_cast<int>(seed));
+    std::cout << "seed " << seed << "\n";
+    for (int i = 0; i < kTickers; ++i)
+      places.push_back({"ticker", fmt::format("t{}", i), fmt::format("gt{}", i), fmt::format("source={}", i)});
+    for (int i = 0; i < kWitnesses; ++i)
+      places.push_back({"witness", fmt::format("w{}", i), i < 2 ? "main" : fmt::format("gw{}", i), ""});
+    for (int i = 0; i < kStations; ++i) {
+      places.push_back({"station", fmt::format("s{}", i), fmt::format("gs{}", i), ""});
+      places.push_back({"lookout", fmt::format("l{}", i), i == 0 ? "main" : "gl1", ""});
+    }
+    places.push_back({"source", "pours", "gp", ""});
+    places.push_back({"sink", "drinks", "gd", ""});
+    places.push_back({"ticker", "calm_t", "calm_a", "source=99"});
+    places.push_back({"witness", "calm_w", "calm_b", ""});
+    for (const Place& place : places) console.load(place.component, place.group, place.name, place.parameters);
+    for (int i = 0; i < kWitnesses; ++i) wire_witness(i, i % kTickers);
+    for (int i = 0; i < kStations; ++i) {
+      for (const std::string port : {"timed", "samples", "echo"})
+        wire(fmt::format("l{}.{}", i, port), fmt::format("s{}.{}", i, port));
+    }
+    wire("drinks.each", "pours.newest");
+    wire("calm_w.samples", "calm_t.samples");
+    wire("calm_w.echo", "calm_t.echo");
+    build_version(1);
+    control::Change load;
+    load.mutable_load()->set_plugin((directory.path / "libversioned.so").string());
+    load.mutable_load()->set_instance("x");
+    load.mutable_load()->set_group("gx");
+    console.change(load);
+    wire("w0.samples", "x.samples");
+    wire("w0.echo", "x.echo");
+    for (const Place& place : places) {
+      if (place.component == "witness") console.set(place.name, "asks=true");  // now that there is somebody to ask
+    }
+  }
+  int pick(int below) { return std::uniform_int_distribution<int>(0, below - 1)(random); }
+  template <class List>
+  const auto& one_of(const List& list) {
+    return list[static_cast<std::size_t>(pick(static_cast<int>(list.size())))];
+  }
+  void wire(const std::string& client, const std::string& provider) {
+    console.change(TestConsole::wire_of(client, provider));
+  }
+  void wire_witness(int witness, int ticker) {
+    wire(fmt::format("w{}.samples", witness), fmt::format("t{}.samples", ticker));
+    wire(fmt::format("w{}.echo", witness), fmt::format("t{}.echo", ticker));
+  }
+  void build_version(int version, const std::string& behaviour = "") {
+    const std::filesystem::path from(VERSIONS_DIRECTORY);
+    std::filesystem::copy_file(from / "libversioned.so", directory.path / "next");
+    std::filesystem::rename(directory.path / "next", directory.path / "libversioned.so");
+    std::filesystem::copy_file(from / "versioned.interface.textproto", directory.path / "versioned.interface.textproto",
+                               std::filesystem::copy_options::overwrite_existing);
+    std::filesystem::create_directories(directory.path / "versioned.share");
+    std::ofstream(directory.path / "versioned.share" / "behaviour") << "version=" << 100 + version << " " << behaviour;
+  }
+  /// What a fault does to a change is that it may be refused; the sentence must say why.
+  void attempt(const std::function<void()>& work) {
+    try {
+      work();
+    } catch (const Error& error) {
+      ++refused;
+      EXPECT_FALSE(error.text().what.empty());
+    }
+  }
+  Told ask(const std::string& instance, const std::string& trigger, const std::string& manner = "") {
+    auto request = console.request();
+    *request.mutable_call()->mutable_target() = port_name(instance + "." + trigger);
+    request.mutable_call()->set_within_ms(5000);
+    if (!manner.empty()) add_arguments("manner=" + manner, *request.mutable_call()->mutable_arguments());
+    const auto reply = console.ask(request);
+    if (reply.called().outcome() != "ok")
+      throw Error(ErrorCode::Failed, instance + "." + trigger + ": " + reply.called().outcome());
+    return Told(reply.called().result());
+  }
+  pid_t process_of(const std::string& group) {
+    const auto system = console.snapshot();
+    for (const auto& one : system.groups()) {
+      if (one.name() == group && one.alive()) return one.process();
+    }
+    return 0;
+  }
+  void signal(const std::string& group, int number) {
+    if (const pid_t process = process_of(group); process > 0) ::kill(process, number);
+  }
+
+  // ---- faults
+  void kill_a_group() { signal(one_of(targets()), SIGKILL); }
+  void stop_for_a_moment() {
+    const std::string group = one_of(targets());
+    const pid_t process = process_of(group);
+    if (process <= 0) return;
+    ::kill(process, SIGSTOP);
+    std::this_thread::sleep_for(std::chrono::milliseconds(100 + pick(300)));
+    ::kill(process, SIGCONT);
+  }
+  void stop_for_good() { signal(one_of(targets()), SIGSTOP); }
+  void rewire() { wire_witness(pick(kWitnesses), pick(kTickers)); }
+  void swap() {
+    const int one = pick(kTickers);
+    console.change(TestConsole::swap_of(fmt::format("t{}", one), fmt::format("t{}", (one + 1) % kTickers)));
+  }
+  void reload() {
+    const Place place = places[static_cast<std::size_t>(pick(kTickers))];
+    console.unload(place.name);
+    console.load(place.component, place.group, place.name, place.parameters);
+  }
+  void storm_of_parameters() {
+    const std::string ticker = fmt::format("t{}", pick(kTickers));
+    for (int i = 0; i < 100; ++i) console.set(ticker, fmt::format("period_ms={}", 5 + i % 20));
+    console.set(ticker, "period_ms=10");
+  }
+  void slow_handler() {
+    console.set("drinks", "work_ms=300");
+    std::this_thread::sleep_for(500ms);
+    console.set("drinks", "work_ms=0");
+  }
+  void full_link() {
+    console.set("pours", "payload=1000000 period_ms=2");
+    std::this_thread::sleep_for(500ms);
+    console.set("pours", "payload=0 period_ms=5");
+  }
+  void guest(const std::string& animal) {
+    control::Change load;
+    load.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/lib" + animal + ".so");
+    load.mutable_load()->set_instance("guest");
+    load.mutable_load()->set_group("guests");
+    console.change(load);
+    std::this_thread::sleep_for(200ms);
+    console.unload("guest");
+  }
+  void hang() { guest("loops"); }
+  void storm_of_allocations() { guest(FIONA_SANITIZED ? "floods-log" : "leaks"); }
+  void fill_the_table_of_descriptors() { guest(FIONA_SANITIZED ? "floods-stderr" : "leaks-descriptors"); }
+  void console_that_dies() {
+    TestConsole other(host.socket());
+    auto watch = other.request();
+    *watch.mutable_watch()->mutable_port() = port_name("calm_t.samples");
+    other.send(watch);
+    auto wait = other.request();
+    wait.mutable_sleep()->set_duration_ms(100'000);
+    other.send(wait);
+  }
+  void console_that_does_not_read() {
+    deaf = std::make_unique<TestConsole>(host.socket());
+    auto watch = deaf->request();
+    *watch.mutable_watch()->mutable_port() = port_name("pours.newest");
+    deaf->send(watch);
+  }
+  void upgrade() {
+    static const std::vector<std::string> kBad{"",          "",        "dies_when_opened=1", "dies_after_ms=700",
+                                               "refuses=1", "silent=1"};
+    build_version(1 + pick(9), one_of(kBad));
+    control::Change change;
+    change.mutable_upgrade()->set_instance("x");
+    change.mutable_upgrade()->set_watch_ms(1500);
+    console.change(std::move(change));
+  }
+  struct Fault {
+    const char* name;
+    void (Chaos::*make)();
+  };
+  static const std::vector<Fault>& faults() {
+    static const std::vector<Fault> kAll{{"kill", &Chaos::kill_a_group},
+                                         {"stop for a moment", &Chaos::stop_for_a_moment},
+                                         {"stop for good", &Chaos::stop_for_good},
+                                         {"rewire", &Chaos::rewire},
+                                         {"swap", &Chaos::swap},
+                                         {"reload", &Chaos::reload},
+                                         {"storm of parameters", &Chaos::storm_of_parameters},
+                                         {"slow handler", &Chaos::slow_handler},
+                                         {"full link", &Chaos::full_link},
+                                         {"hang", &Chaos::hang},
+                                         {"storm of allocations", &Chaos::storm_of_allocations},
+                                         {"all descriptors", &Chaos::fill_the_table_of_descriptors},
+                                         {"console that dies", &Chaos::console_that_dies},
+                                         {"console that does not read", &Chaos::console_that_does_not_read},
+                                         {"upgrade", &Chaos::upgrade}};
+    return kAll;
+  }
+  /// Groups that a fault may hit: not those of the calm pair.
+  std::vector<std::string> targets() const {
+    std::vector<std::string> groups;
+    for (const Place& place : places) {
+      if (place.group != "main" && !place.group.starts_with("calm")) groups.push_back(place.group);
+    }
+    return groups;
+  }
+
+  // ---- oracles
+  void expect_an_answer() {
+    const auto begun = Steady::now();
+    console.snapshot();
+    const double took_ms = std::chrono::duration<double, std::milli>(Steady::now() - begun).count();
+    longest_answer_ms = std::max(longest_answer_ms, took_ms);
+    EXPECT_LE(took_ms, allowed(kAnswersWithin_ms, full)) << "of the host, to a look at the system";
+  }
+  void expect_calm() {
+    const Told told = ask("calm_w", "testify");
+    const Seen seen = told.seen();
+    EXPECT_EQ(seen.number("backward"), 0U);
+    EXPECT_EQ(seen.messages("runs").size(), 1U) << "there is a gap, or another's samples, where no fault was";
+    const auto outcomes = seen.numbers("outcomes");
+    const std::uint64_t ok = outcomes.empty() ? 0 : outcomes.front();
+    EXPECT_EQ(ok + seen.number("open"), seen.number("asked")) << fmt::format("{}", fmt::join(outcomes, ", "));
+    EXPECT_EQ(seen.number("wrong"), 0U);
+    longest_gap_ms = std::max(longest_gap_ms, seen.real("longest_gap_ms"));
+  }
+  /// Of those that are there: one that has just been hit is looked at another time.
+  void expect_no_doubles_and_nothing_old() {
+    for (const Place& place : places) {
+      attempt([&] {
+        if (place.component == "witness") {
+          const Told told = ask(place.name, "testify");
+          EXPECT_EQ(told.seen().number("backward"), 0U) << place.name << ": doubled, or out of order";
+          EXPECT_EQ(told.seen().number("wrong"), 0U) << place.name << ": another's answer";
+          witnessed += told.seen().number("asked") > 0 ? 1 : 0;
+        }
+        if (place.component == "lookout") {
+          const Told told = ask(place.name, "testify", "forget");
+          EXPECT_LE(told.seen().real("oldest_shown_ms"), kTwoPeriods_ms + pulse.longest_ms())
+              << place.name << " was given an old value for one of now";
+          oldest_shown_ms = std::max(oldest_shown_ms, told.seen().real("oldest_shown_ms"));
+        }
+      });
+    }
+  }
+  /// As an operator does: what was left after too many ends is loaded anew. All must be well then.
+  void heal() {
+    deaf.reset();
+    for (const Place& place : places) {
+      if (console.instance(place.name).reason().find("left") == std::string::npos) continue;
+      console.unload(place.name);
+      console.load(place.component, place.group, place.name, place.parameters);
+      ++loaded_anew;
+    }
+    std::string ill;
+    const auto end = Steady::now() + std::chrono::seconds(static_cast<int>(allowed(kBackWithin.count(), full)));
+    do {
+      ill = what_is_ill();
+    } while (!ill.empty() && Steady::now() < end);
+    EXPECT_EQ(ill, "") << "not back in time\n" << host.last_words();
+  }
+  std::string what_is_ill() {
+    const auto system = console.snapshot();
+    for (const auto& one : system.instances()) {
+      if (one.mode() != "active") return fmt::format("{} is {}: {}", one.name(), one.mode(), one.reason());
+      for (const auto& port : one.ports()) {
+        if (port.direction() == fiona::REQUIRES && port.connection() != control::CONNECTED && !port.optional() &&
+            port.connection() != control::UNWIRED)
+          return fmt::format("{}.{} is not connected: {}", one.name(), port.name(), port.reason());
+      }
+    }
+    return "";
+  }
+  Holdings held_by_host() { return holdings({host.id()}); }
+
+  const unsigned seed =
+      static_cast<unsigned>(number_from("FIONA_SEED", static_cast<int>(std::random_device{}() % 1'000'000)));
+  std::mt19937 random{seed};
+  const int seconds = number_from("FIONA_CHAOS_S", 45);
+  const bool full = number_from("FIONA_CHAOS_S", 0) > 0;
+  const TemporaryDirectory directory;
+  HostProcess host{directory.path};
+  TestConsole console{host.socket()};
+  std::unique_ptr<TestConsole> deaf;
+  std::vector<Place> places;
+  Pulse pulse;
+  std::map<std::string, int> made;
+  int refused = 0;
+  int loaded_anew = 0;
+  std::uint64_t witnessed = 0;
+  double longest_answer_ms = 0;
+  double longest_gap_ms = 0;
+  double oldest_shown_ms = 0;
+};
+
+TEST_F(Chaos, HurtsNobodyButWhomItHitsAndTheyComeBack) {
+  heal();
+  Holdings warm;
+  bool is_warm = false;
+  const auto begun = Steady::now();
+  for (int second = 0; second < seconds && !HasFailure(); ++second) {
+    const Fault& fault = one_of(faults());
+    ++made[fault.name];
+    SCOPED_TRACE(fmt::format("seed {}, second {}: {}", seed, second, fault.name));
+    attempt([&] { (this->*fault.make)(); });
+    ASSERT_TRUE(host.lives()) << host.end() << "\n" << host.last_words();
+    expect_an_answer();
+    expect_calm();
+    if (second % 10 != 9) {
+      std::this_thread::sleep_until(begun + std::chrono::seconds(second + 1));
+      continue;
+    }
+    expect_no_doubles_and_nothing_old();
+    heal();
+    if (!is_warm && second >= std::min(seconds / 3, 600)) {
+      warm = held_by_host();
+      is_warm = true;
+    }
+  }
+  heal();
+  expect_calm();
+  expect_no_doubles_and_nothing_old();
+  const Holdings after = held_by_host();
+  EXPECT_GT(witnessed, 0U);
+  EXPECT_LE(after.threads, warm.threads);
+  EXPECT_LE(after.descriptors, warm.descriptors + 8) << "of the host; a group more has four";
+  if (!kKeepsWhatIsFreed) {
+    EXPECT_LT(after.resident_mib - warm.resident_mib, kGrowth_MiB);
+  }
+  std::vector<std::string> texts;
+  for (const auto& [name, count] : made) texts.push_back(fmt::format("{} {}", count, name));
+  std::cout << fmt::format(
+      "{} s (seed {}): {}; {} changes were refused, {} instances loaded anew; the host answered within {:.0f} ms; "
+      "longest gap of a stream of 10 ms that no fault was about {:.1f} ms; oldest value given for one of now {:.1f} "
+      "ms; "
+      "the host's descriptors {} {:+d}, threads {} {:+d}, memory {:.1f} MiB {:+.1f}; the machine stood still for "
+      "{:.0f} "
+      "ms at most\n",
+      seconds, seed, fmt::join(texts, ", "), refused, loaded_anew, longest_answer_ms, longest_gap_ms, oldest_shown_ms,
+      warm.descriptors, after.descriptors - warm.descriptors, warm.threads, after.threads - warm.threads,
+      warm.resident_mib, after.resident_mib - warm.resident_mib, pulse.longest_ms());
+}
+
+}  // namespace
+}  // namespace fiona::conformance
