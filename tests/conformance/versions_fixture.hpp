@@ -2,9 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <filesystem>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -14,29 +11,14 @@
 #include "fiona/error.hpp"
 #include "mailbox.hpp"
 #include "system_fixture.hpp"
+#include "versioned_plugin.hpp"
 
 namespace fiona::conformance {
 
 /// A system changed by its engine, and a plugin of which another version can be built at any time.
 class Versions : public testing::Test {
  protected:
-  Versions() { build("version=1"); }
-
-  std::filesystem::path library() const { return built.path / "libversioned.so"; }
-  /// A new build, as a linker leaves one: another file in the place of the old one.
-  void build(const std::string& behaviour, const std::string& other_port = "") {
-    const std::filesystem::path from(VERSIONS_DIRECTORY);
-    const auto next = built.path / "next";
-    std::filesystem::copy_file(from / "libversioned.so", next);
-    std::filesystem::rename(next, library());
-    std::stringstream interface;
-    interface << std::ifstream(from / "versioned.interface.textproto").rdbuf();
-    std::string text = interface.str();
-    if (!other_port.empty()) text.replace(text.find("\"samples\""), 9, "\"" + other_port + "\"");
-    std::ofstream(built.path / "versioned.interface.textproto") << text;
-    std::filesystem::create_directories(built.path / "versioned.share");
-    std::ofstream(built.path / "versioned.share" / "behaviour") << behaviour;
-  }
+  void build(const std::string& behaviour, const std::string& other_port = "") { plugin.build(behaviour, other_port); }
   std::shared_ptr<LaterAnswer> begin(control::Change change, bool plans = false) {
     control::Transact request;
     request.set_dry_run(plans);
@@ -71,19 +53,8 @@ class Versions : public testing::Test {
     }
     throw std::runtime_error("it was taken");
   }
-  control::Change load_of(const std::string& group) {
-    control::Change change;
-    change.mutable_load()->set_plugin(library().string());
-    change.mutable_load()->set_instance("x");
-    change.mutable_load()->set_group(group);
-    return change;
-  }
-  static control::Change upgrade_of(double watch_ms = 0) {
-    control::Change change;
-    change.mutable_upgrade()->set_instance("x");
-    change.mutable_upgrade()->set_watch_ms(watch_ms);
-    return change;
-  }
+  control::Change load_of(const std::string& group) const { return plugin.load_in(group); }
+  static control::Change upgrade_of(double watch_ms = 0) { return VersionedPlugin::upgrade_of(watch_ms); }
   void wire(const std::string& client, const std::string& provider) {
     control::Change change;
     *change.mutable_wire()->mutable_client() = port_name(client);
@@ -113,10 +84,10 @@ class Versions : public testing::Test {
     return names;
   }
 
-  TemporaryDirectory built;
+  VersionedPlugin plugin;
   host::Mailbox<std::function<void()>> work;
   RunningSystem system{RunningSystem::RestartsGroups{}};
-  host::Engine engine{system.system(), built.path / "journal",
+  host::Engine engine{system.system(), plugin.directory() / "journal",
                       [this](std::function<void()> job) { work.push(std::move(job)); }};
 };
 

@@ -35,6 +35,14 @@ TEST_F(PackagesOfFiles, AreReadAgainOnceTheInterfaceHasChanged) {
   EXPECT_TRUE(first->rights.empty());
 }
 
+TEST_F(PackagesOfFiles, AreOthersOnceTheLibraryIsAnotherBuild) {
+  const auto first = find();
+  std::ofstream(directory.path / "libnav.so") << "built";
+  const auto second = find();
+  EXPECT_NE(second, first);
+  EXPECT_EQ(find(), second);
+}
+
 TEST_F(PackagesOfFiles, AreReadAgainOnceTheyHaveDataFiles) {
   const auto first = find();
   std::filesystem::create_directory(directory.path / "nav.share");

@@ -13,6 +13,7 @@
 
 #include "fiona/error.hpp"
 #include "supervised_host.hpp"
+#include "versioned_plugin.hpp"
 
 namespace fiona::conformance {
 namespace {
@@ -264,6 +265,81 @@ TEST(SupervisedHang, OfTheHostIsSeenAndEnded) {
   console = host.kill_host(SIGSTOP);
   EXPECT_THAT(console->snapshot().restart_reason(), HasSubstr("it did not answer for 1.5 s"));
   EXPECT_EQ(console->process_of("far"), far);
+}
+
+/// A version in the group "cage", somebody else beside it, and who hears both.
+class SupervisedUpgrade : public Supervised {
+ protected:
+  SupervisedUpgrade() {
+    console->change(plugin.load_in("cage"));
+    console->load("source", "cage", "beside", "period_ms=1");
+    console->load("listener", "far", "listener");
+    console->load("witness", "far", "witness");
+    wire(*console, "listener.samples", "beside.newest");
+    wire(*console, "witness.samples", "x.samples");
+    wire(*console, "witness.echo", "x.echo");
+  }
+  void expect_no_gap_beside() {
+    EXPECT_EQ(console->process_of("cage"), cage);
+    EXPECT_EQ(probe(*console, "listener", "disorder"), "");
+    EXPECT_EQ(port(*console, "listener.samples").dropped(), 0U);
+  }
+  void expect_x_in(const std::string& group) {
+    EXPECT_EQ(console->instance("x").group(), group);
+    EXPECT_EQ(console->instance("x").mode(), "active");
+    EXPECT_EQ(console->instance("x").stands_by(), "");
+    for (const std::string name : {"witness.samples", "witness.echo"})
+      EXPECT_EQ(port(*console, name).connection(), control::CONNECTED) << name;
+    const auto before = port(*console, "witness.samples").messages();
+    console->eventually("it is heard", [&] { return port(*console, "witness.samples").messages() > before; });
+  }
+
+  VersionedPlugin plugin;
+  std::unique_ptr<TestConsole> console = host.console();
+  pid_t cage = 0;
+};
+
+TEST_F(SupervisedUpgrade, ThatIsDoneStaysDoneAndNothingStandsByAnyMore) {
+  cage = console->process_of("cage");
+  plugin.build("version=2");
+  TestConsole other(host.socket());
+  other.begin(VersionedPlugin::upgrade_of(60'000));
+  console->eventually("the old one stands by", [&] { return console->instance("x").stands_by() == "0"; });
+  const pid_t made = console->process_of("x");
+  console = host.kill_host();
+  EXPECT_EQ(console->process_of("x"), made);
+  expect_no_gap_beside();
+  expect_x_in("x");
+  EXPECT_THAT(host.said(), HasSubstr("'x' 0 is ended in group 'cage', where it is not meant to be"));
+}
+
+TEST_F(SupervisedUpgrade, ThatIsUnderWayHasNotHappened) {
+  cage = console->process_of("cage");
+  plugin.build("version=2 start_ms=5000");
+  TestConsole other(host.socket());
+  other.begin(VersionedPlugin::upgrade_of());
+  console->eventually("the new one is being made", [&] {
+    const auto system = console->snapshot();
+    return std::any_of(system.groups().begin(), system.groups().end(),
+                       [](const auto& one) { return one.name() == "x"; });
+  });
+  console = host.kill_host();
+  expect_no_gap_beside();
+  expect_x_in("cage");
+  EXPECT_THROW(console->process_of("x"), std::runtime_error);
+  plugin.build("version=3");
+  console->change(VersionedPlugin::upgrade_of());
+  expect_x_in("x");
+}
+
+TEST_F(SupervisedUpgrade, IsUndoneByTheNextHostToo) {
+  plugin.build("version=2");
+  console->change(VersionedPlugin::upgrade_of());
+  console = host.kill_host();
+  expect_x_in("x");
+  plugin.build("version=1");
+  console->undo();
+  EXPECT_NE(console->instance("x").group(), "x");
 }
 
 TEST_F(Supervised, AJournalOfWhichNothingCanBeReadGivesTheOneBeforeIt) {

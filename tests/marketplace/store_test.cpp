@@ -118,6 +118,20 @@ TEST_F(StoreTest, RollbackGoesOnAndBackAgainByNumber) {
   EXPECT_EQ(unknown.text().expected, "one of 1, 2, 3");
 }
 
+TEST_F(StoreTest, AnEarlierVersionIsFoundWithWhatWasInstalledBesideItLast) {
+  publish_one("steps", "1.0.0");
+  const auto old = install_one("steps").package;
+  publish_one("maps", "1.0.0");
+  install_one("maps");
+  publish_one("steps", "2.0.0", "new");
+  install_one("steps");
+  const auto with = Store{store_}.installed_with("acme/steps", "1.0.0");
+  ASSERT_EQ(with.size(), 2u);
+  EXPECT_EQ(with[0].name(), "acme/maps");
+  EXPECT_EQ(with[1].directory, old.directory);
+  EXPECT_TRUE(Store{store_}.installed_with("acme/steps", "3.0.0").empty());
+}
+
 TEST_F(StoreTest, AChangeAfterARollbackGetsANumberOfItsOwn) {
   publish_one("steps", "1.0.0");
   install_one("steps");
