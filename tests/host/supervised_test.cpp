@@ -272,10 +272,12 @@ class SupervisedUpgrade : public Supervised {
  protected:
   SupervisedUpgrade() {
     console->change(plugin.load_in("cage"));
-    console->load("source", "cage", "beside", "period_ms=1");
+    control::Change beside = plugin.load_in("cage");
+    beside.mutable_load()->set_instance("beside");
+    console->change(beside);
     console->load("listener", "far", "listener");
     console->load("witness", "far", "witness");
-    wire(*console, "listener.samples", "beside.newest");
+    wire(*console, "listener.samples", "beside.samples");
     wire(*console, "witness.samples", "x.samples");
     wire(*console, "witness.echo", "x.echo");
   }
