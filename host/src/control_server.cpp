@@ -340,7 +340,7 @@ void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_logged()) std::cerr << event.logged().instance() << ": " << event.logged().text() << "\n";
   // One that fails while it is being loaded is told to whoever loads it.
   const bool failed = event.has_mode_changed() && event.mode_changed().mode() == kModeFailed;
-  if (failed && system_.has_instance(event.mode_changed().instance())) {
+  if (failed && system_.is_loaded(event.mode_changed().instance())) {
     std::cerr << event.mode_changed().instance() << ": failed: " << event.mode_changed().reason() << "\n";
   }
 }

@@ -124,7 +124,10 @@ class System {
   wire::Tapped read(const control::PortName& probe);
   /// What INSTANCE.NAME.FIELD names, which may be a probe of the hull: `nav.location.rate`.
   control::Expect expected(control::Expect request);
-  bool has_instance(const std::string& name) const { return model_.find(name) != nullptr; }
+  /// False while it is being loaded: what becomes of it then is told to whoever loads it.
+  bool is_loaded(const std::string& name) const {
+    return model_.find(name) && (!making_.contains(name) || lost_.contains(name));
+  }
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
 

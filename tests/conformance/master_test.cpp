@@ -231,11 +231,11 @@ TEST(MasterRights, AreNotThoseOfWhoSpeaksInAnothersName) {
   for (const std::string group : {"red", ""}) {
     forged.set_group(group);
     masters.serve(forged);
-    EXPECT_TRUE(system.system().has_instance("beacon")) << "said by '" << group << "'";
+    EXPECT_TRUE(system.system().is_loaded("beacon")) << "said by '" << group << "'";
   }
   forged.set_group("main");
   masters.serve(forged);
-  EXPECT_FALSE(system.system().has_instance("beacon"));
+  EXPECT_FALSE(system.system().is_loaded("beacon"));
 }
 
 }  // namespace

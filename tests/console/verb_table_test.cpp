@@ -271,6 +271,8 @@ TEST(Lines, OfEveryVerbAndFormAreRead) {
         "wire a.x to b.y else c.y else d.y every 5",
         "unwire a.x",
         "swap a for b watch 10s",
+        "upgrade a",
+        "upgrade a to 1.2.0 watch 10s",
         "state a",
         "state a neutral",
         "set a rate=5 name=\"x y\"",

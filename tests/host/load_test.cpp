@@ -99,7 +99,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "fiona9.9-cxxabi9999", "install the package again"},
         Refusal{"other-strings", ErrorCode::Failed,
                 "plugin 'local/other-strings' cannot be loaded: the system's loader refuses it",
-                "undefined symbol: _ZN5fiona", "ask the publisher for a build for this system"},
+                "undefined symbol: _ZNK5fiona9Component4nameEv", "ask the publisher for a build for this system"},
         Refusal{"throws-in-factory", ErrorCode::ComponentFailed,
                 "component 'throws-in-factory' cannot be made: the antenna is not plugged in", "",
                 "tell the publisher"},
@@ -192,8 +192,8 @@ TEST_F(CopiedPlugin, TruncatedLibraryIsRefusedInTheLoadersWords) {
   EXPECT_THAT(error->text().found, HasSubstr("file too short"));
 }
 
-TEST_F(CopiedPlugin, LibraryWithoutItsSecondHalfIsRefusedInTheLoadersWords) {
-  std::filesystem::resize_file(library(), std::filesystem::file_size(library()) / 2);
+TEST_F(CopiedPlugin, LibraryThatEndsAmidItsCodeIsRefusedInTheLoadersWords) {
+  std::filesystem::resize_file(library(), 200'000);  // what debuggers read may be most of the file
   const auto error = error_of_load(system, component());
   ASSERT_TRUE(error.has_value());
   EXPECT_EQ(error->text().what, "plugin 'local/copy' cannot be loaded: the system's loader refuses it");

@@ -85,6 +85,7 @@ class Versioned final : public Component {
     Sample sample;
     sample.set_number(++ticked_);
     sample.set_value(word(behaviour_, "version"));
+    sample.set_sent_ns(born_.time_since_epoch().count());
     orders_.send(sample);
     leased_.put(sample);
     samples_.put(std::move(sample));
@@ -115,6 +116,7 @@ class Versioned final : public Component {
     return report;
   }
 
+  const std::chrono::steady_clock::time_point born_ = std::chrono::steady_clock::now();  ///< each counts from 1
   std::string behaviour_;
   bool silent_ = false;
   std::uint64_t ticked_ = 0;

@@ -144,8 +144,8 @@ void tell_done(Session& session, const Plan& plan) {
   }
 }
 
-/// A running system goes on with what it has loaded.
-void tell_running(Session& session, const Plan& plan) {
+/// A running system goes on with what it has loaded. The change is made, whether or not that system can be asked.
+void tell_running(Session& session, const Plan& plan) try {
   const bool replaces = std::any_of(plan.steps.begin(), plan.steps.end(), [](const PlanStep& step) {
     return step.kind != StepKind::Install && step.kind != StepKind::Remove && step.kind != StepKind::Repair;
   });
@@ -159,6 +159,8 @@ void tell_running(Session& session, const Plan& plan) {
       session.out.remark(fmt::format("{} runs {} {}: upgrade {}", instance.name(), instance.plugin(),
                                      instance.version(), instance.name()));
   }
+} catch (const Error& error) {
+  session.out.remark("what runs could not be asked for its versions: " + error.text().what);
 }
 
 void tell_unchanged(Session& session, const Plan& plan, const Store& store) {
