@@ -7,7 +7,10 @@
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/open.hpp>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <random>
 
 #include "kept_market.hpp"
 
@@ -197,6 +200,81 @@ TEST_F(KeptMarket, AClockSetBackRevivesNothing) {
   std::filesystem::remove_all(market_);
   std::filesystem::rename(old_market, market_);
   EXPECT_THAT(install_fault("nav@1.0.0", 0), HasSubstr("rollback: timestamp.json is older"));
+}
+
+/// What the user has seen last, of a marketplace that is new, or shown as it was before.
+class LastSeen : public KeptMarket {
+ protected:
+  void SetUp() override {
+    KeptMarket::SetUp();
+    hand_in(packed("nav", "1.0.0"));
+    std::filesystem::copy(market_, old_, std::filesystem::copy_options::recursive);
+    hand_in(packed("nav", "1.1.0"));
+    ASSERT_EQ(install_fault("nav", 10), "");
+    for (const auto& file : std::filesystem::directory_iterator(trusted())) {
+      if (file.path().extension() == ".json") seen_[file.path().filename()] = file_content(file.path());
+    }
+  }
+  std::filesystem::path trusted() const {
+    return std::filesystem::directory_iterator(scratch_ / "user/trusted")->path();
+  }
+  /// All as it was seen, but for this file.
+  void damage(const std::string& name, const std::string& content) const {
+    for (const auto& [each, before] : seen_) write_file(trusted() / each, each == name ? content : before);
+  }
+  std::optional<Error> fault_of_opening() const {
+    try {
+      open_marketplace(market_.string(), user(10));
+      return std::nullopt;
+    } catch (const Error& error) {
+      return error;
+    }
+  }
+  void swap_markets() const {
+    std::filesystem::rename(market_, scratch_ / "aside");
+    std::filesystem::rename(old_, market_);
+    std::filesystem::rename(scratch_ / "aside", old_);
+  }
+
+  const std::filesystem::path old_ = scratch_ / "old";
+  std::map<std::string, std::string> seen_;
+};
+
+std::vector<std::string> damaged(const std::string& whole, std::mt19937& random, int count) {
+  std::vector<std::string> all{"", whole.substr(0, whole.size() - 1), std::string(whole.size(), '\0')};
+  while (static_cast<int>(all.size()) < count) {
+    std::string one = whole;
+    const auto at = random() % whole.size();
+    if (all.size() % 2 == 0) one.resize(at);
+    if (all.size() % 2 == 1) one[at] = static_cast<char>(one[at] ^ (1 << random() % 8));
+    all.push_back(std::move(one));
+  }
+  return all;
+}
+
+TEST_F(LastSeen, DamagedInAnyFileRevivesNothingAndIsMendedOrToldOfTheRoot) {
+  ASSERT_GE(seen_.size(), 5U) << "root, timestamp, snapshot, targets, acme";
+  std::mt19937 random(13);
+  int told = 0, mended = 0;
+  for (const auto& [name, whole] : seen_) {
+    for (const std::string& content : damaged(whole, random, 40)) {
+      swap_markets();
+      damage(name, content);
+      EXPECT_TRUE(fault_of_opening().has_value()) << name << " with " << content.size() << " bytes: the old is taken";
+      swap_markets();
+      damage(name, content);
+      const auto fault = fault_of_opening();
+      (fault ? told : mended)++;
+      if (fault) {
+        EXPECT_EQ(name, "root.json") << fault->what();
+        EXPECT_NE(fault->text().where + fault->text().next, "");
+      } else if (name == "timestamp.json" || name == "snapshot.json" || name == "targets.json") {
+        EXPECT_EQ(file_content(trusted() / name), seen_.at(name)) << "fetched again";
+      }
+    }
+  }
+  EXPECT_GT(told, 30);
+  EXPECT_GE(mended, 160);
 }
 
 TEST_F(KeptMarket, WhatAPublisherNoLongerSignsForIsWithdrawn) {
