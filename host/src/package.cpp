@@ -133,7 +133,7 @@ void Packages::add_files(Package& package, const marketplace::InstalledPackage& 
     file.set_size(listed.size());
     file.set_package(of.name());
     const bool is_own = listed.path() == of.manifest.library();
-    for (const auto& proto : interface.descriptors().file()) file.add_protos(proto.name());
+    *file.mutable_descriptors() = interface.descriptors();
     (is_own ? own : *package.files.Add()) = file;
   }
   if (!own.path().empty()) *package.files.Add() = own;

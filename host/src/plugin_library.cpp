@@ -3,6 +3,8 @@
 
 #include <dlfcn.h>
 #include <elf.h>
+#include <fmt/format.h>
+#include <google/protobuf/descriptor.h>
 
 #include <algorithm>
 #include <boost/dll/shared_library.hpp>
@@ -10,6 +12,7 @@
 #include <cstring>
 #include <fstream>
 #include <optional>
+#include <set>
 #include <system_error>
 #include <vector>
 
@@ -69,6 +72,48 @@ void require_machine(const std::string& name, const std::filesystem::path& path)
           .next = "install a build of it for this machine"});
 }
 
+/// What stands in the namespace of its package.
+std::vector<std::string> symbols_of(const google::protobuf::FileDescriptorProto& file) {
+  std::vector<std::string> names;
+  for (const auto& one : file.message_type()) names.push_back(one.name());
+  for (const auto& one : file.service()) names.push_back(one.name());
+  for (const auto& one : file.extension()) names.push_back(one.name());
+  for (const auto& one : file.enum_type()) {
+    names.push_back(one.name());
+    for (const auto& value : one.value()) names.push_back(value.name());
+  }
+  for (std::string& name : names) name = file.package().empty() ? name : file.package() + "." + name;
+  return names;
+}
+
+/// How long a library is at least, by what of it is loaded; 0: it is no ELF file of this size.
+std::uint64_t least_size_of(const std::filesystem::path& path) {
+  Elf64_Ehdr head{};
+  std::ifstream file(path, std::ios::binary);
+  if (!file.read(reinterpret_cast<char*>(&head), sizeof head) || std::memcmp(head.e_ident, ELFMAG, SELFMAG) != 0)
+    return 0;
+  std::uint64_t least = 0;
+  for (int i = 0; i < head.e_phnum; ++i) {
+    Elf64_Phdr part{};
+    file.seekg(static_cast<std::streamoff>(head.e_phoff + static_cast<std::uint64_t>(i) * sizeof part));
+    if (!file.read(reinterpret_cast<char*>(&part), sizeof part)) return std::max(least, head.e_phoff + sizeof part);
+    if (part.p_type == PT_LOAD) least = std::max(least, part.p_offset + part.p_filesz);
+  }
+  return least;
+}
+
+/// The loader maps what is not there, and whoever touches it is ended.
+void require_whole(const std::string& name, const std::filesystem::path& path) {
+  std::error_code ignored;
+  const std::uint64_t least = least_size_of(path), size = std::filesystem::file_size(path, ignored);
+  if (ignored || size >= least) return;
+  refuse(name, path,
+         {.what = "its file ends before its code does",
+          .expected = fmt::format("{} bytes or more", least),
+          .found = fmt::format("{} bytes", size),
+          .next = "build it or install it again"});
+}
+
 const std::string kThrows = "a static constructor of it throws: ";
 
 /// `dlopen` says that nothing is thrown; but static constructors are called, and throw through it. It is called as if
@@ -76,6 +121,13 @@ const std::string kThrows = "a static constructor of it throws: ";
 void* open_library(const std::filesystem::path& path) {
   void* (*volatile const open)(const char*, int) = &::dlopen;
   return open(path.c_str(), RTLD_NOW | RTLD_LOCAL);
+}
+
+/// By this process, under this name: it is not opened again then.
+bool is_open(const std::filesystem::path& path) {
+  void* const handle = ::dlopen(path.c_str(), RTLD_NOW | RTLD_NOLOAD);
+  if (handle) ::dlclose(handle);
+  return handle != nullptr;
 }
 
 std::filesystem::file_time_type time_of(const std::filesystem::path& path) {
@@ -99,6 +151,7 @@ std::unique_ptr<PluginLibraries::Library> PluginLibraries::load(const std::strin
     refuse(name, file.path(), {.what = "its library is missing", .next = "market install " + name});
   }
   require_machine(name, file.path());
+  require_whole(name, file.path());
   auto library = std::make_unique<Library>();
   library->owner = name;
   library->written = time_of(file.path());
@@ -157,32 +210,57 @@ void PluginLibraries::check_before_opening(const std::string& name, const Files&
             .found = interface.abi().empty() ? "no ABI tag" : interface.abi(),
             .next = "install a build of it for this version of FIONA"});
   }
+  std::set<std::string> shared;
   for (const auto& file : files) {
-    for (const auto& proto : file.protos()) require_not_brought(name, files, proto);
+    const bool opens = !libraries_.contains(file.path()) && !is_open(file.path());
+    for (const auto& proto : file.descriptors().file()) {
+      shared.insert(proto.name());
+      if (opens) require_new(name, path, proto);
+    }
   }
-  for (const auto& file : interface.descriptors().file()) {
-    require_not_brought(name, files, file.name());
-    if (is_platform_proto(file.name())) {
+  for (const auto& proto : interface.descriptors().file()) {
+    if (is_platform_proto(proto.name())) {
       refuse(name, path,
-             {.what = "its proto file '" + file.name() + "' is one of the platform's",
+             {.what = "its proto file '" + proto.name() + "' is one of the platform's",
               .expected = "protos under a path that begins with the publisher's id",
               .next = "ask the publisher to rename the file and its package"});
     }
+    if (!shared.contains(proto.name()) && !is_open(path)) require_new(name, path, proto);
   }
 }
 
-/// By a library that is none of these: another plugin's, or of another version of what these belong to.
-void PluginLibraries::require_not_brought(const std::string& name, const Files& files, const std::string& proto) const {
-  const auto owner = proto_owners_.find(proto);
-  if (owner == proto_owners_.end()) return;
-  const auto is_its = [&](const wire::LibraryFile& file) { return file.path() == owner->second.library; };
-  if (std::any_of(files.begin(), files.end(), is_its)) return;
-  const std::string who =
-      owner->second.plugin == name ? "another version of it" : "plugin '" + owner->second.plugin + "'";
-  refuse(name, files.rbegin()->path(),
-         {.what = "its proto file '" + proto + "' has already been brought by " + who +
-                  ", and protobuf ends a process that gets it twice",
+/// To this process: what another library has registered, be it one that could not be opened to the end, stays, and
+/// protobuf ends a process that gets a file or a name again.
+void PluginLibraries::require_new(const std::string& name, const std::filesystem::path& path,
+                                  const google::protobuf::FileDescriptorProto& proto) const {
+  const auto& known = *google::protobuf::DescriptorPool::generated_pool();
+  std::string what = "its proto file '" + proto.name() + "'";
+  const auto* brought = known.FindFileByName(proto.name());
+  for (const std::string& symbol : symbols_of(proto)) {
+    if (brought) break;
+    brought = known.FindFileContainingSymbol(symbol);
+    if (brought) what = fmt::format("'{}' of {}", symbol, what);
+  }
+  if (!brought) return;
+  const auto owner = proto_owners_.find(brought->name());
+  const std::string who = is_platform_proto(brought->name()) ? "the platform"
+                          : owner == proto_owners_.end()     ? "a library that could not be loaded"
+                          : owner->second == name            ? "another version of it"
+                                                             : "plugin '" + owner->second + "'";
+  refuse(name, path,
+         {.what = what + " has already been brought by " + who + ", and protobuf ends a process that gets it twice",
           .next = "load " + name + " in GROUP: a group is a process of its own"});
+}
+
+/// A library finds those that it was opened with, whatever is installed now.
+void PluginLibraries::require_needed(const std::string& name, const Files& files) const {
+  for (const auto& file : files) {
+    if (libraries_.contains(file.path())) continue;
+    refuse(
+        name, files.rbegin()->path(),
+        {.what = "it was opened here with another version of " + file.package() + ", and a library is never unloaded",
+         .next = "load " + name + " in GROUP: a group is a process of its own"});
+  }
 }
 
 /// Which of them needs which, only the loader knows: each is tried until all are open, or none goes on.
@@ -197,7 +275,7 @@ void PluginLibraries::open_needed(const std::string& name, const Files& files) {
     std::erase_if(waiting, [&](const wire::LibraryFile* file) {
       try {
         libraries_.emplace(file->path(), load(name, *file));
-        for (const auto& proto : file->protos()) proto_owners_.emplace(proto, Owner{file->package(), file->path()});
+        for (const auto& proto : file->descriptors().file()) proto_owners_.emplace(proto.name(), file->package());
         return true;
       } catch (const Error& error) {
         if (error.code() != ErrorCode::Failed) throw;
@@ -214,6 +292,7 @@ PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const
   const wire::LibraryFile& own = *files.rbegin();
   if (const auto known = libraries_.find(own.path()); known != libraries_.end()) {
     // What was installed has its hash in its path, and was compared with it.
+    require_needed(name, files);
     if (!own.blake2b().empty() || time_of(own.path()) == known->second->written) return *known->second;
     refuse(name, own.path(),
            {.what = "the file has changed since it was loaded, and a library is never unloaded",
@@ -222,7 +301,7 @@ PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const
   check_before_opening(name, files, interface);
   open_needed(name, files);
   auto library = load(name, own);
-  for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), Owner{name, own.path()});
+  for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), name);
   return *libraries_.emplace(own.path(), std::move(library)).first->second;
 }
 

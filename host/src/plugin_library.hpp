@@ -40,15 +40,13 @@ class PluginLibraries {
   std::unique_ptr<Library> load(const std::string& name, const wire::LibraryFile& file) const;
   static void keep(std::unique_ptr<Library> library);
   void check_before_opening(const std::string& name, const Files& files, const Interface& interface) const;
-  void require_not_brought(const std::string& name, const Files& files, const std::string& proto) const;
+  void require_new(const std::string& name, const std::filesystem::path& path,
+                   const google::protobuf::FileDescriptorProto& proto) const;
+  void require_needed(const std::string& name, const Files& files) const;
 
   const bool private_files_;
   std::map<std::filesystem::path, std::unique_ptr<Library>> libraries_;
-  struct Owner {
-    std::string plugin;
-    std::filesystem::path library;
-  };
-  std::map<std::string, Owner> proto_owners_;  ///< by descriptor file
+  std::map<std::string, std::string> proto_owners_;  ///< descriptor file -> plugin, or package of messages
 };
 
 }  // namespace fiona::host
