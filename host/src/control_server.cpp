@@ -100,15 +100,16 @@ void ControlServer::restore(const std::filesystem::path& journal) {
 }
 
 /// As somebody has asked for.
-void ControlServer::end(int code) {
+void ControlServer::end(int code, const std::string& why) {
   exit_code_ = code;
+  end_reason_ = why;
   was_ended_ = true;
   if (system_.supervisor()) system_.supervisor()->quits();
 }
 
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
-  system_.waits().end_run(*exit_code_, "quit");
+  system_.waits().end_run(*exit_code_, end_reason_);
   for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
   for (auto& [id, client] : clients_) client->stream.flush();
   return *exit_code_;
@@ -140,9 +141,9 @@ void ControlServer::poll_once(int lifeline, int signals) {
   if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;
   system_.watch_time();
 
-  if (waits[3].revents != 0 || waits[4].revents != 0) {
-    return end(waits[4].revents != 0 ? 130 : 0);
-  }
+  if (waits[4].revents != 0) return end(130, "the host was told to end, by a signal");
+  if (waits[3].revents != 0)
+    return end(0, beats ? "the host's supervisor has ended" : "who started the host has ended");
   for (const auto& event : events_.take()) on_event(event);
   for (const auto& work : work_.take()) work();
   for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
@@ -157,8 +158,9 @@ void ControlServer::poll_once(int lifeline, int signals) {
   }
   for (const auto& line : system_.watch_groups()) std::cerr << line << "\n";
   if (system_.kept_threads() > System::kMostKeptThreads && !exit_code_) {
-    std::cerr << "the host ends: its components have kept " << system_.kept_threads()
-              << " threads; load those that hang in a GROUP, which is ended and started again\n";
+    end_reason_ = fmt::format("its components have kept {} threads", system_.kept_threads());
+    std::cerr << "the host ends: " << end_reason_
+              << "; load those that hang in a GROUP, which is ended and started again\n";
     exit_code_ = static_cast<int>(ErrorCode::ComponentFailed);
   }
   send_held();
@@ -288,7 +290,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
       system_.detach(client, request.detach().wire());
       attached_.erase(request.detach().wire());
       return done("");
-    case Request::kQuit: end(request.quit().exit_code()); return done("");
+    case Request::kQuit: end(request.quit().exit_code(), "quit"); return done("");
     case Request::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, "the request is empty, or newer than this host");

@@ -72,7 +72,7 @@ class ControlServer {
   void send_last(std::uint64_t client, const control::Reply& reply);
   void forget_open(std::uint64_t client, std::uint64_t request);
   void restore(const std::filesystem::path& journal);
-  void end(int code);
+  void end(int code, const std::string& why);
   void send(std::uint64_t client, const control::Reply& reply);
   void on_wire_lost(const wire::WireLost& lost);
   void on_event(const wire::GroupMessage& event);
@@ -99,6 +99,7 @@ class ControlServer {
   std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;     ///< wire -> (client, request)
   std::uint64_t next_client_ = 1;
   std::optional<int> exit_code_;
+  std::string end_reason_;
   bool was_ended_ = false;
 };
 

@@ -1,5 +1,8 @@
 // The instances of one process: made, told their mode and parameters, ended.
+#include <cxxabi.h>
+
 #include <algorithm>
+#include <iostream>
 
 #include "failure.hpp"
 #include "fiona/describe.hpp"
@@ -15,6 +18,9 @@ void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& l
     hull.create(entry.make);
   } catch (const Error&) {
     throw;
+  } catch (const abi::__forced_unwind&) {  // of the thread that does all for this process, which cannot go on without
+    std::cerr << "component '" << entry.name << "' of " << library << " has ended the thread that makes it\n";
+    std::abort();
   } catch (...) {
     throw Error(ErrorCode::ComponentFailed,
                 {.what = "component '" + entry.name + "' cannot be made: " + detail::reason_of_exception(),

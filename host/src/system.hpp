@@ -64,8 +64,8 @@ class System {
 
   /// Of a system that is empty: from now on it is what these changes lead to. Groups of the host before that are as
   /// they are meant to be go on, with the wires between them; all else is made again. What refuses to be made is lost,
-  /// with the reason; for a host that was not started again that is an Error. What there is to tell people, line by
-  /// line.
+  /// and what cannot even be asked for any more, as its package has gone, is left out: both with the reason. What there
+  /// is to tell people, line by line.
   std::vector<std::string> resume(const std::vector<control::Change>& changes);
   /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
   control::Done perform(const control::Change& change);
@@ -234,6 +234,7 @@ class System {
   /// Of an instance that lives; throws Error Unreachable otherwise.
   Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
+  void leave_group(const std::string& name);
   HangWatch::Parts parts() const;
   bool watches_main() const { return main_hangs_ && pool_->liveness()->page().used > 0; }
   void give_up(const Hang& hang);
@@ -259,7 +260,6 @@ class System {
   std::vector<std::string> finish_making();
   void correct_ports();
   void open_missing();
-  void require_all() const;
 
   // ---- system_instances.cpp
   control::Done load(const control::Load& request, const Model& next);

@@ -51,6 +51,7 @@ ChildGroup::Start System::start_of_group(const Model::Instance* first, const std
 
 Group& System::group(const std::string& name, const Model::Instance* first) {
   const std::string wanted = name.empty() ? std::string(kMainGroup) : name;
+  if (ending_.erase(wanted) > 0) end_group(wanted);  // who comes after the last one gets a process of its own
   const auto found = groups_.find(wanted);
   if (found != groups_.end() && found->second->alive()) return *found->second;
   if (Group* remote = remote_group(wanted)) return *remote;
@@ -85,6 +86,20 @@ void System::retire_if_empty(const Group& target) {
   if (!model_.names_in(name).empty() || name == kMainGroup || !host_of(name).empty()) return;
   retired_groups_.push_back(std::move(groups_.at(name)));
   groups_.erase(name);
+}
+
+/// The last one in it goes: its process ends too. That of another host is ended there.
+void System::leave_group(const std::string& name) {
+  supervision_.forget(name);
+  const auto at = groups_.find(name);
+  const std::string host = host_of(name);
+  if (at == groups_.end() || name == kMainGroup || name == host) return;
+  if (host.empty()) {
+    ending_.emplace(name, std::chrono::steady_clock::now());
+  } else if (at->second->alive()) {
+    retired_groups_.push_back(std::move(at->second));
+    groups_.erase(at);
+  }
 }
 
 std::vector<ChildGroup*> System::child_groups() {

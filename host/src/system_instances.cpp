@@ -137,7 +137,6 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
 control::Done System::unload(const control::Unload& request) {
   const std::string& name = request.instance();
   const std::string at = model_.instance(name).group;
-  const bool was_made = making_.contains(name) && !lost_.contains(name);  // it did not get to its mode
   dispose_standby(name);
   lose_if_gone(at);
   if (!lost_.contains(name) && !silent_group(at)) group(at).require_answer();  // before anything is touched
@@ -157,9 +156,7 @@ control::Done System::unload(const control::Unload& request) {
   if (making_.contains(name) && lost_.contains(name)) discard(name);
   lost_.erase(name);
   made_known(name);
-  if (model_.names_in(at).size() == 1) supervision_.forget(at);
-  if (was_made && model_.names_in(at).size() == 1 && host_of(at).empty() && at != kMainGroup)
-    ending_.emplace(at, std::chrono::steady_clock::now());
+  if (model_.names_in(at).size() == 1) leave_group(at);
   if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));
   done.set_note(note);
   return done;

@@ -28,6 +28,46 @@ const wire::HeldWire* held_in(const ChildGroup* group, const control::PortName& 
   return nullptr;
 }
 
+/// What a change is about: an instance, or a port that requires.
+std::string subject_of(const control::Change& change) {
+  using Change = control::Change;
+  switch (change.what_case()) {
+    case Change::kLoad: return change.load().instance().empty() ? change.load().plugin() : change.load().instance();
+    case Change::kUnload: return change.unload().instance();
+    case Change::kWire: return text_of(change.wire().client());
+    case Change::kUnwire: return text_of(change.unwire().client());
+    case Change::kSet: return change.set().instance();
+    case Change::kState: return change.state().instance();
+    case Change::kUpgrade: return change.upgrade().instance();
+    default: return "a change";
+  }
+}
+
+/// The system that these changes lead to, and what there is to say of what cannot be made any more: a package may have
+/// gone since, or a file. Of each that somebody still wants the first reason.
+std::pair<Model, std::map<std::string, std::string>> replayed(const std::vector<control::Change>& changes,
+                                                              const Packages& packages) {
+  Model model;
+  std::map<std::string, std::string> missing;
+  for (const auto& change : changes) {
+    const std::string subject = subject_of(change);
+    const bool begins_anew = change.has_load() || change.has_unload() || change.has_wire() || change.has_unwire();
+    if (begins_anew) {
+      std::erase_if(missing,
+                    [&](const auto& one) { return one.first == subject || one.first.starts_with(subject + "."); });
+    }
+    try {
+      model.make(change, packages);
+    } catch (const Error& error) {
+      const bool adds = change.has_load() || change.has_wire();
+      if (change.has_unload() || change.has_unwire()) continue;
+      missing.emplace(subject, fmt::format("{}'{}' is not brought back: {}", adds ? "" : "a change of ", subject,
+                                           error.text().what));
+    }
+  }
+  return {std::move(model), std::move(missing)};
+}
+
 std::string difference_of(const control::InstanceStatus& is, const Model::Instance& wanted, const control::Load& load) {
   if (is.plugin() != wanted.package->name || is.version() != wanted.package->version ||
       is.component() != wanted.component)
@@ -44,8 +84,7 @@ std::string difference_of(const control::InstanceStatus& is, const Model::Instan
 }  // namespace
 
 std::vector<std::string> System::resume(const std::vector<control::Change>& changes) {
-  Model next;
-  for (const auto& change : changes) next.make(change, packages_);
+  auto [next, missing] = replayed(changes, packages_);
   if (next.clock().is_virtual && options_.restarts > 0) {
     options_.supervisor->quits();
     throw Error(ErrorCode::Failed, {.what = "a run on virtual time is not brought back: its end is part of the result",
@@ -61,9 +100,8 @@ std::vector<std::string> System::resume(const std::vector<control::Change>& chan
   make_missing();
   std::ranges::move(finish_making(), std::back_inserter(lines));
   open_missing();
-  if (options_.restarts == 0) require_all();
-  for (const auto& [name, lost] : lost_)
-    lines.push_back(fmt::format("'{}' is not brought back: {}", name, lost.reason));
+  for (const auto& [name, lost] : lost_) missing[name] = fmt::format("'{}' is not brought back: {}", name, lost.reason);
+  for (auto& [subject, line] : missing) lines.push_back(std::move(line));
   return lines;
 }
 
@@ -234,13 +272,6 @@ void System::open_missing() {
       }
     } catch (const Error&) {  // its process has ended meanwhile, which is noted where that is seen
     }
-  }
-}
-
-void System::require_all() const {
-  for (const auto& [name, lost] : lost_) {
-    throw Error(ErrorCode::Failed, {.what = fmt::format("'{}' is not brought back: {}", name, lost.reason),
-                                    .next = "mend that, or begin without --restore"});
   }
 }
 

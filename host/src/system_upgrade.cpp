@@ -424,7 +424,7 @@ void System::end_group(const std::string& name) {
   const bool used = !model_.names_in(name).empty() || std::any_of(standbys_.begin(), standbys_.end(), is_there) ||
                     (candidate_ && candidate_->made.group == name);
   const auto at = groups_.find(name);
-  auto* child = dynamic_cast<ChildGroup*>(at->second.get());
+  auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
   if (used || !child) return;
   if (child->alive()) tell_others(*child, "group '" + name + "' has ended");
   if (virtual_time_) virtual_time_->forget(child->endpoint());

@@ -1,7 +1,11 @@
 #include "fiona/hull.hpp"
 
+#include <cxxabi.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <cctype>
+#include <cstdio>
 #include <exception>
 
 #include "fiona/hull_probes.hpp"
@@ -21,6 +25,19 @@ std::string detail::reason_of_exception() {
     return "threw something that is not a std::exception";
   }
 }
+
+namespace {
+
+const std::string kEndsItsThread = "has ended the thread that it was called on (pthread_exit, or a cancellation)";
+
+/// A forced unwind cannot be stopped: who catches it and goes on ends the process. So the thread goes no further; as
+/// one that hangs it is found, and its group ended, or in `main` another thread put in its place.
+[[noreturn]] void keep_thread(const std::string& instance) {
+  std::fputs(("'" + instance + "' " + kEndsItsThread + "\n").c_str(), stderr);
+  while (true) ::pause();
+}
+
+}  // namespace
 
 Hull::Hull(std::string name, Surroundings surroundings)
     : name_(std::move(name)),
@@ -250,6 +267,9 @@ void Hull::destroy_component() {
 void Hull::guarded(const std::function<void()>& work) {
   try {
     work();
+  } catch (const abi::__forced_unwind&) {
+    fail(kEndsItsThread);
+    keep_thread(name_);
   } catch (...) {
     fail(detail::reason_of_exception());
   }

@@ -269,6 +269,29 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
   system.eventually("flows again", [&] { return system.port("sink.each").messages() > 0; });
 }
 
+TEST_F(Hosts, GroupOfAnotherHostEndsOnceTheLastInstanceHasLeftItAndStartsAnewWhenItIsNamedAgain) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  const auto group = [&] {
+    const auto id = std::to_string(other.process());
+    std::ifstream children("/proc/" + id + "/task/" + id + "/children");
+    pid_t found = 0;
+    children >> found;
+    return found;
+  };
+  system.load_in("", "source", "source", "period_ms=5");
+  system.load_in("far/deep", "sink", "sink");
+  const pid_t first = group();
+  ASSERT_GT(first, 0);
+  system.unload("sink");
+  system.eventually("it ends", [&] { return group() == 0; });
+  system.load_in("far/deep", "sink", "sink");
+  system.wire("sink.each", "source.newest");
+  system.eventually("messages come", [&] { return system.port("sink.each").messages() > 10; });
+  EXPECT_NE(group(), first);
+}
+
 TEST_F(Hosts, DeathOfAHostIsNoticedAndEndsItsWires) {
   OtherHost other(directory.path, "far");
   RunningSystem system(other.led_from(directory.path / "test"));

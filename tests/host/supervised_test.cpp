@@ -231,10 +231,16 @@ TEST(SupervisedEnd, ByQuitIsMeantAndHasItsCode) {
   EXPECT_THAT(host.said(), Not(HasSubstr("started again")));
 }
 
-TEST(SupervisedEnd, OfTheSupervisorLeavesNobody) {
+TEST(SupervisedEnd, OfTheSupervisorIsToldToWhoWaitsAndLeavesNobody) {
   SupervisedHost host;
   load_pair(*host.console(), 0);
+  auto console = host.console();
+  auto run = console->request();
+  run.mutable_run();
+  console->send(run);
+  console->snapshot();
   ::kill(host.supervisor(), SIGKILL);
+  EXPECT_EQ(console->receive().ended().reason(), "the host's supervisor has ended");
   const auto end = Steady::now() + 20s;
   while (!host.left().empty() && Steady::now() < end) std::this_thread::sleep_for(20ms);
   EXPECT_THAT(host.left(), testing::IsEmpty());
@@ -353,6 +359,39 @@ TEST_F(Supervised, AJournalOfWhichNothingCanBeReadGivesTheOneBeforeIt) {
   console = host.kill_host();
   EXPECT_EQ(console->snapshot().instances_size(), 2);
   EXPECT_THAT(host.said(), HasSubstr("none of its 0 bytes can be read: the system is that of kept.journal.old"));
+}
+
+TEST_F(Supervised, WhatCannotBeMadeAgainIsToldAndTheRestComesBack) {
+  auto console = host.console();
+  load_pair(*console, 0);
+  const VersionedPlugin plugin;
+  console->change(plugin.load_in("cage"));
+  console->load("witness", "far", "witness");
+  wire(*console, "witness.samples", "x.samples");
+  console->change(state_of("x", "neutral"));
+  const pid_t far = console->process_of("far");
+  std::filesystem::remove(plugin.library());
+  std::filesystem::remove(plugin.directory() / "versioned.interface.textproto");
+  console = host.kill_host();
+  EXPECT_EQ(console->snapshot().instances_size(), 3);
+  EXPECT_EQ(console->process_of("far"), far);
+  EXPECT_EQ(port(*console, "listener.samples").connection(), control::CONNECTED);
+  EXPECT_EQ(port(*console, "witness.samples").connection(), control::WAITING);
+  EXPECT_THAT(host.said(), HasSubstr("'x' is not brought back: there is no library '" + plugin.library().string()));
+  plugin.build("version=1");
+  console->change(plugin.load_in("cage"));
+  console->eventually("it is heard", [&] { return port(*console, "witness.samples").messages() > 0; });
+}
+
+TEST_F(Supervised, WhatCouldNotBeMadeAgainAndIsNotWantedAnyMoreIsNotTold) {
+  auto console = host.console();
+  const VersionedPlugin plugin;
+  console->change(plugin.load_in("cage"));
+  console->unload("x");
+  std::filesystem::remove(plugin.library());
+  std::filesystem::remove(plugin.directory() / "versioned.interface.textproto");
+  console = host.kill_host();
+  EXPECT_THAT(host.said(), Not(HasSubstr("not brought back")));
 }
 
 TEST_F(Supervised, ARunOnVirtualTimeIsNotBroughtBack) {

@@ -64,6 +64,12 @@ class GroupRestart : public testing::Test {
     const auto before = system.port(port).messages();
     system.eventually("more for " + port, [&] { return system.port(port).messages() > before + 5; });
   }
+  void expect_nothing_ends_for(std::chrono::milliseconds time) {
+    const auto end = std::chrono::steady_clock::now() + time;
+    const auto groups = system.system().child_groups().size();
+    system.eventually("the time passes", [&] { return std::chrono::steady_clock::now() >= end; });
+    EXPECT_EQ(system.system().child_groups().size(), groups);
+  }
 
   RunningSystem system{RunningSystem::RestartsGroups{}};
 };
@@ -138,6 +144,42 @@ TEST_F(GroupRestart, OneThatIsLoadedAnewMeanwhileIsNotMadeTwice) {
   system.eventually("the other is back", [&] { return system.instance("sink").mode() == "active"; });
   EXPECT_EQ(system.system().child_groups().size(), 1U);
   EXPECT_EQ(system.instance("source").mode(), "active");
+}
+
+// ---- nobody lives there any more ------------------------------------------------------------------------------
+
+bool lives(pid_t process) { return ::kill(process, 0) == 0; }
+
+TEST_F(GroupRestart, AGroupEndsOnceTheLastInstanceHasLeftIt) {
+  system.load_in("far", "source", "source");
+  system.load_in("far", "sink", "sink");
+  const pid_t process = system.group("far").process();
+  system.unload("source");
+  expect_nothing_ends_for(300ms);
+  EXPECT_EQ(system.group("far").process(), process) << "the sink lives there";
+  system.unload("sink");
+  system.eventually("its process ends", [&] { return !lives(process); });
+  EXPECT_EQ(system.system().snapshot().groups_size(), 1) << "main";
+}
+
+TEST_F(GroupRestart, AGroupThatIsNamedAgainAfterTheLastInstanceHasLeftIsAnotherProcess) {
+  system.load_in("far", "source", "source");
+  const pid_t process = system.group("far").process();
+  system.unload("source");
+  system.load_in("far", "source", "source", "period_ms=5");
+  system.load_in("", "sink", "sink");
+  EXPECT_NE(system.group("far").process(), process);
+  system.wire("sink.each", "source.newest");
+  expect_more_of("sink.each");
+  EXPECT_FALSE(lives(process));
+}
+
+TEST_F(GroupRestart, AGroupThatIsLeftWhileItIsDownIsNotStartedForNobody) {
+  system.load_in("far", "source", "source");
+  kill_group();
+  system.eventually("its end", [&] { return system.instance("source").mode() == "failed"; });
+  system.unload("source");
+  system.eventually("it is forgotten", [&] { return system.system().snapshot().groups_size() == 1; });
 }
 
 }  // namespace

@@ -91,15 +91,16 @@ constexpr const char* kSegmentation = "group 'cage' killed by signal 11 (Segment
 constexpr const char* kAborted = "group 'cage' killed by signal 6 (Aborted)";
 constexpr const char* kStuck = "group 'cage' was ended: 'patient' was stuck for ";
 
-INSTANTIATE_TEST_SUITE_P(
-    Each, ZooDeath,
-    testing::Values(Animal{"reads-nowhere", kSegmentation}, Animal{"overflows-stack", kSegmentation},
-                    Animal{"aborts", kAborted}, Animal{"frees-twice", kAborted}, Animal{"throws-from-thread", kAborted},
-                    Animal{"leaves-its-thread", kAborted}, Animal{"exits", "group 'cage' exited with code 0"},
-                    Animal{"kills-itself", "group 'cage' killed by signal 9 (Killed)"}, Animal{"loops", kStuck},
-                    Animal{"locks-itself-out", kStuck}, Animal{"ignores-sigterm", kStuck},
-                    Animal{"stops-itself", "group 'cage' was ended: it stood still for "}),
-    name_of);
+INSTANTIATE_TEST_SUITE_P(Each, ZooDeath,
+                         testing::Values(Animal{"reads-nowhere", kSegmentation},
+                                         Animal{"overflows-stack", kSegmentation}, Animal{"aborts", kAborted},
+                                         Animal{"frees-twice", kAborted}, Animal{"throws-from-thread", kAborted},
+                                         Animal{"exits", "group 'cage' exited with code 0"},
+                                         Animal{"kills-itself", "group 'cage' killed by signal 9 (Killed)"},
+                                         Animal{"loops", kStuck}, Animal{"locks-itself-out", kStuck},
+                                         Animal{"ignores-sigterm", kStuck},
+                                         Animal{"stops-itself", "group 'cage' was ended: it stood still for "}),
+                         name_of);
 
 // ---- they do not get as far as that ---------------------------------------------------------------------------
 
@@ -168,6 +169,15 @@ TEST_F(ZooGroup, ThatBlocksInItsDestructorIsEndedAndItsUnloadSucceeds) {
   system.eventually("its end", [&] { return system.instance("other").mode() == "failed"; });
   EXPECT_THAT(system.instance("other").reason(),
               HasSubstr("group 'cage' was ended: 'patient' was stuck in its destructor for "));
+  expect_others_go_on();
+}
+
+TEST_F(ZooGroup, ThatEndsItsThreadIsNamedAndItsGroupEnded) {
+  ASSERT_EQ(load("leaves-its-thread.so", "cage"), std::nullopt);
+  await_reason("has ended the thread that it was called on (pthread_exit, or a cancellation)");
+  system.eventually("its group's end", [&] { return !system.group("cage").alive(); });
+  EXPECT_THAT(system.instance("patient").reason(), HasSubstr("group 'cage' was ended: 'patient' was stuck for "));
+  EXPECT_THAT(system.instance("patient").reason(), HasSubstr("it wrote: 'patient' has ended the thread"));
   expect_others_go_on();
 }
 
