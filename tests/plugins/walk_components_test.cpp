@@ -67,6 +67,33 @@ TEST(StepHeadingComponent, DeclinationTurnsTheHeadingClockwise) {
   EXPECT_NEAR(steps.back()->heading(), -10.0 * std::numbers::pi / 180, 0.1);
 }
 
+TEST(StepHeadingComponent, TheOrientationIsThatOfTheDeviceAgainstMagneticNorth) {
+  Bench<StepHeading> bench;
+  bench.set("declination", 10.0);
+  bench.start();
+  for (int i = 0; i < 100; ++i) {
+    bench.put<sensors::GetIMUService>("imu", gait(0.02 * i));
+    bench.advance(20ms);
+  }
+  const auto all = bench.take<localisation::OrientationProvider>("orientation");
+  ASSERT_FALSE(all.empty());
+  EXPECT_TRUE(all.back()->is_valid());
+  EXPECT_NEAR(all.back()->yaw(), 1.5 * std::numbers::pi, 0.1) << "east: counter-clockwise from magnetic north";
+  EXPECT_NEAR(std::sin(all.back()->pitch()), 0.0, 0.05);
+  EXPECT_EQ(all.back()->confidence_size(), 9);
+}
+
+TEST(StepHeadingComponent, WhoMeasuresNothingHasNoValidOrientation) {
+  Bench<StepHeading> bench;
+  bench.start();
+  for (int i = 0; i < 100; ++i) {
+    bench.put<sensors::GetIMUService>("imu", gait(0.02 * i));
+    bench.advance(20ms);
+  }
+  bench.advance(1s);
+  EXPECT_FALSE(bench.take<localisation::OrientationProvider>("orientation").back()->is_valid());
+}
+
 TEST(StepHeadingComponent, ASampleWithoutMagnetometerIsLeftOut) {
   Bench<StepHeading> bench;
   bench.start();

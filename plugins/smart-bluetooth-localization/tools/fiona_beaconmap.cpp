@@ -12,6 +12,7 @@
 #include <fiona/walk/dataset.hpp>
 
 #include "beacon_map.hpp"
+#include "drawn_beacons.hpp"
 #include "level_map.hpp"
 #include "survey_csv.hpp"
 #include "survey_learner.hpp"
@@ -27,10 +28,12 @@ using fiona::ErrorCode;
 
 constexpr const char* kUsage =
     "usage: fiona-beaconmap learn DIR|SURVEY.csv -o FILE [--plan BUILDING.osm] [--name NAME]\n"
+    "       fiona-beaconmap drawn BUILDING.osm -o FILE\n"
     "       fiona-beaconmap plan DIR -o BUILDING.osm --reference LAT,LON [--width METRES] [--name NAME]\n"
     "       fiona-beaconmap help\n"
     "DIR holds recorded survey walks; SURVEY.csv has the columns walk,second,x,y,level,beacon,rssi_dbm, with an\n"
-    "empty beacon in a second that heard none.\n";
+    "empty beacon in a second that heard none. `drawn` takes the beacons that a building's file has\n"
+    "(fiona:beacon=UUID/MAJOR/MINOR on a node), without a survey.\n";
 
 [[noreturn]] void usage_error(const std::string& what, const std::string& found) {
   throw Error(ErrorCode::Usage, {.what = what, .found = found, .next = "fiona-beaconmap help"});
@@ -79,6 +82,15 @@ int learn(const options::variables_map& given, const std::filesystem::path& from
   return 0;
 }
 
+int drawn(const options::variables_map& given, const std::string& file) {
+  if (given.count("output") == 0) usage_error("drawn needs to know where to write", "no -o FILE");
+  const auto map = beacons::drawn_in(fiona::building::Building::read(file));
+  beacons::save(map, given["output"].as<std::string>());
+  std::cerr << map.beacons_size() << " beacons of " << map.name() << " written to "
+            << given["output"].as<std::string>() << '\n';
+  return 0;
+}
+
 int plan(const options::variables_map& given, const std::string& folder) {
   if (given.count("output") == 0) usage_error("plan needs to know where to write", "no -o BUILDING.osm");
   fiona::building::Wgs84 reference;
@@ -117,6 +129,7 @@ int run(int argc, char** argv) {
     return 0;
   }
   if (line.size() == 2 && line[0] == "learn") return learn(given, line[1]);
+  if (line.size() == 2 && line[0] == "drawn") return drawn(given, line[1]);
   if (line.size() == 2 && line[0] == "plan") return plan(given, line[1]);
   usage_error(line.empty() ? "fiona-beaconmap needs a command" : "fiona-beaconmap did not understand its command",
               line.empty() ? "nothing" : line[0] + " with " + std::to_string(line.size() - 1) + " words");

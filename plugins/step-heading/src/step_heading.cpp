@@ -1,5 +1,6 @@
 #include "step_heading.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
@@ -10,8 +11,38 @@ namespace {
 
 /// A pause this long and the next step begins anew, not where the last one ended.
 constexpr std::chrono::milliseconds kLongestStep{1500};
+constexpr std::chrono::milliseconds kOldestSample{500};
+constexpr double kTiltSd_rad = 0.05;  // of gravity's direction in the hand of one who walks
 
 Eigen::Vector3d vector(const sensors::PhoneAxes::Vector& v) { return {v[0], v[1], v[2]}; }
+
+/// Into 0 to 2 pi, as orientations are given.
+double wrapped(double angle_rad) {
+  const double rest = std::remainder(angle_rad, 2 * std::numbers::pi);
+  return rest < 0.0 ? rest + 2 * std::numbers::pi : rest;
+}
+
+/// The attitude turns phone axes to east, magnetic north, up; an orientation has device axes (x to the phone's top, y to
+/// its left) and magnetic north, west, up.
+localisation::CommOrientation orientation_of(const Eigen::Quaterniond& attitude, double heading_sd_rad) {
+  const auto in_world = [&](const Eigen::Vector3d& phone) {
+    const Eigen::Vector3d v = attitude * phone;
+    return Eigen::Vector3d(v.y(), -v.x(), v.z());
+  };
+  const Eigen::Vector3d ahead = in_world(Eigen::Vector3d::UnitY());
+  const Eigen::Vector3d left = in_world(-Eigen::Vector3d::UnitX());
+  const Eigen::Vector3d up = in_world(Eigen::Vector3d::UnitZ());
+  localisation::CommOrientation orientation;
+  orientation.set_yaw(wrapped(std::atan2(ahead.y(), ahead.x())));
+  orientation.set_pitch(wrapped(-std::asin(std::clamp(ahead.z(), -1.0, 1.0))));
+  orientation.set_roll(wrapped(std::atan2(left.z(), up.z())));
+  const double tilt = kTiltSd_rad * kTiltSd_rad;
+  for (const double v : {heading_sd_rad * heading_sd_rad, 0.0, 0.0, 0.0, tilt, 0.0, 0.0, 0.0, tilt}) {
+    orientation.add_confidence(v);
+  }
+  orientation.set_is_valid(true);
+  return orientation;
+}
 
 }  // namespace
 
@@ -23,12 +54,14 @@ void StepHeading::rebuild() {
   heading.declination_rad = params_->declination() * std::numbers::pi / 180.0;
   tracker_.emplace(detector, heading);
   last_step_.reset();
+  last_sample_.reset();
 }
 
 void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   const auto phone = sensors::to_phone_axes(*imu);
   if (!phone.acceleration_g || !phone.rotation_deg_s || !phone.magnetic_gauss) return;
   const std::chrono::milliseconds time(to_milliseconds(imu.origin));
+  last_sample_ = time;
   const auto step = tracker_->feed(
       {time, vector(*phone.acceleration_g), vector(*phone.rotation_deg_s), vector(*phone.magnetic_gauss)});
   if (!step) return steps_.still_valid();  // who stands still is not lost
@@ -43,6 +76,15 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   message.set_is_valid(true);
   last_step_ = step->time;
   steps_.put(std::move(message), TimePoint(step->time));
+}
+
+/// While nothing is measured it is told to be not valid.
+void StepHeading::produce_orientation() {
+  const std::chrono::milliseconds time(to_milliseconds(now()));
+  const bool known = last_sample_ && time - *last_sample_ <= kOldestSample && tracker_->heading().is_aligned();
+  if (!known) return static_cast<void>(orientation_.put(localisation::CommOrientation()));
+  orientation_.put(orientation_of(tracker_->heading().attitude(), tracker_->heading().heading_sd_rad()),
+                   TimePoint(*last_sample_));
 }
 
 }  // namespace fiona::step_heading
