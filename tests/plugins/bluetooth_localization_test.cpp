@@ -107,6 +107,20 @@ TEST(FloorPlan, WallsLongerThanABucketAreSeenEverywhere) {
   for (double x = -49; x < 50; x += 1.7) EXPECT_TRUE(plan.wall_between(0, x, 0.6 * x - 0.5, x, 0.6 * x + 0.5)) << x;
 }
 
+TEST(FloorPlan, AMapLargerThanABuildingIsRefused) {
+  navigation::CommLevelMap map;
+  add_wall(map, 0, 0, 1e5, 1e5);
+  const std::string error = error_of([&] { FloorPlan plan(map); });
+  EXPECT_NE(error.find("the level map is larger than a building"), std::string::npos) << error;
+}
+
+TEST(FloorPlan, AMapOfTooManyLongWallsIsRefused) {
+  navigation::CommLevelMap map;
+  for (int i = 0; i < 1000; ++i) add_wall(map, 0, 0, 500, 500);
+  const std::string error = error_of([&] { FloorPlan plan(map); });
+  EXPECT_NE(error.find("too many long walls and large rooms"), std::string::npos) << error;
+}
+
 TEST(FloorPlan, StairsOverALandingAreOneWayUpAndOneDown) {
   navigation::CommLevelMap map;
   for (const double level : {0.0, 0.5, 1.0}) {

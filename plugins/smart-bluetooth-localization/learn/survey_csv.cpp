@@ -12,11 +12,17 @@ namespace fiona::beacons {
 namespace {
 
 constexpr std::size_t kMostRows = 20'000'000;
+constexpr double kMostTime = 1e15, kFarthest_m = 10'000.0, kHighestLevel = 1000.0, kMostRssi_dbm = 200.0;
+
+std::ifstream open(const std::filesystem::path& file) {
+  std::ifstream stream(file);
+  if (!stream) throw Error(ErrorCode::NotFound, {.what = "the file cannot be read", .where = file.string()});
+  return stream;
+}
 
 class Rows {
  public:
-  Rows(const std::filesystem::path& file, const std::string& header) : file_(file.string()), stream_(file) {
-    if (!stream_) throw Error(ErrorCode::NotFound, {.what = "the file cannot be read", .where = file_});
+  Rows(std::istream& stream, const std::string& name, const std::string& header) : file_(name), stream_(stream) {
     columns_ = static_cast<std::size_t>(std::count(header.begin(), header.end(), ',')) + 1;
     std::string found;
     std::getline(stream_, found);
@@ -44,12 +50,13 @@ class Rows {
     return true;
   }
   const std::string& text(std::size_t column) const { return cells_[column]; }
-  double number(std::size_t column) const {
+  /// From -`most` to `most`.
+  double number(std::size_t column, double most) const {
     double value = 0;
     const std::string& cell = cells_[column];
     const auto [end, error] = std::from_chars(cell.data(), cell.data() + cell.size(), value);
-    if (error != std::errc{} || end != cell.data() + cell.size() || !std::isfinite(value) || std::abs(value) > 1e15) {
-      refuse("a cell is no number", "a number", cell);
+    if (error != std::errc{} || end != cell.data() + cell.size() || !(std::abs(value) <= most)) {
+      refuse("a cell cannot be used", "a number from " + std::to_string(-most) + " to " + std::to_string(most), cell);
     }
     return value;
   }
@@ -62,7 +69,7 @@ class Rows {
                                    .found = std::move(found)});
   }
   const std::string file_;
-  std::ifstream stream_;
+  std::istream& stream_;
   std::size_t columns_ = 0, line_ = 1;
   std::vector<std::string> cells_;
 };
@@ -70,17 +77,23 @@ class Rows {
 }  // namespace
 
 std::vector<SurveySecond> read_survey(const std::filesystem::path& file) {
-  Rows rows(file, "walk,second,x,y,level,beacon,rssi_dbm");
+  auto stream = open(file);
+  return read_survey(stream, file.string());
+}
+
+std::vector<SurveySecond> read_survey(std::istream& stream, const std::string& name) {
+  Rows rows(stream, name, "walk,second,x,y,level,beacon,rssi_dbm");
   std::map<std::string, std::uint32_t> walks;
   std::map<std::pair<std::uint32_t, std::int64_t>, SurveySecond> seconds;
   while (rows.next()) {
     const std::uint32_t walk = walks.try_emplace(rows.text(0), static_cast<std::uint32_t>(walks.size())).first->second;
-    SurveySecond& second = seconds[{walk, static_cast<std::int64_t>(rows.number(1))}];
+    SurveySecond& second = seconds[{walk, static_cast<std::int64_t>(rows.number(1, kMostTime))}];
     second.walk = walk;
-    second.x_m = rows.number(2);
-    second.y_m = rows.number(3);
-    second.level = static_cast<int>(rows.number(4));
-    if (!rows.text(5).empty()) second.rssi_dbm[normalised_id(rows.text(5))] = static_cast<float>(rows.number(6));
+    second.x_m = rows.number(2, kFarthest_m);
+    second.y_m = rows.number(3, kFarthest_m);
+    second.level = static_cast<int>(rows.number(4, kHighestLevel));
+    if (!rows.text(5).empty())
+      second.rssi_dbm[normalised_id(rows.text(5))] = static_cast<float>(rows.number(6, kMostRssi_dbm));
   }
   std::vector<SurveySecond> result;
   for (auto& [key, second] : seconds) result.push_back(std::move(second));
@@ -88,10 +101,16 @@ std::vector<SurveySecond> read_survey(const std::filesystem::path& file) {
 }
 
 std::vector<TrackRow> read_tracks(const std::filesystem::path& file) {
-  Rows rows(file, "track,t_ms,beacon,rssi_dbm");
+  auto stream = open(file);
+  return read_tracks(stream, file.string());
+}
+
+std::vector<TrackRow> read_tracks(std::istream& stream, const std::string& name) {
+  Rows rows(stream, name, "track,t_ms,beacon,rssi_dbm");
   std::vector<TrackRow> result;
   while (rows.next()) {
-    result.push_back({rows.text(0), static_cast<std::int64_t>(rows.number(1)), rows.text(2), rows.number(3)});
+    result.push_back({rows.text(0), static_cast<std::int64_t>(rows.number(1, kMostTime)), rows.text(2),
+                      rows.number(3, kMostRssi_dbm)});
   }
   return result;
 }

@@ -3,13 +3,52 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <set>
+#include <string>
+
+#include "fiona/error.hpp"
 
 namespace fiona::beacons {
 namespace {
 
 constexpr double kBucket_m = 2.0;
-constexpr double kMostBuckets = 4'000'000.0;
-constexpr int kMostSteps = 64;  // of a chain of stairs over landings
+// A map is from another component: what is more than these is no building, or not to be worked through in a handler.
+constexpr std::size_t kMostLevels = 256;
+constexpr double kMostBuckets = 1'000'000.0;      // of all levels
+constexpr std::size_t kMostInBuckets = 8u << 20;  // of all levels
+constexpr double kMostCorners = 5e7;              // of rooms, each as often as the buckets that it touches
+constexpr std::size_t kMostWays = 4096;
+constexpr std::size_t kMostSteps = 64;  // of a chain of stairs over landings
+
+[[noreturn]] void refuse(const std::string& what, const std::string& expected, const std::string& found) {
+  throw Error(ErrorCode::Failed, {.what = "the level map " + what,
+                                  .expected = expected,
+                                  .found = found,
+                                  .next = "ask for a map of one building, with its own provider of LevelMap"});
+}
+
+struct Box {
+  double low_x_m, low_y_m, high_x_m, high_y_m;
+};
+
+Box box_of(const navigation::MapRing& ring) {
+  Box box{ring.x(0), ring.y(0), ring.x(0), ring.y(0)};
+  for (int i = 1; i < std::min(ring.x_size(), ring.y_size()); ++i) {
+    box = {std::min(box.low_x_m, ring.x(i)), std::min(box.low_y_m, ring.y(i)), std::max(box.high_x_m, ring.x(i)),
+           std::max(box.high_y_m, ring.y(i))};
+  }
+  return box;
+}
+
+double corners_of(const navigation::MapRoom& room) {
+  double corners = room.outline().x_size();
+  for (const auto& hole : room.holes()) corners += hole.x_size();
+  return corners;
+}
+
+std::uint32_t bucket_index(double m, double low, std::uint32_t count) {
+  return static_cast<std::uint32_t>(std::clamp((m - low) / kBucket_m, 0.0, count - 1.0));
+}
 
 int whole(double level) { return static_cast<int>(std::lround(std::clamp(level, -1000.0, 1000.0))); }
 
@@ -51,13 +90,14 @@ FloorPlan::FloorPlan(const navigation::CommLevelMap& map) {
     level_at(room.level(), ring.x(0), ring.y(0)).rooms.push_back(room);
   }
   std::sort(levels_.begin(), levels_.end(), [](const Level& a, const Level& b) { return a.level < b.level; });
-  for (Level& level : levels_) fill_buckets(level);
+  fill_buckets();
   read_graph(map);
 }
 
 FloorPlan::Level& FloorPlan::level_at(double level, double x, double y) {
   auto found = std::find_if(levels_.begin(), levels_.end(), [&](const Level& l) { return l.level == whole(level); });
   if (found == levels_.end()) {
+    if (levels_.size() == kMostLevels) refuse("has too many levels", "at most " + std::to_string(kMostLevels), "more");
     levels_.push_back({.level = whole(level), .extent = {whole(level), x, y, x, y}});
     found = levels_.end() - 1;
   }
@@ -66,53 +106,77 @@ FloorPlan::Level& FloorPlan::level_at(double level, double x, double y) {
   return *found;
 }
 
-void FloorPlan::fill_buckets(Level& level) {
-  const double width = (level.extent.high_x_m - level.extent.low_x_m) / kBucket_m + 1;
-  const double height = (level.extent.high_y_m - level.extent.low_y_m) / kBucket_m + 1;
-  if (!(width * height <= kMostBuckets)) return;  // no building: walls are then looked at one by one
-  level.columns = static_cast<std::uint32_t>(width);
-  level.rows = static_cast<std::uint32_t>(height);
-  std::vector<std::vector<std::uint32_t>> buckets(std::size_t{level.columns} * level.rows);
-  const auto index = [&](double m, double low, std::uint32_t count) {
-    return static_cast<std::uint32_t>(std::clamp((m - low) / kBucket_m, 0.0, count - 1.0));
-  };
-  for (std::uint32_t i = 0; i < level.walls.size(); ++i) {
-    const Wall& w = level.walls[i];
-    const auto [x1, x2] = std::minmax(
-        {index(w.x1_m, level.extent.low_x_m, level.columns), index(w.x2_m, level.extent.low_x_m, level.columns)});
-    const auto [y1, y2] =
-        std::minmax({index(w.y1_m, level.extent.low_y_m, level.rows), index(w.y2_m, level.extent.low_y_m, level.rows)});
-    for (std::uint32_t y = y1; y <= y2; ++y) {
-      for (std::uint32_t x = x1; x <= x2; ++x) buckets[std::size_t{y} * level.columns + x].push_back(i);
+void FloorPlan::fill_buckets() {
+  double buckets = 0.0, corners = 0.0;
+  std::size_t in_buckets = 0;
+  const auto fill = [&](const Level& level, const std::vector<Box>& boxes, Buckets& into) {
+    std::vector<std::vector<std::uint32_t>> lists(std::size_t{level.columns} * level.rows);
+    for (std::uint32_t i = 0; i < boxes.size(); ++i) {
+      const std::uint32_t x1 = bucket_index(boxes[i].low_x_m, level.extent.low_x_m, level.columns);
+      const std::uint32_t x2 = bucket_index(boxes[i].high_x_m, level.extent.low_x_m, level.columns);
+      const std::uint32_t y1 = bucket_index(boxes[i].low_y_m, level.extent.low_y_m, level.rows);
+      const std::uint32_t y2 = bucket_index(boxes[i].high_y_m, level.extent.low_y_m, level.rows);
+      in_buckets += std::size_t{x2 - x1 + 1} * (y2 - y1 + 1);
+      if (in_buckets > kMostInBuckets) {
+        refuse("has too many long walls and large rooms", "those of one building", "more");
+      }
+      for (std::uint32_t y = y1; y <= y2; ++y) {
+        for (std::uint32_t x = x1; x <= x2; ++x) lists[std::size_t{y} * level.columns + x].push_back(i);
+      }
+      if (&into != &level.rooms_near) continue;
+      corners += corners_of(level.rooms[i]) * (x2 - x1 + 1.0) * (y2 - y1 + 1.0);
+      if (corners > kMostCorners) refuse("has rooms of too many corners", "outlines of rooms", "too fine ones");
     }
+    for (const auto& list : lists) {
+      into.first.push_back(static_cast<std::uint32_t>(into.items.size()));
+      into.items.insert(into.items.end(), list.begin(), list.end());
+    }
+    into.first.push_back(static_cast<std::uint32_t>(into.items.size()));
+  };
+  for (Level& level : levels_) {
+    const double columns = std::floor((level.extent.high_x_m - level.extent.low_x_m) / kBucket_m) + 1;
+    const double rows = std::floor((level.extent.high_y_m - level.extent.low_y_m) / kBucket_m) + 1;
+    buckets += columns * rows;
+    if (!(buckets <= kMostBuckets)) {
+      refuse("is larger than a building", "at most " + std::to_string(kMostBuckets * kBucket_m * kBucket_m) + " m2",
+             std::to_string(buckets * kBucket_m * kBucket_m) + " m2");
+    }
+    level.columns = static_cast<std::uint32_t>(columns);
+    level.rows = static_cast<std::uint32_t>(rows);
+    std::vector<Box> walls, rooms;
+    for (const Wall& w : level.walls) {
+      walls.push_back(
+          {std::min(w.x1_m, w.x2_m), std::min(w.y1_m, w.y2_m), std::max(w.x1_m, w.x2_m), std::max(w.y1_m, w.y2_m)});
+    }
+    for (const auto& room : level.rooms) rooms.push_back(box_of(room.outline()));
+    fill(level, walls, level.walls_near);
+    fill(level, rooms, level.rooms_near);
   }
-  for (const auto& bucket : buckets) {
-    level.first.push_back(static_cast<std::uint32_t>(level.in_bucket.size()));
-    level.in_bucket.insert(level.in_bucket.end(), bucket.begin(), bucket.end());
-  }
-  level.first.push_back(static_cast<std::uint32_t>(level.in_bucket.size()));
 }
 
 /// Stairs may go over nodes on landings: each chain of them from one whole level to the next is one way.
 void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
-  std::map<std::uint32_t, std::vector<std::uint32_t>> next;
+  std::map<std::uint32_t, std::set<std::uint32_t>> next;
   const auto nodes = static_cast<std::uint32_t>(map.nodes_size());
   for (const auto& edge : map.edges()) {
     if (!joins_levels(edge) || edge.from() >= nodes || edge.to() >= nodes) continue;
-    next[edge.from()].push_back(edge.to());
-    if (!edge.one_way()) next[edge.to()].push_back(edge.from());
+    next[edge.from()].insert(edge.to());
+    if (!edge.one_way()) next[edge.to()].insert(edge.from());
   }
   for (const auto& [start, unused] : next) {
     const auto& from = map.nodes(static_cast<int>(start));
     if (from.level() != std::floor(from.level())) continue;
     std::vector<std::uint32_t> seen{start};
-    for (std::size_t i = 0; i < seen.size() && i < kMostSteps; ++i) {
+    for (std::size_t i = 0; i < seen.size(); ++i) {
       const auto& at = map.nodes(static_cast<int>(seen[i]));
       if (whole(at.level()) != whole(from.level()) && at.level() == std::floor(at.level())) {
+        if (ways_.size() == kMostWays)
+          refuse("has too many stairs and lifts", std::to_string(kMostWays) + " ways", "more");
         ways_.push_back({whole(from.level()), whole(at.level()), from.x(), from.y(), at.x(), at.y()});
         continue;
       }
       for (const std::uint32_t to : next[seen[i]]) {
+        if (seen.size() == kMostSteps) break;
         if (std::find(seen.begin(), seen.end(), to) == seen.end()) seen.push_back(to);
       }
     }
@@ -132,19 +196,14 @@ bool FloorPlan::wall_between(int level_number, double x1, double y1, double x2, 
     return (side(w.x1_m, w.y1_m, w.x2_m, w.y2_m, x1, y1) > 0) != (side(w.x1_m, w.y1_m, w.x2_m, w.y2_m, x2, y2) > 0) &&
            (side(x1, y1, x2, y2, w.x1_m, w.y1_m) > 0) != (side(x1, y1, x2, y2, w.x2_m, w.y2_m) > 0);
   };
-  if (level->columns == 0) return std::any_of(level->walls.begin(), level->walls.end(), crosses);
-  const auto index = [&](double m, double low, std::uint32_t count) {
-    return static_cast<std::uint32_t>(std::clamp((m - low) / kBucket_m, 0.0, count - 1.0));
-  };
-  const auto [west, east] =
-      std::minmax({index(x1, level->extent.low_x_m, level->columns), index(x2, level->extent.low_x_m, level->columns)});
-  const auto [south, north] =
-      std::minmax({index(y1, level->extent.low_y_m, level->rows), index(y2, level->extent.low_y_m, level->rows)});
+  const auto [west, east] = std::minmax({bucket_index(x1, level->extent.low_x_m, level->columns),
+                                         bucket_index(x2, level->extent.low_x_m, level->columns)});
+  const auto [south, north] = std::minmax(
+      {bucket_index(y1, level->extent.low_y_m, level->rows), bucket_index(y2, level->extent.low_y_m, level->rows)});
   for (std::uint32_t y = south; y <= north; ++y) {
     for (std::uint32_t x = west; x <= east; ++x) {
-      const std::size_t bucket = std::size_t{y} * level->columns + x;
-      for (std::uint32_t i = level->first[bucket]; i < level->first[bucket + 1]; ++i) {
-        if (crosses(level->walls[level->in_bucket[i]])) return true;
+      for (const std::uint32_t i : level->walls_near.at(std::size_t{y} * level->columns + x)) {
+        if (crosses(level->walls[i])) return true;
       }
     }
   }
@@ -154,7 +213,13 @@ bool FloorPlan::wall_between(int level_number, double x1, double y1, double x2, 
 bool FloorPlan::may_be_at(int level_number, double x, double y) const {
   const Level* level = find(level_number);
   if (level == nullptr || level->rooms.empty()) return true;
-  return std::any_of(level->rooms.begin(), level->rooms.end(), [&](const navigation::MapRoom& room) {
+  const Extent& e = level->extent;
+  if (x < e.low_x_m || x > e.high_x_m || y < e.low_y_m || y > e.high_y_m) return false;
+  const std::size_t bucket = std::size_t{bucket_index(y, e.low_y_m, level->rows)} * level->columns +
+                             bucket_index(x, e.low_x_m, level->columns);
+  const auto near = level->rooms_near.at(bucket);
+  return std::any_of(near.begin(), near.end(), [&](std::uint32_t i) {
+    const navigation::MapRoom& room = level->rooms[i];
     return inside(room.outline(), x, y) &&
            std::none_of(room.holes().begin(), room.holes().end(),
                         [&](const navigation::MapRing& hole) { return inside(hole, x, y); });

@@ -21,6 +21,7 @@ class FloorPlan {
 
   /// Without a map: no walls, and everywhere may be gone.
   FloorPlan() = default;
+  /// Throws fiona::Error for a map whose walls, rooms or stairs are more than a particle filter can look at in time.
   explicit FloorPlan(const navigation::CommLevelMap& map);
 
   bool has_walls() const { return !levels_.empty(); }
@@ -41,19 +42,26 @@ class FloorPlan {
   struct Wall {
     double x1_m, y1_m, x2_m, y2_m;
   };
+  /// What a square of the plan touches.
+  struct Buckets {
+    std::vector<std::uint32_t> first;  ///< of each bucket into `items`, one more at the end
+    std::vector<std::uint32_t> items;
+    std::span<const std::uint32_t> at(std::size_t bucket) const {
+      return {items.data() + first[bucket], items.data() + first[bucket + 1]};
+    }
+  };
   struct Level {
     int level;
     std::vector<Wall> walls;
     std::vector<navigation::MapRoom> rooms;
     Extent extent;
     std::uint32_t columns = 0, rows = 0;
-    std::vector<std::uint32_t> first;  ///< of each bucket into `in_bucket`, one more at the end
-    std::vector<std::uint32_t> in_bucket;
+    Buckets walls_near, rooms_near;
   };
   Level& level_at(double level, double x_m, double y_m);
   const Level* find(int level) const;
   void read_graph(const navigation::CommLevelMap& map);
-  static void fill_buckets(Level& level);
+  void fill_buckets();
 
   std::vector<Level> levels_;  ///< ascending
   std::vector<Way> ways_;

@@ -112,7 +112,12 @@ Async<> SmartBluetoothLocalization::look_for_map() {
 void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevelMap> map) {
   if (level_map_ && level_map_->version() == map->version()) return;
   level_map_ = std::move(map);
-  plan_ = std::make_shared<const beacons::FloorPlan>(*level_map_);
+  try {
+    plan_ = std::make_shared<const beacons::FloorPlan>(*level_map_);
+  } catch (const Error& error) {
+    log(LogLevel::Warning, std::string("walls are left out: ") + error.what());
+    plan_ = std::make_shared<const beacons::FloorPlan>();
+  }
   log(LogLevel::Info, "walls of '" + level_map_->name() + "' in use: " + std::to_string(level_map_->walls_size()));
   if (beacon_map_.survey().empty()) return make_field();
   filter_->use(plan_);
