@@ -1,5 +1,6 @@
 // Listening through BlueZ, against a bluetoothd of tests on a bus of its own.
 #include <gtest/gtest.h>
+#include <malloc.h>
 #include <signal.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -11,9 +12,6 @@
 #include <vector>
 
 #include "bluez_scanner.hpp"
-
-/// sdbus-c++ 1.2 loses the connection that it could not open.
-extern "C" const char* __lsan_default_suppressions() { return "leak:sd_bus_new\nleak:libsystemd"; }  // NOLINT: its name
 
 namespace fiona::beacon_server {
 namespace {
@@ -267,7 +265,26 @@ TEST_F(BluezScannerTest, AForgottenDeviceIsHeardAnewByItsNextPacket) {
   EXPECT_TRUE(heard_.back().beacon);
 }
 
-TEST(BluezScanner, WithoutABusItRefuses) { EXPECT_THROW(BluezScanner("unix:path=/nowhere/bus", ""), sdbus::Error); }
+TEST(BluezScanner, WithoutABusItRefusesAndSaysWhy) {
+  for (const char* bus : {"unix:path=/nowhere/bus", "unix:path=/nowhere/bus,guid=00", "unix:abstract=fiona-nowhere"}) {
+    try {
+      BluezScanner scanner(bus, "");
+      ADD_FAILURE() << bus;
+    } catch (const sdbus::Error& error) {
+      EXPECT_EQ(error.getName(), "org.freedesktop.DBus.Error.NoServer") << bus;
+      EXPECT_FALSE(error.getMessage().empty());
+    }
+  }
+}
+
+TEST(BluezScanner, ABusThatIsNotThereCostsNoMemoryHoweverOftenItIsTried) {
+  const auto tried = [](int times) {
+    for (int i = 0; i < times; ++i) EXPECT_THROW(BluezScanner("unix:path=/nowhere/bus", ""), sdbus::Error);
+    return ::mallinfo2().uordblks;
+  };
+  const auto before = tried(100);
+  EXPECT_LT(tried(1000), before + 100'000) << "1.8 KB each would be 1.8 MB";
+}
 
 }  // namespace
 }  // namespace fiona::beacon_server

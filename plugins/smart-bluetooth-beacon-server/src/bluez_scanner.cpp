@@ -1,8 +1,13 @@
 #include "bluez_scanner.hpp"
 
 #include <poll.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
 
 namespace fiona::beacon_server {
 namespace {
@@ -20,6 +25,38 @@ constexpr std::size_t kMostMessages = 1000;  // handled in one run, so that a st
 std::string lower(std::string text) {
   for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
   return text;
+}
+
+/// Whether a unix socket has a listener; `name` begins with a zero if it is an abstract one.
+int connect_to(const std::string& name) {
+  sockaddr_un address{};
+  if (name.size() >= sizeof address.sun_path) return ENAMETOOLONG;
+  address.sun_family = AF_UNIX;
+  std::memcpy(address.sun_path, name.data(), name.size());
+  const int socket = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (socket < 0) return errno;
+  const auto length = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + name.size());
+  const int fault = ::connect(socket, reinterpret_cast<const sockaddr*>(&address), length) == 0 ? 0 : errno;
+  ::close(socket);
+  return fault == EAGAIN ? 0 : fault;  // somebody listens, and is busy
+}
+
+/// sdbus-c++ 1.2 loses 1.8 KB with each connection that cannot be opened: a bus that is not there is not asked for one.
+/// Looks at the plain form of an address (D-Bus specification, "Server Addresses"); any other is left to the library.
+void require_listener(const std::string& bus) {
+  constexpr std::string_view kPath = "unix:path=", kAbstract = "unix:abstract=";
+  const bool by_path = bus.starts_with(kPath);
+  if ((!by_path && !bus.starts_with(kAbstract)) || bus.find_first_of(";%") != std::string::npos) return;
+  const std::size_t begin = by_path ? kPath.size() : kAbstract.size();
+  const std::string name = bus.substr(begin, std::min(bus.find(','), bus.size()) - begin);
+  if (const int fault = connect_to(by_path ? name : std::string(1, '\0') + name)) {
+    throw sdbus::Error("org.freedesktop.DBus.Error.NoServer", std::strerror(fault));
+  }
+}
+
+std::unique_ptr<sdbus::IConnection> connect(const std::string& bus) {
+  require_listener(bus);
+  return sdbus::createSessionBusConnectionWithAddress(bus);
 }
 
 template <class T>
@@ -51,7 +88,7 @@ std::optional<Identity> identity_of(const std::map<std::string, sdbus::Variant>&
 }  // namespace
 
 BluezScanner::BluezScanner(const std::string& bus, std::string adapter)
-    : wanted_(std::move(adapter)), connection_(sdbus::createSessionBusConnectionWithAddress(bus)) {
+    : wanted_(std::move(adapter)), connection_(connect(bus)) {
   watch();
 }
 
