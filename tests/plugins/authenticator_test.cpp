@@ -4,8 +4,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <condition_variable>
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -282,6 +285,69 @@ TEST_F(AuthenticatorTest, InAStormEachSourceHasTwoPlacesAndAValidLoginGetsIn) {
   // One more of each may have begun while the first was being checked.
   EXPECT_GE(refused, 12);
   EXPECT_LE(refused, 16);
+}
+
+/// Bytes resident.
+std::size_t resident() {
+  std::ifstream in("/proc/self/statm");
+  std::size_t size = 0;
+  std::size_t pages = 0;
+  in >> size >> pages;
+  return pages * static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+}
+
+double milliseconds_of(const std::function<void()>& what) {
+  const auto begun = std::chrono::steady_clock::now();
+  what();
+  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begun).count();
+}
+
+// A place to wait for the hash that is under way, and one's own; a machine that others use adds to each.
+TEST_F(AuthenticatorTest, TenThousandWrongPasswordsKeepNobodyElseOut) {
+  const auto bench = started();
+  login(*bench, "anna", kPassword, "10.1.0.0");
+  const std::size_t before = resident();
+  std::size_t most = 0;
+  std::vector<std::shared_ptr<Waiting>> storm;
+  std::vector<double> valid_ms;
+  double hash_ms = milliseconds_of([] {
+    hash_of_nobody();
+    verifies(hash_of_nobody(), Secret("wrong horse"));
+  });
+  for (int round = 0; round < 500; ++round) {
+    for (int source = 0; source < 20; ++source)
+      storm.push_back(begin_login(*bench, "anna", "wrong horse", "10.0.0." + std::to_string(source)));
+    bench->advance(100ms);
+    if (round % 25 != 24) continue;
+    valid_ms.push_back(milliseconds_of(
+        [&] { EXPECT_TRUE(login(*bench, "anna", kPassword, "10.1.0." + std::to_string(round))->granted()); }));
+    most = std::max(most, resident());
+    hash_ms = std::max(hash_ms, milliseconds_of([] { verifies(hash_of_nobody(), Secret("wrong horse")); }));
+  }
+  for (const auto& one : storm) one->wait();
+  EXPECT_EQ(storm.size(), 10000U);
+  EXPECT_TRUE(std::none_of(storm.begin(), storm.end(), [](const auto& one) { return one->granted(); }));
+  std::sort(valid_ms.begin(), valid_ms.end());
+  const double grown_mib = static_cast<double>(most - std::min(most, before)) / (1 << 20);
+  std::printf(
+      "10,000 wrong passwords of 20 sources: a valid login p50 %.0f, longest %.0f ms; one hash %.0f ms; "
+      "memory + %.0f MiB\n",
+      valid_ms[valid_ms.size() / 2], valid_ms.back(), hash_ms, grown_mib);
+  EXPECT_LT(valid_ms[valid_ms.size() / 2], 5 * hash_ms);
+#ifndef __SANITIZE_ADDRESS__
+  EXPECT_LT(grown_mib, 192);  // the hash of the storm and that of this test
+#endif
+}
+
+TEST_F(AuthenticatorTest, WhoHasNotFailedTakesThePlaceOfOneWhoHas) {
+  const auto bench = started();
+  std::vector<std::shared_ptr<Waiting>> storm;
+  for (int i = 0; i < 40; ++i)
+    storm.push_back(begin_login(*bench, "anna", "wrong horse", "10.0.0." + std::to_string(i / 2)));
+  EXPECT_TRUE(login(*bench, "anna", kPassword, "10.0.1.1")->granted());
+  EXPECT_TRUE(std::any_of(storm.begin(), storm.end(), [](const auto& one) { return !one->answered(); }))
+      << "it has waited for all of the storm";
+  for (const auto& one : storm) one->wait();
 }
 
 TEST_F(AuthenticatorTest, AttemptsThatWaitWhenItEndsAreAnswered) {

@@ -63,7 +63,8 @@ security::CommAuthenticationResponse Authenticator::checked(const LoginDesk::Att
 
 void Authenticator::on_login(const security::CommAuthenticationRequest& request, LoginReply reply) {
   const Throttle::Rule rule{static_cast<double>(params_->attempts()), seconds(params_->attempt_period())};
-  // Without a source all would share one count, and any of them could use it up for the others.
+  // Without a source all would share one count, and any of them could use it up for the others: they come last.
+  double used = rule.attempts;
   if (!request.source().empty()) {
     const std::lock_guard lock(throttle_mutex_);
     if (const auto wait = throttle_.take(request.source(), now(), rule)) {
@@ -71,6 +72,7 @@ void Authenticator::on_login(const security::CommAuthenticationRequest& request,
       reply.reject(too_soon(*wait).what());
       return;
     }
+    used = throttle_.used(request.source(), rule);
   }
   const Sessions::Bounds bounds{seconds(params_->session_time()), params_->max_sessions(), params_->user_sessions()};
   // Shared by the two ways in which an attempt ends.
@@ -84,10 +86,10 @@ void Authenticator::on_login(const security::CommAuthenticationRequest& request,
       answer->reject("nobody can log in now: the database of users cannot be used");
     }
   };
-  if (!desk_->take({request.username(), Secret(request.password()), request.source(), check_it,
-                    [answer] { answer->reject("the authenticator ends"); }})) {
+  if (!desk_->take({request.username(), Secret(request.password()), request.source(), used, check_it,
+                    [answer](const char* why) { answer->reject(why); }})) {
     refused_.set(++refusals_);
-    answer->reject("many log in at this moment: try again in a second");
+    answer->reject(LoginDesk::kCrowded);
   }
 }
 

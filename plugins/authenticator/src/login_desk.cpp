@@ -4,6 +4,8 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <optional>
 #include <utility>
 
 namespace fiona::authenticator {
@@ -24,19 +26,35 @@ LoginDesk::~LoginDesk() {
     left.swap(attempts_);
   }
   wake_.notify_one();
-  for (const Attempt& attempt : left) attempt.abandon();
+  for (const Attempt& attempt : left) attempt.abandon("the authenticator ends");
   thread_.join();
 }
 
 bool LoginDesk::take(Attempt&& attempt) {
+  std::optional<Attempt> displaced;
   {
     const std::lock_guard lock(mutex_);
-    if (closed_ || attempts_.size() >= kMaxWaiting || of_source_[attempt.source] >= kMaxOfSource) return false;
+    const auto own = of_source_.find(attempt.source);
+    if (closed_ || (own != of_source_.end() && own->second >= kMaxOfSource)) return false;
+    if (attempts_.size() >= kMaxWaiting) {
+      if (attempts_.back().used < attempt.used) return false;
+      displaced = std::move(attempts_.back());
+      attempts_.pop_back();
+      leave(displaced->source);
+    }
     ++of_source_[attempt.source];
-    attempts_.push_back(std::move(attempt));
+    // The newest first among equals: those before it, in a storm, are the storm.
+    const auto place = std::lower_bound(attempts_.begin(), attempts_.end(), attempt.used,
+                                        [](const Attempt& other, double used) { return other.used < used; });
+    attempts_.insert(place, std::move(attempt));
   }
   wake_.notify_one();
+  if (displaced) displaced->abandon(kCrowded);
   return true;
+}
+
+void LoginDesk::leave(const std::string& source) {
+  if (const auto found = of_source_.find(source); --found->second == 0) of_source_.erase(found);
 }
 
 std::size_t LoginDesk::waiting() const {
@@ -57,7 +75,7 @@ void LoginDesk::work() {
     lock.unlock();
     attempt.check(attempt);
     lock.lock();
-    if (const auto found = of_source_.find(attempt.source); --found->second == 0) of_source_.erase(found);
+    leave(attempt.source);
   }
 }
 

@@ -14,8 +14,8 @@
 namespace fiona::authenticator {
 
 /// Where attempts wait for the one thread that hashes, less urgent than the others of the process: a storm costs the
-/// others nothing but what is left of the CPU. Attempts have their bound, and each source its own, so that one that
-/// makes many is behind itself and not in front of others.
+/// others nothing but what is left of the CPU. Attempts have their bound, and each source its own; who has failed is
+/// served after those who have not, the newest first, and gives them its place where there is none.
 class LoginDesk {
  public:
   static constexpr std::size_t kMaxWaiting = 32;
@@ -25,8 +25,9 @@ class LoginDesk {
     std::string user;
     Secret password;
     std::string source;
+    double used = 0;                                    ///< how many attempts the source has used up lately
     std::function<void(const Attempt& attempt)> check;  ///< on the desk's thread
-    std::function<void()> abandon;                      ///< instead of it, when the desk closes
+    std::function<void(const char* why)> abandon;       ///< instead of it, on any thread
   };
 
   LoginDesk();
@@ -35,12 +36,15 @@ class LoginDesk {
   LoginDesk(const LoginDesk&) = delete;
   LoginDesk& operator=(const LoginDesk&) = delete;
 
-  /// False, and nothing is kept: too many wait, in all or from this source.
+  static constexpr const char* kCrowded = "many log in at this moment: try again in a second";
+
+  /// False, and nothing is kept: too many wait, from this source, or in all that have used up less than it.
   bool take(Attempt&& attempt);
   std::size_t waiting() const;
 
  private:
   void work();
+  void leave(const std::string& source);
 
   mutable std::mutex mutex_;
   std::condition_variable wake_;

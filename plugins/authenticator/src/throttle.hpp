@@ -23,6 +23,11 @@ class Throttle {
 
   /// Takes an attempt; or says how long the source has to wait for one.
   std::optional<Duration> take(const std::string& source, TimePoint now, const Rule& rule);
+  /// How many of its attempts a source has used up, as `take` left it.
+  double used(const std::string& source, const Rule& rule) const {
+    const auto found = sources_.find(source);
+    return found == sources_.end() ? 0.0 : rule.attempts - found->second.left;
+  }
   void succeeded(const std::string& source) { sources_.erase(source); }
 
   std::size_t sources() const { return sources_.size(); }
