@@ -11,6 +11,7 @@ import csv
 import gzip
 import json
 import pathlib
+import random
 import sys
 
 
@@ -62,7 +63,10 @@ def tetam(data, out):
         x, y, _ = place.strip("()").split(",")
         for sensor, beacons in sensors.items():
             for histogram in beacons.values():
-                for second, rssi in enumerate(quantiles(bins, histogram) if sum(histogram) else ()):
+                values = list(quantiles(bins, histogram)) if sum(histogram) else []
+                # The sensors' readings of a second are not all their lowest or all their highest.
+                random.Random("%s %s %d" % (place, sensor, sum(histogram))).shuffle(values)
+                for second, rssi in enumerate(values):
                     survey.writerow(("survey", 16 * number + second, x.strip(), y.strip(), 0, sensor, rssi))
     for file in sorted(data.glob("track_*.csv.gz")):
         track, begin = file.name.removesuffix(".csv.gz"), None

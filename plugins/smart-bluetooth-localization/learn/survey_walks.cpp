@@ -1,6 +1,10 @@
 #include "survey_walks.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <map>
+#include <set>
+#include <tuple>
 
 #include "accuracy.hpp"
 
@@ -9,8 +13,30 @@ namespace {
 
 constexpr Time kOutput{200};
 constexpr Time kJudged{1000};
-constexpr double kInside = 0.92;  // of halves of the survey; the whole of it errs less
-constexpr std::size_t kFolds = 2;
+constexpr double kInside = 0.95;
+constexpr std::size_t kPlaceFolds = 5, kMostFixes = 500;
+constexpr std::size_t kLeastFixes = 200;
+constexpr double kSamePlace_m = 3.0;
+constexpr std::size_t kMostFolds = 8;  // each is learnt without an eighth of the walks: nearly what the whole is
+
+/// How many walks of a survey went by a place.
+std::size_t walks_near(const std::vector<SurveySecond>& survey, const walk::WayPoint& at) {
+  std::set<std::uint32_t> walks;
+  for (const SurveySecond& second : survey) {
+    const bool near = second.level == at.level && std::hypot(second.x_m - at.x_m, second.y_m - at.y_m) <= kSamePlace_m;
+    if (near) walks.insert(second.walk);
+  }
+  return walks.size();
+}
+
+BeaconMap::Accuracy fitted(const std::vector<radio::LeftOutFix>& fixes) {
+  BeaconMap::Accuracy accuracy = careful_accuracy();
+  if (fixes.size() < kLeastFixes) return accuracy;
+  const radio::Accuracy fit = radio::fit_accuracy(fixes, kInside);
+  accuracy.set_factor(fit.covariance_factor);
+  accuracy.set_floor(std::max(0.1, fit.covariance_floor_m));
+  return accuracy;
+}
 
 }  // namespace
 
@@ -61,16 +87,17 @@ BeaconMap::Accuracy accuracy_of(const std::vector<radio::Journey>& walks, const 
                                 const FilterOptions& options) {
   std::vector<radio::LeftOutFix> fixes;
   const auto shared_plan = std::make_shared<const FloorPlan>(plan);
-  for (std::size_t fold = 0; fold < kFolds; ++fold) {
+  const std::size_t folds = std::min(kMostFolds, walks.size());
+  for (std::size_t fold = 0; fold < folds; ++fold) {
     std::vector<SurveySecond> learnt;
     for (std::size_t i = 0; i < walks.size(); ++i) {
       const auto seconds = seconds_of(walks[i], static_cast<std::uint32_t>(i));
-      if (i % kFolds != fold) learnt.insert(learnt.end(), seconds.begin(), seconds.end());
+      if (i % folds != fold) learnt.insert(learnt.end(), seconds.begin(), seconds.end());
     }
     if (learnt.empty()) return careful_accuracy();
     const BeaconMap map = learn(learnt, "fold");
     const auto field = std::make_shared<const BeaconField>(map, shared_plan->extents());
-    for (std::size_t i = fold; i < walks.size(); i += kFolds) {
+    for (std::size_t i = fold; i < walks.size(); i += folds) {
       const auto& points = walks[i].way_points;
       BeaconFilter filter(field, shared_plan, careful_accuracy(), map.radio().offset(), options);
       replay(walks[i], *field, filter, [&](Time time) {
@@ -79,16 +106,51 @@ BeaconMap::Accuracy accuracy_of(const std::vector<radio::Journey>& walks, const 
         const auto truth = walk::position_at(points, time.count());
         const Estimate at = filter.estimate();
         if (!truth || !at.is_valid()) return;
-        fixes.push_back({{at.x_m - truth->x_m, at.y_m - truth->y_m}, at.spread, 1});
+        // Where only the walk itself went, the map without it says nothing of how good the map with it is.
+        const std::size_t others = walks_near(learnt, *truth);
+        if (others == 0) return;
+        // A mean over n walks errs by 1 / n of a single walk's variance; the whole map has one walk more here.
+        const auto n = static_cast<double>(others);
+        const double gain = std::sqrt((1.0 + 1.0 / (n + 1.0)) / (1.0 + 1.0 / n));
+        fixes.push_back({gain * Eigen::Vector2d(at.x_m - truth->x_m, at.y_m - truth->y_m), at.spread, others});
       });
     }
   }
-  BeaconMap::Accuracy accuracy = careful_accuracy();
-  if (fixes.empty()) return accuracy;
-  const radio::Accuracy fitted = radio::fit_accuracy(fixes, kInside);
-  accuracy.set_factor(fitted.covariance_factor);
-  accuracy.set_floor(std::max(0.1, fitted.covariance_floor_m));
-  return accuracy;
+  return fitted(fixes);
+}
+
+BeaconMap::Accuracy accuracy_of(const std::vector<SurveySecond>& survey, const FilterOptions& options) {
+  using Place = std::tuple<int, std::int64_t, std::int64_t>;
+  const auto place_of = [](const SurveySecond& s) { return Place(s.level, std::lround(s.x_m), std::lround(s.y_m)); };
+  std::map<Place, std::size_t> places;
+  for (const SurveySecond& second : survey) places.try_emplace(place_of(second), 0);
+  std::size_t number = 0;
+  for (auto& [place, fold] : places) fold = number++ % kPlaceFolds;
+  std::vector<radio::LeftOutFix> fixes;
+  const auto plan = std::make_shared<const FloorPlan>();
+  for (std::size_t fold = 0; fold < kPlaceFolds; ++fold) {
+    std::vector<SurveySecond> learnt, left_out;
+    for (const auto& second : survey) {
+      (places.at(place_of(second)) == fold ? left_out : learnt).push_back(second);
+    }
+    std::erase_if(left_out, [](const SurveySecond& second) { return second.rssi_dbm.empty(); });
+    if (learnt.empty() || left_out.empty()) continue;
+    const BeaconMap map = learn(learnt, "fold");
+    const auto field = std::make_shared<const BeaconField>(map);
+    const std::size_t count = std::min(kMostFixes / kPlaceFolds, left_out.size());
+    for (std::size_t i = 0; i < count; ++i) {
+      const SurveySecond& second = left_out[i * left_out.size() / count];
+      BeaconFilter filter(field, plan, careful_accuracy(), map.radio().offset(), options);
+      filter.advance(Time(0));
+      for (const auto& [id, rssi] : second.rssi_dbm) {
+        if (const auto beacon = field->find(id)) filter.heard(*beacon, rssi);
+      }
+      filter.advance(kJudged);
+      const Estimate at = filter.estimate();
+      if (at.is_valid()) fixes.push_back({{at.x_m - second.x_m, at.y_m - second.y_m}, at.spread, 1});
+    }
+  }
+  return fitted(fixes);
 }
 
 }  // namespace fiona::beacons

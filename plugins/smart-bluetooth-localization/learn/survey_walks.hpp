@@ -17,9 +17,13 @@ std::vector<SurveySecond> seconds_of(const radio::Journey& journey, std::uint32_
 void replay(const radio::Journey& journey, const BeaconField& field, BeaconFilter& filter,
             const std::function<void(Time)>& show);
 
-/// Covariance factor and floor, from walks that the map did not learn: half of them against what the others teach, in
-/// two turns. Without enough of them the careful default.
+/// Covariance factor and floor, from walks that the map did not learn: an eighth of them against what the others teach,
+/// in turns, in places where others went. Without enough of them the careful default.
 BeaconMap::Accuracy accuracy_of(const std::vector<radio::Journey>& walks, const FloorPlan& plan,
                                 const FilterOptions& options);
+
+/// The same from a survey that says nothing of steps: each second alone is a fix, of a map that has not learnt its
+/// place.
+BeaconMap::Accuracy accuracy_of(const std::vector<SurveySecond>& survey, const FilterOptions& options);
 
 }  // namespace fiona::beacons

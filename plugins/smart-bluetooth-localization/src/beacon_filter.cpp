@@ -121,9 +121,13 @@ void BeaconFilter::take_ways(double dt_s) {
   }
 }
 
+/// The mean of n seconds in one place errs less than one of them, by what differs from second to second: the n-th one
+/// adds less and less.
 double BeaconFilter::weight_of_second() {
   const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
-  return options_.temper * (options_.still_temper + (1.0 - options_.still_temper) * moved);
+  still_s_ = moved >= 0.5 ? 0.0 : still_s_ + 1.0;
+  const double still = std::max(options_.still_temper, 1.0 / (1.0 + still_s_));
+  return options_.temper * (still + (1.0 - still) * moved);
 }
 
 double BeaconFilter::log_likelihood(const Particle& p, const Second& second, double weight) const {

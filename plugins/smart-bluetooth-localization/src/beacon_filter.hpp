@@ -21,12 +21,13 @@ using Time = std::chrono::milliseconds;  ///< since any fixed epoch
 struct FilterOptions {
   std::size_t particles = 2000;
   std::uint64_t seed = 1;
-  bool walls = true;          ///< nobody walks through them
-  bool heading_bias = true;   ///< as a state; false: headings of steps are taken as they are
-  bool rssi_offset = true;    ///< as a state; false: the receiver reads as the survey's did
-  double temper = 0.8;        ///< weight of a second's log-likelihood: seconds are not independent
-  double still_temper = 0.1;  ///< share of that for who stands: what a place does to a signal stays the same there
-  double silence = 0.5;       ///< weight of what a second did not hear, beside what it did
+  bool walls = true;         ///< nobody walks through them
+  bool heading_bias = true;  ///< as a state; false: headings of steps are taken as they are
+  bool rssi_offset = true;   ///< as a state; false: the receiver reads as the survey's did
+  double temper = 0.8;       ///< weight of a second's log-likelihood: seconds are not independent
+  double still_temper =
+      0.1;               ///< least share of that for who stands: what a place does to a signal stays the same there
+  double silence = 0.5;  ///< weight of what a second did not hear, beside what it did
   double heading_bias_sd_rad = 0.15;
   double heading_drift_rad = 0.02;  ///< per step
   double step_gain_sd = 0.08, step_gain_drift = 0.006;
@@ -128,6 +129,7 @@ class BeaconFilter {
   std::optional<Time> now_, used_;
   bool steps_ = false;
   double walked_m_ = 0.0;  ///< since the last second was used
+  double still_s_ = 0.0;   ///< seconds used since the walker last moved on
 };
 
 }  // namespace fiona::beacons

@@ -68,8 +68,9 @@ int learn(const options::variables_map& given, const std::filesystem::path& from
     map = beacons::learn(seconds, name);
     *map.mutable_accuracy() = beacons::accuracy_of(walks, plan_of(given), {});
   } else {
-    map = beacons::learn(beacons::read_survey(from), name);
-    *map.mutable_accuracy() = beacons::careful_accuracy();
+    const auto seconds = beacons::read_survey(from);
+    map = beacons::learn(seconds, name);
+    *map.mutable_accuracy() = beacons::accuracy_of(seconds, {});
   }
   const std::string output = given["output"].as<std::string>();
   beacons::save(map, output);
@@ -86,8 +87,8 @@ int drawn(const options::variables_map& given, const std::string& file) {
   if (given.count("output") == 0) usage_error("drawn needs to know where to write", "no -o FILE");
   const auto map = beacons::drawn_in(fiona::building::Building::read(file));
   beacons::save(map, given["output"].as<std::string>());
-  std::cerr << map.beacons_size() << " beacons of " << map.name() << " written to "
-            << given["output"].as<std::string>() << '\n';
+  std::cerr << map.beacons_size() << " beacons of " << map.name() << " written to " << given["output"].as<std::string>()
+            << '\n';
   return 0;
 }
 
