@@ -32,6 +32,8 @@ struct Outcome {
   int reroutes = 0;
   std::vector<std::string> faults{};  ///< instructions and paths that must not be
   std::uint64_t instructions = 0;     ///< a hash of all that was said, and when
+  std::vector<double> errors_m{};     ///< of the localisation, once a second from when the destination was sent
+  int wrong_level = 0, unplaced = 0;  ///< seconds with a place on another level, and without a place
 };
 
 enum class Guidance {
@@ -39,7 +41,14 @@ enum class Guidance {
   Muted,  ///< the walker hears that there is an instruction, and nothing of where to
 };
 
-/// Leads a simulated person through the building, on virtual time.
-Outcome lead(const building::Building& building, const std::string& file, const Errand& errand, Guidance guidance);
+/// What the person is led by.
+enum class Place {
+  Truth,
+  Beacons,  ///< smart-bluetooth-localization by a map learnt from a survey
+};
+
+/// Leads a simulated person through the building, on virtual time. `beacons`: the map's file, where they are led by it.
+Outcome lead(const building::Building& building, const std::string& file, const Errand& errand, Guidance guidance,
+             Place place = Place::Truth, const std::string& beacons = {});
 
 }  // namespace fiona::walks

@@ -254,7 +254,13 @@ Navigation::Refusal Navigation::no_way(const Map& map, const PathPoint& from) co
   const std::string to = goal_name();
   const std::string no = "There is no way to " + to;
   more.access = 9;
-  if (leads(more)) return {no + " that is open to you: doors on it need another right.", {}};
+  if (leads(more)) {
+    // Nobody is behind a door that is closed to them: the place that localisation says is likely another one.
+    const auto room = building::room_index_at(map.plan.plan, from.at, from.level);
+    const bool shut_in = room && map.plan.plan.rooms[*room].access > options_.access;
+    return {no + " that is open to you: doors on it need another right.",
+            shut_in ? std::optional<Duration>(kAgain) : std::nullopt};
+  }
   more = options_, more.stairs = true;
   if (leads(more)) return {no + " without stairs, and your profile leaves stairs out.", {}};
   more = options_, more.lift = true;
