@@ -12,6 +12,7 @@
 
 #include "fiona/testing/bench.hpp"
 #include "page_calls.hpp"
+#include "system_json.hpp"
 #include "to_json.hpp"
 
 namespace fiona::smart_web_interface {
@@ -117,6 +118,70 @@ TEST(PageCalls, SayWhatIsWrong) {
   EXPECT_EQ(refusal_of("profile", R"({"use_elevator":1,"use_stairs":null,"use_outdoor_navigation":null})"),
             "'use_elevator' is neither true, false nor null");
   EXPECT_EQ(refusal_of("points", R"({"points":[1]})"), "a point is no object");
+  EXPECT_EQ(refusal_of("rewire", R"({"client":"nav.location"})"), "'provider' is missing");
+}
+
+// R29: what a page may ask for, at each of the ten levels.
+TEST(PageCalls, TakeTheLevelsThatConsolesTake) {
+  const std::vector<std::pair<int, PageCall>> calls{
+      {0, OpenSession{}}, {0, FollowEvents{}}, {0, GetMap{}},    {0, GetMe{}},          {0, Login{}},  {0, Logout{}},
+      {0, SetProfile{}},  {0, SetPoints{}},    {1, GetSystem{}}, {0, SetDestination{}}, {6, Rewire{}},
+  };
+  EXPECT_EQ(calls.size(), std::variant_size_v<PageCall>);
+  for (const auto& [level, call] : calls) EXPECT_EQ(level_of(call), level) << call.index();
+}
+
+control::System small_system() {
+  control::System system;
+  system.set_host("main");
+  control::InstanceStatus& nav = *system.add_instances();
+  nav.set_name("nav");
+  nav.set_mode("active");
+  control::PortStatus& location = *nav.add_ports();
+  location.set_name("location");
+  location.set_direction(REQUIRES);
+  location.set_service("fiona.localisation.LocationProvider");
+  location.set_connection(control::CONNECTED);
+  location.mutable_peer()->set_instance("ble");
+  location.mutable_peer()->set_port("location");
+  location.set_rate_hz(5.04);
+  location.set_age_ms(-1);
+  for (const char* name : {"ble", "wifi", "nav"}) {
+    control::InstanceStatus& one = *system.add_instances();
+    one.set_name(name);
+    for (const char* service : {"fiona.localisation.LocationProvider", "fiona.localisation.StepProvider"}) {
+      control::PortStatus& port = *one.add_ports();
+      port.set_name(service == std::string_view("fiona.localisation.StepProvider") ? "steps" : "location");
+      port.set_direction(PROVIDES);
+      port.set_service(service);
+    }
+  }
+  return system;
+}
+
+TEST(SystemJson, OffersWhoElseProvidesTheServiceAndNobodyElse) {
+  const json wire = json::parse(system_json(small_system(), true))["wires"][0];
+  EXPECT_EQ(wire["client"], "nav.location");
+  EXPECT_EQ(wire["provider"], "ble.location");
+  EXPECT_EQ(wire["service"], "LocationProvider");
+  EXPECT_EQ(wire["rate"], 5.0);
+  EXPECT_FALSE(wire.contains("age"));
+  EXPECT_EQ(wire["fits"], json::array({"wifi.location"}));
+}
+
+TEST(SystemJson, APortWithAlternativesOfItsOwnIsOfferedNobody) {
+  control::System system = small_system();
+  system.mutable_instances(0)->mutable_ports(0)->add_providers();
+  system.mutable_instances(0)->mutable_ports(0)->add_providers();
+  EXPECT_EQ(json::parse(system_json(system, true))["wires"][0]["fits"], json::array());
+}
+
+TEST(SystemJson, APortThatIsNotWiredHasNoProvider) {
+  control::System system = small_system();
+  system.mutable_instances(0)->mutable_ports(0)->clear_peer();
+  const json wire = json::parse(system_json(system, false))["wires"][0];
+  EXPECT_TRUE(wire["provider"].is_null());
+  EXPECT_EQ(wire["fits"], json::array({"ble.location", "wifi.location"}));
 }
 
 TEST(PageCalls, LeaveNoPasswordInTheBody) {

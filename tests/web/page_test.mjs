@@ -1,15 +1,18 @@
-// The page in a real browser: opened by its link, logged in, led to a room; what it says when the server dies; what another
-// page can do to it; and that axe-core finds nothing, in any state. Screenshots of phone and desk are left in the last folder.
-// usage: node page_test.mjs BIN MARKETPLACE GUIDE NODE_MODULES SCREENSHOTS
+// The mobile navigator in a real browser: its page is opened by the link, logged in to, and a person is led to a room, while
+// the localisation is swapped; what it says when the system dies; what another page can do to it; and that axe-core finds
+// nothing, in any state. Screenshots of phone and desk are left in the last folder.
+// usage: node page_test.mjs BIN MARKETPLACE NODE_MODULES SCREENSHOTS
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
-import { existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs";
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
-import { join, resolve } from "node:path";
+import { dirname, join, resolve } from "node:path";
+import { fileURLToPath } from "node:url";
+import { hostile } from "./hostile_page.mjs";
 
-const [bin, marketplace, guide, modules, screenshots] = process.argv.slice(2).map((path) => resolve(path));
+const [bin, marketplace, modules, screenshots] = process.argv.slice(2).map((path) => resolve(path));
 const browserProgram = ["/usr/bin/chromium", "/usr/bin/chromium-browser"].find(existsSync);
 if (!browserProgram) {
   console.log("skipped: there is no chromium on this machine (apt-get install chromium)");
@@ -41,32 +44,16 @@ const until = async (what, test, limit_ms = 30000) => {
 
 let host = null;
 let said = "";
-const system = `
-load map-server as map map_name=house
-load authenticator as auth in users
-load user-profiles as profiles in users
-load ${guide}/guide as guide
-load smart-web-interface as web in web
-wire profiles.sessions to auth.sessions
-wire profiles.levels to map.levels
-wire map.profile to profiles.profile
-wire guide.levels to map.levels
-wire web.location to guide.location
-wire web.path to guide.path
-wire web.instructions to guide.instructions
-wire web.destination to guide.destination
-wire web.levels to map.levels
-wire web.map_change to map.change
-wire web.login to auth.login
-wire web.sessions to auth.sessions
-wire web.logout to auth.logout
-wire web.profile to profiles.profile
-wire web.update to profiles.update
-wire web.points to profiles.points
-`;
+const sources = resolve(dirname(fileURLToPath(import.meta.url)), "../..");
+const demo = resolve(bin, "../demo");
+const packages = [
+  "guided-walk-simulator", "step-heading", "map-server", "smart-bluetooth-localization", "radio-localisation", "smart-symbolic-planner",
+  "smart-fiona-navigation", "authenticator", "user-profiles", "smart-web-interface",
+];
 async function start() {
-  writeFileSync(join(home, "web.fiona"), system);
-  host = spawn(join(bin, "fiona"), ["run", join(home, "web.fiona"), "--headless"], { env, detached: true });
+  const files = ["one-process", "page"].map((name) => join(sources, "systems/mobile-navigator", `${name}.fiona`));
+  const maps = ["--set", `bluetooth.beacons=${demo}/institute.beacons`, "--set", `wifi.map=${demo}/institute.radiomap`];
+  host = spawn(join(bin, "fiona"), ["run", ...files, ...maps, "--headless", "--timeout", "60s"], { env, cwd: sources, detached: true });
   for (const stream of [host.stdout, host.stderr]) stream.on("data", (bytes) => (said += bytes));
   await until("the page is served", () => {
     assert.equal(host.exitCode, null, `the system has ended: ${said}`);
@@ -106,9 +93,43 @@ async function accessible(page, state) {
     [],
   );
 }
+/// In the page's pixels, so that the files stay small.
+const picture = (page, name, fullPage = false) => page.screenshot({ path: join(screenshots, `${name}.png`), scale: "css", fullPage });
 const fits = async (page) => assert.equal(await page.evaluate(() => document.documentElement.scrollWidth > innerWidth), false, "it scrolls sideways");
 
-execFileSync(join(bin, "fiona"), ["market", "install", "-q", "-y", "smart-web-interface", "map-server", "authenticator", "user-profiles"], { env });
+/// A call as the page makes it, with the page's own session.
+const api = (page, name, body) =>
+  page.evaluate(
+    async ({ name, body }) => {
+      const headers = { "content-type": "application/json", authorization: `Bearer ${sessionStorage.getItem("fiona-session")}` };
+      const response = await fetch(`/api/${name}`, { method: "POST", headers, body: JSON.stringify(body) });
+      return { status: response.status, ...(await response.json()) };
+    },
+    { name, body },
+  );
+/// A stream beside the page's own: when positions come.
+const listen = (page) =>
+  page.evaluate(() => {
+    window.heard = { times: [], stop: new AbortController() };
+    const { times, stop } = window.heard;
+    const headers = { "content-type": "application/json", authorization: `Bearer ${sessionStorage.getItem("fiona-session")}` };
+    void fetch("/api/events", { method: "POST", headers, body: "{}", signal: stop.signal }).then(async (response) => {
+      const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (done) return;
+        if (value.includes("event: location")) times.push(performance.now());
+      }
+    }).catch(() => undefined);
+  });
+const gapsOf = (page) =>
+  page.evaluate(() => {
+    window.heard.stop.abort();
+    const { times } = window.heard;
+    return times.slice(1).map((time, i) => Math.round(time - times[i])).sort((a, b) => a - b);
+  });
+
+execFileSync(join(bin, "fiona"), ["market", "install", "-q", "-y", ...packages], { env });
 execFileSync(join(bin, "fiona-users"), ["add", "anna", "--level", "3"], { env, input: `${kPassword}\n` });
 
 const browser = await chromium.launch({ executablePath: browserProgram, args: ["--no-sandbox", "--host-resolver-rules=MAP evil.test 127.0.0.1"] });
@@ -134,7 +155,7 @@ try {
   await claim("a link opens the page, and its token leaves the address", async () => {
     await page.goto(url);
     await page.getByText("Connected", { exact: true }).waitFor();
-    await page.getByRole("heading", { name: "Blautal House" }).waitFor();
+    await page.getByRole("heading", { name: "Michelsberg Institute" }).waitFor();
     assert.equal(page.url(), `${origin}/`);
   });
   await claim("a link opens one page only", async () => {
@@ -146,7 +167,7 @@ try {
   await claim("the plan shows the walker with the region around", async () => {
     await page.locator(".walker .region").waitFor({ state: "attached" });
     await accessible(page, "open");
-    await page.screenshot({ path: join(screenshots, "phone-open.png") });
+    await picture(page, "phone-open");
   });
 
   await claim("a wrong password is refused in words", async () => {
@@ -156,7 +177,7 @@ try {
     await page.locator(".login button.main").click();
     await page.getByText("Name and password do not fit.").waitFor();
     await accessible(page, "log-in refused");
-    await page.screenshot({ path: join(screenshots, "phone-login.png") });
+    await picture(page, "phone-login");
   });
   await claim("the right one shows the profile", async () => {
     await page.getByLabel("Password").fill(kPassword);
@@ -168,7 +189,7 @@ try {
     await page.getByRole("button", { name: "Add this place" }).click();
     await page.getByText("Added.").waitFor();
     await accessible(page, "profile");
-    await page.screenshot({ path: join(screenshots, "phone-profile.png") });
+    await picture(page, "phone-profile");
     await page.getByRole("button", { name: "Close" }).click();
   });
   await claim("a point of attention is told where the walker is", async () => {
@@ -177,13 +198,13 @@ try {
 
   await claim("a room is found by a part of its name, with the keyboard alone", async () => {
     await page.getByLabel("Where to?").focus();
-    await page.keyboard.type("1.16");
+    await page.keyboard.type("1.09");
     await page.locator(".rooms li").first().waitFor();
     await accessible(page, "search");
-    await page.screenshot({ path: join(screenshots, "phone-search.png") });
+    await picture(page, "phone-search");
     await page.keyboard.press("Enter");
     await page.locator(".steps li").first().waitFor();
-    assert.match(await page.locator(".to").innerText(), /^To .*1\.16/);
+    assert.match(await page.locator(".to").innerText(), /^To .*1\.09/);
   });
   await claim("position and steps move along the way", async () => {
     const place = () => page.locator(".walker > g").getAttribute("transform");
@@ -191,13 +212,13 @@ try {
     const step = await page.locator('.steps [aria-current="step"]').innerText();
     await until("the walker moves", async () => (await place()) !== before);
     await accessible(page, "on the way");
-    await page.screenshot({ path: join(screenshots, "phone-way.png") });
-    await until("the step changes", async () => (await page.locator('.steps [aria-current="step"]').innerText()) !== step);
+    await picture(page, "phone-way");
+    await until("the step changes", async () => (await page.locator('.steps [aria-current="step"]').innerText()) !== step, 60000);
   });
   await claim("nothing scrolls sideways at 320 pixels", async () => {
     await page.setViewportSize({ width: 320, height: 640 });
     await fits(page);
-    await page.screenshot({ path: join(screenshots, "narrow-way.png"), fullPage: true });
+    await picture(page, "narrow-way", true);
     await accessible(page, "narrow");
     await page.setViewportSize({ width: 390, height: 844 });
   });
@@ -205,10 +226,10 @@ try {
     await page.setViewportSize({ width: 1280, height: 800 });
     await fits(page);
     await accessible(page, "desk");
-    await page.screenshot({ path: join(screenshots, "desk-way.png") });
+    await picture(page, "desk-way");
     await page.emulateMedia({ colorScheme: "dark" });
     await accessible(page, "dark");
-    await page.screenshot({ path: join(screenshots, "desk-dark.png") });
+    await picture(page, "desk-dark");
     await page.emulateMedia({ colorScheme: "light" });
     await page.setViewportSize({ width: 390, height: 844 });
   });
@@ -219,75 +240,97 @@ try {
     await page.keyboard.press("ArrowRight");
     await until("the plan moves", async () => (await view()) !== before);
   });
+  await claim("the localisation is swapped while the person walks, and the page goes on", async () => {
+    await listen(page);
+    for (const provider of ["wifi.location", "phone.truth", "bluetooth.location"]) {
+      fiona("wire", "nav.location", "to", provider);
+      await page.waitForTimeout(3500);
+    }
+    const gaps = await gapsOf(page);
+    const p99 = gaps[Math.ceil(gaps.length * 0.99) - 1];
+    console.log(`        ${gaps.length} positions through 3 swaps: gap p50 ${gaps[gaps.length >> 1]}, p99 ${p99}, longest ${gaps.at(-1)} ms`);
+    assert.ok(gaps.length > 30, "too few positions");
+    // The bounds are 300 and 600 ms on a machine of its own; this one may be shared.
+    assert.ok(p99 <= 900 && gaps.at(-1) <= 1800, `gaps of ${p99} and ${gaps.at(-1)} ms`);
+  });
+  await claim("an instruction that is made from a guess is told as uncertain", async () => {
+    fiona("set", "nav", "uncertain_radius=1m");
+    await page.getByText(/^Position uncertain, within/).waitFor({ timeout: 10000 });
+    await accessible(page, "guess");
+    await picture(page, "phone-uncertain");
+    fiona("set", "nav", "uncertain_radius=8m");
+    await page.getByText(/^Position uncertain, within/).waitFor({ state: "detached", timeout: 10000 });
+  });
+  await claim("what is running is shown to a user of level 1 and more, live", async () => {
+    await page.getByRole("tab", { name: "What is running" }).click();
+    await page.locator(".cards li", { hasText: "smart-fiona-navigation" }).waitFor();
+    await until("the rate of the location is shown", async () =>
+      /LocationProvider: .* Hz/.test(await page.locator(".cards li", { hasText: "nav.location from bluetooth.location" }).innerText()));
+    assert.equal(await page.locator(".swap").count(), 0, "level 3 may not switch");
+    await accessible(page, "running");
+  });
+  await claim("a provider is swapped on the page among those that fit, by a user of level 6", async () => {
+    execFileSync(join(bin, "fiona-users"), ["level", "anna", "6"], { env });
+    const wire = page.locator(".cards li", { hasText: "nav.location from" });
+    const others = wire.getByLabel("Another provider for nav.location");
+    await others.waitFor();
+    assert.deepEqual((await others.locator("option").allInnerTexts()).slice(1), ["phone.truth", "wifi.location"]);
+    await others.selectOption("wifi.location");
+    await wire.getByRole("button", { name: "Switch nav.location" }).click();
+    await page.getByText(/nav\.location to wifi\.location: gap \d+ ms, lost 0/).waitFor();
+    await page.locator(".cards li", { hasText: "nav.location from wifi.location" }).waitFor();
+    assert.match(fiona("show", "nav.location"), /wifi\.location/);
+    await accessible(page, "switched");
+    await picture(page, "phone-running");
+    await page.setViewportSize({ width: 320, height: 640 });
+    await fits(page);
+    await page.setViewportSize({ width: 1280, height: 800 });
+    await fits(page);
+    await accessible(page, "running, desk");
+    await picture(page, "desk-running");
+    await page.setViewportSize({ width: 390, height: 844 });
+    fiona("undo");
+    await page.locator(".cards li", { hasText: "nav.location from bluetooth.location" }).waitFor();
+  });
+  await claim("who has lost the level switches nothing any more, and is told", async () => {
+    execFileSync(join(bin, "fiona-users"), ["level", "anna", "3"], { env });
+    await page.locator(".swap").first().waitFor({ state: "detached", timeout: 5000 });
+    assert.deepEqual(await api(page, "rewire", { client: "nav.location", provider: "phone.truth" }), {
+      status: 403,
+      error: "this takes the access level 6, and you have 3",
+    });
+    assert.match(fiona("show", "nav.location"), /bluetooth\.location/);
+    await page.getByRole("tab", { name: "What is running" }).focus();
+    await page.keyboard.press("ArrowLeft");
+    await page.locator("#view-guide").waitFor();
+  });
   await claim("the floor follows the walker to the destination's level", async () => {
-    await until("level 1 is shown", async () => (await page.locator('.levels [aria-pressed="true"]').innerText()).startsWith("1"), 120000);
-    await page.getByText("You have arrived").waitFor({ timeout: 60000 });
-    await page.screenshot({ path: join(screenshots, "phone-arrived.png") });
+    await until("level 1 is shown", async () => (await page.locator('.levels [aria-pressed="true"]').innerText()).startsWith("1"), 180000);
+    await page.getByText(/^You have arrived|^You are at/).waitFor({ timeout: 120000 });
+    await picture(page, "phone-arrived");
   });
   await claim("localisation that ends is told as uncertain", async () => {
     fiona("unwire", "web.location");
     await page.getByText("No localisation in this system").waitFor({ timeout: 5000 });
     await accessible(page, "uncertain");
-    fiona("wire", "web.location", "to", "guide.location");
+    fiona("wire", "web.location", "to", "nav.shown");
     await page.getByText("No localisation in this system").waitFor({ state: "detached", timeout: 5000 });
   });
 
-  await claim("what another page sends changes nothing and reads nothing", async () => {
+  await claim("25 ways of a hostile page change nothing, read nothing, open no socket and no frame", async () => {
+    const state = async () => [fiona("journal"), fiona("show", "nav.destination").match(/messages +\d+/)?.[0], JSON.stringify(await api(page, "me", {}))];
+    const before = await state();
     const evil = createServer((_, response) => response.writeHead(200, { "content-type": "text/html" }).end("<!doctype html><p>evil"));
     await new Promise((done) => evil.listen(0, "127.0.0.1", done));
-    const foreign = await (await browser.newContext()).newPage();
-    await foreign.goto(`http://127.0.0.1:${evil.address().port}/`);
-    const calls = ["session", "events", "map", "me", "login", "logout", "profile", "points", "destination"];
-    const outcomes = await foreign.evaluate(
-      async ({ origin, calls }) => {
-        const seen = [];
-        for (const call of calls) {
-          for (const type of ["text/plain", "application/x-www-form-urlencoded", "application/json"]) {
-            for (const mode of ["cors", "no-cors"]) {
-              try {
-                const response = await fetch(`${origin}/api/${call}`, { method: "POST", mode, headers: { "content-type": type }, body: "{}" });
-                seen.push(`${call} ${type} ${mode}: ${response.type} ${(await response.text()).length}`);
-              } catch {
-                seen.push("blocked");
-              }
-            }
-          }
-        }
-        const loads = (element) =>
-          new Promise((done) => {
-            element.onload = () => done("loaded");
-            element.onerror = () => done("blocked");
-            document.body.append(element);
-            setTimeout(() => done("nothing"), 3000);
-          });
-        const script = Object.assign(document.createElement("script"), { src: `${origin}/page.js` });
-        seen.push(`script ${await loads(script)}`);
-        const image = Object.assign(document.createElement("img"), { src: `${origin}/icon.svg` });
-        seen.push(`image ${await loads(image)}`);
-        const socket = await new Promise((done) => {
-          const one = new WebSocket(origin.replace("http", "ws"));
-          one.onopen = () => done("socket open");
-          one.onerror = () => done("socket blocked");
-        });
-        return [...seen, socket];
-      },
-      { origin, calls },
-    );
-    // An opaque answer has no bytes; a blocked one does not arrive.
-    const bad = outcomes.filter((one) => !["blocked", "script blocked", "image blocked", "socket blocked"].includes(one) && !/no-cors: opaque 0$/.test(one));
-    assert.deepEqual(bad, []);
-    await foreign.setContent(`<iframe src="${origin}/"></iframe>`);
-    await foreign.waitForTimeout(500);
-    const frame = foreign.frames().find((one) => one !== foreign.mainFrame());
-    assert.equal(await frame?.locator("#page").count(), 0, "it is framed");
+    const context = await browser.newContext();
+    const stolen = await page.evaluate(() => sessionStorage.getItem("fiona-session"));
+    const results = await hostile(context, `http://127.0.0.1:${evil.address().port}/`, origin, stolen);
+    for (const { way, seen } of results) console.log(`        ${way}: ${seen}`);
+    assert.equal(results.length, 25);
+    assert.deepEqual(results.filter(({ seen }) => !/^(blocked|empty|status 4\d\d)$/.test(seen)), []);
+    assert.deepEqual(await state(), before);
     evil.close();
-    await foreign.context().close();
-  });
-  await claim("another name for this machine gets nothing (DNS rebinding)", async () => {
-    const foreign = await (await browser.newContext()).newPage();
-    const response = await foreign.goto(`http://evil.test:${new URL(origin).port}/`);
-    assert.equal(response.status(), 421);
-    await foreign.context().close();
+    await context.close();
   });
 
   await claim("the page holds no password and no session of the authenticator, and asked nobody else", async () => {
@@ -299,7 +342,7 @@ try {
     stop();
     await page.getByText("Connection lost, connecting again…").waitFor({ timeout: 2500 });
     await accessible(page, "lost");
-    await page.screenshot({ path: join(screenshots, "phone-lost.png") });
+    await picture(page, "phone-lost");
     await start();
     await page.getByText("Connected", { exact: true }).waitFor({ timeout: 30000 });
     await page.getByRole("button", { name: "Profile of anna" }).waitFor();

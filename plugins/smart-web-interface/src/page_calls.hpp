@@ -36,8 +36,16 @@ struct SetDestination {
   Point to;
 };
 
-using PageCall =
-    std::variant<OpenSession, FollowEvents, GetMap, GetMe, Login, Logout, SetProfile, SetPoints, SetDestination>;
+struct GetSystem {};
+struct Rewire {
+  std::string client, provider;  ///< "nav.location", "wifi.location"
+};
+
+using PageCall = std::variant<OpenSession, FollowEvents, GetMap, GetMe, Login, Logout, SetProfile, SetPoints,
+                              SetDestination, GetSystem, Rewire>;
+
+/// The user's level that a call takes: those of consoles for what consoles do too (docs/remote.md), 0 for the guest's.
+int level_of(const PageCall& call);
 
 /// Reads the body of a call; overwrites what it holds of passwords, in the body too.
 std::variant<PageCall, Refusal> read_call(ApiCall& call);

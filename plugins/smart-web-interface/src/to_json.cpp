@@ -80,7 +80,8 @@ std::string instruction_json(const hmi::Instruction& instruction) {
   json value{{"number", instruction.number()},
              {"kind", hmi::Instruction::Kind_Name(instruction.kind())},
              {"text", instruction.text()},
-             {"language", instruction.language()}};
+             {"language", instruction.language()},
+             {"uncertain", instruction.uncertain()}};
   if (instruction.has_distance()) value["distance"] = instruction.distance();
   if (instruction.hour() != 0) value["hour"] = static_cast<int>(instruction.hour());
   if (instruction.has_level()) value["level"] = instruction.level();

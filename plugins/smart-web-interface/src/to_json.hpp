@@ -21,7 +21,7 @@ std::string location_json(const localisation::CommLocation& location);
 /// {valid, points: [[x, y, level?]]}
 std::string path_json(const navigation::CommPath& path);
 
-/// {number, kind, text, language, distance?, hour?, level?, toLevel?}
+/// {number, kind, text, language, uncertain, distance?, hour?, level?, toLevel?}
 std::string instruction_json(const hmi::Instruction& instruction);
 
 /// {title, levels, rooms, walls, doors}

@@ -2,11 +2,14 @@
 
 #include <sodium.h>
 
+#include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "fiona/hull.hpp"
 #include "fiona/records/data_directory.hpp"
+#include "system_json.hpp"
 #include "to_json.hpp"
 
 namespace fiona::smart_web_interface {
@@ -16,6 +19,9 @@ using nlohmann::json;
 
 constexpr auto kDeadline = std::chrono::seconds(2);
 /// Attempts wait for each other: see the authenticator.
+constexpr auto kRewireDeadline = std::chrono::seconds(5);
+/// Many pages that look at the system ask the host once.
+constexpr auto kSystemKept = std::chrono::milliseconds(400);
 constexpr auto kLoginDeadline = std::chrono::seconds(10);
 /// Two periods and a little of a location that comes five times a second.
 constexpr auto kSilence = std::chrono::milliseconds(600);
@@ -181,6 +187,15 @@ void WebInterface::on_call(ApiCall call, std::string from, Answer respond) {
 }
 
 Async<> WebInterface::serve(std::string bearer, PageCall call, std::string from, Answer answer) {
+  int level = 0;
+  if (const int needed = level_of(call); needed > 0) {
+    level = co_await level_of_user(bearer);
+    if (level < needed) {
+      answer->answer(refusal(
+          403, "this takes the access level " + std::to_string(needed) + ", and you have " + std::to_string(level)));
+      co_return;
+    }
+  }
   if (const auto* open = std::get_if<OpenSession>(&call)) {
     const auto session = pages_->open(open->token, now(), seconds(params_->session_time()));
     answer->answer(session ? WebReply{200, text_of({{"session", *session}})}
@@ -199,6 +214,10 @@ Async<> WebInterface::serve(std::string bearer, PageCall call, std::string from,
     co_await set_points(std::move(bearer), std::move(*points), std::move(answer));
   } else if (auto* destination = std::get_if<SetDestination>(&call)) {
     co_await set_destination(std::move(bearer), std::move(*destination), std::move(answer));
+  } else if (std::holds_alternative<GetSystem>(call)) {
+    co_await tell_system(level, std::move(answer));
+  } else if (auto* wanted = std::get_if<Rewire>(&call)) {
+    co_await rewire(std::move(*wanted), std::move(answer));
   }
 }
 
@@ -326,6 +345,51 @@ Async<> WebInterface::set_destination(std::string bearer, SetDestination destina
   to.set_is_valid(true);
   const auto sent = co_await destination_.send_acknowledged(std::move(object), kDeadline);
   answer->answer(sent ? WebReply{200, "{}"} : no_answer("navigation", sent.outcome(), sent.reason()));
+}
+
+/// As the authenticator says it now; without one, or without its answer, everybody is a guest.
+Async<int> WebInterface::level_of_user(std::string bearer) {
+  const auto user = user_of(bearer);
+  if (!user) co_return 0;
+  security::CommSessionRequest request;
+  request.set_session(user->session());
+  const auto session = co_await sessions_.query(std::move(request), kDeadline);
+  co_return session && (*session)->is_valid() ? (*session)->authentication_level() : 0;
+}
+
+Async<Result<control::System>> WebInterface::system() {
+  if (system_ && now() - system_->first < kSystemKept) co_return system_->second;
+  auto asked = co_await master_.system(kDeadline);
+  if (asked) system_.emplace(now(), *asked);
+  co_return asked;
+}
+
+Async<> WebInterface::tell_system(int level, Answer answer) {
+  const auto running = co_await system();
+  answer->answer(running ? WebReply{200, system_json(*running, level >= level_of(Rewire{}))}
+                         : no_answer("the host", running.outcome(), running.reason()));
+}
+
+Async<> WebInterface::rewire(Rewire wanted, Answer answer) {
+  const auto running = co_await system();
+  const control::PortStatus* port = running ? port_of(*running, wanted.client) : nullptr;
+  if (port && port->providers_size() > 1) {
+    answer->answer(refusal(409, wanted.client + " has alternatives of its own: wire it in the console"));
+    co_return;
+  }
+  WireChoice choice;
+  if (port) choice.every = std::max(1U, port->prescale());
+  Changes changes;
+  changes.wire(wanted.client, wanted.provider, choice);
+  const auto done = co_await master_.make(std::move(changes), kRewireDeadline);
+  system_.reset();
+  if (!done) {
+    answer->answer(no_answer("the host", done.outcome(), done.reason()));
+    co_return;
+  }
+  answer->answer({200, text_of({{"note", wanted.client + " to " + wanted.provider},
+                                {"gap", std::round(done->gap_ms())},
+                                {"lost", done->lost()}})});
 }
 
 }  // namespace fiona::smart_web_interface

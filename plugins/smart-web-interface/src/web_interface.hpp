@@ -9,6 +9,7 @@
 #include "fiona/component.hpp"
 #include "fiona/hmi.fiona.hpp"
 #include "fiona/localisation.fiona.hpp"
+#include "fiona/master.hpp"
 #include "fiona/navigation.fiona.hpp"
 #include "fiona/options.pb.h"
 #include "fiona/records/record_store.hpp"
@@ -51,6 +52,10 @@ class WebInterface final : public Component {
   Async<> set_points(std::string bearer, SetPoints points, Answer answer);
   Async<> set_destination(std::string bearer, SetDestination destination, Answer answer);
   Async<> tell_me(std::string bearer, Answer answer, std::string notice = {});
+  Async<> tell_system(int level, Answer answer);
+  Async<> rewire(Rewire wanted, Answer answer);
+  Async<Result<control::System>> system();
+  Async<int> level_of_user(std::string bearer);
   std::optional<PageUser> user_of(const std::string& bearer) const { return pages_->user(bearer, now()); }
 
   Params<Parameters> params_{*this, &WebInterface::check};
@@ -83,6 +88,7 @@ class WebInterface final : public Component {
   Requires<hmi::ProfileUpdate> update_{*this, "update", {.optional = true, .doc = "sets the user's preferences"}};
   Requires<hmi::PointsOfAttention> points_{
       *this, "points", {.optional = true, .doc = "sets the points that the user is told of"}};
+  Master master_{*this};
   Trigger<None, Link> link_{
       *this, "link", &WebInterface::make_link, {.doc = "an address that opens the page, once, within ten minutes"}};
   Probe<std::uint64_t> connections_{*this, "connections", {.doc = "open connections of pages"}};
@@ -96,6 +102,7 @@ class WebInterface final : public Component {
   std::uint64_t map_version_ = 0;           ///< 0: it is to be asked for
   std::optional<ActivationId> activation_;
   TimePoint location_at_{};
+  std::optional<std::pair<TimePoint, control::System>> system_;  ///< as it was a moment ago
 };
 
 }  // namespace fiona::smart_web_interface

@@ -9,8 +9,8 @@ namespace {
 
 constexpr std::string_view kApi = "/api/";
 constexpr std::string_view kBearer = "Bearer ";
-constexpr std::string_view kCalls[] = {"session", "events",  "map",    "me",         "login",
-                                       "logout",  "profile", "points", "destination"};
+constexpr std::string_view kCalls[] = {"session", "events", "map",         "me",     "login", "logout",
+                                       "profile", "points", "destination", "system", "rewire"};
 
 Route api_call(const WebRequest& request, const Site&) {
   const std::string name = request.target.substr(kApi.size());

@@ -26,6 +26,7 @@ export interface Instruction {
   kind: string;
   text: string;
   language: string;
+  uncertain: boolean; // the place that it was made from is a guess
   distance?: number;
   hour?: number; // of a clock face; 12 is straight on
   level?: number;
@@ -102,6 +103,39 @@ export interface Me {
   user: string | null;
   profile: Profile | null;
   notice: string;
+}
+
+export interface Instance {
+  name: string;
+  plugin: string;
+  version: string;
+  group: string;
+  mode: string;
+  reason: string;
+  restarts: number;
+  silent?: number; // seconds
+}
+
+export interface Wire {
+  client: string;
+  service: string;
+  provider: string | null;
+  optional: boolean;
+  state: PortState;
+  reason: string;
+  messages: number;
+  dropped: number;
+  rate?: number; // Hz
+  age?: number; // ms
+  fits: string[]; // who could serve instead
+}
+
+export interface Running {
+  host: string;
+  clock: string;
+  mayChange: boolean;
+  instances: Instance[];
+  wires: Wire[];
 }
 
 export interface Destination {
