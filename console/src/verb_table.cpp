@@ -263,14 +263,17 @@ std::vector<Verb> remaining_verbs() {
        "somebody else's); `threshold` of the root's have to sign, each by `sign`.",
        Access::Administer, verbs::market, false},
       {"plugin",
-       forms({"plugin new NAME [--provides SERVICE …] [--requires SERVICE …] [--publisher NAME] [DIR]",
+       forms({"plugin new NAME [kind=plugin|messages|system] [--provides SERVICE …] [--requires SERVICE …] "
+              "[--publisher NAME] [DIR]",
               "plugin describe LIBRARY [-o FILE] [with unconfined]", "plugin test [DIR] [for T] [with unconfined]",
               "plugin check [DIR|LIBRARY|FILE] [with unconfined]",
-              "plugin pack [DIR] [-o FILE] [for T] [with unconfined]", "plugin sign FILE …"}),
+              "plugin pack [DIR] [-o FILE] [for T] [with unconfined]", "plugin sign FILE …",
+              "plugin messages [PACKAGE]"}),
        "the author's side: makes a plugin, tests it, checks it, packs it and signs the package",
        "`new` writes a folder that builds and passes its tests at once: a component with these ports, its parameters, "
        "a "
-       "test, manifest and README. SERVICE is one of the platform's; the publisher is the user's name unless "
+       "test, manifest and README. SERVICE is one of the platform's or of an installed package of messages; the "
+       "publisher is the user's name unless "
        "--publisher says another.\n"
        "`test` builds in DIR/build with cmake, runs the author's tests, then puts each component on a bench where "
        "its ports are held to their contracts (period, lease, ranges, covariances, answers), and loads it into a host. "
@@ -279,7 +282,9 @@ std::vector<Verb> remaining_verbs() {
        "package. -v lists what is well.\n"
        "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. `sign` writes "
        "PUBLISHER.json beside it: what the publisher's key (keys new PUBLISHER) has signed.\n"
-       "`describe` shows what a library declares, or writes it to FILE, as its interface.\n"
+       "`describe` shows what a library declares, or writes it to FILE, as its interface. `messages` lists the "
+       "installed "
+       "packages whose objects a plugin can be compiled with: fiona_add_plugin(… MESSAGES PACKAGE).\n"
        "To be asked what it declares, code runs in a sandbox; `with unconfined`, with all that you may: for systems "
        "that have "
        "no sandbox, and code that you trust as you trust yourself.",

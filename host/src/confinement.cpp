@@ -49,11 +49,10 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
   if (!is_confined(first)) return confinement;
   confinement.set_sandboxed(true);
   const Package& package = *first.package;
-  if (!package.installed()) confinement.add_readable(package.library);
   for (const auto& file : package.files) {
-    if (!package.installed()) break;
-    confinement.add_readable(std::filesystem::path(file.path()).parent_path());
-    *confinement.add_libraries() = file;
+    const bool is_typed = file.blake2b().empty();  // by its path
+    confinement.add_readable(is_typed ? file.path() : std::filesystem::path(file.path()).parent_path().string());
+    if (!is_typed) *confinement.add_libraries() = file;
   }
   if (!package.share.empty()) confinement.add_readable(package.share);
   confinement.add_readable(links);

@@ -13,7 +13,6 @@
 #include <string>
 
 #include "failure.hpp"
-#include "fiona/describe.hpp"
 #include "fiona/error.hpp"
 #include "group_clock.hpp"
 #include "mailbox.hpp"
@@ -191,9 +190,10 @@ int probe_sandbox() {
 }
 
 /// What a library declares, into a file.
-void describe_into(const fiona::os::Descriptor& out, const std::string& library) {
+void describe_into(const fiona::os::Descriptor& out, const std::string& library,
+                   const std::vector<std::string>& brought) {
   std::string text;
-  google::protobuf::TextFormat::PrintToString(fiona::describe(fiona::tools::open_plugin(library)), &text);
+  google::protobuf::TextFormat::PrintToString(fiona::tools::interface_of_library(library, brought), &text);
   for (std::size_t written = 0; written < text.size();) {
     const ssize_t now = ::write(out.get(), text.data() + written, text.size() - written);
     if (now <= 0) throw fiona::Error(fiona::ErrorCode::Failed, "the interface cannot be written");
@@ -209,6 +209,7 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library)
   const std::string library = std::filesystem::canonical(argv[4]);
   fiona::os::Reach reach;
   for (int i = 4; i < argc; ++i) reach.readable.push_back(std::filesystem::canonical(argv[i]));
+  const std::vector<std::string> brought(reach.readable.begin() + 1, reach.readable.end());
   fiona::os::limit({});
   int code = 0;  // the process ends without what destructors, and a leak check, would do in a sandbox
   if (argv[2] == std::string_view("confined")) {
@@ -218,7 +219,7 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library)
     if (missing) ::_exit(static_cast<int>(fiona::ErrorCode::NotAllowed));
   }
   try {
-    describe_into(out, library);
+    describe_into(out, library, brought);
   } catch (const std::exception& error) {
     std::cerr << error.what() << std::endl;
     code = 1;

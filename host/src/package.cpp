@@ -9,8 +9,8 @@
 #include <sstream>
 
 #include "fiona/error.hpp"
+#include "fiona/marketplace/compiled_protos.hpp"
 #include "fiona/marketplace/manifest.hpp"
-#include "fiona/marketplace/requirement.hpp"
 
 namespace fiona::host {
 namespace {
@@ -33,6 +33,16 @@ std::string state_of(const std::filesystem::path& file) {
   struct stat is {};
   if (::stat(file.c_str(), &is) != 0) return "";
   return fmt::format("{}:{}:{}:{}.{}", is.st_dev, is.st_ino, is.st_size, is.st_ctim.tv_sec, is.st_ctim.tv_nsec);
+}
+
+/// Changes whenever a file of these packages does: what is in use already is looked at again then.
+std::string state_of(const std::vector<marketplace::InstalledPackage>& parts) {
+  std::string state;
+  for (const auto& part : parts) {
+    state += " " + part.blake2b;
+    for (const auto& file : part.manifest.files()) state += " " + state_of(part.directory / file.path());
+  }
+  return state;
 }
 
 }  // namespace
@@ -60,8 +70,6 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   const auto share = file.parent_path() / (name + ".share");
   Package found;
   found.library = std::filesystem::absolute(file);
-  found.state = state_of(file) + " " + state_of(description) + " " + state_of(share);
-  if (auto same = known(found)) return same;
   std::ifstream stream(description);
   std::stringstream text;
   text << stream.rdbuf();
@@ -75,6 +83,13 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   }
   found.name = "local/" + name;
   found.version = "0";
+  Manifest derived;
+  marketplace::list_protos(found.interface, derived);
+  add_messages(found, derived, all());
+  require_not_revoked(found);
+  found.state = state_of(file) + " " + state_of(description) + " " + state_of(share) + state_of(found.parts);
+  if (auto same = known(found)) return same;
+  hold(found);
   found.files.Add()->set_path(found.library);
   for (const auto& one : found.interface.components())
     found.rights.insert(found.rights.end(), one.rights().begin(), one.rights().end());
@@ -86,21 +101,20 @@ std::shared_ptr<const Package> Packages::installed(const marketplace::InstalledP
                                                    const Installed& packages) const {
   using Origin = Package::Origin;
   Package found;
-  found.library = package.library;
-  add_part(found, package, packages);
-  require_not_revoked(found);
-  for (const auto& part : found.parts) found.state += part.blake2b + " ";
-  if (auto same = known(found)) return same;
   found.name = package.name();
+  found.library = package.library;
+  auto among = packages;
+  if (!package.is_unsigned) std::erase_if(among, [](const auto& one) { return one.is_unsigned; });
+  add_messages(found, package.manifest, among);
+  found.parts.push_back(package);
+  require_not_revoked(found);
+  found.state = state_of(found.parts);
+  if (auto same = known(found)) return same;
   found.version = package.manifest.version();
   found.share = package.share;
   found.rights = {package.manifest.rights().begin(), package.manifest.rights().end()};
   found.origin = package.is_unsigned ? Origin::Unsigned : package.first_party ? Origin::FirstParty : Origin::Signed;
-  for (const auto& part : found.parts) {
-    found.holds.push_back(std::make_shared<marketplace::PackageHold>(store_of(part).hold(part)));
-    store_of(part).verify(part);  // held first: what is checked does not go away
-  }
-  for (auto part = found.parts.rbegin(); part != found.parts.rend(); ++part) add_files(found, *part);
+  hold(found);
   found.interface = package.interface();
   return keep(std::move(found));
 }
@@ -109,21 +123,30 @@ void Packages::require_not_revoked(const Package& package) const {
   for (const auto& part : package.parts) store_of(part).require_not_revoked(part);
 }
 
-/// With the message packages that it requires.
-void Packages::add_part(Package& package, const marketplace::InstalledPackage& part, const Installed& packages) const {
-  const auto is_same = [&part](const marketplace::InstalledPackage& known) { return known.name() == part.name(); };
-  if (std::any_of(package.parts.begin(), package.parts.end(), is_same)) return;
-  package.parts.push_back(part);
-  for (const auto& required : packages) {
-    const std::string name = marketplace::full_name(required.manifest);
-    if (required.manifest.kind() == MESSAGES && marketplace::requires_package(part.manifest, name))
-      add_part(package, required, packages);
+/// With the message packages that it was compiled with. Whose an unsigned one is, nobody knows: those who are
+/// somebody's do without.
+void Packages::add_messages(Package& package, const Manifest& of, const Installed& among) const {
+  package.parts = marketplace::messages_of(of, package.name, among);
+}
+
+/// Its parts do not go away any more, and are as they were installed.
+void Packages::hold(Package& package) const {
+  for (const auto& part : package.parts) {
+    package.holds.push_back(std::make_shared<marketplace::PackageHold>(store_of(part).hold(part)));
+    store_of(part).verify(part);
   }
+  for (const auto& part : package.parts) add_files(package, part);
 }
 
 /// The libraries that a package brings, its own after those that come with it.
 void Packages::add_files(Package& package, const marketplace::InstalledPackage& of) const {
+  google::protobuf::FileDescriptorSet brought;
   const Interface interface = of.manifest.kind() == MESSAGES ? of.interface() : Interface{};
+  for (const auto& proto : interface.descriptors().file()) {
+    const auto is_it = [&proto](const auto& offered) { return offered.name() == proto.name(); };
+    const auto& offered = of.manifest.offered();
+    if (std::any_of(offered.begin(), offered.end(), is_it)) *brought.add_file() = proto;
+  }
   wire::LibraryFile own;
   for (const auto& listed : of.manifest.files()) {
     if (!listed.path().starts_with("lib/")) continue;
@@ -133,7 +156,7 @@ void Packages::add_files(Package& package, const marketplace::InstalledPackage& 
     file.set_size(listed.size());
     file.set_package(of.name());
     const bool is_own = listed.path() == of.manifest.library();
-    *file.mutable_descriptors() = interface.descriptors();
+    *file.mutable_descriptors() = brought;
     (is_own ? own : *package.files.Add()) = file;
   }
   if (!own.path().empty()) *package.files.Add() = own;

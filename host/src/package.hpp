@@ -35,7 +35,7 @@ struct Package {
   Origin origin = Origin::Path;
   PluginLibraries::Files files{};  ///< what is opened: what it needs, and its library last
   std::shared_ptr<const Types::Source> types{};
-  /// The installed package, and those whose libraries it needs; each is kept from being removed.
+  /// Installed: those whose libraries it needs, and itself; each is kept from being removed.
   std::vector<marketplace::InstalledPackage> parts{};
   std::vector<std::shared_ptr<marketplace::PackageHold>> holds{};
 
@@ -68,7 +68,8 @@ class Packages {
   std::shared_ptr<const Package> library(const std::filesystem::path& file) const;
   std::shared_ptr<const Package> installed(const marketplace::InstalledPackage& package,
                                            const Installed& packages) const;
-  void add_part(Package& package, const marketplace::InstalledPackage& part, const Installed& packages) const;
+  void add_messages(Package& package, const Manifest& of, const Installed& among) const;
+  void hold(Package& package) const;
   void add_files(Package& package, const marketplace::InstalledPackage& of) const;
   Installed all() const;
   void take_kept(marketplace::InstalledPackage& package, Installed& packages, const std::string& version) const;

@@ -17,6 +17,7 @@ constexpr std::string_view kWord = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQR
 constexpr std::size_t kPathLength = 100;  // what a plain tar header holds without an extension
 constexpr std::size_t kNameLength = 64;
 constexpr std::size_t kMostRelations = 256;
+constexpr std::size_t kMostProtos = 256;
 
 [[noreturn]] void refuse(const std::string& where, std::string what, std::string expected = {},
                          std::string found = {}) {
@@ -153,6 +154,48 @@ void check_library(const Manifest& manifest, const std::string& where) {
   }
 }
 
+using CompiledProtos = google::protobuf::RepeatedPtrField<CompiledProto>;
+
+void check_protos(const CompiledProtos& protos, const std::string& where) {
+  if (static_cast<std::size_t>(protos.size()) > kMostProtos)
+    refuse(where, "the package names too many proto files", "at most " + std::to_string(kMostProtos));
+  for (const auto& proto : protos) {
+    if (proto.name().empty() || !is_blake2b(proto.blake2b()))
+      refuse(where, "the proto file \"" + proto.name() + "\" lacks its name or hash");
+  }
+}
+
+/// Whose a proto file is, as a publisher is spelt: C++ has '_' for '-'.
+std::string publisher_of(const CompiledProto& proto) {
+  std::string publisher = proto.name().substr(0, proto.name().find('/'));
+  std::ranges::replace(publisher, '_', '-');
+  return publisher;
+}
+
+// Who was compiled with a proto file is given a library that brings it: nobody can bring another publisher's.
+void check_offered(const Manifest& manifest, const std::string& where) {
+  if (manifest.kind() != MESSAGES && !manifest.offered().empty())
+    refuse(where, "a package of kind " + PackageKind_Name(manifest.kind()) + " offers no proto files");
+  if (manifest.kind() == MESSAGES && manifest.offered().empty())
+    refuse(where, "a package of kind MESSAGES offers no proto file", "fiona_add_messages(… PROTOS …)");
+  for (const auto& proto : manifest.offered()) {
+    if (publisher_of(proto) != manifest.publisher())
+      refuse(where, "the proto file \"" + proto.name() + "\" is not under its publisher's name",
+             manifest.publisher() + "/…");
+  }
+}
+
+// Which package offers it is for the manifest to say, so that people see why it comes along.
+void check_shared(const Manifest& manifest, const std::string& where) {
+  for (const auto& proto : manifest.shared()) {
+    const std::string publisher = publisher_of(proto);
+    const auto is_of = [&](const std::string& text) { return text.starts_with(publisher + "/"); };
+    if (std::ranges::none_of(manifest.requirements(), is_of))
+      refuse(where, "it was compiled with " + proto.name() + ", and requires no package of " + publisher,
+             "requirements: \"" + publisher + "/NAME\", the package that offers it");
+  }
+}
+
 void check_port(const PortInterface& port, const std::string& where, const std::string& component) {
   if (port.name().empty() || port.service().empty() || port.direction() == DIRECTION_UNSPECIFIED) {
     refuse(where, "port \"" + port.name() + "\" of " + component + " lacks its name, direction or service");
@@ -183,6 +226,11 @@ Interface parse_interface(std::string_view text, const std::string& where) {
       }
     }
   }
+  for (const auto& shared : interface.shared()) {
+    const auto is_it = [&shared](const auto& file) { return file.name() == shared; };
+    if (!std::ranges::any_of(interface.descriptors().file(), is_it))
+      refuse(where, "the shared proto file \"" + shared + "\" has no descriptor");
+  }
   return interface;
 }
 
@@ -194,6 +242,10 @@ void check_packed_manifest(const Manifest& manifest, const std::string& where, c
     if (!lists(manifest, needed)) refuse(where, "the package has no " + std::string(needed));
   }
   check_library(manifest, where);
+  check_protos(manifest.offered(), where);
+  check_protos(manifest.shared(), where);
+  check_offered(manifest, where);
+  check_shared(manifest, where);
 }
 
 std::string path_fault(std::string_view path) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <exception>
 #include <fiona/error.hpp>
+#include <fiona/marketplace/compiled_protos.hpp>
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/package.hpp>
 #include <memory>
@@ -212,6 +213,10 @@ class PackageReader {
       refuse("the manifest and the interface speak of different ABIs", contents_.manifest.abi(),
              contents_.interface.abi());
     }
+    Manifest derived = contents_.manifest;
+    list_protos(contents_.interface, derived);
+    if (derived.SerializeAsString() != contents_.manifest.SerializeAsString())
+      refuse("the manifest and the interface speak of different proto files");
   }
 
   // Passes a file's content on, and through the canonical writer.

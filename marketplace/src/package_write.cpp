@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstring>
 #include <fiona/error.hpp>
+#include <fiona/marketplace/compiled_protos.hpp>
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/package.hpp>
 
@@ -69,10 +70,10 @@ void add_share(const filesystem::path& share, std::uint64_t most, std::vector<Me
 
 void check_unpacked(const Manifest& manifest) {
   const bool packed = !manifest.library().empty() || !manifest.architecture().empty() || !manifest.abi().empty() ||
-                      manifest.files_size() > 0;
+                      manifest.files_size() > 0 || manifest.offered_size() > 0 || manifest.shared_size() > 0;
   if (packed) {
-    refuse("library, architecture, abi and files are written by packing", std::string(kManifestFile), {},
-           "take them out of the manifest");
+    refuse("library, architecture, abi, files, offered and shared are written by packing", std::string(kManifestFile),
+           {}, "take them out of the manifest");
   }
 }
 
@@ -152,6 +153,7 @@ std::string packed(const PackageSource& source, const PackageLimits& limits) {
   check_rights(manifest, interface);
   const std::vector<Member> members = collect(source, manifest, limits);
   manifest.set_abi(interface.abi());
+  list_protos(interface, manifest);
   list_files(members, manifest);
   check_packed_manifest(manifest, std::string(kManifestFile), limits);
   std::string text;

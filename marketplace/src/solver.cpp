@@ -112,6 +112,10 @@ Id Solver::relation(Id name, const VersionRange::Bound& bound) {
   return pool_rel2id(pool_.get(), name, version, relation_flags(bound.comparison), 1);
 }
 
+Id Solver::id_of(const CompiledProto& proto) {
+  return pool_str2id(pool_.get(), ("proto:" + proto.name() + "@" + proto.blake2b()).c_str(), 1);
+}
+
 void Solver::require(Id package, Id dependency, std::string clause) {
   solvable_add_deparray(pool_id2solvable(pool_.get(), package), SOLVABLE_REQUIRES, dependency, 0);
   clauses_[{package, dependency}] = std::move(clause);
@@ -133,6 +137,9 @@ Id Solver::add(Repo* repo, const Manifest& manifest) {
   solvable->vendor = pool_str2id(pool_.get(), manifest.publisher().c_str(), 1);
   solvable_add_deparray(solvable, SOLVABLE_PROVIDES, pool_rel2id(pool_.get(), solvable->name, solvable->evr, REL_EQ, 1),
                         0);
+  for (const auto& proto : manifest.offered()) solvable_add_deparray(solvable, SOLVABLE_PROVIDES, id_of(proto), 0);
+  for (const auto& proto : manifest.shared())
+    require(package, id_of(proto), "was compiled with another form of " + proto.name());
   for (const auto& text : manifest.requirements()) require(package, Requirement::parse(text, full_name(manifest)));
   for (const auto& text : manifest.conflicts()) {
     const Requirement conflict = Requirement::parse(text, full_name(manifest));

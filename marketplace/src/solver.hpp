@@ -52,6 +52,7 @@ class Solver {
   using PoolPointer = std::unique_ptr<s_Pool, void (*)(s_Pool*)>;
 
   Id add(s_Repo* repo, const Manifest& manifest);
+  Id id_of(const CompiledProto& proto);
   Id relation(Id name, const VersionRange::Bound& bound);
   void require(Id package, const Requirement& requirement);
   void require(Id package, Id dependency, std::string clause);

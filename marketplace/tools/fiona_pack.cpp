@@ -6,6 +6,7 @@
 #include <fiona/error.hpp>
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/package.hpp>
+#include <fiona/tool.hpp>
 
 #include <iostream>
 
@@ -73,30 +74,21 @@ void publish(const options::variables_map& flags) {
   fiona::marketplace::make_market(packages, needed(flags, "to"), how);
 }
 
+int run(int count, char** arguments) {
+  options::variables_map flags;
+  options::store(options::parse_command_line(count, arguments, described()), flags);
+  if (flags.count("help")) {
+    std::cout << described();
+  } else if (flags.count("version")) {
+    std::cout << "fiona-pack " FIONA_VERSION "\n";
+  } else {
+    flags.count("publish") ? publish(flags) : pack(flags);
+  }
+  return 0;
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
-  try {
-    options::variables_map flags;
-    options::store(options::parse_command_line(count, arguments, described()), flags);
-    if (flags.count("help")) {
-      std::cout << described();
-      return 0;
-    }
-    if (flags.count("version")) {
-      std::cout << "fiona-pack " FIONA_VERSION "\n";
-      return 0;
-    }
-    flags.count("publish") ? publish(flags) : pack(flags);
-    return 0;
-  } catch (const fiona::Error& error) {
-    std::cerr << "fiona-pack: " << error.what() << "\n";
-    return static_cast<int>(error.code());
-  } catch (const options::error& error) {
-    std::cerr << "fiona-pack: " << error.what() << "\n  next: fiona-pack --help\n";
-    return static_cast<int>(fiona::ErrorCode::Usage);
-  } catch (const std::exception& error) {
-    std::cerr << "fiona-pack: " << error.what() << "\n";
-    return static_cast<int>(fiona::ErrorCode::Failed);
-  }
+  return fiona::run_tool<options::error>([&] { return run(count, arguments); }, "  next: fiona-pack --help\n");
 }

@@ -40,6 +40,12 @@ void add_files(const FileDescriptor& file, std::set<std::string>& seen, google::
   file.CopyTo(set.add_file());
 }
 
+void name_shared(const std::set<std::string>& shared, Interface& interface) {
+  for (const auto& file : interface.descriptors().file()) {
+    if (shared.contains(file.name())) interface.add_shared(file.name());
+  }
+}
+
 class SilentEvents final : public HullEvents {
  public:
   void mode_changed(const std::string&, const std::string&, const std::string&) override {}
@@ -107,7 +113,7 @@ ComponentInterface interface_of(const Hull& hull, std::string_view component, st
   return interface;
 }
 
-Interface describe(const Plugin& plugin) {
+Interface describe(const Plugin& plugin, const std::set<std::string>& shared) {
   Interface interface;
   interface.set_abi(kAbiTag);
   std::set<std::string> seen;
@@ -131,6 +137,22 @@ Interface describe(const Plugin& plugin) {
     }
     hull.shut_down(std::chrono::seconds(2));
   }
+  name_shared(shared, interface);
+  return interface;
+}
+
+Interface describe_messages(const std::set<std::string>& proto_files, const std::set<std::string>& shared) {
+  Interface interface;
+  interface.set_abi(kAbiTag);
+  std::set<std::string> seen;
+  for (const auto& name : proto_files) {
+    const auto* file = google::protobuf::DescriptorPool::generated_pool()->FindFileByName(name);
+    if (!file)
+      throw Error(ErrorCode::Failed, {.what = "the message library does not bring the proto file '" + name + "'",
+                                      .next = "build it again: fiona_add_messages compiles what PROTOS names"});
+    add_files(*file, seen, *interface.mutable_descriptors());
+  }
+  name_shared(shared, interface);
   return interface;
 }
 

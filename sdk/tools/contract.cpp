@@ -1,5 +1,6 @@
-// fiona-contract LIBRARY COMPONENT: puts a component on a bench, and holds each of its ports to what its service
-// promises. One line a port: "PORT<tab>ok|wrong|note<tab>TEXT". Exit code 0, whatever the lines say.
+// fiona-contract LIBRARY COMPONENT [BROUGHT …]: opens what the library needs beside it, puts a component on a bench,
+// and holds each of its ports to what its service promises. One line a port: "PORT<tab>ok|wrong|note<tab>TEXT". Exit
+// code 0, whatever the lines say.
 #include <google/protobuf/descriptor.h>
 #include <google/protobuf/reflection.h>
 
@@ -16,6 +17,7 @@
 
 #include "fiona/options.pb.h"
 #include "fiona/testing/bench.hpp"
+#include "fiona/tool.hpp"
 #include "open_plugin.hpp"
 
 namespace {
@@ -347,8 +349,8 @@ class ContractBench {
   fiona::Duration fed_{};
 };
 
-void test(const std::string& library, const std::string& component) {
-  const fiona::Plugin plugin = fiona::tools::open_plugin(library);
+void test(const std::string& library, const std::string& component, const std::vector<std::string>& brought) {
+  const fiona::Plugin plugin = fiona::tools::open_plugin(library, brought);
   for (const auto& entry : plugin.entries()) {
     if (entry.name == component) return ContractBench(entry).run();
   }
@@ -358,18 +360,12 @@ void test(const std::string& library, const std::string& component) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 3) {
-    std::cerr << "usage: fiona-contract LIBRARY COMPONENT\n";
+  if (argc < 3) {
+    std::cerr << "usage: fiona-contract LIBRARY COMPONENT [BROUGHT …]\n";
     return static_cast<int>(fiona::ErrorCode::Usage);
   }
-  try {
-    test(argv[1], argv[2]);
+  return fiona::run_tool([&] {
+    test(argv[1], argv[2], {argv + 3, argv + argc});
     return 0;
-  } catch (const fiona::Error& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return static_cast<int>(error.code());
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return static_cast<int>(fiona::ErrorCode::Failed);
-  }
+  });
 }

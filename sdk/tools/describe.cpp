@@ -1,4 +1,5 @@
-// fiona-describe LIBRARY [-o FILE]: writes the interface of a plugin, read from its components at the author's build.
+// fiona-describe LIBRARY [-o FILE] [--with LIBRARY]...: writes the interface of a plugin, read from its components at
+// the author's build, or of a message library.
 #include <google/protobuf/text_format.h>
 #include <signal.h>
 #include <unistd.h>
@@ -9,7 +10,7 @@
 #include <string>
 #include <string_view>
 
-#include "fiona/describe.hpp"
+#include "fiona/tool.hpp"
 #include "open_plugin.hpp"
 
 namespace {
@@ -30,11 +31,10 @@ void end_in_time() {
   ::alarm(kWithin_s);
 }
 
-void describe(const std::string& library, const std::string& out) {
+void describe(const std::string& library, const std::vector<std::string>& brought, const std::string& out) {
   end_in_time();
-  const fiona::Plugin plugin = fiona::tools::open_plugin(library);
   std::string text;
-  google::protobuf::TextFormat::PrintToString(fiona::describe(plugin), &text);
+  google::protobuf::TextFormat::PrintToString(fiona::tools::interface_of_library(library, brought), &text);
   if (out.empty()) {
     std::cout << text;
     return;
@@ -47,8 +47,10 @@ void describe(const std::string& library, const std::string& out) {
 
 void run(int argc, char** argv) {
   std::string library, out;
-  options::options_description shown("usage: fiona-describe LIBRARY [-o FILE]");
+  std::vector<std::string> brought;
+  options::options_description shown("usage: fiona-describe LIBRARY [-o FILE] [--with LIBRARY]...");
   shown.add_options()("output,o", options::value(&out), "the interface; without it, to standard output")(
+      "with", options::value(&brought), "a library that it needs beside it, such as one of messages")(
       "help,h", "this text")("version", "the version of this program");
   options::options_description all;
   all.add(shown).add_options()("library", options::value(&library)->required());
@@ -62,24 +64,17 @@ void run(int argc, char** argv) {
     std::cout << "fiona-describe " FIONA_VERSION "\n";
   } else {
     options::notify(given);
-    describe(library, out);
+    describe(library, brought, out);
   }
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  try {
-    run(argc, argv);
-    return 0;
-  } catch (const fiona::Error& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return static_cast<int>(error.code());
-  } catch (const options::error& error) {
-    std::cerr << "error: " << error.what() << "\n  next: fiona-describe --help\n";
-    return static_cast<int>(fiona::ErrorCode::Usage);
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return static_cast<int>(fiona::ErrorCode::Failed);
-  }
+  return fiona::run_tool<options::error>(
+      [&] {
+        run(argc, argv);
+        return 0;
+      },
+      "  next: fiona-describe --help\n");
 }

@@ -98,7 +98,7 @@ TEST(PluginCheck, AnEntryThatIsMissingIsFoundWithoutRunningAnything) {
   std::filesystem::copy(std::filesystem::canonical("/proc/self/exe"), library);
   std::ofstream(directory.path() / "none.interface.textproto") << "abi: \"other\"";
   Reactor reactor;
-  const PluginCheck check = check_plugin(reactor, files_of_library(library), Confinement::Sandbox);
+  const PluginCheck check = check_plugin(reactor, files_of_library(library), Catalogue("none"), Confinement::Sandbox);
   std::set<std::string> found;
   for (const ErrorText& finding : check.findings) found.insert(finding.what);
   EXPECT_TRUE(found.contains("the plugin was built for another SDK or compiler"));

@@ -92,7 +92,7 @@ TEST(Package, AManifestThatSaysWhatPackingWritesIsRefused) {
   auto source = plugin_source(scratch.path(), "steps", "1.0.0");
   source.manifest += " library: 'lib/x.so'";
   EXPECT_STREQ(error_of([&] { pack(source); }).what(),
-               "manifest.textproto: library, architecture, abi and files are written by packing\n"
+               "manifest.textproto: library, architecture, abi, files, offered and shared are written by packing\n"
                "  next: take them out of the manifest");
 }
 

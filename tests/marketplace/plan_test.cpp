@@ -409,6 +409,73 @@ TEST_F(PlanTest, ASystemPackageIsItsFileAndWhatItNeeds) {
   EXPECT_EQ(text(plan({"museum"})), "+museum@1.0.0 +steps@1.0.0 (acme/museum requires it) ");
 }
 
+// A package of messages, and one that was compiled with them; `form` is what the objects look like.
+class MessagesPlanTest : public PlanTest {
+ protected:
+  static std::string interface_of(const std::string& form, const std::string& more) {
+    return "abi: '" + std::string(kAbiTag) + "' descriptors { file { name: 'acme/rooms.proto' package: 'acme." + form +
+           "' } } " + more;
+  }
+  PackageSource messages(const std::string& version, const std::string& form, const std::string& publisher = "acme") {
+    PackageSource source = plugin_source(scratch_.path(), "rooms", version, form, "kind: MESSAGES");
+    source.manifest.replace(source.manifest.find("acme"), 4, publisher);
+    source.interface = interface_of(form, "");
+    return source;
+  }
+  PackageSource user(const std::string& version, const std::string& form,
+                     const std::string& more = "requirements: 'acme/rooms'") {
+    PackageSource source = plugin_source(scratch_.path(), "finder", version, form, more);
+    source.interface = interface_of(form, "shared: 'acme/rooms.proto'");
+    return source;
+  }
+  void publish_it(const PackageSource& source) {
+    pack_to(scratch_ / "one.fpk", source);
+    publish(scratch_ / "one.fpk", market_);
+  }
+};
+
+TEST_F(MessagesPlanTest, ComeAlongInTheFormThatAPluginWasCompiledWith) {
+  publish_it(messages("1.0.0", "a"));
+  publish_it(messages("1.1.0", "b"));
+  publish_it(user("1.0.0", "a"));
+  EXPECT_EQ(text(plan({"finder"})), "+finder@1.0.0 +rooms@1.0.0 (acme/finder requires it) ");
+}
+
+TEST_F(MessagesPlanTest, AreNotUpdatedBelowAPluginThatKnowsAnotherForm) {
+  publish_it(messages("1.0.0", "a"));
+  publish_it(user("1.0.0", "a"));
+  install_one("finder");
+  publish_it(messages("1.1.0", "b"));
+  const Plan kept = plan_update({}, Marketplace(market_), Store(store_), Platform::here());
+  EXPECT_EQ(text(kept), "");
+  ASSERT_EQ(kept.notes.size(), 1U);
+  EXPECT_EQ(kept.notes.front(),
+            "acme/rooms 1.1.0 is not taken: acme/finder 1.0.0, which is installed, was compiled with another form of "
+            "acme/rooms.proto");
+  publish_it(user("1.0.1", "b"));
+  EXPECT_EQ(text(plan_update({}, Marketplace(market_), Store(store_), Platform::here())),
+            "^finder@1.0.1 ^rooms@1.1.0 ");
+}
+
+TEST_F(MessagesPlanTest, InAFormThatNobodyOffersKeepAPluginAway) {
+  publish_it(messages("1.1.0", "b"));
+  publish_it(user("1.0.0", "a"));
+  EXPECT_EQ(error_of([&] { plan({"finder"}); }).text().what,
+            "acme/finder cannot be installed: acme/finder 1.0.0 was compiled with another form of acme/rooms.proto");
+}
+
+TEST_F(MessagesPlanTest, OfAnotherPublishersNameAreNotPacked) {
+  const Error error = error_of([&] { pack(messages("1.0.0", "a", "globex")); });
+  EXPECT_EQ(error.text().what, "the proto file \"acme/rooms.proto\" is not under its publisher's name");
+  EXPECT_EQ(error.text().expected, "globex/…");
+}
+
+TEST_F(MessagesPlanTest, AreRequiredInSoManyWords) {
+  const Error error = error_of([&] { pack(user("1.0.0", "a", "")); });
+  EXPECT_EQ(error.text().what, "it was compiled with acme/rooms.proto, and requires no package of acme");
+  EXPECT_EQ(error.text().expected, "requirements: \"acme/NAME\", the package that offers it");
+}
+
 TEST_F(PlanTest, ManifestsThatRequireNonsenseAreRefused) {
   const auto what = [&](const std::string& more) {
     return error_of([&] { pack(plugin_source(scratch_.path(), "nav", "1.0.0", "code", more)); }).text().what;

@@ -11,10 +11,16 @@
 #include <fmt/ranges.h>
 #include <fiona/abi.hpp>
 #include <fiona/describe.hpp>
+#include <fiona/marketplace/compiled_protos.hpp>
 #include <fiona/marketplace/manifest.hpp>
+#include <fiona/marketplace/requirement.hpp>
+#include <fiona/messages.hpp>
+#include <fiona/plugin.hpp>
 
 #include "author/elf_library.hpp"
 #include "grammar.hpp"
+#include "script.hpp"
+#include "system_check.hpp"
 #include "system_view.hpp"
 #include "types.hpp"
 #include "verb_table.hpp"
@@ -49,15 +55,16 @@ std::string underscored(std::string name) {
 
 class PluginChecker {
  public:
-  PluginChecker(Reactor& reactor, const PluginFiles& files, Confinement confinement)
-      : reactor_(reactor), files_(files), confinement_(confinement) {}
+  PluginChecker(Reactor& reactor, const PluginFiles& files, const Catalogue& catalogue, Confinement confinement)
+      : reactor_(reactor), files_(files), catalogue_(catalogue), confinement_(confinement) {}
 
   PluginCheck run() {
     if (!files_.manifest.empty()) look("manifest", [this] { check_manifest(); });
     if (!files_.readme.empty()) look("README", [this] { check_readme(); });
     if (!files_.protos.empty()) look("protos are the publisher's", [this] { check_proto_files(); });
+    if (manifest_ && manifest_->kind() == fiona::SYSTEM) look("system file", [this] { check_system_file(); });
     if (files_.library.empty()) {
-      if (manifest_ && manifest_->kind() == fiona::PLUGIN)
+      if (manifest_ && (manifest_->kind() == fiona::PLUGIN || is_messages()))
         find({.what = "the plugin has not been built",
               .where = files_.manifest.parent_path().string(),
               .expected = "its library and interface in the folder build",
@@ -72,6 +79,7 @@ class PluginChecker {
   }
 
  private:
+  bool is_messages() const { return manifest_ && manifest_->kind() == fiona::MESSAGES; }
   void find(ErrorText text) { check_.findings.push_back(std::move(text)); }
 
   /// One part; what stops it is a finding too.
@@ -135,6 +143,36 @@ class PluginChecker {
     }
   }
 
+  /// It is what `fiona run NAME` runs, with what it requires and nothing else.
+  void check_system_file() {
+    const std::string expected = manifest_->name() + ".fiona";
+    if (files_.system.filename() != expected)
+      return find({.what = "a package of kind SYSTEM needs its system file",
+                   .where = files_.manifest.parent_path().string(),
+                   .expected = expected,
+                   .next = "save " + expected + " in a running system makes one"});
+    for (const LineError& error : check_system(files_.system, catalogue_).errors) find(error.text());
+    for (const Line& line : read_script(files_.system.string())) {
+      if (line.verb.text == "load") check_is_required(line.positional[0]);
+    }
+  }
+
+  void check_is_required(const Word& plugin) {
+    const std::string where = fmt::format("{}:{}", files_.system.string(), plugin.place.line);
+    if (!marketplace::library_path(plugin.text).empty())
+      return find({.what = fmt::format("it loads a library by its path: {}", plugin.text),
+                   .where = where,
+                   .expected = "PUBLISHER/NAME of a package",
+                   .next = "publish that plugin, and load it by its name"});
+    for (const std::string& text : manifest_->requirements()) {
+      const std::string package = marketplace::Requirement::parse(text, "").package;
+      if (package == plugin.text || plugin.text.starts_with(package + "/")) return;
+    }
+    find({.what = fmt::format("it loads {}, which the manifest does not require", plugin.text),
+          .where = where,
+          .next = fmt::format("load PUBLISHER/NAME, and requirements: \"{}\"", plugin.text)});
+  }
+
   void check_readme() {
     const std::string text = file_text(files_.readme);
     if (text.find_first_not_of(" \t\r\n") == std::string::npos)
@@ -190,7 +228,12 @@ class PluginChecker {
             .expected = kAbiTag,
             .found = interface_->abi().empty() ? "no ABI tag" : interface_->abi(),
             .next = "build it again with this SDK"});
-    if (interface_->components().empty() && !interface_->planned())
+    if (is_messages() && interface_->descriptors().file_size() == interface_->shared_size())
+      find({.what = "the library brings no proto file",
+            .where = place,
+            .next = "fiona_add_messages(… PROTOS publisher/name/objects.proto)"});
+    check_messages(place);
+    if (interface_->components().empty() && !interface_->planned() && !is_messages())
       find({.what = "the plugin has no component",
             .where = place,
             .next = "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } adds one"});
@@ -201,11 +244,30 @@ class PluginChecker {
         find({.what = fmt::format("the proto file '{}' is the platform's, and the plugin brings it", file.name()),
               .where = place,
               .next = "leave it out of PROTOS: libfiona has it"});
-      else if (manifest_ && !is_publishers(file.name()))
+      else if (manifest_ && !is_publishers(file.name()) && !is_shared(file.name()))
         find({.what = fmt::format("the proto file '{}' is not under the publisher's name", file.name()),
               .where = place,
               .expected = underscored(manifest_->publisher()) + "/…",
               .next = "move the file and its package"});
+    }
+  }
+
+  bool is_shared(const std::string& proto) const {
+    return std::find(interface_->shared().begin(), interface_->shared().end(), proto) != interface_->shared().end();
+  }
+
+  /// Where it was compiled with objects of other packages: that these are there, in that form, and that it says so.
+  void check_messages(const std::string& place) {
+    fiona::Manifest derived;
+    marketplace::list_protos(*interface_, derived);
+    if (derived.shared().empty()) return;
+    const std::string name = check_.name.empty() ? files_.library.filename().string() : check_.name;
+    for (const auto& package : marketplace::messages_of(derived, name, files_.messages)) {
+      if (manifest_ && !marketplace::requires_package(*manifest_, package.name()))
+        find({.what = fmt::format("it is compiled with the objects of {}, and the manifest does not require that",
+                                  package.name()),
+              .where = place,
+              .next = fmt::format("requirements: \"{} >= {}\"", package.name(), package.manifest.version())});
     }
   }
 
@@ -227,6 +289,7 @@ class PluginChecker {
     }
     for (const auto& file : interface_->descriptors().file()) {
       for (const auto& service : file.service()) {
+        if (is_shared(file.name())) continue;
         if (service.options().GetExtension(fiona::service_doc).empty())
           find({.what = fmt::format("the service '{}' has no doc", service.name()),
                 .where = file.name(),
@@ -259,11 +322,13 @@ class PluginChecker {
             .expected = manifest_->architecture(),
             .found = library.machine,
             .next = "pack it again"});
-    if (!library.defined.contains("fiona_plugin_entry"))
+    const std::string entry = is_messages() ? kMessagesEntrySymbol : kPluginEntrySymbol;
+    if (!library.defined.contains(entry))
       find({.what = "the library has no entry",
             .where = place,
-            .expected = "the symbol fiona_plugin_entry",
-            .next = "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } defines it"});
+            .expected = "the symbol " + entry,
+            .next = is_messages() ? "fiona_add_messages(…) defines it"
+                                  : "FIONA_PLUGIN(plugin) { plugin.add<Class>(\"name\"); } defines it"});
     check_content(place);
     std::set<std::string> brought = library.defined;
     std::set<std::string> names;
@@ -276,7 +341,7 @@ class PluginChecker {
       if (!is_platform_library(name) && !names.contains(name) && !is_sanitizers(name))
         find({.what = fmt::format("it needs the library {}, which neither the platform nor the package has", name),
               .where = place,
-              .next = "link it statically, or bring it along below lib/"});
+              .next = "link it statically, or bring it along below lib/; a package of messages: market install NAME"});
     }
     if (library.machine == marketplace::this_architecture()) check_symbols(library, brought, place);
   }
@@ -346,6 +411,7 @@ class PluginChecker {
 
   Reactor& reactor_;
   const PluginFiles& files_;
+  const Catalogue& catalogue_;
   const Confinement confinement_;
   PluginCheck check_;
   std::optional<fiona::Manifest> manifest_;
@@ -354,8 +420,9 @@ class PluginChecker {
 
 }  // namespace
 
-PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files, Confinement confinement) {
-  return PluginChecker(reactor, files, confinement).run();
+PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files, const Catalogue& catalogue,
+                         Confinement confinement) {
+  return PluginChecker(reactor, files, catalogue, confinement).run();
 }
 
 }  // namespace fiona::console

@@ -6,6 +6,7 @@
 #include <fiona/error.hpp>
 
 #include "author/plugin_files.hpp"
+#include "catalogue.hpp"
 
 namespace fiona::console {
 
@@ -16,7 +17,9 @@ struct PluginCheck {
   std::string name{};  ///< "publisher/name", where the manifest says so
 };
 
-/// Reads all that there is of a plugin. Its code runs only to be asked what it declares: describe_library().
-PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files, Confinement confinement);
+/// Reads all that there is of a package; a system file is read against what `catalogue` knows. Its code runs only to be
+/// asked what it declares: describe_library().
+PluginCheck check_plugin(Reactor& reactor, const PluginFiles& files, const Catalogue& catalogue,
+                         Confinement confinement);
 
 }  // namespace fiona::console

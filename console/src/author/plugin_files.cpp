@@ -10,10 +10,12 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <fiona/error.hpp>
+#include <fiona/marketplace/compiled_protos.hpp>
 #include <fiona/marketplace/manifest.hpp>
 #include <fiona/marketplace/package.hpp>
 
 #include "author/child_program.hpp"
+#include "author/elf_library.hpp"
 #include "locations.hpp"
 
 namespace fiona::console {
@@ -84,6 +86,10 @@ PluginFiles files_of_folder(const fs::path& folder) {
                                       .expected = std::string(marketplace::kManifestFile),
                                       .next = "plugin new NAME makes one; else name its folder"});
   files.readme = folder / marketplace::kReadmeFile;
+  for (const auto& entry : fs::directory_iterator(folder, problem)) {
+    if (entry.path().extension() == ".fiona") files.system = entry.path();
+  }
+  if (fs::is_directory(folder / "share", problem)) files.share = folder / "share";
   if (fs::is_directory(folder / "proto", problem)) files.protos = folder / "proto";
   for (const auto& entry : fs::directory_iterator(folder / "build", problem)) {
     const std::string file = entry.path().filename().string();
@@ -125,10 +131,31 @@ PluginFiles files_of_package(const fs::path& package, const fs::path& into) {
   files.interface = into / marketplace::kInterfaceFile;
   const std::string& own = contents.manifest.library();
   if (!own.empty()) files.library = into / own;
+  if (contents.manifest.kind() == fiona::SYSTEM) files.system = into / marketplace::system_file(contents.manifest);
   for (const auto& file : contents.manifest.files()) {
     if (file.path().starts_with("lib/") && file.path() != own) files.brought.push_back(into / file.path());
   }
   return files;
+}
+
+void find_messages(PluginFiles& files, const marketplace::Store& store) {
+  if (files.library.empty() || !fs::exists(files.library)) return;
+  const auto installed = store.installed();
+  const auto add = [&](const marketplace::InstalledPackage& package) {
+    const auto same = [&package](const auto& known) { return known.name() == package.name(); };
+    if (std::any_of(files.messages.begin(), files.messages.end(), same)) return;
+    store.verify(package);
+    files.messages.push_back(package);
+    files.brought.push_back(package.library);
+  };
+  const std::vector<std::string> needed = read_elf(files.library).libraries;
+  for (const auto& package : installed) {
+    const std::string name = package.library.filename().string();
+    if (package.manifest.kind() != fiona::MESSAGES || std::find(needed.begin(), needed.end(), name) == needed.end())
+      continue;
+    for (const auto& other : marketplace::messages_of(package.manifest, package.name(), installed)) add(other);
+    add(package);
+  }
 }
 
 Described describe_library(Reactor& reactor, const PluginFiles& files, Confinement confinement) {

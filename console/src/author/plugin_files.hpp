@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include <fiona/marketplace/store.hpp>
+
 #include "fiona/manifest.pb.h"
 #include "reactor.hpp"
 
@@ -29,8 +31,10 @@ struct PluginFiles {
   std::filesystem::path readme{};
   std::filesystem::path protos{};  ///< folder of the author's proto files
   std::filesystem::path library{};
-  std::filesystem::path interface {};            ///< beside the library
-  std::vector<std::filesystem::path> brought{};  ///< libraries that the package brings along
+  std::filesystem::path interface {};                     ///< beside the library
+  std::vector<std::filesystem::path> brought{};           ///< libraries that the package brings along, or `messages` do
+  std::vector<marketplace::InstalledPackage> messages{};  ///< packages of messages that the library needs
+  std::filesystem::path system{};                         ///< of a package of kind SYSTEM: its system file
   std::filesystem::path share{};
   bool packed = false;  ///< the manifest is that of a package, with the list of files
 };
@@ -45,6 +49,9 @@ PluginFiles files_of_library(const std::filesystem::path& library);
 /// Unpacks a package, whose files are checked against its manifest meanwhile, into a directory that is empty. Throws as
 /// marketplace::read_package.
 PluginFiles files_of_package(const std::filesystem::path& package, const std::filesystem::path& into);
+
+/// Finds the packages of messages in this store that a library needs. Throws fiona::Error (Failed) where it is none.
+void find_messages(PluginFiles& files, const marketplace::Store& store);
 
 /// The content of a file. Throws fiona::Error (NotFound, Failed).
 std::string file_text(const std::filesystem::path& file);

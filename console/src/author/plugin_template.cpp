@@ -102,7 +102,7 @@ std::string filled(std::string_view text, const Values& values) {
 Values port_parts() {
   Values parts;
   std::string* part = nullptr;
-  std::string_view text = template_files().at("ports.txt");
+  std::string_view text = template_files().at("plugin/ports.txt");
   while (!text.empty()) {
     const std::size_t end = std::min(text.find('\n'), text.size() - 1) + 1;
     const std::string_view line = text.substr(0, end);
@@ -184,6 +184,20 @@ std::string includes_of(const NewPlugin& plugin, const std::string& folder) {
   return text + fmt::format("\n#include \"{}/params.pb.h\"\n", folder);
 }
 
+/// What the build and the manifest have to say of packages whose objects it is compiled with.
+void add_messages(const NewPlugin& plugin, Values& values) {
+  std::string names, targets, requirements;
+  for (const auto& [package, version] : plugin.messages) {
+    names += " " + package;
+    targets += " " + std::string(package).replace(package.find('/'), 1, "::");
+    requirements += fmt::format("requirements: \"{} >= {}\"\n", package, version);
+  }
+  values["find messages"] = names.empty() ? "" : fmt::format("fiona_find_messages({})\n", names.substr(1));
+  values["message targets"] = targets;
+  values["messages"] = names.empty() ? "" : "\n                 MESSAGES" + names;
+  values["requirements"] = requirements;
+}
+
 Values values_of(const NewPlugin& plugin) {
   const std::string file = with_underscores(plugin.name);
   const std::string publisher = with_underscores(plugin.publisher);
@@ -195,6 +209,7 @@ Values values_of(const NewPlugin& plugin) {
                 {"package", publisher + "." + file},
                 {"namespace", publisher + "::" + file}};
   values["includes"] = includes_of(plugin, values["folder"]);
+  add_messages(plugin, values);
   const Values parts = port_parts();
   std::vector<NewPort> ports = new_ports(plugin);
   if (ports.empty()) ports.push_back({"none", {}});
@@ -256,6 +271,8 @@ std::map<std::filesystem::path, std::string> new_plugin_files(const NewPlugin& p
   const Values values = values_of(plugin);
   const std::string& file = values.at("file");
   const std::map<std::string, std::filesystem::path> places{
+      {"system.fiona", plugin.name + ".fiona"},
+      {"objects.proto", "proto/" + values.at("folder") + "/objects.proto"},
       {"CMakeLists.txt", "CMakeLists.txt"},
       {"manifest.textproto", "manifest.textproto"},
       {"README.md", "README.md"},
@@ -266,7 +283,10 @@ std::map<std::filesystem::path, std::string> new_plugin_files(const NewPlugin& p
       {"plugin.cpp.in", "src/plugin.cpp"},
       {"test.cpp.in", "test/" + file + "_test.cpp"}};
   std::map<std::filesystem::path, std::string> files;
-  for (const auto& [name, place] : places) files[place] = filled(template_files().at(name), values);
+  for (const auto& [name, place] : places) {
+    const auto found = template_files().find(plugin.kind + "/" + name);
+    if (found != template_files().end()) files[place] = filled(found->second, values);
+  }
   return files;
 }
 

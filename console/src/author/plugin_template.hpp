@@ -3,11 +3,14 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include <google/protobuf/descriptor.h>
+
+#include "types.hpp"
 
 namespace fiona::console {
 
@@ -15,11 +18,14 @@ namespace fiona::console {
 struct NewPlugin {
   std::string publisher{};
   std::string name{};
+  std::string kind = "plugin";                    ///< a folder of console/templates
+  std::map<std::string, std::string> messages{};  ///< packages whose services these are, with their versions
   std::vector<const google::protobuf::ServiceDescriptor*> provided{};
   std::vector<const google::protobuf::ServiceDescriptor*> needed{};
+  std::vector<std::shared_ptr<const TypeSet>> types{};  ///< that those of `messages` are among
 };
 
-/// The files of console/templates/plugin, by name.
+/// The files of console/templates, by path.
 const std::map<std::string, std::string, std::less<>>& template_files();
 
 /// The services of the platform's catalogue, by full name: those for which the SDK has types.

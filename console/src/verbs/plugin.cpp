@@ -10,6 +10,7 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <fiona/marketplace/compiled_protos.hpp>
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/manifest.hpp>
 #include <fiona/marketplace/package.hpp>
@@ -27,19 +28,46 @@ namespace {
 namespace fs = std::filesystem;
 using google::protobuf::ServiceDescriptor;
 
-const ServiceDescriptor* typed_service(Session& session, const Line& line, const Word& typed) {
+/// Of the installed packages of messages: whose service it is, with the types that it is among.
+struct MessagesService {
+  marketplace::InstalledPackage package;
+  std::shared_ptr<const TypeSet> types;
+  const ServiceDescriptor* service;
+};
+
+std::optional<MessagesService> messages_service(const Session& session, const std::string& typed) {
+  for (const auto& package : store_of(session).installed()) {
+    if (package.manifest.kind() != fiona::MESSAGES) continue;
+    const fiona::Interface interface = package.interface();
+    const auto types = std::make_shared<const TypeSet>(interface.descriptors());
+    for (const auto& file : interface.descriptors().file()) {
+      for (const auto& service : file.service()) {
+        const std::string name = file.package() + "." + service.name();
+        if (name == typed || service.name() == typed) return MessagesService{package, types, types->service(name)};
+      }
+    }
+  }
+  return std::nullopt;
+}
+
+const ServiceDescriptor* typed_service(Session& session, const Line& line, const Word& typed, NewPlugin& plugin) {
   std::vector<std::string> known;
   for (const ServiceDescriptor* service : platform_services()) {
     if (service->full_name() == typed.text || service->name() == typed.text) return service;
     known.push_back(service->name());
   }
+  if (auto found = messages_service(session, typed.text)) {
+    plugin.messages[found->package.name()] = found->package.manifest.version();
+    plugin.types.push_back(found->types);
+    return found->service;
+  }
   const Catalogue catalogue(session.options.store);
-  for (const KnownPlugin& plugin : catalogue.plugins()) {
-    for (const auto& component : plugin.interface.components()) {
+  for (const KnownPlugin& other : catalogue.plugins()) {
+    for (const auto& component : other.interface.components()) {
       for (const auto& port : component.ports()) {
         if (port.service() != typed.text && short_name(port.service()) != typed.text) continue;
         throw line.error(typed, {.what = fmt::format("the service '{}' is not one of the platform's", typed.text),
-                                 .found = fmt::format("{} has it, and brings its proto itself", plugin.name()),
+                                 .found = fmt::format("{} has it, and brings its proto itself", other.name()),
                                  .next = "make the plugin without it, and add its proto to PROTOS in CMakeLists.txt"});
       }
     }
@@ -51,10 +79,12 @@ const ServiceDescriptor* typed_service(Session& session, const Line& line, const
                    ErrorCode::NotFound);
 }
 
-std::vector<const ServiceDescriptor*> typed_services(Session& session, const Line& line, const std::string& option) {
+std::vector<const ServiceDescriptor*> typed_services(Session& session, const Line& line, const std::string& option,
+                                                     NewPlugin& plugin) {
   std::vector<const ServiceDescriptor*> services;
   const auto [begin, end] = line.options.equal_range(option);
-  for (auto given = begin; given != end; ++given) services.push_back(typed_service(session, line, given->second.value));
+  for (auto given = begin; given != end; ++given)
+    services.push_back(typed_service(session, line, given->second.value, plugin));
   return services;
 }
 
@@ -108,8 +138,18 @@ void write_folder(const Line& line, const Word& word, const fs::path& folder,
 void plugin_new(Session& session, const Line& line) {
   const Word& name = line.positional[1];
   check_plugin_name(line, name, name.text, "plugin");
-  NewPlugin plugin{publisher_of(line), name.text, typed_services(session, line, "--provides"),
-                   typed_services(session, line, "--requires")};
+  NewPlugin plugin{.publisher = publisher_of(line), .name = name.text};
+  plugin.provided = typed_services(session, line, "--provides", plugin);
+  plugin.needed = typed_services(session, line, "--requires", plugin);
+  if (const Word* kind = line.argument("kind")) {
+    plugin.kind = kind->text;
+    if (plugin.kind != "plugin" && plugin.kind != "messages" && plugin.kind != "system")
+      throw line.error(*kind, {.what = fmt::format("there is no kind of package that is called '{}'", kind->text),
+                               .expected = "plugin, messages or system"});
+    if (plugin.kind != "plugin" && !(plugin.provided.empty() && plugin.needed.empty()))
+      throw line.error(*kind, {.what = fmt::format("a package of kind {} has no ports", plugin.kind),
+                               .next = "leave --provides and --requires out, or the kind"});
+  }
   const bool named = line.positional.size() > 2;
   fs::path folder = fs::absolute(named ? line.positional[2].text : name.text).lexically_normal();
   if (!folder.has_filename()) folder = folder.parent_path();
@@ -117,7 +157,7 @@ void plugin_new(Session& session, const Line& line) {
   const std::string shown = named ? line.positional[2].text : name.text;
   session.out.done(fmt::format("made {}/{} in {}", plugin.publisher, plugin.name, shown),
                    {{"plugin", plugin.publisher + "/" + plugin.name}, {"folder", folder.string()}});
-  session.out.remark(fmt::format("  next: plugin test {}", shown));
+  session.out.remark(fmt::format("  next: plugin {} {}", plugin.kind == "system" ? "check" : "test", shown));
 }
 
 void show_inner_side(Session& session, const fiona::ComponentInterface& component) {
@@ -147,7 +187,9 @@ void show_inner_side(Session& session, const fiona::ComponentInterface& componen
 
 void plugin_describe(Session& session, const Line& line) {
   const fs::path library = line.positional[1].text;
-  const Described described = describe_library(session.reactor, files_of_library(library), confinement_of(line));
+  PluginFiles files = files_of_library(library);
+  find_messages(files, store_of(session));
+  const Described described = describe_library(session.reactor, files, confinement_of(line));
   if (const Word* out = line.option("-o")) {
     std::ofstream file(out->text, std::ios::binary | std::ios::trunc);
     file << described.text;
@@ -181,10 +223,11 @@ void demand_sound(Session& session, const PluginCheck& check) {
 void plugin_check(Session& session, const Line& line) {
   const fs::path what = typed_folder(line, 1);
   const ScratchDirectory unpacked;
-  const PluginFiles files = fs::is_directory(what)       ? files_of_folder(what)
-                            : what.extension() == ".fpk" ? files_of_package(what, unpacked.path())
-                                                         : files_of_library(what);
-  PluginCheck check = console::check_plugin(session.reactor, files, confinement_of(line));
+  PluginFiles files = fs::is_directory(what)       ? files_of_folder(what)
+                      : what.extension() == ".fpk" ? files_of_package(what, unpacked.path())
+                                                   : files_of_library(what);
+  find_messages(files, store_of(session));
+  PluginCheck check = console::check_plugin(session.reactor, files, session.catalogue(), confinement_of(line));
   // Within a package a place is that of the package.
   for (ErrorText& finding : check.findings) {
     const std::string inside = unpacked.path().string() + "/";
@@ -196,29 +239,70 @@ void plugin_check(Session& session, const Line& line) {
                    {{"plugin", check.name}, {"checks", check.passed}});
 }
 
+/// The folder of a package's data: of a system, its file beside what else there is.
+fs::path share_of(const PluginFiles& files, const fs::path& scratch) {
+  if (files.system.empty() || !files.library.empty()) return files.share;
+  fs::create_directory(scratch / "share");
+  if (!files.share.empty()) fs::copy(files.share, scratch / "share", fs::copy_options::recursive);
+  fs::copy_file(files.system, scratch / "share" / files.system.filename());
+  return scratch / "share";
+}
+
 void plugin_pack(Session& session, const Line& line) {
   const fs::path folder = typed_folder(line, 1);
-  files_of_folder(folder);  // that it is one
-  build_plugin(session, folder, build_deadline(line));
-  const PluginFiles files = files_of_folder(folder);
-  demand_sound(session, console::check_plugin(session.reactor, files, confinement_of(line)));
+  if (has_library(kind_of(files_of_folder(folder)))) build_plugin(session, folder, build_deadline(line));
+  PluginFiles files = files_of_folder(folder);
+  find_messages(files, store_of(session));
+  demand_sound(session, console::check_plugin(session.reactor, files, session.catalogue(), confinement_of(line)));
+  const ScratchDirectory scratch;
   marketplace::PackageSource source;
   source.manifest = file_text(files.manifest);
-  source.interface = file_text(files.interface);
+  if (!files.interface.empty()) source.interface = file_text(files.interface);
   source.readme = file_text(files.readme);
-  source.libraries = {files.library};
-  source.share = files.share;
+  if (!files.library.empty()) source.libraries = {files.library};
+  source.share = share_of(files, scratch.path());
   const Manifest manifest = marketplace::parse_manifest(source.manifest, files.manifest.string());
   const Word* typed = line.option("-o");
-  const std::string file = typed != nullptr ? typed->text
-                                            : fmt::format("{}-{}-{}.fpk", manifest.name(), manifest.version(),
-                                                          marketplace::this_architecture());
+  const std::string file = typed != nullptr
+                               ? typed->text
+                               : fmt::format("{}-{}-{}.fpk", manifest.name(), manifest.version(),
+                                             files.library.empty() ? "any" : marketplace::this_architecture());
   marketplace::pack_to(file, source);
   const auto size = fs::file_size(file);
   session.out.done(
       fmt::format("packed {} {} in {}, {} KiB", marketplace::full_name(manifest), manifest.version(), file,
                   size / 1024),
       {{"package", marketplace::full_name(manifest)}, {"version", manifest.version()}, {"file", file}, {"size", size}});
+}
+
+/// What the platform does not have and somebody's plugin can be compiled with: packages of messages.
+void plugin_messages(Session& session, const Line& line) {
+  const marketplace::Store store = store_of(session);
+  const auto installed = store.installed();
+  std::vector<marketplace::InstalledPackage> shown;
+  if (line.positional.size() > 1) {
+    const auto package = store.find(line.positional[1].text);
+    if (package.manifest.kind() != fiona::MESSAGES)
+      throw line.error(line.positional[1], {.what = fmt::format("{} is no package of messages", package.name()),
+                                            .next = "plugin messages lists those that are installed"});
+    shown = marketplace::messages_of(package.manifest, package.name(), installed);
+    shown.push_back(package);
+  } else {
+    const auto is_messages = [](const auto& package) { return package.manifest.kind() == fiona::MESSAGES; };
+    std::copy_if(installed.begin(), installed.end(), std::back_inserter(shown), is_messages);
+  }
+  Table table({"package", "version", "offers", "library", "protos", "list"});
+  for (const auto& package : shown) {
+    std::vector<std::string> offers;
+    for (const auto& proto : package.manifest.offered()) offers.push_back(proto.name());
+    table.add({package.name(),
+               package.manifest.version(),
+               fmt::format("{}", fmt::join(offers, ", ")),
+               {package.library.filename().string(), package.library.string()},
+               {(package.share / "proto").string(), (package.share / "proto").string()},
+               {"", (store.directory() / "installed.textproto").string()}});
+  }
+  session.out.table(table, "no package of messages is installed: market search");
 }
 
 void plugin_sign(Session& session, const Line& line) {
@@ -235,14 +319,26 @@ fs::path typed_folder(const Line& line, std::size_t at) {
   return line.positional.size() > at ? fs::path(line.positional[at].text) : fs::path(".");
 }
 
+fiona::PackageKind kind_of(const PluginFiles& files) {
+  return marketplace::parse_manifest(file_text(files.manifest), files.manifest.string()).kind();
+}
+
+bool has_library(fiona::PackageKind kind) { return kind == fiona::PLUGIN || kind == fiona::MESSAGES; }
+
+marketplace::Store store_of(const Session& session) {
+  using marketplace::Store;
+  // Other programs are told of it, which run elsewhere.
+  return Store(fs::absolute(session.options.store.empty() ? Store::default_directory() : session.options.store));
+}
+
 Confinement confinement_of(const Line& line) {
   return line.clause("with") == nullptr ? Confinement::Sandbox : Confinement::None;
 }
 
 void plugin(Session& session, const Line& line) {
   static const std::map<std::string, void (*)(Session&, const Line&)> kActions{
-      {"new", plugin_new},     {"describe", plugin_describe}, {"test", plugin_test},
-      {"check", plugin_check}, {"pack", plugin_pack},         {"sign", plugin_sign}};
+      {"new", plugin_new},   {"describe", plugin_describe}, {"test", plugin_test},        {"check", plugin_check},
+      {"pack", plugin_pack}, {"sign", plugin_sign},         {"messages", plugin_messages}};
   kActions.at(line.positional[0].text)(session, line);
 }
 

@@ -64,7 +64,7 @@ struct ContractRow {
   std::string text;
 };
 
-std::vector<ContractRow> contract_rows(Session& session, const fs::path& library, const std::string& component) {
+std::vector<ContractRow> contract_rows(Session& session, const PluginFiles& files, const std::string& component) {
   std::vector<ContractRow> rows;
   std::vector<std::string> said;
   const auto take = [&rows](const std::string& line) {
@@ -76,8 +76,10 @@ std::vector<ContractRow> contract_rows(Session& session, const fs::path& library
   const auto keep = [&said](const std::string& line) {
     if (said.size() < kLastLines) said.push_back(line);
   };
+  std::vector<std::string> arguments{fs::absolute(files.library).string(), component};
+  arguments.insert(arguments.end(), files.brought.begin(), files.brought.end());
   const ChildEnd end = run_child(session.reactor, {.program = sibling_program("fiona-contract").string(),
-                                                   .arguments = {fs::absolute(library).string(), component},
+                                                   .arguments = arguments,
                                                    .deadline = std::chrono::steady_clock::now() + kContract,
                                                    .on_out = take,
                                                    .on_err = keep});
@@ -117,7 +119,7 @@ std::string fault_in_host(Session& session, const fs::path& library, const fiona
       run_child(session.reactor, {.program = sibling_program("fiona").string(),
                                   .arguments = {"run", file.string(), "--headless", "-q"},
                                   .environment = {{"XDG_RUNTIME_DIR", (directory.path() / "run").string()},
-                                                  {"FIONA_STORE", (directory.path() / "store").string()}},
+                                                  {"FIONA_STORE", store_of(session).directory().string()}},
                                   .deadline = std::chrono::steady_clock::now() + kHostRun,
                                   .on_err = keep});
   if (end.ok()) return "";
@@ -130,7 +132,7 @@ std::size_t test_contracts(Session& session, const PluginFiles& files, Confineme
   Table table({"component", "what", "state", "found"});
   std::size_t wrong = 0;
   for (const auto& component : interface.components()) {
-    for (const ContractRow& row : contract_rows(session, files.library, component.name())) {
+    for (const ContractRow& row : contract_rows(session, files, component.name())) {
       wrong += row.state == "wrong" ? 1 : 0;
       table.add({component.name(), row.what, row.state, row.text});
     }
@@ -162,32 +164,43 @@ void build_plugin(Session& session, const fs::path& folder, SteadyTime deadline)
     std::vector<std::string> words{"-S", ".", "-B", "build", "-DCMAKE_BUILD_TYPE=Release"};
     if (const fs::path sdk = sdk_directory(); !sdk.empty()) words.push_back("-Dfiona_DIR=" + sdk.string());
     run_step(session, "configuring",
-             {.program = "cmake", .arguments = words, .directory = folder, .deadline = deadline});
+             {.program = "cmake",
+              .arguments = words,
+              .directory = folder,
+              .environment = {{"FIONA_STORE", store_of(session).directory().string()}},
+              .deadline = deadline});
   }
   run_step(session, "the build",
            {.program = "cmake",
             .arguments = {"--build", "build", "--parallel",
                           fmt::format("{}", std::max(1U, std::thread::hardware_concurrency()))},
             .directory = folder,
+            .environment = {{"FIONA_STORE", store_of(session).directory().string()}},
             .deadline = deadline});
 }
 
 void plugin_test(Session& session, const Line& line) {
   const fs::path folder = typed_folder(line, 1);
   const SteadyTime deadline = build_deadline(line);
-  files_of_folder(folder);  // that it is one
+  const fiona::PackageKind kind = kind_of(files_of_folder(folder));
+  if (!has_library(kind))
+    throw line.error(line.verb, {.what = "a package of this kind has nothing to build and test",
+                                 .next = fmt::format("plugin check {}", folder.string())});
   build_plugin(session, folder, deadline);
   run_step(session, "ctest",
            {.program = "ctest",
-            .arguments = {"--test-dir", "build", "--output-on-failure", "--no-tests=error"},
+            .arguments = {"--test-dir", "build", "--output-on-failure",
+                          kind == fiona::PLUGIN ? "--no-tests=error" : "--no-tests=ignore"},
             .directory = folder,
             .deadline = deadline});
-  const PluginFiles files = files_of_folder(folder);
+  PluginFiles files = files_of_folder(folder);
+  find_messages(files, store_of(session));
   if (files.library.empty())
     throw Error(ErrorCode::NotFound, {.what = "the build has made no plugin",
                                       .where = (folder / "build").string(),
                                       .expected = "NAME.interface.textproto beside libNAME.so",
                                       .next = "fiona_add_plugin(NAME …) in CMakeLists.txt makes them"});
+  if (kind == fiona::MESSAGES) return session.out.done("built; its tests are met");
   const std::size_t wrong = test_contracts(session, files, confinement_of(line));
   if (wrong > 0)
     throw Error(ErrorCode::ComponentFailed, {.what = fmt::format("{} of the rows above are wrong", wrong),

@@ -14,6 +14,7 @@
 #include "accounts.hpp"
 #include "fiona/error.hpp"
 #include "fiona/records/data_directory.hpp"
+#include "fiona/tool.hpp"
 
 namespace {
 
@@ -154,11 +155,8 @@ int main(int argc, char** argv) {
     std::cout << kUsage;
     return 0;
   }
-  try {
+  return fiona::run_tool([&] {
     run(words);
-  } catch (const Error& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(error.code());
-  }
-  return 0;
+    return 0;
+  });
 }

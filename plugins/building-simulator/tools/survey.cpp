@@ -11,6 +11,7 @@
 #include <fiona/building/building.hpp>
 #include <fiona/error.hpp>
 #include <fiona/simulator/survey.hpp>
+#include <fiona/tool.hpp>
 
 namespace {
 
@@ -56,16 +57,5 @@ int run(int count, char** words) {
 }  // namespace
 
 int main(int count, char** words) {
-  try {
-    return run(count, words);
-  } catch (const fiona::Error& error) {
-    std::cerr << "fiona-survey: " << error.what() << '\n';
-    return static_cast<int>(error.code());
-  } catch (const options::error& error) {
-    std::cerr << "fiona-survey: " << error.what() << "\n  next: fiona-survey --help\n";
-    return static_cast<int>(fiona::ErrorCode::Usage);
-  } catch (const std::exception& error) {
-    std::cerr << "fiona-survey: " << error.what() << '\n';
-    return 1;
-  }
+  return fiona::run_tool<options::error>([&] { return run(count, words); }, "  next: fiona-survey --help\n");
 }

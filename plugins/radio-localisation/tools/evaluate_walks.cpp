@@ -1,5 +1,4 @@
 #include <cstdint>
-#include <exception>
 #include <fstream>
 #include <iostream>
 #include <memory>
@@ -8,6 +7,7 @@
 #include <boost/program_options.hpp>
 
 #include <fiona/error.hpp>
+#include <fiona/tool.hpp>
 #include <fiona/walk/dataset.hpp>
 
 #include "journey.hpp"
@@ -66,16 +66,5 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  try {
-    return run(argc, argv);
-  } catch (const fiona::Error& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(error.code());
-  } catch (const options::error& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(fiona::ErrorCode::Usage);
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(fiona::ErrorCode::Failed);
-  }
+  return fiona::run_tool<options::error>([&] { return run(argc, argv); });
 }

@@ -1,7 +1,6 @@
 // How far the method is from the truth, and what each part of it is worth: the same walks with one part left out.
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <fstream>
 #include <iomanip>
 #include <iostream>
@@ -17,6 +16,7 @@
 #include <boost/program_options.hpp>
 
 #include <fiona/error.hpp>
+#include <fiona/tool.hpp>
 #include <fiona/walk/dataset.hpp>
 
 #include "level_map.hpp"
@@ -254,16 +254,5 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  try {
-    return run(argc, argv);
-  } catch (const fiona::Error& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(error.code());
-  } catch (const options::error& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(fiona::ErrorCode::Usage);
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(fiona::ErrorCode::Failed);
-  }
+  return fiona::run_tool<options::error>([&] { return run(argc, argv); });
 }

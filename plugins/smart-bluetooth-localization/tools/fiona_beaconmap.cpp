@@ -1,4 +1,3 @@
-#include <exception>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -9,6 +8,7 @@
 #include <boost/program_options.hpp>
 
 #include <fiona/error.hpp>
+#include <fiona/tool.hpp>
 #include <fiona/walk/dataset.hpp>
 
 #include "beacon_map.hpp"
@@ -139,16 +139,5 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  try {
-    return run(argc, argv);
-  } catch (const Error& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(error.code());
-  } catch (const options::error& error) {
-    std::cerr << "error: " << error.what() << '\n' << kUsage;
-    return static_cast<int>(ErrorCode::Usage);
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << '\n';
-    return static_cast<int>(ErrorCode::Failed);
-  }
+  return fiona::run_tool<options::error>([&] { return run(argc, argv); }, kUsage);
 }

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "fiona/error.hpp"
+#include "fiona/tool.hpp"
 
 namespace {
 
@@ -180,15 +181,7 @@ int main(int argc, char** argv) {
   const bool one = argc == 5 && std::string(argv[3]) == "--trace";
   if (argc != 3 && !one) {
     std::cerr << "usage: fiona-score TRUTH.csv TRACK.csv [--trace NAME]\n";
-    return 2;
+    return static_cast<int>(fiona::ErrorCode::Usage);
   }
-  try {
-    return run(argv[1], argv[2], one ? argv[4] : "");
-  } catch (const Error& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return static_cast<int>(error.code());
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return 1;
-  }
+  return fiona::run_tool([&] { return run(argv[1], argv[2], one ? argv[4] : ""); });
 }

@@ -3,21 +3,16 @@
 #include <iostream>
 
 #include "fiona/error.hpp"
+#include "fiona/tool.hpp"
 #include "fiona/walk/dataset.hpp"
 
 int main(int argc, char** argv) {
   if (argc != 2) {
     std::cerr << "usage: fiona-walks DIR\n";
-    return 2;
+    return static_cast<int>(fiona::ErrorCode::Usage);
   }
-  try {
+  return fiona::run_tool([&] {
     for (const auto& name : fiona::walk::Dataset::open(argv[1]).walk_names()) std::cout << name << "\n";
     return 0;
-  } catch (const fiona::Error& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return static_cast<int>(error.code());
-  } catch (const std::exception& error) {
-    std::cerr << "error: " << error.what() << "\n";
-    return 1;
-  }
+  });
 }

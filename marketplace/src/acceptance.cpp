@@ -1,0 +1,305 @@
+// What a keeper does with what has come, and with what should not have.
+#include <fcntl.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/keeper.hpp>
+#include <map>
+#include <set>
+
+#include "durable.hpp"
+#include "files.hpp"
+#include "index_file.hpp"
+#include "keeper_packages.hpp"
+#include "keeper_parts.hpp"
+#include "signed_market.hpp"
+#include "text_check.hpp"
+#include "tuf/digest.hpp"
+#include "tuf/metadata.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+namespace filesystem = std::filesystem;
+
+constexpr std::string_view kPackageEnding = ".fpk";
+
+// One acceptance: the marketplace as it is, and what it is to become.
+class Acceptance {
+ public:
+  Acceptance(const filesystem::path& market, const KeeperOptions& options)
+      : options_(options),
+        how_(repository_options(market, options)),
+        repository_(how_, options.keys),
+        directory_(os_, how_.directory, 0755),
+        incoming_(directory_.child("incoming", 0755)),
+        targets_(directory_.child("targets", 0755)) {
+    incoming_.lock(std::chrono::seconds{10});
+    read_market_index();
+  }
+
+  std::vector<Revocation> revoke(const std::string& what, const std::string& reason) {
+    const std::size_t at = what.find('@');
+    const std::string name = what.substr(0, at), version = at == std::string::npos ? "" : what.substr(at + 1);
+    const bool is_publisher = name.find('/') == std::string::npos;
+    auto& entries = *index_.mutable_entries();
+    std::vector<Revocation> revoked;
+    const auto is_meant = [&](const IndexEntry& entry) {
+      const Manifest& manifest = entry.manifest();
+      return (is_publisher ? manifest.publisher() : full_name(manifest)) == name &&
+             (version.empty() || manifest.version() == version);
+    };
+    for (const IndexEntry& entry : entries) {
+      if (is_meant(entry)) revoked.push_back(revocation_of(entry, reason));
+    }
+    const bool known = !revoked.empty() || (is_publisher && !repository_.key_ids_of(name).empty());
+    if (!known || (is_publisher && !version.empty())) refuse_unknown(what);
+    entries.erase(std::remove_if(entries.begin(), entries.end(), is_meant), entries.end());
+    for (const Revocation& one : revoked) *index_.add_revoked() = one;
+    index_.set_generation(index_.generation() + 1);
+    if (is_publisher && !repository_.key_ids_of(name).empty()) repository_.undelegate(name);
+    write_market_index();
+    follow_online_keys();
+    repository_.commit();
+    remove_unlisted_targets();
+    return revoked;
+  }
+
+  Accepted run(const std::vector<std::string>& welcome) {
+    for (const auto& name : incoming_.names()) read_incoming(name);
+    for (const auto& name : incoming_.names()) {
+      if (!name.ends_with(".json")) continue;
+      try {
+        take_publisher(name, welcome);
+      } catch (const Error& error) {
+        result_.refused.push_back(name + ": " + error.text().what);
+      }
+    }
+    write_market_index();
+    follow_online_keys();
+    repository_.commit();
+    for (const auto& name : done_) incoming_.remove_file(name);
+    remove_unlisted_targets();
+    return std::move(result_);
+  }
+
+ private:
+  Revocation revocation_of(const IndexEntry& entry, const std::string& reason) const {
+    Revocation revoked;
+    revoked.set_package(full_name(entry.manifest()));
+    revoked.set_version(entry.manifest().version());
+    revoked.set_blake2b(entry.blake2b());
+    revoked.set_reason(reason);
+    revoked.set_time_s(now_of(options_).time_since_epoch().count());
+    return revoked;
+  }
+
+  [[noreturn]] void refuse_unknown(const std::string& what) const {
+    std::set<std::string> known;
+    for (const auto& entry : index_.entries()) {
+      known.insert({entry.manifest().publisher(), full_name(entry.manifest()),
+                    full_name(entry.manifest()) + "@" + entry.manifest().version()});
+    }
+    throw Error(ErrorCode::NotFound,
+                ErrorText{.what = "the marketplace offers nothing that is called " + what,
+                          .where = how_.directory.string(),
+                          .expected = "a publisher, publisher/name, or publisher/name@version",
+                          .next = "fiona market search --from " + how_.directory.string(),
+                          .near = nearest_names(what, std::vector<std::string>{known.begin(), known.end()})});
+  }
+
+  // Neither these bytes nor this version come back. Empty: nobody has revoked it.
+  std::string revocation_fault(const IndexEntry& entry) const {
+    for (const auto& one : index_.revoked()) {
+      const bool same_version =
+          one.package() == full_name(entry.manifest()) && one.version() == entry.manifest().version();
+      if (!same_version && one.blake2b() != entry.blake2b()) continue;
+      return fmt::format("{} {} has been revoked{}; its publisher is to raise the version", one.package(),
+                         one.version(), one.reason().empty() ? "" : ": " + one.reason());
+    }
+    return {};
+  }
+
+  void read_market_index() {
+    for (const auto& target : repository_.targets_of(std::string(kIndexRole))) {
+      if (target.path != kIndexFile) continue;
+      const std::string name = target.hashes.at("sha256") + "." + target.path;
+      const auto bytes = index_bytes(name);
+      if (tuf::sha256_hex(bytes) != target.hashes.at("sha256")) {
+        throw Error(ErrorCode::BadSignature, ErrorText{.what = "the marketplace's index is not the one that was signed",
+                                                       .where = (targets_.path() / name).string(),
+                                                       .next = "bring it back from a copy"});
+      }
+      index_file_ = name;
+      try {
+        index_ = parse_index(bytes, name);
+      } catch (const Error&) {
+        if (!options_.replace) throw;  // a build's own of an older format: it is filled again
+      }
+    }
+  }
+
+  std::string index_bytes(const std::string& name) const {
+    const FileDescriptor file = open_regular(targets_.descriptor(), name, targets_.path() / name);
+    if (!file)
+      throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace has lost its index",
+                                                 .where = (targets_.path() / name).string(),
+                                                 .next = "bring it back from a copy"});
+    return read_all(file, kMostIndexFileBytes, targets_.path() / name);
+  }
+
+  void read_incoming(const std::string& name) {
+    if (!name.ends_with(kPackageEnding)) return;
+    try {
+      packages_.emplace(name, read_for_keeping(incoming_.path() / name, options_));
+    } catch (const Error& error) {
+      result_.refused.push_back(name + ": " + error.text().what);
+    }
+  }
+
+  void take_publisher(const std::string& file_name, const std::vector<std::string>& welcome) {
+    const std::string publisher = file_name.substr(0, file_name.size() - 5);
+    const std::string role_file = content_if_there(incoming_.path() / file_name).value_or("");
+    const auto key = tuf::claimed_key(role_file, file_name);
+    if (!is_publisher(publisher) || !key) {
+      result_.refused.push_back(file_name + ": it does not say which key has signed it");
+      return;
+    }
+    const tuf::RoleContent role = tuf::read_role(role_file, *key, file_name);
+    const auto known = repository_.key_ids_of(publisher);
+    if (known != std::vector<std::string>{tuf::key_id_of(*key)}) {
+      if (std::ranges::find(welcome, publisher) == welcome.end()) {
+        result_.unknown.push_back({publisher, *key, !known.empty()});
+        return;
+      }
+      repository_.delegate(publisher, {*key}, {publisher + "/*"});
+    }
+    const std::int64_t here = repository_.version_of(publisher);
+    if (role.version < here) {
+      result_.refused.push_back(
+          fmt::format("{}: it is version {}, and version {} is here already; its publisher signs the next one where "
+                      "that is kept, or "
+                      "begins with a copy of metadata/{}.{} as signing/{}",
+                      file_name, role.version, here, here, file_name, file_name));
+      return;
+    }
+    if (role.version > here) {
+      take_packages(publisher, role);
+      repository_.take_role(publisher, role_file);
+    }
+    done_.push_back(file_name);
+  }
+
+  // All that the role signs for must be there or have come; what it signs for no longer is withdrawn.
+  void take_packages(const std::string& publisher, const tuf::RoleContent& role) {
+    Index next = index_;
+    auto& entries = *next.mutable_entries();
+    const auto withdrawn = [&](const IndexEntry& entry) {
+      return entry.manifest().publisher() == publisher && !find_target(role.targets, target_path(entry.manifest()));
+    };
+    entries.erase(std::remove_if(entries.begin(), entries.end(), withdrawn), entries.end());
+    const DurableDirectory home = targets_.child(publisher, 0755);
+    std::vector<std::string> paths, done;
+    for (const auto& target : role.targets) {
+      const std::string& sha256 = target.hashes.at("sha256");
+      const auto came = std::ranges::find_if(
+          packages_, [&](const auto& one) { return one.second.path == target.path && one.second.sha256 == sha256; });
+      const std::string fault = came == packages_.end() ? "" : revocation_fault(came->second.entry);
+      if (!fault.empty()) {
+        result_.refused.push_back(came->first + ": " + fault);
+        done.push_back(came->first);
+      } else if (came != packages_.end()) {
+        if (add_entry(next, came->second.entry, options_.replace, how_.directory)) paths.push_back(target.path);
+        copy_checked(incoming_.path() / came->first, sha256, home, consistent_name(target.path, sha256));
+        done.push_back(came->first);
+      } else if (!home.has(consistent_name(target.path, sha256))) {
+        throw Error(ErrorCode::NotFound,
+                    ErrorText{.what = "it signs for " + target.path + ", which has not come with it"});
+      }
+    }
+    index_ = std::move(next);
+    for (const auto& target : role.targets) {
+      wanted_[publisher].insert(consistent_name(target.path, target.hashes.at("sha256")));
+    }
+    result_.packages.insert(result_.packages.end(), paths.begin(), paths.end());
+    done_.insert(done_.end(), done.begin(), done.end());
+  }
+
+  void write_market_index() {
+    const std::string bytes = index_.SerializeAsString(), sha256 = tuf::sha256_hex(bytes);
+    const std::string name = sha256 + "." + std::string(kIndexFile);
+    if (name == index_file_) return;
+    targets_.replace(name, bytes);
+    repository_.set_target(std::string(kIndexRole), std::string(kIndexFile), bytes.size(), sha256);
+    former_index_ = std::exchange(index_file_, name);
+  }
+
+  // Who signs the time signs the index: the keys of both change together.
+  void follow_online_keys() {
+    const auto next = repository_.proposed(std::string(tuf::kTimestamp));
+    if (!next || repository_.proposal_lacks() != 0) return;
+    if (next->keys == repository_.keys_of(std::string(kIndexRole)).keys) return;
+    repository_.delegate(std::string(kIndexRole), next->keys, {std::string(kIndexFile)});
+    std::string bytes = index_.SerializeAsString();
+    repository_.set_target(std::string(kIndexRole), std::string(kIndexFile), bytes.size(), tuf::sha256_hex(bytes));
+  }
+
+  // What no list names any more, but for the index before this one: somebody may be reading by it.
+  void remove_unlisted_targets() const {
+    for (const auto& name : targets_.names()) {
+      if (name.ends_with(kIndexFile) && name != index_file_ && name != former_index_) targets_.remove_file(name);
+    }
+    for (const auto& [publisher, wanted] : wanted_) {
+      const DurableDirectory home = targets_.existing_child(publisher);
+      for (const auto& name : home.names()) {
+        if (!wanted.contains(name)) home.remove_file(name);
+      }
+    }
+  }
+
+  const KeeperOptions& options_;
+  const OsCalls os_ = system_calls();
+  const tuf::RepositoryOptions how_;
+  tuf::Repository repository_;
+  DurableDirectory directory_, incoming_, targets_;
+  Index index_;
+  std::string index_file_, former_index_;
+  std::map<std::string, ReadPackage> packages_;          // by file name in `incoming`
+  std::map<std::string, std::set<std::string>> wanted_;  // by publisher: the files that are signed for
+  std::vector<std::string> done_;
+  Accepted result_;
+};
+
+void require_keys(const filesystem::path& market, const KeeperOptions& options) {
+  if (keeps(market, options)) return;
+  throw Error(ErrorCode::NotAllowed,
+              ErrorText{.what = "this user has not the keys of this marketplace",
+                        .where = market.string(),
+                        .expected = "keys of snapshot and timestamp in " + options.keys.path().string(),
+                        .next = "let who made it do this"});
+}
+
+}  // namespace
+
+Accepted accept(const filesystem::path& market, const std::vector<std::string>& welcome, const KeeperOptions& options) {
+  require_keys(market, options);
+  return Acceptance{market, options}.run(welcome);
+}
+
+std::vector<Revocation> revoke(const filesystem::path& market, const std::string& what, const std::string& reason,
+                               const KeeperOptions& options) {
+  require_keys(market, options);
+  if (const std::string fault = text_fault(reason, false); !fault.empty())
+    throw Error(ErrorCode::Usage, ErrorText{.what = "the reason " + fault, .expected = "one line of text"});
+  return Acceptance{market, options}.revoke(what, reason);
+}
+
+bool keeps(const filesystem::path& market, const KeeperOptions& options) {
+  const tuf::RepositoryOptions how = repository_options(market, options);
+  std::error_code failure;
+  if (!filesystem::exists(how.trusted / "root.json", failure)) return false;  // never opened here: not made here
+  return tuf::Repository{how, options.keys}.may_commit();
+}
+
+}  // namespace fiona::marketplace

@@ -1,0 +1,74 @@
+// What a publisher does: he signs packages, and hands them in.
+#include <algorithm>
+#include <fiona/error.hpp>
+#include <fiona/marketplace/keeper.hpp>
+
+#include "keeper_packages.hpp"
+#include "keeper_parts.hpp"
+
+namespace fiona::marketplace {
+namespace {
+
+namespace filesystem = std::filesystem;
+
+[[noreturn]] void refuse_unsigned(const filesystem::path& package, const std::string& publisher,
+                                  const std::string& what) {
+  throw Error(ErrorCode::BadSignature, ErrorText{.what = what,
+                                                 .where = package.string(),
+                                                 .expected = "a signature with the key of " + publisher,
+                                                 .next = "fiona plugin sign " + package.string()});
+}
+
+}  // namespace
+
+std::string signed_role(const std::string& publisher, const std::vector<ReadPackage>& packages, bool only,
+                        const KeeperOptions& options) {
+  const tuf::SigningKey key = options.keys.get(publisher);
+  const auto before = options.keys.signed_role(publisher);
+  const tuf::Time now = now_of(options);
+  if (before) {
+    const tuf::RoleContent role = tuf::read_role(*before, key.open(), publisher + ".json");
+    const bool says_all =
+        std::ranges::all_of(packages, [&](const auto& package) { return signs_for(role, package); }) &&
+        (!only || role.targets.size() == packages.size());
+    if (says_all && role.expires > now + options.lifetimes.targets / 2) return *before;
+  }
+  std::vector<tuf::TargetInfo> targets;
+  for (const auto& package : packages) {
+    targets.emplace_back().path = package.path;
+    targets.back().length = package.entry.size();
+    targets.back().hashes["sha256"] = package.sha256;
+  }
+  const std::string role = tuf::next_role(before, key, targets, only, now + options.lifetimes.targets);
+  options.keys.keep_signed_role(publisher, role);
+  return role;
+}
+
+filesystem::path sign_package(const filesystem::path& package, const KeeperOptions& options) {
+  const ReadPackage read = read_for_keeping(package, options);
+  const std::string publisher = read.entry.manifest().publisher();
+  const std::string role = signed_role(publisher, {read}, false, options);
+  const OsCalls os = system_calls();
+  const filesystem::path beside = filesystem::absolute(package).parent_path();
+  DurableDirectory{os, beside, 0755}.replace(publisher + ".json", role);
+  return beside / (publisher + ".json");
+}
+
+std::string submit(const filesystem::path& package, const filesystem::path& market, const KeeperOptions& options) {
+  const ReadPackage read = read_for_keeping(package, options);
+  const std::string publisher = read.entry.manifest().publisher(), name = publisher + ".json";
+  const auto role_file = content_if_there(filesystem::absolute(package).parent_path() / name);
+  if (!role_file) refuse_unsigned(package, publisher, "this package is not signed: there is no " + name + " beside it");
+  const auto key = tuf::claimed_key(*role_file, name);
+  if (!key || !signs_for(tuf::read_role(*role_file, *key, name), read)) {
+    refuse_unsigned(package, publisher, name + " does not sign for this package");
+  }
+  const OsCalls os = system_calls();
+  DurableDirectory incoming{os, filesystem::absolute(market) / "incoming", 0755};
+  incoming.lock(std::chrono::seconds{10});
+  copy_checked(package, read.sha256, incoming, read.entry.file());
+  incoming.replace(name, *role_file);
+  return publisher;
+}
+
+}  // namespace fiona::marketplace
