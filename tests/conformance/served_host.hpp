@@ -94,8 +94,9 @@ class TestConsole {
   control::Reply receive() {
     control::Reply reply;
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(40);
-    while (!stream_.next(reply)) {
-      if (!stream_.wait_readable(end) || !stream_.receive()) throw std::runtime_error("no answer");
+    for (bool open = true; !stream_.next(reply);) {
+      if (!open) throw std::runtime_error("no answer");
+      open = stream_.wait_readable(end) && stream_.receive();  // the last words may come with the end
     }
     if (reply.has_failure()) host::throw_failure(reply.failure());
     return reply;
