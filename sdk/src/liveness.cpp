@@ -12,8 +12,8 @@ namespace fiona {
 namespace {
 
 Liveness::Page* map_page() {
-  void* page =
-      ::mmap(nullptr, sizeof(Liveness::Page), PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  void* page = ::mmap(nullptr, sizeof(Liveness::Page), PROT_READ | PROT_WRITE,
+                      MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (page == MAP_FAILED) throw std::bad_alloc();
   return static_cast<Liveness::Page*>(page);
 }

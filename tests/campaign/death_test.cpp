@@ -114,8 +114,8 @@ TEST_F(Deaths, OfEachKindAreSeenToldAndMendedAndNobodyElseNotices) {
   double worst_ms = 0;
   int deaths = 0;
   for (int round = 0; round < number_from("FIONA_DEATHS", 1); ++round) {
-    for (const std::string library : {"reads-nowhere", "aborts", "overflows-stack", "frees-twice", "exits",
-                                      "kills-itself", "throws-from-thread"}) {
+    for (const std::string library :
+         {"reads-nowhere", "aborts", "overflows-stack", "frees-twice", "exits", "kills-itself", "throws-from-thread"}) {
       die(library, fmt::format("cage{}", ++deaths));
       ASSERT_FALSE(HasFatalFailure());
       worst_ms = std::max(worst_ms, system.port("stopwatch.samples").latency_p99_ms());
@@ -130,7 +130,8 @@ TEST_F(Deaths, OfEachKindAreSeenToldAndMendedAndNobodyElseNotices) {
   EXPECT_EQ(witness.outcomes[ok] + witness.open, witness.asked) << "answers lost by who did not die";
   EXPECT_EQ(system.port("stopwatch.samples").dropped(), 0U);
   std::cout << fmt::format(
-      "{} deaths; others: {} answers, {} messages, 0 lost; p99 of a message {:.2f} ms in calm, {:.2f} ms at worst (bound "
+      "{} deaths; others: {} answers, {} messages, 0 lost; p99 of a message {:.2f} ms in calm, {:.2f} ms at worst "
+      "(bound "
       "+ {:.0f} ms); the machine stood still for {:.0f} ms at most\n",
       deaths, witness.outcomes[ok], system.port("stopwatch.samples").messages(), calm_ms, worst_ms, kLater_ms,
       pulse.longest_ms());

@@ -143,14 +143,16 @@ class Thousand : public testing::Test {
   std::filesystem::path socket() const { return directory.path / "host.sock"; }
 
   const bool full = number_from("FIONA_COMPONENTS", 0) > 0;
-  const int components = std::max(4 * kGroupSize, number_from("FIONA_COMPONENTS", 60)) / (2 * kGroupSize) * 2 * kGroupSize;
+  const int components =
+      std::max(4 * kGroupSize, number_from("FIONA_COMPONENTS", 60)) / (2 * kGroupSize) * 2 * kGroupSize;
   const unsigned seed =
       static_cast<unsigned>(number_from("FIONA_SEED", static_cast<int>(std::random_device{}() % 1'000'000)));
   std::mt19937 random{seed};
   const TemporaryDirectory directory;
   console::Reactor reactor;
-  console::HostProcess host{
-      reactor, {os::program_directory() / "fiona-host", socket(), "crowd", directory.path / "store"}, [](const std::string&) {}};
+  console::HostProcess host{reactor,
+                            {os::program_directory() / "fiona-host", socket(), "crowd", directory.path / "store"},
+                            [](const std::string&) {}};
   console::ControlClient client{reactor, console::Endpoint{.socket = socket()}, std::chrono::seconds(60)};
   const os::Descriptor nothing{::open("/dev/null", O_WRONLY | O_CLOEXEC)};
 };
@@ -167,7 +169,8 @@ TEST_F(Thousand, StartsIsListedRewiredAndLosesGroupsWithoutHarmToTheRest) {
 
   double memory_mib = 0;
   for (const pid_t process : all_processes()) memory_mib += proportional_mib(process);
-  std::cout << fmt::format("memory of all, PSS {:.0f} MiB (bound {:.0f} MiB for a thousand)\n", memory_mib, kMemory_mib);
+  std::cout << fmt::format("memory of all, PSS {:.0f} MiB (bound {:.0f} MiB for a thousand)\n", memory_mib,
+                           kMemory_mib);
   if (!kKeepsWhatIsFreed) {
     EXPECT_LE(memory_mib, full ? kMemory_mib * components / kComponents : kMemory_mib);
   }

@@ -22,8 +22,8 @@ double wrapped(double angle_rad) {
   return rest < 0.0 ? rest + 2 * std::numbers::pi : rest;
 }
 
-/// The attitude turns phone axes to east, magnetic north, up; an orientation has device axes (x to the phone's top, y to
-/// its left) and magnetic north, west, up.
+/// The attitude turns phone axes to east, magnetic north, up; an orientation has device axes (x to the phone's top, y
+/// to its left) and magnetic north, west, up.
 localisation::CommOrientation orientation_of(const Eigen::Quaterniond& attitude, double heading_sd_rad) {
   const auto in_world = [&](const Eigen::Vector3d& phone) {
     const Eigen::Vector3d v = attitude * phone;
