@@ -301,8 +301,7 @@ PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const
   check_before_opening(name, files, interface);
   open_needed(name, files);
   auto library = load(name, own);
-  for (const auto& file : interface.descriptors().file())
-    proto_owners_.emplace(file.name(), ProtoOwner{name, own.path()});
+  for (const auto& file : interface.descriptors().file()) proto_owners_.emplace(file.name(), name);
   return *libraries_.emplace(own.path(), std::move(library)).first->second;
 }
 
