@@ -38,7 +38,7 @@ TEST(NewPlugin, ANameIsOneOfPackagesAndOfCpp) {
 TEST(NewPlugin, EveryServiceOfThePlatformHasItsParts) {
   for (const auto* service : platform_services()) {
     for (const bool provides : {true, false}) {
-      NewPlugin plugin{"acme", "some-thing", {}, {}};
+      NewPlugin plugin{.publisher = "acme", .name = "some-thing"};
       (provides ? plugin.provided : plugin.needed).push_back(service);
       const auto files = new_plugin_files(plugin);
       const std::string port = port_name_of(service->name()) + "_{*this, \"" + port_name_of(service->name()) + "\"";
@@ -51,14 +51,16 @@ TEST(NewPlugin, EveryServiceOfThePlatformHasItsParts) {
 
 TEST(NewPlugin, AServiceThatIsProvidedAndRequiredGivesTwoPorts) {
   const auto* service = platform_services().front();
-  const std::string header = new_plugin_files({"acme", "filter", {service}, {service}}).at("src/filter.hpp");
+  const std::string header =
+      new_plugin_files({.publisher = "acme", .name = "filter", .provided = {service}, .needed = {service}})
+          .at("src/filter.hpp");
   const std::string port = port_name_of(service->name());
   EXPECT_THAT(header, HasSubstr("\"" + port + "\""));
   EXPECT_THAT(header, HasSubstr("\"" + port + "_2\""));
 }
 
 TEST(NewPlugin, ItsManifestIsReadByThePackager) {
-  const auto files = new_plugin_files({"acme-corp", "step-counter", {}, {}});
+  const auto files = new_plugin_files({.publisher = "acme-corp", .name = "step-counter"});
   const auto manifest = marketplace::parse_manifest(files.at("manifest.textproto"), "manifest");
   EXPECT_EQ(marketplace::full_name(manifest), "acme-corp/step-counter");
   EXPECT_TRUE(files.contains("proto/acme_corp/step_counter/params.proto"));
