@@ -72,6 +72,13 @@ function stop(signal = "SIGKILL") {
 }
 
 const failures = [];
+/// The page that claims are about: one that does not hold is told with what it shows.
+let shown = null;
+async function whatIsShown() {
+  const text = await shown?.locator("body").innerText({ timeout: 2000 }).catch((error) => String(error));
+  return `the page shows:\n${text ?? "nothing"}`.split("\n").slice(0, 60).join("\n        | ");
+}
+
 async function claim(what, test) {
   try {
     await test();
@@ -79,6 +86,7 @@ async function claim(what, test) {
   } catch (error) {
     failures.push(what);
     console.log(`FAILED  ${what}\n        ${String(error.message ?? error).split("\n").slice(0, 12).join("\n        ")}`);
+    console.log(`        ${await whatIsShown()}`);
   }
 }
 
@@ -139,6 +147,7 @@ try {
   const origin = new URL(url).origin;
   const context = await browser.newContext({ viewport: { width: 390, height: 844 }, deviceScaleFactor: 2, hasTouch: true });
   const page = await context.newPage();
+  shown = page;
   const troubles = [];
   page.on("pageerror", (error) => troubles.push(String(error)));
   page.on("console", (message) => message.type() === "error" && troubles.push(message.text()));
