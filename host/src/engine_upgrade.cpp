@@ -79,6 +79,7 @@ void Engine::take_over(const TransactionPtr& transaction) {
   watched_[watched->instance] = watched;
   watch(watched);  // first: what waits in the queue may be about it
   finish(transaction);
+  transaction->answer = nullptr;  // each would keep the other
 }
 
 void Engine::watch(const WatchedPtr& watched) {

@@ -104,6 +104,7 @@ class Exhaustion : public testing::Test {
   }
   /// The host lives and hears what it heard before, at next to no cost; afterwards it answers.
   void expect_well(SupervisedHost& host, TestConsole& console, std::unique_ptr<Crowd> crowd) {
+    SCOPED_TRACE(host.said());
     const pid_t process = host.host();
     EXPECT_GT(crowd->size(), kFew) << "more than it could take";
     const std::uint64_t before = heard(console);

@@ -139,7 +139,7 @@ TEST_P(UpgradeToABadOne, IsNotMadeAndSaysWhy) {
 
 INSTANTIATE_TEST_SUITE_P(
     Each, UpgradeToABadOne,
-    testing::Values(Bad{"dies_when_opened=1", "has ended group 'x' while it was loaded: killed by signal 11"},
+    testing::Values(Bad{"dies_when_opened=1", "has ended group 'x' while it was loaded: killed by signal 6"},
                     Bad{"dies_in_start=1", "has ended group 'x' while it was loaded: killed by signal 6"},
                     Bad{"refuses=1", "the antenna does not fit"},
                     Bad{"hangs_in_start=1", "'x' was stuck in its start for 10."},

@@ -46,7 +46,7 @@ std::filesystem::path beside_library() {
 }
 
 const bool kOpened = [] {
-  if (word(read(beside_library()), "dies_when_opened") > 0) ::raise(SIGSEGV);
+  if (word(read(beside_library()), "dies_when_opened") > 0) ::raise(SIGABRT);
   return true;
 }();
 
