@@ -86,6 +86,7 @@ class Shadowing {
         near.push_back(j);
       }
     }
+    if (near.empty()) return result;  // Eigen's solver reads the first element
     Eigen::MatrixXd to(static_cast<Eigen::Index>(points_.size()), static_cast<Eigen::Index>(near.size()));
     for (Eigen::Index j = 0; j < to.cols(); ++j) {
       for (Eigen::Index i = 0; i < to.rows(); ++i)
