@@ -12,28 +12,19 @@
 #include "beacon_filter.hpp"
 #include "fiona/building/building.hpp"
 #include "level_map.hpp"
+#include "timing.hpp"
 
 namespace {
 
 namespace beacons = fiona::beacons;
 using beacons::Time;
+using fiona::bench::milliseconds_of;
+using fiona::bench::percentile;
 
 constexpr double kMost_ms = 30;
 constexpr std::size_t kParticles = 2000;
 constexpr int kSeconds = 300;
 constexpr double kRound_m = 10.0;  // radius of the walk
-
-template <class F>
-double milliseconds_of(F work) {
-  const auto begun = std::chrono::steady_clock::now();
-  work();
-  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begun).count();
-}
-
-double percentile(std::vector<double>& times, double share) {
-  std::sort(times.begin(), times.end());
-  return times[static_cast<std::size_t>(share * static_cast<double>(times.size() - 1))];
-}
 
 beacons::BeaconMap map_of(const fiona::building::Building& building) {
   beacons::BeaconMap map;

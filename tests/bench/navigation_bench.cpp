@@ -18,10 +18,13 @@
 #include "level_plan.hpp"
 #include "planner.hpp"
 #include "task_graph.hpp"
+#include "timing.hpp"
 
 namespace {
 
 namespace fs = std::filesystem;
+using fiona::bench::milliseconds_of;
+using fiona::bench::percentile;
 using fiona::building::Building;
 using fiona::building::PathPoint;
 using fiona::building::RouteOptions;
@@ -40,18 +43,6 @@ Building read_station(const fs::path& packed) {
   Building building = Building::read(plain);
   fs::remove(plain);
   return building;
-}
-
-template <class F>
-double milliseconds_of(F work) {
-  const auto begun = std::chrono::steady_clock::now();
-  work();
-  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begun).count();
-}
-
-double percentile(std::vector<double>& times, double share) {
-  std::sort(times.begin(), times.end());
-  return times[static_cast<std::size_t>(share * static_cast<double>(times.size() - 1))];
 }
 
 /// A way, or none where the planner proves that there is none.

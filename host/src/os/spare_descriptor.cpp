@@ -49,8 +49,9 @@ class Spare {
   Descriptor spare_;
 };
 
+/// Not destroyed: threads that listen may outlive the end of `main`.
 Spare& spare() {
-  static Spare one;
+  static Spare& one = *new Spare;
   return one;
 }
 
