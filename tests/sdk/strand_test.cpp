@@ -159,10 +159,14 @@ TEST(VirtualClock, CancelledStopDoesNotRun) {
 class Receiver final : public Component {
  public:
   using Component::Component;
+  std::chrono::milliseconds takes{0};  ///< a message, of the machine's time
   const std::vector<std::uint64_t>& seen() const { return seen_; }
 
  private:
-  void on_number(const Number& number) { seen_.push_back(number.value()); }
+  void on_number(const Number& number) {
+    std::this_thread::sleep_for(takes);
+    seen_.push_back(number.value());
+  }
   std::vector<std::uint64_t> seen_;
   Requires<Numbers> each_{*this, "each", &Receiver::on_number};
   Requires<Numbers> newest_{*this, "newest", &Receiver::on_number, {.delivery = Delivery::Newest}};
@@ -192,6 +196,14 @@ class Inboxes : public ::testing::Test {
   KeptEvents events;
   Made<Receiver> receiver{"receiver", executor, clock, events};
 };
+
+TEST_F(Inboxes, OfAVirtualClockAreServedInAnOrderThatDoesNotDependOnTheMachinesSpeed) {
+  receiver->takes = 5ms;
+  for (const std::uint64_t value : {1, 2, 3, 4}) inbox("each").push(parcel(value, 1));
+  inbox("orders").push(parcel(5, 1));
+  executor.help();
+  EXPECT_THAT(receiver->seen(), ElementsAre(1, 2, 3, 4, 5));
+}
 
 TEST_F(Inboxes, FullPushInboxLosesItsOldestCounted) {
   for (std::uint64_t value = 1; value <= 10; ++value)
