@@ -48,9 +48,12 @@ struct Hall {
         field(std::make_shared<const BeaconField>(map)),
         filter(field, std::make_shared<const FloorPlan>(plan_map), map.accuracy(), map.radio().offset(), options) {}
 
-  void hear(double x, double y, double offset_db = 0.0) {
+  void readings(double x, double y, double offset_db = 0.0) {
     for (int beacon = 0; beacon < 4; ++beacon)
       filter.heard(static_cast<std::uint32_t>(beacon), rssi_dbm(x, y, beacon) + offset_db);
+  }
+  void hear(double x, double y, double offset_db = 0.0) {
+    readings(x, y, offset_db);
     filter.advance(now += 1000ms);
   }
 
@@ -185,6 +188,30 @@ TEST(BeaconFilter, AWallHoldsBackWhoseStepsRunIntoIt) {
     return hall.filter.estimate().x_m;
   };
   EXPECT_LT(walked(true), walked(false) - 2.0);
+}
+
+TEST(BeaconFilter, WhatWasHeardOnTheWayHoldsNobodyBack) {
+  Hall hall;
+  for (int i = 0; i < 8; ++i) hall.hear(3, 10);
+  double behind_m = 0.0;
+  int seconds = 0;
+  for (double x = 3; x < 17; x += 1.4, ++seconds) {  // two steps a second, heard in the middle
+    hall.filter.step({0.7, 0.05, 0.0, 0.05});
+    hall.readings(x + 0.7, 10);
+    hall.filter.step({0.7, 0.05, 0.0, 0.05});
+    hall.filter.advance(hall.now += 1s);
+    behind_m += x + 1.4 - hall.filter.estimate().x_m;
+  }
+  EXPECT_NEAR(behind_m / seconds, 0.0, 0.35);
+}
+
+TEST(BeaconFilter, NobodyIsCarriedOffWhileTheyStand) {
+  Hall hall;
+  for (int i = 0; i < 8; ++i) hall.hear(4, 10);
+  hall.filter.step({0.5, 0.05, 0.0, 0.05});
+  hall.hear(4.5, 10);
+  for (int i = 0; i < 15; ++i) hall.hear(16, 10);  // as in a lift: not what is heard here
+  EXPECT_LT(hall.filter.estimate().x_m, 10.0);
 }
 
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {

@@ -310,6 +310,72 @@ TEST(Guide, WhoStandsIsToldAgainUnderAnotherNumber) {
   EXPECT_TRUE(guide.follow(stands, at(8.2)).is_new);
 }
 
+/// North for 10 m to a door, through it, and on for 10 m.
+building::Route through_a_door() {
+  using building::Passage;
+  building::Route route;
+  for (const auto& [y_m, passage] : {std::pair{0.0, Passage::Walk}, std::pair{9.5, Passage::Walk},
+                                     std::pair{10.5, Passage::Door}, std::pair{20.0, Passage::Walk}}) {
+    route.points.push_back({.at = {0, y_m}, .level = 0, .passage = passage});
+  }
+  route.length_m = 20;
+  return route;
+}
+
+TEST(Guide, APlaceThatLeapsTakesNobodyThroughADoorBeforeTheyHaveReacted) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  for (const auto& [t, y_m] : {std::pair{0.0, 8.0}, std::pair{0.2, 12.5}, std::pair{0.4, 12.5}}) {
+    EXPECT_EQ(guide.follow({{{0, y_m}, 0}, 0.0, 1.5}, at(t)).instruction.kind(), Instruction::DOOR) << t;
+  }
+}
+
+TEST(Guide, WhoIsAboutToGoThroughADoorIsNotTurnedToThePath) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0, 1.0}, at(0));
+  EXPECT_EQ(guide.follow({{{0.5, 8.5}, 0}, 70 * kDegree, 1.0}, at(1)).instruction.kind(), Instruction::DOOR);
+  EXPECT_EQ(guide.follow({{{0.5, 8.5}, 0}, 70 * kDegree, 1.0}, at(5)).instruction.kind(), Instruction::TURN);
+}
+
+TEST(Guide, WhoDoesNotGetOnBehindADoorIsToldOfTheDoorAgain) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  std::vector<std::string> said;
+  double y_m = 7;
+  for (double t = 0; t < 14; t += 0.2) {
+    y_m = std::min(12.0, y_m + 0.26);
+    const auto advice = guide.follow({{{0, y_m}, 0}, 0.0, 1.5}, at(t));
+    if (advice.is_new) said.push_back(advice.instruction.text());
+  }
+  EXPECT_THAT(said,
+              ::testing::ElementsAre("Go through the door.", "Go on for 10 m to Room 7.", "Go through the door."));
+}
+
+TEST(Guide, WhoGetsOnNowhereIsSentBackALittle) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  std::vector<std::string> said;
+  for (double t = 0; t < 20; t += 0.2) {
+    const auto advice = guide.follow({{{0, 8}, 0}, 0.0, 1.5}, at(t));
+    if (advice.is_new) said.push_back(advice.instruction.text());
+  }
+  EXPECT_THAT(said, ::testing::ElementsAre("Go straight on for 12 m.", "Go straight on for 12 m.",
+                                           "You do not get on there. Turn around, and walk some steps."));
+}
+
+TEST(Guide, NoiseOfAPlaceDoesNotTurnWhoWalksAlongThePath) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  int turned = 0;
+  for (int i = 0; i < 40; ++i) {
+    const double aside_m = i % 5 < 2 ? 1.2 : -1.2;
+    const auto advice = guide.follow({{{aside_m, 0.26 * i}, 0}, 20 * kDegree, 1.6}, at(0.2 * i));
+    turned += advice.instruction.kind() == Instruction::TURN && advice.instruction.distance() == 0;
+  }
+  EXPECT_EQ(turned, 0);
+}
+
 TEST(Guide, NoDirectionLeadsThroughAWallAnywhereInTheHouse) {
   const Building building = Building::read(FIONA_BUILDING_FILE);
   const LevelPlan plan = plan_of(building);

@@ -249,8 +249,12 @@ void GuidedWalker::step() {
   note_motion(before, height_m);
 }
 
-/// What was heard meanwhile was said on the way: the newest holds.
+/// What was heard meanwhile was said on the way: the newest holds. What is said of a door to one who is going through
+/// one is said of that.
 void GuidedWalker::run(Errand& errand) {
+  for (const Heard& heard : heard_) {
+    if (last_ && heard.said.kind() == last_->said.kind()) done_.insert(heard.said.number());
+  }
   if (heard_.size() > 1) heard_.erase(heard_.begin(), heard_.end() - 1);
   if (errand.points.empty()) {
     if (errand.ride_to) return ride(errand);

@@ -51,10 +51,13 @@ bool BeaconFilter::is_blocked(const Particle& p, double x_m, double y_m) const {
 void BeaconFilter::step(const StepInput& step) {
   steps_ = true;
   walked_m_ += step.length_m;
-  for (Past& past : past_) {
-    past.east_m += step.length_m * std::cos(step.heading_rad);
-    past.north_m += step.length_m * std::sin(step.heading_rad);
-  }
+  const auto walk = [east_m = step.length_m * std::cos(step.heading_rad),
+                     north_m = step.length_m * std::sin(step.heading_rad)](Walked& walked) {
+    walked.east_m += east_m;
+    walked.north_m += north_m;
+  };
+  for (Past& past : past_) walk(past.since);
+  walk(walked_);
   for (Particle& p : particles_) {
     if (options_.heading_bias) p.heading_bias_rad += options_.heading_drift_rad * random_.normal();
     p.step_gain += options_.step_gain_drift * random_.normal();
@@ -74,6 +77,8 @@ void BeaconFilter::heard(std::uint32_t beacon, double rssi_dbm) {
   auto& [sum, count] = readings_[beacon];
   sum += rssi_dbm;
   ++count;
+  heard_at_.east_m += walked_.east_m;
+  heard_at_.north_m += walked_.north_m;
 }
 
 void BeaconFilter::advance(Time now) {
@@ -123,16 +128,25 @@ void BeaconFilter::take_ways(double dt_s) {
 
 /// The mean of n seconds in one place errs less than one of them, by what differs from second to second: the n-th one
 /// adds less and less.
-double BeaconFilter::weight_of_second() {
-  const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
+double BeaconFilter::weight_of_second(double moved) {
   still_s_ = moved >= 0.5 ? 0.0 : still_s_ + 1.0;
   const double still = std::max(options_.still_temper, 1.0 / (1.0 + still_s_));
   return options_.temper * (still + (1.0 - still) * moved);
 }
 
-double BeaconFilter::log_likelihood(const Particle& p, const Second& second, double weight) const {
-  return weight *
-         field_->log_likelihood(field_->at(p.level_index, p.x_m, p.y_m), second, p.offset_db, options_.silence);
+/// Of one who is there now and since then went as the steps say.
+double BeaconFilter::log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const {
+  const double c = p.step_gain * std::cos(p.heading_bias_rad), s = p.step_gain * std::sin(p.heading_bias_rad);
+  const double x = p.x_m - (c * since.east_m - s * since.north_m), y = p.y_m - (s * since.east_m + c * since.north_m);
+  return weight * field_->log_likelihood(field_->at(p.level_index, x, y), second, p.offset_db, options_.silence);
+}
+
+/// Readings of a second come while one walks on: they are those of the place where one was on the average.
+BeaconFilter::Walked BeaconFilter::walked_since_heard() {
+  double count = 0.0;
+  for (const auto& [beacon, reading] : readings_) count += reading.second;
+  const Walked all = std::exchange(walked_, {}), sum = std::exchange(heard_at_, {});
+  return count == 0.0 ? all : Walked{all.east_m - sum.east_m / count, all.north_m - sum.north_m / count};
 }
 
 BeaconFilter::Particle BeaconFilter::anywhere() {
@@ -149,6 +163,7 @@ BeaconFilter::Particle BeaconFilter::anywhere() {
 
 void BeaconFilter::use_second(double dt_s) {
   Second second;
+  const Walked since = walked_since_heard();
   for (const auto& [beacon, reading] : readings_) {
     second.push_back({beacon, static_cast<float>(reading.first / reading.second)});
   }
@@ -157,26 +172,20 @@ void BeaconFilter::use_second(double dt_s) {
   // A second in which nothing was heard may be one in which nobody listened.
   if (second.empty()) return;
   if (particles_.empty()) return start(second);
-  const double weight = weight_of_second();
+  const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
+  const double weight = weight_of_second(moved);
   for (Particle& p : particles_) {
-    p.weight = std::log(std::max(p.weight, 1e-300)) + log_likelihood(p, second, weight);
+    p.weight = std::log(std::max(p.weight, 1e-300)) + log_likelihood(p, second, since, weight);
   }
   const double log_evidence = normalise();
-  past_.push_back({std::move(second), weight, log_evidence, 0.0, 0.0});
+  past_.push_back({std::move(second), weight, log_evidence, since});
   if (past_.size() > kPastSeconds) past_.pop_front();
-  jump_or_resample(dt_s);
+  jump_or_resample(dt_s * moved);
 }
 
-/// Of one who is there now and went as the steps say.
 double BeaconFilter::log_likelihood_of_past(const Particle& p) const {
-  const double c = p.step_gain * std::cos(p.heading_bias_rad), s = p.step_gain * std::sin(p.heading_bias_rad);
   double sum = 0.0;
-  for (const Past& past : past_) {
-    Particle then = p;
-    then.x_m -= c * past.east_m - s * past.north_m;
-    then.y_m -= s * past.east_m + c * past.north_m;
-    sum += log_likelihood(then, past.second, past.weight);
-  }
+  for (const Past& past : past_) sum += log_likelihood(p, past.second, past.since, past.weight);
   return sum;
 }
 
@@ -192,7 +201,7 @@ double BeaconFilter::normalise() {
 void BeaconFilter::start(const Second& second) {
   for (std::size_t i = 0; i < kFirstDraws * options_.particles; ++i) {
     Particle p = anywhere();
-    p.weight = log_likelihood(p, second, options_.temper);
+    p.weight = log_likelihood(p, second, {}, options_.temper);
     particles_.push_back(p);
   }
   normalise();
@@ -201,8 +210,9 @@ void BeaconFilter::start(const Second& second) {
   particles_.swap(scratch_);
 }
 
-/// One second says little: whether the walker is elsewhere is judged by the last ones together.
-void BeaconFilter::jump_or_resample(double dt_s) {
+/// One second says little: whether the walker is elsewhere is judged by the last ones together. Nobody is carried off
+/// unseen while they stand: what is heard in a lift is like nothing on any level, and they are still there.
+void BeaconFilter::jump_or_resample(double moved_s) {
   std::vector<Particle> elsewhere;
   double largest = -1e300, log_evidence = 0.0;
   for (const Past& past : past_) log_evidence += past.log_evidence;
@@ -212,7 +222,7 @@ void BeaconFilter::jump_or_resample(double dt_s) {
   }
   double sum = 0.0;
   for (Particle& p : elsewhere) sum += p.weight = std::exp(p.weight - largest);
-  const double believed = options_.jump_rate_per_s * dt_s;
+  const double believed = (steps_ ? options_.jump_rate_per_s : options_.free_jump_rate_per_s) * moved_s;
   const double log_odds = std::log(believed) + largest + std::log(sum / static_cast<double>(kJumpDraws)) -
                           std::log1p(-believed) - log_evidence;
   const double odds = std::exp(std::min(50.0, log_odds));

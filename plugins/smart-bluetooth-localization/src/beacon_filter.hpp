@@ -31,12 +31,13 @@ struct FilterOptions {
   double heading_bias_sd_rad = 0.15;
   double heading_drift_rad = 0.02;  ///< per step
   double step_gain_sd = 0.08, step_gain_drift = 0.006;
-  double offset_drift_db = 0.1;    ///< per square root of a second
-  double still_diffusion_m = 0.4;  ///< per square root of a second, with steps
-  double free_diffusion_m = 2.0;   ///< the same without a source of steps
-  double through_wall = 0.01;      ///< what remains of a particle's weight that walks through a wall
-  double way_rate_per_s = 0.1;     ///< at which who stands before stairs or a lift is on the other level
-  double jump_rate_per_s = 3e-3;   ///< carried off unseen
+  double offset_drift_db = 0.1;        ///< per square root of a second
+  double still_diffusion_m = 0.4;      ///< per square root of a second, with steps
+  double free_diffusion_m = 2.0;       ///< the same without a source of steps
+  double through_wall = 0.01;          ///< what remains of a particle's weight that walks through a wall
+  double way_rate_per_s = 0.1;         ///< at which who stands before stairs or a lift is on the other level
+  double jump_rate_per_s = 1e-3;       ///< carried off unseen, while walking
+  double free_jump_rate_per_s = 3e-3;  ///< the same without a source of steps
 };
 
 struct StepInput {
@@ -89,12 +90,16 @@ class BeaconFilter {
     std::uint32_t level_index;
     double weight;
   };
+  /// By the steps alone.
+  struct Walked {
+    double east_m = 0.0, north_m = 0.0;
+  };
   using Second = std::vector<Heard>;
   struct Past {
     Second second;
-    double weight;           ///< of its log-likelihood
-    double log_evidence;     ///< of the particles when it came
-    double east_m, north_m;  ///< walked since, by the steps alone
+    double weight;        ///< of its log-likelihood
+    double log_evidence;  ///< of the particles when it came
+    Walked since;         ///< it was heard
   };
 
   bool is_blocked(const Particle& p, double x_m, double y_m) const;
@@ -102,14 +107,15 @@ class BeaconFilter {
   void take_ways(double dt_s);
   void use_second(double dt_s);
   void start(const Second& second);
-  double log_likelihood(const Particle& p, const Second& second, double weight) const;
-  double weight_of_second();
+  double log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const;
+  Walked walked_since_heard();
+  double weight_of_second(double moved);
   Eigen::Vector2d densest_place(std::size_t level_index) const;
   Particle anywhere();
   double normalise();
   void resample(std::size_t count, std::vector<Particle>& into);
   double log_likelihood_of_past(const Particle& p) const;
-  void jump_or_resample(double dt_s);
+  void jump_or_resample(double moved_s);
   std::size_t best_level(double& weight) const;
 
   std::shared_ptr<const BeaconField> field_;
@@ -125,6 +131,8 @@ class BeaconFilter {
   std::vector<Place> places_;  ///< where a person may be, one for each cell of the field
   std::vector<Particle> particles_, scratch_;
   std::map<std::uint32_t, std::pair<double, int>> readings_;  ///< of this second: sum and count, by beacon
+  Walked walked_;                                             ///< since the last second was used
+  Walked heard_at_;                                           ///< the sum of that at the readings
   std::deque<Past> past_;
   std::optional<Time> now_, used_;
   bool steps_ = false;

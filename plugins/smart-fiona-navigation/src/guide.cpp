@@ -34,6 +34,18 @@ constexpr double kBeside_m = 1.2;
 constexpr double kAstray_rad = 50.0 * kDegree;
 constexpr double kAlong_rad = 30.0 * kDegree;
 constexpr auto kThroughDoor = 2s;
+constexpr auto kShutFor = 30s;
+constexpr double kMostBehind_m = 3.5;
+constexpr auto kTurnsBack = 4s;
+constexpr double kThrough_m = 1.0;  ///< on, from where it was told of again, and a door is behind
+/// A place that is less sure than this may leap.
+constexpr double kSure_m = 0.3;
+constexpr double kForward_mps = 1.8;
+constexpr double kBackward_mps = 0.8;
+constexpr double kUnsureOfSide = 0.5;  ///< of a wall: so many standard deviations
+/// Who is told to do something needs so long to begin, and so long to do it.
+constexpr auto kReacts = 1500ms;
+constexpr auto kDoes = 4s;
 constexpr double kThere_m = 1.5;
 constexpr double kMostThere_m = 3.0;
 /// Who does not move is told again.
@@ -64,26 +76,51 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   if (std::abs(at_m_ - said_at_m_) > kMoved_m) said_at_m_ = at_m_, said_since_ = now;
   const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
   const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived && !waits;
-  if (stands) ++key.repeated;
+  if (stands && return_to_door(now)) {
+    key = {phase_of(walker, now), next_, 0};
+  } else if (stands && key.repeated > 0 && walker.heading_rad) {
+    back_ = {*walker.heading_rad + std::numbers::pi, now};
+  } else if (stands) {
+    ++key.repeated;
+  }
+  if (back_ && now - back_->since < kTurnsBack && key.phase != Phase::Arrived) key = {Phase::Back, next_, 0};
   advice.is_new = said_ != key;
   if (advice.is_new) said_at_m_ = at_m_, said_since_ = now;
   fill(advice, key, walker);
+  if (key.phase == Phase::Now && !(told_ && told_->maneuver == key.maneuver)) told_ = Told{key.maneuver, now};
   said_ = key;
   return advice;
+}
+
+/// Who does not get on behind a door has not come through it.
+bool Guide::return_to_door(TimePoint now) {
+  for (std::size_t i = next_; i-- > 0 && at_m_ < maneuvers_[i].end_m + kMostBehind_m;) {
+    if (maneuvers_[i].kind != Instruction::DOOR || (shut_ && shut_->maneuver == i && now - shut_->since < kShutFor))
+      continue;
+    next_ = i;
+    shut_ = Shut{i, at_m_, now};
+    passed_at_ = now;
+    return true;
+  }
+  return false;
 }
 
 void Guide::locate(const Walker& walker, TimePoint now) {
   const auto level = plan_.level_near(walker.place.level, 0.1);
   const Path::Hidden behind_wall = [&](const building::PathPoint& on_path, Passage passage) {
-    return level && passage == Passage::Walk && distance_m(walker.place.at, on_path.at) > 0.3 &&
-           plan_.walled(walker.place.at, on_path.at, *level);
+    const double away_m = distance_m(walker.place.at, on_path.at);
+    // A wall that is nearer than the place is sure says little of the side that one is on.
+    const double unsure_m = kUnsureOfSide * walker.sigma_m;
+    if (!level || passage != Passage::Walk || away_m <= std::max(0.3, unsure_m)) return false;
+    const Point nearer = walker.place.at + (on_path.at - walker.place.at) * (unsure_m / away_m);
+    return plan_.walled(nearer, on_path.at, *level);
   };
   Path::Match match = path_.match(walker.place, std::max(0.0, at_m_ - kBack_m), at_m_ + kAhead_m, behind_wall);
   if (match.off_m > 1.0 || match.off_levels > kOffLevels || match.hidden) {
     const Path::Match further = path_.match(walker.place, at_m_, path_.end_m(), behind_wall);
     if (further.off_m < 1.0 && further.off_levels < 0.3 && !further.hidden) match = further;
   }
-  at_m_ = match.at_m;
+  at_m_ = steadied(match.at_m, walker, now);
   off_m_ = match.off_m;
   const double most_m = std::clamp(2.0 * walker.sigma_m, kOff_m, kMostOff_m);
   const bool wrong = match.off_m > most_m || match.off_levels > kOffLevels || match.hidden;
@@ -94,6 +131,16 @@ void Guide::locate(const Walker& walker, TimePoint now) {
   }
 }
 
+/// Nobody runs: a place that leaps ahead, or back, may leap again.
+double Guide::steadied(double at_m, const Walker& walker, TimePoint now) {
+  const auto before = std::exchange(located_, now);
+  const Passage passage = path_.passage(at_m);
+  const bool walks = passage == Passage::Walk || passage == Passage::Door;
+  if (walker.sigma_m < kSure_m || !walks || !before) return at_m;
+  const double since_s = to_seconds(now - *before);
+  return std::clamp(at_m, at_m_ - kBackward_mps * since_s, at_m_ + kForward_mps * since_s);
+}
+
 bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   if (changes_level(maneuver)) {
     return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < 0.05;
@@ -101,17 +148,23 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   // Who looks through the door goes through it, and has to know by then where to turn behind it.
   const auto rest = turn_to(maneuver.out, walker);
   const bool looks_there = rest && std::abs(*rest) < kAlong_rad;
-  if (maneuver.kind == Instruction::TURN)
-    return at_m_ > maneuver.end_m + 0.5 || (at_m_ > maneuver.at_m - 0.7 && looks_there);
-  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && shut_ != next_);
+  if (maneuver.kind == Instruction::TURN) {
+    const double before_m = std::max(0.7, 1.2 * walker.sigma_m);
+    return at_m_ > maneuver.end_m + 0.5 + 2.0 * walker.sigma_m || (at_m_ > maneuver.at_m - before_m && looks_there);
+  }
+  if (shut_ && shut_->maneuver == next_) return at_m_ >= std::max(maneuver.end_m - 0.2, shut_->at_m + kThrough_m);
+  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there);
 }
 
 void Guide::pass(const Walker& walker, TimePoint now) {
   const std::size_t before = next_;
-  while (next_ > 0 && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m) --next_;
+  const double unsure_m = std::min(walker.sigma_m, 2.0);
+  while (next_ > 0 && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m - unsure_m) --next_;
   // Who seemed to go through a door and still stands before it is told of the door again.
-  if (next_ > 0 && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2) shut_ = --next_;
-  while (next_ + 1 < maneuvers_.size() && has_passed(next(), walker)) ++next_;
+  if (next_ > 0 && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m)
+    shut_ = Shut{--next_, at_m_, now};
+  const auto reacts = [&] { return told_ && told_->maneuver == next_ && now - told_->at < kReacts; };
+  while (next_ + 1 < maneuvers_.size() && !reacts() && has_passed(next(), walker)) ++next_;
   if (next_ != before) passed_at_ = now;
 }
 
@@ -135,32 +188,66 @@ Point Guide::aim(const Walker& walker) const {
   const bool is_there = to_next_m() < 1.0 && next().kind != Instruction::ARRIVE;
   const double far_m =
       is_there ? std::min(next().end_m + kLookAhead_m, path_.end_m()) : std::min(at_m_ + kLookAhead_m, next().at_m);
+  const bool before_shut = shut_ && shut_->maneuver == next_ && at_m_ > next().at_m - 0.5;
+  if (before_shut && next().out != Point{}) return next().out;
   const auto level = plan_.level_near(walker.place.level, 0.1);
+  // Who may as well be on the path is taken to be there, unless a wall is in the way beside it.
+  const Point on_path = path_.place(at_m_).at;
+  const Point ahead = path_.place(far_m).at - on_path;
+  const bool as_if_on_path =
+      off_m_ < walker.sigma_m && !(level && plan_.walled(walker.place.at, walker.place.at + ahead, *level));
+  const Point from = as_if_on_path ? on_path : walker.place.at;
   for (const double at : {far_m, (at_m_ + far_m) / 2.0, at_m_}) {
     const Point to = path_.place(at).at;
-    if (distance_m(walker.place.at, to) < 0.3) continue;
-    if (level && plan_.walled(walker.place.at, to, *level)) continue;
-    return building::unit(to - walker.place.at);
+    if (distance_m(from, to) < 0.3) continue;
+    if (level && plan_.walled(from, to, *level)) continue;
+    return building::unit(to - from);
   }
   return is_there && next().out != Point{} ? next().out : path_.direction(at_m_);
 }
 
 Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
-  if (first_ && at_m_ < kStarted_m && now - begun_ < kStartedFor) return Phase::Start;
+  const bool starts = first_ && (!said_ || said_->phase == Phase::Start);
+  if (starts && at_m_ < kStarted_m && now - begun_ < kStartedFor) return Phase::Start;
   const bool in_it = at_m_ > next().at_m - 0.3;
   const double ahead_m = to_next_m();
   if (changes_level(next()) && in_it) return Phase::Now;
+  // Who was told to go through a door is about to: another word would be taken for another door.
+  const bool does = told_ && told_->maneuver == next_ && now - told_->at < kDoes;
+  if (does && next().kind != Instruction::TURN) return Phase::Now;
   const auto rest = turn_to(aim(walker), walker);
   if (!rest || std::abs(*rest) < kAlong_rad) aligned_ = true;
   if (rest && std::abs(*rest) > kAstray_rad) aligned_ = false;
-  const bool is_there = ahead_m < 1.0 && off_m_ < kBeside_m && next().kind != Instruction::ARRIVE;
+  const bool is_there =
+      ahead_m < 1.0 && off_m_ < std::max(kBeside_m, walker.sigma_m) && next().kind != Instruction::ARRIVE;
   if (!aligned_ && !is_there) return Phase::Align;
   if (next().kind == Instruction::ARRIVE) return Phase::Ahead;
-  return ahead_m <= kNow_m ? Phase::Now : ahead_m <= kAnnounced_m ? Phase::Announced : Phase::Ahead;
+  return nearness(walker);
+}
+
+/// What has been announced, or said to be now, stays so: said again it would be taken for another one.
+Guide::Phase Guide::nearness(const Walker& walker) {
+  if (nearest_.first != next_) nearest_ = {next_, Phase::Ahead};
+  Phase& nearest = nearest_.second;
+  const double ahead_m = to_next_m();
+  const double back_m = 1.0 + 2.0 * walker.sigma_m;
+  // So near there is no time for two sentences.
+  const bool late = nearest == Phase::Ahead && ahead_m <= kNow_m + 1.0;
+  if (ahead_m <= kNow_m || late) {
+    nearest = Phase::Now;
+  } else if (ahead_m <= kAnnounced_m && (nearest != Phase::Now || ahead_m > kNow_m + back_m)) {
+    nearest = Phase::Announced;
+  } else if (ahead_m > kAnnounced_m + back_m) {
+    nearest = Phase::Ahead;
+  }
+  return nearest;
 }
 
 NextTurn::TypeOfTurn Guide::hour(Phase phase, const Walker& walker) const {
   if (phase == Phase::Arrived) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
+  if (phase == Phase::Back)
+    return hour_of(
+        std::remainder(back_->heading_rad - walker.heading_rad.value_or(back_->heading_rad), 2.0 * std::numbers::pi));
   const bool at_turn = (phase == Phase::Now && to_next_m() >= 1.0) || phase == Phase::Announced;
   const Point to = at_turn ? next().out : aim(walker);
   if (to == Point{}) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
@@ -172,10 +259,11 @@ NextTurn::TypeOfTurn Guide::hour(Phase phase, const Walker& walker) const {
 
 void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
   Instruction& made = advice.instruction;
-  const bool now = key.phase == Phase::Start || key.phase == Phase::Align || key.phase == Phase::Arrived;
+  const bool turns = key.phase == Phase::Align || key.phase == Phase::Back;
+  const bool now = key.phase == Phase::Start || turns || key.phase == Phase::Arrived;
   made.set_kind(key.phase == Phase::Arrived ? Instruction::ARRIVE
                 : key.phase == Phase::Start ? Instruction::START
-                : key.phase == Phase::Align ? Instruction::TURN
+                : turns                     ? Instruction::TURN
                 : key.phase == Phase::Ahead ? Instruction::CONTINUE
                                             : next().kind);
   made.set_distance(now ? 0.0 : to_next_m());
@@ -186,7 +274,7 @@ void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
   if (advice.is_new) words_ = words(key, made, walker);
   made.set_text(words_);
   made.set_language("en");
-  if (key.phase == Phase::Start || key.phase == Phase::Align) {
+  if (key.phase == Phase::Start || turns) {
     advice.turn.set_distance_to_turn(0);
     advice.turn.set_type_of_turn(made.hour());
   } else if (key.phase != Phase::Arrived && next().out != Point{}) {
@@ -204,6 +292,7 @@ std::string Guide::words(const Key& key, const Instruction& instruction, const W
               : instruction.hour() == NextTurn::HOUR_12 ? "go straight on"
                                                         : "turn " + direction_words(instruction.hour())) +
              ".";
+    case Phase::Back: return "You do not get on there. Turn around, and walk some steps.";
     case Phase::Align:
       return instruction.hour() == NextTurn::HOUR_6 ? "Turn around."
                                                     : "Turn " + direction_words(instruction.hour()) + " to the path.";

@@ -43,7 +43,7 @@ class Guide {
   double at_m() const { return at_m_; }
 
  private:
-  enum class Phase { Start, Align, Ahead, Announced, Now, Arrived };
+  enum class Phase { Start, Align, Back, Ahead, Announced, Now, Arrived };
   struct Key {
     Phase phase = Phase::Ahead;
     std::size_t maneuver = 0;
@@ -52,10 +52,13 @@ class Guide {
   };
 
   void locate(const Walker& walker, TimePoint now);
+  double steadied(double at_m, const Walker& walker, TimePoint now);
+  bool return_to_door(TimePoint now);
   void pass(const Walker& walker, TimePoint now);
   bool has_passed(const Maneuver& maneuver, const Walker& walker) const;
   bool arrived(const Walker& walker) const;
   Phase phase_of(const Walker& walker, TimePoint now);
+  Phase nearness(const Walker& walker);
   building::Point aim(const Walker& walker) const;
   std::optional<double> turn_to(building::Point direction, const Walker& walker) const;
   hmi::NextTurn::TypeOfTurn hour(Phase phase, const Walker& walker) const;
@@ -73,10 +76,27 @@ class Guide {
 
   double at_m_ = 0.0;
   double off_m_ = 0.0;
+  std::optional<TimePoint> located_{};
   std::size_t next_ = 0;
   TimePoint passed_at_{};
-  std::optional<std::size_t> shut_{};  ///< a door that the walker stood before: passed only once it is behind
+  struct Shut {
+    std::size_t maneuver;
+    double at_m;  ///< where the walker seemed to be when that was found
+    TimePoint since;
+  };
+  std::optional<Shut> shut_{};  ///< a door that the walker stood before: passed only once it is behind
+  struct Told {
+    std::size_t maneuver;
+    TimePoint at;
+  };
+  std::optional<Told> told_{};  ///< what was to be done now, and since when
+  struct Back {
+    double heading_rad;
+    TimePoint since;
+  };
+  std::optional<Back> back_{};  ///< who does not get on is sent back a little: on the move they are found better
   bool aligned_ = true;
+  std::pair<std::size_t, Phase> nearest_{0, Phase::Ahead};  ///< of a maneuver, what has been said of how near it is
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;
   std::string words_;
