@@ -12,22 +12,44 @@ bool offers(const Manifest& manifest, const CompiledProto& proto) {
   });
 }
 
-void add_messages(const Manifest& manifest, const std::string& name, const std::vector<InstalledPackage>& packages,
-                  std::vector<InstalledPackage>& found) {
-  for (const auto& proto : manifest.shared()) {
-    const auto offering = [&proto](const InstalledPackage& package) { return offers(package.manifest, proto); };
-    if (std::ranges::any_of(found, offering)) continue;
-    const auto package = std::ranges::find_if(packages, offering);
-    if (package == packages.end()) {
-      throw Error(
-          ErrorCode::NotFound,
-          {.what = "'" + name + "' was compiled with a form of " + proto.name() + " that nothing installed offers",
-           .next = "plugin messages lists what is offered: build it with that, or install what it was built with"});
+/// The message packages that one package needs, and so on.
+class Needed {
+ public:
+  explicit Needed(const std::vector<InstalledPackage>& packages) : packages_(packages) {}
+
+  void add_of(const Manifest& manifest, const std::string& name) {
+    within_.push_back(name);
+    for (const auto& proto : manifest.shared()) {
+      const auto offering = [&proto](const InstalledPackage& package) { return offers(package.manifest, proto); };
+      if (std::ranges::any_of(found, offering)) continue;
+      const auto package = std::ranges::find_if(packages_, offering);
+      if (package == packages_.end()) refuse_missing(name, proto);
+      if (std::ranges::find(within_, package->name()) != within_.end()) refuse_circle(name, package->name());
+      add_of(package->manifest, package->name());
+      found.push_back(*package);
     }
-    add_messages(package->manifest, package->name(), packages, found);
-    found.push_back(*package);
+    within_.pop_back();
   }
-}
+
+  std::vector<InstalledPackage> found;
+
+ private:
+  [[noreturn]] static void refuse_missing(const std::string& name, const CompiledProto& proto) {
+    throw Error(
+        ErrorCode::NotFound,
+        {.what = "'" + name + "' was compiled with a form of " + proto.name() + " that nothing installed offers",
+         .next = "plugin messages lists what is offered: build it with that, or install what it was built with"});
+  }
+  // Nobody can build that, but anybody can write it into a manifest.
+  [[noreturn]] static void refuse_circle(const std::string& name, const std::string& other) {
+    throw Error(ErrorCode::Failed, {.what = "'" + name + "' says that it was compiled with objects of '" + other +
+                                            "', which cannot be opened before '" + name + "'",
+                                    .next = "market remove " + name + ", and tell its publisher"});
+  }
+
+  const std::vector<InstalledPackage>& packages_;
+  std::vector<std::string> within_;  ///< whose needs are being looked up
+};
 
 }  // namespace
 
@@ -45,9 +67,9 @@ void list_protos(const Interface& interface, Manifest& manifest) {
 
 std::vector<InstalledPackage> messages_of(const Manifest& manifest, const std::string& name,
                                           const std::vector<InstalledPackage>& packages) {
-  std::vector<InstalledPackage> found;
-  add_messages(manifest, name, packages, found);
-  return found;
+  Needed needed(packages);
+  needed.add_of(manifest, name);
+  return std::move(needed.found);
 }
 
 }  // namespace fiona::marketplace

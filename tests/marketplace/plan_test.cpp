@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <fiona/marketplace/compiled_protos.hpp>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/lock.hpp>
@@ -474,6 +475,23 @@ TEST_F(MessagesPlanTest, AreRequiredInSoManyWords) {
   const Error error = error_of([&] { pack(user("1.0.0", "a", "")); });
   EXPECT_EQ(error.text().what, "it was compiled with acme/rooms.proto, and requires no package of acme");
   EXPECT_EQ(error.text().expected, "requirements: \"acme/NAME\", the package that offers it");
+}
+
+TEST(CompiledProtos, OfPackagesThatSayThatEachNeedsTheOtherAreRefused) {
+  const auto package = [](const std::string& publisher, const std::string& needed) {
+    InstalledPackage one;
+    one.manifest.set_publisher(publisher);
+    one.manifest.set_name("rooms");
+    one.manifest.add_offered()->set_name(publisher + "/rooms.proto");
+    one.manifest.add_shared()->set_name(needed + "/rooms.proto");
+    return one;
+  };
+  const std::vector packages{package("acme", "globex"), package("globex", "acme"), package("hooli", "hooli")};
+  EXPECT_EQ(error_of([&] { messages_of(packages[0].manifest, "acme/rooms", packages); }).text().what,
+            "'globex/rooms' says that it was compiled with objects of 'acme/rooms', which cannot be opened before "
+            "'globex/rooms'");
+  EXPECT_EQ(error_of([&] { messages_of(packages[2].manifest, "hooli/rooms", packages); }).text().next,
+            "market remove hooli/rooms, and tell its publisher");
 }
 
 TEST_F(PlanTest, ManifestsThatRequireNonsenseAreRefused) {

@@ -14,8 +14,8 @@ namespace fiona::marketplace {
 void list_protos(const Interface& interface, Manifest& manifest);
 
 /// The message packages among these whose proto files a package shares, with those that they share in turn, each
-/// before who needs it. Throws fiona::Error (NotFound) with `name` where nobody offers one in the form that it was
-/// compiled with.
+/// before who needs it. Throws fiona::Error with `name` where nobody offers one in the form that it was compiled with
+/// (NotFound), and where packages say that each needs the other (Failed).
 std::vector<InstalledPackage> messages_of(const Manifest& manifest, const std::string& name,
                                           const std::vector<InstalledPackage>& packages);
 
