@@ -5,6 +5,10 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
 #include "fiona/error.hpp"
 #include "os/process.hpp"
 
@@ -13,46 +17,61 @@ namespace {
 
 constexpr int kVerdict = 3;
 
-std::tuple<std::uint64_t, std::uint64_t, std::int64_t> identity_of(const std::filesystem::path& library) {
-  struct stat file {};
-  ::stat(library.c_str(), &file);
-  return {file.st_dev, file.st_ino, std::int64_t{file.st_mtim.tv_sec} * 1'000'000'000 + file.st_mtim.tv_nsec};
+constexpr const char* kHangs = "opening it does not come to an end: a static constructor hangs";
+
+bool becomes_readable(int descriptor, std::chrono::steady_clock::time_point end) {
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
+  pollfd wait{descriptor, POLLIN, 0};
+  return ::poll(&wait, 1, static_cast<int>(std::max(left.count(), std::int64_t{0}))) > 0;
 }
 
 /// How opening it ended; empty: as it should.
 std::string fault_of(const PluginLibraries::Files& files) {
   int ends[2];
-  if (::pipe2(ends, O_CLOEXEC) != 0) return "";
+  if (::pipe2(ends, O_CLOEXEC) != 0) {
+    throw Error(ErrorCode::Failed, {.what = "a library cannot be tried before it is opened: no pipe can be made",
+                                    .found = std::strerror(errno),
+                                    .next = "ulimit -n gives the host more descriptors"});
+  }
   const os::Descriptor ours(ends[0]);
   os::Descriptor theirs(ends[1]);
   std::vector<std::string> arguments{"--try"};
   for (const auto& file : files)
     arguments.insert(arguments.end(), {file.path(), file.blake2b(), std::to_string(file.size())});
+  const auto end = std::chrono::steady_clock::now() + Trials::kWithin;
   os::ChildProcess trial(os::program_directory() / "fiona-group", arguments, {{theirs.get(), kVerdict}});
   theirs.reset();
-  pollfd wait{ours.get(), POLLIN, 0};
-  if (::poll(&wait, 1, static_cast<int>(Trials::kWithin.count())) <= 0) {
-    return "opening it does not come to an end: a static constructor hangs";
-  }
+  if (!becomes_readable(ours.get(), end)) return kHangs;
   char said[300];
   const ssize_t length = ::read(ours.get(), said, sizeof said);
   if (length > 0) return std::string(said + 1, static_cast<std::size_t>(length) - 1);
-  wait = {trial.descriptor(), POLLIN, 0};
-  ::poll(&wait, 1, static_cast<int>(Trials::kWithin.count()));
+  if (!becomes_readable(trial.descriptor(), end)) return kHangs;
   return "opening it ends the process: a static constructor " + trial.end();
 }
 
 }  // namespace
 
+std::vector<Trials::File> Trials::identities_of(const PluginLibraries::Files& files) {
+  std::vector<File> identities;
+  for (const auto& file : files) {
+    struct stat found {};
+    ::stat(file.path().c_str(), &found);
+    identities.emplace_back(file.path(), found.st_dev, found.st_ino,
+                            std::int64_t{found.st_mtim.tv_sec} * 1'000'000'000 + found.st_mtim.tv_nsec);
+  }
+  return identities;
+}
+
 void Trials::require(const std::string& plugin, const PluginLibraries::Files& files) {
   const std::filesystem::path library = files.rbegin()->path();
-  const auto file = identity_of(library);
-  auto known = verdicts_.find(library);
-  if (known == verdicts_.end() || known->second.file != file) {
-    known = verdicts_.insert_or_assign(library, Verdict{file, fault_of(files)}).first;
-  }
-  if (known->second.fault.empty()) return;
-  throw Error(ErrorCode::Failed, {.what = "plugin '" + plugin + "' cannot be loaded: " + known->second.fault,
+  const auto tried = identities_of(files);
+  const auto known = verdicts_.find(library);
+  const bool holds = known != verdicts_.end() && known->second.files == tried;
+  const std::string fault = holds ? known->second.fault : fault_of(files);
+  // A machine that stood still looks like a library that hangs: the next who asks has it tried again.
+  if (fault != kHangs) verdicts_.insert_or_assign(library, Verdict{tried, fault});
+  if (fault.empty()) return;
+  throw Error(ErrorCode::Failed, {.what = "plugin '" + plugin + "' cannot be loaded: " + fault,
                                   .where = library.string(),
                                   .next = "tell the publisher"});
 }

@@ -14,6 +14,7 @@
 
 #include "fiona/error.hpp"
 #include "system_fixture.hpp"
+#include "trial.hpp"
 
 namespace fiona::host {
 namespace {
@@ -147,6 +148,49 @@ INSTANTIATE_TEST_SUITE_P(
                     Animal{"exits-when-opened", "opening it ends the process: a static constructor exited with code 0"},
                     Animal{"hangs-when-opened", "opening it does not come to an end: a static constructor hangs"}),
     name_of);
+
+/// A plugin beside a library of messages that it needs, both of them copies.
+class ZooTrialVerdict : public testing::Test {
+ protected:
+  ZooTrialVerdict() {
+    put("libzoo-poses.so", "messages-1/libzoo-poses.so");
+    put("libpose-reader.so", "messages-1/libpose-reader.so");
+  }
+  void put(const std::string& name, const std::string& built) const {
+    std::filesystem::remove(directory.path / name);
+    std::filesystem::copy_file(std::filesystem::path(ZOO_DIRECTORY) / built, directory.path / name);
+  }
+  std::string verdict() {
+    PluginLibraries::Files files;
+    for (const std::string name : {"libzoo-poses.so", "libpose-reader.so"})
+      files.Add()->set_path((directory.path / name).string());
+    try {
+      trials.require("zoo/pose-reader", files);
+    } catch (const Error& error) {
+      return error.text().what;
+    }
+    return "";
+  }
+
+  const conformance::TemporaryDirectory directory;
+  Trials trials;
+};
+
+TEST_F(ZooTrialVerdict, IsDroppedWhenTheLibraryChanges) {
+  EXPECT_EQ(verdict(), "");
+  put("libpose-reader.so", "libtraps-when-opened.so");
+  EXPECT_THAT(verdict(), HasSubstr("opening it ends the process"));
+  put("libpose-reader.so", "messages-1/libpose-reader.so");
+  EXPECT_EQ(verdict(), "");
+}
+
+TEST_F(ZooTrialVerdict, IsDroppedWhenTheMessagesChangeThatItIsLinkedWith) {
+  EXPECT_EQ(verdict(), "");
+  put("libzoo-poses.so", "libtraps-when-opened.so");
+  EXPECT_THAT(verdict(), HasSubstr("opening it ends the process"));
+  put("libzoo-poses.so", "messages-1/libzoo-poses.so");
+  EXPECT_EQ(verdict(), "");
+}
 
 TEST_F(ZooGroup, ThatThrowsWhenItIsOpenedIsRefusedWithWhatItThrew) {
   const auto error = load("throws-when-opened.so", "cage");
