@@ -267,7 +267,7 @@ std::vector<Verb> remaining_verbs() {
               "[--publisher NAME] [DIR]",
               "plugin describe LIBRARY [-o FILE] [with unconfined]", "plugin test [DIR] [for T] [with unconfined]",
               "plugin check [DIR|LIBRARY|FILE] [with unconfined]",
-              "plugin pack [DIR] [-o FILE] [for T] [with unconfined]", "plugin sign FILE …",
+              "plugin pack [DIR] [-o FILE] [for T] [with unconfined]", "plugin sign FILE … [after=FILE]",
               "plugin messages [PACKAGE]"}),
        "the author's side: makes a plugin, tests it, checks it, packs it and signs the package",
        "`new` writes a folder that builds and passes its tests at once: a component with these ports, its parameters, "
@@ -281,7 +281,9 @@ std::vector<Verb> remaining_verbs() {
        "`check` says what would keep it from being published, with the place and what to do; of DIR, a library or a "
        "package. -v lists what is well.\n"
        "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. `sign` writes "
-       "PUBLISHER.json beside it: what the publisher's key (keys new PUBLISHER) has signed.\n"
+       "PUBLISHER.json beside it: what the publisher's key (keys new PUBLISHER) has signed. Who has lost that, or the "
+       "key, signs "
+       "`after` what the marketplace has: metadata/NUMBER.PUBLISHER.json.\n"
        "`describe` shows what a library declares, or writes it to FILE, as its interface. `messages` lists the "
        "installed "
        "packages whose objects a plugin can be compiled with: fiona_add_plugin(… MESSAGES PACKAGE).\n"

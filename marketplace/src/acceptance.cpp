@@ -168,27 +168,43 @@ class Acceptance {
     }
     const tuf::RoleContent role = tuf::read_role(role_file, *key, file_name);
     const auto known = repository_.key_ids_of(publisher);
-    if (known != std::vector<std::string>{tuf::key_id_of(*key)}) {
-      if (std::ranges::find(welcome, publisher) == welcome.end()) {
-        result_.unknown.push_back({publisher, *key, !known.empty()});
-        return;
-      }
-      repository_.delegate(publisher, {*key}, {publisher + "/*"});
-    }
-    const std::int64_t here = repository_.version_of(publisher);
-    if (role.version < here) {
-      result_.refused.push_back(
-          fmt::format("{}: it is version {}, and version {} is here already; its publisher signs the next one where "
-                      "that is kept, or "
-                      "begins with a copy of metadata/{}.{} as signing/{}",
-                      file_name, role.version, here, here, file_name, file_name));
+    const bool is_known = known == std::vector<std::string>{tuf::key_id_of(*key)};
+    if (!is_known && std::ranges::find(welcome, publisher) == welcome.end()) {
+      result_.unknown.push_back({publisher, *key, !known.empty()});
       return;
     }
-    if (role.version > here) {
-      take_packages(publisher, role);
-      repository_.take_role(publisher, role_file);
+    if (is_known && says_what_is_here(publisher, role)) return done_.push_back(file_name);
+    if (const std::string fault = role_fault(file_name, publisher, role); !fault.empty()) {
+      result_.refused.push_back(file_name + ": " + fault);
+      return;
     }
+    take_packages(publisher, role);
+    // Not before: a publisher whose file is not taken keeps the key that his file here is signed with.
+    if (!is_known) repository_.delegate(publisher, {*key}, {publisher + "/*"});
+    repository_.take_role(publisher, role_file);
     done_.push_back(file_name);
+  }
+
+  bool says_what_is_here(const std::string& publisher, const tuf::RoleContent& role) const {
+    if (role.version != repository_.version_of(publisher)) return false;
+    const auto here = repository_.targets_of(publisher);
+    const auto is_here = [&here](const tuf::TargetInfo& target) {
+      const auto* found = find_target(here, target.path);
+      return found != nullptr && found->hashes.at("sha256") == target.hashes.at("sha256");
+    };
+    return role.targets.size() == here.size() && std::ranges::all_of(role.targets, is_here);
+  }
+
+  // Why a publisher's file cannot take the place of the one that is here. Empty: it can.
+  std::string role_fault(const std::string& file_name, const std::string& publisher,
+                         const tuf::RoleContent& role) const {
+    if (role.expires <= now_of(options_)) return "it has expired; its publisher is to sign again: fiona plugin sign";
+    const std::int64_t here = repository_.version_of(publisher);
+    if (role.version > here) return {};
+    return fmt::format(
+        "it is version {}, and version {} is here already; its publisher is to sign after that: fiona plugin sign FILE "
+        "after={}",
+        role.version, here, (how_.directory / "metadata" / fmt::format("{}.{}", here, file_name)).string());
   }
 
   // All that the role signs for must be there or have come; what it signs for no longer is withdrawn.

@@ -19,6 +19,27 @@ namespace filesystem = std::filesystem;
                                                  .next = "fiona plugin sign " + package.string()});
 }
 
+void sign_after(const std::string& publisher, const filesystem::path& published, const KeeperOptions& options) {
+  const auto file = content_if_there(published);
+  const auto claimed = file ? tuf::claimed_key(*file, published.string()) : std::nullopt;
+  if (!claimed) {
+    throw Error(file ? ErrorCode::BadSignature : ErrorCode::NotFound,
+                ErrorText{.what = file ? "this is not what a publisher has signed" : "there is no such file",
+                          .where = published.string(),
+                          .expected = "what a marketplace has of him: metadata/NUMBER." + publisher + ".json",
+                          .next = "fetch it from there"});
+  }
+  const tuf::SigningKey key = options.keys.get(publisher);
+  const tuf::RoleContent role = tuf::read_role(*file, *claimed, published.string());
+  const auto kept = options.keys.signed_role(publisher);
+  if (kept && tuf::read_role(*kept, key.open(), publisher + ".json").version >= role.version) return;
+  // What another key has signed for is that key's: of it the number counts, and nothing else.
+  const auto own = [&] {
+    return tuf::next_role(kept, key, {}, false, now_of(options) + options.lifetimes.targets, role.version + 1);
+  };
+  options.keys.keep_signed_role(publisher, *claimed == key.open() ? *file : own());
+}
+
 }  // namespace
 
 std::string signed_role(const std::string& publisher, const std::vector<ReadPackage>& packages, bool only,
@@ -44,9 +65,11 @@ std::string signed_role(const std::string& publisher, const std::vector<ReadPack
   return role;
 }
 
-filesystem::path sign_package(const filesystem::path& package, const KeeperOptions& options) {
+filesystem::path sign_package(const filesystem::path& package, const KeeperOptions& options,
+                              const filesystem::path& after) {
   const ReadPackage read = read_for_keeping(package, options);
   const std::string publisher = read.entry.manifest().publisher();
+  if (!after.empty()) sign_after(publisher, after, options);
   const std::string role = signed_role(publisher, {read}, false, options);
   const OsCalls os = system_calls();
   const filesystem::path beside = filesystem::absolute(package).parent_path();

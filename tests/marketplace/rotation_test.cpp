@@ -35,6 +35,13 @@ class Rotation : public KeptMarket {
   void trust_as_user(const std::string& root) {
     tuf::Client::trust(scratch_ / "markets" / tuf::percent_encoded(market_.string()), root);
   }
+  std::filesystem::path published(int version) const {
+    return market_ / "metadata" / (std::to_string(version) + ".acme.json");
+  }
+  Accepted submit_again(const std::string& name) {
+    submit(scratch_ / ("out/" + name + ".fpk"), market_, author());
+    return accept(market_, {"acme"}, keeper());
+  }
   std::string next_version() { return "1.0." + std::to_string(++patch_); }
   void forget_key(const std::string& name) { std::filesystem::remove(keeper().keys.path() / (name + ".key")); }
   tuf::Repository::RoleKeys keys_of(const std::string& role) const {
@@ -134,11 +141,71 @@ TEST_F(Rotation, APublishersKeyIsRenewedAndKeepsWhatWasSigned) {
   EXPECT_THAT(keys_of("acme").keys, ::testing::ElementsAre(key));
 }
 
-TEST_F(Rotation, APublisherWhoHasLostWhatHeSignedIsToldHowToGoOn) {
+TEST_F(Rotation, APublisherWhoHasLostWhatHeSignedGoesOnAfterWhatIsPublished) {
   hand_in(packed("steps", "1.1.0"));
   std::filesystem::remove(author().keys.path() / "acme.json");
-  const Accepted accepted = hand_in(packed("steps", "1.2.0"));
-  EXPECT_THAT(accepted.refused, ::testing::ElementsAre(HasSubstr("it is version 1, and version 2 is here already")));
+  const Accepted refused = hand_in(packed("steps", "1.2.0"));
+  EXPECT_THAT(refused.refused,
+              ::testing::ElementsAre(AllOf(HasSubstr("it is version 1, and version 2 is here already"),
+                                           HasSubstr("fiona plugin sign FILE after=" + published(2).string()))));
+  sign_package(packed("steps", "1.2.0"), author(), published(2));
+  EXPECT_THAT(submit_again("steps-1.2.0").packages, ::testing::SizeIs(1));
+  EXPECT_EQ(install_fault("steps@1.1.0"), "");
+  EXPECT_EQ(install_fault("steps@1.2.0"), "");
+}
+
+TEST_F(Rotation, APublisherWhoSignsAgainWhatIsThereInTheSameVersionIsNotIgnored) {
+  std::filesystem::remove(author().keys.path() / "acme.json");
+  EXPECT_THAT(hand_in(packed("steps", "1.2.0")).refused,
+              ::testing::ElementsAre(HasSubstr("it is version 1, and version 1 is here already")));
+}
+
+/// A publisher whose key is lost has made another.
+class LostKey : public Rotation {
+ protected:
+  void SetUp() override {
+    Rotation::SetUp();
+    hand_in(packed("steps", "1.1.0"));
+    before = author().keys.get("acme").open();
+    std::filesystem::remove_all(author().keys.path());
+    author().keys.make("acme");
+  }
+  tuf::OpenKey before;
+};
+
+TEST_F(LostKey, WhoseFileIsRefusedIsNotTrustedYetAndWhatIsPublishedStays) {
+  EXPECT_THAT(hand_in(packed("steps", "1.2.0")).refused,
+              ::testing::ElementsAre(HasSubstr("it is version 1, and version 2 is here already")));
+  EXPECT_THAT(keys_of("acme").keys, ::testing::ElementsAre(before));
+  EXPECT_EQ(install_fault("steps@1.1.0"), "");
+}
+
+TEST_F(LostKey, SignsWithTheOtherAfterWhatIsPublishedAndForNothingThatItHasNotSeen) {
+  sign_package(packed("steps", "1.2.0"), author(), published(2));
+  EXPECT_THAT(submit_again("steps-1.2.0").packages, ::testing::SizeIs(1));
+  EXPECT_THAT(keys_of("acme").keys, ::testing::ElementsAre(author().keys.get("acme").open()));
+  EXPECT_EQ(install_fault("steps@1.2.0"), "");
+  EXPECT_THAT(install_fault("steps@1.1.0"), HasSubstr("no such version"));
+}
+
+TEST_F(LostKey, SignsAfterAFileOfAPublisherOnly) {
+  EXPECT_EQ(error_of([&] { sign_package(packed("steps", "1.2.0"), author(), scratch_ / "none"); }).code(),
+            ErrorCode::NotFound);
+  EXPECT_EQ(error_of([&] { sign_package(packed("steps", "1.2.0"), author(), market_ / "metadata/2.targets.json"); })
+                .text()
+                .what,
+            "this is not what a publisher has signed");
+}
+
+TEST_F(LostKey, WhoHandsInNothingOfWhatHeSignsForIsNotTrustedYet) {
+  sign_package(packed("steps", "1.2.0"), author(), published(2));
+  submit(scratch_ / "out/steps-1.2.0.fpk", market_, author());
+  for (const auto& entry : std::filesystem::directory_iterator(market_ / "incoming")) {
+    if (entry.path().extension() == ".fpk") std::filesystem::remove(entry.path());
+  }
+  EXPECT_THAT(accept(market_, {"acme"}, keeper()).refused, ::testing::ElementsAre(HasSubstr("has not come with it")));
+  EXPECT_THAT(keys_of("acme").keys, ::testing::ElementsAre(before));
+  EXPECT_EQ(install_fault("steps@1.1.0"), "");
 }
 
 }  // namespace

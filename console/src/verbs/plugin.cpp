@@ -306,8 +306,10 @@ void plugin_messages(Session& session, const Line& line) {
 }
 
 void plugin_sign(Session& session, const Line& line) {
+  const Word* after = line.argument("after");
   for (std::size_t i = 1; i < line.positional.size(); ++i) {
-    const fs::path role = marketplace::sign_package(line.positional[i].text);
+    const fs::path role =
+        marketplace::sign_package(line.positional[i].text, {}, after == nullptr ? fs::path() : fs::path(after->text));
     session.out.done(fmt::format("{} signs for {}", role.string(), line.positional[i].text),
                      {{"file", line.positional[i].text}, {"signed", role.string()}});
   }

@@ -33,9 +33,10 @@ std::optional<OpenKey> claimed_key(std::string_view file, const std::string& sho
 }
 
 std::string next_role(const std::optional<std::string>& before, const SigningKey& key,
-                      const std::vector<TargetInfo>& targets, bool only, Time expires) {
+                      const std::vector<TargetInfo>& targets, bool only, Time expires, std::int64_t version) {
   Json role = before ? role_in(*before) : new_role(kTargets, expires);
   if (before) raise_version(role, expires);
+  role["version"] = std::max(version, role.at("version").get<std::int64_t>());
   role[kKeyMember] = key.open();
   if (only || !role.contains("targets")) role["targets"] = Json::object();
   for (const auto& target : targets) {

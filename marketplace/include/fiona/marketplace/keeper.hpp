@@ -32,8 +32,11 @@ std::string init_market(const std::filesystem::path& market, const KeeperOptions
 
 /// Signs for a package with its publisher's key, which has the publisher's name: the next version of what that
 /// publisher has signed, kept beside the key and written beside the package as PUBLISHER.json. A package that is signed
-/// for already is so again only where half of the time is over. Returns that file.
-std::filesystem::path sign_package(const std::filesystem::path& package, const KeeperOptions& options = {});
+/// for already is so again only where half of the time is over. `after`: what a marketplace has of this publisher,
+/// where that was lost here, or the key; the version follows it, and of what this key has signed there nothing is
+/// withdrawn. Returns that file.
+std::filesystem::path sign_package(const std::filesystem::path& package, const KeeperOptions& options = {},
+                                   const std::filesystem::path& after = {});
 
 /// Puts a package, and PUBLISHER.json from beside it, into the marketplace's `incoming`. Throws fiona::Error: NotFound
 /// where it is not signed, BadSignature where that is not for this package. Returns the publisher.

@@ -109,7 +109,8 @@ RoleContent read_role(std::string_view file, const OpenKey& key, const std::stri
 std::optional<OpenKey> claimed_key(std::string_view file, const std::string& shown);
 
 /// The next version of a role after `before` (if any), with these targets: beside those that it had, or `only` these.
+/// Its version is at least `version`.
 std::string next_role(const std::optional<std::string>& before, const SigningKey& key,
-                      const std::vector<TargetInfo>& targets, bool only, Time expires);
+                      const std::vector<TargetInfo>& targets, bool only, Time expires, std::int64_t version = 1);
 
 }  // namespace fiona::tuf
