@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdlib>
 #include <exception>
 #include <optional>
 
@@ -120,6 +121,10 @@ class CurlTransport final : public Transport {
     set(CURLOPT_FAILONERROR, 1L);
     set(CURLOPT_NOSIGNAL, 1L);
     set(CURLOPT_USERAGENT, "fiona");
+    // As curl's own program does: of an office's own authorities the system need not know.
+    for (const char* name : {"SSL_CERT_FILE", "CURL_CA_BUNDLE"}) {
+      if (const char* file = std::getenv(name); file && *file) set(CURLOPT_CAINFO, file);
+    }
     set(CURLOPT_ERRORBUFFER, error_.data());
     set(CURLOPT_CONNECTTIMEOUT_MS, static_cast<long>(limits_.connect.count()));
     set(CURLOPT_TIMEOUT_MS, static_cast<long>((limits_.connect + limits_.patience + time_for_bytes).count()));
@@ -139,6 +144,13 @@ class CurlTransport final : public Transport {
                        .expected = fmt::format("at least {} bytes per second", limits_.least_bytes_per_second),
                        .found = error_.data(),
                        .next = "try again later or from another mirror"});
+    }
+    if (code == CURLE_PEER_FAILED_VERIFICATION || code == CURLE_SSL_CACERT_BADFILE) {
+      refuse(ErrorCode::Unreachable,
+             ErrorText{.what = "nobody whom this machine knows vouches for the server's certificate",
+                       .where = url,
+                       .found = error_.data(),
+                       .next = "let update-ca-certificates add who does, or name a file: CURL_CA_BUNDLE=FILE"});
     }
     refuse(ErrorCode::Unreachable,
            ErrorText{.what = code == CURLE_HTTP_RETURNED_ERROR ? fmt::format("the server answered {}", status)
