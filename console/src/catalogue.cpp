@@ -113,7 +113,8 @@ std::string loadable(const WordLine& line, const std::string& plugin) {
 
 std::filesystem::path system_path(const std::string& typed, const std::filesystem::path& store) {
   std::error_code failure;
-  if (std::filesystem::exists(typed, failure)) return typed;
+  // A folder is no system: one of a package's name, as its author has it, does not hide the package.
+  if (std::filesystem::exists(typed, failure) && !std::filesystem::is_directory(typed, failure)) return typed;
   const marketplace::Store installed(store.empty() ? marketplace::Store::default_directory() : store);
   for (const auto& package : installed.installed()) {
     const bool meant = package.name() == typed || package.manifest.name() == typed;

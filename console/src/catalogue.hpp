@@ -64,7 +64,8 @@ class Catalogue {
   mutable std::map<const KnownPlugin*, std::unique_ptr<TypeSet>> types_;
 };
 
-/// The system file that somebody means: `typed`, or if there is no such file that of an installed package of this name.
+/// The system file that somebody means: `typed`, or if there is no such file (a folder is none) that of an installed
+/// package of this name.
 std::filesystem::path system_path(const std::string& typed, const std::filesystem::path& store);
 
 }  // namespace fiona::console

@@ -1,5 +1,6 @@
 #include "script.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
@@ -27,6 +28,18 @@ class ScriptSetting {
   const Setting setting_;
 };
 
+std::vector<std::string> system_files_in(const std::filesystem::path& folder) {
+  constexpr std::size_t kMost = 3;
+  std::vector<std::string> files;
+  std::error_code failure;
+  for (std::filesystem::directory_iterator entry(folder, failure);
+       !failure && files.size() < kMost && entry != std::filesystem::directory_iterator(); entry.increment(failure)) {
+    if (entry->path().extension() == ".fiona") files.push_back(entry->path().string());
+  }
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
 }  // namespace
 
 std::string read_text(const std::filesystem::path& file) {
@@ -35,8 +48,10 @@ std::string read_text(const std::filesystem::path& file) {
   if (!std::filesystem::exists(status))
     throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = file.string()});
   if (std::filesystem::is_directory(status))
-    throw Error(ErrorCode::Usage,
-                ErrorText{.what = "this is a directory", .where = file.string(), .expected = "a system file"});
+    throw Error(ErrorCode::Usage, ErrorText{.what = "this is a directory",
+                                            .where = file.string(),
+                                            .expected = "a system file, or the name of an installed system",
+                                            .near = system_files_in(file)});
   std::ifstream in(file, std::ios::binary);
   constexpr std::size_t kMost = (16U << 20U) + 1;  // one more than a script may have: it says that it is too long
   std::string text(kMost, '\0');

@@ -151,8 +151,9 @@ InstalledPackage Store::chosen(const std::vector<InstalledPackage>& packages, st
                                const filesystem::path& where) {
   std::set<std::string> known;
   for (const auto& package : packages) known.insert(package.name());
-  const std::string full =
-      resolve_name(name, known, "there is no installed package", where.string(), "market install " + std::string(name));
+  const std::string next = name.starts_with("unsigned/") ? "fiona run … --unsigned DIR, of a folder that has its .fpk"
+                                                         : "market install " + std::string(name);
+  const std::string full = resolve_name(name, known, "there is no installed package", where.string(), next);
   return *std::ranges::find(packages, full, &InstalledPackage::name);
 }
 
