@@ -71,15 +71,15 @@ std::vector<IndexEntry> newest_where(const Index& index, Wanted&& wanted) {
 }
 
 [[noreturn]] void refuse_version(std::string_view version, const std::vector<IndexEntry>& entries,
-                                 const std::string& where) {
+                                 const Marketplace& from) {
   std::string known;
   for (const auto& entry : entries) known += (known.empty() ? "" : ", ") + entry.manifest().version();
   const std::string name = full_name(entries.front().manifest());
   throw Error(ErrorCode::NotFound, ErrorText{.what = "the marketplace has no such version of " + name,
-                                             .where = where,
+                                             .where = from.source(),
                                              .expected = "one of " + known,
                                              .found = text_fault(version, false).empty() ? std::string(version) : "",
-                                             .next = "market install " + name});
+                                             .next = "market install " + name + from.option()});
 }
 
 void check_entry(const IndexEntry& entry, const std::string& where) {
@@ -188,7 +188,8 @@ std::vector<IndexEntry> Marketplace::search(const std::vector<std::string>& word
 std::vector<IndexEntry> Marketplace::info(std::string_view name) const {
   std::set<std::string> known;
   for (const auto& entry : index_.entries()) known.insert(full_name(entry.manifest()));
-  const std::string full = resolve_name(name, known, "the marketplace has no package", source_, "market search");
+  const std::string full =
+      resolve_name(name, known, "the marketplace has no package", source_, "market search" + option());
   std::vector<IndexEntry> entries;
   for (const auto& entry : index_.entries()) {
     if (full_name(entry.manifest()) == full) entries.push_back(entry);
@@ -204,7 +205,7 @@ PackageRequest Marketplace::resolve(std::string_view request) const {
   if (at == std::string_view::npos) return found;
   found.version = Version::parse(request.substr(at + 1));
   const auto asked_for = [&](const IndexEntry& entry) { return found.version && version_of(entry) == *found.version; };
-  if (std::ranges::none_of(entries, asked_for)) refuse_version(request.substr(at + 1), entries, source_);
+  if (std::ranges::none_of(entries, asked_for)) refuse_version(request.substr(at + 1), entries, *this);
   return found;
 }
 

@@ -83,4 +83,14 @@ Lock read_lock(const std::filesystem::path& path) {
   return parse_lock(read_all(file, kMostLockBytes, path), path.string());
 }
 
+Lock part_of(const Lock& lock, const Marketplace& market) {
+  std::set<std::string> there;
+  for (const auto& entry : market.index().entries()) there.insert(entry.blake2b());
+  Lock part;
+  for (const auto& locked : lock.packages()) {
+    if (there.contains(locked.blake2b())) *part.add_packages() = locked;
+  }
+  return part;
+}
+
 }  // namespace fiona::marketplace

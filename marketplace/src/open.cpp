@@ -121,6 +121,7 @@ filesystem::path fetch_package(tuf::Client& client, const IndexEntry& entry, con
 
 Marketplace open_marketplace(const std::string& location, const OpenOptions& options) {
   const std::string place = canonical_place(location);
+  const bool is_named = place != canonical_place("");
   const filesystem::path trusted = trusted_directory(place, options);
   require_trusted(trusted, place);
   const filesystem::path copy = copies_of(options) / trusted.filename();
@@ -128,7 +129,7 @@ Marketplace open_marketplace(const std::string& location, const OpenOptions& opt
     const auto fetch = [place](const IndexEntry&) -> filesystem::path {
       throw Error(ErrorCode::Unreachable, ErrorText{.what = "the marketplace was not asked", .where = place});
     };
-    return Marketplace{copy, place, Marketplace::Behind{.fetch = fetch}};
+    return Marketplace{copy, place, Marketplace::Behind{.fetch = fetch, .is_named = is_named}};
   }
   const auto client = make_client(trusted, place, options);
   client->refresh();
@@ -138,7 +139,8 @@ Marketplace open_marketplace(const std::string& location, const OpenOptions& opt
                      place,
                      {.fetch = [client, copy](const IndexEntry& entry) { return fetch_package(*client, entry, copy); },
                       .keys = client->signers(),
-                      .first_party = !shipped_root(place).empty()}};
+                      .first_party = !shipped_root(place).empty(),
+                      .is_named = is_named}};
 }
 
 void trust_marketplace(std::string_view root, const std::string& location, const OpenOptions& options) {
@@ -165,11 +167,15 @@ std::vector<TrustedPlace> trusted_marketplaces(const OpenOptions& options) {
        !failure && entry != filesystem::directory_iterator{}; entry.increment(failure)) {
     try {
       const tuf::Root root = tuf::parse_root(content_of_root(entry->path() / "root.json"), "root.json");
-      const auto& ids = root.signers(tuf::kRoot).key_ids;
       const std::string name = entry->path().filename().string();
-      places.push_back({tuf::percent_decoded(name.substr(0, name.find('@'))),
-                        {ids.begin(), ids.end()},
-                        tuf::time_text(root.expires)});
+      auto& place = places.emplace_back();
+      place.location = tuf::percent_decoded(name.substr(0, name.find('@')));
+      place.expires = tuf::time_text(root.expires);
+      for (const auto& id : root.signers(tuf::kRoot).key_ids) {
+        const auto key = root.keys.find(id);
+        const std::string open = key == root.keys.end() ? "" : key->second.open();
+        place.root_keys.push_back(open.empty() ? "id " + id : open);
+      }
     } catch (const Error&) {
       // Damaged: whoever opens that marketplace is told.
     }

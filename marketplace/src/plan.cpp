@@ -293,15 +293,18 @@ class Planner {
       const Solver::Outcome other = solver_.solve({.install = {{name, {}}}});
       for (const Manifest* manifest : other.packages) {
         if (full_name(*manifest) == name)
-          return "market install " + name + "@" + manifest->version() + (present(name) ? "" : ", which fits");
+          return "market install " + name + "@" + manifest->version() + from_.option() +
+                 (present(name) ? "" : ", which fits");
       }
     }
+    if (!refused.missing.empty() && refused.reasons.size() == 1)
+      return "market install " + listed(refused.missing, " ", " ") + " first, from a marketplace that has it";
     if (!refused.installed.empty())
       return "market remove " + listed(refused.installed, " ", " ") + ", or choose another version";
     return "market info " +
            (wanted_.exact.empty() ? wanted_.install.empty() ? std::string("NAME") : wanted_.install.front().package
                                   : full_name(*wanted_.exact.front())) +
-           " shows what there is";
+           from_.option() + " shows what there is";
   }
 
   const Marketplace& from_;

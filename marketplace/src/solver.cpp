@@ -82,6 +82,7 @@ struct Solver::Reason {
   std::optional<Version> version;  // of several versions that are refused alike, the newest is named
   std::string clause;
   bool installed;
+  std::string missing{};  ///< the package that nobody offers, if that is why
 };
 
 Solver::Solver(const Platform& platform) : platform_(platform), pool_(pool_create(), pool_free) {
@@ -217,7 +218,7 @@ void Solver::add_reason(std::map<std::string, Reason>& found, ::Solver* solver, 
   if (package == manifests_.end()) return;
   const auto said = clauses_.find({from, dependency});
   if (said == clauses_.end()) return;
-  std::string clause = said->second;
+  std::string clause = said->second, missing;
   if (kind == SOLVER_RULE_PKG_NOTHING_PROVIDES_DEP && clause.starts_with("requires ")) {
     const std::string name = clause.substr(9, clause.find(' ', 9) - 9);
     std::string versions;
@@ -225,13 +226,14 @@ void Solver::add_reason(std::map<std::string, Reason>& found, ::Solver* solver, 
       if (full_name(*manifest) == name) versions += (versions.empty() ? "" : ", ") + manifest->version();
     }
     clause += versions.empty() ? ", which the marketplace does not have" : ", and there is only " + versions;
+    if (versions.empty()) missing = name;
   }
   const Version version = *Version::parse(package->second->version());
   const bool is_installed = pool_id2solvable(pool_.get(), from)->repo == installed_;
   Reason& reason = found[full_name(*package->second) + " " + clause];
   if (reason.version && *reason.version > version) return;
-  reason = {version, display(*package->second) + (is_installed ? ", which is installed, " : " ") + clause,
-            is_installed};
+  reason = {version, display(*package->second) + (is_installed ? ", which is installed, " : " ") + clause, is_installed,
+            std::move(missing)};
 }
 
 void Solver::explain(::Solver* solver, Outcome& outcome) const {
@@ -242,6 +244,7 @@ void Solver::explain(::Solver* solver, Outcome& outcome) const {
   std::set<std::string> installed;
   for (auto& [key, reason] : found) {
     if (reason.installed) installed.insert(key.substr(0, key.find(' ')));
+    if (!reason.missing.empty()) outcome.missing.push_back(std::move(reason.missing));
     outcome.reasons.push_back(std::move(reason.clause));
   }
   outcome.installed = {installed.begin(), installed.end()};

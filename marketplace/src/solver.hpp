@@ -40,6 +40,7 @@ class Solver {
     std::vector<const Manifest*> packages;  ///< what is there then, kept ones as they were given
     std::vector<std::string> reasons;       ///< if nothing fits: why, each a clause: "acme/nav 2.0.0 requires …"
     std::vector<std::string> installed;     ///< and of those that stand in the way, the installed ones
+    std::vector<std::string> missing;       ///< and packages that are required and that nobody offers
     bool solved() const { return reasons.empty(); }
   };
   Outcome solve(const Wanted& wanted);

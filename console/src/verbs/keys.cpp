@@ -8,7 +8,6 @@
 #include <fstream>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include "verbs.hpp"
 
@@ -21,7 +20,8 @@ void list(Session& session, const trust::KeyDirectory& keys) {
   for (const auto& one : keys.consoles()) table.add({one.name, one.key.text(), trust::access_name(one.level), ""});
   for (const auto& one : keys.known()) table.add({one.name, one.key.text(), "known", one.address});
   session.out.table(table, "no other host or console may connect\n  next: keys allow NAME KEY");
-  if (!keys.has_pair()) session.out.remark("this user has no key pair\n  next: keys make");
+  if (!keys.has_pair())
+    session.out.remark("this user's hosts and consoles have no key pair for others to know them by\n  next: keys make");
 }
 
 void list_signing(Session& session) {
@@ -32,7 +32,7 @@ void list_signing(Session& session) {
   const auto places = marketplace::trusted_marketplaces();
   Table trusted({"marketplace", "root key", "root expires"});
   for (const auto& place : places) {
-    trusted.add({place.location, fmt::format("{}", fmt::join(place.root_keys, " ")), place.expires});
+    for (const auto& key : place.root_keys) trusted.add({place.location, key, place.expires});
   }
   if (!places.empty()) session.out.table(trusted, "");
 }
@@ -60,7 +60,8 @@ void trust_root(Session& session, const Line& line) {
   const Word* from = line.option("--from");
   const std::string place = from == nullptr ? "" : from->text;
   marketplace::trust_marketplace(root_in(line), place);
-  session.out.done(fmt::format("the marketplace {} is trusted", place.empty() ? "here" : place));
+  session.out.done(fmt::format("the marketplace {} is trusted",
+                               place.empty() ? marketplace::Marketplace::default_directory().string() : place));
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // The only verb that changes a store. What it finds is in market_search.cpp.
 #include <algorithm>
 #include <ctime>
+#include <map>
 #include <set>
 
 #include <fmt/chrono.h>
@@ -110,14 +111,31 @@ void show_plan(Session& session, const Plan& plan) {
   }
 }
 
+/// Lines that install who provides a service: from the marketplace that was asked, else from the user's own.
+std::string providing_lines(const marketplace::MissingService& missing, const Marketplace* market) {
+  std::vector<std::string> packages = missing.providers;
+  std::string option = market == nullptr ? "" : market->option();
+  if (packages.empty() && !option.empty()) {
+    option.clear();
+    try {
+      marketplace::OpenOptions without_network;
+      without_network.ask_network = false;
+      for (const IndexEntry& entry : marketplace::open_marketplace("", without_network).providers_of(missing.service))
+        packages.push_back(marketplace::full_name(entry.manifest()));
+    } catch (const Error&) {
+      // There is none, or it cannot be read: nothing was asked of it.
+    }
+  }
+  if (packages.empty()) return "; no package of the marketplace does either";
+  return fmt::format(": market install {}{}", fmt::join(packages, ", or "), option);
+}
+
 /// What else there is to say, done or not.
-void remark(Session& session, const Plan& plan) {
+void remark(Session& session, const Plan& plan, const Marketplace* market) {
   for (const std::string& note : plan.notes) session.out.remark(note);
   for (const auto& missing : plan.missing) {
-    session.out.remark(fmt::format(
-        "{} requires {}, which nothing installed provides{}", missing.port, short_name(missing.service),
-        missing.providers.empty() ? "; no package of the marketplace does either"
-                                  : fmt::format(": market install {}", fmt::join(missing.providers, ", or "))));
+    session.out.remark(fmt::format("{} requires {}, which nothing installed provides{}", missing.port,
+                                   short_name(missing.service), providing_lines(missing, market)));
   }
 }
 
@@ -187,7 +205,7 @@ void carry_out(Session& session, const Line& line, const Marketplace* market, bo
     const Plan plan = make(store);
     if (session.planning) {
       show_plan(session, plan);
-      remark(session, plan);
+      remark(session, plan, market);
       if (plan.steps.empty()) session.out.text(fmt::format("'{}' changes nothing", plan.change));
       return;
     }
@@ -196,11 +214,43 @@ void carry_out(Session& session, const Line& line, const Marketplace* market, bo
     tell_done(session, plan);
     tell_running(session, plan);
     tell_unchanged(session, plan, store);
-    return remark(session, plan);
+    return remark(session, plan, market);
   }
   throw Error(ErrorCode::Unreachable, {.what = "others change this store all the time",
                                        .where = store.directory().string(),
                                        .next = "try again when they have ended"});
+}
+
+struct LockedPart {
+  Marketplace market;
+  fiona::Lock lock;
+};
+
+/// A lock names a marketplace with each package: what the user's own has not, to the byte, is asked for there. All have
+/// answered before anything is changed.
+std::vector<LockedPart> locked_parts(Session& session, const Line& line, const fiona::Lock& lock) {
+  std::vector<LockedPart> parts{{chosen_market(session, line), lock}};
+  if (line.option("--from") != nullptr) return parts;
+  const fiona::Lock own = marketplace::part_of(lock, parts.front().market);
+  std::map<std::string, fiona::Lock> others;
+  for (const auto& locked : lock.packages()) {
+    const auto is_it = [&locked](const auto& one) { return one.blake2b() == locked.blake2b(); };
+    if (std::any_of(own.packages().begin(), own.packages().end(), is_it)) continue;
+    if (locked.marketplace() == parts.front().market.source()) return parts;  // which says that it is not there
+    *others[locked.marketplace()].add_packages() = locked;
+  }
+  parts.front().lock = own;
+  for (auto& [place, rest] : others) parts.push_back({opened_market(session, place), std::move(rest)});
+  std::erase_if(parts, [](const LockedPart& part) { return part.lock.packages().empty(); });
+  return parts;
+}
+
+void install_locked(Session& session, const Line& line, const std::string& file) {
+  const fiona::Lock lock = marketplace::read_lock(file);
+  for (const LockedPart& part : locked_parts(session, line, lock)) {
+    carry_out(session, line, &part.market, false,
+              [&part](const Store& store) { return marketplace::plan_locked(part.lock, part.market, store); });
+  }
 }
 
 void install(Session& session, const Line& line) {
@@ -209,12 +259,10 @@ void install(Session& session, const Line& line) {
   if ((locked != nullptr) == !names.empty())
     throw line.error(line.verb, {.what = locked != nullptr ? "a lock names its packages itself" : "no package is named",
                                  .expected = "market install PACKAGE …, or market install --locked FILE"});
+  if (locked != nullptr) return install_locked(session, line, locked->text);
   const Marketplace market = chosen_market(session, line);
-  const fiona::Lock wanted = locked != nullptr ? marketplace::read_lock(locked->text) : fiona::Lock{};
-  carry_out(session, line, &market, false, [&](const Store& store) {
-    return locked != nullptr ? marketplace::plan_locked(wanted, market, store)
-                             : marketplace::plan_install(names, market, store);
-  });
+  carry_out(session, line, &market, false,
+            [&](const Store& store) { return marketplace::plan_install(names, market, store); });
 }
 
 void update(Session& session, const Line& line) {
@@ -357,7 +405,11 @@ void lock(Session& session, const Line& line) {
 
 marketplace::Marketplace chosen_market(Session& session, const Line& line) {
   const Word* from = line.option("--from");
-  marketplace::Marketplace market = marketplace::open_marketplace(from == nullptr ? "" : from->text);
+  return opened_market(session, from == nullptr ? "" : from->text);
+}
+
+marketplace::Marketplace opened_market(Session& session, const std::string& place) {
+  marketplace::Marketplace market = marketplace::open_marketplace(place);
   const Store store = chosen_store(session);
   for (const auto& revoked : marketplace::note_revocations(market, store.directory())) {
     session.out.warning(
@@ -376,6 +428,8 @@ std::string right_text(const std::string& right) {
   if (right == "master") return "changes the running system (master)";
   if (right == "network") return "speaks to the network (network)";
   if (right.starts_with("device:")) return fmt::format("uses the device {} ({})", right.substr(7), right);
+  if (right.starts_with("read:")) return fmt::format("reads {} ({})", right.substr(5), right);
+  if (right.starts_with("write:")) return fmt::format("reads and writes {} ({})", right.substr(6), right);
   return right;
 }
 

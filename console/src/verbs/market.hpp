@@ -8,8 +8,9 @@
 
 namespace fiona::console::verbs {
 
-/// The one that --from names, or the user's.
-/// Tells also what it has revoked of what is installed, and keeps that.
+/// The one at this place, or the user's. Tells also what it has revoked of what is installed, and keeps that.
+marketplace::Marketplace opened_market(Session& session, const std::string& place);
+/// The same of the place that --from names, if it does.
 marketplace::Marketplace chosen_market(Session& session, const Line& line);
 
 /// What a right lets a package do, in words: "speaks to the network (network)".

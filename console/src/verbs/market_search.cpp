@@ -59,7 +59,7 @@ std::string service_named(const Marketplace& market, const Line& line, const Wor
   throw line.error(
       typed,
       {.what = fmt::format("no package of the marketplace provides or requires a service '{}'", typed.text),
-       .next = "market search",
+       .next = "market search" + market.option(),
        .near = nearest_names(typed.text, std::vector<std::string>{known.begin(), known.end()})},
       ErrorCode::NotFound);
 }

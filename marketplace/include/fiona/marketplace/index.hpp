@@ -36,6 +36,7 @@ class Marketplace {
     std::map<std::string, std::vector<std::string>>
         keys{};                ///< that each publisher signs with, as others are given them
     bool first_party = false;  ///< it came with this program
+    bool is_named = false;     ///< by --from: it is not the one that is asked without
   };
 
   /// The same of a copy whose packages come when they are asked for; `source` is what it is a copy of.
@@ -48,6 +49,8 @@ class Marketplace {
   const std::filesystem::path& directory() const noexcept { return directory_; }
   /// Where it is, as a person named it: a directory or a URL.
   const std::string& source() const noexcept { return source_; }
+  /// What a line has to end with to mean this one: " --from PLACE"; empty for the one that is asked without.
+  std::string option() const { return behind_.is_named ? " --from " + source_ : ""; }
   const Index& index() const noexcept { return index_; }
   /// The keys that a publisher signs with: 64 digits each of Ed25519, else "id " and the id that metadata has for it.
   /// None where nobody signs.

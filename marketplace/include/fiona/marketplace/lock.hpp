@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/store.hpp>
 #include <optional>
 #include <string>
@@ -21,5 +22,8 @@ Lock parse_lock(std::string_view text, const std::string& where);
 
 /// Throws fiona::Error: NotFound, Failed with line and column of what is wrong.
 Lock read_lock(const std::filesystem::path& file);
+
+/// Those of its packages that this marketplace has, to the byte.
+Lock part_of(const Lock& lock, const Marketplace& market);
 
 }  // namespace fiona::marketplace

@@ -34,7 +34,7 @@ void trust_marketplace(std::string_view root, const std::string& location, const
 /// A place that is trusted.
 struct TrustedPlace {
   std::string location;
-  std::vector<std::string> root_keys;  ///< ids
+  std::vector<std::string> root_keys;  ///< as their owners give them, 64 digits; "id …" of another kind than Ed25519
   std::string expires;                 ///< of its root: "2030-01-31T00:00:00Z"
 };
 std::vector<TrustedPlace> trusted_marketplaces(const OpenOptions& options = {});
