@@ -90,9 +90,9 @@ class Exhaustion : public testing::Test {
       GTEST_SKIP()
           << "a sanitizer asks by a pipe whether memory may be read, and takes it for damaged without a descriptor";
   }
-  static std::unique_ptr<SupervisedHost> start(rlim_t most) {
+  static std::unique_ptr<SupervisedHost> start(rlim_t most, const std::vector<std::string>& arguments = {}) {
     const LimitOfDescriptors few(most);
-    return std::make_unique<SupervisedHost>();
+    return std::make_unique<SupervisedHost>(arguments);
   }
   /// Puts in a group, listens in `main`: the wire crosses.
   void load_pair(TestConsole& console) const {
@@ -144,6 +144,27 @@ TEST_F(Exhaustion, ByPeersOfItsLinksHurtsNobodyElse) {
   }
   ASSERT_FALSE(listener.empty());
   expect_well(host, *console, std::make_unique<Crowd>(listener));
+}
+
+/// They need no key to connect; who has one is let in once they have gone.
+TEST_F(Exhaustion, ByWhoeverConnectsOverTcpHurtsNobodyElse) {
+  const TemporaryDirectory keys;
+  const trust::KeyDirectory its(keys.path / "its"), ours(keys.path / "ours");
+  its.make();
+  its.allow("test", ours.make().open.text());
+  const auto started = start(kFew, {"--keys", its.path().string(), "--listen", "tcp://127.0.0.1:0"});
+  SupervisedHost& host = *started;
+  const auto console = host.console();
+  load_pair(*console);
+  const std::string scheme = "tcp://", said = host.said_ready();
+  ASSERT_THAT(said, HasSubstr(scheme));
+  const std::string address = said.substr(said.find(scheme) + scheme.size(),
+                                          said.find('\n', said.find(scheme)) - said.find(scheme) - scheme.size());
+  const auto port = static_cast<std::uint16_t>(std::stoi(address.substr(address.rfind(':') + 1)));
+  expect_well(host, *console, std::make_unique<Crowd>(port));
+  RunningSystem leader(host::HostOptions{
+      ours.path(), "", {host::PeerAddress::from_text("kept=" + address + "=" + its.pair().open.text())}});
+  EXPECT_NO_THROW(leader.join("kept"));
 }
 
 TEST_F(Exhaustion, ByAHostThatIsGivenTooFewIsRefusedInASentence) {

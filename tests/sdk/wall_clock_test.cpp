@@ -6,7 +6,9 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <cstdlib>
 #include <future>
+#include <string>
 
 #include "fiona/clock.hpp"
 #include "fiona/pool.hpp"
@@ -48,8 +50,14 @@ TEST_P(WallClock, ThatStepsChangesNeitherTimeNorPeriods) {
   step_s = 0;
 }
 
-INSTANTIATE_TEST_SUITE_P(By, WallClock, testing::Values(3600, -3600),
-                         [](const auto& one) { return one.param > 0 ? "AnHourForward" : "AnHourBack"; });
+constexpr long kHour_s = 3600;
+constexpr long kTenYears_s = 10L * 365 * 24 * kHour_s;
+
+INSTANTIATE_TEST_SUITE_P(By, WallClock, testing::Values(kHour_s, -kHour_s, kTenYears_s, -kTenYears_s),
+                         [](const auto& one) {
+                           return std::string(std::abs(one.param) == kHour_s ? "AnHour" : "TenYears") +
+                                  (one.param > 0 ? "Forward" : "Back");
+                         });
 
 }  // namespace
 }  // namespace fiona

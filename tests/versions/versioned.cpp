@@ -1,5 +1,5 @@
 // A component of which there are many versions, good ones and bad ones: the words in the file `behaviour` of its share
-// folder say which this is.
+// folder say which this is; without a `version` there, its code does.
 #include <dlfcn.h>
 #include <signal.h>
 #include <unistd.h>
@@ -50,6 +50,16 @@ const bool kOpened = [] {
   return true;
 }();
 
+/// A test writes another number over this one in a copy of the library, which is another build then.
+constexpr char kBuild[] = "this is build 0000000";
+
+double build() {
+  const volatile char* text = kBuild;  // read when it runs: what a compiler knew would not be another build
+  double number = 0;
+  for (std::size_t i = sizeof kBuild - 8; i + 1 < sizeof kBuild; ++i) number = 10 * number + (text[i] - '0');
+  return number;
+}
+
 Duration from_ms(double ms) {
   return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
 }
@@ -84,7 +94,8 @@ class Versioned final : public Component {
     if (silent_ || word(behaviour_, "silent") > 0) return;
     Sample sample;
     sample.set_number(++ticked_);
-    sample.set_value(word(behaviour_, "version"));
+    const double version = word(behaviour_, "version");
+    sample.set_value(version > 0 ? version : build());
     sample.set_sent_ns(born_.time_since_epoch().count());
     orders_.send(sample);
     leased_.put(sample);
