@@ -5,6 +5,7 @@
 #include <poll.h>
 #include <unistd.h>
 
+#include <bit>
 #include <cstdio>
 #include <ctime>
 #include <iostream>
@@ -184,7 +185,22 @@ void ControlServer::serve_client(std::uint64_t id) {
     if (rights.is_remote()) request.set_author(rights.name + ": " + request.author().substr(0, kMaxAuthor));
     perform(id, request);
   }
+  if (!stream.fault().empty()) refuse_garbled(id, stream.fault());
   if (!open || stream.closed()) drop_client(id);
+}
+
+/// Told to who sent it, and in the host's own words at the first, second, fourth, … time: a storm is few lines.
+void ControlServer::refuse_garbled(std::uint64_t client, const std::string& found) {
+  control::Reply reply;
+  *reply.mutable_failure() = failure_of(Error(
+      ErrorCode::Usage, {.what = "what came over this connection is no request, and it is closed",
+                         .expected = "a length of 4 bytes, little endian, and a fiona.control.Request",
+                         .found = found,
+                         .next = "see docs/wire-protocol.md; connect again with a client of the host's version"}));
+  send(client, reply);
+  ++garbled_;
+  if (std::has_single_bit(garbled_))
+    std::cerr << "a console was refused: " << found << "; connections closed for this so far: " << garbled_ << "\n";
 }
 
 void ControlServer::drop_client(std::uint64_t id) {

@@ -61,6 +61,7 @@ class ControlServer {
   void add_client(os::Descriptor socket, Rights rights);
   void serve_client(std::uint64_t id);
   void drop_client(std::uint64_t id);
+  void refuse_garbled(std::uint64_t client, const std::string& found);
   void perform(std::uint64_t client, const control::Request& request);
   /// False when the answer comes later.
   bool dispatch(std::uint64_t client, const control::Request& request, control::Reply& reply);
@@ -98,6 +99,7 @@ class ControlServer {
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
   std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;     ///< wire -> (client, request)
   std::uint64_t next_client_ = 1;
+  std::uint64_t garbled_ = 0;  ///< connections closed for what came over them
   std::optional<int> exit_code_;
   std::string end_reason_;
   bool was_ended_ = false;

@@ -16,7 +16,7 @@ MessageStream::MessageStream(Descriptor socket) : socket_(std::move(socket)) {
 
 bool MessageStream::receive() {
   char buffer[65536];
-  while (!closed_) {
+  while (!closed()) {
     const auto size = ::recv(socket_.get(), buffer, sizeof buffer, 0);
     if (size > 0) {
       in_.append(buffer, static_cast<std::size_t>(size));
@@ -31,16 +31,17 @@ bool MessageStream::receive() {
 }
 
 bool MessageStream::next(google::protobuf::MessageLite& message) {
-  if (in_.size() - in_begin_ < 4) return false;
+  if (!fault_.empty() || in_.size() - in_begin_ < 4) return false;
   const auto* head = reinterpret_cast<const unsigned char*>(in_.data() + in_begin_);
   const std::size_t length = head[0] | head[1] << 8 | head[2] << 16 | static_cast<std::size_t>(head[3]) << 24;
   if (length > kMaxMessage) {
-    closed_ = true;
+    fault_ = "a message of " + std::to_string(length) + " bytes, where at most " + std::to_string(kMaxMessage) +
+             " are taken";
     return false;
   }
   if (in_.size() - in_begin_ < 4 + length) return false;
   if (!message.ParseFromArray(in_.data() + in_begin_ + 4, static_cast<int>(length))) {
-    closed_ = true;
+    fault_ = std::to_string(length) + " bytes that are no " + message.GetTypeName();
     return false;
   }
   in_begin_ += 4 + length;

@@ -23,14 +23,16 @@ class MessageStream {
   int descriptor() const { return socket_.get(); }
   /// Reads what there is. False when the peer has closed, broken the framing, or the stream failed.
   bool receive();
-  /// Parses the next complete message; false when there is none. A malformed one closes the stream.
+  /// Parses the next complete message; false when there is none. After a malformed one nothing more is read, and
+  /// `fault` says what it was.
   bool next(google::protobuf::MessageLite& message);
   /// Queues and sends as much as goes now. False when the stream is closed or too much is unsent.
   bool send(const google::protobuf::MessageLite& message);
   /// Sends more of what is queued. False when the stream has failed.
   bool flush();
   std::size_t unsent() const { return out_.size() - out_begin_; }
-  bool closed() const { return closed_; }
+  bool closed() const { return closed_ || !fault_.empty(); }
+  const std::string& fault() const { return fault_; }
 
   /// Sends all that is queued, however slow the reader. False when the stream has failed.
   bool flush_all();
@@ -46,6 +48,7 @@ class MessageStream {
   std::size_t in_begin_ = 0;
   std::string out_;
   std::size_t out_begin_ = 0;
+  std::string fault_;
   std::atomic<bool> closed_{false};
 };
 
