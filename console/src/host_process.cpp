@@ -36,7 +36,8 @@ struct Pipe {
 Pipe make_pipe() {
   std::array<int, 2> ends{};
   if (::pipe2(ends.data(), O_CLOEXEC) != 0)
-    throw Error(ErrorCode::Failed, fmt::format("no pipe can be made: {}", std::strerror(errno)));
+    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("no pipe can be made: {}", std::strerror(errno)),
+                                             .next = "fiona doctor"});
   // Clear of the numbers that the host's descriptors are moved to, which dup2 would close.
   for (int& end : ends) {
     const int moved = ::fcntl(end, F_DUPFD_CLOEXEC, 10);
@@ -125,7 +126,8 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
     process_ = -1;
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = fmt::format("the host cannot be started: {}", std::strerror(problem)),
-                          .where = launch.program.string()});
+                          .where = launch.program.string(),
+                          .next = "fiona doctor"});
   }
 }
 
@@ -150,7 +152,8 @@ void HostProcess::wait_ready(int ready) {
   if (told.starts_with("READY\n")) return;
   if (!in_time)
     throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host does not get ready within 10 s",
-                                                  .where = fmt::format("process {}", process_)});
+                                                  .where = fmt::format("process {}", process_),
+                                                  .next = "fiona doctor; a machine that is very busy: try again"});
   const int code = collect();
   while (told.ends_with('\n')) told.pop_back();
   throw Error(code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : ErrorCode::Failed,

@@ -309,7 +309,8 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
     case Request::kQuit: end(request.quit().exit_code(), "quit"); return done("");
     case Request::WHAT_NOT_SET: break;
   }
-  throw Error(ErrorCode::Usage, "the request is empty, or newer than this host");
+  throw Error(ErrorCode::Usage, {.what = "the request is empty, or newer than this host",
+                                 .next = "fiona version: console and host are to be of one version"});
 }
 
 void ControlServer::start_watch(std::uint64_t client, const control::Request& request) {

@@ -118,7 +118,8 @@ void Engine::compared(const TransactionPtr& transaction, const control::Reply& r
   --comparing_;
   if (reply.has_failure()) transaction->failure = reply.failure();
   if (reply.has_ended())
-    transaction->failure = failure_of(Error(ErrorCode::Failed, {.what = "the run has ended: nothing was swapped"}));
+    transaction->failure = failure_of(Error(
+        ErrorCode::Failed, {.what = "the run has ended: nothing was swapped", .next = "fiona run, and swap again"}));
   if (transaction->failure) return finish(transaction);
   transaction->done = reply.done();
   try {

@@ -27,7 +27,9 @@ Waits::Answer Engine::then(Work work) {
     later([alive, work, reply = std::move(reply)]() mutable {
       const auto self = alive.lock();
       if (!self || !*self) return;
-      if (reply.has_ended()) *reply.mutable_failure() = failure_of(Error(ErrorCode::Failed, "the run has ended"));
+      if (reply.has_ended())
+        *reply.mutable_failure() =
+            failure_of(Error(ErrorCode::Failed, {.what = "the run has ended", .next = "fiona run, and upgrade again"}));
       work(**self, reply);
     });
   };

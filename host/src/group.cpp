@@ -275,7 +275,8 @@ void ChildGroup::end_now(const std::string& why) {
 
 Error ChildGroup::not_started() const {
   return Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
-                                   .found = end_.empty() ? "no answer within 5 s" : end_});
+                                   .found = end_.empty() ? "no answer within 5 s" : end_,
+                                   .next = "fiona doctor"});
 }
 
 ChildGroup::~ChildGroup() { leave_nothing(); }

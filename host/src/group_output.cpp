@@ -24,7 +24,10 @@ std::string inert(std::string line) {
 GroupOutput::GroupOutput() {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC) != 0) {
-    throw Error(ErrorCode::Failed, {.what = "the system gives no pipe", .found = std::strerror(errno)});
+    throw Error(ErrorCode::Failed,
+                {.what = "the system gives no pipe",
+                 .found = std::strerror(errno),
+                 .next = "fiona doctor; end what holds many descriptors, or raise the limit: ulimit -n"});
   }
   read_end_ = os::Descriptor(ends[0]);
   write_end_ = os::Descriptor(ends[1]);

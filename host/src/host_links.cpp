@@ -38,7 +38,8 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
   for (std::size_t i = 0; i < options.peers.size(); ++i) {
     const auto same = [&](const PeerAddress& other) { return other.name == options.peers[i].name; };
     if (std::count_if(options.peers.begin(), options.peers.end(), same) == 1) continue;
-    throw Error(ErrorCode::Usage, "two peers have the name '" + options.peers[i].name + "'");
+    throw Error(ErrorCode::Usage, {.what = "two peers have the name '" + options.peers[i].name + "'",
+                                   .next = "--peer NAME=HOST:PORT=KEY, each with a name of its own"});
   }
   const auto post = [this](HostChange change) {
     const bool droppable = change.what == HostChange::What::Request;

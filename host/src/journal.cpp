@@ -209,7 +209,9 @@ void Journal::fold(const Model& now) {
 
 Journal::Told Journal::read(const std::filesystem::path& file) {
   const auto text = text_of_file(file);
-  if (!text) throw Error(ErrorCode::NotFound, {.what = "there is no journal", .where = file.string()});
+  if (!text)
+    throw Error(ErrorCode::NotFound,
+                {.what = "there is no journal", .where = file.string(), .next = "start the host without --restore"});
   Told told = told_by(*text);
   if (told.bytes > 0) return told;
   Told older = told_by(text_of_file(file.string() + ".old").value_or(""));

@@ -84,7 +84,8 @@ void Model::make(const control::Change& change, const Packages& packages) {
     }
     case control::Change::WHAT_NOT_SET: break;
   }
-  throw Error(ErrorCode::Usage, "the change is empty, or newer than this host");
+  throw Error(ErrorCode::Usage, {.what = "the change is empty, or newer than this host",
+                                 .next = "fiona version: console and host are to be of one version"});
 }
 
 void Model::unload(const control::Unload& request) {
@@ -123,8 +124,9 @@ void Model::require_own(const std::string& name) const {
 void Model::take(const std::string& name, Instance instance) {
   require_name(name, "an instance");
   if (const Instance* taken = find(name)) {
-    throw Error(ErrorCode::Usage,
-                {.what = "there is an instance '" + name + "' already", .found = taken->package->name});
+    throw Error(ErrorCode::Usage, {.what = "there is an instance '" + name + "' already",
+                                   .found = taken->package->name,
+                                   .next = "load PLUGIN as NAME, another one; or unload " + name});
   }
   instance.led = true;
   instance.order = next_order_++;

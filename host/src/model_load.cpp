@@ -17,7 +17,9 @@ namespace {
 std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<const Object>& values,
                                 const google::protobuf::RepeatedPtrField<control::Argument>& changes,
                                 const std::string& next) {
-  if (!values) throw Error(ErrorCode::NotFound, {.what = "'" + name + "' has no parameters", .where = name});
+  if (!values)
+    throw Error(ErrorCode::NotFound,
+                {.what = "'" + name + "' has no parameters", .where = name, .next = "show " + name});
   std::shared_ptr<Object> draft(values->New());
   draft->CopyFrom(*values);
   try {

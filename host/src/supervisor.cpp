@@ -36,7 +36,10 @@ constexpr int kInterrupted = 130;
 std::pair<os::Descriptor, os::Descriptor> make_pipe() {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC) != 0) {
-    throw Error(ErrorCode::Failed, {.what = "no pipe can be made", .found = std::strerror(errno)});
+    throw Error(ErrorCode::Failed,
+                {.what = "no pipe can be made",
+                 .found = std::strerror(errno),
+                 .next = "fiona doctor; end what holds many descriptors, or raise the limit: ulimit -n"});
   }
   return {os::Descriptor(ends[0]), os::Descriptor(ends[1])};
 }

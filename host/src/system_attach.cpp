@@ -91,7 +91,8 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
 void System::detach(std::uint64_t owner, std::uint64_t wire) {
   const auto found = attachments_.find(wire);
   if (found == attachments_.end() || found->second.owner != owner) {
-    throw Error(ErrorCode::NotFound, fmt::format("this connection holds no wire {}", wire));
+    throw Error(ErrorCode::NotFound, {.what = fmt::format("this connection holds no wire {}", wire),
+                                      .next = "detach what was attached over it"});
   }
   const std::string group = found->second.group;
   cut_at(group, wire, "detached");

@@ -89,7 +89,10 @@ void watch(Session& session, const Line& line) {
   if (session.setting != Setting::Shell) return;
   session.reactor.run_until([&session] { return session.watches().empty() || !session.connected(); });
   if (!session.watches().empty())
-    throw Error(ErrorCode::Unreachable, ErrorText{.what = "the host has gone", .where = line.positional[0].text});
+    throw Error(ErrorCode::Unreachable,
+                ErrorText{.what = "the host has gone",
+                          .where = line.positional[0].text,
+                          .next = "start it again; one that comes back by itself: fiona run --supervised"});
 }
 
 }  // namespace fiona::console::verbs

@@ -47,7 +47,10 @@ PacketSocket::PacketSocket(Descriptor socket) : socket_(std::move(socket)) {
 std::pair<PacketSocket, PacketSocket> PacketSocket::pair() {
   int ends[2];
   if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) {
-    throw Error(ErrorCode::Failed, {.what = "no socket pair can be made", .found = std::strerror(errno)});
+    throw Error(ErrorCode::Failed,
+                {.what = "no socket pair can be made",
+                 .found = std::strerror(errno),
+                 .next = "fiona doctor; end what holds many descriptors, or raise the limit: ulimit -n"});
   }
   return {PacketSocket(Descriptor(ends[0])), PacketSocket(Descriptor(ends[1]))};
 }
