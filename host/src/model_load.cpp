@@ -34,6 +34,14 @@ std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<c
   return draft;
 }
 
+/// Whether a manifest asks for that, or for a folder in which it lies: who runs the system grants as little as is needed.
+bool is_asked_for(const std::vector<std::string>& asked, std::string_view right) {
+  return std::any_of(asked.begin(), asked.end(), [&](const std::string& one) {
+    const bool of_files = one.starts_with("read:/") || one.starts_with("write:/");
+    return one == right || (of_files && right.starts_with(one.ends_with('/') ? one : one + "/"));
+  });
+}
+
 /// What is granted must be asked for, by the component's code and by the manifest that its users have read.
 void require_rights(const control::Load& request, const Model::Instance& made) {
   const std::vector<std::string> known{"master",      "network",    "device:NAME", "read:/PATH",
@@ -54,7 +62,7 @@ void require_rights(const control::Load& request, const Model::Instance& made) {
                                      .expected = "a component that has a fiona::Master",
                                      .next = fmt::format("load {}, without it", request.plugin())});
     }
-    if (!has(made.package->rights, right)) {
+    if (!is_asked_for(made.package->rights, right)) {
       throw Error(ErrorCode::NotAllowed,
                   {.what = fmt::format("{} cannot be granted the right '{}': its manifest does not ask for it",
                                        made.package->name, right),

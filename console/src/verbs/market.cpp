@@ -428,8 +428,9 @@ std::string right_text(const std::string& right) {
   if (right == "master") return "changes the running system (master)";
   if (right == "network") return "speaks to the network (network)";
   if (right.starts_with("device:")) return fmt::format("uses the device {} ({})", right.substr(7), right);
-  if (right.starts_with("read:")) return fmt::format("reads {} ({})", right.substr(5), right);
-  if (right.starts_with("write:")) return fmt::format("reads and writes {} ({})", right.substr(6), right);
+  const std::string where = right.ends_with('/') ? "what it is granted in " : "";
+  if (right.starts_with("read:")) return fmt::format("reads {}{} ({})", where, right.substr(5), right);
+  if (right.starts_with("write:")) return fmt::format("reads and writes {}{} ({})", where, right.substr(6), right);
   return right;
 }
 

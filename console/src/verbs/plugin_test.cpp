@@ -91,8 +91,8 @@ std::vector<ContractRow> contract_rows(Session& session, const PluginFiles& file
 
 /// Whether whoever installs it gets it in a sandbox that no right of its manifest opens.
 bool is_closed(const PluginFiles& files) {
-  const auto& rights = marketplace::parse_manifest(file_text(files.manifest), files.manifest.string()).rights();
-  return std::none_of(rights.begin(), rights.end(), marketplace::opens_sandbox);
+  const Manifest manifest = marketplace::parse_manifest(file_text(files.manifest), files.manifest.string());
+  return std::none_of(manifest.rights().begin(), manifest.rights().end(), marketplace::opens_sandbox);
 }
 
 /// Loads each component into a host that is thrown away; what it says where one does not get there.
