@@ -205,6 +205,7 @@ int main(int argc, char** argv) {
   Flags flags;
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
+  fiona::os::leave_no_core_file();
   fiona::os::keep_freed_memory();
   fiona::os::keep_spare_descriptor();
   try {

@@ -298,4 +298,21 @@ TEST(Navigation, TheLocationShownIsBlendedAndTheInstructionSaysUncertain) {
 }
 
 }  // namespace
+TEST(Navigation, APlaceThatIsNotFollowedInTimeIsShownAgainWithItsOwnTime) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  const auto last = led.bench.take<LocationProvider>("shown").back();
+  led.bench.advance(700ms);
+  const auto again = led.bench.take<LocationProvider>("shown");
+  ASSERT_GE(again.size(), 2u);
+  for (const auto& one : again) {
+    EXPECT_EQ(one->position().x(), 5);
+    EXPECT_EQ(one.origin, last.origin);
+  }
+  led.bench.advance(2s);
+  led.bench.take<LocationProvider>("shown");
+  led.bench.advance(1s);
+  EXPECT_THAT(led.bench.take<LocationProvider>("shown"), ::testing::IsEmpty()) << "it is lost";
+}
+
 }  // namespace fiona::guidance

@@ -43,11 +43,17 @@ std::uint64_t descriptors_of(const std::string& process) {
 
 }  // namespace
 
+void leave_no_core_file() {
+  set(RLIMIT_CORE, 0);
+  // core(5): a program that takes cores over a pipe is not bound by the limit, but gets no memory.
+  std::ofstream("/proc/self/coredump_filter") << "0";
+}
+
 void limit(const Limits& limits) {
   rlimit descriptors{};
   ::getrlimit(RLIMIT_NOFILE, &descriptors);
   set(RLIMIT_NOFILE, std::min<std::uint64_t>(descriptors.rlim_cur, limits.descriptors + kLastDescriptors));
-  set(RLIMIT_CORE, 0);
+  leave_no_core_file();
   ::close_range(kFirstStranger, ~0U, 0);
   ::close_range(STDERR_FILENO + 1, kFirstStranger - 1, CLOSE_RANGE_CLOEXEC);
   if (!kLimitsMemory) return;

@@ -26,6 +26,9 @@ inline constexpr bool kLimitsMemory = !__has_feature(address_sanitizer) && !__ha
 inline constexpr bool kLimitsMemory = true;
 #endif
 
+/// Whatever ends this process, and those that it starts, nothing of what they hold, passwords say, goes into a file.
+void leave_no_core_file();
+
 /// [before the first thread] Holds this process to them where the kernel does so by itself: what it asks for beyond its
 /// memory is refused; it leaves no core, opens few more descriptors than it may, and no program that it starts inherits
 /// any. What is left, memory that it shares, threads, CPU time, is for who watches it.

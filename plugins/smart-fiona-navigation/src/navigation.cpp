@@ -22,6 +22,7 @@ using namespace std::chrono_literals;
 /// A provider of places is silent after so long; the person is told, and does not walk on.
 constexpr auto kLost = 1500ms;
 constexpr auto kAgain = 2s;
+constexpr auto kShownCycle = 200ms;
 constexpr auto kProfileDeadline = 500ms;
 constexpr auto kProfilePeriod = 5s;
 constexpr auto kPlannerGrace = 500ms;
@@ -72,6 +73,7 @@ void Navigation::on_map_change(const Fired<navigation::LevelMapVersion>& change)
 /// All that guidance waits for is done here, one after the other.
 Async<> Navigation::work() {
   watch_location();
+  show_again();
   instructions_.still_valid();
   turn_.still_valid();
   path_.still_valid();
@@ -403,7 +405,16 @@ void Navigation::put_shown(const localisation::CommLocation& location, const Sho
     position.set_confidence(3, shown.covariance.xy_m2);
     position.set_confidence(4, shown.covariance.yy_m2);
   }
-  shown_.put(std::move(told));
+  last_shown_ = std::move(told);
+  shown_.put(*last_shown_);
+  shown_at_ = now();
+}
+
+/// Two localisations are out of step, and a swap between them leaves a gap: the last place fills it, with its own time.
+void Navigation::show_again() {
+  if (!last_shown_ || now() - shown_at_ <= kShownCycle || now() - located_ > kLost) return;
+  shown_.put(*last_shown_, located_);
+  shown_at_ = now();
 }
 
 void Navigation::put_path(const building::Route* route) {

@@ -73,6 +73,7 @@ class Navigation final : public Component {
   void end_guidance();
   void say(hmi::Instruction instruction, bool is_new);
   void say(hmi::Instruction::Kind kind, const std::string& text);
+  void show_again();
   void put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown);
   void put_path(const building::Route* route);
 
@@ -112,6 +113,8 @@ class Navigation final : public Component {
   ShownPosition blender_;
   std::optional<Walker> walker_;
   TimePoint located_{};
+  std::optional<localisation::CommLocation> last_shown_;
+  TimePoint shown_at_{};
   bool uncertain_ = false;
   std::optional<std::pair<building::Point, TimePoint>> course_from_;
   std::optional<double> course_rad_;
