@@ -34,7 +34,7 @@ std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<c
   return draft;
 }
 
-/// Whether a manifest asks for that, or for a folder in which it lies: who runs the system grants as little as is needed.
+/// Whether a manifest asks for that, or for a folder in which it lies: no more need be granted than is needed.
 bool is_asked_for(const std::vector<std::string>& asked, std::string_view right) {
   return std::any_of(asked.begin(), asked.end(), [&](const std::string& one) {
     const bool of_files = one.starts_with("read:/") || one.starts_with("write:/");
