@@ -138,6 +138,29 @@ TEST(FloorPlan, StairsOverALandingAreOneWayUpAndOneDown) {
   ASSERT_EQ(plan.ways().size(), 2u);
   EXPECT_EQ(plan.ways()[0].to_level, 1);
   EXPECT_EQ(plan.ways()[1].to_level, 0);
+  const FloorPlan::Way& up = plan.ways()[0];
+  EXPECT_FALSE(up.is_lift());
+  ASSERT_EQ(up.path.size(), 3u);
+  EXPECT_EQ(up.length_m(), 1.0);
+  EXPECT_EQ(up.at(0.75).x_m, 0.75);
+  EXPECT_EQ(up.at(0.75).level, 0.75);
+}
+
+TEST(FloorPlan, ARoomThatNobodyMayEnterIsClosedAndNoPlaceToBe) {
+  navigation::CommLevelMap map;
+  for (const int access : {0, 10}) {
+    auto& room = *map.add_rooms();
+    room.set_access(access);
+    const double west = access;
+    for (const auto& [x, y] : {std::pair(west, 0.0), {west + 9, 0.0}, {west + 9, 9.0}, {west, 9.0}})
+      room.mutable_outline()->add_x(x), room.mutable_outline()->add_y(y);
+  }
+  const FloorPlan plan(map);
+  EXPECT_FALSE(plan.is_closed(0, 5, 5));
+  EXPECT_TRUE(plan.may_be_at(0, 5, 5));
+  EXPECT_TRUE(plan.is_closed(0, 15, 5));
+  EXPECT_FALSE(plan.may_be_at(0, 15, 5));
+  EXPECT_FALSE(plan.is_closed(1, 15, 5));
 }
 
 TEST(BeaconFilter, WithoutReadingsThereIsNoPosition) {
@@ -212,6 +235,89 @@ TEST(BeaconFilter, NobodyIsCarriedOffWhileTheyStand) {
   hall.hear(4.5, 10);
   for (int i = 0; i < 15; ++i) hall.hear(16, 10);  // as in a lift: not what is heard here
   EXPECT_LT(hall.filter.estimate().x_m, 10.0);
+}
+
+/// Beacons of two levels, and at (10, 10) what leads from one to the other.
+std::string two_levels() {
+  std::string text = "name: 'house'\n";
+  for (int level = 0; level < 2; ++level) {
+    for (int i = 0; i < 4; ++i) {
+      text += "beacons { id: '02:00:00:00:0" + std::to_string(level) + ":0" + std::to_string(i + 1) +
+              "' x: " + (i % 2 == 1 ? "20" : "0") + " y: " + (i >= 2 ? "20" : "0") +
+              " heard { level: " + std::to_string(level) + " power: -59 } exponent: 2 }\n";
+    }
+  }
+  return text;
+}
+
+struct House {
+  explicit House(navigation::MapEdge::Kind kind, double far_m)
+      : map(parse(two_levels(), "house")), field(std::make_shared<const BeaconField>(map)) {
+    navigation::CommLevelMap plan;
+    for (const double level : {0.0, 1.0}) {
+      auto& node = *plan.add_nodes();
+      node.set_x(10 + level * far_m), node.set_y(10), node.set_level(level);
+    }
+    auto& edge = *plan.add_edges();
+    edge.set_from(0), edge.set_to(1), edge.set_kind(kind);
+    filter.emplace(field, std::make_shared<const FloorPlan>(plan), map.accuracy(), map.radio().offset(),
+                   FilterOptions{});
+  }
+
+  /// A second in the place; what is on another level, and all where `loss_db` says so, is weaker.
+  void hear(double x, double y, int level, double loss_db = 0.0) {
+    for (int beacon = 0; beacon < 8; ++beacon) {
+      const bool same = beacon / 4 == level;
+      const double dbm = rssi_dbm(x, y, beacon % 4) - loss_db - (same ? 0.0 : map.radio().level_loss());
+      if (dbm > -95.0) filter->heard(static_cast<std::uint32_t>(beacon), dbm);
+    }
+    filter->advance(now += 1s);
+  }
+
+  BeaconMap map;
+  std::shared_ptr<const BeaconField> field;
+  std::optional<BeaconFilter> filter;
+  std::chrono::milliseconds now{0};
+};
+
+TEST(BeaconFilter, WhoTakesALiftIsInItAndThenOnTheOtherLevel) {
+  House house(navigation::MapEdge::LIFT, 0.0);
+  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
+  for (double x = 6; x < 10; x += 1.0) {
+    house.filter->step({1.0, 0.05, 0.0, 0.05});
+    house.hear(x + 1, 10, 0);
+  }
+  for (int i = 0; i < 15; ++i) {
+    house.hear(10, 10, 0, 12.0);  // the cabin
+    EXPECT_TRUE(house.filter->estimate().is_valid());
+  }
+  Estimate at = house.filter->estimate();
+  EXPECT_EQ(at.level, 0);
+  EXPECT_NEAR(at.x_m, 10.0, 1.0);
+  EXPECT_NEAR(at.y_m, 10.0, 1.0);
+  for (int i = 0; i < 6; ++i) house.hear(10, 10, 1, 12.0);
+  at = house.filter->estimate();
+  EXPECT_EQ(at.level, 1);
+  EXPECT_NEAR(at.x_m, 10.0, 0.5);
+  EXPECT_NEAR(at.y_m, 10.0, 0.5);
+}
+
+TEST(BeaconFilter, WhoTakesStairsComesOutAtTheirEnd) {
+  House house(navigation::MapEdge::STAIRS, 6.0);
+  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
+  for (double x = 6; x < 10; x += 1.0) {
+    house.filter->step({1.0, 0.05, 0.0, 0.05});
+    house.hear(x + 1, 10, 0);
+  }
+  for (double x = 10; x < 16; x += 0.6) {  // two steps a second, that seem to be of 0.6 m and are of half that
+    house.filter->step({0.6, 0.05, 0.0, 0.05});
+    house.filter->step({0.6, 0.05, 0.0, 0.05});
+    house.hear(x + 0.6, 10, x < 14 ? 0 : 1);
+  }
+  const Estimate at = house.filter->estimate();
+  EXPECT_EQ(at.level, 1);
+  EXPECT_NEAR(at.x_m, 16.0, 2.0);
+  EXPECT_NEAR(at.y_m, 10.0, 1.5);
 }
 
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {

@@ -61,6 +61,7 @@ class Referee final : public Component {
     } else {
       const auto& told = told_->position();
       outcome.errors_m.push_back(distance_m({told.x(), told.y()}, at_));
+      outcome.inside += is_inside(told);
       outcome.wrong_level += std::abs(told.z() - level_) > 0.75;
     }
   }
@@ -68,6 +69,14 @@ class Referee final : public Component {
   Outcome outcome;
 
  private:
+  /// By Mahalanobis distance; 5.991 is the 95 % quantile of chi-square with two degrees of freedom.
+  bool is_inside(const localisation::CommPosition& told) const {
+    if (told.confidence_size() != 9) return false;
+    const double xx = told.confidence(0), xy = told.confidence(1), yy = told.confidence(4);
+    const double x = told.x() - at_.x_m, y = told.y() - at_.y_m;
+    return yy * x * x - 2.0 * xy * x * y + xx * y * y <= 5.991 * (xx * yy - xy * xy);
+  }
+
   hmi::CommUserProfileReply on_profile(const hmi::CommUserProfileRequest&) {
     hmi::CommUserProfileReply profile;
     profile.set_use_stairs(errand_.profile.stairs);

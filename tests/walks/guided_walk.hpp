@@ -33,6 +33,7 @@ struct Outcome {
   std::vector<std::string> faults{};  ///< instructions and paths that must not be
   std::uint64_t instructions = 0;     ///< a hash of all that was said, and when
   std::vector<double> errors_m{};     ///< of the localisation, once a second from when the destination was sent
+  int inside = 0;                     ///< seconds within the 95 % region of the place
   int wrong_level = 0, unplaced = 0;  ///< seconds with a place on another level, and without a place
 };
 

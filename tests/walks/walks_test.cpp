@@ -36,7 +36,7 @@ struct Tally {
   int reroutes = 0;
   double time = 0.0;  ///< taken, as a share of the route's
   std::vector<double> errors_m{};
-  int wrong_level = 0, unplaced = 0;  ///< seconds
+  int inside = 0, wrong_level = 0, unplaced = 0;  ///< seconds
   double share() const { return static_cast<double>(arrived) / walks; }
 };
 
@@ -104,6 +104,7 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth) {
     const Outcome outcome = lead(building, file, errand, guidance, place, beacons);
     ++tally.walks;
     tally.errors_m.insert(tally.errors_m.end(), outcome.errors_m.begin(), outcome.errors_m.end());
+    tally.inside += outcome.inside;
     tally.wrong_level += outcome.wrong_level;
     tally.unplaced += outcome.unplaced;
     tally.arrived += outcome.arrived ? 1 : 0;
@@ -120,9 +121,12 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth) {
               static_cast<unsigned long long>(first), static_cast<unsigned long long>(first + count - 1), tally.arrived,
               tally.walks, tally.time / tally.walks, tally.reroutes, tally.faults);
   if (place == Place::Beacons) {
-    std::printf("  position error: median %.2f m, p95 %.2f m; wrong level %d s, no place %d s, of %zu s\n",
-                percentile(tally.errors_m, 0.5), percentile(tally.errors_m, 0.95), tally.wrong_level, tally.unplaced,
-                tally.errors_m.size() + static_cast<std::size_t>(tally.unplaced));
+    std::printf(
+        "  position error: median %.2f m, p95 %.2f m, %.1f %% in the 95 %% region; wrong level %d s, no place %d s, of "
+        "%zu s\n",
+        percentile(tally.errors_m, 0.5), percentile(tally.errors_m, 0.95),
+        100.0 * tally.inside / static_cast<double>(tally.errors_m.size()), tally.wrong_level, tally.unplaced,
+        tally.errors_m.size() + static_cast<std::size_t>(tally.unplaced));
   }
   std::fflush(stdout);
   std::filesystem::remove(beacons);

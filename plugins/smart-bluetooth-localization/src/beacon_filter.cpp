@@ -16,9 +16,9 @@ constexpr double kDensityCell_m = 6.0;   // of particles: modes nearer than that
 constexpr double kMode_m = 9.0;          // around the densest place: particles that are of its mode
 constexpr double kLeastOfMode = 0.3;     // of the weight; with less, and a wide spread, an estimate guides nobody
 constexpr std::size_t kJumpDraws = 500;  // each second, to see whether elsewhere fits better
-constexpr double kBeforeWay_m = 2.0;     // of stairs or a lift: who is there may take it
 constexpr double kWidestSpread_m = 25.0;
 constexpr double kLongestGap_s = 10.0;
+constexpr double kNewFor_s = 5.0;  // of standing
 
 }  // namespace
 
@@ -34,6 +34,7 @@ BeaconFilter::BeaconFilter(std::shared_ptr<const BeaconField> field, std::shared
 
 void BeaconFilter::use(std::shared_ptr<const FloorPlan> plan) {
   plan_ = std::move(plan);
+  find_ways();
   places_.clear();
   for (std::uint32_t l = 0; l < field_->levels().size(); ++l) {
     const auto& level = field_->levels()[l];
@@ -45,7 +46,8 @@ void BeaconFilter::use(std::shared_ptr<const FloorPlan> plan) {
 }
 
 bool BeaconFilter::is_blocked(const Particle& p, double x_m, double y_m) const {
-  return options_.walls && plan_->wall_between(field_->levels()[p.level_index].level, p.x_m, p.y_m, x_m, y_m);
+  const int level = field_->levels()[p.level_index].level;
+  return options_.walls && (plan_->wall_between(level, p.x_m, p.y_m, x_m, y_m) || plan_->is_closed(level, x_m, y_m));
 }
 
 void BeaconFilter::step(const StepInput& step) {
@@ -63,6 +65,11 @@ void BeaconFilter::step(const StepInput& step) {
     p.step_gain += options_.step_gain_drift * random_.normal();
     const double length = p.step_gain * step.length_m + step.length_sd_m * random_.normal();
     const double heading = step.heading_rad + p.heading_bias_rad + 0.5 * step.heading_sd_rad * random_.normal();
+    if (p.way >= 0) {
+      step_on_way(p, step.length_m, heading);
+      continue;
+    }
+    if (take_stairs(p, heading)) continue;
     const double x = p.x_m + length * std::cos(heading), y = p.y_m + length * std::sin(heading);
     if (is_blocked(p, x, y)) {
       p.weight *= options_.through_wall;
@@ -99,30 +106,11 @@ void BeaconFilter::diffuse(double dt_s) {
   const double offset_sd = options_.rssi_offset ? options_.offset_drift_db * std::sqrt(dt_s) : 0.0;
   for (Particle& p : particles_) {
     p.offset_db += offset_sd * random_.normal();
+    if (p.way >= 0) continue;
     const double x = p.x_m + sd * random_.normal(), y = p.y_m + sd * random_.normal();
     if (is_blocked(p, x, y)) continue;
     p.x_m = x;
     p.y_m = y;
-  }
-}
-
-void BeaconFilter::take_ways(double dt_s) {
-  const double share = -std::expm1(-options_.way_rate_per_s * dt_s);
-  for (Particle& p : particles_) {
-    for (const FloorPlan::Way& way : plan_->ways()) {
-      if (way.from_level != field_->levels()[p.level_index].level ||
-          std::hypot(p.x_m - way.from_x_m, p.y_m - way.from_y_m) > kBeforeWay_m || random_.uniform() > share) {
-        continue;
-      }
-      const auto levels = field_->levels();
-      const auto to =
-          std::find_if(levels.begin(), levels.end(), [&](const auto& l) { return l.level == way.to_level; });
-      if (to == levels.end()) continue;
-      p.level_index = static_cast<std::uint32_t>(to - levels.begin());
-      p.x_m = way.to_x_m;
-      p.y_m = way.to_y_m;
-      break;
-    }
   }
 }
 
@@ -136,6 +124,7 @@ double BeaconFilter::weight_of_second(double moved) {
 
 /// Of one who is there now and since then went as the steps say.
 double BeaconFilter::log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const {
+  if (p.way >= 0) return log_likelihood_on_way(p, second, weight);
   const double c = p.step_gain * std::cos(p.heading_bias_rad), s = p.step_gain * std::sin(p.heading_bias_rad);
   const double x = p.x_m - (c * since.east_m - s * since.north_m), y = p.y_m - (s * since.east_m + c * since.north_m);
   return weight * field_->log_likelihood(field_->at(p.level_index, x, y), second, p.offset_db, options_.silence);
@@ -152,8 +141,13 @@ BeaconFilter::Walked BeaconFilter::walked_since_heard() {
 BeaconFilter::Particle BeaconFilter::anywhere() {
   const Place& place = places_[std::min(
       places_.size() - 1, static_cast<std::size_t>(random_.uniform() * static_cast<double>(places_.size())))];
-  return {place.x_m + field_->cell_m() * (random_.uniform() - 0.5),
-          place.y_m + field_->cell_m() * (random_.uniform() - 0.5),
+  // Not through a wall: nobody comes back from there.
+  const double x = place.x_m + field_->cell_m() * (random_.uniform() - 0.5),
+               y = place.y_m + field_->cell_m() * (random_.uniform() - 0.5);
+  const int level = field_->levels()[place.level_index].level;
+  const bool blocked = options_.walls && plan_->wall_between(level, place.x_m, place.y_m, x, y);
+  return {blocked ? place.x_m : x,
+          blocked ? place.y_m : y,
           options_.heading_bias ? options_.heading_bias_sd_rad * random_.normal() : 0.0,
           1.0 + options_.step_gain_sd * random_.normal(),
           offset_sd_db_ * random_.normal(),
@@ -178,7 +172,8 @@ void BeaconFilter::use_second(double dt_s) {
     p.weight = std::log(std::max(p.weight, 1e-300)) + log_likelihood(p, second, since, weight);
   }
   const double log_evidence = normalise();
-  past_.push_back({std::move(second), weight, log_evidence, since});
+  // Who stands hears the same again; or is in a lift, where it is like nothing on any level.
+  if (still_s_ <= kNewFor_s) past_.push_back({std::move(second), weight, log_evidence, since});
   if (past_.size() > kPastSeconds) past_.pop_front();
   jump_or_resample(dt_s * moved);
 }
@@ -274,7 +269,8 @@ Eigen::Vector2d BeaconFilter::densest_place(std::size_t level_index) const {
   for (const Particle& p : particles_) {
     if (p.level_index != level_index) continue;
     for (std::int64_t dx = -1; dx <= 1; ++dx) {
-      for (std::int64_t dy = -1; dy <= 1; ++dy) density[{cell(p.x_m) + dx, cell(p.y_m) + dy}] += p.weight;
+      for (std::int64_t dy = -1; dy <= 1; ++dy)
+        density[{cell(p.x_m) + dx, cell(p.y_m) + dy}] += (dx == 0 && dy == 0 ? 2.0 : 1.0) * p.weight;
     }
   }
   const auto densest = std::max_element(density.begin(), density.end(),

@@ -35,7 +35,10 @@ struct FilterOptions {
   double still_diffusion_m = 0.4;      ///< per square root of a second, with steps
   double free_diffusion_m = 2.0;       ///< the same without a source of steps
   double through_wall = 0.01;          ///< what remains of a particle's weight that walks through a wall
-  double way_rate_per_s = 0.1;         ///< at which who stands before stairs or a lift is on the other level
+  double way_rate_per_s = 0.1;         ///< at which who stands before a lift gets into it
+  double departure_rate_per_s = 0.1;   ///< at which a lift goes to another level
+  double most_cabin_loss_db = 15.0;    ///< what a lift's cabin holds off, at most
+  double way_rate_per_step = 0.15;     ///< at which who walks towards stairs takes them
   double jump_rate_per_s = 1e-3;       ///< carried off unseen, while walking
   double free_jump_rate_per_s = 3e-3;  ///< the same without a source of steps
 };
@@ -68,7 +71,8 @@ struct Estimate {
 /// Position from beacons and steps within walls: a particle filter over position, level, heading bias, step gain and
 /// RSSI offset of the receiver. Causal and deterministic. States and likelihood after Murata et al. (doi
 /// 10.1016/j.pmcj.2019.04.003), walls after Woodman and Harle (doi 10.1145/1409635.1409651), first fix and recovery by
-/// the mixture proposal of Thrun, Burgard, Fox, "Probabilistic Robotics" (2005), chapter 8.
+/// the mixture proposal of Thrun, Burgard, Fox, "Probabilistic Robotics" (2005), chapter 8. Between levels a particle
+/// is on stairs or in a lift of the plan, and nowhere else.
 class BeaconFilter {
  public:
   BeaconFilter(std::shared_ptr<const BeaconField> field, std::shared_ptr<const FloorPlan> plan,
@@ -89,6 +93,10 @@ class BeaconFilter {
     double x_m, y_m, heading_bias_rad, step_gain, offset_db;
     std::uint32_t level_index;
     double weight;
+    std::int32_t way = -1;  ///< of ways_, while it is on one
+    float share = 0.0f;     ///< of that way
+    float pace = 0.0f;      ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
+    float loss_db = 0.0f;   ///< in a lift
   };
   /// By the steps alone.
   struct Walked {
@@ -104,7 +112,15 @@ class BeaconFilter {
 
   bool is_blocked(const Particle& p, double x_m, double y_m) const;
   void diffuse(double dt_s);
+  void find_ways();
   void take_ways(double dt_s);
+  bool is_before(const Particle& p, std::size_t way) const;
+  void enter(Particle& p, std::size_t way);
+  void ride(Particle& p, double dt_s);
+  void move_on_way(Particle& p, double share);
+  void step_on_way(Particle& p, double length_m, double heading_rad);
+  bool take_stairs(Particle& p, double heading_rad);
+  double log_likelihood_on_way(const Particle& p, const Second& second, double weight) const;
   void use_second(double dt_s);
   void start(const Second& second);
   double log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const;
@@ -128,6 +144,11 @@ class BeaconFilter {
     double x_m, y_m;
     std::uint32_t level_index;
   };
+  struct Way {
+    const FloorPlan::Way* path;  ///< of plan_
+    std::uint32_t from_index, to_index;
+  };
+  std::vector<Way> ways_;      ///< those between levels of the field
   std::vector<Place> places_;  ///< where a person may be, one for each cell of the field
   std::vector<Particle> particles_, scratch_;
   std::map<std::uint32_t, std::pair<double, int>> readings_;  ///< of this second: sum and count, by beacon

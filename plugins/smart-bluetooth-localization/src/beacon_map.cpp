@@ -118,7 +118,7 @@ BeaconMap::Radio usual_radio() {
 BeaconMap::Accuracy careful_accuracy() {
   BeaconMap::Accuracy accuracy;
   accuracy.set_factor(3.0);
-  accuracy.set_floor(1.5);
+  accuracy.set_floor(1.0);
   return accuracy;
 }
 

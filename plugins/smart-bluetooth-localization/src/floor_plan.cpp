@@ -18,6 +18,7 @@ constexpr double kMostBuckets = 1'000'000.0;      // of all levels
 constexpr std::size_t kMostInBuckets = 8u << 20;  // of all levels
 constexpr double kMostCorners = 5e7;              // of rooms, each as often as the buckets that it touches
 constexpr std::size_t kMostWays = 4096;
+constexpr int kNobody = 10;             // of MapRoom.access
 constexpr std::size_t kMostSteps = 64;  // of a chain of stairs over landings
 
 [[noreturn]] void refuse(const std::string& what, const std::string& expected, const std::string& found) {
@@ -148,7 +149,11 @@ void FloorPlan::fill_buckets() {
       walls.push_back(
           {std::min(w.x1_m, w.x2_m), std::min(w.y1_m, w.y2_m), std::max(w.x1_m, w.x2_m), std::max(w.y1_m, w.y2_m)});
     }
-    for (const auto& room : level.rooms) rooms.push_back(box_of(room.outline()));
+    for (const auto& room : level.rooms) {
+      const Box& box = rooms.emplace_back(box_of(room.outline()));
+      if (room.access() < kNobody) continue;
+      level.closed.push_back({{level.level, box.low_x_m, box.low_y_m, box.high_x_m, box.high_y_m}, rooms.size() - 1});
+    }
     fill(level, walls, level.walls_near);
     fill(level, rooms, level.rooms_near);
   }
@@ -166,21 +171,47 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
   for (const auto& [start, unused] : next) {
     const auto& from = map.nodes(static_cast<int>(start));
     if (from.level() != std::floor(from.level())) continue;
-    std::vector<std::uint32_t> seen{start};
+    std::vector<std::pair<std::uint32_t, std::size_t>> seen{{start, 0}};  // and whence
     for (std::size_t i = 0; i < seen.size(); ++i) {
-      const auto& at = map.nodes(static_cast<int>(seen[i]));
+      const auto& at = map.nodes(static_cast<int>(seen[i].first));
       if (whole(at.level()) != whole(from.level()) && at.level() == std::floor(at.level())) {
         if (ways_.size() == kMostWays)
           refuse("has too many stairs and lifts", std::to_string(kMostWays) + " ways", "more");
-        ways_.push_back({whole(from.level()), whole(at.level()), from.x(), from.y(), at.x(), at.y()});
+        Way way{whole(from.level()), whole(at.level()), {}};
+        for (std::size_t j = i;; j = seen[j].second) {
+          const auto& node = map.nodes(static_cast<int>(seen[j].first));
+          way.path.insert(way.path.begin(), {node.x(), node.y(), node.level(), 0.0});
+          if (j == 0) break;
+        }
+        for (std::size_t j = 1; j < way.path.size(); ++j) {
+          const Way::Place& before = way.path[j - 1];
+          way.path[j].on_m = before.on_m + std::hypot(way.path[j].x_m - before.x_m, way.path[j].y_m - before.y_m);
+        }
+        ways_.push_back(std::move(way));
         continue;
       }
-      for (const std::uint32_t to : next[seen[i]]) {
+      for (const std::uint32_t to : next[seen[i].first]) {
         if (seen.size() == kMostSteps) break;
-        if (std::find(seen.begin(), seen.end(), to) == seen.end()) seen.push_back(to);
+        if (std::none_of(seen.begin(), seen.end(), [&](const auto& one) { return one.first == to; }))
+          seen.push_back({to, i});
       }
     }
   }
+}
+
+FloorPlan::Way::Place FloorPlan::Way::at(double share) const {
+  if (is_lift()) {
+    Place place = path.front();
+    place.level += share * (path.back().level - place.level);
+    return place;
+  }
+  const double on_m = share * length_m();
+  auto to = path.begin() + 1;
+  while (to + 1 != path.end() && to->on_m < on_m) ++to;
+  const Place& from = *(to - 1);
+  const double part = to->on_m > from.on_m ? (on_m - from.on_m) / (to->on_m - from.on_m) : 1.0;
+  return {from.x_m + part * (to->x_m - from.x_m), from.y_m + part * (to->y_m - from.y_m),
+          from.level + part * (to->level - from.level), on_m};
 }
 
 const FloorPlan::Level* FloorPlan::find(int level) const {
@@ -210,6 +241,16 @@ bool FloorPlan::wall_between(int level_number, double x1, double y1, double x2, 
   return false;
 }
 
+bool FloorPlan::is_closed(int level_number, double x, double y) const {
+  const Level* level = find(level_number);
+  if (level == nullptr) return false;
+  return std::any_of(level->closed.begin(), level->closed.end(), [&](const auto& one) {
+    const Extent& e = one.first;
+    return x >= e.low_x_m && x <= e.high_x_m && y >= e.low_y_m && y <= e.high_y_m &&
+           inside(level->rooms[one.second].outline(), x, y);
+  });
+}
+
 bool FloorPlan::may_be_at(int level_number, double x, double y) const {
   const Level* level = find(level_number);
   if (level == nullptr || level->rooms.empty()) return true;
@@ -220,7 +261,7 @@ bool FloorPlan::may_be_at(int level_number, double x, double y) const {
   const auto near = level->rooms_near.at(bucket);
   return std::any_of(near.begin(), near.end(), [&](std::uint32_t i) {
     const navigation::MapRoom& room = level->rooms[i];
-    return inside(room.outline(), x, y) &&
+    return room.access() < kNobody && inside(room.outline(), x, y) &&
            std::none_of(room.holes().begin(), room.holes().end(),
                         [&](const navigation::MapRing& hole) { return inside(hole, x, y); });
   });

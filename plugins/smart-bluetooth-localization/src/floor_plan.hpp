@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "fiona/navigation.pb.h"
@@ -14,9 +15,17 @@ namespace fiona::beacons {
 /// What a level map says about where a person can be and go: walls, rooms, and what joins levels. Immutable.
 class FloorPlan {
  public:
+  /// Stairs or the like, or a lift, from one whole level to the next one.
   struct Way {
+    struct Place {
+      double x_m, y_m, level, on_m;  ///< the last one: from the beginning, in the plane
+    };
     int from_level, to_level;
-    double from_x_m, from_y_m, to_x_m, to_y_m;
+    std::vector<Place> path;  ///< two or more, over landings
+    double length_m() const { return path.back().on_m; }
+    bool is_lift() const { return length_m() < kLiftMoves_m; }
+    Place at(double share) const;  ///< of the length; of a lift: of the levels
+    static constexpr double kLiftMoves_m = 0.5;
   };
 
   /// Without a map: no walls, and everywhere may be gone.
@@ -29,7 +38,10 @@ class FloorPlan {
   /// Whether a wall of the level lies between two points at most a few metres apart.
   bool wall_between(int level, double x1_m, double y1_m, double x2_m, double y2_m) const;
 
-  /// Whether the point is in a room, or the level has none.
+  /// Whether the point is in a room that nobody may enter.
+  bool is_closed(int level, double x_m, double y_m) const;
+
+  /// Whether the point is in a room that somebody may enter, or the level has none.
   bool may_be_at(int level, double x_m, double y_m) const;
 
   /// Stairs, lifts and the like, each way that they may be taken.
@@ -54,6 +66,7 @@ class FloorPlan {
     int level;
     std::vector<Wall> walls;
     std::vector<navigation::MapRoom> rooms;
+    std::vector<std::pair<Extent, std::size_t>> closed;  ///< around rooms that nobody may enter
     Extent extent;
     std::uint32_t columns = 0, rows = 0;
     Buckets walls_near, rooms_near;

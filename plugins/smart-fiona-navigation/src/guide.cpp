@@ -49,7 +49,7 @@ constexpr auto kDoes = 4s;
 constexpr double kThere_m = 1.5;
 constexpr double kMostThere_m = 3.0;
 /// Who does not move is told again.
-constexpr auto kRepeat = 8s;
+constexpr auto kRepeat = 5s;
 constexpr double kMoved_m = 0.7;
 constexpr double kStarted_m = 0.8;
 constexpr auto kStartedFor = 4s;
@@ -73,10 +73,10 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   advice.arrived = arrived(walker);
   if (!advice.arrived) pass(walker, now);
   Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
-  if (std::abs(at_m_ - said_at_m_) > kMoved_m) said_at_m_ = at_m_, said_since_ = now;
+  if (distance_m(walker.place.at, said_at_) > kMoved_m) said_at_ = walker.place.at, said_since_ = now;
   const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
   const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived && !waits;
-  if (stands && return_to_door(now)) {
+  if (stands && return_to_door(walker, now)) {
     key = {phase_of(walker, now), next_, 0};
   } else if (stands && key.repeated > 0 && walker.heading_rad) {
     back_ = {*walker.heading_rad + std::numbers::pi, now};
@@ -85,7 +85,7 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   }
   if (back_ && now - back_->since < kTurnsBack && key.phase != Phase::Arrived) key = {Phase::Back, next_, 0};
   advice.is_new = said_ != key;
-  if (advice.is_new) said_at_m_ = at_m_, said_since_ = now;
+  if (advice.is_new) said_at_ = walker.place.at, said_since_ = now;
   fill(advice, key, walker);
   if (key.phase == Phase::Now && !(told_ && told_->maneuver == key.maneuver)) told_ = Told{key.maneuver, now};
   said_ = key;
@@ -93,12 +93,12 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
 }
 
 /// Who does not get on behind a door has not come through it.
-bool Guide::return_to_door(TimePoint now) {
+bool Guide::return_to_door(const Walker& walker, TimePoint now) {
   for (std::size_t i = next_; i-- > 0 && at_m_ < maneuvers_[i].end_m + kMostBehind_m;) {
     if (maneuvers_[i].kind != Instruction::DOOR || (shut_ && shut_->maneuver == i && now - shut_->since < kShutFor))
       continue;
     next_ = i;
-    shut_ = Shut{i, at_m_, now};
+    shut_ = Shut{i, walker.place.at, now};
     passed_at_ = now;
     return true;
   }
@@ -152,7 +152,8 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
     const double before_m = std::max(0.7, 1.2 * walker.sigma_m);
     return at_m_ > maneuver.end_m + 0.5 + 2.0 * walker.sigma_m || (at_m_ > maneuver.at_m - before_m && looks_there);
   }
-  if (shut_ && shut_->maneuver == next_) return at_m_ >= std::max(maneuver.end_m - 0.2, shut_->at_m + kThrough_m);
+  if (shut_ && shut_->maneuver == next_)
+    return at_m_ >= maneuver.end_m - 0.2 && dot(walker.place.at - shut_->seen_at, maneuver.out) >= kThrough_m;
   return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there);
 }
 
@@ -162,7 +163,7 @@ void Guide::pass(const Walker& walker, TimePoint now) {
   while (next_ > 0 && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m - unsure_m) --next_;
   // Who seemed to go through a door and still stands before it is told of the door again.
   if (next_ > 0 && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m)
-    shut_ = Shut{--next_, at_m_, now};
+    shut_ = Shut{--next_, walker.place.at, now};
   const auto reacts = [&] { return told_ && told_->maneuver == next_ && now - told_->at < kReacts; };
   while (next_ + 1 < maneuvers_.size() && !reacts() && has_passed(next(), walker)) ++next_;
   if (next_ != before) passed_at_ = now;

@@ -53,7 +53,7 @@ class Guide {
 
   void locate(const Walker& walker, TimePoint now);
   double steadied(double at_m, const Walker& walker, TimePoint now);
-  bool return_to_door(TimePoint now);
+  bool return_to_door(const Walker& walker, TimePoint now);
   void pass(const Walker& walker, TimePoint now);
   bool has_passed(const Maneuver& maneuver, const Walker& walker) const;
   bool arrived(const Walker& walker) const;
@@ -81,7 +81,7 @@ class Guide {
   TimePoint passed_at_{};
   struct Shut {
     std::size_t maneuver;
-    double at_m;  ///< where the walker seemed to be when that was found
+    building::Point seen_at;  ///< where the walker seemed to be when that was found
     TimePoint since;
   };
   std::optional<Shut> shut_{};  ///< a door that the walker stood before: passed only once it is behind
@@ -100,7 +100,7 @@ class Guide {
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;
   std::string words_;
-  double said_at_m_ = 0.0;
+  building::Point said_at_{};
   TimePoint said_since_{};
 };
 

@@ -1,0 +1,170 @@
+// Of BeaconFilter: stairs and lifts. On stairs steps lead along them, whatever the compass says; in a lift nobody walks,
+// and its cabin holds signals off.
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "beacon_filter.hpp"
+
+namespace fiona::beacons {
+namespace {
+
+constexpr double kBefore_m = 2.0;   // of stairs or a lift: who is there may take it
+constexpr double kAlong_rad = 1.0;  // who walks in such a direction walks along stairs
+constexpr double kTread_m = 0.1;    // of stairs, over which their direction is taken
+/// Of a second: how fast lifts go, in levels, and people on stairs, in metres.
+constexpr double kSlowLift = 0.15, kFastLift = 0.5, kSlowOnStairs_mps = 0.3, kFastOnStairs_mps = 0.7;
+/// Steps on stairs are shorter than they seem by their swing.
+constexpr double kLeastOfStep = 0.4, kMostOfStep = 1.0;
+constexpr float kNearlyThere = 0.7f;
+constexpr double kOtherWay = 0.3;  // what remains of a particle's weight that walks otherwise than its stairs lead
+
+double between(double low, double high, double share) { return low + share * (high - low); }
+
+bool leads(const FloorPlan::Way& way, double share, double heading_rad) {
+  const FloorPlan::Way::Place from = way.at(share), to = way.at(std::min(1.0, share + kTread_m / way.length_m()));
+  if (to.on_m <= from.on_m) return false;
+  const double along_rad = std::atan2(to.y_m - from.y_m, to.x_m - from.x_m);
+  return std::abs(std::remainder(heading_rad - along_rad, 2.0 * std::numbers::pi)) <= kAlong_rad;
+}
+
+}  // namespace
+
+void BeaconFilter::find_ways() {
+  ways_.clear();
+  const auto levels = field_->levels();
+  const auto index_of = [&](int level) {
+    return static_cast<std::uint32_t>(
+        std::find_if(levels.begin(), levels.end(), [&](const auto& one) { return one.level == level; }) -
+        levels.begin());
+  };
+  for (const FloorPlan::Way& way : plan_->ways()) {
+    const Way one{&way, index_of(way.from_level), index_of(way.to_level)};
+    if (one.from_index < levels.size() && one.to_index < levels.size()) ways_.push_back(one);
+  }
+  for (Particle& p : particles_) p.way = -1, p.loss_db = 0.0f;
+}
+
+bool BeaconFilter::is_before(const Particle& p, std::size_t way) const {
+  if (ways_[way].from_index != p.level_index) return false;
+  const FloorPlan::Way::Place& from = ways_[way].path->path.front();
+  return std::hypot(p.x_m - from.x_m, p.y_m - from.y_m) < kBefore_m;
+}
+
+/// Who stands takes a lift; whose steps are not known, stairs as well.
+void BeaconFilter::take_ways(double dt_s) {
+  const double enters = -std::expm1(-options_.way_rate_per_s * dt_s);
+  const bool stands = !steps_ || walked_m_ == 0.0;
+  for (Particle& p : particles_) {
+    if (p.way >= 0 && (!steps_ || ways_[p.way].path->is_lift())) ride(p, dt_s);
+    for (std::size_t i = 0; stands && p.way < 0 && i < ways_.size(); ++i) {
+      const bool may = (!steps_ || ways_[i].path->is_lift()) && is_before(p, i);
+      if (may && random_.uniform() < enters) enter(p, i);
+    }
+  }
+}
+
+void BeaconFilter::enter(Particle& p, std::size_t number) {
+  const FloorPlan::Way& way = *ways_[number].path;
+  const double share = random_.uniform();
+  p.way = static_cast<std::int32_t>(number);
+  p.share = p.pace = p.loss_db = 0.0f;
+  if (way.is_lift()) {
+    p.loss_db = static_cast<float>(options_.most_cabin_loss_db * share);
+  } else {
+    const double metres = steps_ ? between(kLeastOfStep, kMostOfStep, share)
+                                 : between(kSlowOnStairs_mps, kFastOnStairs_mps, share);
+    p.pace = static_cast<float>(metres / way.length_m());
+  }
+  move_on_way(p, 0.0);
+}
+
+void BeaconFilter::ride(Particle& p, double dt_s) {
+  if (ways_[p.way].path->is_lift() && p.pace == 0.0f) {
+    if (random_.uniform() > -std::expm1(-options_.departure_rate_per_s * dt_s)) return;
+    // Up or down: each of them as likely.
+    std::size_t found = 0;
+    std::int32_t taken = p.way;
+    for (std::size_t i = 0; i < ways_.size(); ++i) {
+      const bool from_here = ways_[i].path->is_lift() && is_before(p, i);
+      if (from_here && random_.uniform() * static_cast<double>(++found) < 1.0) taken = static_cast<std::int32_t>(i);
+    }
+    p.way = taken;
+    const double levels = std::abs(ways_[taken].path->to_level - ways_[taken].path->from_level);
+    p.pace = static_cast<float>(between(kSlowLift, kFastLift, random_.uniform()) / levels);
+  }
+  move_on_way(p, p.pace * dt_s);
+}
+
+/// At its end one is on the level; in a lift it may go on as it went, or wait.
+void BeaconFilter::move_on_way(Particle& p, double share) {
+  const Way& way = ways_[p.way];
+  p.share = static_cast<float>(std::min(1.0, p.share + share));
+  const FloorPlan::Way::Place place = way.path->at(p.share);
+  p.x_m = place.x_m;
+  p.y_m = place.y_m;
+  p.level_index = p.share < 0.5f ? way.from_index : way.to_index;
+  if (p.share < 1.0f) return;
+  p.way = -1;
+  const bool up = way.path->to_level > way.path->from_level;
+  for (std::size_t i = 0; way.path->is_lift() && i < ways_.size(); ++i) {
+    if (!ways_[i].path->is_lift() || !is_before(p, i)) continue;
+    p.way = static_cast<std::int32_t>(i);
+    p.share = 0.0f;
+    if (up == ways_[i].path->to_level > ways_[i].path->from_level && random_.uniform() < 0.5) return;
+    p.pace = 0.0f;
+  }
+  if (p.way < 0) p.loss_db = 0.0f;
+}
+
+void BeaconFilter::step_on_way(Particle& p, double length_m, double heading_rad) {
+  const FloorPlan::Way& way = *ways_[p.way].path;
+  if (way.is_lift()) {
+    if (p.pace > 0.0f && p.share < kNearlyThere) {  // between two levels nobody walks
+      p.weight *= options_.through_wall;
+      return;
+    }
+    if (p.pace > 0.0f) move_on_way(p, 1.0);
+    p.way = -1;
+    p.loss_db = 0.0f;
+    return;
+  }
+  // A turn tells where on the stairs one is, if about there they turn so.
+  for (const double off_m : {0.0, 0.6, -0.6, 1.2, -1.2, 1.8, -1.8, 2.4, -2.4}) {
+    const double share = p.share + off_m / way.length_m();
+    if (share < 0.0 || share > 1.0 || !leads(way, share, heading_rad)) continue;
+    p.share = static_cast<float>(share);
+    return move_on_way(p, p.pace * length_m);
+  }
+  p.weight *= kOtherWay;
+  move_on_way(p, p.pace * length_m);
+}
+
+bool BeaconFilter::take_stairs(Particle& p, double heading_rad) {
+  for (std::size_t i = 0; i < ways_.size(); ++i) {
+    const FloorPlan::Way& way = *ways_[i].path;
+    if (way.is_lift() || !is_before(p, i) || !leads(way, 0.0, heading_rad)) continue;
+    if (random_.uniform() > options_.way_rate_per_step) continue;
+    const FloorPlan::Way::Place &from = way.path[0], &to = way.path[1];
+    const double on_m = ((p.x_m - from.x_m) * (to.x_m - from.x_m) + (p.y_m - from.y_m) * (to.y_m - from.y_m)) /
+                        std::max(kTread_m, to.on_m);
+    enter(p, i);
+    move_on_way(p, std::clamp(on_m / way.length_m(), 0.0, 0.9));
+    return true;
+  }
+  return false;
+}
+
+/// Between two levels it is heard what is on the one or what is on the other: where the slab is, no plan tells.
+double BeaconFilter::log_likelihood_on_way(const Particle& p, const Second& second, double weight) const {
+  const double offset_db = p.offset_db - p.loss_db;
+  const auto as_on = [&](std::uint32_t level_index) {
+    return weight * field_->log_likelihood(field_->at(level_index, p.x_m, p.y_m), second, offset_db, options_.silence);
+  };
+  const double from = as_on(ways_[p.way].from_index);
+  if (p.share == 0.0f) return from;
+  const double to = as_on(ways_[p.way].to_index), more = std::max(from, to);
+  return more + std::log((1.0 - p.share) * std::exp(from - more) + p.share * std::exp(to - more));
+}
+
+}  // namespace fiona::beacons
