@@ -54,6 +54,7 @@ TEST(WebRoute, WhatAnotherPageCanSendIsRefused) {
       {421, [](WebRequest& r) { r.host = "evil.test:8080"; }},
       {421, [](WebRequest& r) { r.host = "127.0.0.1:8081"; }},
       {421, [](WebRequest& r) { r.host = ""; }},
+      {403, [](WebRequest& r) { r.origin = "https://127.0.0.1:8080"; }},
       {403, [](WebRequest& r) { r.origin = "http://evil.test"; }},
       {403, [](WebRequest& r) { r.origin = "http://localhost:8080"; }},
       {403, [](WebRequest& r) { r.origin = "null"; }},
@@ -327,13 +328,20 @@ class WebInterfaceTest : public PageSessionsTest {
   }
 };
 
-TEST_F(WebInterfaceTest, AnAddressThatOthersReachIsRefused) {
-  for (const char* address : {"0.0.0.0", "192.168.1.1", "::", "localhost.", ""}) {
+TEST_F(WebInterfaceTest, AnAddressThatIsNotOneIsRefused) {
+  for (const char* address : {"0.0.0.0", "::", "224.0.0.1", "fe80::1%eth0", "localhost", "", "127.0.0.1:80"}) {
     const auto one = bench();
     one->set("address", address);
     EXPECT_THROW(one->start(), Error);
-    EXPECT_THAT(one->reason(), HasSubstr("the page is served to this machine only"));
+    EXPECT_THAT(one->reason(), HasSubstr("the page is not served at such an address")) << address;
   }
+}
+
+TEST_F(WebInterfaceTest, AnAddressThatIsNotThisMachinesIsRefused) {
+  const auto one = bench();
+  one->set("address", "192.0.2.7");  // for documentation: RFC 5737
+  EXPECT_THROW(one->start(), Error);
+  EXPECT_THAT(one->reason(), HasSubstr("cannot listen at port 0: Cannot assign requested address"));
 }
 
 TEST_F(WebInterfaceTest, ThePortOfTheLastStartIsTakenAgainAndAnotherWhereItIsTaken) {

@@ -25,6 +25,7 @@ constexpr auto kSystemKept = std::chrono::milliseconds(400);
 constexpr auto kLoginDeadline = std::chrono::seconds(10);
 /// Two periods and a little of a location that comes five times a second.
 constexpr auto kSilence = std::chrono::milliseconds(600);
+constexpr std::string_view kAuthorityFile = "authority.crt";
 constexpr std::string_view kFiles[] = {"index.html", "page.js", "page.css", "icon.svg"};
 
 Duration seconds(double value) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double>(value)); }
@@ -93,14 +94,10 @@ void WebInterface::on_start() {
   store_ = std::make_unique<records::RecordStore>(
       given.empty() ? records::data_file("web.db") : std::filesystem::path(given), "pages");
   pages_ = std::make_unique<PageSessions>(*store_, now(), seconds(params_->session_time()));
-  std::map<std::string, std::string> files;
-  for (const std::string_view file : kFiles) files.emplace(file, content_of(resource(file)));
-  const auto serve_at = [&](std::uint16_t port) {
-    server_ = std::make_unique<WebServer>(WebServer::Settings{
-        params_->address(), port, files, board_,
-        [this](ApiCall call, std::string from, Answer respond) { on_call(std::move(call), std::move(from), respond); },
-        [this](const std::string& bearer) { return pages_->is_open(bearer, now()); }});
-  };
+  authority_.reset();
+  if (!WebServer::is_loopback(params_->address())) {
+    authority_ = std::make_unique<LocalAuthority>(*store_, std::chrono::system_clock::now());
+  }
   const auto last = store_->get("setting", "port");
   if (params_->port() != 0 || !last) {
     serve_at(static_cast<std::uint16_t>(params_->port()));
@@ -120,10 +117,31 @@ void WebInterface::on_start() {
 
 void WebInterface::on_stop() { server_.reset(); }
 
+void WebInterface::serve_at(std::uint16_t port) {
+  WebServer::Settings settings{
+      .address = params_->address(),
+      .port = port,
+      .files = {},
+      .board = board_,
+      .on_call = [this](ApiCall call, std::string from,
+                        Answer respond) { on_call(std::move(call), std::move(from), std::move(respond)); },
+      .is_open = [this](const std::string& bearer) { return pages_->is_open(bearer, now()); }};
+  for (const std::string_view file : kFiles) settings.files.emplace(file, content_of(resource(file)));
+  if (authority_) {
+    settings.proof = authority_->prove(params_->address(), std::chrono::system_clock::now());
+    settings.files.emplace(kAuthorityFile, authority_->certificate());
+  }
+  server_ = std::make_unique<WebServer>(std::move(settings));
+}
+
 Link WebInterface::make_link(const None&) {
   Link link;
   // Behind '#' no browser sends it anywhere, nor does it come into a log.
   link.set_url(server_->url() + "/#" + pages_->make_token(now()));
+  if (authority_) {
+    link.set_authority(server_->url() + "/" + std::string(kAuthorityFile));
+    link.set_fingerprint(authority_->fingerprint());
+  }
   link.set_valid_for(static_cast<std::uint32_t>(std::chrono::seconds(PageSessions::kTokenTime).count()));
   return link;
 }

@@ -15,6 +15,7 @@
 #include "fiona/records/record_store.hpp"
 #include "fiona/security.fiona.hpp"
 #include "fiona/smart_web_interface/params.pb.h"
+#include "local_authority.hpp"
 #include "page_calls.hpp"
 #include "page_sessions.hpp"
 #include "web_server.hpp"
@@ -32,6 +33,7 @@ class WebInterface final : public Component {
 
   void on_start() override;
   void on_stop() override;
+  void serve_at(std::uint16_t port);
   void check(const Parameters& draft) const;
   Link make_link(const None&);
 
@@ -97,6 +99,7 @@ class WebInterface final : public Component {
   Board board_;
   std::unique_ptr<records::RecordStore> store_;
   std::unique_ptr<PageSessions> pages_;
+  std::unique_ptr<LocalAuthority> authority_;  ///< null where only this machine is served
   std::unique_ptr<WebServer> server_;
   std::shared_ptr<const std::string> map_;  ///< as JSON; null: there is none yet
   std::uint64_t map_version_ = 0;           ///< 0: it is to be asked for

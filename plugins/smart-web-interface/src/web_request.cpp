@@ -12,13 +12,13 @@ constexpr std::string_view kBearer = "Bearer ";
 constexpr std::string_view kCalls[] = {"session", "events", "map",         "me",     "login", "logout",
                                        "profile", "points", "destination", "system", "rewire"};
 
-Route api_call(const WebRequest& request, const Site&) {
+Route api_call(const WebRequest& request, const Site& site) {
   const std::string name = request.target.substr(kApi.size());
   if (std::find(std::begin(kCalls), std::end(kCalls), name) == std::end(kCalls)) {
     return Refusal{404, "there is nothing at this address"};
   }
   if (request.method != "POST") return Refusal{405, "this address takes POST only"};
-  if (request.origin != "http://" + request.host) return Refusal{403, "the request comes from another page"};
+  if (request.origin != site.scheme + request.host) return Refusal{403, "the request comes from another page"};
   if (!request.fetch_site.empty() && request.fetch_site != "same-origin") {
     return Refusal{403, "the request comes from another page"};
   }

@@ -55,6 +55,7 @@ using Route = std::variant<AssetRequest, ApiCall, Refusal>;
 struct Site {
   std::map<std::string, std::string, std::less<>> files;  ///< path to file name
   std::vector<std::string> hosts;                         ///< "127.0.0.1:8080"
+  std::string scheme = "http://";
 };
 
 /// Decides what a request is, and refuses what a page of another origin can send: another Host (DNS rebinding), another

@@ -4,15 +4,19 @@
 
 #include <pthread.h>
 
+#include <algorithm>
 #include <atomic>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
+#include <boost/asio/ssl/context.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core.hpp>
+#include <boost/beast/ssl.hpp>
 #include <set>
 #include <sstream>
 #include <thread>
+#include <type_traits>
 
 #include "beast_request.hpp"
 #include "fiona/error.hpp"
@@ -22,6 +26,7 @@ namespace fiona::smart_web_interface {
 namespace asio = boost::asio;
 namespace beast = boost::beast;
 namespace http = beast::http;
+namespace ssl = asio::ssl;
 using boost::asio::ip::tcp;
 using Fault = beast::error_code;
 
@@ -31,6 +36,7 @@ constexpr auto kRequestTime = std::chrono::seconds(10);
 constexpr auto kIdleTime = std::chrono::seconds(30);
 /// A page takes a server that is silent for three of them for gone.
 constexpr auto kBeat = std::chrono::milliseconds(500);
+constexpr const char* kAddresses = "see the machine's addresses: ip addr";
 constexpr auto kRetryAccept = std::chrono::milliseconds(100);
 
 beast::string_view type_of(std::string_view file) {
@@ -38,6 +44,7 @@ beast::string_view type_of(std::string_view file) {
   if (file.ends_with(".js")) return "text/javascript; charset=utf-8";
   if (file.ends_with(".css")) return "text/css; charset=utf-8";
   if (file.ends_with(".svg")) return "image/svg+xml";
+  if (file.ends_with(".crt")) return "application/x-x509-ca-cert";
   return "application/octet-stream";
 }
 
@@ -57,6 +64,17 @@ void protect(http::fields& fields) {
 }
 
 std::string event_text(const Board::News& news) { return "event: " + news.topic + "\ndata: " + news.text + "\n\n"; }
+
+ssl::context context_of(const ServerProof& proof) {
+  ssl::context context(ssl::context::tls_server);
+  SSL_CTX_set_min_proto_version(context.native_handle(), TLS1_2_VERSION);
+  // Nothing here needs a resumed session or a second handshake, which have had their faults.
+  SSL_CTX_set_options(context.native_handle(), SSL_OP_NO_RENEGOTIATION | SSL_OP_NO_COMPRESSION | SSL_OP_NO_TICKET);
+  SSL_CTX_set_session_cache_mode(context.native_handle(), SSL_SESS_CACHE_OFF);
+  context.use_certificate_chain(asio::buffer(proof.certificate));
+  context.use_private_key(asio::buffer(proof.key), ssl::context::pem);
+  return context;
+}
 
 /// A JSON text that says one thing to a person.
 std::string error_json(std::string_view text) {
@@ -93,11 +111,13 @@ class WebServer::Impl : public std::enable_shared_from_this<Impl> {
 
   void listen();
   void accept();
+  void take(tcp::socket socket);
   void news();
 
   Settings settings;
   Site site;
   std::string url;
+  std::optional<ssl::context> tls;
   asio::io_context context{1};
   tcp::acceptor acceptor{context};
   asio::steady_timer retry{context};
@@ -107,34 +127,60 @@ class WebServer::Impl : public std::enable_shared_from_this<Impl> {
   std::thread thread;
 };
 
-/// One connection: requests one after the other, of which the last may become a stream.
-class WebServer::Connection : public std::enable_shared_from_this<Connection> {
+class WebServer::Connection {
  public:
-  Connection(std::shared_ptr<Impl> server, tcp::socket socket, std::string from)
-      : server_(std::move(server)), stream_(std::move(socket)), from_(std::move(from)), beat_(server_->context) {}
+  virtual ~Connection() = default;
+  virtual void start() = 0;
+  virtual void close() = 0;
+  /// Sends what is new, if this is a stream and nothing of it is under way.
+  virtual void news() = 0;
+  virtual const std::string& from() const = 0;
+};
+
+/// One connection: requests one after the other, of which the last may become a stream. Over tcp, or TLS.
+template <class Stream>
+class WebServer::ConnectionOver final : public Connection, public std::enable_shared_from_this<ConnectionOver<Stream>> {
+ public:
+  template <class... Tls>
+  ConnectionOver(std::shared_ptr<Impl> server, tcp::socket socket, std::string from, Tls&... tls)
+      : server_(std::move(server)),
+        stream_(std::move(socket), tls...),
+        from_(std::move(from)),
+        beat_(server_->context) {}
+
+  const std::string& from() const override { return from_; }
+
+  void start() override {
+    if constexpr (std::is_same_v<Stream, beast::tcp_stream>) {
+      read();
+    } else {
+      lowest().expires_after(kRequestTime);
+      stream_.async_handshake(ssl::stream_base::server,
+                              [self = this->shared_from_this()](Fault fault) { fault ? self->close() : self->read(); });
+    }
+  }
 
   void read() {
     parser_.emplace();
     set_bounds(*parser_);
-    stream_.expires_after(kIdleTime);
-    http::async_read_header(stream_, buffer_, *parser_, [self = shared_from_this()](Fault fault, std::size_t) {
+    lowest().expires_after(kIdleTime);
+    http::async_read_header(stream_, buffer_, *parser_, [self = this->shared_from_this()](Fault fault, std::size_t) {
       if (fault) return self->refuse_or_close(fault);
-      self->stream_.expires_after(kRequestTime);
+      self->lowest().expires_after(kRequestTime);
       http::async_read(self->stream_, self->buffer_, *self->parser_,
                        [self](Fault late, std::size_t) { late ? self->refuse_or_close(late) : self->handle(); });
     });
   }
 
-  void close() {
+  void close() override {
     beat_.cancel();
     Fault ignored;
-    stream_.socket().shutdown(tcp::socket::shutdown_both, ignored);
-    stream_.close();
-    if (server_->connections.erase(shared_from_this()) > 0) --server_->count;
+    lowest().socket().shutdown(tcp::socket::shutdown_both, ignored);
+    lowest().close();
+    if (server_->connections.erase(this->shared_from_this()) > 0) --server_->count;
   }
 
-  /// Sends what is new, if this is a stream and nothing of it is under way.
-  void news() {
+  void news() override {
     if (!streaming_ || writing_) return;
     std::string text;
     for (const Board::News& one : server_->settings.board.since(seen_)) text += event_text(one);
@@ -142,9 +188,12 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
   }
 
  private:
+  beast::tcp_stream& lowest() { return beast::get_lowest_layer(stream_); }
+
   void refuse_or_close(const Fault& fault) {
-    if (fault == http::error::end_of_stream || fault == beast::error::timeout || fault == asio::error::eof ||
-        fault == asio::error::connection_reset || fault == asio::error::operation_aborted) {
+    if (fault == http::error::end_of_stream || fault == ssl::error::stream_truncated ||
+        fault == beast::error::timeout || fault == asio::error::eof || fault == asio::error::connection_reset ||
+        fault == asio::error::operation_aborted) {
       return close();
     }
     last_ = true;
@@ -173,7 +222,7 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
       bearer_ = call.bearer;
       return begin_stream();
     }
-    auto answer = [weak = weak_from_this(), context = std::weak_ptr(server_)](WebReply reply) {
+    auto answer = [weak = this->weak_from_this(), context = std::weak_ptr(server_)](WebReply reply) {
       const auto server = context.lock();
       if (!server) return;
       asio::post(server->context, [weak, reply = std::move(reply)]() mutable {
@@ -181,7 +230,7 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
       });
     };
     // Calls have their own deadlines; a connection that waits for one is not idle.
-    stream_.expires_never();
+    lowest().expires_never();
     server_->settings.on_call(std::move(call), from_, std::make_shared<Responder>(std::move(answer)));
   }
 
@@ -197,10 +246,10 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
     response_.prepare_payload();
     if (head) response_.body().clear();
     response_.keep_alive(!last_);
-    stream_.expires_after(kRequestTime);
+    lowest().expires_after(kRequestTime);
     serializer_.emplace(response_);
     serializer_->split(head);
-    const auto done = [self = shared_from_this()](Fault fault, std::size_t) {
+    const auto done = [self = this->shared_from_this()](Fault fault, std::size_t) {
       fault || self->last_ ? self->close() : self->read();
     };
     if (head) {
@@ -225,11 +274,11 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
   void write(std::string text) {
     writing_ = true;
     text_ = std::move(text);
-    stream_.expires_after(kRequestTime);
-    asio::async_write(stream_, asio::buffer(text_), [self = shared_from_this()](Fault fault, std::size_t) {
+    lowest().expires_after(kRequestTime);
+    asio::async_write(stream_, asio::buffer(text_), [self = this->shared_from_this()](Fault fault, std::size_t) {
       self->writing_ = false;
       if (fault) return self->close();
-      self->stream_.expires_never();
+      self->lowest().expires_never();
       self->news();
     });
   }
@@ -237,7 +286,7 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
   /// A session that has ended ends its stream.
   void beat() {
     beat_.expires_after(kBeat);
-    beat_.async_wait([self = shared_from_this()](Fault fault) {
+    beat_.async_wait([self = this->shared_from_this()](Fault fault) {
       if (fault) return;
       if (!self->server_->settings.is_open(self->bearer_)) return self->close();
       if (!self->writing_) self->write(": \n\n");
@@ -246,7 +295,7 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
   }
 
   const std::shared_ptr<Impl> server_;
-  beast::tcp_stream stream_;
+  Stream stream_;
   const std::string from_;
   beast::flat_buffer buffer_{kMaxHeader + kMaxBody};
   std::optional<RequestParser> parser_;
@@ -262,30 +311,51 @@ class WebServer::Connection : public std::enable_shared_from_this<Connection> {
   asio::steady_timer beat_;
 };
 
-void WebServer::Impl::listen() {
+bool WebServer::is_loopback(const std::string& text) {
   Fault fault;
-  const auto address = asio::ip::make_address(settings.address, fault);
-  if (fault || !address.is_loopback()) {
-    throw Error(ErrorCode::Usage, {.what = "the page is served to this machine only",
-                                   .expected = "address 127.0.0.1 or ::1",
-                                   .found = settings.address,
-                                   .next = "for another machine forward the port: ssh -L PORT:127.0.0.1:PORT HOST"});
+  const auto address = asio::ip::make_address(text, fault);
+  // Browsers know no zones ("fe80::1%eth0").
+  const bool has_zone = text.find('%') != std::string::npos;
+  if (!fault && !has_zone && !address.is_unspecified() && !address.is_multicast()) return address.is_loopback();
+  throw Error(ErrorCode::Usage,
+              {.what = "the page is not served at such an address",
+               .expected = "127.0.0.1 or ::1 for this machine alone, or one numeric address by which others reach it",
+               .found = text,
+               .next = kAddresses});
+}
+
+void WebServer::Impl::listen() {
+  const bool own_only = is_loopback(settings.address);
+  if (!own_only && !settings.proof) {
+    throw Error(ErrorCode::Usage, {.what = "beyond this machine the page is served over TLS only",
+                                   .expected = "a proof of the server",
+                                   .found = settings.address});
   }
+  if (settings.proof) tls.emplace(context_of(*settings.proof));
+  Fault fault;
+  const auto address = asio::ip::make_address(settings.address);
   const tcp::endpoint endpoint(address, settings.port);
   acceptor.open(endpoint.protocol());
   acceptor.set_option(tcp::acceptor::reuse_address(true));
   acceptor.bind(endpoint, fault);
   if (!fault) acceptor.listen(tcp::acceptor::max_listen_connections, fault);
   if (fault) {
+    const bool elsewhere = fault == boost::system::errc::address_not_available;
     throw Error(ErrorCode::Failed,
                 {.what = "cannot listen at port " + std::to_string(settings.port) + ": " + fault.message(),
                  .where = settings.address,
-                 .next = "set another port, or 0 for one that is free"});
+                 .next = elsewhere ? kAddresses : "set another port, or 0 for one that is free"});
   }
   const std::string port = ":" + std::to_string(acceptor.local_endpoint().port());
   const std::string own = (address.is_v6() ? "[" + address.to_string() + "]" : address.to_string()) + port;
-  site.hosts = {own, "localhost" + port};
-  url = "http://" + own;
+  site.hosts = {own};
+  if (own_only) site.hosts.push_back("localhost" + port);
+  site.scheme = tls ? "https://" : "http://";
+  // Browsers leave out the port that is usual.
+  if (acceptor.local_endpoint().port() == (tls ? 443 : 80)) {
+    site.hosts.push_back(own.substr(0, own.size() - port.size()));
+  }
+  url = site.scheme + own;
   for (const auto& [name, bytes] : settings.files) site.files.emplace("/" + name, name);
   if (settings.files.contains("index.html")) site.files.emplace("/", "index.html");
 }
@@ -301,17 +371,31 @@ void WebServer::Impl::accept() {
       });
       return;
     }
-    Fault gone;
-    const auto from = socket.remote_endpoint(gone);
-    if (!gone && self->connections.size() < kMaxConnections) {
-      socket.set_option(tcp::no_delay(true), gone);
-      auto connection = std::make_shared<Connection>(self, std::move(socket), from.address().to_string());
-      self->connections.insert(connection);
-      ++self->count;
-      connection->read();
-    }
+    self->take(std::move(socket));
     self->accept();
   });
+}
+
+void WebServer::Impl::take(tcp::socket socket) {
+  Fault gone;
+  const auto peer = socket.remote_endpoint(gone);
+  if (gone || connections.size() >= kMaxConnections) return;
+  std::string from = peer.address().to_string();
+  const auto of_source =
+      std::count_if(connections.begin(), connections.end(), [&](const auto& one) { return one->from() == from; });
+  if (!peer.address().is_loopback() && static_cast<std::size_t>(of_source) >= kMaxOfSource) return;
+  socket.set_option(tcp::no_delay(true), gone);
+  std::shared_ptr<Connection> connection;
+  if (tls) {
+    connection = std::make_shared<ConnectionOver<beast::ssl_stream<beast::tcp_stream>>>(
+        shared_from_this(), std::move(socket), std::move(from), *tls);
+  } else {
+    connection =
+        std::make_shared<ConnectionOver<beast::tcp_stream>>(shared_from_this(), std::move(socket), std::move(from));
+  }
+  connections.insert(connection);
+  ++count;
+  connection->start();
 }
 
 /// One wake-up for whatever has changed until it comes.

@@ -4,9 +4,11 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "board.hpp"
+#include "local_authority.hpp"
 #include "web_request.hpp"
 
 namespace fiona::smart_web_interface {
@@ -36,10 +38,13 @@ class Responder {
 class WebServer {
  public:
   static constexpr std::size_t kMaxConnections = 64;
+  /// From one address other than this machine's own: a browser has six.
+  static constexpr std::size_t kMaxOfSource = 16;
 
   struct Settings {
     std::string address;
     std::uint16_t port = 0;                    ///< 0: a free one
+    std::optional<ServerProof> proof{};        ///< with it the server speaks TLS; without, to its own machine only
     std::map<std::string, std::string> files;  ///< by name: "index.html"
     Board& board;
     /// [the server's thread] A call of a page; `from` is the address it comes from.
@@ -48,15 +53,19 @@ class WebServer {
     std::function<bool(const std::string& bearer)> is_open;
   };
 
-  /// Listens when this returns. Throws Error (Failed) where it cannot, Usage for an address that is not this machine's
-  /// alone.
+  /// Whether an address is this machine's alone. Throws Error (Usage) for what is no numeric address, or for all of a
+  /// machine's at once: a certificate is for one.
+  static bool is_loopback(const std::string& address);
+
+  /// Listens when this returns. Throws Error (Failed) where it cannot, Usage for an address that others reach without a
+  /// proof.
   explicit WebServer(Settings settings);
   ~WebServer();
   WebServer(const WebServer&) = delete;
   WebServer& operator=(const WebServer&) = delete;
 
   std::uint16_t port() const;
-  /// "http://127.0.0.1:8080"
+  /// "http://127.0.0.1:8080", "https://192.168.1.20:8080"
   std::string url() const;
   /// [any thread]
   std::size_t connections() const;
@@ -64,6 +73,8 @@ class WebServer {
  private:
   class Impl;
   class Connection;
+  template <class Stream>
+  class ConnectionOver;
   std::shared_ptr<Impl> impl_;  ///< shared with connections, which end after it has asked them to
 };
 
