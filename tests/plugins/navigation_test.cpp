@@ -172,6 +172,20 @@ TEST(LevelPlan, AMapWithoutLevelsIsRefused) {
   EXPECT_THAT(refusal_of(map), HasSubstr("has no levels"));
 }
 
+TEST(LevelPlan, ARoomIsToldByNameAndNumberAndTheNumberOnce) {
+  LevelPlan plan = read_level_plan(world::told(house().read()));
+  auto& room = plan.plan.rooms.front();
+  const PathPoint inside{room.centre, room.level};
+  const auto told = [&](const char* name, const char* ref) {
+    room.name = name, room.ref = ref;
+    return plan.room_name(inside).value_or("");
+  };
+  EXPECT_EQ(told("Library", "0.04"), "Library (0.04)");
+  EXPECT_EQ(told("Office 1.09", "1.09"), "Office 1.09");
+  EXPECT_EQ(told("Library", ""), "Library");
+  EXPECT_EQ(told("", "0.04"), "0.04");
+}
+
 TEST(LevelPlan, AnEdgeToNowhereIsRefused) {
   navigation::CommLevelMap map = world::told(house().read());
   map.mutable_edges(0)->set_to(100000);

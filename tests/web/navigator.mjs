@@ -1,7 +1,7 @@
 // The mobile navigator as tests of its page start it: from the marketplace, with a state of its own, and a browser.
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
-import { existsSync, mkdirSync, mkdtempSync, rmSync } from "node:fs";
+import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { dirname, join, resolve } from "node:path";
@@ -118,5 +118,18 @@ export class Claims {
 /// playwright-core and axe-core, which are installed with what the page is built with.
 export function browserTools(modules) {
   const require = createRequire(join(modules, "x.js"));
-  return { chromium: require("playwright-core").chromium, axe: require.resolve("axe-core/axe.min.js") };
+  return { chromium: require("playwright-core").chromium, axe: readFileSync(require.resolve("axe-core/axe.min.js"), "utf8") };
+}
+
+/// That axe-core, whose text this is, finds nothing.
+export async function accessible(axe, page, state) {
+  // A context of its own: the page's policy lets no script in, and is right to.
+  await page.evaluate(axe);
+  const { violations } = await page.evaluate(() =>
+    window.axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"] }),
+  );
+  assert.deepEqual(
+    violations.map((one) => `${state}: ${one.id}: ${one.nodes.map((node) => node.html.slice(0, 120)).join(" | ")}`),
+    [],
+  );
 }

@@ -199,7 +199,8 @@ std::optional<std::string> LevelPlan::room_name(const building::PathPoint& place
   if (!index) return std::nullopt;
   const building::Room& room = plan.rooms[*index];
   if (room.name.empty()) return room.ref;
-  return room.ref.empty() ? room.name : room.name + " (" + room.ref + ")";
+  // "Office 1.09" has its number already.
+  return room.name.find(room.ref) != std::string::npos ? room.name : room.name + " (" + room.ref + ")";
 }
 
 LevelPlan read_level_plan(const navigation::CommLevelMap& map) { return Reader(map).read(); }
