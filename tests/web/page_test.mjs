@@ -3,104 +3,23 @@
 // nothing, in any state. Screenshots of phone and desk are left in the last folder.
 // usage: node page_test.mjs BIN MARKETPLACE NODE_MODULES SCREENSHOTS
 import assert from "node:assert/strict";
-import { execFileSync, spawn } from "node:child_process";
-import { existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs";
+import { mkdirSync, readFileSync, readdirSync } from "node:fs";
 import { createServer } from "node:http";
-import { createRequire } from "node:module";
-import { tmpdir } from "node:os";
-import { dirname, join, resolve } from "node:path";
-import { fileURLToPath } from "node:url";
+import { join, resolve } from "node:path";
 import { hostile } from "./hostile_page.mjs";
+import { Claims, Navigator, accessible as accessibleBy, browserProgram, browserTools, skip, until } from "./navigator.mjs";
 
 const [bin, marketplace, modules, screenshots] = process.argv.slice(2).map((path) => resolve(path));
-const browserProgram = ["/usr/bin/chromium", "/usr/bin/chromium-browser"].find(existsSync);
-if (!browserProgram) {
-  console.log("skipped: there is no chromium on this machine (apt-get install chromium)");
-  process.exit(77);
-}
-const require = createRequire(join(modules, "x.js"));
-const { chromium } = require("playwright-core");
-const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
+if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
+const { chromium, axe } = browserTools(modules);
 mkdirSync(screenshots, { recursive: true });
 
-const home = mkdtempSync(join(tmpdir(), "fiona-web-"));
-const env = {
-  ...process.env,
-  XDG_STATE_HOME: join(home, "state"),
-  XDG_RUNTIME_DIR: join(home, "run"),
-  FIONA_STORE: join(home, "store"),
-  FIONA_MARKET: marketplace,
-};
-for (const folder of ["state", "run", "store"]) mkdirSync(join(home, folder), { mode: 0o700 });
 const kPassword = "canary-horse-battery";
-const fiona = (...words) => execFileSync(join(bin, "fiona"), words, { env, encoding: "utf8", timeout: 60000, stdio: "pipe" });
-const until = async (what, test, limit_ms = 30000) => {
-  for (const end = Date.now() + limit_ms; Date.now() < end; ) {
-    if (await test()) return;
-    await new Promise((done) => setTimeout(done, 100));
-  }
-  assert.fail(`not within ${limit_ms / 1000} s: ${what}`);
-};
-
-let host = null;
-let said = "";
-const sources = resolve(dirname(fileURLToPath(import.meta.url)), "../..");
-const demo = resolve(bin, "../demo");
-const packages = [
-  "guided-walk-simulator", "step-heading", "map-server", "smart-bluetooth-localization", "radio-localisation", "smart-symbolic-planner",
-  "smart-fiona-navigation", "authenticator", "user-profiles", "smart-web-interface",
-];
-async function start() {
-  const files = ["one-process", "page"].map((name) => join(sources, "systems/mobile-navigator", `${name}.fiona`));
-  const maps = ["--set", `bluetooth.beacons=${demo}/institute.beacons`, "--set", `wifi.map=${demo}/institute.radiomap`];
-  host = spawn(join(bin, "fiona"), ["run", ...files, ...maps, "--headless", "--timeout", "60s"], { env, cwd: sources, detached: true });
-  for (const stream of [host.stdout, host.stderr]) stream.on("data", (bytes) => (said += bytes));
-  await until("the page is served", () => {
-    assert.equal(host.exitCode, null, `the system has ended: ${said}`);
-    try {
-      return fiona("show", "web").includes("active");
-    } catch {
-      return false;
-    }
-  }, 60000);
-}
-const link = () => /url="([^"]+)"/.exec(fiona("call", "web.link"))[1];
-/// What it started, groups and all: they are one process group.
-function stop(signal = "SIGKILL") {
-  if (host?.exitCode === null) process.kill(-host.pid, signal);
-  host = null;
-}
-
-const failures = [];
-/// The page that claims are about: one that does not hold is told with what it shows.
-let shown = null;
-async function whatIsShown() {
-  const text = await shown?.locator("body").innerText({ timeout: 2000 }).catch((error) => String(error));
-  return `the page shows:\n${text ?? "nothing"}`.split("\n").slice(0, 60).join("\n        | ");
-}
-
-async function claim(what, test) {
-  try {
-    await test();
-    console.log(`ok      ${what}`);
-  } catch (error) {
-    failures.push(what);
-    console.log(`FAILED  ${what}\n        ${String(error.message ?? error).split("\n").slice(0, 12).join("\n        ")}`);
-    console.log(`        ${await whatIsShown()}`);
-  }
-}
-
-async function accessible(page, state) {
-  // A context of its own: the page's policy lets no script in, and is right to.
-  await page.evaluate(axe);
-  const { violations } = await page.evaluate(() =>
-    window.axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"] }),
-  );
-  assert.deepEqual(
-    violations.map((one) => `${state}: ${one.id}: ${one.nodes.map((node) => node.html.slice(0, 120)).join(" | ")}`),
-    [],
-  );
-}
+const system = new Navigator(bin, marketplace);
+const fiona = (...words) => system.fiona(...words);
+const claims = new Claims();
+const claim = (what, test) => claims.claim(what, test);
+const accessible = (page, state) => accessibleBy(axe, page, state);
 /// In the page's pixels, so that the files stay small.
 const picture = (page, name, fullPage = false) => page.screenshot({ path: join(screenshots, `${name}.png`), scale: "css", fullPage });
 const fits = async (page) => assert.equal(await page.evaluate(() => document.documentElement.scrollWidth > innerWidth), false, "it scrolls sideways");
@@ -137,17 +56,16 @@ const gapsOf = (page) =>
     return times.slice(1).map((time, i) => Math.round(time - times[i])).sort((a, b) => a - b);
   });
 
-execFileSync(join(bin, "fiona"), ["market", "install", "-q", "-y", ...packages], { env });
-execFileSync(join(bin, "fiona-users"), ["add", "anna", "--level", "3"], { env, input: `${kPassword}\n` });
+system.users(["add", "anna", "--level", "3"], `${kPassword}\n`);
 
 const browser = await chromium.launch({ executablePath: browserProgram, args: ["--no-sandbox", "--host-resolver-rules=MAP evil.test 127.0.0.1"] });
 try {
-  await start();
-  const url = link();
+  await system.start();
+  const url = system.link();
   const origin = new URL(url).origin;
   const context = await browser.newContext({ viewport: { width: 390, height: 844 }, deviceScaleFactor: 2, hasTouch: true });
   const page = await context.newPage();
-  shown = page;
+  claims.shown = page;
   const troubles = [];
   page.on("pageerror", (error) => troubles.push(String(error)));
   page.on("console", (message) => message.type() === "error" && troubles.push(message.text()));
@@ -279,7 +197,7 @@ try {
     await accessible(page, "running");
   });
   await claim("a provider is swapped on the page among those that fit, by a user of level 6", async () => {
-    execFileSync(join(bin, "fiona-users"), ["level", "anna", "6"], { env });
+    system.users(["level", "anna", "6"]);
     const wire = page.locator(".cards li", { hasText: "nav.location from" });
     const others = wire.getByLabel("Another provider for nav.location");
     await others.waitFor();
@@ -302,7 +220,7 @@ try {
     await page.locator(".cards li", { hasText: "nav.location from bluetooth.location" }).waitFor();
   });
   await claim("who has lost the level switches nothing any more, and is told", async () => {
-    execFileSync(join(bin, "fiona-users"), ["level", "anna", "3"], { env });
+    system.users(["level", "anna", "3"]);
     await page.locator(".swap").first().waitFor({ state: "detached", timeout: 5000 });
     assert.deepEqual(await api(page, "rewire", { client: "nav.location", provider: "phone.truth" }), {
       status: 403,
@@ -348,14 +266,14 @@ try {
     assert.deepEqual(asked.filter((one) => !one.startsWith(`${origin}/`)), []);
   });
   await claim("a killed system is told within two seconds, and the same page goes on with the next", async () => {
-    stop();
+    await system.stop();
     await page.getByText("Connection lost, connecting again…").waitFor({ timeout: 2500 });
     await accessible(page, "lost");
     await picture(page, "phone-lost");
-    await start();
+    await system.start();
     await page.getByText("Connected", { exact: true }).waitFor({ timeout: 30000 });
     await page.getByRole("button", { name: "Profile of anna" }).waitFor();
-    assert.equal(new URL(link()).origin, origin, "another port");
+    assert.equal(new URL(system.link()).origin, origin, "another port");
   });
   await claim("a log-out makes a guest of the page, and of no one else", async () => {
     await page.getByRole("button", { name: "Profile of anna" }).click();
@@ -365,7 +283,7 @@ try {
     await page.getByRole("button", { name: "Log in" }).waitFor();
   });
   await claim("the password is nowhere on the disk and in nothing that was said", async () => {
-    assert.equal(said.includes(kPassword), false, "in the output");
+    assert.equal(system.said.includes(kPassword), false, "in the output");
     const search = (folder) => {
       for (const entry of readdirSync(folder, { withFileTypes: true })) {
         const path = join(folder, entry.name);
@@ -373,7 +291,7 @@ try {
         else if (entry.isFile()) assert.equal(readFileSync(path).includes(kPassword), false, path);
       }
     };
-    search(home);
+    search(system.home);
   });
   await claim("the browser found nothing wrong", async () => {
     // A server that was killed, and a password that was refused, are told by the browser too.
@@ -382,8 +300,7 @@ try {
   });
 } finally {
   await browser.close();
-  stop();
-  if (failures.length) console.log(said);
-  rmSync(home, { recursive: true, force: true });
+  if (claims.failures.length) console.log(system.said);
+  await system.close();
 }
-process.exit(failures.length ? 1 : 0);
+process.exit(claims.failures.length ? 1 : 0);
