@@ -119,6 +119,18 @@ try {
     await picture(page, "phone-profile");
     await page.getByRole("button", { name: "Close" }).click();
   });
+  await claim("no process shows the password in its words or its environment", () => {
+    const searched = readdirSync("/proc").filter((name) => /^\d+$/.test(name)).flatMap((pid) =>
+      ["cmdline", "environ"].map((file) => {
+        try {
+          return [`${file} of ${pid}`, readFileSync(`/proc/${pid}/${file}`, "utf8")];
+        } catch {
+          return [pid, ""];  // it has ended, or is another user's
+        }
+      }));
+    assert.ok(searched.some(([, text]) => text.includes("fiona-host")) && searched.some(([, text]) => text.includes(system.home)), "the system was not searched");
+    assert.deepEqual(searched.filter(([, text]) => text.includes(kPassword)).map(([where]) => where), []);
+  });
   await claim("a point of attention is told where the walker is", async () => {
     await page.getByText("Passing the big plant").waitFor();
   });
