@@ -1,5 +1,5 @@
-// Of BeaconFilter: stairs and lifts. On stairs steps lead along them, whatever the compass says; in a lift nobody walks,
-// and its cabin holds signals off.
+// Of BeaconFilter: stairs and lifts. On stairs steps lead along them, whatever the compass says; in a lift nobody
+// walks, and its cabin holds signals off.
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -72,8 +72,8 @@ void BeaconFilter::enter(Particle& p, std::size_t number) {
   if (way.is_lift()) {
     p.loss_db = static_cast<float>(options_.most_cabin_loss_db * share);
   } else {
-    const double metres = steps_ ? between(kLeastOfStep, kMostOfStep, share)
-                                 : between(kSlowOnStairs_mps, kFastOnStairs_mps, share);
+    const double metres =
+        steps_ ? between(kLeastOfStep, kMostOfStep, share) : between(kSlowOnStairs_mps, kFastOnStairs_mps, share);
     p.pace = static_cast<float>(metres / way.length_m());
   }
   move_on_way(p, 0.0);
