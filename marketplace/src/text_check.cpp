@@ -49,7 +49,7 @@ std::string texts_fault(const google::protobuf::Message& message) {
       if (field->type() == google::protobuf::FieldDescriptor::TYPE_STRING) {
         const std::string text = field->is_repeated() ? reflection->GetRepeatedString(message, field, i)
                                                       : reflection->GetString(message, field);
-        fault = text_fault(text, field->name() == "doc" || field->name() == "hello");
+        fault = text_fault(text, field->name() == "doc" || field->name() == "try");
         if (!fault.empty()) return field->name() + " " + fault;
       } else if (field->message_type() && field->message_type() != google::protobuf::FileDescriptorSet::descriptor()) {
         fault = texts_fault(field->is_repeated() ? reflection->GetRepeatedMessage(message, field, i)

@@ -12,7 +12,7 @@ namespace fiona::marketplace {
 std::string text_fault(std::string_view text, bool lines);
 
 /// The same for every string of a message and the messages in it, descriptors excepted: "FIELD FAULT" of the
-/// first that is at fault, or nothing. Fields named doc or hello may have several lines.
+/// first that is at fault, or nothing. Fields named doc or try may have several lines.
 std::string texts_fault(const google::protobuf::Message& message);
 
 /// Parses protobuf text and checks its strings. Throws fiona::Error (Failed) with line and column.

@@ -65,7 +65,7 @@ TEST(Manifest, ATextThatWouldReachATerminalHasNoControlCharacters) {
   EXPECT_EQ(error_of([] { parse_manifest(authors("rights: '\\342\\200\\256'"), "m"); }).text().what,
             "rights has a control or invisible character");
   EXPECT_EQ(error_of([] { parse_manifest(authors("rights: '\\300\\257'"), "m"); }).text().what, "rights is not UTF-8");
-  EXPECT_NO_THROW(parse_manifest(authors("hello: 'ls\\nspots'"), "m"));
+  EXPECT_NO_THROW(parse_manifest(authors("try: 'ls\\nspots'"), "m"));
 }
 
 TEST(PackagePath, OnlyHarmlessPathsAreAllowed) {

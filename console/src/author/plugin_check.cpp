@@ -108,7 +108,7 @@ class PluginChecker {
     check_.name = marketplace::full_name(*manifest_);
     if (files_.packed) marketplace::check_packed_manifest(*manifest_, files_.manifest.string());
     for (const std::string& right : manifest_->rights()) check_right(right, text);
-    check_hello(text);
+    check_try(text);
   }
 
   void check_right(const std::string& right, const std::string& text) {
@@ -124,18 +124,18 @@ class PluginChecker {
           .near = nearest_names(right, kKnown)});
   }
 
-  void check_hello(const std::string& text) {
-    const std::string place = field_place(files_.manifest, text, "hello:");
-    if (manifest_->kind() == fiona::PLUGIN && manifest_->hello().empty())
+  void check_try(const std::string& text) {
+    const std::string place = field_place(files_.manifest, text, "try:");
+    if (manifest_->kind() == fiona::PLUGIN && manifest_->try_().empty())
       find({.what = "the manifest has no line that shows the plugin at work",
             .where = place,
-            .next = fmt::format("hello: \"load {} as {}\"", check_.name, manifest_->name())});
-    for (const std::string& line : split_lines(manifest_->hello())) {
+            .next = fmt::format("try: \"load {} as {}\"", check_.name, manifest_->name())});
+    for (const std::string& line : split_lines(manifest_->try_())) {
       try {
         read_line(split_line(line));
       } catch (const LineError& error) {
         ErrorText told = error.text();
-        told.what = fmt::format("the console does not understand hello: {}", told.what);
+        told.what = fmt::format("the console does not understand try: {}", told.what);
         told.where = place;
         told.found = line;
         find(told);

@@ -158,7 +158,7 @@ void tell_done(Session& session, const Plan& plan) {
                                        {"previous", step.previous_version},
                                        {"because", step.because}});
     if (step.kind != StepKind::Install || !step.entry) continue;
-    for (const std::string& hello : split_lines(step.entry->manifest().hello())) session.out.remark("  try: " + hello);
+    for (const std::string& shown : split_lines(step.entry->manifest().try_())) session.out.remark("  try: " + shown);
   }
 }
 

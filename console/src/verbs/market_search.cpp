@@ -150,7 +150,7 @@ void show_facts(Session& session, const std::vector<IndexEntry>& entries) {
   for (const std::string& text : newest.conflicts()) facts.add({"not with", text});
   if (!newest.host().empty()) facts.add({"works with", "FIONA " + newest.host()});
   facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
-  for (const std::string& hello : split_lines(newest.hello())) facts.add({"try", hello});
+  for (const std::string& shown : split_lines(newest.try_())) facts.add({"try", shown});
   session.out.table(facts, "", false);
 }
 

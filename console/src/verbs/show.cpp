@@ -268,7 +268,7 @@ void show_plugin(Session& session, const KnownPlugin& plugin) {
   facts.add({"license", plugin.manifest.license()});
   facts.add({"where", plugin.installed ? "installed" : "marketplace: market install " + plugin.name()});
   if (!plugin.mark.empty()) facts.add({"state", plugin.mark});
-  for (const std::string& hello : split_lines(plugin.manifest.hello())) facts.add({"try", hello});
+  for (const std::string& shown : split_lines(plugin.manifest.try_())) facts.add({"try", shown});
   session.out.table(facts, "", false);
   for (const auto& component : plugin.interface.components()) {
     session.out.text(fmt::format("\n{}  {}", component.name(), component.doc()));

@@ -1,6 +1,7 @@
 #include "radio_localisation.hpp"
 
 #include <cmath>
+#include <filesystem>
 #include <limits>
 #include <string>
 
@@ -45,6 +46,9 @@ localisation::CommLocation location_of(const radio::Estimate& estimate, const ra
   return location;
 }
 
+/// The map that comes with the package, to try it: no map is a default, for each is of one building.
+constexpr const char* kHouse = "house.radiomap";
+
 }  // namespace
 
 void RadioLocalisation::on_start() {
@@ -54,7 +58,10 @@ void RadioLocalisation::on_start() {
                                    .next = "fiona-radiomap learn FOLDER -o FILE, then load radio-localisation as " +
                                            name() + " map=FILE"});
   }
-  map_ = std::make_shared<const radio::RadioMap>(radio::load(params_->map()));
+  std::error_code unknown;
+  const bool is_packaged = params_->map() == kHouse && !std::filesystem::exists(kHouse, unknown);
+  const std::filesystem::path file = is_packaged ? resource(kHouse) : std::filesystem::path(params_->map());
+  map_ = std::make_shared<const radio::RadioMap>(radio::load(file));
   radio::FilterOptions options;
   options.particles = params_->particles();
   options.seed = params_->seed();

@@ -1,6 +1,7 @@
 #include "smart_bluetooth_localization.hpp"
 
 #include <cmath>
+#include <filesystem>
 #include <limits>
 #include <numbers>
 
@@ -19,6 +20,9 @@ std::string text_of(beacons::Validity validity) {
   return "unknown";
 }
 
+/// The map that comes with the package, to try it: no map is a default, for each is of one building.
+constexpr const char* kHouse = "house.beacons";
+
 }  // namespace
 
 void SmartBluetoothLocalization::on_start() {
@@ -29,7 +33,9 @@ void SmartBluetoothLocalization::on_start() {
                                            "smart-bluetooth-localization as " +
                                            name() + " beacons=FILE"});
   }
-  beacon_map_ = beacons::load(params_->beacons());
+  std::error_code unknown;
+  const bool is_packaged = params_->beacons() == kHouse && !std::filesystem::exists(kHouse, unknown);
+  beacon_map_ = beacons::load(is_packaged ? resource(kHouse) : std::filesystem::path(params_->beacons()));
   make_field();
 }
 
