@@ -357,7 +357,7 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time de
       return std::nullopt;
     }
     const Time now = Steady::now();
-    const bool readable = wait_readable(hangs_ ? std::min(deadline, now + kWatchEvery) : deadline);
+    const bool readable = wait_readable(hangs_ ? std::min(deadline, now + kWatchWaiting) : deadline);
     if (!readable && now >= deadline) return std::nullopt;
     watch(now);
     ended = !alive() || (readable && !receive());
@@ -395,7 +395,7 @@ void ChildGroup::put_last(double cores) {
 
 /// A process that says much is waited for again and again: it is looked at as often as any other.
 void ChildGroup::watch(Time now) {
-  if (now - watched_ < kWatchEvery / 2) return;
+  if (now - watched_ < kWatchWaiting) return;
   watched_ = now;
   if (alive()) std::cerr << output_.take(now);
   if (alive()) end_if_greedy();

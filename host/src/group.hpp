@@ -94,6 +94,8 @@ void require_descriptors_to_start();
 
 /// How often groups are looked at, whether they stand still.
 inline constexpr std::chrono::milliseconds kWatchEvery{100};
+/// The same while somebody waits for its answer: what looking late adds to a bound, he waits longer.
+inline constexpr std::chrono::milliseconds kWatchWaiting{25};
 
 /// A child process, `fiona-group`, that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {

@@ -38,8 +38,9 @@ class HangWatch {
 
   /// A piece of work that takes so long hangs (architecture 7, bounds).
   static constexpr milliseconds kWork{1000};
-  /// Opening a library, with all that its static constructors do; making a component, which only declares.
-  static constexpr milliseconds kOpening{2000};
+  /// Opening a library, with all that its static constructors do; making a component, which only declares. The refusal
+  /// is due after 2 s, and what is before and after has to fit in: starting the group, looking, ending it.
+  static constexpr milliseconds kOpening{1800};
   /// What a component may need time for: opening files and devices, and closing them.
   static constexpr milliseconds kLifeCycle{10'000};
   /// A process that has been stopped has no work to excuse it; its consumers are to be told within a second.

@@ -8,6 +8,7 @@
 #include <tuple>
 #include <vector>
 
+#include "hang_watch.hpp"
 #include "plugin_library.hpp"
 
 namespace fiona::host {
@@ -17,8 +18,8 @@ namespace fiona::host {
 /// message packages among them, and for this host: the next one asks again.
 class Trials {
  public:
-  /// How long opening may take.
-  static constexpr std::chrono::milliseconds kWithin{1800};
+  /// How long opening may take: as long as in a group.
+  static constexpr std::chrono::milliseconds kWithin = HangWatch::kOpening;
 
   /// Throws Error Failed, if opening the libraries of this plugin ends a process or does not end. What the loader
   /// refuses passes: it says why to whoever opens it.

@@ -62,6 +62,13 @@ class ZooGroup : public testing::TestWithParam<Animal> {
     }
     return std::nullopt;
   }
+  /// Promise R4: refused within 2 s. The machine does other things as well.
+  static void expect_in_time(std::chrono::steady_clock::time_point asked) {
+    const double took_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - asked).count();
+    const double bound_s = os::kLimitsMemory ? 3 * 2.0 : 6 * 2.0;
+    std::printf("refused after %.2f s (promised 2 s, asked here %.0f s)\n", took_s, bound_s);
+    EXPECT_LT(took_s, bound_s);
+  }
   void await_reason(const std::string& sentence) {
     system.eventually("its end", [&] { return system.instance("patient").mode() == "failed"; });
     EXPECT_THAT(system.instance("patient").reason(), HasSubstr(sentence));
@@ -108,7 +115,9 @@ INSTANTIATE_TEST_SUITE_P(Each, ZooDeath,
 class ZooLoad : public ZooGroup {};
 
 TEST_P(ZooLoad, IntoAGroupIsRefusedAndLeavesNothing) {
+  const auto asked = std::chrono::steady_clock::now();
   const auto error = load(GetParam().library + ".so", "cage");
+  expect_in_time(asked);
   ASSERT_TRUE(error.has_value()) << "it was loaded";
   EXPECT_EQ(error->text().what, "plugin 'local/" + GetParam().library + "' has ended group 'cage' while it was loaded");
   EXPECT_THAT(error->text().found, HasSubstr(GetParam().sentence));
@@ -131,7 +140,9 @@ class ZooTrial : public ZooGroup {};
 
 TEST_P(ZooTrial, KeepsFromMainWhatEndsAProcessWhenItIsOpened) {
   for (int time = 0; time < 2; ++time) {
+    const auto asked = std::chrono::steady_clock::now();
     const auto error = load(GetParam().library + ".so", "");
+    expect_in_time(asked);
     ASSERT_TRUE(error.has_value()) << "it was loaded";
     EXPECT_THAT(error->text().what,
                 HasSubstr("plugin 'local/" + GetParam().library + "' cannot be loaded: " + GetParam().sentence));
