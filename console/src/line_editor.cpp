@@ -7,7 +7,6 @@
 #include <cstring>
 
 #include <editline/readline.h>
-#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "inert.hpp"
@@ -18,9 +17,8 @@ namespace {
 constexpr int kMostHistory = 1000;
 
 std::size_t terminal_columns() {
-  winsize size{};
-  const bool known = ::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 0;
-  return known ? size.ws_col : 80;
+  const std::size_t known = Output::terminal_columns();
+  return known > 0 ? known : 80;
 }
 
 /// As the library wants matches: the common beginning first, all from malloc, a null at the end.

@@ -60,6 +60,7 @@ int serve(Output& out, const std::vector<std::string>& arguments) {
 
 int main(int argc, char** argv) {
   Output out(Output::standard_sink());
+  out.columns = Output::terminal_columns;
   try {
     return serve(out, {argv + 1, argv + argc});
   } catch (const Interrupted&) {

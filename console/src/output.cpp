@@ -2,6 +2,9 @@
 
 #include <cstdio>
 
+#include <sys/ioctl.h>
+#include <unistd.h>
+
 #include <fmt/format.h>
 
 #include "grammar.hpp"
@@ -25,6 +28,11 @@ nlohmann::json error_object(const Error& error) {
 }
 
 }  // namespace
+
+std::size_t Output::terminal_columns() {
+  winsize size{};
+  return ::isatty(STDOUT_FILENO) == 1 && ::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0 ? size.ws_col : 0;
+}
 
 Output::Sink Output::standard_sink() {
   return [](Stream stream, std::string_view lines) {
@@ -69,7 +77,7 @@ void Output::table(const Table& table, std::string_view when_empty, bool header)
   if (table.empty() && !when_empty.empty()) text(when_empty);
   if (table.empty()) return;
   std::string lines;
-  for (const std::string& line : table.lines(header)) lines += line + "\n";
+  for (const std::string& line : table.lines(header, columns())) lines += line + "\n";
   text(lines);
 }
 

@@ -28,6 +28,9 @@ class Output {
 
   explicit Output(Sink sink) : sink_(std::move(sink)) {}
 
+  /// Of the terminal that standard output is; 0: it is none.
+  static std::size_t terminal_columns();
+
   /// To the process's standard output and error.
   static Sink standard_sink();
 
@@ -35,6 +38,8 @@ class Output {
   Sink exchange_sink(Sink sink) { return std::exchange(sink_, std::move(sink)); }
 
   Manner manner{};
+  /// How many columns of a terminal a table has; 0: it goes elsewhere.
+  std::function<std::size_t()> columns = [] { return std::size_t{0}; };
 
   /// The answer for people, as the command's result; nothing with --json.
   void text(std::string_view lines);

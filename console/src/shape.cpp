@@ -94,6 +94,10 @@ class Binder {
   }
 
   void take_argument(const WordLine::Item& item) {
+    const std::string option = "--" + item.name->text;
+    if (shape_.find_option(option) != nullptr && shape_.find_argument(item.name->text) == nullptr && !takes_any())
+      fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text),
+                              .next = fmt::format("{} {}", option, item.word.text)});
     if (!shape_.takes_arguments())
       fail(item.name->place, {.what = fmt::format("{} takes no {}=…", line_.verb.text, item.name->text)});
     if (!shape_.arguments().empty() && shape_.find_argument(item.name->text) == nullptr) {
@@ -107,6 +111,9 @@ class Binder {
       fail(item.name->place, {.what = fmt::format("{} is given twice", item.name->text)});
     line_.arguments.push_back({*item.name, item.word});
   }
+
+  /// Names that only a component knows.
+  bool takes_any() const { return shape_.takes_arguments() && shape_.arguments().empty(); }
 
   void take_option(Word word) {
     const std::size_t equals = word.text.find('=');
@@ -135,8 +142,10 @@ class Binder {
     std::vector<std::string> known;
     for (const OptionSlot& option : shape_.options()) known.push_back(option.name);
     for (const OptionSlot& option : global_options_) known.push_back(option.name);
+    const std::string argument = name.substr(std::min(name.find_first_not_of('-'), name.size()));
     return {.what = fmt::format("{} does not know {}", line_.verb.text, name),
-            .next = fmt::format("help {}", line_.verb.text),
+            .next = shape_.find_argument(argument) == nullptr ? fmt::format("help {}", line_.verb.text)
+                                                              : fmt::format("{}=…", argument),
             .near = nearest_names(name, known)};
   }
 

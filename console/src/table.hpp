@@ -28,11 +28,16 @@ class Table {
   bool empty() const { return rows_.empty(); }
   std::size_t size() const { return rows_.size(); }
 
-  /// The lines, inert, the header first; trailing blanks are cut. Without `header` only the rows.
-  std::vector<std::string> lines(bool header = true) const;
+  /// The lines, inert, the header first; trailing blanks are cut. Without `header` only the rows. On a terminal of so
+  /// many `columns` (0: it is none) the texts of a table that is wider are broken between words, each in its column;
+  /// where that does not do, each row becomes a paragraph, a line for each column, headed by its name.
+  std::vector<std::string> lines(bool header = true, std::size_t columns = 0) const;
   std::vector<nlohmann::json> objects() const;
 
  private:
+  using Row = std::vector<std::string>;
+  std::vector<Row> texts(bool header) const;
+
   std::vector<std::string> headers_;
   std::string rare_;
   std::vector<std::vector<Cell>> rows_;

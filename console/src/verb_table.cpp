@@ -234,7 +234,7 @@ std::vector<Verb> waiting_verbs() {
 std::vector<Verb> remaining_verbs() {
   return {
       {"market",
-       forms({"market search [WORD …] [for spots|FILE] [provides=SERVICE] [requires=SERVICE] [--from DIR]",
+       forms({"market search [WORD …] [for spots|FILE] [--provides SERVICE …] [--requires SERVICE …] [--from DIR]",
               "market info PACKAGE [--from DIR]", "market install [PACKAGE …] [--locked FILE] [--from DIR] [-y]",
               "market update [PACKAGE …] [--from DIR] [-y]", "market remove PACKAGE … [-y]", "market rollback [N] [-y]",
               "market history", "market list", "market verify", "market lock [FILE]", "market init DIR",

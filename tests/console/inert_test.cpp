@@ -69,6 +69,25 @@ TEST(Tables, AlignColumnsByWidthWithTwoBlanksBetween) {
   EXPECT_EQ(table.lines(), (std::vector<std::string>{"name    rate", "日本    5 Hz", "walk-x  -"}));
 }
 
+TEST(Tables, OnATerminalTextsAreBrokenBetweenWordsEachInItsColumn) {
+  Table table({"name", "summary"});
+  table.add({"steps", "Steps with length and direction from three sensors"});
+  table.add({"map", "Maps"});
+  EXPECT_EQ(table.lines(true, 30),
+            (std::vector<std::string>{"name   summary", "steps  Steps with length and", "       direction from three",
+                                      "       sensors", "map    Maps"}));
+  EXPECT_EQ(table.lines(true, 80).size(), 3U);
+}
+
+TEST(Tables, RowsThatNoBreakingMakesFitAreParagraphs) {
+  Table table({"package", "provides"});
+  table.add({"fiona/step-heading", "OrientationProvider, StepProvider"});
+  table.add({"fiona/map-server", "LevelMap"});
+  EXPECT_EQ(table.lines(true, 32), (std::vector<std::string>{"package   fiona/step-heading",
+                                                             "provides  OrientationProvider,", "          StepProvider",
+                                                             "", "package   fiona/map-server", "provides  LevelMap"}));
+}
+
 TEST(Tables, ACellCannotBreakOutOfItsLine) {
   Table table({"a"});
   table.add({"x\ny\x1b[1m"});

@@ -316,7 +316,7 @@ TEST(Lines, OfEveryVerbAndFormAreRead) {
         "sleep 1s",
         "quit",
         "quit 3",
-        "market search lidar provides=LidarScan",
+        "market search lidar --provides LidarScan",
         "market search for spots",
         "market info lidar --from https://example.org",
         "market install lidar --from DIR -y",
@@ -437,8 +437,8 @@ TEST(Completion, KnowsServicesOfThePlatformForANewPlugin) {
 }
 
 TEST(Completion, KnowsServicesOfPackagesToSearchFor) {
-  EXPECT_EQ(candidates("market search provides=Li"), Texts{"provides=LidarScan"});
-  EXPECT_EQ(candidates("market search lidar requires="), (Texts{"requires=GetIMUService", "requires=LidarScan"}));
+  EXPECT_EQ(candidates("market search --provides Li"), Texts{"LidarScan"});
+  EXPECT_EQ(candidates("market search lidar --requires="), (Texts{"--requires=GetIMUService", "--requires=LidarScan"}));
 }
 
 TEST(Completion, WithoutAHostOffersWhatTheTableKnows) {

@@ -70,14 +70,15 @@ std::vector<std::string> words_in(const Line& line) {
   return words;
 }
 
-/// Those with every word and, where they are named, with a port that provides or requires the service.
+/// Those with every word and a port for every service that is named.
 std::vector<IndexEntry> found_by(const Marketplace& market, const Line& line) {
   std::vector<IndexEntry> entries = market.search(words_in(line));
-  for (const auto& [name, direction] : {std::pair{"provides", fiona::PROVIDES}, {"requires", fiona::REQUIRES}}) {
-    const Word* typed = line.argument(name);
-    if (typed == nullptr) continue;
-    const std::string service = service_named(market, line, *typed);
-    std::erase_if(entries, [&, way = direction](const IndexEntry& entry) { return !has_port(entry, way, service); });
+  for (const auto& [option, direction] : {std::pair{"--provides", fiona::PROVIDES}, {"--requires", fiona::REQUIRES}}) {
+    const auto [begin, end] = line.options.equal_range(option);
+    for (auto given = begin; given != end; ++given) {
+      const std::string service = service_named(market, line, given->second.value);
+      std::erase_if(entries, [&, way = direction](const IndexEntry& entry) { return !has_port(entry, way, service); });
+    }
   }
   return entries;
 }
@@ -166,8 +167,9 @@ void market_search(Session& session, const Line& line) {
                entry.manifest().summary()});
   }
   const std::vector<std::string> words = words_in(line);
-  session.out.table(table, words.empty() && line.arguments.empty() ? "the marketplace is empty"
-                           : words.empty()                         ? "no package does"
+  session.out.table(table, words.empty() && line.options.count("--provides") + line.options.count("--requires") == 0
+                               ? "the marketplace is empty"
+                           : words.empty() ? "no package does"
                                            : fmt::format("no package has {}", fmt::join(words, " and ")));
 }
 
