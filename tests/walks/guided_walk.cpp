@@ -89,6 +89,10 @@ class Referee final : public Component {
   void on_truth(const localisation::CommLocation& location) {
     at_ = {location.position().x(), location.position().y()};
     level_ = location.position().z();
+    if (!start_at_) start_at_ = location.position();
+    localisation::CommLocation fixed = location;
+    *fixed.mutable_position() = *start_at_;
+    start_.put(std::move(fixed));
     if (begun_ && !outcome.at_door_s && is_at_door()) outcome.at_door_s = to_seconds(now() - *begun_);
   }
 
@@ -175,12 +179,14 @@ class Referee final : public Component {
   Guidance guidance_ = Guidance::Whole;
   Place place_ = Place::Truth;
   std::optional<localisation::CommLocation> told_;
+  std::optional<localisation::CommPosition> start_at_;
   std::optional<TimePoint> begun_;
   Point at_{};
   double level_ = 0.0;
   std::uint32_t number_ = 0;
 
   Provides<hmi::ProfileProvider> profile_{*this, "profile", &Referee::on_profile};
+  Provides<localisation::LocationProvider> start_{*this, "start"};
   Provides<hmi::InstructionProvider> passed_on_{*this, "passed_on"};
   Requires<navigation::DestinationProvider> destination_{*this, "destination"};
   Requires<navigation::PathProvider> path_{*this, "path", &Referee::on_path};
@@ -254,7 +260,9 @@ Outcome lead(const Building& building, const std::string& file, const Errand& er
   stage.set("map", "building", file);
   stage.set("nav", "declination", 4);
   if (place == Place::Beacons) add_localisation(stage, beacons, errand);
-  const std::string located = place == Place::Beacons ? "ble.location" : "phone.truth";
+  const std::string located = place == Place::Beacons ? "ble.location"
+                              : place == Place::Start ? "referee.start"
+                                                      : "phone.truth";
   stage.wire("nav.location", located);
   stage.wire("nav.levels", "map.levels");
   stage.wire("nav.change", "map.change");

@@ -45,6 +45,7 @@ enum class Guidance {
 /// What the person is led by.
 enum class Place {
   Truth,
+  Start,    ///< where they began, for ever
   Beacons,  ///< smart-bluetooth-localization by a map learnt from a survey
 };
 

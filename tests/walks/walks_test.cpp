@@ -156,6 +156,11 @@ TEST(Walks, WithGuidanceMutedNextToNobodyArrives) {
   EXPECT_LT(tally.share(), 0.05);
 }
 
+TEST(Walks, ByAPlaceThatStaysAtTheStartNextToNobodyArrives) {
+  const Tally tally = walk(number("FIONA_WALKS", 8), Guidance::Whole, Place::Start);
+  EXPECT_LT(tally.share(), 0.10);
+}
+
 TEST(Walks, TheSameSeedIsTheSameWalk) {
   const std::string file = FIONA_INSTITUTE_FILE;
   const Building building = Building::read(file);
