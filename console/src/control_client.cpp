@@ -148,9 +148,10 @@ void ControlClient::send(const control::Request& request) {
     if (sent > 0) {
       rest.remove_prefix(static_cast<std::size_t>(sent));
     } else if (closed() || (errno != EAGAIN && errno != EINTR) || !Reactor::wait_writable(socket_, deadline)) {
-      throw Error(
-          ErrorCode::Unreachable,
-          ErrorText{.what = closed() ? farewell() : "the host does not take the request", .where = endpoint_.text()});
+      throw Error(ErrorCode::Unreachable,
+                  ErrorText{.what = closed() ? farewell() : "the host does not take the request",
+                            .where = endpoint_.text(),
+                            .next = "it may be busy or gone: fiona ls; else start it again"});
     }
   }
 }

@@ -231,7 +231,8 @@ RemoteLink::RemoteLink(const RemoteAddress& host, bool control) : address_(host.
   std::array<int, 2> ends{};
   settled_ = ::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   if (settled_ < 0 || ::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, ends.data()) != 0)
-    throw Error(ErrorCode::Failed, fmt::format("no sockets can be made: {}", std::strerror(errno)));
+    throw Error(ErrorCode::Failed, {.what = fmt::format("no sockets can be made: {}", std::strerror(errno)),
+                                    .next = "raise the limit of descriptors: ulimit -n"});
   near_ = ends[0];
   far_ = ends[1];
   thread_ = std::thread([this, host, keys, control] { carry(host, keys, control); });

@@ -58,7 +58,8 @@ std::string read_text(const std::filesystem::path& file) {
   if (in) in.read(text.data(), static_cast<std::streamsize>(kMost));
   if (!in && !in.eof())
     throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be read: {}", std::strerror(errno)),
-                                             .where = file.string()});
+                                             .where = file.string(),
+                                             .next = "see what it allows: ls -l " + file.string()});
   text.resize(static_cast<std::size_t>(in.gcount()));
   return text;
 }

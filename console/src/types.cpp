@@ -55,7 +55,9 @@ class PoolBuilder {
 
   [[noreturn]] static void refuse(const std::string& name, const std::string& why) {
     throw Error(ErrorCode::Failed,
-                ErrorText{.what = fmt::format("the descriptors do not fit together: {}", why), .where = name});
+                ErrorText{.what = fmt::format("the descriptors do not fit together: {}", why),
+                          .where = name,
+                          .next = "run the console of the same version as the host: fiona --version"});
   }
 
   pb::DescriptorPool& pool_;

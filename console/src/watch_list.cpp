@@ -61,14 +61,16 @@ void WatchList::read(Running& watch, const control::Sample& sample) {
     watch.types = std::make_unique<TypeSet>(sample.files());
     watch.object = watch.types->make(sample.type());
     if (!watch.object)
-      throw Error(
-          ErrorCode::Failed,
-          ErrorText{.what = fmt::format("the host did not describe the type {}", sample.type()), .where = watch.name});
+      throw Error(ErrorCode::Failed,
+                  ErrorText{.what = fmt::format("the host did not describe the type {}", sample.type()),
+                            .where = watch.name,
+                            .next = "run the console of the same version as the host: fiona --version"});
     check_fields(watch);
   }
   if (!watch.object->ParseFromString(sample.object()))
-    throw Error(ErrorCode::Failed,
-                ErrorText{.what = fmt::format("a {} cannot be read", sample.type()), .where = watch.name});
+    throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("a {} cannot be read", sample.type()),
+                                             .where = watch.name,
+                                             .next = "tell the component's publisher: market info tells who"});
 }
 
 std::string WatchList::text_of(const Running& watch, const control::Sample& sample) const {

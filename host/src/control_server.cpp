@@ -373,8 +373,8 @@ void ControlServer::on_wire_lost(const wire::WireLost& lost) {
   attached_.erase(found);
   control::Reply reply;
   reply.set_id(request);
-  *reply.mutable_failure() =
-      failure_of(Error(ErrorCode::Unreachable, {.what = "the wire has ended: " + lost.reason()}));
+  *reply.mutable_failure() = failure_of(
+      Error(ErrorCode::Unreachable, {.what = "the wire has ended: " + lost.reason(), .next = "attach again"}));
   send(client, reply);
 }
 

@@ -79,7 +79,9 @@ std::optional<Place> locate(const Message& root, const std::string& path) {
     if (place.index >= 0 && place.index >= reflect.FieldSize(*message, place.field)) return std::nullopt;
     if (dot == std::string::npos) return place;
     if (place.field->cpp_type() != FieldDescriptor::CPPTYPE_MESSAGE) {
-      throw Error(ErrorCode::Usage, {.what = "'" + place.field->name() + "' has no fields of its own", .where = path});
+      throw Error(ErrorCode::Usage, {.what = "'" + place.field->name() + "' has no fields of its own",
+                                     .where = path,
+                                     .next = "compare " + path.substr(0, dot) + " itself"});
     }
     message = place.index >= 0 ? &reflect.GetRepeatedMessage(*message, place.field, place.index)
                                : &reflect.GetMessage(*message, place.field);
@@ -158,7 +160,8 @@ std::pair<bool, std::string> compare_field(const Message& object, const std::str
                                    .expected = fmt::format("one of {}", fmt::join(fields, ", "))});
   }
   if (!path.empty() && is_plain)
-    throw Error(ErrorCode::NotFound, {.what = "the probe is no object: it has no field '" + path + "'"});
+    throw Error(ErrorCode::NotFound,
+                {.what = "the probe is no object: it has no field '" + path + "'", .next = "compare the probe itself"});
   const auto place = locate(object, is_plain ? "value" : path);
   if (!place) return {false, "the list is shorter"};
   const Reflection& reflect = *place->message->GetReflection();

@@ -41,7 +41,8 @@ void Masters::perform(const wire::Asked& asked) {
   if (!request.has_transact()) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = "a component may ask for changes and for the system as it is, and no more",
-                 .where = asked.instance()});
+                 .where = asked.instance(),
+                 .next = "let a console do it"});
   }
   std::optional<std::chrono::milliseconds> within;
   if (request.deadline_ms() > 0) within = std::chrono::milliseconds(request.deadline_ms());

@@ -151,7 +151,9 @@ void Model::upgrade(const std::string& name, std::shared_ptr<const Package> pack
         std::any_of(modes.begin(), modes.end(), [&](const auto& m) { return m.name() == made->mode; });
     if (!knows_mode) {
       throw Error(ErrorCode::NotAllowed,
-                  {.what = fmt::format("it has no mode '{}', which '{}' is in", made->mode, name), .where = name});
+                  {.what = fmt::format("it has no mode '{}', which '{}' is in", made->mode, name),
+                   .where = name,
+                   .next = fmt::format("bring it into a mode that both have: state {} {}", name, kModeNeutral)});
     }
     made->parameters = made->default_parameters();
     const auto set = before->parameters ? differences(*before->parameters, *before->default_parameters())

@@ -76,15 +76,19 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kAnswered: return answered(request.answered());
     case Request::kAdopt: return adopt(*reply.mutable_adopted());
     case Request::kPing: return;
-    case Request::kWelcome: throw Error(ErrorCode::Usage, "the group has its key already");
-    case Request::WHAT_NOT_SET: throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
+    case Request::kWelcome:
+      throw Error(ErrorCode::Usage, {.what = "the group has its key already", .next = "a group is welcomed once"});
+    case Request::WHAT_NOT_SET:
+      throw Error(ErrorCode::Usage, {.what = "the request is empty, or newer than this program",
+                                     .next = "start all processes of a system from one installation of FIONA"});
   }
 }
 
 Runtime::Instance& Runtime::find(const std::string& name) {
   const auto found = instances_.find(name);
   if (found != instances_.end()) return *found->second;
-  throw Error(ErrorCode::NotFound, "there is no instance '" + name + "' in this process");
+  throw Error(ErrorCode::NotFound, {.what = "there is no instance '" + name + "' in this process",
+                                    .next = "ls tells which group each instance is in"});
 }
 
 }  // namespace fiona::host

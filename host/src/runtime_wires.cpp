@@ -134,13 +134,15 @@ void Runtime::end_wires(const Hull& hull, Connection now, const std::string& rea
 ProvidedPort& Runtime::provided(const control::PortName& name) {
   auto* port = dynamic_cast<ProvidedPort*>(find(name.instance()).hull->find_port(name.port()));
   if (port) return *port;
-  throw Error(ErrorCode::NotFound, text_of(name) + " is no provided port");
+  throw Error(ErrorCode::NotFound,
+              {.what = text_of(name) + " is no provided port", .next = "show " + name.instance() + " tells its ports"});
 }
 
 RequiredPort& Runtime::required(const control::PortName& name) {
   auto* port = dynamic_cast<RequiredPort*>(find(name.instance()).hull->find_port(name.port()));
   if (port) return *port;
-  throw Error(ErrorCode::NotFound, text_of(name) + " is no required port");
+  throw Error(ErrorCode::NotFound,
+              {.what = text_of(name) + " is no required port", .next = "show " + name.instance() + " tells its ports"});
 }
 
 }  // namespace fiona::host

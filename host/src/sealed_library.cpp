@@ -24,7 +24,11 @@ namespace {
 }
 
 [[noreturn]] void fail(const std::string& what, const std::string& where) {
-  throw Error(ErrorCode::Failed, {.what = what, .where = where, .found = std::strerror(errno)});
+  throw Error(ErrorCode::Failed,
+              {.what = what,
+               .where = where,
+               .found = std::strerror(errno),
+               .next = "see whether memory is left and the file may be read: free -m; ls -l " + where});
 }
 
 void write_all(int to, std::string_view bytes, const std::string& where) {

@@ -111,7 +111,9 @@ control::Done System::perform(const control::Change& change) {
       case control::Change::kWire: return wire(change.wire(), next);
       case control::Change::kUnwire: return unwire(change.unwire());
       case control::Change::kSet: return set(change.set(), next);
-      default: throw Error(ErrorCode::Usage, "the change is not one step");
+      default:
+        throw Error(ErrorCode::Usage,
+                    {.what = "the change is not one step", .expected = "load, unload, wire, unwire or set"});
     }
   }();
   model_ = std::move(next);

@@ -46,7 +46,9 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
   model_.require_own(provider.instance());
   const auto* service = Types::service(*instance.package->types, speaks);
   if (!service) {
-    throw Error(ErrorCode::WiringInvalid, text_of(provider) + " speaks " + speaks + ", which is unknown to the host");
+    throw Error(ErrorCode::WiringInvalid,
+                {.what = text_of(provider) + " speaks " + speaks + ", which is unknown to the host",
+                 .next = "describe the service in the package: plugin check tells how"});
   }
   const ServiceContract contract = ServiceInfo(*service).contract();
   require_speaks(request, speaks, contract);

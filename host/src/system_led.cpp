@@ -23,7 +23,9 @@ wire::GroupMessage System::obey(const wire::HostRequest& order) {
     if (order.request().has_create()) {
       obey_create(order.request(), order.group(), reply);
     } else if (found == groups_.end() || !found->second->alive()) {
-      throw Error(ErrorCode::NotFound, fmt::format("host '{}' has no group '{}'", options_.name, order.group()));
+      throw Error(ErrorCode::NotFound,
+                  {.what = fmt::format("host '{}' has no group '{}'", options_.name, order.group()),
+                   .next = "its process may have ended: ls tells"});
     } else {
       reply = obey_in_group(order.request(), *found->second);
     }
@@ -74,14 +76,18 @@ void System::keep_led(wire::GroupStatusReply& status) const {
 void System::require_led(const std::string& name) {
   const auto* found = model_.find(name);
   if (found && found->led) return;
-  throw Error(ErrorCode::NotFound, fmt::format("the leader has no instance '{}' on host '{}'", name, options_.name));
+  throw Error(ErrorCode::NotFound,
+              {.what = fmt::format("the leader has no instance '{}' on host '{}'", name, options_.name),
+               .expected = "an instance that this leader has made here"});
 }
 
 /// A leader reaches what is his: his instances, his wires, his taps.
 void System::check_order(const wire::GroupRequest& request) {
   using Request = wire::GroupRequest;
   const auto number = [](std::uint64_t one) {
-    if (one >= kOwnNumbers) throw Error(ErrorCode::NotAllowed, "this number belongs to the host that is led");
+    if (one >= kOwnNumbers)
+      throw Error(ErrorCode::NotAllowed, {.what = "this number belongs to the host that is led",
+                                          .expected = fmt::format("a number below {}", kOwnNumbers)});
   };
   switch (request.what_case()) {
     case Request::kDestroy: require_led(request.destroy().instance()); return;
@@ -115,10 +121,13 @@ void System::check_order(const wire::GroupRequest& request) {
     case Request::kStatus: return;
     case Request::kWelcome:
     case Request::kAdopt:
-    case Request::kPeerLost: throw Error(ErrorCode::NotAllowed, "a host tells its processes about their links itself");
+    case Request::kPeerLost:
+      throw Error(ErrorCode::NotAllowed, {.what = "a host tells its processes about their links itself",
+                                          .expected = "an order about what the leader has made here"});
     case Request::WHAT_NOT_SET: break;
   }
-  throw Error(ErrorCode::Usage, "the request is empty, or newer than this program");
+  throw Error(ErrorCode::Usage, {.what = "the request is empty, or newer than this program",
+                                 .next = "run the same version of FIONA on both hosts"});
 }
 
 /// Of those here. A leader names no sockets.
@@ -126,7 +135,8 @@ Group& System::led_group(const std::string& endpoint) {
   const auto found =
       endpoint.starts_with(kGroupEndpoint) ? groups_.find(endpoint.substr(kGroupEndpoint.size())) : groups_.end();
   if (found != groups_.end() && found->second->alive()) return *found->second;
-  throw Error(ErrorCode::NotFound, fmt::format("host '{}' has no group for '{}'", options_.name, endpoint));
+  throw Error(ErrorCode::NotFound, {.what = fmt::format("host '{}' has no group for '{}'", options_.name, endpoint),
+                                    .next = "its process may have ended: ls tells"});
 }
 
 /// The package is this host's own: of the same name, version and interface as the leader's.

@@ -106,7 +106,8 @@ void System::end_taps(const std::string& group, const std::string& reason) {
     if (owner.group != group) continue;
     wire::GroupMessage event;
     event.mutable_tap_ended()->set_tap(tap);
-    *event.mutable_tap_ended()->mutable_failure() = failure_of(Error(ErrorCode::Unreachable, {.what = reason}));
+    *event.mutable_tap_ended()->mutable_failure() =
+        failure_of(Error(ErrorCode::Unreachable, {.what = reason, .next = "watch again once its group runs: ls"}));
     deliver(event);
   }
   std::erase_if(taps_, [&group](const auto& tap) { return tap.second.group == group; });

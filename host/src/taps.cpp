@@ -32,7 +32,8 @@ TapTerms terms_of(const control::Watch& watch, const std::string& unit) {
   const Condition& condition = watch.condition();
   terms.changes = condition.kind_case() == Condition::kChanges;
   if (condition.kind_case() == Condition::kOlderThanMs) {
-    if (!(condition.older_than_ms() > 0)) throw Error(ErrorCode::Usage, "an age is above zero");
+    if (!(condition.older_than_ms() > 0))
+      throw Error(ErrorCode::Usage, {.what = "an age is above zero", .expected = "older than 500ms, for example"});
     terms.older_than = duration_of_ms(condition.older_than_ms());
   }
   if (condition.kind_case() == Condition::kCompared) {

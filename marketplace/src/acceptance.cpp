@@ -231,7 +231,8 @@ class Acceptance {
         done.push_back(came->first);
       } else if (!home.has(consistent_name(target.path, sha256))) {
         throw Error(ErrorCode::NotFound,
-                    ErrorText{.what = "it signs for " + target.path + ", which has not come with it"});
+                    ErrorText{.what = "it signs for " + target.path + ", which has not come with it",
+                              .next = "publish package and role together: market publish"});
       }
     }
     index_ = std::move(next);

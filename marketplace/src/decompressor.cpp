@@ -75,7 +75,9 @@ std::string_view Decompressor::next() {
   }
   if (ended_ && rest_.empty()) refill();
   if (ended_ && !rest_.empty()) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = "the package has bytes after its end", .where = where_});
+    throw Error(ErrorCode::Failed, ErrorText{.what = "the package has bytes after its end",
+                                             .where = where_,
+                                             .next = "fetch it again, or ask its publisher to pack it anew"});
   }
   return std::string_view(output_).substr(0, out.pos);
 }

@@ -36,7 +36,10 @@ std::filesystem::path default_directory() {
 
 [[noreturn]] void fail(std::string what, const std::filesystem::path& file) {
   const int code = errno;
-  throw Error(ErrorCode::Failed, {.what = std::move(what), .where = file.string(), .found = std::strerror(code)});
+  throw Error(ErrorCode::Failed, {.what = std::move(what),
+                                  .where = file.string(),
+                                  .found = std::strerror(code),
+                                  .next = "see who owns it and what it allows: ls -la " + file.parent_path().string()});
 }
 
 /// Writes a file that did not exist, and brings it to the disk.

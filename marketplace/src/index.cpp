@@ -89,7 +89,10 @@ void check_entry(const IndexEntry& entry, const std::string& where) {
   if (entry.file() != package_file_name(entry.manifest(), entry.blake2b())) fault = "its file name is not its own";
   if (!is_blake2b(entry.blake2b())) fault = "it has no hash";
   if (!fault.empty()) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = "the entry of " + name + " is wrong: " + fault, .where = where});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = "the entry of " + name + " is wrong: " + fault,
+                          .where = where,
+                          .next = "tell the marketplace's keeper; its other packages need a mended index, too"});
   }
 }
 
@@ -97,7 +100,9 @@ void check_revocation(const Revocation& revoked, const std::string& where) {
   std::string fault = texts_fault(revoked);
   if (!is_blake2b(revoked.blake2b())) fault = "it has no hash";
   if (!fault.empty())
-    throw Error(ErrorCode::Failed, ErrorText{.what = "a revocation is wrong: " + fault, .where = where});
+    throw Error(
+        ErrorCode::Failed,
+        ErrorText{.what = "a revocation is wrong: " + fault, .where = where, .next = "tell the marketplace's keeper"});
 }
 
 }  // namespace
@@ -124,7 +129,9 @@ Index parse_index(std::string_view bytes, const std::string& where) {
   Index index;
   try {
     if (!index.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
-      throw Error(ErrorCode::Failed, ErrorText{.what = "it is not an index", .where = where});
+      throw Error(ErrorCode::Failed, ErrorText{.what = "it is not an index",
+                                               .where = where,
+                                               .next = "name the folder or address that market init has made"});
     }
     for (const auto& entry : index.entries()) check_entry(entry, where);
     for (const auto& revoked : index.revoked()) check_revocation(revoked, where);

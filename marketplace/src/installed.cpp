@@ -29,7 +29,8 @@ void check_entry(const fiona::InstalledPackage& package, const std::string& wher
                                              .found = directory});
   }
   if (!names.insert(full_name(package.manifest())).second) {
-    throw Error(ErrorCode::Failed, full_name(package.manifest()) + " is listed twice");
+    throw Error(ErrorCode::Failed, {.what = full_name(package.manifest()) + " is listed twice",
+                                    .next = "go back to the state before: market rollback"});
   }
 }
 

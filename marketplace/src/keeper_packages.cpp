@@ -18,7 +18,10 @@ namespace filesystem = std::filesystem;
 
 std::string sha256_of_file(const filesystem::path& path) {
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
-  if (!file) throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = path.string()});
+  if (!file)
+    throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file",
+                                               .where = path.string(),
+                                               .next = "see what is there: ls " + path.parent_path().string()});
   tuf::Digests digests{{{"sha256", ""}}};
   std::array<char, 1 << 16> buffer;
   while (const std::size_t count = read_some(file.number(), buffer.data(), buffer.size(), path)) {
@@ -40,7 +43,10 @@ void copy_checked(const filesystem::path& from, const std::string& sha256, const
   to.remove_file(fresh);
   try {
     const FileDescriptor source = open_regular(AT_FDCWD, from, from);
-    if (!source) throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = from.string()});
+    if (!source)
+      throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone",
+                                                 .where = from.string(),
+                                                 .next = "pack it again, and publish it: plugin pack"});
     tuf::Digests digests{{{"sha256", ""}}};
     const FileDescriptor target = to.create(fresh, 0644);
     std::array<char, 1 << 16> buffer;

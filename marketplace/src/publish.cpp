@@ -31,7 +31,10 @@ IndexEntry* find_version(Index& index, const Manifest& manifest) {
 void copy_in(const filesystem::path& from, const IndexEntry& entry, const DurableDirectory& marketplace) {
   const std::string fresh = entry.file() + ".new";
   const FileDescriptor source = open_regular(AT_FDCWD, from, from);
-  if (!source) throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = from.string()});
+  if (!source)
+    throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone",
+                                               .where = from.string(),
+                                               .next = "pack it again, and publish it: plugin pack"});
   marketplace.remove_file(fresh);
   try {
     Blake2b hash;

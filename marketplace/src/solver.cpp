@@ -87,7 +87,8 @@ struct Solver::Reason {
 
 Solver::Solver(const Platform& platform) : platform_(platform), pool_(pool_create(), pool_free) {
   if (pool_setdisttype(pool_.get(), DISTTYPE_DEB) < 0)
-    throw Error(ErrorCode::Failed, "this libsolv does not know Debian's order of versions");
+    throw Error(ErrorCode::Failed, {.what = "this libsolv does not know Debian's order of versions",
+                                    .next = "install Debian's own: apt-get install libsolv1"});
   installed_ = repo_create(pool_.get(), "installed");
   offered_ = repo_create(pool_.get(), "offered");
   pool_set_installed(pool_.get(), installed_);

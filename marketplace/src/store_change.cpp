@@ -173,7 +173,10 @@ bool StoreChange::is_held(const DurableDirectory& parent, const std::string& nam
 
 void StoreChange::unpack(const IndexEntry& entry, const filesystem::path& path, const std::string& name) const {
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
-  if (!file) throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone", .where = path.string()});
+  if (!file)
+    throw Error(
+        ErrorCode::NotFound,
+        ErrorText{.what = "the package has gone", .where = path.string(), .next = "try again: it is fetched anew"});
   StagingSink sink{store_, name};
   const auto source = [&](char* buffer, std::size_t size) { return read_some(file.number(), buffer, size, path); };
   const PackageContents contents = read_package(source, path.filename().string(), sink, options_.limits);

@@ -39,7 +39,9 @@ void TarWriter::check(long result) {
   if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
   if (result >= ARCHIVE_OK) return;
   const char* reason = archive_error_string(archive_);
-  throw Error(ErrorCode::Failed, std::string("could not write an archive: ") + (reason ? reason : "no reason given"));
+  throw Error(ErrorCode::Failed,
+              {.what = std::string("could not write an archive: ") + (reason ? reason : "no reason given"),
+               .next = "make room on the disk: df -h"});
 }
 
 void TarWriter::begin(const std::string& path, std::uint64_t size, bool executable) {
@@ -56,7 +58,9 @@ void TarWriter::write(std::string_view bytes) {
   while (!bytes.empty()) {
     const auto count = archive_write_data(archive_, bytes.data(), bytes.size());
     check(count);
-    if (count == 0) throw Error(ErrorCode::Failed, "a file is larger than was said when it was begun");
+    if (count == 0)
+      throw Error(ErrorCode::Failed, {.what = "a file is larger than was said when it was begun",
+                                      .next = "pack again when nothing writes to it any more"});
     bytes.remove_prefix(static_cast<std::size_t>(count));
   }
 }

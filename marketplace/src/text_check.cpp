@@ -70,10 +70,12 @@ void parse_text(std::string_view text, const std::string& where, google::protobu
   if (!parser.ParseFromString(copy, &message) || !mistake.place.empty()) {
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = "this is not a " + message.GetDescriptor()->name() + ": " + mistake.text,
-                          .where = where + mistake.place});
+                          .where = where + mistake.place,
+                          .next = "correct it there; what it may hold is in the .proto of its type"});
   }
   if (const std::string fault = texts_fault(message); !fault.empty()) {
-    throw Error(ErrorCode::Failed, ErrorText{.what = fault, .where = where});
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fault, .where = where, .next = "write it as plain text of one line"});
   }
 }
 

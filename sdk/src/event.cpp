@@ -69,7 +69,8 @@ void EventProvider::put_state(const Object& state) {
 /// False when the activation is over.
 bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> event, TimePoint origin) {
   if (const auto violation = event_rules_.first_violation(*event)) {
-    throw Error(ErrorCode::Failed, "its event was refused: " + *violation);
+    throw Error(ErrorCode::Failed, {.what = "its event was refused: " + *violation,
+                                    .next = "fire what the rules of its message allow: they are in its .proto"});
   }
   const std::size_t bytes = event->ByteSizeLong();
   const Outcome outcome = activation.client->event(Envelope{std::move(event), ++activation.fired, origin, bytes});

@@ -158,7 +158,9 @@ std::string Hull::reason() const {
 void Hull::set_parameters(std::span<const control::Argument> changes, Duration deadline) {
   if (changes.empty()) return;
   if (!params_) {
-    throw Error(ErrorCode::NotFound, {.what = "'" + name_ + "' has no parameters", .where = name_});
+    throw Error(
+        ErrorCode::NotFound,
+        {.what = "'" + name_ + "' has no parameters", .where = name_, .next = "show " + name_ + " tells what it has"});
   }
   // A copy: what has begun goes on after the deadline, when the caller's own are gone.
   const auto kept = std::make_shared<std::vector<control::Argument>>(changes.begin(), changes.end());

@@ -214,7 +214,8 @@ void Hull::end_taps() {
     ended.swap(taps_);
   }
   for (const auto& tap : ended) {
-    tap->end(Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' was unloaded", .where = name_}));
+    tap->end(Error(ErrorCode::Unreachable,
+                   {.what = "'" + name_ + "' was unloaded", .where = name_, .next = "load it again, or undo"}));
   }
   for (const auto& tap : ended) untap(tap);
 }

@@ -155,7 +155,8 @@ void Hull::abandon_changes() {
 void Hull::drop_changes() {
   for (const auto& change : std::exchange(changes_, {})) {
     clock().cancel(change->deadline);
-    change->done(Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' was unloaded", .where = name_}));
+    change->done(Error(ErrorCode::Unreachable,
+                       {.what = "'" + name_ + "' was unloaded", .where = name_, .next = "load it again, or undo"}));
   }
 }
 

@@ -43,7 +43,9 @@ std::pair<Message*, const FieldDescriptor*> locate(Message& root, const std::str
     }
     if (dot == std::string::npos) return {message, field};
     if (field->is_repeated() || field->cpp_type() != FieldDescriptor::CPPTYPE_MESSAGE) {
-      throw Error(ErrorCode::NotFound, {.what = "parameter '" + name + "' has no fields of its own", .where = path});
+      throw Error(ErrorCode::NotFound, {.what = "parameter '" + name + "' has no fields of its own",
+                                        .where = path,
+                                        .next = "set " + name + " itself"});
     }
     message = message->GetReflection()->MutableMessage(message, field);
     begin = dot + 1;
@@ -127,7 +129,9 @@ ParamsBase::ParamsBase(Component& owner, std::unique_ptr<Object> defaults, Check
       changed_(std::move(changed)),
       current_(defaults_) {
   if (hull_.params_) {
-    throw Error(ErrorCode::Usage, {.what = "a component has one parameter message", .where = hull_.name()});
+    throw Error(ErrorCode::Usage, {.what = "a component has one parameter message",
+                                   .where = hull_.name(),
+                                   .next = "put the members of both into one message"});
   }
   hull_.params_ = this;
 }

@@ -31,7 +31,8 @@ class ChildStream {
       : reactor_(reactor), on_line_(std::move(on_line)) {
     std::array<int, 2> ends{};
     if (::pipe2(ends.data(), O_CLOEXEC) != 0)
-      throw Error(ErrorCode::Failed, fmt::format("no pipe can be made: {}", std::strerror(errno)));
+      throw Error(ErrorCode::Failed, {.what = fmt::format("no pipe can be made: {}", std::strerror(errno)),
+                                      .next = "raise the limit of descriptors: ulimit -n"});
     read_ = ends[0];
     write_ = ends[1];
     ::fcntl(read_, F_SETFL, O_NONBLOCK);

@@ -39,7 +39,10 @@ class UnpackingSink final : public marketplace::PackageSink {
   void write(std::string_view bytes) override { out_.write(bytes.data(), static_cast<std::streamsize>(bytes.size())); }
   void end() override {
     out_.close();
-    if (!out_) throw Error(ErrorCode::Failed, {.what = "the package cannot be unpacked", .where = into_.string()});
+    if (!out_)
+      throw Error(ErrorCode::Failed, {.what = "the package cannot be unpacked",
+                                      .where = into_.string(),
+                                      .next = "make room on the disk: df -h " + into_.string()});
   }
 
  private:
@@ -72,7 +75,10 @@ std::string file_text(const fs::path& file) {
                                     .expected = fmt::format("at most {}", kLargestText)});
   std::ifstream in(file, std::ios::binary);
   std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  if (!in) throw Error(ErrorCode::Failed, {.what = "the file cannot be read", .where = file.string()});
+  if (!in)
+    throw Error(ErrorCode::Failed, {.what = "the file cannot be read",
+                                    .where = file.string(),
+                                    .next = "see what it allows: ls -l " + file.string()});
   return text;
 }
 
@@ -106,7 +112,9 @@ PluginFiles files_of_folder(const fs::path& folder) {
 PluginFiles files_of_library(const fs::path& library) {
   std::error_code problem;
   if (!fs::is_regular_file(library, problem))
-    throw Error(ErrorCode::NotFound, {.what = "there is no such library", .where = library.string()});
+    throw Error(ErrorCode::NotFound, {.what = "there is no such library",
+                                      .where = library.string(),
+                                      .next = "build it first; LIBRARY is the .so that the build leaves"});
   PluginFiles files;
   files.library = library;
   std::string name = library.stem().string();
@@ -117,7 +125,9 @@ PluginFiles files_of_library(const fs::path& library) {
 
 PluginFiles files_of_package(const fs::path& package, const fs::path& into) {
   std::ifstream in(package, std::ios::binary);
-  if (!in) throw Error(ErrorCode::NotFound, {.what = "there is no such package", .where = package.string()});
+  if (!in)
+    throw Error(ErrorCode::NotFound,
+                {.what = "there is no such package", .where = package.string(), .next = "make it: plugin pack FOLDER"});
   UnpackingSink sink(into);
   const auto source = [&in](char* buffer, std::size_t size) {
     in.read(buffer, static_cast<std::streamsize>(size));

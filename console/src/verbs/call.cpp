@@ -16,7 +16,8 @@ void tell_result(Session& session, const std::string& target, const control::Cal
     const auto object = types.make(called.result().type());
     if (!object || !object->ParseFromString(called.result().object())) {
       throw Error(ErrorCode::Failed, {.what = fmt::format("the answer of {} is not readable here", target),
-                                      .found = called.result().type()});
+                                      .found = called.result().type(),
+                                      .next = "tell the component's publisher: market info tells who"});
     }
     facts["result"] = object_json(*object);
     for (const FieldText& field : field_texts(*object, {})) {

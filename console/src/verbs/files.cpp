@@ -23,7 +23,9 @@ void replace_file(const fs::path& file, std::string_view text) {
     ::unlink(fresh.c_str());
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = fmt::format("the file cannot be written: {}", std::strerror(problem)),
-                          .where = file.string()});
+                          .where = file.string(),
+                          .next = "see what the folder allows, and whether the disk is full: ls -ld " +
+                                  file.parent_path().string() + "; df -h"});
   };
   const int descriptor = ::open(fresh.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
   if (descriptor < 0) fail();

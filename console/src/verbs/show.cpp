@@ -66,8 +66,9 @@ void show_probe(Session& session, const control::InstanceStatus& instance, const
     return session.out.table(facts, "", false);
   }
   if (!object->ParseFromString(sample.object()))
-    throw Error(ErrorCode::Failed,
-                {.what = fmt::format("a {} cannot be read", sample.type()), .where = instance.name()});
+    throw Error(ErrorCode::Failed, {.what = fmt::format("a {} cannot be read", sample.type()),
+                                    .where = instance.name(),
+                                    .next = "tell the component's publisher: market info tells who"});
   for (const FieldText& field : field_texts(*object, {})) {
     const std::string& unit = is_plain_value(sample.type()) ? sample.unit() : field.unit;
     facts.add({field.path, field.text + (unit.empty() ? "" : " " + unit)});

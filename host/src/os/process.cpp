@@ -134,7 +134,9 @@ void end_within(std::chrono::seconds time, int code) {
 std::string random_token() {
   std::string token(16, '\0');
   if (::getrandom(token.data(), token.size(), 0) != static_cast<ssize_t>(token.size())) {
-    throw Error(ErrorCode::Failed, {.what = "the system gives no random bytes", .found = std::strerror(errno)});
+    throw Error(ErrorCode::Failed, {.what = "the system gives no random bytes",
+                                    .found = std::strerror(errno),
+                                    .next = "allow getrandom() where system calls are filtered"});
   }
   return token;
 }

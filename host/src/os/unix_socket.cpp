@@ -17,7 +17,11 @@ namespace {
 
 [[noreturn]] void fail(std::string what, const std::filesystem::path& path) {
   const int code = errno;
-  throw Error(ErrorCode::Failed, {.what = std::move(what), .where = path.string(), .found = std::strerror(code)});
+  throw Error(ErrorCode::Failed,
+              {.what = std::move(what),
+               .where = path.string(),
+               .found = std::strerror(code),
+               .next = "see who owns the folder and what is in it: ls -la " + path.parent_path().string()});
 }
 
 sockaddr_un address_of(const std::filesystem::path& path) {
