@@ -151,17 +151,20 @@ void Comparison::add(const control::PortName& old, std::uint64_t old_tap, const 
 
 void Comparison::take(Pair& pair, Side& side, const wire::Tapped& tapped) {
   ++side.messages;
-  std::unique_ptr<Message> object = types_.make(tapped.type());
+  std::shared_ptr<Message> object = types_.make(tapped.type());
   if (!object || !object->ParseFromString(tapped.object()) || !is_valid(*object)) return;
   ++side.valid;
   side.newest = std::move(object);
-  if (!pair.type) {
-    pair.type = side.newest->GetDescriptor();
-    collect(*pair.type, {}, pair.fields);
+  if (!pair.first) {
+    pair.first = side.newest;
+    collect(*pair.first->GetDescriptor(), {}, pair.fields);
   }
   // A new one is set against what the old one said last; the other way round each would count twice.
   if (&side == &pair.old || !pair.old.newest) return;
-  if (pair.old.newest->GetDescriptor() != pair.type || pair.next.newest->GetDescriptor() != pair.type) return;
+  const auto is_compared = [&pair](const Side& one) {
+    return one.newest->GetDescriptor() == pair.first->GetDescriptor();
+  };
+  if (!is_compared(pair.old) || !is_compared(pair.next)) return;
   for (Field& field : pair.fields) {
     if (const auto distance = field.between(*pair.old.newest, *pair.next.newest)) field.distances.add(*distance);
   }

@@ -64,12 +64,12 @@ class Comparison {
     std::uint64_t tap = 0;
     std::uint64_t messages = 0;
     std::uint64_t valid = 0;
-    std::unique_ptr<google::protobuf::Message> newest;  ///< that is valid
+    std::shared_ptr<google::protobuf::Message> newest;  ///< that is valid
   };
   struct Pair {
     Side old;
     Side next;
-    const google::protobuf::Descriptor* type = nullptr;  ///< of what is compared
+    std::shared_ptr<const google::protobuf::Message> first;  ///< of the type that is compared
     std::vector<Field> fields;
   };
   static void collect(const google::protobuf::Descriptor& type,

@@ -43,6 +43,7 @@ class Model {
     /// The mode that loading it brings it to.
     std::string mode_after_load() const;
     /// Null: the component has none.
+    std::shared_ptr<Object> empty_parameters() const;
     std::shared_ptr<Object> default_parameters() const;
   };
   struct Wire {

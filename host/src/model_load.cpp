@@ -13,15 +13,15 @@
 namespace fiona::host {
 namespace {
 
-/// `values` with the changes made. Throws as `set_fields` does, with the instance as the place.
-std::shared_ptr<Object> changed(const std::string& name, const std::shared_ptr<const Object>& values,
+/// Its parameters with the changes made. Throws as `set_fields` does, with the instance as the place.
+std::shared_ptr<Object> changed(const std::string& name, const Model::Instance& one,
                                 const google::protobuf::RepeatedPtrField<control::Argument>& changes,
                                 const std::string& next) {
-  if (!values)
+  if (!one.parameters)
     throw Error(ErrorCode::NotFound,
                 {.what = "'" + name + "' has no parameters", .where = name, .next = "show " + name});
-  std::shared_ptr<Object> draft(values->New());
-  draft->CopyFrom(*values);
+  std::shared_ptr<Object> draft = one.empty_parameters();
+  draft->CopyFrom(*one.parameters);
   try {
     const std::vector<control::Argument> arguments(changes.begin(), changes.end());
     set_fields(*draft, arguments);
@@ -74,9 +74,13 @@ void require_rights(const control::Load& request, const Model::Instance& made) {
 
 }  // namespace
 
-std::shared_ptr<Object> Model::Instance::default_parameters() const {
+std::shared_ptr<Object> Model::Instance::empty_parameters() const {
   const std::string& type = interface().parameters();
-  std::shared_ptr<Object> values = type.empty() ? nullptr : Types::make(*package->types, type);
+  return type.empty() ? nullptr : Types::make(package->types, type);
+}
+
+std::shared_ptr<Object> Model::Instance::default_parameters() const {
+  std::shared_ptr<Object> values = empty_parameters();
   if (values) set_declared_defaults(*values);
   return values;
 }
@@ -113,7 +117,7 @@ void Model::load(const control::Load& request, const Packages& packages) {
   made->mode = made->mode_after_load();
   made->parameters = made->default_parameters();
   if (request.parameters_size() > 0) {
-    made->parameters = changed(name, made->parameters, request.parameters(),
+    made->parameters = changed(name, *made, request.parameters(),
                                "'" + name + "' was not loaded: correct that, then load it again");
   }
   instances_[name] = std::move(made);
@@ -160,7 +164,7 @@ void Model::upgrade(const std::string& name, std::shared_ptr<const Package> pack
                                         : std::vector<control::Argument>();
     if (!set.empty()) {
       made->parameters =
-          changed(name, made->parameters, {set.begin(), set.end()}, "set " + name + " to what both take");
+          changed(name, *made, {set.begin(), set.end()}, "set " + name + " to what both take");
     }
     instances_[name] = std::move(made);
     require_wires_fit(name);
@@ -195,7 +199,7 @@ void Model::require_waiting_fit(const std::string& name) const {
 void Model::set(const control::Set& request) {
   require_own(request.instance());
   auto draft = std::make_shared<Instance>(instance(request.instance()));
-  draft->parameters = changed(request.instance(), draft->parameters, request.parameters(), "get " + request.instance());
+  draft->parameters = changed(request.instance(), *draft, request.parameters(), "get " + request.instance());
   instances_[request.instance()] = std::move(draft);
 }
 

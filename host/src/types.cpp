@@ -79,7 +79,6 @@ void Types::add(const std::string& plugin, std::shared_ptr<const Source> source)
   const std::unique_lock lock(mutex_);
   auto& known = plugins_[plugin];
   if (known && known->content == source->content) return;
-  if (known) replaced_.push_back(std::move(known));
   known = std::move(source);
 }
 
@@ -87,19 +86,21 @@ const ServiceDescriptor* Types::service(const Source& source, const std::string&
   return source.pool.FindServiceByName(full_name);
 }
 
-std::unique_ptr<google::protobuf::Message> Types::make(const Source& source, const std::string& type) {
-  const auto* known = source.pool.FindMessageTypeByName(type);
-  return std::unique_ptr<google::protobuf::Message>(known ? source.factory.GetPrototype(known)->New() : nullptr);
+std::shared_ptr<google::protobuf::Message> Types::make(const std::shared_ptr<const Source>& source,
+                                                       const std::string& type) {
+  const auto* known = source->pool.FindMessageTypeByName(type);
+  if (!known) return nullptr;
+  return {source->factory.GetPrototype(known)->New(), [source](google::protobuf::Message* made) { delete made; }};
 }
 
-std::unique_ptr<google::protobuf::Message> Types::make(const std::string& type) const {
+std::shared_ptr<google::protobuf::Message> Types::make(const std::string& type) const {
   if (const auto* known = DescriptorPool::generated_pool()->FindMessageTypeByName(type)) {
-    return std::unique_ptr<google::protobuf::Message>(
+    return std::shared_ptr<google::protobuf::Message>(
         google::protobuf::MessageFactory::generated_factory()->GetPrototype(known)->New());
   }
   const std::shared_lock lock(mutex_);
   for (const auto& [plugin, source] : plugins_) {
-    if (auto made = make(*source, type)) return made;
+    if (auto made = make(source, type)) return made;
   }
   return nullptr;
 }

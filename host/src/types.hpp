@@ -24,14 +24,15 @@ class Types {
   class Source;
   /// A plugin's own protos, which become known with `add`. Throws Error when they do not fit together.
   static std::shared_ptr<const Source> read(const std::string& plugin, const Interface& interface);
-  /// Learns a plugin's protos; those of an earlier build of it stay alive for what is made of them.
+  /// Learns a plugin's protos, instead of those of an earlier build of it.
   void add(const std::string& plugin, std::shared_ptr<const Source> source);
 
-  /// The service, and an empty message, as the plugin has them; null if unknown. They live as long as the source.
+  /// The service as the plugin has it; null if unknown. It lives as long as the source.
   static const google::protobuf::ServiceDescriptor* service(const Source& source, const std::string& full_name);
-  static std::unique_ptr<google::protobuf::Message> make(const Source& source, const std::string& type);
-  /// An empty object of this type; null if unknown.
-  std::unique_ptr<google::protobuf::Message> make(const std::string& type) const;
+  /// An empty object of this type; null if unknown. It keeps what it was made of alive: a plugin may be replaced before.
+  static std::shared_ptr<google::protobuf::Message> make(const std::shared_ptr<const Source>& source,
+                                                         const std::string& type);
+  std::shared_ptr<google::protobuf::Message> make(const std::string& type) const;
   /// The file and what it imports, dependencies before users.
   static google::protobuf::FileDescriptorSet files_of(const google::protobuf::FileDescriptor& file);
   /// Describes a service or object by its full name or the last part of it. Throws Error NotFound with near names.
@@ -40,7 +41,6 @@ class Types {
  private:
   mutable std::shared_mutex mutex_;
   std::map<std::string, std::shared_ptr<const Source>> plugins_;
-  std::vector<std::shared_ptr<const Source>> replaced_;
 };
 
 /// "fiona.localisation.LocationProvider" -> "LocationProvider".

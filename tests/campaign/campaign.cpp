@@ -59,7 +59,7 @@ Holdings holdings(const std::vector<pid_t>& processes) {
   return all;
 }
 
-std::unique_ptr<google::protobuf::Message> ask(RunningSystem& system, const std::string& trigger,
+std::shared_ptr<google::protobuf::Message> ask(RunningSystem& system, const std::string& trigger,
                                                const std::string& arguments) {
   const auto called = system.call(trigger, arguments);
   if (called.outcome() != "ok")

@@ -68,7 +68,7 @@ class Seen {
 };
 
 /// What an instance of the test's components says when it is asked: `ask(system, "w1.testify")`.
-std::unique_ptr<google::protobuf::Message> ask(RunningSystem& system, const std::string& trigger,
+std::shared_ptr<google::protobuf::Message> ask(RunningSystem& system, const std::string& trigger,
                                                const std::string& arguments = "");
 
 /// What a lookout has seen so far; steady times in nanoseconds.

@@ -3,6 +3,7 @@
 
 #include <fstream>
 
+#include "model.hpp"
 #include "package.hpp"
 #include "system_fixture.hpp"
 
@@ -48,6 +49,22 @@ TEST_F(PackagesOfFiles, AreReadAgainOnceTheyHaveDataFiles) {
   std::filesystem::create_directory(directory.path / "nav.share");
   EXPECT_EQ(find()->share, directory.path / "nav.share");
   EXPECT_TRUE(first->share.empty());
+}
+
+/// As when one version takes another's place: members are replaced one by one, the package first.
+TEST_F(PackagesOfFiles, LiveAsLongAsWhatWasMadeOfTheirTypes) {
+  describe(R"(
+    components { name: "nav" parameters: "t.Limits" }
+    descriptors { file { name: "t.proto" package: "t" message_type { name: "Limits"
+      field { name: "most" number: 1 label: LABEL_OPTIONAL type: TYPE_UINT32 } } } })");
+  Model::Instance served;
+  served.package = find();
+  served.component = "nav";
+  served.parameters = served.default_parameters();
+  served.package = nullptr;
+  EXPECT_EQ(served.parameters->GetDescriptor()->field(0)->name(), "most");
+  served = Model::Instance{};
+  EXPECT_EQ(served.parameters, nullptr);
 }
 
 }  // namespace
