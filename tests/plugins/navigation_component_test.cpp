@@ -108,6 +108,39 @@ TEST(Navigation, ADestinationGivesAPathAndAnInstruction) {
   EXPECT_EQ(led.bench.probe<std::int64_t>("plans"), 1);
 }
 
+TEST(Navigation, WhoMayBeInSeveralRoomsLeavesTheirsFirstAndIsLedOnceTheyAreFound) {
+  Led led;
+  led.stand(location(5, 6, 0, 0, 6.0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0, 0, 6.0), 4s);
+  const Instruction sought = led.last();
+  EXPECT_EQ(sought.kind(), Instruction::START);
+  EXPECT_EQ(sought.text(), "It is not sure yet where you are. Leave the room that you are in, or walk some steps.");
+  EXPECT_EQ(sought.hour(), NextTurn::TYPE_OF_TURN_UNSPECIFIED) << "no direction can be right";
+  EXPECT_TRUE(sought.uncertain());
+  EXPECT_TRUE(led.paths().empty());
+  led.stand(location(5, 4, 0, 0, 1.0), 1s);
+  EXPECT_EQ(led.paths().size(), 1u);
+  EXPECT_THAT(led.last().text(), AllOf(HasSubstr("To D, "), Not(HasSubstr("door")))) << "they go through it already";
+}
+
+TEST(Navigation, WhoHasNotLeftTheirRoomIsToldOfItsDoorInTheEnd) {
+  Led led;
+  led.stand(location(5, 6, 0, 0, 6.0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0, 0, 6.0), 4s);
+  led.stand(location(5, 4, 0, 0, 1.0), 12s);
+  EXPECT_THAT(led.last().text(), HasSubstr("go through the door"));
+}
+
+TEST(Navigation, WhoIsNotFoundBetterIsLedAllTheSame) {
+  Led led;
+  led.stand(location(5, 6, 0, 0, 6.0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0, 0, 6.0), 12s);
+  EXPECT_EQ(led.paths().size(), 1u);
+}
+
 TEST(Navigation, TheProfileOfTheSessionIsAskedForAndObeyed) {
   Led led;
   led.profile.set_use_stairs(false);

@@ -186,6 +186,16 @@ TEST(LevelPlan, ARoomIsToldByNameAndNumberAndTheNumberOnce) {
   EXPECT_EQ(told("", "0.04"), "0.04");
 }
 
+TEST(LevelPlan, EachDoorLeadsThroughItsWall) {
+  const Building building = house().read();
+  const LevelPlan plan = read_level_plan(world::told(building));
+  for (const building::Door& door : plan.plan.doors) {
+    EXPECT_TRUE(plan.behind_door(door.at - door.normal, door.at + door.normal, door.level)) << door.at.x_m;
+    EXPECT_FALSE(plan.walled(door.at - door.normal * 0.3, door.at + door.normal * 0.3, door.level)) << door.at.x_m;
+  }
+  EXPECT_FALSE(plan.plan.doors.empty());
+}
+
 TEST(LevelPlan, AnEdgeToNowhereIsRefused) {
   navigation::CommLevelMap map = world::told(house().read());
   map.mutable_edges(0)->set_to(100000);
@@ -315,6 +325,15 @@ TEST(Guide, BehindAWallIsOffThePath) {
   EXPECT_TRUE(guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(2.1)).off_path);
 }
 
+TEST(Guide, InTheRoomBesideThePathIsOffIt) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  plan.plan.doors.push_back({.at = {0.5, 10}, .level = 0.0, .normal = {1, 0}});
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(0));
+  EXPECT_TRUE(guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(2.1)).off_path);
+}
+
 TEST(Guide, WhoStandsIsToldAgainUnderAnotherNumber) {
   const LevelPlan plan;
   Guide guide(plan, corner(), "Room 7", false, at(0));
@@ -349,7 +368,75 @@ TEST(Guide, WhoIsAboutToGoThroughADoorIsNotTurnedToThePath) {
   Guide guide(plan, through_a_door(), "Room 7", false, at(0));
   guide.follow({{{0, 8}, 0}, 0.0, 1.0}, at(0));
   EXPECT_EQ(guide.follow({{{0.5, 8.5}, 0}, 70 * kDegree, 1.0}, at(1)).instruction.kind(), Instruction::DOOR);
-  EXPECT_EQ(guide.follow({{{0.5, 8.5}, 0}, 70 * kDegree, 1.0}, at(5)).instruction.kind(), Instruction::TURN);
+  EXPECT_EQ(guide.follow({{{0.5, 8.5}, 0}, 70 * kDegree, 1.0}, at(6)).instruction.kind(), Instruction::DOOR);
+  guide.follow({{{0.5, 5.5}, 0}, 70 * kDegree, 1.0}, at(9));
+  EXPECT_EQ(guide.follow({{{0.5, 5.5}, 0}, 70 * kDegree, 1.0}, at(10.2)).instruction.kind(), Instruction::TURN)
+      << "too far from the door to see it";
+}
+
+TEST(Guide, WhoHasNotGoneThroughADoorIsToldAgainLaterIfTheirPlaceIsNotSure) {
+  const LevelPlan plan;
+  for (const auto& [sigma_m, again_s] : {std::pair{0.0, 4.2}, {1.0, 7.2}}) {
+    Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+    std::vector<double> said_s;
+    for (int i = 0; i < 50; ++i) {
+      const double t = 0.2 * i, y_m = std::min(9.0, 7.0 + t);
+      if (guide.follow({{{0.9, y_m}, 0}, 0.0, sigma_m}, at(t)).is_new) said_s.push_back(t);
+    }
+    ASSERT_GE(said_s.size(), 2u);
+    EXPECT_NEAR(said_s[1] - said_s[0], again_s, 0.5) << sigma_m;
+  }
+}
+
+TEST(Guide, WhoStandsBesideADoorAndLooksAtTheWallHasNotGoneThroughIt) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0}, at(0));
+  EXPECT_EQ(guide.follow({{{0.9, 9.9}, 0}, 0.0}, at(3)).instruction.kind(), Instruction::DOOR);
+  EXPECT_EQ(guide.follow({{{0.1, 9.9}, 0}, 0.0}, at(3.2)).instruction.kind(), Instruction::CONTINUE);
+}
+
+TEST(Guide, AWrongLevelForAMomentAtALiftPlansNoOtherPathUnlessThePlaceIsSure) {
+  const LevelPlan plan;
+  for (const auto& [sigma_m, off_s] : {std::pair{0.0, 2.0}, {1.0, 6.0}}) {
+    building::Route route;
+    using building::Passage;
+    route.points = {{.at = {0, 0}, .level = 0},
+                    {.at = {0, 5}, .level = 0},
+                    {.at = {0, 5}, .level = 1, .passage = Passage::Lift},
+                    {.at = {0, 0}, .level = 1}};
+    Guide guide(plan, route, "Room 7", false, at(0));
+    guide.follow({{{0, 5}, 0}, 0.0, sigma_m}, at(0));
+    double t = 0.2;
+    while (t < 20 && !guide.follow({{{0, 5}, 2}, 0.0, sigma_m}, at(t)).off_path) t += 0.2;
+    EXPECT_NEAR(t, off_s, 0.5) << sigma_m;
+  }
+}
+
+TEST(Guide, WhoHasClimbedAndWalksBackBesideTheStairsIsOffThePathAndNotOnThem) {
+  const LevelPlan plan;
+  building::Route route;
+  using building::Passage;
+  route.points = {
+      {.at = {0, 0}, .level = 0}, {.at = {8, 0}, .level = 1, .passage = Passage::Stairs}, {.at = {16, 0}, .level = 1}};
+  Guide guide(plan, route, "Room 7", false, at(0));
+  for (const double x_m : {0.0, 4.0, 8.0, 9.0}) guide.follow({{{x_m, 0}, x_m < 8 ? x_m / 8 : 1.0}, {}, 0.0}, at(x_m));
+  EXPECT_FALSE(guide.follow({{{4, 1}, 1}, {}, 0.0}, at(14)).off_path);
+  const auto advice = guide.follow({{{4, 1}, 1}, {}, 0.0}, at(16.2));
+  EXPECT_TRUE(advice.off_path);
+  EXPECT_NE(advice.instruction.kind(), Instruction::STAIRS);
+}
+
+TEST(Guide, WhoWalksOnBesideThePathIsToldToTurnAgain) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  std::vector<double> told_s;
+  for (int i = 0; i < 40; ++i) {
+    const auto advice = guide.follow({{{0.5, 1.0 + 0.05 * i}, 0}, 80 * kDegree, 0.0}, at(0.2 * i));
+    if (advice.is_new && advice.instruction.kind() == Instruction::TURN) told_s.push_back(0.2 * i);
+  }
+  ASSERT_GE(told_s.size(), 2u);
+  EXPECT_NEAR(told_s[1] - told_s[0], 4.2, 0.3);
 }
 
 TEST(Guide, WhoDoesNotGetOnBehindADoorIsToldOfTheDoorAgain) {
@@ -364,6 +451,55 @@ TEST(Guide, WhoDoesNotGetOnBehindADoorIsToldOfTheDoorAgain) {
   }
   EXPECT_THAT(said,
               ::testing::ElementsAre("Go through the door.", "Go on for 10 m to Room 7.", "Go through the door."));
+}
+
+/// North through a door, and east `behind_m` behind it.
+building::Route around_a_corner(double behind_m) {
+  building::Route route = through_a_door();
+  route.points.back().at.y_m = 10.5 + behind_m;
+  route.points.push_back({.at = {20, 10.5 + behind_m}, .level = 0});
+  return route;
+}
+
+TEST(Guide, ATurnRightBehindADoorIsToldWithIt) {
+  const LevelPlan plan;
+  Guide guide(plan, around_a_corner(1.5), "Room 7", false, at(0));
+  std::vector<std::string> words;
+  for (const Instruction& said : walk(guide).numbered) {
+    words.push_back(said.text());
+    EXPECT_EQ(said.then_hour(),
+              said.kind() == Instruction::DOOR ? NextTurn::HOUR_3 : NextTurn::TYPE_OF_TURN_UNSPECIFIED);
+  }
+  EXPECT_THAT(words, ::testing::ElementsAre("Go straight on for 10 m.", "In 6 m go through the door, then turn right.",
+                                            "Go through the door, then turn right.", "Turn right now.",
+                                            "Go on for 20 m to Room 7.", "You have arrived: Room 7."));
+}
+
+TEST(Guide, ATurnFurtherBehindADoorIsToldByItself) {
+  const LevelPlan plan;
+  Guide guide(plan, around_a_corner(5), "Room 7", false, at(0));
+  for (const Instruction& said : walk(guide).numbered) {
+    EXPECT_EQ(said.then_hour(), NextTurn::TYPE_OF_TURN_UNSPECIFIED) << said.text();
+  }
+}
+
+TEST(Guide, NobodyHasArrivedWhoMayBeElsewhere) {
+  const LevelPlan plan;
+  for (const auto& [sigma_m, arrives] : {std::pair{1.0, true}, std::pair{4.0, false}}) {
+    Guide guide(plan, corner(), "Room 7", false, at(0));
+    EXPECT_EQ(guide.follow({{{20, 20}, 0}, 90 * kDegree, sigma_m}, at(0)).arrived, arrives) << sigma_m;
+  }
+}
+
+TEST(Guide, APlaceThatIsLessThanSureTurnsNobodyForAMoment) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  const auto kind_at = [&](double t) {
+    return guide.follow({{{0, 8}, 0}, 90 * kDegree, 1.0}, at(t)).instruction.kind();
+  };
+  EXPECT_EQ(kind_at(0), Instruction::CONTINUE);
+  EXPECT_EQ(kind_at(0.8), Instruction::CONTINUE);
+  EXPECT_EQ(kind_at(1.2), Instruction::TURN);
 }
 
 TEST(Guide, WhoGetsOnNowhereIsSentBackALittle) {

@@ -12,7 +12,9 @@
 #include <gtest/gtest.h>
 
 #include <fiona/building/building.hpp>
+#include <fiona/building/geometry.hpp>
 #include <fiona/error.hpp>
+#include <fiona/simulator/guided_walker.hpp>
 #include <fiona/simulator/imu_model.hpp>
 #include <fiona/simulator/radio_model.hpp>
 #include <fiona/simulator/random.hpp>
@@ -48,6 +50,22 @@ Truth walking(milliseconds t) {
   truth.cadence_hz = 1.8;
   truth.steps = 1.8 * static_cast<double>(t.count()) / 1000.0;
   return truth;
+}
+
+TEST(GuidedWalker, ToldToStartWithoutADirectionTheyLeaveTheRoom) {
+  hmi::Instruction start, stop;
+  start.set_number(1), start.set_kind(hmi::Instruction::START);
+  stop.set_number(2), stop.set_kind(hmi::Instruction::LOST);
+  for (const char* name : {"0.01", "0.02", "1.01"}) {
+    const building::Room& room = house().room(name);
+    GuidedWalker walker(house(), 1, {.start_room = name});
+    walker.hear(start);
+    walker.advance(milliseconds(6000));
+    walker.hear(stop);
+    walker.advance(milliseconds(9000));
+    EXPECT_FALSE(building::contains(room.polygon, {walker.truth().x_m, walker.truth().y_m})) << name;
+    EXPECT_EQ(walker.truth().speed_mps, 0.0);
+  }
 }
 
 TEST(Random, MatchesTheReferenceOfPcg32) {

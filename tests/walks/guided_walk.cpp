@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <functional>
+#include <numbers>
 
 #include "fiona/building/geometry.hpp"
 #include "fiona/simulator/building_simulator.hpp"
@@ -64,6 +66,7 @@ class Referee final : public Component {
       outcome.inside += is_inside(told);
       outcome.wrong_level += std::abs(told.z() - level_) > 0.75;
     }
+    note_course();
   }
 
   Outcome outcome;
@@ -77,6 +80,28 @@ class Referee final : public Component {
     return yy * x * x - 2.0 * xy * x * y + xx * y * y <= 5.991 * (xx * yy - xy * xy);
   }
 
+  void note(const char* format, auto... values) {
+    char line[200];
+    std::snprintf(line, sizeof line, format, values...);
+    outcome.course.emplace_back(line);
+  }
+  void note_course() {
+    constexpr double kDegree = std::numbers::pi / 180.0;
+    const double heading = yaw_rad_ / kDegree;
+    if (!is_placed())
+      return note("%6.1f s  %6.2f %6.2f %5.2f %5.0f", since_begun_s(), at_.x_m, at_.y_m, level_, heading);
+    const auto& told = told_->position();
+    const double sd_m = told.confidence_size() == 9 ? std::sqrt(told.confidence(0) + told.confidence(4)) : 0.0;
+    const double turned = std::remainder(told_->orientation().yaw() - yaw_rad_, 2.0 * std::numbers::pi) / kDegree;
+    const double compass = std::remainder(compass_rad_ - yaw_rad_, 2.0 * std::numbers::pi) / kDegree;
+    note(
+        "%6.1f s  %6.2f %6.2f %5.2f %5.0f  taken for %6.2f %6.2f %5.2f, %4.1f m off, sd %4.1f m, heading %+4.0f, "
+        "compass %+4.0f",
+        since_begun_s(), at_.x_m, at_.y_m, level_, heading, told.x(), told.y(), told.z(),
+        distance_m({told.x(), told.y()}, at_), sd_m, turned, compass);
+  }
+  double since_begun_s() const { return begun_ ? to_seconds(now() - *begun_) : 0.0; }
+
   hmi::CommUserProfileReply on_profile(const hmi::CommUserProfileRequest&) {
     hmi::CommUserProfileReply profile;
     profile.set_use_stairs(errand_.profile.stairs);
@@ -89,6 +114,7 @@ class Referee final : public Component {
   void on_truth(const localisation::CommLocation& location) {
     at_ = {location.position().x(), location.position().y()};
     level_ = location.position().z();
+    yaw_rad_ = location.orientation().yaw();
     if (!start_at_) start_at_ = location.position();
     localisation::CommLocation fixed = location;
     *fixed.mutable_position() = *start_at_;
@@ -108,11 +134,16 @@ class Referee final : public Component {
   }
 
   void on_location(const localisation::CommLocation& location) { told_ = location; }
+  void on_compass(const localisation::CommOrientation& compass) { compass_rad_ = compass.yaw(); }
 
   void on_instruction(const Instruction& said) {
     outcome.instructions = outcome.instructions * 1099511628211u ^ (std::hash<std::string>()(said.SerializeAsString()) +
                                                                     static_cast<std::uint64_t>(to_milliseconds(now())));
-    if (said.number() != number_) check(said);
+    if (said.number() != number_) {
+      check(said);
+      note("%6.1f s    \"%s\" (%u, hour %d, %.1f m)", since_begun_s(), said.text().c_str(), said.number(),
+           static_cast<int>(said.hour()), said.distance());
+    }
     number_ = said.number();
     if (said.kind() == Instruction::REROUTE) ++outcome.reroutes;
     if (said.kind() == Instruction::ARRIVE) end_at_goal();
@@ -183,6 +214,8 @@ class Referee final : public Component {
   std::optional<TimePoint> begun_;
   Point at_{};
   double level_ = 0.0;
+  double yaw_rad_ = 0.0;
+  double compass_rad_ = 0.0;
   std::uint32_t number_ = 0;
 
   Provides<hmi::ProfileProvider> profile_{*this, "profile", &Referee::on_profile};
@@ -193,6 +226,7 @@ class Referee final : public Component {
   Requires<hmi::InstructionProvider> instructions_{*this, "instructions", &Referee::on_instruction};
   Requires<localisation::LocationProvider> truth_{*this, "truth", &Referee::on_truth};
   Requires<localisation::LocationProvider> location_{*this, "location", &Referee::on_location};
+  Requires<localisation::OrientationProvider> compass_{*this, "compass", &Referee::on_compass};
 };
 
 std::string label(const Room& room) { return room.ref.empty() ? room.name : room.ref; }
@@ -239,6 +273,7 @@ void add_localisation(Stage& stage, const std::string& beacons, const Errand& er
   stage.wire("ble.orientation", "steps.orientation");
   stage.wire("ble.map", "map.levels");
   stage.wire("ble.map_change", "map.change");
+  stage.wire("referee.compass", "steps.orientation");
 }
 
 }  // namespace

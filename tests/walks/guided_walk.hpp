@@ -35,6 +35,7 @@ struct Outcome {
   std::vector<double> errors_m{};     ///< of the localisation, once a second from when the destination was sent
   int inside = 0;                     ///< seconds within the 95 % region of the place
   int wrong_level = 0, unplaced = 0;  ///< seconds with a place on another level, and without a place
+  std::vector<std::string> course{};  ///< second by second where they were and were taken to be; what they were told
 };
 
 enum class Guidance {

@@ -1,5 +1,5 @@
 // The closed loop: people who know nothing of the building are led to rooms of it. FIONA_WALKS=N: so many walks;
-// FIONA_SEED=N: the first one's seed.
+// FIONA_SEED=N: the first one's seed; FIONA_COURSE=1: prints their courses.
 #include <unistd.h>
 
 #include <algorithm>
@@ -34,7 +34,8 @@ struct Tally {
   int arrived = 0;
   int faults = 0;
   int reroutes = 0;
-  double time = 0.0;  ///< taken, as a share of the route's
+  double time = 0.0, to_door = 0.0;  ///< taken, as shares of the route's: until told to be there, and to the door
+  int at_door = 0;
   std::vector<double> errors_m{};
   int inside = 0, wrong_level = 0, unplaced = 0;  ///< seconds
   double share() const { return static_cast<double>(arrived) / walks; }
@@ -110,16 +111,22 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth) {
     tally.arrived += outcome.arrived ? 1 : 0;
     tally.reroutes += outcome.reroutes;
     tally.time += outcome.took_s / errand.route_s;
+    if (outcome.at_door_s) ++tally.at_door, tally.to_door += *outcome.at_door_s / errand.route_s;
     tally.faults += static_cast<int>(outcome.faults.size());
     if (guidance == Guidance::Whole && (!outcome.arrived || !outcome.faults.empty())) {
       std::printf("%s: %s after %.0f s of %.0f s\n", errand.text().c_str(), outcome.ending.c_str(), outcome.took_s,
                   errand.route_s);
       for (const std::string& fault : outcome.faults) std::printf("  %s\n", fault.c_str());
     }
+    if (std::getenv("FIONA_COURSE") != nullptr) {
+      for (const std::string& line : outcome.course) std::printf("  %s\n", line.c_str());
+    }
   }
-  std::printf("seeds %llu to %llu: %d of %d arrived, %.2f times the route's time, %d times rerouted, %d faults\n",
-              static_cast<unsigned long long>(first), static_cast<unsigned long long>(first + count - 1), tally.arrived,
-              tally.walks, tally.time / tally.walks, tally.reroutes, tally.faults);
+  std::printf(
+      "seeds %llu to %llu: %d of %d arrived, %.2f times the route's time to the door, %.2f until told so, %d times "
+      "rerouted, %d faults\n",
+      static_cast<unsigned long long>(first), static_cast<unsigned long long>(first + count - 1), tally.arrived,
+      tally.walks, tally.to_door / tally.at_door, tally.time / tally.walks, tally.reroutes, tally.faults);
   if (place == Place::Beacons) {
     std::printf(
         "  position error: median %.2f m, p95 %.2f m, %.1f %% in the 95 %% region; wrong level %d s, no place %d s, of "

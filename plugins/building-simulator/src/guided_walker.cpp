@@ -51,6 +51,16 @@ bool is_done_here(const Instruction& said) {
          said.kind() != Instruction::START && said.kind() != Instruction::ARRIVE;
 }
 
+bool is_door(Instruction::Kind kind) {
+  return kind == Instruction::DOOR || kind == Instruction::ENTER || kind == Instruction::LEAVE;
+}
+
+/// To turn by afterwards.
+std::optional<double> then(const Instruction& said) {
+  if (said.then_hour() == hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED) return std::nullopt;
+  return static_cast<int>(said.then_hour()) * kHour_rad;
+}
+
 /// What is nearest to a place and ahead.
 struct Best {
   double score = 1e9;
@@ -118,6 +128,7 @@ void GuidedWalker::act(const Heard& heard) {
       walking_ = true;
       turn_.reset();
       careful_until_ = truth_.t;
+      if (said.kind() == Instruction::START && said.hour() == hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED) leave_room();
       // Straight on is where one walks already.
       if (said.hour() != hmi::NextTurn::HOUR_12 && said.hour() != hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED) {
         wish_rad_ = along_walls(heard.direction_rad + 0.5 * turn_error_rad_, kNarrow_rad);
@@ -153,11 +164,12 @@ void GuidedWalker::act_here(const Heard& heard) {
     case Instruction::DOOR:
     case Instruction::ENTER:
     case Instruction::LEAVE: found = go_through_door(heard); break;
-    default: found = climb(said.to_level()); break;
+    default: found = climb(said); break;
   }
   if (found) {
     done_.insert(said.number());
     turn_.reset();
+    errand_->then_rad = then(said);
   } else if (said.hour() != hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED && said.distance() < 0.5) {
     wish_rad_ = along_walls(heard.direction_rad, kNarrow_rad);
   }
@@ -182,6 +194,7 @@ bool GuidedWalker::go_through_door(const Heard& heard) {
     const Point before = door.at - through * kBeforeDoor_m;
     if (aside > kSidewards_rad || !sees(at(), before) || !best.takes(distance_m(told, door.at) + 2.0 * aside)) continue;
     errand.points = {{before, door.level}, {door.at + through * kBeforeDoor_m, door.level}};
+    errand.door = true;
   }
   if (errand.points.empty()) return false;
   wish_rad_ = heading(errand.points[1].at - errand.points[0].at);
@@ -189,7 +202,22 @@ bool GuidedWalker::go_through_door(const Heard& heard) {
   return true;
 }
 
-bool GuidedWalker::climb(double to_level) {
+/// Through the nearest doorway: where it leads, one was not told.
+void GuidedWalker::leave_room() {
+  Best best;
+  for (const building::Door& door : building_.doors()) {
+    const Point way = door.at - at();
+    if (door.level != truth_.level || length_m(way) > kSight_m || door.access > options_.access) continue;
+    const Point through = door.normal * (dot(way, door.normal) < 0.0 ? -1.0 : 1.0);
+    const Point before = door.at - through * kBeforeDoor_m;
+    if (!sees(at(), before) || !best.takes(length_m(way))) continue;
+    errand_ = Errand{.points = {{before, door.level}, {door.at + through * kBeforeDoor_m, door.level}}, .door = true};
+    wish_rad_ = heading(through);
+  }
+}
+
+bool GuidedWalker::climb(const Instruction& said) {
+  const double to_level = said.to_level();
   Best best;
   Errand errand;
   for (const Connector& connector : building_.connectors()) {
@@ -220,7 +248,7 @@ bool GuidedWalker::enter_lift(double to_level) {
     for (const PathPoint& stop : connector.path) {
       if (stop.level != truth_.level || !stops || distance_m(stop.at, at()) > kSight_m || !sees(at(), stop.at))
         continue;
-      errand_ = Errand{{stop}, to_level, kDoors_s + building::kLiftWait_s / 2.0, false};
+      errand_ = Errand{{stop}, to_level, kDoors_s + building::kLiftWait_s / 2.0};
       wish_rad_ = truth_.heading_rad + std::numbers::pi;  // one leaves by the door that one came in by
       return true;
     }
@@ -251,13 +279,22 @@ void GuidedWalker::step() {
 
 /// What was heard meanwhile was said on the way: the newest holds. What is said of a door to one who is going through
 /// one is said of that.
-void GuidedWalker::run(Errand& errand) {
+void GuidedWalker::take_in(Errand& errand) {
   for (const Heard& heard : heard_) {
-    if (last_ && heard.said.kind() == last_->said.kind()) done_.insert(heard.said.number());
+    const bool of_this = errand.door ? is_door(heard.said.kind()) : last_ && heard.said.kind() == last_->said.kind();
+    if (!of_this || !done_.insert(heard.said.number()).second) continue;
+    if (const auto turn = then(heard.said)) errand.then_rad = turn;
   }
   if (heard_.size() > 1) heard_.erase(heard_.begin(), heard_.end() - 1);
+}
+
+void GuidedWalker::run(Errand& errand) {
+  take_in(errand);
   if (errand.points.empty()) {
     if (errand.ride_to) return ride(errand);
+    if (errand.then_rad) {
+      turn_ = Turn{along_walls(wish_rad_ + *errand.then_rad + turn_error_rad_, kNarrow_rad), walked_m_};
+    }
     errand_.reset();
     careful_until_ = truth_.t + kCareful;
     return;

@@ -26,14 +26,23 @@ constexpr double kAhead_m = 10.0;
 constexpr double kOff_m = 2.5;
 constexpr double kMostOff_m = 8.0;
 constexpr double kOffLevels = 0.6;
+constexpr double kOnLevel = 0.05;
 constexpr auto kOffFor = 2s;
+/// In a lift what is heard is like nothing on any level: on which one it has stopped is known once one has left it.
+constexpr auto kOffAtLift = 6s;
+constexpr double kAtLift_m = 3.0;
 constexpr double kLookAhead_m = 2.5;
 /// Who is further from a turn or a door has missed it.
 constexpr double kBeside_m = 1.2;
 /// Beyond it a walker does not walk along the path; and is back on it within the smaller one.
 constexpr double kAstray_rad = 50.0 * kDegree;
 constexpr double kAlong_rad = 30.0 * kDegree;
+/// By less than this nobody is turned whose compass errs as much.
+constexpr double kAsTold_rad = 22.5 * kDegree;
+/// A place that is less than sure has one look elsewhere for a moment.
+constexpr auto kAstrayFor = 1s;
 constexpr auto kThroughDoor = 2s;
+constexpr double kThen_m = 3.0;  ///< a turn that is nearer behind a door or stairs is told together with them
 constexpr auto kShutFor = 30s;
 constexpr double kMostBehind_m = 3.5;
 constexpr auto kTurnsBack = 4s;
@@ -43,9 +52,14 @@ constexpr double kSure_m = 0.3;
 constexpr double kForward_mps = 1.8;
 constexpr double kBackward_mps = 0.8;
 constexpr double kUnsureOfSide = 0.5;  ///< of a wall: so many standard deviations
-/// Who is told to do something needs so long to begin, and so long to do it.
+/// Who is told to do something needs so long to begin, and so long to do it. A place that is less than sure may tell
+/// only later that it is done; and who has gone through a door takes another word for another door.
 constexpr auto kReacts = 1500ms;
 constexpr auto kDoes = 4s;
+constexpr auto kSurelyDoes = 9s;
+constexpr auto kLeaves = 10s;        ///< a room, from when it was told
+constexpr double kAtDoor_m = 2.5;    ///< a door that is so near, and in sight, is told of wherever one looks
+constexpr double kBeforeIt_m = 0.5;  ///< who is further aside looks at the wall
 constexpr double kThere_m = 1.5;
 constexpr double kMostThere_m = 3.0;
 /// Who does not move is told again.
@@ -56,20 +70,37 @@ constexpr auto kStartedFor = 4s;
 
 bool changes_level(const Maneuver& maneuver) { return maneuver.to_level.has_value(); }
 
+bool is_door(const Maneuver& maneuver) {
+  return maneuver.kind == Instruction::DOOR || maneuver.kind == Instruction::ENTER ||
+         maneuver.kind == Instruction::LEAVE;
+}
+
 }  // namespace
 
-Guide::Guide(const LevelPlan& plan, building::Route route, std::string destination, bool first, TimePoint now)
+Guide::Guide(const LevelPlan& plan, building::Route route, std::string destination, bool first, TimePoint now,
+             std::optional<TimePoint> leaves)
     : plan_(plan),
       path_(std::move(route)),
       maneuvers_(maneuvers(path_)),
       destination_(std::move(destination)),
       first_(first),
-      begun_(now) {}
+      begun_(now) {
+  if (!leaves || maneuvers_.front().kind != Instruction::DOOR || !begins_in_room()) return;
+  leaves_until_ = *leaves + kLeaves;
+  next_ = 1;
+}
+
+bool Guide::begins_in_room() const {
+  const building::RoutePoint& start = path_.route().points.front();
+  const auto room = building::room_index_at(plan_.plan, start.at, start.level);
+  return room && plan_.plan.rooms[*room].kind == building::RoomKind::Room;
+}
 
 Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   locate(walker, now);
   Advice advice;
-  advice.off_path = wrong_since_ && now - *wrong_since_ >= kOffFor;
+  const bool may_be_wrong = walker.sigma_m >= kSure_m && on_other_level_ && is_at_lift();
+  advice.off_path = wrong_since_ && now - *wrong_since_ >= (may_be_wrong ? kOffAtLift : kOffFor);
   advice.arrived = arrived(walker);
   if (!advice.arrived) pass(walker, now);
   Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
@@ -78,6 +109,8 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived && !waits;
   if (stands && return_to_door(walker, now)) {
     key = {phase_of(walker, now), next_, 0};
+  } else if (said_ == key && is_overdue(key, walker, now)) {
+    ++key.repeated;
   } else if (stands && key.repeated > 0 && walker.heading_rad) {
     back_ = {*walker.heading_rad + std::numbers::pi, now};
   } else if (stands) {
@@ -87,7 +120,9 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   advice.is_new = said_ != key;
   if (advice.is_new) said_at_ = walker.place.at, said_since_ = now;
   fill(advice, key, walker);
-  if (key.phase == Phase::Now && !(told_ && told_->maneuver == key.maneuver)) told_ = Told{key.maneuver, now};
+  const bool told_before = told_ && told_->maneuver == key.maneuver && said_ && said_->repeated == key.repeated;
+  if (advice.is_new) new_since_ = now;
+  if (key.phase == Phase::Now && !told_before) told_ = Told{key.maneuver, now};
   said_ = key;
   return advice;
 }
@@ -105,6 +140,23 @@ bool Guide::return_to_door(const Walker& walker, TimePoint now) {
   return false;
 }
 
+bool Guide::is_at_lift() const {
+  return std::any_of(maneuvers_.begin(), maneuvers_.end(), [this](const Maneuver& one) {
+    return one.kind == Instruction::LIFT && at_m_ > one.at_m - kAtLift_m && at_m_ < one.end_m + kAtLift_m;
+  });
+}
+
+/// Who has been carried to the level that stairs or a lift lead to is not on those any more, though they are near.
+double Guide::least_m(const Walker& walker) const {
+  double least_m = std::max(0.0, at_m_ - kBack_m);
+  for (std::size_t i = 0; i < next_; ++i) {
+    const auto& to_level = maneuvers_[i].to_level;
+    if (to_level && std::abs(walker.place.level - *to_level) < kOnLevel)
+      least_m = std::max(least_m, maneuvers_[i].end_m);
+  }
+  return least_m;
+}
+
 void Guide::locate(const Walker& walker, TimePoint now) {
   const auto level = plan_.level_near(walker.place.level, 0.1);
   const Path::Hidden behind_wall = [&](const building::PathPoint& on_path, Passage passage) {
@@ -113,17 +165,18 @@ void Guide::locate(const Walker& walker, TimePoint now) {
     const double unsure_m = kUnsureOfSide * walker.sigma_m;
     if (!level || passage != Passage::Walk || away_m <= std::max(0.3, unsure_m)) return false;
     const Point nearer = walker.place.at + (on_path.at - walker.place.at) * (unsure_m / away_m);
-    return plan_.walled(nearer, on_path.at, *level);
+    return plan_.walled(nearer, on_path.at, *level) || plan_.behind_door(nearer, on_path.at, *level);
   };
-  Path::Match match = path_.match(walker.place, std::max(0.0, at_m_ - kBack_m), at_m_ + kAhead_m, behind_wall);
+  Path::Match match = path_.match(walker.place, least_m(walker), at_m_ + kAhead_m, behind_wall);
   if (match.off_m > 1.0 || match.off_levels > kOffLevels || match.hidden) {
     const Path::Match further = path_.match(walker.place, at_m_, path_.end_m(), behind_wall);
     if (further.off_m < 1.0 && further.off_levels < 0.3 && !further.hidden) match = further;
   }
   at_m_ = steadied(match.at_m, walker, now);
   off_m_ = match.off_m;
+  on_other_level_ = match.off_levels > kOffLevels;
   const double most_m = std::clamp(2.0 * walker.sigma_m, kOff_m, kMostOff_m);
-  const bool wrong = match.off_m > most_m || match.off_levels > kOffLevels || match.hidden;
+  const bool wrong = match.off_m > most_m || on_other_level_ || match.hidden;
   if (!wrong) {
     wrong_since_.reset();
   } else if (!wrong_since_) {
@@ -154,15 +207,35 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   }
   if (shut_ && shut_->maneuver == next_)
     return at_m_ >= maneuver.end_m - 0.2 && dot(walker.place.at - shut_->seen_at, maneuver.out) >= kThrough_m;
-  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there);
+  const double aside_m = std::abs(cross(walker.place.at - path_.place(maneuver.at_m).at, maneuver.out));
+  const bool before_it = aside_m < kBeforeIt_m;
+  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && before_it);
+}
+
+bool Guide::is_at_door(const Walker& walker) const {
+  const building::PathPoint door = path_.place(next().at_m);
+  return distance_m(walker.place.at, door.at) < kAtDoor_m && !plan_.walled(walker.place.at, door.at, door.level);
+}
+
+/// Who has not gone through a door in sight, or walks on beside the path along a wall, has missed the word.
+bool Guide::is_overdue(const Key& key, const Walker& walker, TimePoint now) const {
+  if (key.phase == Phase::Align) return now - new_since_ > kDoes;
+  return key.phase == Phase::Now && is_door(next()) && is_at_door(walker) && !is_doing(walker, now);
+}
+
+/// What was told last.
+bool Guide::is_doing(const Walker& walker, TimePoint now) const {
+  const Duration does = walker.sigma_m < kSure_m || !is_door(next()) ? Duration(kDoes) : Duration(kSurelyDoes);
+  return told_ && told_->maneuver == next_ && now - told_->at < does;
 }
 
 void Guide::pass(const Walker& walker, TimePoint now) {
   const std::size_t before = next_;
   const double unsure_m = std::min(walker.sigma_m, 2.0);
-  while (next_ > 0 && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m - unsure_m) --next_;
+  const bool leaves = next_ == 1 && leaves_until_ && now < *leaves_until_;
+  while (next_ > 0 && !leaves && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m - unsure_m) --next_;
   // Who seemed to go through a door and still stands before it is told of the door again.
-  if (next_ > 0 && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m)
+  if (next_ > 0 && !leaves && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m)
     shut_ = Shut{--next_, walker.place.at, now};
   const auto reacts = [&] { return told_ && told_->maneuver == next_ && now - told_->at < kReacts; };
   while (next_ + 1 < maneuvers_.size() && !reacts() && has_passed(next(), walker)) ++next_;
@@ -172,6 +245,8 @@ void Guide::pass(const Walker& walker, TimePoint now) {
 bool Guide::arrived(const Walker& walker) const {
   const auto end = path_.place(path_.end_m());
   const double there_m = std::clamp(walker.sigma_m, kThere_m, kMostThere_m);
+  // Nobody has arrived who may be elsewhere.
+  if (walker.sigma_m > kMostThere_m) return false;
   return distance_m(walker.place.at, end.at) <= there_m && std::abs(walker.place.level - end.level) < 0.3 &&
          !plan_.walled(walker.place.at, end.at, end.level);
 }
@@ -208,20 +283,26 @@ Point Guide::aim(const Walker& walker) const {
 }
 
 Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
-  const bool starts = first_ && (!said_ || said_->phase == Phase::Start);
+  const bool leaves = leaves_until_ && now < *leaves_until_;
+  const bool starts = first_ && !leaves_until_ && (!said_ || said_->phase == Phase::Start);
   if (starts && at_m_ < kStarted_m && now - begun_ < kStartedFor) return Phase::Start;
   const bool in_it = at_m_ > next().at_m - 0.3;
   const double ahead_m = to_next_m();
   if (changes_level(next()) && in_it) return Phase::Now;
   // Who was told to go through a door is about to: another word would be taken for another door.
-  const bool does = told_ && told_->maneuver == next_ && now - told_->at < kDoes;
-  if (does && next().kind != Instruction::TURN) return Phase::Now;
+  if (is_doing(walker, now) && next().kind != Instruction::TURN) return Phase::Now;
+  if (nearest_ == std::pair{next_, Phase::Now} && is_door(next()) && is_at_door(walker)) return Phase::Now;
   const auto rest = turn_to(aim(walker), walker);
   if (!rest || std::abs(*rest) < kAlong_rad) aligned_ = true;
-  if (rest && std::abs(*rest) > kAstray_rad) aligned_ = false;
+  if (!rest || std::abs(*rest) <= kAstray_rad) {
+    astray_since_.reset();
+  } else {
+    if (!astray_since_) astray_since_ = now;
+    if (walker.sigma_m < kSure_m || now - *astray_since_ >= kAstrayFor) aligned_ = false;
+  }
   const bool is_there =
       ahead_m < 1.0 && off_m_ < std::max(kBeside_m, walker.sigma_m) && next().kind != Instruction::ARRIVE;
-  if (!aligned_ && !is_there) return Phase::Align;
+  if (!aligned_ && !is_there && !leaves) return Phase::Align;
   if (next().kind == Instruction::ARRIVE) return Phase::Ahead;
   return nearness(walker);
 }
@@ -252,10 +333,29 @@ NextTurn::TypeOfTurn Guide::hour(Phase phase, const Walker& walker) const {
   const bool at_turn = (phase == Phase::Now && to_next_m() >= 1.0) || phase == Phase::Announced;
   const Point to = at_turn ? next().out : aim(walker);
   if (to == Point{}) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
-  if (const auto rest = turn_to(to, walker)) return hour_of(*rest);
+  if (phase == Phase::Ahead && leaves_until_ && located_ && *located_ < *leaves_until_) return NextTurn::HOUR_12;
+  if (const auto rest = turn_to(to, walker))
+    return is_as_told(phase, *rest, walker) ? NextTurn::HOUR_12 : hour_of(*rest);
   // Not known where the walker looks: along the path.
   const Point along = path_.direction(std::max(0.0, at_turn ? next().at_m - 0.1 : at_m_));
   return along == Point{} ? NextTurn::TYPE_OF_TURN_UNSPECIFIED : hour_of(-std::atan2(cross(along, to), dot(along, to)));
+}
+
+/// Who walks about where they were told to is not corrected by what a compass may err, for one hears whole hours.
+bool Guide::is_as_told(Phase phase, double rest_rad, const Walker& walker) const {
+  const bool turns = phase == Phase::Now && next().kind == Instruction::TURN && told_ && told_->maneuver == next_;
+  return walker.sigma_m >= kSure_m && (phase == Phase::Ahead || turns) && std::abs(rest_rad) < kAsTold_rad;
+}
+
+/// The turn right behind the next maneuver, clockwise from how one arrives there.
+std::optional<double> Guide::then() const {
+  const bool on_foot = next().kind == Instruction::DOOR || next().kind == Instruction::ENTER ||
+                       next().kind == Instruction::LEAVE || next().kind == Instruction::STAIRS;
+  if (!on_foot || next_ + 1 == maneuvers_.size()) return std::nullopt;
+  const Maneuver& behind = maneuvers_[next_ + 1];
+  if (behind.kind != Instruction::TURN || behind.at_m - next().end_m > kThen_m) return std::nullopt;
+  const Point along = path_.direction(next().end_m - 0.01);
+  return -std::atan2(cross(along, behind.out), dot(along, behind.out));
 }
 
 void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
@@ -272,7 +372,12 @@ void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
   made.set_level(path_.place(now ? at_m_ : next().at_m).level);
   if ((key.phase == Phase::Now || key.phase == Phase::Announced) && next().to_level)
     made.set_to_level(*next().to_level);
+  if (key.phase == Phase::Now || key.phase == Phase::Announced) {
+    if (const auto turn = then()) made.set_then_hour(hour_of(*turn));
+  }
   if (advice.is_new) words_ = words(key, made, walker);
+  // Who has begun to walk before there was a way hears of it with the first word.
+  if (!said_ && leaves_until_) words_ = "To " + destination_ + ", " + metres(path_.route().length_m) + ". " + words_;
   made.set_text(words_);
   made.set_language("en");
   if (key.phase == Phase::Start || turns) {
@@ -304,7 +409,7 @@ std::string Guide::words(const Key& key, const Instruction& instruction, const W
   }
   const bool now = key.phase == Phase::Now;
   return maneuver_words(plan_.plan, next(), instruction.hour(), walker.place.level,
-                        now ? std::nullopt : std::optional(to_next_m()));
+                        now ? std::nullopt : std::optional(to_next_m()), instruction.then_hour());
 }
 
 }  // namespace fiona::guidance

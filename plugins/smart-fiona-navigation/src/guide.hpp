@@ -26,8 +26,10 @@ class Guide {
   static constexpr double kAnnounced_m = 6.0;
   static constexpr double kNow_m = 2.0;
 
-  /// `plan` must outlive it. `first`: the walk begins, and is told as such.
-  Guide(const LevelPlan& plan, building::Route route, std::string destination, bool first, TimePoint now);
+  /// `plan` must outlive it. `first`: the walk begins, and is told as such. `leaves`: since when the walker has been
+  /// told to leave the room, and does.
+  Guide(const LevelPlan& plan, building::Route route, std::string destination, bool first, TimePoint now,
+        std::optional<TimePoint> leaves = std::nullopt);
 
   struct Advice {
     hmi::Instruction instruction{};  ///< without number
@@ -53,15 +55,23 @@ class Guide {
 
   void locate(const Walker& walker, TimePoint now);
   double steadied(double at_m, const Walker& walker, TimePoint now);
+  bool begins_in_room() const;
+  bool is_at_lift() const;
+  double least_m(const Walker& walker) const;
   bool return_to_door(const Walker& walker, TimePoint now);
   void pass(const Walker& walker, TimePoint now);
   bool has_passed(const Maneuver& maneuver, const Walker& walker) const;
+  bool is_at_door(const Walker& walker) const;
+  bool is_doing(const Walker& walker, TimePoint now) const;
+  bool is_overdue(const Key& key, const Walker& walker, TimePoint now) const;
   bool arrived(const Walker& walker) const;
   Phase phase_of(const Walker& walker, TimePoint now);
   Phase nearness(const Walker& walker);
   building::Point aim(const Walker& walker) const;
   std::optional<double> turn_to(building::Point direction, const Walker& walker) const;
   hmi::NextTurn::TypeOfTurn hour(Phase phase, const Walker& walker) const;
+  bool is_as_told(Phase phase, double rest_rad, const Walker& walker) const;
+  std::optional<double> then() const;
   void fill(Advice& advice, const Key& key, const Walker& walker);
   std::string words(const Key& key, const hmi::Instruction& instruction, const Walker& walker) const;
   const Maneuver& next() const { return maneuvers_[next_]; }
@@ -73,9 +83,11 @@ class Guide {
   const std::string destination_;
   const bool first_;
   const TimePoint begun_;
+  std::optional<TimePoint> leaves_until_{};  ///< the door of the first room is not told of before
 
   double at_m_ = 0.0;
   double off_m_ = 0.0;
+  bool on_other_level_ = false;
   std::optional<TimePoint> located_{};
   std::size_t next_ = 0;
   TimePoint passed_at_{};
@@ -96,6 +108,8 @@ class Guide {
   };
   std::optional<Back> back_{};  ///< who does not get on is sent back a little: on the move they are found better
   bool aligned_ = true;
+  TimePoint new_since_{};  ///< when the newest word was new
+  std::optional<TimePoint> astray_since_{};
   std::pair<std::size_t, Phase> nearest_{0, Phase::Ahead};  ///< of a maneuver, what has been said of how near it is
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;

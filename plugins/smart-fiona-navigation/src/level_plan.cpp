@@ -107,7 +107,7 @@ class Reader {
   }
 
   void add_door(const navigation::MapDoor& door) {
-    door_access_[{door.x(), door.y(), door.level()}] = door.access();
+    doors_[{door.x(), door.y(), door.level()}] = made_.plan.doors.size();
     made_.plan.doors.push_back({.at = {door.x(), door.y()},
                                 .level = door.level(),
                                 .width_m = door.width(),
@@ -144,6 +144,8 @@ class Reader {
     }
     const auto passage = passage_of(edge.kind());
     if (!passage) return;
+    if (*passage == building::Passage::Door)
+      note_direction(edge.from(), edge.to()), note_direction(edge.to(), edge.from());
     graph.edges.push_back({.from = edge.from(),
                            .to = edge.to(),
                            .passage = *passage,
@@ -156,22 +158,34 @@ class Reader {
 
   /// The map tells the highest of the element and the rooms at its ends. A room's part counts only on the way in: who
   /// is in it may leave.
-  int own_access(const MapEdge& edge) const {
+  int own_access(const MapEdge& edge) {
     int of_rooms = 0;
     int of_door = 0;
     for (const std::uint32_t end : {edge.from(), edge.to()}) {
       const building::GraphNode& node = made_.graph.nodes[end];
       if (node.room) of_rooms = std::max(of_rooms, made_.plan.rooms[*node.room].access);
-      const auto door = door_access_.find({node.at.x_m, node.at.y_m, node.level});
-      if (edge.kind() == MapEdge::DOOR && door != door_access_.end()) of_door = std::max(of_door, door->second);
+      const building::Door* door = edge.kind() == MapEdge::DOOR ? door_at(node) : nullptr;
+      if (door) of_door = std::max(of_door, door->access);
     }
     return edge.access() > of_rooms ? edge.access() : of_door;
+  }
+
+  building::Door* door_at(const building::GraphNode& node) {
+    const auto door = doors_.find({node.at.x_m, node.at.y_m, node.level});
+    return door == doors_.end() ? nullptr : &made_.plan.doors[door->second];
+  }
+
+  /// The map does not tell where a door leads: its edges do.
+  void note_direction(std::uint32_t from, std::uint32_t to) {
+    const building::GraphNode& a = made_.graph.nodes[from];
+    building::Door* door = door_at(a);
+    if (door && a.at != made_.graph.nodes[to].at) door->normal = building::unit(made_.graph.nodes[to].at - a.at);
   }
 
   const navigation::CommLevelMap& map_;
   LevelPlan made_{};
   std::map<std::pair<std::string, double>, std::size_t> rooms_{};
-  std::map<std::tuple<double, double, double>, int> door_access_{};
+  std::map<std::tuple<double, double, double>, std::size_t> doors_{};  ///< of the plan, by x, y, level
 };
 
 }  // namespace
@@ -192,6 +206,13 @@ bool LevelPlan::walled(Point a, Point b, double level) const {
     if (building::crossing({a, b}, wall->segment)) return true;
   }
   return false;
+}
+
+bool LevelPlan::behind_door(Point a, Point b, double level) const {
+  return std::any_of(plan.doors.begin(), plan.doors.end(), [&](const building::Door& door) {
+    const Point half = building::left_of(door.normal) * (door.width_m / 2.0);
+    return door.level == level && building::crossing({a, b}, {door.at - half, door.at + half});
+  });
 }
 
 std::optional<std::string> LevelPlan::room_name(const building::PathPoint& place) const {

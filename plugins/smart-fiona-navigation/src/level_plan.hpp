@@ -21,6 +21,8 @@ struct LevelPlan {
   std::optional<double> level_near(double level, double reach) const;
   /// Whether a wall of the level stands between two places.
   bool walled(building::Point a, building::Point b, double level) const;
+  /// Whether one comes from the one place to the other through a door.
+  bool behind_door(building::Point a, building::Point b, double level) const;
   /// What people call the room at a place: its name, else its number; nothing outside of all rooms.
   std::optional<std::string> room_name(const building::PathPoint& place) const;
 };

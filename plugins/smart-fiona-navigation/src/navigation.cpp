@@ -27,6 +27,9 @@ constexpr auto kProfileDeadline = 500ms;
 constexpr auto kProfilePeriod = 5s;
 constexpr auto kPlannerGrace = 500ms;
 constexpr auto kOnStairs = 5s;
+/// The place of one who is led from it is surer than that, or has been looked for so long.
+constexpr double kFound_m = 4.0;
+constexpr auto kSoughtFor = 10s;
 /// Without a compass the course tells where a person looks: over so much way, and for so long.
 constexpr double kCourse_m = 1.0;
 constexpr auto kCourseFor = 4s;
@@ -158,11 +161,19 @@ Async<> Navigation::refresh_profile() {
   }
 }
 
+/// Who may be in one of several rooms is found once they move.
+bool Navigation::is_sought() {
+  if (trip_->begun || walker_->sigma_m <= kFound_m) return false;
+  if (!trip_->sought_since) trip_->sought_since = now();
+  if (now() - *trip_->sought_since > kSoughtFor) return false;
+  say(Instruction::START, "It is not sure yet where you are. Leave the room that you are in, or walk some steps.");
+  return true;
+}
+
 Async<> Navigation::plan() {
   const std::uint64_t number = trip_->number;
   const auto from = start();
   if (!from) co_return;
-  plan_due_ = false;
   std::optional<Refusal> refusal;
   if (!map_) {
     map_due_ = true;
@@ -170,6 +181,8 @@ Async<> Navigation::plan() {
   } else {
     refusal = check(*trip_);
   }
+  if (!refusal && is_sought()) co_return;
+  plan_due_ = false;
   if (!refusal && !profile_at_) {
     refusal = co_await ask_profile();
     if (refusal) profile_at_.reset();
@@ -286,7 +299,8 @@ void Navigation::begin_guidance(std::shared_ptr<Map> map, building::Route route)
   const bool first = !std::exchange(trip_->begun, true);
   guide_.reset();
   led_by_ = std::move(map);
-  guide_.emplace(led_by_->plan, std::move(route), goal_name(), first, now());
+  guide_.emplace(led_by_->plan, std::move(route), goal_name(), first, now(),
+                 first ? trip_->sought_since : std::nullopt);
   other_said_ = true;
   plans_.set(++plans_count_);
   put_path(&guide_->path().route());

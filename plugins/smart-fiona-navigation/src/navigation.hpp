@@ -39,7 +39,8 @@ class Navigation final : public Component {
     std::uint64_t number = 0;
     navigation::CommDestination wish{};
     building::PathPoint goal{};
-    bool begun = false;  ///< there was a path
+    bool begun = false;                       ///< there was a path
+    std::optional<TimePoint> sought_since{};  ///< it was not sure enough where the person is
   };
   /// A sentence for the person, and when to try again; not: never, unless something changes.
   struct Refusal {
@@ -55,6 +56,7 @@ class Navigation final : public Component {
   Async<> watch_map();
   Async<> fetch_map();
   Async<> refresh_profile();
+  bool is_sought();
   Async<> plan();
   Async<std::optional<Refusal>> ask_profile();
   Async<std::optional<Refusal>> find_path(building::PathPoint from);

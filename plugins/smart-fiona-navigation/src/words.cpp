@@ -66,8 +66,9 @@ std::string act_words(const building::Plan& plan, const Maneuver& maneuver, Next
 }  // namespace
 
 std::string maneuver_words(const building::Plan& plan, const Maneuver& maneuver, NextTurn::TypeOfTurn hour,
-                           double level, std::optional<double> distance_m) {
+                           double level, std::optional<double> distance_m, NextTurn::TypeOfTurn then) {
   std::string words = act_words(plan, maneuver, hour, level);
+  if (then != NextTurn::TYPE_OF_TURN_UNSPECIFIED) words += ", then turn " + direction_words(then);
   if (distance_m) return "In " + metres(*distance_m) + " " + words + ".";
   words.front() = static_cast<char>(std::toupper(static_cast<unsigned char>(words.front())));
   return words + (maneuver.kind == Instruction::TURN ? " now." : ".");

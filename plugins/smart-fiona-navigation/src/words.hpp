@@ -22,8 +22,10 @@ std::string metres(double length_m);
 /// "First Floor", else "level 1".
 std::string level_words(const building::Plan& plan, double level);
 
-/// What to do at a maneuver, in one sentence. `distance_m`: to where it is to be done; nothing: now.
+/// What to do at a maneuver, in one sentence. `distance_m`: to where it is to be done; nothing: now. `then`: where to
+/// turn right behind it.
 std::string maneuver_words(const building::Plan& plan, const Maneuver& maneuver, hmi::NextTurn::TypeOfTurn hour,
-                           double level, std::optional<double> distance_m);
+                           double level, std::optional<double> distance_m,
+                           hmi::NextTurn::TypeOfTurn then = hmi::NextTurn::TYPE_OF_TURN_UNSPECIFIED);
 
 }  // namespace fiona::guidance

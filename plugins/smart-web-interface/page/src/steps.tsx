@@ -1,3 +1,5 @@
+import { useRef } from "preact/hooks";
+
 import type { Instruction } from "./model";
 import type { Step } from "./route";
 import { inert, metres, turnOf } from "./text";
@@ -38,17 +40,20 @@ export function NoGuidance({ why }: { why: string }) {
   );
 }
 
-/// What is to be done now: what the guide says, else what the way itself says.
+/// What is to be done now: what the guide says, else what the way itself says. The arrow is that of the words: who has turned
+/// as they say would else read "turn right" beside one that points ahead. The map shows which way one looks.
 export function Now({ instruction, next, ahead }: { instruction: Instruction | null; next: Step | null; ahead: number | null }) {
+  const told = useRef<{ text?: string; hour?: number }>({});
   const text = instruction
     ? inert(instruction.text) || (instruction.hour ? turnOf(instruction.hour) : "No direction is known")
     : next?.text;
   if (!text) return null;
+  if (told.current.text !== text) told.current = { text, hour: instruction ? instruction.hour : next!.hour };
   const kind = instruction ? (kKinds[instruction.kind] ?? "walk") : next!.kind;
   const distance = instruction ? instruction.distance : (ahead ?? undefined);
   return (
     <section class="now" aria-label="Now">
-      <Icon kind={kind} hour={instruction ? instruction.hour : next!.hour} />
+      <Icon kind={kind} hour={told.current.hour} />
       <div>
         <p class="text" lang={instruction?.language || undefined} role="status">{text}</p>
         {distance !== undefined && distance >= 1 && <p class="distance">in {metres(distance)}</p>}

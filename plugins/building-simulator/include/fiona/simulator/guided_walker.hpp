@@ -62,6 +62,8 @@ class GuidedWalker {
     std::optional<double> ride_to{};
     double wait_s = 0.0;
     bool stairs = false;
+    bool door = false;
+    std::optional<double> then_rad{};  ///< to turn by afterwards, clockwise
   };
 
   void act(const Heard& heard);
@@ -69,10 +71,12 @@ class GuidedWalker {
   void act_here(const Heard& heard);
   void turn_at(const Heard& heard);
   bool go_through_door(const Heard& heard);
-  bool climb(double to_level);
+  void leave_room();
+  bool climb(const hmi::Instruction& said);
   bool enter_lift(double to_level);
 
   void step();
+  void take_in(Errand& errand);
   void run(Errand& errand);
   void ride(Errand& errand);
   void walk();
