@@ -1,10 +1,14 @@
 // Beacon maps, walls, the filter over them, and the component around it.
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <functional>
 
+#include <Eigen/Cholesky>
+
+#include "beacon_field.hpp"
 #include "beacon_filter.hpp"
 #include "beacon_map.hpp"
 #include "fiona/error.hpp"
@@ -39,6 +43,63 @@ constexpr const char* kFourBeacons =
 double rssi_dbm(double x, double y, int beacon) {
   const double dx = x - (beacon % 2 == 1 ? 20.0 : 0.0), dy = y - (beacon >= 2 ? 20.0 : 0.0);
   return -59 - 10 * std::log10(dx * dx + dy * dy + 1.0);
+}
+
+/// Places of a survey around a beacon, a metre apart, with what was heard beyond its path loss.
+struct Surveyed {
+  Surveyed() {
+    for (int x = 0; x < 24; ++x) {
+      for (int y = 0; y < 12; ++y) {
+        points.push_back({static_cast<double>(x), static_cast<double>(y)});
+        beyond_db.push_back(6.0 * std::sin(0.7 * x) * std::cos(0.4 * y));
+      }
+    }
+  }
+  BeaconMap map() const {
+    BeaconMap result = parse("beacons { id: 'c0de/1/1' x: 3 y: 4 heard { level: 0 power: -59 } exponent: 2 }", "grid");
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      auto& place = *result.add_survey();
+      place.set_x(points[i].x());
+      place.set_y(points[i].y());
+      auto& reading = *place.add_readings();
+      reading.set_rssi(path_loss_dbm(points[i]) + beyond_db[i]);
+      reading.set_count(1);
+    }
+    return result;
+  }
+  static double path_loss_dbm(const Eigen::Vector2d& at) {
+    return -59 - 10 * std::log10((at - Eigen::Vector2d(3, 4)).squaredNorm() + 1.0);
+  }
+
+  std::vector<Eigen::Vector2d> points;
+  std::vector<double> beyond_db;
+};
+
+TEST(BeaconField, OfBlocksIsThatOfTheWholeProcess) {
+  const Surveyed surveyed;
+  const BeaconMap map = surveyed.map();
+  const BeaconField field(map);
+  const auto n = static_cast<Eigen::Index>(surveyed.points.size());
+  const double variance = std::pow(map.radio().shadowing(), 2), reach = map.radio().shadowing_reach();
+  const auto between = [&](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
+    return variance * std::exp(-0.5 * (a - b).squaredNorm() / (reach * reach));
+  };
+  Eigen::MatrixXd covariance(n, n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    for (Eigen::Index j = 0; j < n; ++j) covariance(i, j) = between(surveyed.points[i], surveyed.points[j]);
+    covariance(i, i) += std::pow(map.radio().reading(), 2);
+  }
+  const Eigen::LLT<Eigen::MatrixXd> factor(covariance);
+  const Eigen::VectorXd weights = factor.solve(Eigen::Map<const Eigen::VectorXd>(surveyed.beyond_db.data(), n));
+  for (std::size_t cell = 0; cell < field.cells(); cell += 7) {
+    const auto centre = field.centre(0, cell);
+    const Eigen::Vector2d at(centre.x_m, centre.y_m);
+    Eigen::VectorXd to(n);
+    for (Eigen::Index i = 0; i < n; ++i) to[i] = between(surveyed.points[i], at);
+    const Expected& is = field.of_cell(cell)[0];
+    ASSERT_NEAR(is.mean_dbm, Surveyed::path_loss_dbm(at) + to.dot(weights), 0.02) << at.transpose();
+    ASSERT_NEAR(is.variance_db2, variance - to.dot(factor.solve(to)), 0.05) << at.transpose();
+  }
 }
 
 /// A filter over the hall, for one who is heard there `offset_db` too strong.
@@ -248,6 +309,52 @@ std::string two_levels() {
     }
   }
   return text;
+}
+
+/// Two beacons in a row: what is heard to their left is heard to their right.
+struct Row {
+  BeaconMap map = parse(
+      "name: 'row'\n"
+      "beacons { id: '02:00:00:00:00:01' x: 0 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n"
+      "beacons { id: '02:00:00:00:00:02' x: 20 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n",
+      "row");
+  std::array<Extent, 1> hall{Extent{0, -10, -10, 30, 10}};
+  std::shared_ptr<const BeaconField> field = std::make_shared<const BeaconField>(map, hall);
+  BeaconFilter filter{field, std::make_shared<const FloorPlan>(navigation::CommLevelMap()), map.accuracy(),
+                      map.radio().offset()};
+  Time now{0};
+
+  void hear(double x, double y) {
+    for (std::uint32_t beacon = 0; beacon < 2; ++beacon) {
+      filter.heard(beacon, -59 - 10 * std::log10(std::pow(x - 20.0 * beacon, 2) + y * y + 1.0));
+    }
+    filter.advance(now += 1000ms);
+  }
+};
+
+TEST(BeaconFilter, StandingTellsNobodyApartWhomOneSecondDoesNot) {
+  Row row;
+  row.filter.expect_steps();
+  row.hear(4, 6);
+  row.hear(4, 6);
+  const double first_m2 = row.filter.estimate().spread(1, 1);
+  for (int i = 0; i < 40; ++i) row.hear(4, 6);
+  EXPECT_GT(first_m2, 15.0);
+  EXPECT_GT(row.filter.estimate().spread(1, 1), 0.7 * first_m2);
+}
+
+TEST(BeaconFilter, WhoHasStoodIsFollowedFromTheirFirstStepOn) {
+  Hall hall;
+  hall.filter.expect_steps();
+  for (int i = 0; i < 20; ++i) hall.hear(5, 10);
+  for (int i = 1; i <= 10; ++i) {
+    for (int step = 0; step < 2; ++step) hall.filter.step({0.5, 0.05, 0.0, 0.05});
+    hall.hear(5.0 + i, 10);
+  }
+  const Estimate at = hall.filter.estimate();
+  ASSERT_TRUE(at.is_valid());
+  EXPECT_NEAR(at.x_m, 15, 1.5);
+  EXPECT_NEAR(at.y_m, 10, 1.5);
 }
 
 struct House {

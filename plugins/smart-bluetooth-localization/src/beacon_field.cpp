@@ -14,8 +14,11 @@ constexpr double kFinestCell_m = 0.5;
 constexpr double kMargin_m = 4.0;  // around survey and beacons
 constexpr std::size_t kMostValues = 16u << 20;
 constexpr int kMostPlacesOfBeacon = 400;  // of one level: the cost of the process grows with the square
-constexpr double kNearest_m = 1.0;        // path loss is not defined at distance 0
-constexpr double kReliableCount = 4.0;    // seconds in one place: more of them share the same error
+constexpr double kNothing = 1e-4;         // of the variance: a covariance that changes nothing
+const double kLogNear = std::log(0.01);
+constexpr std::uint32_t kBlock = 12;    // cells of a side, which are worked out together
+constexpr double kNearest_m = 1.0;      // path loss is not defined at distance 0
+constexpr double kReliableCount = 4.0;  // seconds in one place: more of them share the same error
 constexpr double kOutliers = 0.02, kOutlierRange_db = 60.0;
 constexpr double kTableLow_dbm = -160.0, kTableStep_db = 0.25;
 constexpr std::size_t kTableSize = 960;
@@ -56,44 +59,36 @@ std::vector<Point> surveyed(const BeaconMap& map, std::uint32_t beacon, int leve
   return some;
 }
 
-/// The process over the residuals of one beacon on one level.
+/// The process over the residuals of one beacon on one level. Its cost would be that of all pairs of points for each
+/// place; but a point says nothing of a place that is far from it, so each block of places is worked out with those
+/// points alone that it is near to.
 class Shadowing {
  public:
   Shadowing(const std::vector<Point>& points, const BeaconMap::Radio& radio)
       : points_(points),
         variance_(radio.shadowing() * radio.shadowing()),
-        scale_(-0.5 / (radio.shadowing_reach() * radio.shadowing_reach())) {
-    const auto n = static_cast<Eigen::Index>(points.size());
-    Eigen::MatrixXd covariance(n, n);
-    Eigen::VectorXd residual(n);
-    for (Eigen::Index i = 0; i < n; ++i) {
-      residual[i] = points[i].residual_db;
-      for (Eigen::Index j = 0; j <= i; ++j) {
-        covariance(i, j) = covariance(j, i) = between(points[i], points[j].x_m, points[j].y_m);
-      }
-      covariance(i, i) += points[i].variance_db2;
-    }
-    factor_.compute(covariance);
-    weights_ = factor_.solve(residual);
-  }
+        scale_(-0.5 / (radio.shadowing_reach() * radio.shadowing_reach())),
+        weights_(covariance_of(points).llt().solve(residuals())) {}
 
-  /// Mean and variance in some places; where no point of the survey is near, the prior.
+  /// Mean and variance in some places beside each other; where no point of the survey is near, the prior.
   std::vector<Expected> predict(const std::vector<BeaconField::Cell>& places) const {
     std::vector<Expected> result(places.size(), {0.0f, static_cast<float>(variance_)});
+    const auto [points, weights] = around(places);
     std::vector<std::size_t> near;
     for (std::size_t j = 0; j < places.size(); ++j) {
-      if (std::any_of(points_.begin(), points_.end(), [&](const Point& p) { return is_near(p, places[j]); })) {
+      if (std::any_of(points.begin(), points.end(), [&](const Point& p) { return is_near(p, places[j]); })) {
         near.push_back(j);
       }
     }
     if (near.empty()) return result;  // Eigen's solver reads the first element
-    Eigen::MatrixXd to(static_cast<Eigen::Index>(points_.size()), static_cast<Eigen::Index>(near.size()));
+    Eigen::MatrixXd to(static_cast<Eigen::Index>(points.size()), static_cast<Eigen::Index>(near.size()));
     for (Eigen::Index j = 0; j < to.cols(); ++j) {
       for (Eigen::Index i = 0; i < to.rows(); ++i)
-        to(i, j) = between(points_[i], places[near[j]].x_m, places[near[j]].y_m);
+        to(i, j) = between(points[i], places[near[j]].x_m, places[near[j]].y_m);
     }
-    const Eigen::VectorXd mean = to.transpose() * weights_;
-    factor_.matrixL().solveInPlace(to);
+    const Eigen::VectorXd mean = to.transpose() * weights;
+    const Eigen::LLT<Eigen::MatrixXd> factor(covariance_of(points));
+    factor.matrixL().solveInPlace(to);
     for (Eigen::Index j = 0; j < to.cols(); ++j) {
       result[near[j]] = {static_cast<float>(mean[j]),
                          static_cast<float>(std::max(0.0, variance_ - to.col(j).squaredNorm()))};
@@ -107,16 +102,51 @@ class Shadowing {
     return variance_ * std::exp(scale_ * (dx * dx + dy * dy));
   }
 
+  Eigen::MatrixXd covariance_of(const std::vector<Point>& points) const {
+    const auto n = static_cast<Eigen::Index>(points.size());
+    Eigen::MatrixXd covariance(n, n);
+    for (Eigen::Index i = 0; i < n; ++i) {
+      for (Eigen::Index j = 0; j <= i; ++j) {
+        covariance(i, j) = covariance(j, i) = between(points[i], points[j].x_m, points[j].y_m);
+      }
+      covariance(i, i) += points[i].variance_db2;
+    }
+    return covariance;
+  }
+
+  Eigen::VectorXd residuals() const {
+    Eigen::VectorXd all(static_cast<Eigen::Index>(points_.size()));
+    for (std::size_t i = 0; i < points_.size(); ++i) all[static_cast<Eigen::Index>(i)] = points_[i].residual_db;
+    return all;
+  }
+
+  /// Those that say anything of the places, with their weights in the mean.
+  std::pair<std::vector<Point>, Eigen::VectorXd> around(const std::vector<BeaconField::Cell>& places) const {
+    const auto [west, east] =
+        std::minmax_element(places.begin(), places.end(), [](const auto& a, const auto& b) { return a.x_m < b.x_m; });
+    const auto [south, north] =
+        std::minmax_element(places.begin(), places.end(), [](const auto& a, const auto& b) { return a.y_m < b.y_m; });
+    std::vector<Point> points;
+    std::vector<double> weights;
+    for (std::size_t i = 0; i < points_.size(); ++i) {
+      const double dx = points_[i].x_m - std::clamp(points_[i].x_m, west->x_m, east->x_m);
+      const double dy = points_[i].y_m - std::clamp(points_[i].y_m, south->y_m, north->y_m);
+      if (scale_ * (dx * dx + dy * dy) < std::log(kNothing)) continue;
+      points.push_back(points_[i]);
+      weights.push_back(weights_[static_cast<Eigen::Index>(i)]);
+    }
+    return {std::move(points), Eigen::Map<Eigen::VectorXd>(weights.data(), static_cast<Eigen::Index>(weights.size()))};
+  }
+
   /// Beyond, the covariance is below 1 % of the variance.
   bool is_near(const Point& p, const BeaconField::Cell& cell) const {
     const double dx = p.x_m - cell.x_m, dy = p.y_m - cell.y_m;
-    return scale_ * (dx * dx + dy * dy) > std::log(0.01);
+    return scale_ * (dx * dx + dy * dy) > kLogNear;
   }
 
   const std::vector<Point>& points_;
   const double variance_, scale_;
-  Eigen::LLT<Eigen::MatrixXd> factor_;
-  Eigen::VectorXd weights_;
+  const Eigen::VectorXd weights_;
 };
 
 }  // namespace
@@ -182,17 +212,23 @@ void BeaconField::work_out(const BeaconMap& map, std::size_t number) {
     const float prior = static_cast<float>(radio_.shadowing() * radio_.shadowing());
     std::optional<Shadowing> shadowing;
     if (!points.empty()) shadowing.emplace(points, radio_);
-    for (std::uint32_t row = 0; row < levels_[l].rows; ++row) {
-      std::vector<Cell> places;
-      for (std::uint32_t column = 0; column < levels_[l].columns; ++column) {
-        places.push_back(centre(l, std::size_t{row} * levels_[l].columns + column));
-      }
-      const auto shadows = shadowing ? shadowing->predict(places) : std::vector<Expected>(places.size(), {0.0f, prior});
-      for (std::size_t i = 0; i < places.size(); ++i) {
-        const double loss = path_loss_db(exponent, places[i].x_m - beacon.x(), places[i].y_m - beacon.y());
-        const std::size_t cell = levels_[l].first_cell + std::size_t{row} * levels_[l].columns + i;
-        expected_[cell * beacons_ + number] = {static_cast<float>(power - loss) + shadows[i].mean_dbm,
-                                               shadows[i].variance_db2};
+    for (std::uint32_t row = 0; row < levels_[l].rows; row += kBlock) {
+      for (std::uint32_t column = 0; column < levels_[l].columns; column += kBlock) {
+        std::vector<std::size_t> cells;
+        std::vector<Cell> places;
+        for (std::uint32_t y = row; y < std::min(row + kBlock, levels_[l].rows); ++y) {
+          for (std::uint32_t x = column; x < std::min(column + kBlock, levels_[l].columns); ++x) {
+            cells.push_back(std::size_t{y} * levels_[l].columns + x);
+            places.push_back(centre(l, cells.back()));
+          }
+        }
+        const auto shadows =
+            shadowing ? shadowing->predict(places) : std::vector<Expected>(places.size(), {0.0f, prior});
+        for (std::size_t i = 0; i < places.size(); ++i) {
+          const double loss = path_loss_db(exponent, places[i].x_m - beacon.x(), places[i].y_m - beacon.y());
+          expected_[(levels_[l].first_cell + cells[i]) * beacons_ + number] = {
+              static_cast<float>(power - loss) + shadows[i].mean_dbm, shadows[i].variance_db2};
+        }
       }
     }
   }

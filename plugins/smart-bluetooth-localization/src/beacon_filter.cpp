@@ -19,6 +19,7 @@ constexpr std::size_t kJumpDraws = 500;  // each second, to see whether elsewher
 constexpr double kWidestSpread_m = 25.0;
 constexpr double kLongestGap_s = 10.0;
 constexpr double kNewFor_s = 5.0;  // of standing
+constexpr int kFirstSeconds = 16;  // of standing
 
 }  // namespace
 
@@ -51,7 +52,7 @@ bool BeaconFilter::is_blocked(const Particle& p, double x_m, double y_m) const {
 }
 
 void BeaconFilter::step(const StepInput& step) {
-  steps_ = true;
+  steps_ = has_stepped_ = true;
   walked_m_ += step.length_m;
   const auto walk = [east_m = step.length_m * std::cos(step.heading_rad),
                      north_m = step.length_m * std::sin(step.heading_rad)](Walked& walked) {
@@ -165,6 +166,7 @@ void BeaconFilter::use_second(double dt_s) {
   if (places_.empty()) return;
   // A second in which nothing was heard may be one in which nobody listened.
   if (second.empty()) return;
+  if (steps_ && !has_stepped_ && first_seconds_ < kFirstSeconds) return start_again(second);
   if (particles_.empty()) return start(second);
   const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
   const double weight = weight_of_second(moved);
@@ -193,7 +195,26 @@ double BeaconFilter::normalise() {
   return largest + std::log(sum);
 }
 
+/// All that is heard before the first step is one measurement, of one place, and gets better with each second: places
+/// that fit the mean are drawn anew, so that none dies out by chance.
+void BeaconFilter::start_again(const Second& second) {
+  ++first_seconds_;
+  for (const Heard& heard : second) {
+    auto& [sum, seconds] = first_[heard.beacon];
+    sum += heard.rssi_dbm;
+    ++seconds;
+  }
+  const bool tells_more = (first_seconds_ & (first_seconds_ - 1)) == 0;
+  if (!tells_more) return;
+  Second mean;
+  for (const auto& [beacon, heard] : first_) {
+    if (2 * heard.second >= first_seconds_) mean.push_back({beacon, static_cast<float>(heard.first / heard.second)});
+  }
+  if (!mean.empty()) start(mean);
+}
+
 void BeaconFilter::start(const Second& second) {
+  particles_.clear();
   for (std::size_t i = 0; i < kFirstDraws * options_.particles; ++i) {
     Particle p = anywhere();
     p.weight = log_likelihood(p, second, {}, options_.temper);

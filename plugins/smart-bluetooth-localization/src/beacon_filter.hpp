@@ -38,7 +38,7 @@ struct FilterOptions {
   double way_rate_per_s = 0.1;         ///< at which who stands before a lift gets into it
   double departure_rate_per_s = 0.1;   ///< at which a lift goes to another level
   double most_cabin_loss_db = 15.0;    ///< what a lift's cabin holds off, at most
-  double way_rate_per_step = 0.15;     ///< at which who walks towards stairs takes them
+  double way_rate_per_step = 0.3;      ///< at which who walks towards stairs takes them
   double jump_rate_per_s = 1e-3;       ///< carried off unseen, while walking
   double free_jump_rate_per_s = 3e-3;  ///< the same without a source of steps
 };
@@ -81,6 +81,8 @@ class BeaconFilter {
   /// From now on with this plan; what the particles know stays.
   void use(std::shared_ptr<const FloorPlan> plan);
 
+  /// Steps are told from now on: who takes none stands.
+  void expect_steps() { steps_ = true; }
   void step(const StepInput& step);
   /// One reading. Those of a second are used as one.
   void heard(std::uint32_t beacon, double rssi_dbm);
@@ -122,6 +124,7 @@ class BeaconFilter {
   bool take_stairs(Particle& p, double heading_rad);
   double log_likelihood_on_way(const Particle& p, const Second& second, double weight) const;
   void use_second(double dt_s);
+  void start_again(const Second& second);
   void start(const Second& second);
   double log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const;
   Walked walked_since_heard();
@@ -159,6 +162,10 @@ class BeaconFilter {
   bool steps_ = false;
   double walked_m_ = 0.0;  ///< since the last second was used
   double still_s_ = 0.0;   ///< seconds used since the walker last moved on
+  /// Of the seconds before the first step: sum of the readings, and in how many there was one, by beacon.
+  std::map<std::uint32_t, std::pair<double, int>> first_;
+  int first_seconds_ = 0;
+  bool has_stepped_ = false;
 };
 
 }  // namespace fiona::beacons

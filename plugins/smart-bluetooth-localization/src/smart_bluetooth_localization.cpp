@@ -131,6 +131,7 @@ void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevel
 }
 
 void SmartBluetoothLocalization::produce() {
+  if (steps_.connection() == Connection::Connected) filter_->expect_steps();
   filter_->advance(clock_ms());
   const beacons::Estimate estimate = filter_->estimate();
   note_validity(estimate.validity);
