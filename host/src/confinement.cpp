@@ -63,7 +63,12 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
     if (right.starts_with("device:")) confinement.add_devices("/dev/" + what);
     if (right.starts_with("read:")) confinement.add_readable(what);
     if (right.starts_with("write:")) confinement.add_writable(what);
+    if (right.starts_with("system-bus:")) confinement.add_system_bus(what);
+    if (right.starts_with("session-bus:")) confinement.add_session_bus(what);
   }
+  // Not among the links, which every group reaches.
+  if (confinement.system_bus_size() + confinement.session_bus_size() > 0)
+    confinement.set_buses((links.parent_path() / kBusesFolder / own.filename()).string());
   return confinement;
 }
 

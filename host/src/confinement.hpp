@@ -13,6 +13,9 @@ bool is_let_in(const Package& package);
 /// Whether the group of this instance, its first one, is a sandbox.
 bool is_confined(const Model::Instance& first);
 
+/// In the folder of a host's sockets: where its groups reach D-Bus, each in a folder that no other one has in reach.
+inline constexpr std::string_view kBusesFolder = "buses";
+
 /// What the group of this instance, its first one, may take and reach. `links` is where the host's processes listen,
 /// `own` the folder in it where this one does.
 wire::Confinement confinement_of(const Model::Instance& first, const std::filesystem::path& links,

@@ -11,13 +11,14 @@
 #include <string>
 #include <vector>
 
+#include <sdbus-c++/sdbus-c++.h>
+
 #include "bluez_scanner.hpp"
 
 namespace fiona::beacon_server {
 namespace {
 
 using namespace std::chrono_literals;
-using Bytes = std::vector<std::uint8_t>;
 
 const Bytes kIbeacon{0x02, 0x15, 0x11, 0x11, 0x11, 0x11, 0x22, 0x22, 0x33, 0x33, 0x44, 0x44,
                      0x55, 0x55, 0x55, 0x55, 0x55, 0x55, 0x00, 0x01, 0x01, 0x02, 0xC5};
@@ -270,20 +271,20 @@ TEST(BluezScanner, WithoutABusItRefusesAndSaysWhy) {
     try {
       BluezScanner scanner(bus, "");
       ADD_FAILURE() << bus;
-    } catch (const sdbus::Error& error) {
-      EXPECT_EQ(error.getName(), "org.freedesktop.DBus.Error.NoServer") << bus;
-      EXPECT_FALSE(error.getMessage().empty());
+    } catch (const BusError& error) {
+      EXPECT_TRUE(error.name() == DBUS_ERROR_NO_SERVER || error.name() == DBUS_ERROR_FILE_NOT_FOUND) << error.name();
+      EXPECT_STRNE(error.what(), "");
     }
   }
 }
 
 TEST(BluezScanner, ABusThatIsNotThereCostsNoMemoryHoweverOftenItIsTried) {
   const auto tried = [](int times) {
-    for (int i = 0; i < times; ++i) EXPECT_THROW(BluezScanner("unix:path=/nowhere/bus", ""), sdbus::Error);
+    for (int i = 0; i < times; ++i) EXPECT_THROW(BluezScanner("unix:path=/nowhere/bus", ""), BusError);
     return ::mallinfo2().uordblks;
   };
   const auto before = tried(100);
-  EXPECT_LT(tried(1000), before + 100'000) << "1.8 KB each would be 1.8 MB";
+  EXPECT_LT(tried(1000), before + 100'000);
 }
 
 }  // namespace

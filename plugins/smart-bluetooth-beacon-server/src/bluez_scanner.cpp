@@ -1,13 +1,7 @@
 #include "bluez_scanner.hpp"
 
-#include <poll.h>
-#include <sys/socket.h>
-#include <sys/un.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
+#include <cstdlib>
 
 namespace fiona::beacon_server {
 namespace {
@@ -17,7 +11,6 @@ constexpr const char* kAdapter = "org.bluez.Adapter1";
 constexpr const char* kDevice = "org.bluez.Device1";
 constexpr const char* kManager = "org.freedesktop.DBus.ObjectManager";
 constexpr const char* kPropertiesInterface = "org.freedesktop.DBus.Properties";
-constexpr std::uint64_t kCall_us = 5'000'000;
 constexpr std::chrono::seconds kLookAgain{2};  // for what has no signal, such as a refusal
 constexpr int kNotAvailable_dbm = 127;
 constexpr std::size_t kMostMessages = 1000;  // handled in one run, so that a storm does not hold up who calls it
@@ -27,105 +20,71 @@ std::string lower(std::string text) {
   return text;
 }
 
-/// Whether a unix socket has a listener; `name` begins with a zero if it is an abstract one.
-int connect_to(const std::string& name) {
-  sockaddr_un address{};
-  if (name.size() >= sizeof address.sun_path) return ENAMETOOLONG;
-  address.sun_family = AF_UNIX;
-  std::memcpy(address.sun_path, name.data(), name.size());
-  const int socket = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  if (socket < 0) return errno;
-  const auto length = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + name.size());
-  const int fault = ::connect(socket, reinterpret_cast<const sockaddr*>(&address), length) == 0 ? 0 : errno;
-  ::close(socket);
-  return fault == EAGAIN ? 0 : fault;  // somebody listens, and is busy
-}
-
-/// sdbus-c++ 1.2 loses 1.8 KB with each connection that cannot be opened: a bus that is not there is not asked for one.
-/// Looks at the plain form of an address (D-Bus specification, "Server Addresses"); any other is left to the library.
-void require_listener(const std::string& bus) {
-  constexpr std::string_view kPath = "unix:path=", kAbstract = "unix:abstract=";
-  const bool by_path = bus.starts_with(kPath);
-  if ((!by_path && !bus.starts_with(kAbstract)) || bus.find_first_of(";%") != std::string::npos) return;
-  const std::size_t begin = by_path ? kPath.size() : kAbstract.size();
-  const std::string name = bus.substr(begin, std::min(bus.find(','), bus.size()) - begin);
-  if (const int fault = connect_to(by_path ? name : std::string(1, '\0') + name)) {
-    throw sdbus::Error("org.freedesktop.DBus.Error.NoServer", std::strerror(fault));
-  }
-}
-
-std::unique_ptr<sdbus::IConnection> connect(const std::string& bus) {
-  require_listener(bus);
-  return sdbus::createSessionBusConnectionWithAddress(bus);
-}
-
+/// Throws MalformedMessage if it is of another type.
 template <class T>
-std::optional<T> value(const std::map<std::string, sdbus::Variant>& properties, const char* name) {
+std::optional<T> value(const Properties& properties, const char* name) {
   const auto found = properties.find(name);
-  return found == properties.end() ? std::nullopt : std::optional(found->second.get<T>());
+  if (found == properties.end()) return std::nullopt;
+  const T* const held = std::get_if<T>(&found->second);
+  if (!held) throw MalformedMessage();
+  return *held;
 }
 
-/// Data of a company or service out of a dictionary of variants; nothing if it has none.
+/// Data of a company or service; none if it has none.
 template <class Key>
-std::optional<std::vector<std::uint8_t>> data_of(const sdbus::Variant& dictionary, const Key& key) {
-  const auto all = dictionary.get<std::map<Key, sdbus::Variant>>();
-  const auto found = all.find(key);
-  return found == all.end() ? std::nullopt : std::optional(found->second.template get<std::vector<std::uint8_t>>());
+std::optional<Bytes> data_of(const Properties& properties, const char* name, const Key& key) {
+  const auto all = value<std::map<Key, Bytes>>(properties, name);
+  const auto found = all ? all->find(key) : typename std::map<Key, Bytes>::const_iterator();
+  return all && found != all->end() ? std::optional(found->second) : std::nullopt;
 }
 
-std::optional<Identity> identity_of(const std::map<std::string, sdbus::Variant>& properties) {
-  if (const auto found = properties.find("ManufacturerData"); found != properties.end()) {
-    if (const auto data = data_of<std::uint16_t>(found->second, kApple)) {
-      if (auto beacon = parse_ibeacon(*data)) return beacon;
-    }
+std::optional<Identity> identity_of(const Properties& properties) {
+  if (const auto data = data_of<std::uint16_t>(properties, "ManufacturerData", kApple)) {
+    if (auto beacon = parse_ibeacon(*data)) return beacon;
   }
-  if (const auto found = properties.find("ServiceData"); found != properties.end()) {
-    if (const auto data = data_of<std::string>(found->second, kEddystone)) return parse_eddystone_uid(*data);
-  }
-  return std::nullopt;
+  const auto data = data_of<std::string>(properties, "ServiceData", kEddystone);
+  return data ? parse_eddystone_uid(*data) : std::nullopt;
 }
 
 }  // namespace
 
-BluezScanner::BluezScanner(const std::string& bus, std::string adapter)
-    : wanted_(std::move(adapter)), connection_(connect(bus)) {
-  watch();
+std::string system_bus() {
+  const char* const told = std::getenv("DBUS_SYSTEM_BUS_ADDRESS");
+  return told && *told ? told : "unix:path=/run/dbus/system_bus_socket";
 }
 
-BluezScanner::~BluezScanner() = default;
-
-template <class F>
-sdbus::message_handler BluezScanner::guarded(F handle) {
-  return [this, handle](sdbus::Message& message) {
-    try {
-      (this->*handle)(message);
-    } catch (const sdbus::Error&) {  // another type than the interface has: this message alone is lost
-      ++malformed_;
-    }
-  };
+BluezScanner::BluezScanner(const std::string& bus, std::string adapter) : wanted_(std::move(adapter)), bus_(bus) {
+  watch();
 }
 
 void BluezScanner::watch() {
   const std::string from = std::string("type='signal',sender='") + kBluez + "',";
-  connection_->addMatch(from + "interface='" + kPropertiesInterface + "',member='PropertiesChanged'",
-                        guarded(&BluezScanner::on_properties), sdbus::floating_slot);
-  connection_->addMatch(from + "interface='" + kManager + "',member='InterfacesAdded'",
-                        guarded(&BluezScanner::on_added), sdbus::floating_slot);
-  connection_->addMatch(from + "interface='" + kManager + "',member='InterfacesRemoved'",
-                        guarded(&BluezScanner::on_removed), sdbus::floating_slot);
-  connection_->addMatch(
-      std::string("type='signal',sender='org.freedesktop.DBus',member='NameOwnerChanged',arg0='") + kBluez + "'",
-      guarded(&BluezScanner::on_owner), sdbus::floating_slot);
+  bus_.match(from + "interface='" + kPropertiesInterface + "',member='PropertiesChanged'");
+  bus_.match(from + "interface='" + kManager + "',member='InterfacesAdded'");
+  bus_.match(from + "interface='" + kManager + "',member='InterfacesRemoved'");
+  bus_.match(std::string("type='signal',sender='") + DBUS_SERVICE_DBUS + "',member='NameOwnerChanged',arg0='" + kBluez +
+             "'");
 }
 
 void BluezScanner::run(std::chrono::milliseconds at_most) {
   if (look_again_ || (radio_ != Radio::Listening && std::chrono::steady_clock::now() >= next_look_)) start_over();
   std::size_t handled = 0;
-  while (handled < kMostMessages && connection_->processPendingRequest()) ++handled;
-  if (handled > 0) return;
-  const auto wanted = connection_->getEventLoopPollData();
-  pollfd bus{wanted.fd, wanted.events, 0};
-  ::poll(&bus, 1, static_cast<int>(at_most.count()));
+  for (Message message; handled < kMostMessages && (message = bus_.next_signal()); ++handled) on_signal(message);
+  bus_.wait(handled > 0 ? std::chrono::milliseconds(0) : at_most);
+}
+
+void BluezScanner::on_signal(const Message& message) {
+  const auto is = [&](const char* interface, const char* member) {
+    return ::dbus_message_is_signal(message.get(), interface, member) != FALSE;
+  };
+  try {
+    if (is(kPropertiesInterface, "PropertiesChanged")) on_properties(message);
+    if (is(kManager, "InterfacesAdded")) on_added(message);
+    if (is(kManager, "InterfacesRemoved")) on_removed(message);
+    if (is(DBUS_INTERFACE_DBUS, "NameOwnerChanged")) on_owner(message);
+  } catch (const MalformedMessage&) {  // another type than the interface has: this message alone is lost
+    ++malformed_;
+  }
 }
 
 void BluezScanner::set(Radio radio, std::string reason) {
@@ -133,12 +92,8 @@ void BluezScanner::set(Radio radio, std::string reason) {
   reason_ = std::move(reason);
 }
 
-sdbus::MethodReply BluezScanner::call(const std::string& path, const char* interface, const char* method,
-                                      const std::function<void(sdbus::MethodCall&)>& fill) {
-  const auto proxy = sdbus::createProxy(*connection_, kBluez, path);
-  auto message = proxy->createMethodCall(interface, method);
-  if (fill) fill(message);
-  return proxy->callMethod(message, kCall_us);
+Message BluezScanner::call(const std::string& path, const char* interface, const char* method) {
+  return bus_.call(call_of(kBluez, path, interface, method));
 }
 
 void BluezScanner::start_over() {
@@ -147,21 +102,21 @@ void BluezScanner::start_over() {
   try {
     find_adapter();
     if (!adapter_.empty() && radio_ != Radio::Off) listen();
-  } catch (const sdbus::Error& error) {
-    const bool nobody = error.getName() == "org.freedesktop.DBus.Error.ServiceUnknown" ||
-                        error.getName() == "org.freedesktop.DBus.Error.NameHasNoOwner";
-    if (nobody) return set(Radio::NoBluez, "bluetoothd does not run");
-    if (error.getName() == "org.bluez.Error.NotReady") return set(Radio::Off, "the radio is switched off");
-    set(Radio::Refused, "BlueZ refused: " + error.getMessage());
+  } catch (const MalformedMessage&) {
+    ++malformed_;
+    set(Radio::Refused, "BlueZ answers as no BlueZ does");
+  } catch (const BusError& error) {
+    if (error.name() == DBUS_ERROR_SERVICE_UNKNOWN || error.name() == DBUS_ERROR_NAME_HAS_NO_OWNER)
+      return set(Radio::NoBluez, "bluetoothd does not run");
+    if (error.name() == "org.bluez.Error.NotReady") return set(Radio::Off, "the radio is switched off");
+    set(Radio::Refused, std::string("BlueZ refused: ") + error.what());
   }
 }
 
 void BluezScanner::find_adapter() {
   adapter_.clear();
   devices_.clear();
-  std::map<sdbus::ObjectPath, Interfaces> objects;
-  auto reply = call("/", kManager, "GetManagedObjects");
-  reply >> objects;
+  const Objects objects = Reader(call("/", kManager, "GetManagedObjects")).objects();
   for (const auto& [path, interfaces] : objects) {
     const auto found = interfaces.find(kAdapter);
     if (found == interfaces.end()) continue;
@@ -182,56 +137,59 @@ void BluezScanner::find_adapter() {
 }
 
 void BluezScanner::listen() {
-  call(adapter_, kAdapter, "SetDiscoveryFilter", [](sdbus::MethodCall& message) {
-    message << Properties{{"Transport", sdbus::Variant(std::string("le"))}, {"DuplicateData", sdbus::Variant(true)}};
-  });
+  Message filter = call_of(kBluez, adapter_, kAdapter, "SetDiscoveryFilter");
+  append(filter, {{"Transport", std::string("le")}, {"DuplicateData", true}});
+  bus_.call(std::move(filter));
   try {
     call(adapter_, kAdapter, "StartDiscovery");
-  } catch (const sdbus::Error& error) {
-    if (error.getName() != "org.bluez.Error.InProgress") throw;
+  } catch (const BusError& error) {
+    if (error.name() != "org.bluez.Error.InProgress") throw;
   }
   set(Radio::Listening, {});
 }
 
-void BluezScanner::on_owner(sdbus::Message& message) {
-  std::string name, before, now;
-  message >> name >> before >> now;
+void BluezScanner::on_owner(const Message& message) {
+  Reader told(message);
+  told.text();  // the name
+  told.text();  // who had it
+  const std::string now = told.text();
   adapter_.clear();
   devices_.clear();
   set(Radio::NoBluez, "bluetoothd does not run");
   look_again_ = !now.empty();
 }
 
-void BluezScanner::on_added(sdbus::Message& message) {
-  sdbus::ObjectPath path;
-  Interfaces interfaces;
-  message >> path >> interfaces;
+void BluezScanner::on_added(const Message& message) {
+  Reader told(message);
+  const std::string path = told.text();
+  const Interfaces interfaces = told.interfaces();
   if (interfaces.contains(kAdapter) && adapter_.empty()) look_again_ = true;
   if (const auto found = interfaces.find(kDevice); found != interfaces.end()) on_device(path, found->second, true);
 }
 
-void BluezScanner::on_removed(sdbus::Message& message) {
-  sdbus::ObjectPath path;
-  std::vector<std::string> interfaces;
-  message >> path >> interfaces;
+void BluezScanner::on_removed(const Message& message) {
+  Reader told(message);
+  const std::string path = told.text();
+  const std::vector<std::string> interfaces = told.texts();
   if (path == adapter_ && std::find(interfaces.begin(), interfaces.end(), kAdapter) != interfaces.end()) {
     look_again_ = true;
   }
   if (std::find(interfaces.begin(), interfaces.end(), kDevice) != interfaces.end()) devices_.erase(path);
 }
 
-void BluezScanner::on_properties(sdbus::Message& message) {
-  std::string interface;
-  Properties changed;
-  std::vector<std::string> invalidated;
-  message >> interface >> changed >> invalidated;
-  if (interface == kAdapter && message.getPath() == adapter_) return on_adapter(changed);
+void BluezScanner::on_properties(const Message& message) {
+  Reader told(message);
+  const std::string path = ::dbus_message_get_path(message.get());
+  const std::string interface = told.text();
+  const Properties changed = told.properties();
+  const std::vector<std::string> invalidated = told.texts();
+  if (interface == kAdapter && path == adapter_) return on_adapter(changed);
   if (interface != kDevice) return;
   // The RSSI is withdrawn when discovery ends.
   if (std::find(invalidated.begin(), invalidated.end(), "RSSI") != invalidated.end()) {
-    if (const auto found = devices_.find(message.getPath()); found != devices_.end()) found->second.rssi_dbm.reset();
+    if (const auto found = devices_.find(path); found != devices_.end()) found->second.rssi_dbm.reset();
   }
-  on_device(message.getPath(), changed, true);
+  on_device(path, changed, true);
 }
 
 void BluezScanner::on_adapter(const Properties& changed) {

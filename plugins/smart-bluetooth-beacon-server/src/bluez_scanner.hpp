@@ -3,14 +3,13 @@
 #include <chrono>
 #include <cstdint>
 #include <map>
-#include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include <sdbus-c++/sdbus-c++.h>
-
 #include "advertisement.hpp"
+#include "bus.hpp"
 
 namespace fiona::beacon_server {
 
@@ -30,6 +29,10 @@ enum class Radio : std::uint8_t {
   Listening,
 };
 
+/// Where the system's bus is: DBUS_SYSTEM_BUS_ADDRESS, which a sandbox sets to where it is let through to BlueZ, or the
+/// well-known address (D-Bus specification, "Well-known Message Bus Instances").
+std::string system_bus();
+
 /// Listens through BlueZ (doc/adapter-api.txt and doc/device-api.txt of BlueZ 5.66). It starts over by itself when
 /// bluetoothd is restarted, the radio is switched off and on or plugged in, or discovery has ended. One thread.
 ///
@@ -41,11 +44,10 @@ class BluezScanner {
   static constexpr std::size_t kMostDevices = 4096;   ///< that are remembered; others are counted
   static constexpr std::size_t kMostReadings = 4096;  ///< between two calls of take()
 
-  /// Connects to the bus. Throws sdbus::Error if nobody is there.
+  /// Connects to the bus. Throws BusError if nobody is there.
   BluezScanner(const std::string& bus, std::string adapter);
-  ~BluezScanner();
 
-  /// Waits for at most so long for what the bus says, and handles it. Throws sdbus::Error when the bus is gone.
+  /// Waits for at most so long for what the bus says, and handles it. Throws BusError when the bus is gone.
   void run(std::chrono::milliseconds at_most);
 
   /// What was heard since the last call, oldest first.
@@ -58,8 +60,6 @@ class BluezScanner {
   std::uint64_t dropped() const { return dropped_; }         ///< devices and readings beyond the bounds
 
  private:
-  using Properties = std::map<std::string, sdbus::Variant>;
-  using Interfaces = std::map<std::string, Properties>;
   struct Device {
     std::string address;
     std::optional<Identity> beacon;
@@ -71,19 +71,17 @@ class BluezScanner {
   void find_adapter();
   void listen();
   void set(Radio radio, std::string reason);
-  void on_properties(sdbus::Message& message);
-  void on_added(sdbus::Message& message);
-  void on_removed(sdbus::Message& message);
-  void on_owner(sdbus::Message& message);
+  void on_signal(const Message& message);
+  void on_properties(const Message& message);
+  void on_added(const Message& message);
+  void on_removed(const Message& message);
+  void on_owner(const Message& message);
   void on_adapter(const Properties& changed);
   void on_device(const std::string& path, const Properties& changed, bool is_packet);
-  template <class F>
-  sdbus::message_handler guarded(F handle);
-  sdbus::MethodReply call(const std::string& path, const char* interface, const char* method,
-                          const std::function<void(sdbus::MethodCall&)>& fill = {});
+  Message call(const std::string& path, const char* interface, const char* method);
 
   const std::string wanted_;
-  std::unique_ptr<sdbus::IConnection> connection_;
+  Bus bus_;
   std::string adapter_;  ///< object path; empty: none
   std::string receiver_;
   std::map<std::string, Device> devices_;  ///< by object path

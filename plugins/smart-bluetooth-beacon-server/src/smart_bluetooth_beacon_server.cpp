@@ -24,9 +24,10 @@ std::int64_t wall_ms(std::chrono::system_clock::time_point time) {
 /// [the task's thread] Called again as soon as it returns: once for each connection to the bus.
 void SmartBluetoothBeaconServer::listen(const OwnThread& own) {
   const auto parameters = params_.snapshot();
+  const std::string bus = parameters->bus().empty() ? beacon_server::system_bus() : parameters->bus();
   Told told;
   try {
-    beacon_server::BluezScanner scanner(parameters->bus(), parameters->adapter());
+    beacon_server::BluezScanner scanner(bus, parameters->adapter());
     while (!own.stop_requested()) {
       scanner.run(kWait);
       Told now{scanner.take(),     scanner.radio(),     scanner.reason(),
@@ -39,9 +40,8 @@ void SmartBluetoothBeaconServer::listen(const OwnThread& own) {
       told.readings.clear();
     }
     return;
-  } catch (const sdbus::Error& error) {
-    told = {{}, Radio::NoBluez, "no bus at " + parameters->bus() + ": " + error.getMessage(),
-            {}, told.malformed, told.dropped};
+  } catch (const beacon_server::BusError& error) {
+    told = {{}, Radio::NoBluez, "no bus at " + bus + ": " + error.what(), {}, told.malformed, told.dropped};
   }
   own.post([this, told] { on_told(told); });
   own.wait_for(kBeforeNextTry);
