@@ -5,6 +5,7 @@
 #include <cstring>
 #include <fstream>
 #include <sstream>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -29,12 +30,12 @@ class ScriptSetting {
 };
 
 std::vector<std::string> system_files_in(const std::filesystem::path& folder) {
-  constexpr std::size_t kMost = 3;
+  constexpr std::size_t kMost = 1000;
   std::vector<std::string> files;
   std::error_code failure;
-  for (std::filesystem::directory_iterator entry(folder, failure);
+  for (std::filesystem::directory_iterator entry(folder.empty() ? "." : folder, failure);
        !failure && files.size() < kMost && entry != std::filesystem::directory_iterator(); entry.increment(failure)) {
-    if (entry->path().extension() == ".fiona") files.push_back(entry->path().string());
+    if (entry->path().extension() == ".fiona") files.push_back((folder / entry->path().filename()).string());
   }
   std::sort(files.begin(), files.end());
   return files;
@@ -46,12 +47,20 @@ std::string read_text(const std::filesystem::path& file) {
   std::error_code problem;
   const auto status = std::filesystem::status(file, problem);
   if (!std::filesystem::exists(status))
-    throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = file.string()});
-  if (std::filesystem::is_directory(status))
+    throw Error(ErrorCode::NotFound,
+                ErrorText{.what = "there is no such file",
+                          .where = file.string(),
+                          .next = "name a system file, or an installed system: fiona market list",
+                          .near = nearest_names(file.string(), system_files_in(file.parent_path()))});
+  if (std::filesystem::is_directory(status)) {
+    constexpr std::size_t kMost = 3;
+    auto inside = system_files_in(file);
+    inside.resize(std::min(inside.size(), kMost));
     throw Error(ErrorCode::Usage, ErrorText{.what = "this is a directory",
                                             .where = file.string(),
                                             .expected = "a system file, or the name of an installed system",
-                                            .near = system_files_in(file)});
+                                            .near = std::move(inside)});
+  }
   std::ifstream in(file, std::ios::binary);
   constexpr std::size_t kMost = (16U << 20U) + 1;  // one more than a script may have: it says that it is too long
   std::string text(kMost, '\0');

@@ -96,10 +96,7 @@ class Checker {
 
   /// What its manifest asks for, and what the operator alone gives: the host looks at those.
   static bool is_of_sandbox(std::string_view right) {
-    constexpr std::string_view kWhole[] = {"network", "confined", "unconfined"};
-    constexpr std::string_view kPlaces[] = {"device:", "read:/", "write:/"};
-    return std::find(std::begin(kWhole), std::end(kWhole), right) != std::end(kWhole) ||
-           std::any_of(std::begin(kPlaces), std::end(kPlaces), [&](auto place) { return right.starts_with(place); });
+    return right == "confined" || right == "unconfined" || marketplace::opens_sandbox(right);
   }
 
   void check_rights(const Line& line, const Word& plugin, const KnownComponent& known) {

@@ -26,9 +26,11 @@ std::vector<Verb> composing_verbs() {
        "`with master` lets a component that asks for it change the system, as whoever types does. A package of another "
        "publisher gets a group of its own, a sandbox, of its instance's name; `with network`, `with device:NAME`, "
        "`with "
-       "read:/PATH` and `with write:/PATH` open it as far as its manifest asks; `with confined` makes a sandbox for a "
+       "read:/PATH`, `with write:/PATH` and `with system-bus:NAME` or `session-bus:NAME`, a service on D-Bus, open it "
+       "as "
+       "far as its manifest asks; `with confined` makes a sandbox for a "
        "package that needs none, and `with unconfined` none for one that does. A path names a file on the host's "
-       "machine: that takes administer, as do devices, files and `unconfined`.",
+       "machine: that takes administer, as do devices, files, services on D-Bus and `unconfined`.",
        Access::Compose, verbs::load},
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
@@ -51,7 +53,7 @@ std::vector<Verb> composing_verbs() {
        "If the "
        "new one says nothing, or nothing valid, while the old one does, nothing is swapped.",
        Access::Compose, verbs::swap},
-      {"upgrade", forms({"upgrade INSTANCE [to VERSION] [watch T]"}),
+      {"upgrade", forms({"upgrade INSTANCE [to VERSION] [watch T]", "upgrade host [watch T]"}),
        "puts the installed version of an instance's package in the place of the one that runs",
        "The new version starts beside the old one in a process of its own, with its mode, parameters and wires; if it "
        "fits, reaches the mode and says what the old one says, it takes over, and what was asked before is still "
@@ -59,7 +61,14 @@ std::vector<Verb> composing_verbs() {
        "The old one stands by for T, 10s unless `watch` says otherwise, and takes its place again if the new one ends, "
        "hangs, fails or falls silent. What is answered is told when that is over; `watch 0s` waits for nothing.\n"
        "As in: market update wifi, upgrade wifi. `to` names another version that the store still has; `undo` goes "
-       "back.",
+       "back.\n"
+       "`upgrade host`, of one that was started with `run --supervised`, starts the fiona-host that is installed now "
+       "in "
+       "its place: groups go on with the wires between them, what is in main is made again, and groups that are "
+       "started "
+       "later are of the new build. If that does not come up, or ends within T, the one before runs again. It takes "
+       "the "
+       "level administer.",
        Access::Compose, verbs::upgrade, false},
   };
 }

@@ -18,9 +18,11 @@ bool is_unused(const control::PortStatus& port) {
   return port.direction() == fiona::PROVIDES && port.clients().empty() && port.attached().empty();
 }
 
-void add_running(WhiteSpot& spot, const control::System& system) {
+/// Nobody is served by what they provide themselves.
+void add_running(WhiteSpot& spot, const control::System& system, const std::string& own) {
   std::size_t count = 0;
   for (const auto& instance : system.instances()) {
+    if (instance.name() == own) continue;
     for (const auto& port : instance.ports()) {
       const std::string name = instance.name() + "." + port.name();
       const bool fits =
@@ -80,7 +82,7 @@ std::vector<WhiteSpot> white_spots(const control::System& system, const Catalogu
                                                      port.service(),
                                                      required ? connection_text(port) : "",
                                                      {}});
-      add_running(spot, system);
+      add_running(spot, system, instance.name());
       add_known(spot, catalogue);
     }
   }

@@ -84,6 +84,7 @@ Need need_of(const Request& request) {
     case Request::kAttach: return {Access::Compose, "attach"};
     case Request::kDetach: return {Access::Compose, "detach"};
     case Request::kQuit: return {Access::Administer, "quit"};
+    case Request::kUpgradeHost: return {Access::Administer, "upgrade host"};
     case Request::WHAT_NOT_SET: break;
   }
   return {Access::Nobody, "a request that is empty or newer than this host"};

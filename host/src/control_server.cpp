@@ -110,7 +110,7 @@ void ControlServer::end(int code, const std::string& why) {
 
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
-  system_.waits().end_run(*exit_code_, end_reason_);
+  if (!makes_way_) system_.waits().end_run(*exit_code_, end_reason_);
   for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
   for (auto& [id, client] : clients_) client->stream.flush();
   return *exit_code_;
@@ -165,6 +165,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
     exit_code_ = static_cast<int>(ErrorCode::ComponentFailed);
   }
   send_held();
+  go_on_with_upgrade();
   if (waits[0].revents != 0) accept_clients();
 }
 
@@ -306,11 +307,56 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
       system_.detach(client, request.detach().wire());
       attached_.erase(request.detach().wire());
       return done("");
+    case Request::kUpgradeHost: begin_upgrade(client, request); return false;
     case Request::kQuit: end(request.quit().exit_code(), "quit"); return done("");
     case Request::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, {.what = "the request is empty, or newer than this host",
                                  .next = "fiona version: console and host are to be of one version"});
+}
+
+void ControlServer::begin_upgrade(std::uint64_t client, const control::Request& request) {
+  constexpr double kLongest_ms = 600'000;
+  const auto& asked = request.upgrade_host();
+  const char* why = !system_.supervisor()         ? "it has no supervisor that could start another one"
+                    : system_.has_virtual_clock() ? "a run on virtual time ends with its host"
+                    : upgrade_ || makes_way_      ? "it is about to be upgraded already"
+                                                  : nullptr;
+  if (why) {
+    throw Error(ErrorCode::Failed,
+                {.what = "the host cannot be upgraded while it runs",
+                 .found = why,
+                 .next = system_.supervisor() ? "wait for that, or quit"
+                                              : "save the system, quit, and fiona run --supervised"});
+  }
+  if (!(asked.watch_ms() >= 0 && asked.watch_ms() <= kLongest_ms))
+    throw Error(ErrorCode::Usage, {.what = "a host is not on trial for so long", .expected = "0 s .. 10 min"});
+  system_.supervisor()->upgrade(std::chrono::milliseconds(static_cast<std::int64_t>(asked.watch_ms())));
+  upgrade_ = {client, request.id()};
+}
+
+/// A transaction that is under way is not cut off.
+void ControlServer::go_on_with_upgrade() {
+  if (!upgrade_) return;
+  if (!makes_way_) {
+    const auto answer = system_.supervisor()->upgrade_answer();
+    if (!answer) return;
+    control::Reply reply;
+    reply.set_id(upgrade_->second);
+    makes_way_ = answer->empty();
+    if (makes_way_) {
+      reply.mutable_done()->set_note("the next host is started");
+    } else {
+      *reply.mutable_failure() = failure_of(
+          Error(ErrorCode::Failed,
+                {.what = "the host is not upgraded, and goes on", .found = *answer, .next = "install FIONA again"}));
+    }
+    send_last(upgrade_->first, reply);
+    if (!makes_way_) upgrade_.reset();
+  }
+  if (!makes_way_ || !engine_.is_idle()) return;
+  system_.end_main();
+  exit_code_ = 0;
 }
 
 void ControlServer::start_watch(std::uint64_t client, const control::Request& request) {

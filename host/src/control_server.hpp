@@ -32,9 +32,9 @@ class ControlServer {
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
   /// The exit code of the run.
   int serve(int lifeline, int signals);
-  /// Whether components keep threads, which nobody can end.
   /// Whether its end was meant; another end is one that a supervisor mends.
   bool was_ended() const { return was_ended_; }
+  /// Whether components keep threads, which nobody can end.
   bool has_kept_threads() const { return system_.kept_threads() > 0; }
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return system_.listens(); }
@@ -82,6 +82,8 @@ class ControlServer {
   void send_held();
   void send_sample(Watched& watch, Client& client, const wire::Tapped& tapped);
   control::Sample sample_of(const wire::Tapped& tapped, bool described);
+  void begin_upgrade(std::uint64_t client, const control::Request& request);
+  void go_on_with_upgrade();
   void poll_once(int lifeline, int signals);
 
   // Mailboxes outlive the system, whose threads post to them until it is gone.
@@ -103,6 +105,8 @@ class ControlServer {
   std::optional<int> exit_code_;
   std::string end_reason_;
   bool was_ended_ = false;
+  std::optional<std::pair<std::uint64_t, std::uint64_t>> upgrade_;  ///< (client, request) that has asked for one
+  bool makes_way_ = false;                                          ///< for the next host, which is of another build
 };
 
 }  // namespace fiona::host

@@ -38,6 +38,8 @@ class Engine {
                 std::optional<std::chrono::milliseconds> within = std::nullopt);
   void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);
   control::JournalEntries journal(std::uint32_t last) const;
+  /// No transaction is under way.
+  bool is_idle() const { return !current_; }
 
  private:
   struct Transaction;

@@ -14,6 +14,7 @@
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
+#include "names.hpp"
 #include "os/unix_socket.hpp"
 
 namespace fiona::host {
@@ -166,12 +167,14 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       clock_(start.clock),
       master_(start.master),
       supervisor_(start.master ? nullptr : start.supervisor),  // a run on virtual time ends with its host
+      copied_(start.copied),
       on_event_(std::move(on_event)),
       cpu_(start.cores),
       liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {
   // Virtual time has a watchdog of its own.
   const auto& page = *static_cast<const Liveness::Page*>(liveness_->data());
   if (start.parts && !start.master) hangs_ = std::make_unique<HangWatch>(page, start.parts);
+  if (!confinement_.buses().empty()) bus_ = std::make_unique<BusProxy>(this->name(), confinement_);
   auto [ours, theirs] = os::socket_pair();
   std::vector<std::string> arguments{"--name",  this->name(), "--endpoint",
                                      endpoint_, "--threads",  std::to_string(start.threads)};
@@ -186,8 +189,11 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   std::pair<os::PacketSocket, os::PacketSocket> adoption;
   if (supervisor_) adoption = os::PacketSocket::pair();
   if (supervisor_) inherited.emplace_back(adoption.second.descriptor(), kAdoptionSocket);
-  child_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-group", arguments, inherited,
-                                              confinement_.sandboxed());
+  if (copied_) child_ = copied_->copy(arguments, inherited);
+  if (!child_) {
+    child_ = std::make_unique<os::ChildProcess>(os::program_directory() / kGroupProgram, arguments, inherited,
+                                                confinement_.sandboxed());
+  }
   clock_socket.reset();
   adoption.second.close();
   theirs.reset();
@@ -205,7 +211,9 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   try {
     if (!ready || !ready->has_ready()) throw not_started();
     ready_ = ready->ready();
+    if (ready_.protocol() != kGroupProtocol) throw not_of_this_build();
     require_sandbox(this->name(), ready_);
+    if (bus_) bus_->require_ready(Steady::now() + kReadyDeadline);
   } catch (const Error&) {
     leave_nothing();
     throw;
@@ -230,6 +238,12 @@ ChildGroup::ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_e
   if (start.parts) hangs_ = std::make_unique<HangWatch>(page, start.parts);
   child_ = std::make_unique<os::ChildProcess>(
       kept.process, std::move(kept.handle), [supervisor = supervisor_](pid_t one) { return supervisor->end_of(one); });
+  if (!confinement_.buses().empty()) bus_ = std::make_unique<BusProxy>(this->name(), confinement_);
+  if (ready_.protocol() != kGroupProtocol) {
+    end_now(fmt::format("was ended: it speaks protocol {}, and the host that has taken over speaks {}",
+                        ready_.protocol(), kGroupProtocol));
+    return;
+  }
   auto [ours, theirs] = os::socket_pair();
   const os::PacketSocket adoption(std::move(kept.adoption));
   const bool handed = adoption.send("host", {theirs.get()}) == os::PacketSocket::Sent::Yes;
@@ -277,6 +291,15 @@ Error ChildGroup::not_started() const {
   return Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start",
                                    .found = end_.empty() ? "no answer within 5 s" : end_,
                                    .next = "fiona doctor"});
+}
+
+/// Its program has been replaced since the host's own was started.
+Error ChildGroup::not_of_this_build() const {
+  return Error(ErrorCode::Failed, {.what = "group '" + this->name() + "' did not start: " +
+                                           (os::program_directory() / kGroupProgram).string() + " is of another build",
+                                   .expected = fmt::format("protocol {}", kGroupProtocol),
+                                   .found = fmt::format("protocol {}", ready_.protocol()),
+                                   .next = "upgrade host"});
 }
 
 ChildGroup::~ChildGroup() { leave_nothing(); }
@@ -384,6 +407,14 @@ void ChildGroup::end_if_greedy() {
   }
 }
 
+/// Without its way to D-Bus it is no use: it is started again with a new one, as often as any group.
+void ChildGroup::watch_bus(Time now) {
+  bus_->watch(now);
+  if (bus_->end().empty()) return;
+  child_->kill();
+  note_end("was ended: " + bus_->end());
+}
+
 /// Nothing but a control group, which few users have, holds a process to a share; but it can be put behind all others.
 void ChildGroup::put_last(double cores) {
   os::put_last(process());
@@ -399,6 +430,7 @@ void ChildGroup::watch(Time now) {
   watched_ = now;
   if (alive()) std::cerr << output_.take(now);
   if (alive()) end_if_greedy();
+  if (alive() && bus_) watch_bus(now);
   if (!hangs_ || !alive()) return;
   const auto hangs = hangs_->look(now, child_->id(), child_->is_stopped());
   if (hangs.empty()) return;

@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 
+#include "bus_proxy.hpp"
 #include "clock_master.hpp"
 #include "cpu_share.hpp"
 #include "fiona/error.hpp"
@@ -15,6 +16,7 @@
 #include "os/limits.hpp"
 #include "os/message_stream.hpp"
 #include "os/process.hpp"
+#include "os/process_template.hpp"
 #include "os/shared_memory.hpp"
 #include "runtime.hpp"
 #include "supervisor_link.hpp"
@@ -97,7 +99,10 @@ inline constexpr std::chrono::milliseconds kWatchEvery{100};
 /// The same while somebody waits for its answer: what looking late adds to a bound, he waits longer.
 inline constexpr std::chrono::milliseconds kWatchWaiting{25};
 
-/// A child process, `fiona-group`, that ends when the host's end of its socket closes.
+/// The program of each, beside that of the host.
+inline constexpr const char* kGroupProgram = "fiona-group";
+
+/// A child process that ends when the host's end of its socket closes.
 class ChildGroup final : public Group {
  public:
   using Time = std::chrono::steady_clock::time_point;
@@ -114,6 +119,8 @@ class ChildGroup final : public Group {
     double cores = 0;                      ///< that it may take in the long run; 0: as many as there are
     std::string host{};                    ///< where `main` listens
     SupervisorLink* supervisor = nullptr;  ///< keeps it for a host after this one; none: it ends with this one
+    std::shared_ptr<os::ProcessTemplate>
+        copied{};  ///< shared by its copies, for it ends with the last; none: it is none
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
@@ -166,12 +173,14 @@ class ChildGroup final : public Group {
   void take(const wire::GroupMessage& message);
   Error unreachable() const;
   Error not_started() const;
+  Error not_of_this_build() const;
   /// `why` we ended it; empty: it ended by itself.
   void note_end(const std::string& why = "");
   bool send(wire::GroupRequest& request);
   void pass_on(const wire::GroupMessage& event);
 
   void end_if_greedy();
+  void watch_bus(Time now);
   void put_last(double cores);
   void leave_nothing();
   void hand_to_supervisor(os::PacketSocket adoption);
@@ -183,9 +192,11 @@ class ChildGroup final : public Group {
   const Clock& clock_;
   ClockMaster* const master_;
   SupervisorLink* const supervisor_;
+  const std::shared_ptr<os::ProcessTemplate> copied_;
   std::optional<wire::Adopted> adopted_;
   const Runtime::OnEvent on_event_;
   CpuShare cpu_;
+  std::unique_ptr<BusProxy> bus_;  ///< none: it reaches no service on D-Bus
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;
   GroupOutput output_;

@@ -7,20 +7,24 @@
 #include <google/protobuf/stubs/logging.h>
 #include <google/protobuf/text_format.h>
 
+#include <algorithm>
 #include <chrono>
 #include <filesystem>
 #include <iostream>
 #include <string>
+#include <vector>
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "group_clock.hpp"
 #include "mailbox.hpp"
+#include "names.hpp"
 #include "open_plugin.hpp"
 #include "os/limits.hpp"
 #include "os/message_stream.hpp"
 #include "os/packet_socket.hpp"
 #include "os/process.hpp"
+#include "os/process_template.hpp"
 #include "os/sandbox.hpp"
 #include "os/shared_memory.hpp"
 #include "os/spare_descriptor.hpp"
@@ -118,20 +122,21 @@ int serve_hosts(Runtime& runtime, std::unique_ptr<fiona::os::MessageStream> stre
   return 0;
 }
 
-std::string value_of(int argc, char** argv, std::string_view flag) {
-  for (int i = 1; i + 1 < argc; ++i) {
-    if (argv[i] == flag) return argv[i + 1];
-  }
+using Words = std::vector<std::string>;
+
+std::string value_of(const Words& words, std::string_view flag) {
+  const auto found = std::find(words.begin(), words.end(), flag);
+  if (found != words.end() && found + 1 != words.end()) return found[1];
   throw fiona::Error(fiona::ErrorCode::Usage,
                      "fiona-group is started by fiona-host, which gives it " + std::string(flag));
 }
 
-std::unique_ptr<fiona::Clock> make_clock(int argc, char** argv) {
-  if (value_of(argc, argv, "--clock") == "virtual") {
+std::unique_ptr<fiona::Clock> make_clock(const Words& words) {
+  if (value_of(words, "--clock") == "virtual") {
     return std::make_unique<GroupClock>(fiona::os::Descriptor(kClockSocket));
   }
-  return std::make_unique<fiona::SystemClock>(fiona::SystemClock::Origin{
-      std::stoll(value_of(argc, argv, "--clock-origin")), std::stoll(value_of(argc, argv, "--clock-start"))});
+  return std::make_unique<fiona::SystemClock>(fiona::SystemClock::Origin{std::stoll(value_of(words, "--clock-origin")),
+                                                                         std::stoll(value_of(words, "--clock-start"))});
 }
 
 /// The key of this process's links, the first thing that the host says.
@@ -168,6 +173,10 @@ void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& re
   reach.writable.assign(confinement.writable().begin(), confinement.writable().end());
   reach.devices.assign(confinement.devices().begin(), confinement.devices().end());
   reach.network = confinement.network();
+  if (!confinement.buses().empty()) reach.readable.emplace_back(confinement.buses());
+  const std::string bus = "unix:path=" + confinement.buses() + "/";
+  if (confinement.system_bus_size() > 0) ::setenv("DBUS_SYSTEM_BUS_ADDRESS", (bus + "system").c_str(), 1);
+  if (confinement.session_bus_size() > 0) ::setenv("DBUS_SESSION_BUS_ADDRESS", (bus + "session").c_str(), 1);
   for (const auto& file : confinement.libraries()) {
     const auto sealed = std::make_shared<fiona::host::SealedLibrary>(file);
     reach.copies.push_back({file.path(), file.size(), [sealed](const auto& to) { sealed->write_to(to); }});
@@ -182,9 +191,12 @@ void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& re
 
 /// What a sandbox would be made of here, for people.
 int probe_sandbox() {
+  const auto proxy = fiona::os::program_in_path(fiona::os::kBusProxy);
   for (const auto& layer : fiona::os::confine({})) {
     std::cout << layer.name << ": " << (layer.missing.empty() ? layer.detail : "missing: " + layer.missing) << "\n";
   }
+  std::cout << fiona::os::kBusProxy << ": " << (proxy.empty() ? "missing: apt-get install " : proxy.string())
+            << (proxy.empty() ? fiona::os::kBusProxy : "") << "\n";
   std::cout.flush();
   ::_exit(0);  // what would run at the end, a leak check above all, needs what was given up
 }
@@ -227,20 +239,18 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library,
   ::_exit(code);
 }
 
-int run(int argc, char** argv) {
-  if (argc >= 5 && argv[1] == std::string_view("--describe")) describe_library(argc, argv);
-  if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
-  if (argc >= 5 && argv[1] == std::string_view("--try")) return try_libraries(argc, argv);
-  const std::string endpoint = value_of(argc, argv, "--endpoint");
+int be_group(const Words& words) {
+  fiona::os::keep_spare_descriptor();
+  const std::string endpoint = value_of(words, "--endpoint");
   auto stream = std::make_unique<fiona::os::MessageStream>(fiona::os::Descriptor(kGroupSocket));
   const auto welcome = welcome_from(*stream);
   fiona::wire::GroupMessage ready;
   confine(welcome.confinement(), *ready.mutable_ready());
-  const auto clock = make_clock(argc, argv);
+  const auto clock = make_clock(words);
   auto* const follower = dynamic_cast<GroupClock*>(clock.get());
   const fiona::os::SharedMemory page(fiona::os::Descriptor(kLivenessPage), sizeof(fiona::Liveness::Page));
   const auto liveness = std::make_shared<fiona::Liveness>(*static_cast<fiona::Liveness::Page*>(page.data()));
-  fiona::Pool pool(std::stoul(value_of(argc, argv, "--threads")), liveness);
+  fiona::Pool pool(std::stoul(value_of(words, "--threads")), liveness);
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries(welcome.confinement().sandboxed());
   Runtime runtime(pool, *clock, libraries, endpoint, welcome.key(),
@@ -254,6 +264,7 @@ int run(int argc, char** argv) {
                     events.push_newest(tap, std::move(event), bytes);
                   });
   ready.mutable_ready()->set_endpoint(endpoint);
+  ready.mutable_ready()->set_protocol(fiona::host::kGroupProtocol);
   if (!stream->send(ready)) return 1;
   if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
   const int code = welcome.adoptable() ? serve_hosts(runtime, std::move(stream), events, welcome.host())
@@ -263,13 +274,20 @@ int run(int argc, char** argv) {
   return code;
 }
 
+int run(int argc, char** argv) {
+  if (argc >= 5 && argv[1] == std::string_view("--describe")) describe_library(argc, argv);
+  if (argc == 2 && argv[1] == std::string_view("--probe")) return probe_sandbox();
+  if (argc >= 5 && argv[1] == std::string_view("--try")) return try_libraries(argc, argv);
+  if (fiona::os::is_template(argc, argv)) return be_group(fiona::os::wait_to_be_copied(argc, argv));
+  return be_group(Words(argv + 1, argv + argc));
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
   fiona::os::keep_freed_memory();
-  fiona::os::keep_spare_descriptor();
   try {
     return run(argc, argv);
   } catch (const std::exception& error) {

@@ -15,10 +15,8 @@ constexpr std::string_view kOtherCalls[] = {kItsParameters, kItsDestructor, kIts
 
 std::uint32_t mark_of(std::uint64_t work) { return static_cast<std::uint32_t>(work); }
 
-HangWatch::milliseconds patience_with(std::uint64_t work) {
-  const auto is = [&](std::string_view text) { return Liveness::mark(text) == mark_of(work); };
-  if (std::any_of(std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls), is)) return HangWatch::kLifeCycle;
-  return is(kItsLibrary) || is(kItsConstructor) ? HangWatch::kOpening : HangWatch::kWork;
+std::string name_in(const Liveness::Slot& slot) {
+  return {slot.name, std::find(std::begin(slot.name), std::end(slot.name), '\0')};
 }
 
 /// What another process has written may be anything.
@@ -50,11 +48,19 @@ HangWatch::milliseconds HangWatch::waited_for_cpu(pid_t process) {
   return std::chrono::duration_cast<milliseconds>(std::max(now - before, std::chrono::nanoseconds(0)));
 }
 
-bool HangWatch::hangs(Seen& seen, milliseconds step, milliseconds waited) const {
+HangWatch::milliseconds HangWatch::patience_with(const Liveness::Slot& slot, std::uint64_t work) const {
+  const auto is = [&](std::string_view text) { return Liveness::mark(text) == mark_of(work); };
+  if (std::any_of(std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls), is)) return kLifeCycle;
+  if (is(kItsLibrary) || is(kItsConstructor)) return kOpening;
+  return parts_(name_in(slot)).value_or(Part()).work;
+}
+
+bool HangWatch::hangs(Seen& seen, const Liveness::Slot& slot, milliseconds step, milliseconds waited) const {
   seen.in_all += step;
   seen.stood += step - std::min(step, waited);
-  const milliseconds patience = patience_with(seen.work);
-  return !seen.told && (seen.stood >= patience || seen.in_all >= std::max(patience, kStarved));
+  if (seen.told || seen.in_all < kWork) return false;
+  const milliseconds patience = patience_with(slot, seen.work);
+  return (seen.stood >= patience || seen.in_all >= std::max(patience, kStarved));
 }
 
 std::vector<Hang> HangWatch::look(Time now, pid_t process, bool stopped) {
@@ -73,7 +79,7 @@ std::vector<Hang> HangWatch::look(Time now, pid_t process, bool stopped) {
       continue;
     }
     if (!waited) waited = waited_for_cpu(process);
-    if (!hangs(seen, step, *waited)) continue;
+    if (!hangs(seen, page_.slots[i], step, *waited)) continue;
     seen.told = true;
     hangs_now.push_back(hang_of(page_.slots[i], seen));
   }
@@ -82,10 +88,10 @@ std::vector<Hang> HangWatch::look(Time now, pid_t process, bool stopped) {
 }
 
 Hang HangWatch::hang_of(const Liveness::Slot& slot, const Seen& seen) const {
-  const std::string name(slot.name, std::find(std::begin(slot.name), std::end(slot.name), '\0'));
+  const std::string name = name_in(slot);
   const auto known = parts_(name);
   Hang hang{known ? name : inert_name(name), "", seen.in_all};
-  std::vector<std::string> texts = known.value_or(std::vector<std::string>());
+  std::vector<std::string> texts = known.value_or(Part()).texts;
   texts.insert(texts.end(), std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls));
   texts.insert(texts.end(), std::begin(kOtherCalls), std::end(kOtherCalls));
   for (const auto& text : texts) {

@@ -32,12 +32,16 @@ class HangWatch {
  public:
   using Time = std::chrono::steady_clock::time_point;
   using milliseconds = std::chrono::milliseconds;
-  /// The texts of what an instance might be doing beside its life cycle: those of its ports, tasks and triggers. None:
-  /// there is no instance of this name, or not yet.
-  using Parts = std::function<std::optional<std::vector<std::string>>(const std::string& instance)>;
-
-  /// A piece of work that takes so long hangs (architecture 7, bounds).
+  /// A piece of work that takes so long hangs (architecture 7, bounds), unless a manifest says that it may take longer.
   static constexpr milliseconds kWork{1000};
+  /// What is known of an instance.
+  struct Part {
+    std::vector<std::string> texts;  ///< of what it might be doing beside its life cycle: its ports, tasks and triggers
+    milliseconds work{kWork};        ///< a piece of that which takes so long hangs
+  };
+  /// None: there is no instance of this name, or not yet.
+  using Parts = std::function<std::optional<Part>(const std::string& instance)>;
+
   /// Opening a library, with all that its static constructors do; making a component, which only declares. The refusal
   /// is due after 2 s, and what is before and after has to fit in: starting the group, looking, ending it.
   static constexpr milliseconds kOpening{1800};
@@ -65,7 +69,8 @@ class HangWatch {
   };
   milliseconds passed(Time now);
   milliseconds waited_for_cpu(pid_t process);
-  bool hangs(Seen& seen, milliseconds step, milliseconds waited) const;
+  milliseconds patience_with(const Liveness::Slot& slot, std::uint64_t work) const;
+  bool hangs(Seen& seen, const Liveness::Slot& slot, milliseconds step, milliseconds waited) const;
   Hang hang_of(const Liveness::Slot& slot, const Seen& seen) const;
 
   const Liveness::Page& page_;

@@ -1,6 +1,7 @@
 #include <algorithm>
 
 #include "link_peer.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 namespace {
@@ -47,12 +48,12 @@ bool LinkSocket::receive(std::string& peer) {
   parts_.clear();
   try {
     zmq::message_t part;
-    if (!socket_.recv(part, zmq::recv_flags::dontwait)) return false;
+    if (!received(socket_, part)) return false;
     if (routed_) peer = part.to_string();
     bool more = part.more();
     if (!routed_) parts_.push_back(std::move(part));
     while (more) {
-      if (!socket_.recv(part, zmq::recv_flags::dontwait)) return false;
+      if (!received(socket_, part)) return false;
       more = part.more();
       if (parts_.size() < 3) parts_.push_back(std::move(part));
     }
@@ -66,6 +67,9 @@ bool LinkSocket::receive(std::string& peer) {
 class LinkSocket::Incoming final : public FrameReader::Receiver {
  public:
   Incoming(LinkSocket& link, Peer& peer) : link_(link), peer_(peer) {}
+  ~Incoming() { settle(); }
+  Incoming(const Incoming&) = delete;
+  Incoming& operator=(const Incoming&) = delete;
 
   bool accepts(const wire::Frame& frame) override {
     if (link_.receiver_.accepts(peer_.identity, frame)) return true;
@@ -88,12 +92,22 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
   }
 
  private:
+  /// Of small messages that come together most are of one lane: they are told as one.
   void arrived(const wire::Frame& frame, std::size_t bytes) {
-    if (frame.lane() != 0 && peer_.debts->add(frame.lane(), bytes + kFrameCost)) link_.pay(peer_);
+    if (frame.lane() == 0) return;
+    if (frame.lane() != lane_) settle();
+    lane_ = frame.lane();
+    bytes_ += bytes + kFrameCost;
+  }
+  void settle() {
+    const std::size_t bytes = std::exchange(bytes_, 0);
+    if (bytes > 0 && peer_.debts->add(lane_, bytes)) link_.pay(peer_);
   }
 
   LinkSocket& link_;
   Peer& peer_;
+  std::uint64_t lane_ = 0;
+  std::size_t bytes_ = 0;  ///< of this lane, not told yet
 };
 
 void LinkSocket::dispatch(const std::string& identity) {

@@ -4,6 +4,7 @@
 
 #include "link_keys.hpp"
 #include "link_peer.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 namespace {
@@ -286,14 +287,14 @@ void LinkSocket::tell_locked(Peer& peer, wire::Frame& frame) {
 /// Called with the mutex held, as is what follows.
 void LinkSocket::pump(Peer& peer) {
   if (stopped_ || !peer.proven || peer.gone) return;
-  bool sent = false;
+  bool tried = false;
   PeerLanes::Outgoing out;
   while (peer.lanes.has_ready() && peer.gate->enter_or_wait() && peer.lanes.next(out)) {
+    tried = true;
     if (!send_out(peer, out)) break;
-    sent = true;
   }
-  // Sending may have consumed the descriptor's edge for messages that wait.
-  if (sent && has_input()) pool_.submit(turn_);
+  // Sending, also in vain, may have consumed the descriptor's edge for messages that wait.
+  if (tried && has_input()) pool_.submit(turn_);
 }
 
 bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
@@ -316,11 +317,9 @@ bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   zmq::message_t body(data, size, &Release::done, release.release());
   try {
     // A connection that is just not there takes none of the parts.
-    bool taken =
-        !routed_ || socket_.send(zmq::buffer(peer.identity), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
-    if (taken && chunk)
-      taken = socket_.send(beside_frames, zmq::send_flags::sndmore | zmq::send_flags::dontwait).has_value();
-    if (taken) socket_.send(body, zmq::send_flags::dontwait);
+    bool taken = !routed_ || sent(socket_, zmq::buffer(peer.identity), zmq::send_flags::sndmore);
+    if (taken && chunk) taken = sent(socket_, beside_frames, zmq::send_flags::sndmore);
+    if (taken) sent(socket_, body);
   } catch (const zmq::error_t&) {
     peer.gone = true;  // supervision reports that, not each message
     return false;
@@ -334,14 +333,15 @@ void LinkSocket::send_plain(const std::string& peer, const wire::Frame& frame) {
   if (stopped_) return;
   const Block record = make_record(frame, nullptr, 0);
   try {
-    if (routed_) socket_.send(zmq::buffer(peer), zmq::send_flags::sndmore | zmq::send_flags::dontwait);
-    socket_.send(zmq::buffer(record.data(), record.size()), zmq::send_flags::dontwait);
-  } catch (const zmq::error_t&) {
-    return;  // it has gone again
+    if (!routed_ || sent(socket_, zmq::buffer(peer), zmq::send_flags::sndmore))
+      sent(socket_, zmq::buffer(record.data(), record.size()));
+  } catch (const zmq::error_t&) {  // it has gone again
   }
   if (has_input()) pool_.submit(turn_);
 }
 
-bool LinkSocket::has_input() { return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0; }
+bool LinkSocket::has_input() {
+  return uninterrupted([this] { return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0; });
+}
 
 }  // namespace fiona::host

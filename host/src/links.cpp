@@ -268,12 +268,12 @@ bool Links::accepts(const Hop& from, const wire::Frame& frame) {
 void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object) {
   const InUse::Scope use(ports_in_use_);
   if (frame.has_open()) return open_for(from, frame);
-  wire::Frame some;
+  std::optional<wire::Frame> some;  // to make one takes time, and there are few relays
   const wire::Frame* rest = &frame;
   End end;
   {
     const std::lock_guard lock(mutex_);
-    if (!relays_.empty()) rest = pass_on(from, frame, object, some);
+    if (!relays_.empty()) rest = pass_on(from, frame, object, some.emplace());
     if (!rest) return;
     end = end_of_locked(from, rest->wire());
   }

@@ -1,6 +1,7 @@
 // fiona-host: the process that holds a running system. People start it through `fiona run`.
 #include <fcntl.h>
 #include <signal.h>
+#include <sys/prctl.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
 
@@ -49,6 +50,7 @@ struct Flags {
   std::uint64_t group_descriptors = 0;
   double group_cores = 0;
   bool restore = false;
+  bool taken_back = false;
   bool version = false;
   bool help = false;
 };
@@ -88,6 +90,8 @@ Flags parse(int argc, char** argv, options::options_description& description) {
       "descriptor of the supervisor that has started it");
   add("restarts", options::value(&flags.restarts)->default_value(0), "how often the supervisor has started it again");
   add("restart-reason", options::value(&flags.restart_reason), "how the host before it has ended");
+  add("taken-back", options::bool_switch(&flags.taken_back),
+      "another build was to take its place, and has not come up, or not gone on");
   add("version", options::bool_switch(&flags.version), "prints the version");
   add("help", options::bool_switch(&flags.help), "prints this");
   options::variables_map values;
@@ -173,6 +177,7 @@ int serve(Flags& flags) {
     ::fcntl(flags.supervisor, F_SETFD, FD_CLOEXEC);
     supervisor =
         std::make_unique<fiona::host::SupervisorLink>(fiona::os::PacketSocket(fiona::os::Descriptor(flags.supervisor)));
+    supervisor->beat();  // that it has come so far
   }
   fiona::host::System::Options options{.name = flags.name,
                                        .store = store,
@@ -184,7 +189,8 @@ int serve(Flags& flags) {
                                        .group_limits = limits_of(flags),
                                        .supervisor = supervisor.get(),
                                        .restarts = flags.restarts,
-                                       .restart_reason = flags.restart_reason};
+                                       .restart_reason = flags.restart_reason,
+                                       .taken_back = flags.taken_back};
   const Place journal = place_of_journal(flags, socket);
   fiona::host::ControlServer server(socket, std::move(options), flags.restore, journal.file);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
@@ -205,6 +211,7 @@ int main(int argc, char** argv) {
   Flags flags;
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
+  ::prctl(PR_SET_NAME, "fiona-host");  // started from a descriptor, it would have that one's number for its name
   fiona::os::leave_no_core_file();
   fiona::os::keep_freed_memory();
   fiona::os::keep_spare_descriptor();

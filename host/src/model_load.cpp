@@ -44,8 +44,9 @@ bool is_asked_for(const std::vector<std::string>& asked, std::string_view right)
 
 /// What is granted must be asked for, by the component's code and by the manifest that its users have read.
 void require_rights(const control::Load& request, const Model::Instance& made) {
-  const std::vector<std::string> known{"master",      "network",    "device:NAME", "read:/PATH",
-                                       "write:/PATH", "unconfined", "confined"};
+  const std::vector<std::string> known{"master",           "network",     "device:NAME",
+                                       "read:/PATH",       "write:/PATH", "system-bus:NAME",
+                                       "session-bus:NAME", "unconfined",  "confined"};
   const std::vector<std::string> of_operator{std::string(kUnconfined), std::string(kConfined)};
   const auto has = [](const auto& list, const std::string& right) {
     return std::find(list.begin(), list.end(), right) != list.end();
@@ -117,8 +118,8 @@ void Model::load(const control::Load& request, const Packages& packages) {
   made->mode = made->mode_after_load();
   made->parameters = made->default_parameters();
   if (request.parameters_size() > 0) {
-    made->parameters = changed(name, *made, request.parameters(),
-                               "'" + name + "' was not loaded: correct that, then load it again");
+    made->parameters =
+        changed(name, *made, request.parameters(), "'" + name + "' was not loaded: correct that, then load it again");
   }
   instances_[name] = std::move(made);
   try {
@@ -163,8 +164,7 @@ void Model::upgrade(const std::string& name, std::shared_ptr<const Package> pack
     const auto set = before->parameters ? differences(*before->parameters, *before->default_parameters())
                                         : std::vector<control::Argument>();
     if (!set.empty()) {
-      made->parameters =
-          changed(name, *made, {set.begin(), set.end()}, "set " + name + " to what both take");
+      made->parameters = changed(name, *made, {set.begin(), set.end()}, "set " + name + " to what both take");
     }
     instances_[name] = std::move(made);
     require_wires_fit(name);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -13,6 +14,10 @@ inline constexpr std::string_view kMainGroup = "main";  ///< the host's own proc
 inline constexpr std::string_view kUnconfined = "unconfined";
 inline constexpr std::string_view kConfined = "confined";
 inline constexpr std::string_view kHostItself = "host";  ///< where else an instance is named
+
+/// Of all that a host and a group have between them: the messages of wire.proto, the words that a group is started
+/// with, its descriptors, the page of its strands. Another number where a build does not understand one before it.
+inline constexpr std::uint32_t kGroupProtocol = 1;
 
 using PortKey = std::pair<std::string, std::string>;  ///< instance, port
 

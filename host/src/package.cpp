@@ -58,6 +58,25 @@ Packages::Packages(const std::filesystem::path& store, const std::filesystem::pa
                     ? std::nullopt
                     : std::make_optional<marketplace::Store>(unsigned_packages, marketplace::Store::Kind::Unsigned)) {}
 
+namespace {
+
+Interface read_interface(const std::filesystem::path& description, const std::string& name,
+                         const std::filesystem::path& library) {
+  Interface interface;
+  std::ifstream stream(description);
+  std::stringstream text;
+  text << stream.rdbuf();
+  if (stream && google::protobuf::TextFormat::ParseFromString(text.str(), &interface)) return interface;
+  throw Error(
+      ErrorCode::NotFound,
+      {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
+       .where = description.string(),
+       .next = fmt::format("fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona plugin describe {} -o {}",
+                           library.string(), description.string())});
+}
+
+}  // namespace
+
 /// A library as its author builds it: "DIR/libNAME.so" beside "DIR/NAME.interface.textproto".
 std::shared_ptr<const Package> Packages::library(const std::filesystem::path& file) const {
   std::string name = file.stem().string();
@@ -70,25 +89,19 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   const auto share = file.parent_path() / (name + ".share");
   Package found;
   found.library = std::filesystem::absolute(file);
-  std::ifstream stream(description);
-  std::stringstream text;
-  text << stream.rdbuf();
-  if (!stream || !google::protobuf::TextFormat::ParseFromString(text.str(), &found.interface)) {
-    throw Error(
-        ErrorCode::NotFound,
-        {.what = fmt::format("plugin '{}' has no readable interface beside it", name),
-         .where = description.string(),
-         .next = fmt::format("fiona_add_plugin() in its CMakeLists.txt writes it, or: fiona plugin describe {} -o {}",
-                             file.string(), description.string())});
-  }
+  // To read it takes longer than all else here.
+  const std::string own = state_of(file) + " " + state_of(description) + " " + state_of(share);
+  const auto before = known(found.library, own);
+  found.interface = before ? Interface() : read_interface(description, name, file);
   found.name = "local/" + name;
   found.version = "0";
   Manifest derived;
-  marketplace::list_protos(found.interface, derived);
+  marketplace::list_protos(before ? before->interface : found.interface, derived);
   add_messages(found, derived, all());
   require_not_revoked(found);
-  found.state = state_of(file) + " " + state_of(description) + " " + state_of(share) + state_of(found.parts);
-  if (auto same = known(found)) return same;
+  found.state = own + state_of(found.parts);
+  if (before && before->state == found.state) return before;
+  if (before) found.interface = before->interface;
   hold(found);
   found.files.Add()->set_path(found.library);
   for (const auto& one : found.interface.components())
@@ -109,10 +122,11 @@ std::shared_ptr<const Package> Packages::installed(const marketplace::InstalledP
   found.parts.push_back(package);
   require_not_revoked(found);
   found.state = state_of(found.parts);
-  if (auto same = known(found)) return same;
+  if (auto same = known(found.library, found.state); same && same->state == found.state) return same;
   found.version = package.manifest.version();
   found.share = package.share;
   found.rights = {package.manifest.rights().begin(), package.manifest.rights().end()};
+  if (const auto time = package.manifest.hang_after_ms()) found.hang_after = std::chrono::milliseconds(time);
   found.origin = package.is_unsigned ? Origin::Unsigned : package.first_party ? Origin::FirstParty : Origin::Signed;
   hold(found);
   found.interface = package.interface();
@@ -185,11 +199,11 @@ const marketplace::Store& Packages::store_of(const marketplace::InstalledPackage
 }
 
 /// The one that is in use already, if its files have not changed since they were read.
-std::shared_ptr<const Package> Packages::known(const Package& package) const {
+std::shared_ptr<const Package> Packages::known(const std::filesystem::path& library, const std::string& state) const {
   const std::lock_guard lock(mutex_);
-  const auto found = known_.find(package.library);
+  const auto found = known_.find(library);
   const auto same = found == known_.end() ? nullptr : found->second.lock();
-  return same && same->state == package.state ? same : nullptr;
+  return same && same->state.starts_with(state) ? same : nullptr;
 }
 
 std::shared_ptr<const Package> Packages::keep(Package package) const {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include "fiona/marketplace/store.hpp"
+#include "hang_watch.hpp"
 #include "plugin_library.hpp"
 #include "types.hpp"
 
@@ -32,6 +34,7 @@ struct Package {
   Interface interface;
   std::string state;                ///< of the files that it was read from
   std::vector<std::string> rights;  ///< that its manifest asks for; of a library without one, those that it uses
+  std::chrono::milliseconds hang_after = HangWatch::kWork;  ///< its work hangs, as its manifest has it
   Origin origin = Origin::Path;
   PluginLibraries::Files files{};  ///< what is opened: what it needs, and its library last
   std::shared_ptr<const Types::Source> types{};
@@ -74,7 +77,8 @@ class Packages {
   Installed all() const;
   void take_kept(marketplace::InstalledPackage& package, Installed& packages, const std::string& version) const;
   const marketplace::Store& store_of(const marketplace::InstalledPackage& package) const;
-  std::shared_ptr<const Package> known(const Package& package) const;
+  /// One that is in use, of which what its state begins with is so still.
+  std::shared_ptr<const Package> known(const std::filesystem::path& library, const std::string& state) const;
   std::shared_ptr<const Package> keep(Package package) const;
 
   const marketplace::Store store_;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstring>
 
+#include "uninterrupted.hpp"
+
 namespace fiona::host {
 namespace {
 
@@ -224,11 +226,11 @@ void PeerLink::tick(Steady::time_point now) {
 /// How the connection comes about, or why not, as far as libzmq tells.
 void PeerLink::read_monitor(Steady::time_point now) {
   zmq::message_t event;
-  while (monitor_ && monitor_.recv(event, zmq::recv_flags::dontwait)) {
+  while (monitor_ && received(monitor_, event)) {
     std::uint16_t kind = 0;
     if (event.size() >= sizeof kind) std::memcpy(&kind, event.data(), sizeof kind);
     zmq::message_t address;
-    if (!monitor_.recv(address, zmq::recv_flags::dontwait)) return;
+    if (!received(monitor_, address)) return;
     const std::lock_guard lock(mutex_);
     switch (kind) {
       case ZMQ_EVENT_CONNECTED: give_up_at_ = now + 2 * std::chrono::milliseconds(kHandshake_ms); break;

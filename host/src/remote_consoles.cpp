@@ -11,6 +11,7 @@
 #include "os/message_stream.hpp"
 #include "os/unix_socket.hpp"
 #include "peer_link.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 namespace {
@@ -124,12 +125,12 @@ void RemoteConsoles::wait() {
 void RemoteConsoles::receive() {
   for (int i = 0; i < kTurn; ++i) {
     zmq::message_t id;
-    if (!socket_.recv(id, zmq::recv_flags::dontwait)) return;
+    if (!received(socket_, id)) return;
     zmq::message_t message;
-    bool whole = id.more() && socket_.recv(message, zmq::recv_flags::dontwait);
+    bool whole = id.more() && received(socket_, message);
     for (bool more = whole && message.more(); more;) {  // no console sends a second frame
       zmq::message_t rest;
-      more = socket_.recv(rest, zmq::recv_flags::dontwait) && rest.more();
+      more = received(socket_, rest) && rest.more();
       whole = false;
     }
     if (whole) take(id.to_string(), message);
@@ -281,8 +282,8 @@ void RemoteConsoles::end(const std::string& id, const std::string& reason, bool 
 RemoteConsoles::Sent RemoteConsoles::send(const std::string& id, const control::Carried& carried) {
   const std::string body = carried.SerializeAsString();
   try {
-    if (!socket_.send(zmq::buffer(id), zmq::send_flags::sndmore | zmq::send_flags::dontwait)) return Sent::Full;
-    socket_.send(zmq::buffer(body), zmq::send_flags::dontwait);
+    if (!sent(socket_, zmq::buffer(id), zmq::send_flags::sndmore)) return Sent::Full;
+    sent(socket_, zmq::buffer(body));
     return Sent::Yes;
   } catch (const zmq::error_t&) {
     return Sent::Gone;  // no such connection any more

@@ -1,8 +1,14 @@
 // The instances of one process: made, told their mode and parameters, ended.
 #include <cxxabi.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
+#include <future>
 #include <iostream>
+#include <memory>
+#include <stdexcept>
+#include <thread>
 
 #include "failure.hpp"
 #include "fiona/describe.hpp"
@@ -13,14 +19,44 @@
 namespace fiona::host {
 namespace {
 
+/// Of threads that constructors have ended a process keeps as many; with the next it ends.
+constexpr int kMostEnded = 4;
+std::atomic<int> ended_threads{0};
+
+/// On a thread of its own, which a constructor may end (pthread_exit): the one that does all for this process could not
+/// be replaced. A forced unwind cannot be stopped, and who catches it and goes on ends the process: so that thread
+/// stays where it is.
+void create_on_own_thread(Hull& hull, const Plugin::Entry& entry) {
+  const auto made = std::make_shared<std::promise<void>>();  // shared: a thread that stays has it for ever
+  std::future<void> result = made->get_future();
+  bool ended = false;
+  std::thread maker([&, made] {
+    try {
+      hull.create(entry.make);
+    } catch (const abi::__forced_unwind&) {
+      std::cerr << "component '" << entry.name << "' has ended the thread that it was made on\n";
+      if (++ended_threads > kMostEnded) std::abort();
+      ended = true;
+      made->set_exception(std::make_exception_ptr(
+          std::runtime_error("it has ended the thread that it was made on (pthread_exit, or a cancellation)")));
+      while (true) ::pause();
+    } catch (...) {
+      const auto error = std::current_exception();  // none: of another language
+      return made->set_exception(
+          error ? error : std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception")));
+    }
+    made->set_value();
+  });
+  result.wait();
+  ended ? maker.detach() : maker.join();
+  result.get();
+}
+
 void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& library) {
   try {
-    hull.create(entry.make);
+    create_on_own_thread(hull, entry);
   } catch (const Error&) {
     throw;
-  } catch (const abi::__forced_unwind&) {  // of the thread that does all for this process, which cannot go on without
-    std::cerr << "component '" << entry.name << "' of " << library << " has ended the thread that makes it\n";
-    std::abort();
   } catch (...) {
     throw Error(ErrorCode::ComponentFailed,
                 {.what = "component '" + entry.name + "' cannot be made: " + detail::reason_of_exception(),

@@ -71,22 +71,30 @@ void Supervisor::start(Time now) {
        {std::pair("--ready-fd", kReadyInHost), {"--lifeline-fd", kLifelineInHost}, {"--supervisor-fd", kLinkInHost}}) {
     arguments.insert(arguments.end(), {flag, std::to_string(number)});
   }
-  const std::uint64_t restarts = supervision_.restarts("host");
-  if (restarts > 0) {
+  if (const std::uint64_t restarts = starts_++; restarts > 0) {
     std::erase(arguments, "--restore");
     arguments.insert(arguments.end(),
                      {"--restore", "--restarts", std::to_string(restarts), "--restart-reason", reason_});
   }
-  host_ = std::make_unique<os::ChildProcess>(options_.host, arguments,
-                                             std::vector<std::pair<int, int>>{{ready_there.get(), kReadyInHost},
-                                                                              {lifeline_there.get(), kLifelineInHost},
-                                                                              {theirs.descriptor(), kLinkInHost}});
+  if (std::exchange(taken_back_, false)) arguments.emplace_back("--taken-back");
+  try {
+    host_ = std::make_unique<os::ChildProcess>(program_.next(), arguments,
+                                               std::vector<std::pair<int, int>>{{ready_there.get(), kReadyInHost},
+                                                                                {lifeline_there.get(), kLifelineInHost},
+                                                                                {theirs.descriptor(), kLinkInHost}},
+                                               false, std::vector<std::string>(), program_.path());
+  } catch (const Error& error) {
+    if (!program_.on_trial()) throw;
+    take_back("cannot be started: " + error.text().found);
+    return start(now);
+  }
   ready_ = std::move(ready);
   ::fcntl(ready_.get(), F_SETFL, O_NONBLOCK);
   lifeline_ = std::move(lifeline);
   link_ = std::move(ours);
   said_ready_.clear();
   why_.clear();
+  heard_ = false;
   silent_ = milliseconds(0);
   looked_ = now;
   outgoing_.clear();
@@ -111,6 +119,7 @@ int Supervisor::wait_ms(Time now) const {
   Time until = now + kLook;
   if (due_) until = std::min(until, *due_);
   if (stopping_) until = std::min(until, *stopping_);
+  if (check_) until = std::min(until, check_->until());
   return static_cast<int>(std::max<std::int64_t>(0, std::chrono::ceil<milliseconds>(until - now).count()));
 }
 
@@ -120,7 +129,8 @@ std::optional<int> Supervisor::look(int signals) {
                             {signals, POLLIN, 0},
                             {host_ ? host_->descriptor() : -1, POLLIN, 0},
                             {ready_.get(), POLLIN, 0},
-                            {link_.descriptor(), static_cast<short>(outgoing_.empty() ? POLLIN : POLLIN | POLLOUT), 0}};
+                            {link_.descriptor(), static_cast<short>(outgoing_.empty() ? POLLIN : POLLIN | POLLOUT), 0},
+                            {check_ ? check_->descriptor() : -1, POLLIN, 0}};
   for (const auto& [process, kept] : kept_) {
     if (kept.orphan && kept.end.empty()) waits.push_back({kept.descriptors[3].get(), POLLIN, 0});
   }
@@ -139,6 +149,8 @@ std::optional<int> Supervisor::look(int signals) {
   }
   forward_ready();
   serve_host();
+  look_at_check(now);
+  look_at_trial(now);
   reap_orphans();
   end_if_hung(now);
   if (host_ && !host_->end().empty()) return host_ended(now);
@@ -167,8 +179,10 @@ void Supervisor::forward_ready() {
     if (said_ready_.size() < kMostReady) said_ready_ += text;
     if (options_.ready) static_cast<void>(::write(options_.ready.get(), text.data(), text.size()));
     if (!said_ready_.starts_with("READY\n")) continue;
+    if (!was_ready_) program_.hold(host_->id());
     was_ready_ = true;
     options_.ready.reset();
+    if (program_.on_trial() && !tried_until_) tried_until_ = Steady::now() + trial_;
   }
 }
 
@@ -180,6 +194,7 @@ void Supervisor::serve_host() {
 
 void Supervisor::take(os::Packet& packet) {
   silent_ = milliseconds(0);
+  heard_ = true;
   const std::string_view text = packet.text;
   if (text == SupervisorLink::kQuits) quits_ = true;
   const std::size_t blank = text.find(' ');
@@ -188,6 +203,10 @@ void Supervisor::take(os::Packet& packet) {
   pid_t process = 0;
   std::from_chars(text.data() + blank + 1, text.data() + end, process);
   const std::string_view word = text.substr(0, blank);
+  if (word == SupervisorLink::kUpgrade) {
+    trial_ = milliseconds(process);
+    return begin_upgrade(Steady::now());
+  }
   if (word == SupervisorLink::kDrop) kept_.erase(process);
   // One whose descriptors did not fit in is not kept: it ends with its host.
   if (word != SupervisorLink::kKeep || process <= 0 || packet.descriptors.size() != 4) return;
@@ -213,8 +232,54 @@ void Supervisor::end_if_hung(Time now) {
   if (!host_) return;
   silent_ += std::min(passed, 2 * kLook);
   if (stopping_ && now >= *stopping_) why_ = "it did not come to its end within " + seconds(kEndsWithin);
-  if (!stopping_ && silent_ >= options_.hang) why_ = "it did not answer for " + seconds(options_.hang);
+  if (makes_way_ && now >= *makes_way_) why_ = "it did not make way within " + seconds(kMakesWayWithin);
+  const milliseconds hang = program_.on_trial() && !heard_ ? std::min(kFirstSign, options_.hang) : options_.hang;
+  if (!stopping_ && silent_ >= hang) why_ = "it did not answer for " + seconds(hang);
   if (!why_.empty()) host_->kill();
+}
+
+/// The one that runs is not touched before it is known that the other can be started.
+void Supervisor::begin_upgrade(Time now) {
+  if (check_ || makes_way_ || stopping_) return;
+  if (tried_until_) return refuse_upgrade("the last upgrade is still on trial");
+  try {
+    check_ = std::make_unique<ProgramCheck>(program_.path(), now);
+  } catch (const Error& error) {
+    refuse_upgrade(program_.path().string() + ": " + error.text().what + ": " + error.text().found);
+  }
+}
+
+void Supervisor::look_at_check(Time now) {
+  if (!check_) return;
+  const auto verdict = check_->verdict(now);
+  if (!verdict) return;
+  check_.reset();
+  if (!verdict->empty()) return refuse_upgrade(program_.path().string() + " --version " + *verdict);
+  program_.forget_refusal();
+  makes_way_ = now + kMakesWayWithin;
+  outgoing_.push_back({std::string(SupervisorLink::kMakeWay)});
+  pass_on();
+}
+
+void Supervisor::refuse_upgrade(const std::string& why) {
+  outgoing_.push_back({std::string(SupervisorLink::kRefused) + " 0\n" + why});
+  pass_on();
+}
+
+/// One that has been there for so long is the one to go back to.
+void Supervisor::look_at_trial(Time now) {
+  if (!host_ || !tried_until_ || now < *tried_until_) return;
+  tried_until_.reset();
+  program_.hold(host_->id());
+}
+
+void Supervisor::take_back(const std::string& end) {
+  program_.refuse();
+  taken_back_ = true;
+  const std::string_view what(end);
+  reason_ =
+      "the new build " + std::string(what.substr(what.starts_with("it ") ? 3 : 0)) + "; the one before it runs again";
+  say(reason_);
 }
 
 /// Who has lost its host and is not kept has nobody left; how the others end, the next host is told.
@@ -229,7 +294,7 @@ void Supervisor::reap_orphans() {
   const auto all = children();
   if (host_ && !host_->end().empty()) return pass_on();  // what it has said of its own is to be heard first
   for (const pid_t child : all) {
-    if ((host_ && child == host_->id()) || kept_.contains(child)) continue;
+    if ((host_ && child == host_->id()) || (check_ && child == check_->process()) || kept_.contains(child)) continue;
     ::kill(child, SIGKILL);
     ::waitpid(child, nullptr, WNOHANG);
   }
@@ -245,8 +310,12 @@ std::optional<int> Supervisor::host_ended(Time now) {
   const bool never_ready = !said_ready_.starts_with("READY\n");
   reason_ = why_.empty() ? end : why_;
   if (never_ready && !said_ready_.empty()) reason_ += ": " + said_ready_.substr(0, said_ready_.find('\n'));
-  if (never_ready && was_ready_) std::cerr << "the host did not start: " + said_ready_;
+  if (never_ready && was_ready_ && !said_ready_.empty() && !program_.on_trial())
+    std::cerr << "the host did not start: " + said_ready_;
   host_.reset();
+  check_.reset();
+  tried_until_.reset();
+  const bool made_way = std::exchange(makes_way_, std::nullopt).has_value();
   link_.close();
   ready_.reset();
   lifeline_.reset();
@@ -254,6 +323,12 @@ std::optional<int> Supervisor::host_ended(Time now) {
   reap_orphans();
   if (stopping_ || quits_) return code;
   if (!was_ready_) return code;  // it could not be started: it has said why
+  if (made_way || program_.on_trial()) {
+    if (made_way) reason_ = "upgraded";
+    if (!made_way) take_back(reason_);
+    start(now);
+    return std::nullopt;
+  }
   const auto due = supervision_.ended("host", now);
   if (!due) {
     say("the host has ended: " + reason_ + "; it is left, after " + std::to_string(Supervision::kRestarts) +

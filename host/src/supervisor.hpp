@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "host_program.hpp"
 #include "os/packet_socket.hpp"
 #include "os/process.hpp"
 #include "supervision.hpp"
@@ -16,8 +17,9 @@
 namespace fiona::host {
 
 /// Starts a host, sees it end or hang, and starts it again with the system of its journal; keeps what its groups can be
-/// adopted by meanwhile. It has one thread, no link and no plugin, and understands nothing of what it keeps. Who ends
-/// when whom: docs/decisions/0020.
+/// adopted by meanwhile. A build of the host that has been put in the place of the one that runs is started when it is
+/// asked for, and taken back when it does not go on. It has one thread, no link and no plugin, and understands nothing
+/// of what it keeps. Who ends when whom: docs/decisions/0020; which build is started: 0023.
 class Supervisor {
  public:
   using Time = std::chrono::steady_clock::time_point;
@@ -30,13 +32,19 @@ class Supervisor {
     /// A host that has said nothing for so long hangs. Longer than a call of a component's life cycle may take.
     milliseconds hang{15'000};
   };
+  /// A build that is on trial, to say that it is alive.
+  static constexpr milliseconds kFirstSign{4000};
+  /// For a host to end in whose place another one takes.
+  static constexpr milliseconds kMakesWayWithin{15'000};
+  /// How long a build is on trial, where nobody has said.
+  static constexpr milliseconds kTrial{10'000};
   /// For the host to end in, then for whatever is left.
   static constexpr milliseconds kEndsWithin{4000};
   static constexpr milliseconds kRestWithin{500};
   /// Of the time since it looked last no more counts: a machine that stood still makes nobody hang.
   static constexpr milliseconds kLook{500};
 
-  explicit Supervisor(Options options) : options_(std::move(options)) {}
+  explicit Supervisor(Options options) : options_(std::move(options)), program_(options_.host) {}
   /// Until the host's end is meant, or it has ended too often. `signals`: SIGTERM and SIGINT as a descriptor. The exit
   /// code.
   int run(int signals);
@@ -61,6 +69,11 @@ class Supervisor {
   void serve_host();
   void take(os::Packet& packet);
   void pass_on();
+  void begin_upgrade(Time now);
+  void look_at_check(Time now);
+  void look_at_trial(Time now);
+  void refuse_upgrade(const std::string& why);
+  void take_back(const std::string& end);
   void end_if_hung(Time now);
   void reap_orphans();
   std::optional<int> host_ended(Time now);
@@ -69,6 +82,14 @@ class Supervisor {
   int wait_ms(Time now) const;
 
   Options options_;
+  HostProgram program_;
+  std::unique_ptr<ProgramCheck> check_;  ///< of the program that is to take the host's place
+  std::optional<Time> makes_way_;        ///< until then the host ends for the one after it
+  std::optional<Time> tried_until_;      ///< a build that is on trial
+  milliseconds trial_ = kTrial;
+  bool heard_ = false;        ///< of this host
+  bool taken_back_ = false;   ///< the next one is of the build before
+  std::uint64_t starts_ = 0;  ///< of hosts
   Supervision supervision_;
   std::unique_ptr<os::ChildProcess> host_;
   os::PacketSocket link_;

@@ -39,6 +39,7 @@ void SupervisorLink::take(os::Packet& packet) {
   const std::size_t end = text.find('\n');
   const std::string_view line = text.substr(0, end);
   if (line == kAll) all_ = true;
+  if (line == kMakeWay) upgrade_answer_ = "";
   const std::size_t blank = line.find(' ');
   if (end == std::string_view::npos || blank == std::string_view::npos) return;
   pid_t process = -1;
@@ -46,6 +47,7 @@ void SupervisorLink::take(os::Packet& packet) {
   const std::string_view word = line.substr(0, blank);
   const std::string_view rest = text.substr(end + 1);
   if (word == kEnded) ends_[process] = rest;
+  if (word == kRefused) upgrade_answer_ = rest;
   if (word != kKeep || packet.descriptors.size() != 4) return;
   KeptGroup kept;
   kept.process = process;
@@ -66,6 +68,16 @@ void SupervisorLink::beat() {
 }
 
 void SupervisorLink::quits() { static_cast<void>(socket_.send_within(kPatience, kQuits)); }
+
+void SupervisorLink::upgrade(std::chrono::milliseconds trial) {
+  static_cast<void>(socket_.send_within(kPatience, line_of(kUpgrade, static_cast<pid_t>(trial.count()))));
+}
+
+std::optional<std::string> SupervisorLink::upgrade_answer() {
+  receive();
+  if (gone_) return "the supervisor has gone";
+  return std::exchange(upgrade_answer_, std::nullopt);
+}
 
 bool SupervisorLink::keep(const KeptGroup& group) {
   const std::string text = line_of(kKeep, group.process) + group.told.SerializeAsString();

@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -31,9 +32,14 @@ class SupervisorLink {
   static constexpr std::string_view kQuits = "quits";
   static constexpr std::string_view kKeep = "keep";
   static constexpr std::string_view kDrop = "drop";
-  /// From the supervisor: how a process that it was kept for has ended; there are no more groups to adopt.
+  /// Start the program that is installed now in this one's place; the number is for how many ms it is on trial.
+  static constexpr std::string_view kUpgrade = "upgrade";
+  /// From the supervisor: how a process that it was kept for has ended; there are no more groups to adopt; the host is
+  /// to end for the one after it; why it is not to.
   static constexpr std::string_view kEnded = "ended";
   static constexpr std::string_view kAll = "all";
+  static constexpr std::string_view kMakeWay = "make way";
+  static constexpr std::string_view kRefused = "refused";
   /// A host says so often that it is alive, unless it hangs.
   static constexpr std::chrono::milliseconds kBeatEvery{200};
 
@@ -44,6 +50,9 @@ class SupervisorLink {
   /// Called often; says so once in a while.
   void beat();
   void quits();
+  void upgrade(std::chrono::milliseconds trial);
+  /// None: it has not been answered yet. Empty: the host is to end now. Otherwise why not.
+  std::optional<std::string> upgrade_answer();
   /// False: it does not keep it, so the group ends with this host.
   bool keep(const KeptGroup& group);
   void drop(pid_t process);
@@ -60,6 +69,7 @@ class SupervisorLink {
   bool all_ = false;
   bool gone_ = false;
   std::map<pid_t, std::string> ends_;
+  std::optional<std::string> upgrade_answer_;
 };
 
 }  // namespace fiona::host

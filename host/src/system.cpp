@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <iostream>
 
+#include "confinement.hpp"
 #include "fiona/error.hpp"
 
 namespace fiona::host {
@@ -29,12 +30,18 @@ System::System(Options options, OnEvent on_event)
 /// Those of a host of this name that was killed are of no use, but for those of groups that go on.
 void System::prepare_links() const {
   namespace fs = std::filesystem;
-  fs::create_directories(links_directory());
-  fs::permissions(links_directory(), fs::perms::owner_all);
-  for (const auto& left : fs::directory_iterator(links_directory())) {
-    const auto is_here = [&](const KeptGroup& one) { return one.told.folder() == left.path(); };
-    if (std::any_of(kept_.begin(), kept_.end(), is_here)) continue;
-    if (left.path().filename().string().starts_with(options_.name + ".")) fs::remove_all(left.path());
+  const auto is_kept = [this](const fs::path& left) {
+    return std::any_of(kept_.begin(), kept_.end(), [&](const KeptGroup& one) {
+      return one.told.folder() == left || one.told.confinement().buses() == left;
+    });
+  };
+  for (const fs::path& directory : {links_directory(), options_.directory / kBusesFolder}) {
+    fs::create_directories(directory);
+    fs::permissions(directory, fs::perms::owner_all);
+    for (const auto& left : fs::directory_iterator(directory)) {
+      const bool is_ours = left.path().filename().string().starts_with(options_.name + ".");
+      if (is_ours && !is_kept(left.path())) fs::remove_all(left.path());
+    }
   }
 }
 

@@ -52,6 +52,7 @@ class System {
     SupervisorLink* supervisor = nullptr;  ///< none: nobody starts this host again
     std::uint64_t restarts = 0;            ///< how often it has done so
     std::string restart_reason{};          ///< how the last one has ended
+    bool taken_back = false;               ///< it was of a build that has not come up, or not gone on
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -155,6 +156,8 @@ class System {
   /// What there is to tell people, line by line.
   std::vector<std::string> watch_groups();
   /// Threads of `main` that its instances have kept, and that have been replaced. The host ends with one more.
+  /// The instances of `main` have their end, and nothing else of the system: another host goes on with it.
+  void end_main();
   SupervisorLink* supervisor() const { return options_.supervisor; }
   std::size_t kept_threads() const { return kept_threads_; }
   static constexpr std::size_t kMostKeptThreads = 4;
@@ -219,6 +222,7 @@ class System {
   std::filesystem::path links_directory() const { return options_.directory / "links"; }
   void prepare_links() const;
   std::unique_ptr<SystemClock> system_clock() const;
+  std::shared_ptr<os::ProcessTemplate> template_for(const wire::Confinement& confinement);
   ChildGroup::Start start_of_group(const Model::Instance* first, const std::filesystem::path& folder);
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();
@@ -402,6 +406,7 @@ class System {
   std::unique_ptr<HangWatch> main_hangs_;      ///< none: nobody watches `main`
   std::size_t kept_threads_ = 0;
   std::unique_ptr<Waits> waits_;
+  std::weak_ptr<os::ProcessTemplate> template_;  ///< that groups are copies of, as long as there is one
   std::map<std::string, std::unique_ptr<Group>> groups_;
   std::vector<std::unique_ptr<Group>> retired_groups_;  ///< until whoever polled them is done
   std::map<std::string, Making> making_;                ///< by instance

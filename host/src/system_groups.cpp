@@ -35,6 +35,15 @@ wire::Confinement System::confinement_of_group(const Model::Instance* first,
   return confinement;
 }
 
+/// One whose package is not trusted is none: who knows where things lie in one copy knows it of all of them.
+std::shared_ptr<os::ProcessTemplate> System::template_for(const wire::Confinement& confinement) {
+  if (confinement.sandboxed() || !os::kCopiesProcesses) return nullptr;
+  auto one = template_.lock();
+  if (!one || !one->lives())
+    template_ = one = std::make_shared<os::ProcessTemplate>(os::program_directory() / kGroupProgram);
+  return one;
+}
+
 ChildGroup::Start System::start_of_group(const Model::Instance* first, const std::filesystem::path& folder) {
   ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
   return {"ipc://" + (folder / "link").string(),
@@ -59,7 +68,8 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   require_descriptors_for("another group", child_groups().size() + attached_names(), options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   std::filesystem::create_directories(folder);
-  const auto start = start_of_group(first ? first : first_in(wanted), folder);
+  auto start = start_of_group(first ? first : first_in(wanted), folder);
+  start.copied = template_for(start.confinement);
   auto made = std::make_unique<ChildGroup>(
       wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
   auto& place = groups_[wanted];
@@ -116,14 +126,15 @@ std::vector<ChildGroup*> System::child_groups() {
 
 /// Of an instance that is just being made nothing is known yet.
 HangWatch::Parts System::parts() const {
-  return [this](const std::string& name) -> std::optional<std::vector<std::string>> {
-    std::vector<std::string> texts;
+  return [this](const std::string& name) -> std::optional<HangWatch::Part> {
     const Model::Instance* one = model_.find(name);
     if (!one) return std::nullopt;
+    HangWatch::Part part{{}, one->package->hang_after};
+    auto& texts = part.texts;
     for (const auto& port : one->interface().ports()) texts.push_back(port.name());
     for (const auto& task : one->interface().tasks()) texts.push_back("task '" + task.name() + "'");
     for (const auto& trigger : one->interface().triggers()) texts.push_back("trigger '" + trigger.name() + "'");
-    return texts;
+    return part;
   };
 }
 
@@ -148,6 +159,7 @@ std::vector<std::string> System::watch_groups() {
     child->watch(now);
     if (!child->alive()) lose(*child);
   }
+  if (const auto copied = template_.lock(); copied && !copied->lives()) template_.reset();
   for (const auto& work : made_.take()) work();
   look_after_versions(now);
   retired_groups_.clear();

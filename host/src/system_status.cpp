@@ -51,6 +51,7 @@ control::System System::snapshot() {
   all.set_supervised(options_.supervisor != nullptr);
   all.set_restarts(options_.restarts);
   all.set_restart_reason(options_.restart_reason);
+  all.set_taken_back(options_.taken_back);
   all.set_clock(virtual_time_ ? "virtual" : "system");
   all.set_speed(virtual_time_ ? virtual_time_->clock().speed() : 1);
   if (virtual_time_) all.set_deliveries(virtual_time_->deliveries());

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <iostream>
 
 #include "fiona/error.hpp"
 #include "system.hpp"
@@ -19,6 +20,23 @@ void System::start_again_later(const std::string& group, const std::string& reas
     lost_[name].reason = again ? reason + "; it is started again"
                                : fmt::format("{}; left, after {} restarts within {} s", reason, Supervision::kRestarts,
                                              Supervision::kWithin.count());
+  }
+}
+
+void System::end_main() {
+  std::map<std::uint64_t, std::string> ordered;
+  for (const std::string& name : model_.names_in(std::string(kMainGroup))) {
+    if (!lost_.contains(name)) ordered[model_.instance(name).order] = name;
+  }
+  for (auto one = ordered.rbegin(); one != ordered.rend(); ++one) {
+    if (options_.supervisor) options_.supervisor->beat();
+    try {
+      wire::GroupRequest destroy;
+      destroy.mutable_destroy()->set_instance(one->second);
+      groups_.at(std::string(kMainGroup))->request(std::move(destroy));
+    } catch (const Error& error) {
+      std::cerr << one->second << ": " << error.text().what << "\n";
+    }
   }
 }
 

@@ -29,7 +29,8 @@ class Types {
 
   /// The service as the plugin has it; null if unknown. It lives as long as the source.
   static const google::protobuf::ServiceDescriptor* service(const Source& source, const std::string& full_name);
-  /// An empty object of this type; null if unknown. It keeps what it was made of alive: a plugin may be replaced before.
+  /// An empty object of this type; null if unknown. It keeps what it was made of alive: a plugin may be replaced
+  /// before.
   static std::shared_ptr<google::protobuf::Message> make(const std::shared_ptr<const Source>& source,
                                                          const std::string& type);
   std::shared_ptr<google::protobuf::Message> make(const std::string& type) const;

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "fiona/error.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 namespace {
@@ -67,7 +68,7 @@ void Zap::serve() {
     bool more = true;
     while (more) {
       zmq::message_t part;
-      if (!socket_.recv(part, zmq::recv_flags::dontwait)) return;
+      if (!received(socket_, part)) return;
       if (parts.size() < kParts) parts.push_back(part.to_string());
       more = part.more();
     }
@@ -78,7 +79,7 @@ void Zap::serve() {
     const std::vector<std::string> answer{
         "1.0", parts[1], name.empty() ? "400" : "200", name.empty() ? "not allowed" : "OK", name, ""};
     for (std::size_t i = 0; i < answer.size(); ++i) {
-      socket_.send(zmq::buffer(answer[i]), i + 1 < answer.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+      sent(socket_, zmq::buffer(answer[i]), i + 1 < answer.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
     }
   }
 }

@@ -18,6 +18,9 @@ constexpr std::size_t kPathLength = 100;  // what a plain tar header holds witho
 constexpr std::size_t kNameLength = 64;
 constexpr std::size_t kMostRelations = 256;
 constexpr std::size_t kMostProtos = 256;
+/// Longer nobody is left to wait for what it was to do.
+constexpr std::uint32_t kLeastHang_ms = 1'000;
+constexpr std::uint32_t kMostHang_ms = 10'000;
 
 [[noreturn]] void refuse(const std::string& where, std::string what, std::string expected = {},
                          std::string found = {}) {
@@ -65,6 +68,13 @@ void check_authors_part(const Manifest& manifest, const std::string& where) {
   if (manifest.summary().empty()) refuse(where, "summary is missing", "one line that says what the package is for");
   if (manifest.license().empty()) refuse(where, "license is missing", "an SPDX identifier, such as Apache-2.0");
   check_relations(manifest, where);
+  const std::uint32_t hang = manifest.hang_after_ms();
+  if (hang != 0 && (hang < kLeastHang_ms || hang > kMostHang_ms)) {
+    refuse(where, "hang_after_ms is out of range",
+           std::to_string(kLeastHang_ms) + " to " + std::to_string(kMostHang_ms) +
+               " ms, or none: " + std::to_string(kLeastHang_ms),
+           std::to_string(hang));
+  }
 }
 
 int rank(std::string_view path) {
@@ -289,8 +299,26 @@ std::string system_file(const Manifest& manifest) { return "share/" + manifest.n
 
 bool opens_sandbox(std::string_view right) {
   if (right.find("..") != std::string_view::npos) return false;
-  return right == "network" || right.starts_with("device:") || right.starts_with("read:/") ||
-         right.starts_with("write:/");
+  const std::size_t colon = right.find(':');
+  const std::string_view kind = right.substr(0, colon);
+  const std::string_view what = colon == std::string_view::npos ? std::string_view() : right.substr(colon + 1);
+  if (kind == "system-bus" || kind == "session-bus") return is_bus_name(what);
+  if (kind == "read" || kind == "write") return what.starts_with('/');
+  return right == "network" || (kind == "device" && !what.empty());
+}
+
+bool is_bus_name(std::string_view text) {
+  constexpr std::size_t kLongest = 255;
+  const auto is_sign = [](char c) { return kWord.find(c) != std::string_view::npos || c == '-'; };
+  std::size_t elements = 0;
+  for (std::size_t begin = 0; begin <= text.size(); ++elements) {
+    const std::size_t dot = std::min(text.find('.', begin), text.size());
+    const std::string_view element = text.substr(begin, dot - begin);
+    const bool begins = !element.empty() && (element.front() < '0' || element.front() > '9');
+    if (!begins || !std::ranges::all_of(element, is_sign)) return false;
+    begin = dot + 1;
+  }
+  return elements >= 2 && text.size() <= kLongest && text != "org.freedesktop.DBus";
 }
 
 std::string full_name(const Manifest& manifest) { return manifest.publisher() + "/" + manifest.name(); }

@@ -7,6 +7,7 @@
 #include <cctype>
 #include <cstdio>
 #include <exception>
+#include <stdexcept>
 
 #include "fiona/hull_probes.hpp"
 #include "fiona/port.hpp"
@@ -38,6 +39,17 @@ const std::string kEndsItsThread = "has ended the thread that it was called on (
 }
 
 }  // namespace
+
+std::exception_ptr detail::exception_of_coroutine() {
+  if (auto error = std::current_exception()) return error;
+  try {  // one of another language has no pointer, and the end of a thread is none
+    throw;
+  } catch (const abi::__forced_unwind&) {
+    keep_thread(Strand::current_name());
+  } catch (...) {
+    return std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception"));
+  }
+}
 
 Hull::Hull(std::string name, Surroundings surroundings)
     : name_(std::move(name)),

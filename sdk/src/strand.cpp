@@ -48,6 +48,8 @@ Strand::~Strand() = default;
 
 bool Strand::is_current() const { return current_strand == this; }
 
+std::string Strand::current_name() { return current_strand ? current_strand->name_ : ""; }
+
 bool Strand::post(Job job) {
   std::unique_lock lock(mutex_);
   if (closed_) return false;

@@ -1,5 +1,7 @@
 #include "fiona/task.hpp"
 
+#include <cxxabi.h>
+
 #include <algorithm>
 #include <system_error>
 
@@ -191,6 +193,10 @@ void Task::launch() {
 /// [its thread]
 void Task::turn(const OwnThread& own, TimePoint since) {
   late_ns_.store((hull_.clock().now() - since).count(), std::memory_order_relaxed);
+  const auto end = [&](std::optional<std::string> failure) {
+    own.shared_->strand->post([this, failure = std::move(failure)] { thread_has_ended(failure); });
+    own.shared_->end();
+  };
   std::optional<std::string> failure;
   try {
     do {
@@ -201,11 +207,13 @@ void Task::turn(const OwnThread& own, TimePoint since) {
         if (follower->note()) own.shared_->strand->post(begin);
       }
     } while (!own.stop_requested());
+  } catch (const abi::__forced_unwind&) {  // which nobody may stop; the thread is this task's alone
+    end("task '" + name_ + "' has ended its thread (pthread_exit, or a cancellation)");
+    throw;
   } catch (...) {
     failure = detail::reason_of_exception();
   }
-  own.shared_->strand->post([this, failure = std::move(failure)] { thread_has_ended(failure); });
-  own.shared_->end();
+  end(std::move(failure));
 }
 
 void Task::thread_has_ended(const std::optional<std::string>& failure) {

@@ -138,6 +138,8 @@ class RunningSystem {
   control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
+  /// Where its processes listen.
+  const std::filesystem::path& directory() const { return directory_.path; }
   /// Lets the clock pass, and returns how that ended.
   control::Reply let_pass(std::chrono::milliseconds time);
   /// Passes on what the groups have said, waiting for it so long at most.

@@ -611,6 +611,22 @@ TEST(WhiteSpots, NameTheAlternativesThatAreMissing) {
                                                "gps.imu: there is no instance 'gps' yet"}));
 }
 
+TEST(WhiteSpots, AreNotFilledByTheirOwnInstance) {
+  const TemporaryDirectory directory;
+  control::System system = small_system();
+  auto* const own = system.mutable_instances(1)->add_ports();
+  *own = system.instances(0).ports(0);
+  own->set_name("smoothed");
+  const auto spots = white_spots(system, Catalogue(directory.path()));
+  std::vector<std::string> offers;
+  for (const auto& spot : spots) {
+    for (const auto& filler : spot.fillers) {
+      if (filler.from == "running") offers.push_back(spot.port + " by " + filler.what);
+    }
+  }
+  EXPECT_EQ(offers, (std::vector<std::string>{"nav.imu by walk.imu", "walk.imu by nav.imu"}));
+}
+
 TEST(SavedSystem, IsTheSameTextForTheSameSystem) {
   EXPECT_EQ(saved_system(wired_system()), saved_system(wired_system()));
 }

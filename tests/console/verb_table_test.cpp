@@ -273,6 +273,8 @@ TEST(Lines, OfEveryVerbAndFormAreRead) {
         "swap a for b watch 10s",
         "upgrade a",
         "upgrade a to 1.2.0 watch 10s",
+        "upgrade host",
+        "upgrade host watch 30s",
         "state a",
         "state a neutral",
         "set a rate=5 name=\"x y\"",

@@ -1,5 +1,6 @@
 // A host whose descriptors somebody uses up: it lives, waits without turning round and round, and is well again once
 // they have gone.
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <netinet/in.h>
@@ -39,7 +40,7 @@ class LimitOfDescriptors {
 /// Connects as often as it is let in, and stays.
 class Crowd {
  public:
-  explicit Crowd(const std::filesystem::path& unix_socket) {
+  explicit Crowd(const std::filesystem::path& unix_socket, std::size_t most = 300) : most_(most) {
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
     std::strncpy(address.sun_path, unix_socket.c_str(), sizeof address.sun_path - 1);
@@ -56,7 +57,7 @@ class Crowd {
 
  private:
   void fill(int family, const sockaddr* address, socklen_t length) {
-    for (int tries = 0; tries < 1000 && members_.size() < 300; ++tries) {
+    for (std::size_t tries = 0; tries < 4 * most_ && members_.size() < most_; ++tries) {
       os::Descriptor one(::socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
       if (!one) return;
       const bool waits = ::connect(one.get(), address, length) != 0 && errno != EINPROGRESS;
@@ -64,6 +65,7 @@ class Crowd {
       if (!waits) members_.push_back(std::move(one));
     }
   }
+  const std::size_t most_ = 300;
   std::vector<os::Descriptor> members_;
 };
 
@@ -122,6 +124,9 @@ class Exhaustion : public testing::Test {
   }
 
   static constexpr rlim_t kFew = 128;
+  static constexpr rlim_t kLeast = 67;  ///< of a host
+  static constexpr int kGroups = 3;
+  static constexpr rlim_t kOfGroups = 73;  ///< so many need more: reserve, links, and what a host has open
 };
 
 TEST_F(Exhaustion, ByConsolesHurtsNobodyElse) {
@@ -166,6 +171,56 @@ TEST_F(Exhaustion, ByWhoeverConnectsOverTcpHurtsNobodyElse) {
       ours.path(), "", {host::PeerAddress::from_text("kept=" + address + "=" + its.pair().open.text())}});
   EXPECT_NO_THROW(leader.join("kept"));
 }
+
+/// From fewer than a host can live with to as many as people have: it says so and does not start, or refuses what would
+/// bring it to the end of them, or lives with a crowd that wants more than there are.
+class SweepOfLimits : public Exhaustion, public testing::WithParamInterface<int> {
+ protected:
+  static std::unique_ptr<TestConsole> console_of(SupervisedHost& host) {
+    if (!host.said_ready().starts_with("READY")) return nullptr;
+    return host.console();
+  }
+};
+
+TEST_P(SweepOfLimits, NoneEndsAHostOrGoesUnsaid) {
+  const auto limit = static_cast<rlim_t>(GetParam());
+  const auto started = start(limit);
+  SupervisedHost& host = *started;
+  const auto console = console_of(host);
+  if (!console) {
+    EXPECT_LT(limit, kLeast);
+    EXPECT_THAT(host.said_ready(), HasSubstr("a host cannot live with so few descriptors"));
+    EXPECT_THAT(host.said_ready(), HasSubstr("a limit of " + std::to_string(limit)));
+    host.wait_for_end();
+    return;
+  }
+  EXPECT_GE(limit, kLeast);
+  const pid_t process = host.host();
+  int loaded = 0;
+  try {
+    for (; loaded < kGroups; ++loaded)
+      console->load("source", fmt::format("there{}", loaded), fmt::format("s{}", loaded));
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "another group would bring the host to the end of its descriptors");
+    EXPECT_THAT(error.text().found, HasSubstr("a limit of " + std::to_string(limit)));
+  }
+  if (limit < kOfGroups) {
+    EXPECT_LT(loaded, kGroups);
+  }
+  if (limit >= kFew) {
+    EXPECT_EQ(loaded, kGroups);
+  }
+  auto crowd = std::make_unique<Crowd>(host.socket(), static_cast<std::size_t>(limit) + 64);
+  EXPECT_GT(crowd->size(), limit);
+  EXPECT_LT(share_of_cpu(process, 1s), 0.25) << "of one core";
+  EXPECT_EQ(console->snapshot().instances_size(), loaded) << "who is in stays";
+  crowd.reset();
+  EXPECT_NO_THROW(host.console()->snapshot());
+  EXPECT_EQ(host.host(), process) << host.said();
+}
+
+INSTANTIATE_TEST_SUITE_P(From64To1024, SweepOfLimits,
+                         testing::Values(64, 66, 67, 72, 80, 96, 112, 128, 160, 192, 256, 384, 512, 768, 1024));
 
 TEST_F(Exhaustion, ByAHostThatIsGivenTooFewIsRefusedInASentence) {
   const auto started = start(48);

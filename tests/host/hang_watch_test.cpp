@@ -24,9 +24,10 @@ class HangWatchTest : public testing::Test {
     }
     return all;
   }
-  static std::optional<std::vector<std::string>> parts(const std::string& instance) {
+  static std::optional<HangWatch::Part> parts(const std::string& instance) {
+    if (instance == "planner") return HangWatch::Part{{"plan"}, 10s};
     if (instance != "steps") return std::nullopt;
-    return std::vector<std::string>{"imu", "task 'ticker'"};
+    return HangWatch::Part{{"imu", "task 'ticker'"}};
   }
 
   const std::shared_ptr<Liveness> liveness = std::make_shared<Liveness>();
@@ -62,6 +63,24 @@ TEST_F(HangWatchTest, TimeInWhichNobodyLookedDoesNotCount) {
   steps.begins(Liveness::mark("imu"));
   look_after(0ms);
   EXPECT_THAT(look_after(1h), IsEmpty());
+}
+
+TEST_F(HangWatchTest, WorkOfAPackageWhoseManifestSaysSoMayTakeLonger) {
+  Liveness::Place planner{liveness, "planner"};
+  planner.begins(Liveness::mark("plan"));
+  EXPECT_THAT(look_for(9900ms), IsEmpty());
+  const auto hangs = look_for(2s);
+  ASSERT_EQ(hangs.size(), 1U);
+  EXPECT_THAT(hangs[0].text(), testing::MatchesRegex("'planner' was stuck in plan for 10\\.[0-9] s"));
+}
+
+TEST_F(HangWatchTest, ThatOnePackageMayTakeLongerIsNoExcuseForAnother) {
+  Liveness::Place planner{liveness, "planner"};
+  planner.begins(Liveness::mark("plan"));
+  steps.begins(Liveness::mark("imu"));
+  const auto hangs = look_for(2s);
+  ASSERT_EQ(hangs.size(), 1U);
+  EXPECT_EQ(hangs[0].instance, "steps");
 }
 
 TEST_F(HangWatchTest, ACallOfTheLifeCycleMayTakeTenSeconds) {

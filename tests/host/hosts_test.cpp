@@ -11,6 +11,7 @@
 
 #include <array>
 #include <fstream>
+#include <iterator>
 #include <set>
 #include <sstream>
 
@@ -44,6 +45,18 @@ Error error_of(F request) {
 
 double ms_since(Steady::time_point begin) {
   return std::chrono::duration<double, std::milli>(Steady::now() - begin).count();
+}
+
+/// Of the host's groups, the first; 0: it has none.
+pid_t group_of(pid_t host) {
+  const std::string id = std::to_string(host);
+  std::ifstream children("/proc/" + id + "/task/" + id + "/children");
+  for (pid_t one = 0; children >> one;) {
+    std::ifstream file("/proc/" + std::to_string(one) + "/cmdline", std::ios::binary);
+    const std::string words{std::istreambuf_iterator<char>(file), {}};
+    if (words.find("--endpoint") != std::string::npos) return one;
+  }
+  return 0;
 }
 
 /// The tcp sockets of a process that listen.
@@ -253,10 +266,7 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
   system.load_in("far/deep", "sink", "sink");
   system.load_in("", "source", "source", "period_ms=5");
   system.wire("sink.each", "source.newest");
-  std::ifstream children("/proc/" + std::to_string(other.process()) + "/task/" + std::to_string(other.process()) +
-                         "/children");
-  pid_t group = 0;
-  children >> group;
+  const pid_t group = group_of(other.process());
   ASSERT_GT(group, 0);
   ::kill(group, SIGKILL);
   system.eventually("told",
@@ -273,13 +283,7 @@ TEST_F(Hosts, GroupOfAnotherHostEndsOnceTheLastInstanceHasLeftItAndStartsAnewWhe
   OtherHost other(directory.path, "far");
   RunningSystem system(other.led_from(directory.path / "test"));
   system.join("far");
-  const auto group = [&] {
-    const auto id = std::to_string(other.process());
-    std::ifstream children("/proc/" + id + "/task/" + id + "/children");
-    pid_t found = 0;
-    children >> found;
-    return found;
-  };
+  const auto group = [&] { return group_of(other.process()); };
   system.load_in("", "source", "source", "period_ms=5");
   system.load_in("far/deep", "sink", "sink");
   const pid_t first = group();

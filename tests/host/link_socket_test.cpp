@@ -2,9 +2,13 @@
 #include <gmock/gmock.h>
 #include <google/protobuf/wrappers.pb.h>
 #include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <chrono>
+#include <filesystem>
 #include <string>
 #include <thread>
 #include <vector>
@@ -232,6 +236,51 @@ TEST_F(ProvingLink, CarriesSmallAndLargeObjectsBetweenTwoOfItsKind) {
   EXPECT_EQ(noted.bytes, bytes);
   client.stop();
   provider.stop();
+}
+
+/// A signal every now and then for each thread but its own, as a profiler sends them.
+class SignalStorm {
+ public:
+  SignalStorm() {
+    struct sigaction action {};
+    action.sa_handler = [](int) {};
+    ::sigaction(SIGUSR1, &action, nullptr);
+    thread_ = std::thread([this] {
+      while (!ends_) {
+        for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+          const pid_t one = std::stoi(task.path().filename().string());
+          if (one != ::gettid()) ::syscall(SYS_tgkill, ::getpid(), one, SIGUSR1);
+        }
+      }
+    });
+  }
+  ~SignalStorm() {
+    ends_ = true;
+    thread_.join();  // the handler stays: some are on their way
+  }
+  SignalStorm(const SignalStorm&) = delete;
+  SignalStorm& operator=(const SignalStorm&) = delete;
+
+ private:
+  std::atomic<bool> ends_{false};
+  std::thread thread_;
+};
+
+TEST_F(ProvingLink, LosesNothingToSignalsThatInterruptItsThreads) {
+  constexpr std::size_t kMessages = 20'000;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, noted);
+  client.connect("inproc://link", "peer", link_key(kKey, "peer"));
+  ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
+  const auto lane = client.open_lane("");
+  {
+    const SignalStorm storm;
+    for (std::size_t i = 0; i < kMessages; ++i) {
+      wire::Frame frame = frame_of(i);
+      client.send(lane, frame, std::make_shared<BytesValue>(), LinkSocket::Rule::Control);
+    }
+    EXPECT_TRUE(eventually([&] { return noted.seen().size() == kMessages; })) << noted.seen().size();
+  }
+  client.stop();
 }
 
 TEST_F(ProvingLink, HoldsTwoChunksInsideZeroMqAtMostSoThatASmallMessageComesRightBehindThem) {

@@ -236,6 +236,34 @@ TEST_F(ZooGroup, ThatEndsItsThreadIsNamedAndItsGroupEnded) {
   expect_others_go_on();
 }
 
+TEST_F(ZooGroup, ThatEndsItsThreadInACoroutineIsNamedAndItsGroupEnded) {
+  ASSERT_EQ(load("throws.so/end-in-coroutine", "cage"), std::nullopt);
+  await_reason("group 'cage' was ended: 'patient' was stuck for ");
+  EXPECT_THAT(system.instance("patient").reason(), HasSubstr("it wrote: 'patient' has ended the thread"));
+  expect_others_go_on();
+}
+
+TEST_F(ZooGroup, ThatEndsItsThreadWhichIsItsTasksOwnFailsAlone) {
+  ASSERT_EQ(load("throws.so/end-in-own", ""), std::nullopt);
+  await_reason("task 'listener' has ended its thread (pthread_exit, or a cancellation)");
+  expect_others_go_on();
+  system.unload("patient");
+}
+
+TEST_F(ZooGroup, ThatEndsItsThreadInItsConstructorIsRefusedAndNothingElseHappens) {
+  system.load_in("cage", "source", "neighbour", "period_ms=10");
+  for (const std::string group : {"", "cage"}) {
+    const auto error = load("throws.so/end-in-constructor", group);
+    ASSERT_TRUE(error) << group;
+    EXPECT_EQ(error->code(), ErrorCode::ComponentFailed);
+    EXPECT_EQ(error->text().what,
+              "component 'end-in-constructor' cannot be made: it has ended the thread that it was made on "
+              "(pthread_exit, or a cancellation)");
+  }
+  EXPECT_EQ(system.instance("neighbour").mode(), "active");
+  expect_others_go_on();
+}
+
 TEST_F(ZooGroup, ThatIsStuckInAPortIsNamedWithIt) {
   system.load_in("cage", "sink", "slow", "work_ms=10000");
   system.wire("slow.newest", "source.newest");
@@ -367,7 +395,7 @@ class ZooThrow : public ZooGroup {};
 TEST_P(ZooThrow, StaysInsideItsComponent) {
   const auto error = load("throws.so/" + GetParam().library, "");
   const bool ends_late = GetParam().library.ends_with("timer") || GetParam().library.ends_with("task") ||
-                         GetParam().library.ends_with("coroutine");
+                         GetParam().library.ends_with("coroutine") || GetParam().library.ends_with("own");
   if (ends_late) {
     ASSERT_EQ(error, std::nullopt);
     await_reason(GetParam().sentence);
@@ -387,7 +415,7 @@ std::vector<Animal> throwing() {
   std::vector<Animal> all;
   for (const std::string what : {"std", "int", "foreign"}) {
     const std::string said = what == "std" ? "the antenna fell off" : "threw something that is not a std::exception";
-    for (const std::string place : {"constructor", "start", "mode", "timer", "task", "coroutine", "stop"}) {
+    for (const std::string place : {"constructor", "start", "mode", "timer", "task", "own", "coroutine", "stop"}) {
       all.push_back({what + "-in-" + place, said});
     }
   }

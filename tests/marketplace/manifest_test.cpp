@@ -54,6 +54,30 @@ TEST(Manifest, AWrongVersionIsToldWithTheFormExpected) {
                "  found: \"1.0\"");
 }
 
+TEST(Manifest, ATimeAfterWhichItHangsIsOneToTenSeconds) {
+  const auto asking = [](const std::string& time) {
+    return parse_manifest(
+        "publisher: 'acme' name: 'steps' version: '1.0.0' summary: 'x' license: 'MIT' hang_after_ms: " + time, "m");
+  };
+  for (const std::string good : {"0", "1000", "10000"}) EXPECT_NO_THROW(asking(good)) << good;
+  for (const std::string bad : {"1", "999", "10001", "4294967295"}) {
+    EXPECT_STREQ(
+        error_of([&] { asking(bad); }).what(),
+        ("m: hang_after_ms is out of range\n  expected: 1000 to 10000 ms, or none: 1000\n  found: " + bad).c_str());
+  }
+}
+
+TEST(Manifest, AServiceOnDBusIsARightByItsWellKnownName) {
+  for (const char* good : {"system-bus:org.bluez", "session-bus:org.mpris.MediaPlayer2.vlc-2", "system-bus:_a.b"})
+    EXPECT_TRUE(opens_sandbox(good)) << good;
+  for (const char* bad : {"system-bus", "system-bus:", "system-bus:org", "system-bus:org.*", "system-bus::1.2",
+                          "system-bus:org..bluez", "system-bus:org.bluez.", "system-bus:org.1", "system-bus:a b.c",
+                          "system-bus:org.freedesktop.DBus", "bus:org.bluez"}) {
+    EXPECT_FALSE(opens_sandbox(bad)) << bad;
+  }
+  EXPECT_FALSE(opens_sandbox("system-bus:a." + std::string(254, 'b'))) << "longer than a name on D-Bus";
+}
+
 TEST(Manifest, ANameWithASlashIsRefused) {
   const Error name = error_of([] { parse_manifest("publisher: '../x'", "m"); });
   EXPECT_EQ(name.text().what, "publisher is not a name that a package may have");

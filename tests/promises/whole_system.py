@@ -22,10 +22,12 @@ def command_of(process):
 
 
 class WholeSystem:
-    """In a directory of its own, gone afterwards."""
+    """In a directory of its own, gone afterwards. Its processes, and not those that talk to it, have `more` in their
+    environment."""
 
-    def __init__(self, binaries, *arguments):
+    def __init__(self, binaries, *arguments, more=None):
         self.binaries = binaries
+        self.more = more or {}
         self.directory = tempfile.mkdtemp(prefix="fiona-promise-")
         self.work = os.path.join(self.directory, "work")
         for name in ("work", "run", "state", "home"):
@@ -48,8 +50,9 @@ class WholeSystem:
 
     def start(self, *arguments):
         self.said = open(os.path.join(self.directory, "said"), "w+", encoding="utf-8", errors="backslashreplace")
-        self.process = subprocess.Popen(["fiona", "run", "--headless", *arguments], cwd=self.work, env=self.environment,
-                                        stdin=subprocess.DEVNULL, stdout=self.said, stderr=subprocess.STDOUT)
+        self.process = subprocess.Popen(["fiona", "run", "--headless", *arguments], cwd=self.work,
+                                        env=dict(self.environment, **self.more), stdin=subprocess.DEVNULL,
+                                        stdout=self.said, stderr=subprocess.STDOUT)
         self.eventually("the system runs", lambda: "the system runs" in self.words() or self.process.poll() is not None)
         if self.process.poll() is not None:
             raise AssertionError("it did not start: " + self.words())

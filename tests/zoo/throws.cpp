@@ -1,4 +1,5 @@
 // Components that throw something, each from one of the places where the platform calls a component.
+#include <pthread.h>
 #include <unwind.h>
 #include <fiona/plugin.hpp>
 
@@ -10,7 +11,7 @@
 namespace fiona::zoo {
 namespace {
 
-enum class Place { Constructor, Start, Mode, Timer, Task, Coroutine, Stop };
+enum class Place { Constructor, Start, Mode, Timer, Task, Own, Coroutine, Stop };
 
 void throw_std() { throw std::runtime_error("the antenna fell off"); }
 void throw_int() { throw 42; }
@@ -20,6 +21,9 @@ void throw_foreign() {
   foreign.exception_class = 0x464f524549474e00;  // "FOREIGN"
   ::_Unwind_RaiseException(&foreign);
 }
+
+/// A forced unwind, which nobody may end.
+void end_thread() { ::pthread_exit(nullptr); }
 
 template <void (*kThrow)(), Place kPlace>
 class Throws final : public Component {
@@ -41,6 +45,10 @@ class Throws final : public Component {
     hull().spawn(coroutine(), [] {});
   }
   void tick() { at(Place::Task); }
+  void listen(const OwnThread& own) {
+    at(Place::Own);
+    own.wait_for(std::chrono::hours(1));
+  }
   static Async<> coroutine() {
     at(Place::Coroutine);
     co_return;
@@ -49,6 +57,7 @@ class Throws final : public Component {
   Provides<localisation::StepProvider> steps_{*this, "steps"};
   Timer soon_{*this, &Throws::on_time};
   Task ticker_{*this, "ticker", std::chrono::milliseconds(5), &Throws::tick};
+  Task listener_{*this, "listener", free_running, &Throws::listen};
 };
 
 template <void (*kThrow)()>
@@ -58,6 +67,7 @@ void add(Plugin& plugin, const std::string& what) {
   plugin.add<Throws<kThrow, Place::Mode>>(what + "-in-mode");
   plugin.add<Throws<kThrow, Place::Timer>>(what + "-in-timer");
   plugin.add<Throws<kThrow, Place::Task>>(what + "-in-task");
+  plugin.add<Throws<kThrow, Place::Own>>(what + "-in-own");
   plugin.add<Throws<kThrow, Place::Coroutine>>(what + "-in-coroutine");
   plugin.add<Throws<kThrow, Place::Stop>>(what + "-in-stop");
 }
@@ -69,4 +79,5 @@ FIONA_PLUGIN(plugin) {
   fiona::zoo::add<fiona::zoo::throw_std>(plugin, "std");
   fiona::zoo::add<fiona::zoo::throw_int>(plugin, "int");
   fiona::zoo::add<fiona::zoo::throw_foreign>(plugin, "foreign");
+  fiona::zoo::add<fiona::zoo::end_thread>(plugin, "end");
 }

@@ -9,6 +9,9 @@ foreach(component IN LISTS COMPONENTS)
   name: \"${component}\"
   ports { name: \"${PORT}\" direction: PROVIDES service: \"fiona.localisation.StepProvider\" }
   modes { name: \"active\" }
-}
 ")
+  foreach(right IN LISTS RIGHTS)
+    file(APPEND ${OUT} "  rights: \"${right}\"\n")
+  endforeach()
+  file(APPEND ${OUT} "}\n")
 endforeach()

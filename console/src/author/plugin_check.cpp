@@ -112,14 +112,13 @@ class PluginChecker {
   }
 
   void check_right(const std::string& right, const std::string& text) {
-    const bool place = right.starts_with("read:/") || right.starts_with("write:/");
-    const bool device = right.starts_with("device:") && right.size() > std::string_view("device:").size();
-    const bool climbs = right.find("..") != std::string::npos;
-    if (right == "master" || right == "network" || ((place || device) && !climbs)) return;
-    static const std::vector<std::string> kKnown{"master", "network", "device:", "read:/", "write:/"};
+    if (right == "master" || marketplace::opens_sandbox(right)) return;
+    static const std::vector<std::string> kKnown{"master",  "network",     "device:",     "read:/",
+                                                 "write:/", "system-bus:", "session-bus:"};
     find({.what = fmt::format("'{}' is no right that a host knows", right),
           .where = field_place(files_.manifest, text, "rights:"),
-          .expected = "\"network\", \"device:NAME\" of /dev, \"read:/PATH\", \"write:/PATH\", \"master\"",
+          .expected = "\"network\", \"device:NAME\" of /dev, \"read:/PATH\", \"write:/PATH\", "
+                      "\"system-bus:NAME\" and \"session-bus:NAME\" of D-Bus, \"master\"",
           .next = "name one of these, or leave it out",
           .near = nearest_names(right, kKnown)});
   }

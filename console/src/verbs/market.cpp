@@ -428,6 +428,10 @@ std::string right_text(const std::string& right) {
   if (right == "master") return "changes the running system (master)";
   if (right == "network") return "speaks to the network (network)";
   if (right.starts_with("device:")) return fmt::format("uses the device {} ({})", right.substr(7), right);
+  if (right.starts_with("system-bus:"))
+    return fmt::format("talks to {} on the system's D-Bus ({})", right.substr(11), right);
+  if (right.starts_with("session-bus:"))
+    return fmt::format("talks to {} on your session's D-Bus ({})", right.substr(12), right);
   const std::string where = right.ends_with('/') ? "what it is granted in " : "";
   if (right.starts_with("read:")) return fmt::format("reads {}{} ({})", where, right.substr(5), right);
   if (right.starts_with("write:")) return fmt::format("reads and writes {}{} ({})", where, right.substr(6), right);

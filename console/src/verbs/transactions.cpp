@@ -15,6 +15,12 @@
 namespace fiona::console::verbs {
 namespace {
 
+/// For a host to make way, with what is in its `main`, and for the next one to be there.
+constexpr std::chrono::seconds kNextHostWithin{30};
+constexpr std::chrono::milliseconds kRetryPeriod{50};
+/// How long another build of the host is on trial, where nobody says.
+constexpr double kHostWatch_ms = 10'000;
+
 /// Collects what the lines of `run` ask for instead of making it.
 template <class Run>
 Batch collected(Session& session, const Run& run) {
@@ -65,6 +71,65 @@ std::string state_text(const control::JournalEntry& entry) {
   }
 }
 
+/// Until a host answers at the same place. Throws Error if none does.
+void come_back(Session& session, const Endpoint& endpoint) {
+  const SteadyTime end = std::chrono::steady_clock::now() + kNextHostWithin;
+  const auto pause = [&session] {
+    session.reactor.run_until([] { return false; }, std::chrono::steady_clock::now() + kRetryPeriod);
+  };
+  for (session.disconnect(); !session.connected(); pause()) {
+    try {
+      if (endpoint.remote || answers(endpoint.socket)) session.connect(endpoint);
+    } catch (const Error&) {  // it is not there yet
+    }
+    if (!session.connected() && std::chrono::steady_clock::now() >= end)
+      throw Error(ErrorCode::Unreachable, ErrorText{.what = "no host answers after the upgrade",
+                                                    .where = endpoint.text(),
+                                                    .next = "what `fiona run` has said tells why"});
+  }
+}
+
+/// The system once the new host is on trial no more, or the one before is back.
+control::System after_trial(Session& session, const Endpoint& endpoint, double trial_ms) {
+  std::optional<SteadyTime> end;
+  while (true) {
+    if (!session.connected()) come_back(session, endpoint);
+    const SteadyTime now = std::chrono::steady_clock::now();
+    if (!end) end = now + std::chrono::milliseconds(static_cast<std::int64_t>(trial_ms));
+    try {
+      control::System system = session.snapshot();
+      if (system.taken_back() || now >= *end) return system;
+      session.reactor.run_until([&session] { return !session.connected(); }, *end);
+    } catch (const Error&) {  // it has ended meanwhile; where nobody follows, that is what is told
+      session.disconnect();
+    }
+  }
+}
+
+/// The host, by another build of itself: this one ends, and the next answers at the same place. It is waited for until
+/// it is on trial no more.
+void upgrade_host(Session& session, const Line& line) {
+  if (session.planning || session.batch)
+    throw line.error(line.verb, {.what = "a host's upgrade is no change of the system, and is not planned or collected",
+                                 .next = "upgrade host, in a line of its own"});
+  const Word* watch = line.clause("watch");
+  const double watch_ms = watch != nullptr ? duration_ms(*watch, line.words) : kHostWatch_ms;
+  const Endpoint endpoint = session.host().endpoint();
+  control::Request request;
+  request.mutable_upgrade_host()->set_watch_ms(watch_ms);
+  session.host().call_waiting(std::move(request));
+  session.reactor.run_until([&session] { return !session.connected(); },
+                            std::chrono::steady_clock::now() + kNextHostWithin);
+  const control::System now = after_trial(session, endpoint, watch_ms);
+  if (now.taken_back())
+    throw line.error(line.verb,
+                     {.what = "the host was not upgraded",
+                      .found = now.restart_reason(),
+                      .next = "install FIONA again, then: upgrade host"},
+                     ErrorCode::Failed);
+  session.out.done(fmt::format("upgraded host {}: version {}", now.host(), now.version()));
+}
+
 }  // namespace
 
 void swap(Session& session, const Line& line) {
@@ -76,6 +141,7 @@ void swap(Session& session, const Line& line) {
 }
 
 void upgrade(Session& session, const Line& line) {
+  if (line.positional[0].is_plain("host")) return upgrade_host(session, line);
   control::Change change;
   control::Upgrade& upgrade = *change.mutable_upgrade();
   upgrade.set_instance(line.positional[0].text);

@@ -61,6 +61,15 @@ void limit(const Limits& limits) {
   set(RLIMIT_AS, limits.memory + kReserved);
 }
 
+void limit_child(pid_t child, std::uint64_t memory, std::uint64_t descriptors) {
+  rlimit of_descriptors{};
+  ::prlimit(child, RLIMIT_NOFILE, nullptr, &of_descriptors);
+  of_descriptors.rlim_cur = of_descriptors.rlim_max = std::min<rlim_t>(of_descriptors.rlim_max, descriptors);
+  ::prlimit(child, RLIMIT_NOFILE, &of_descriptors, nullptr);
+  const rlimit of_memory{memory, memory};
+  ::prlimit(child, RLIMIT_DATA, &of_memory, nullptr);
+}
+
 /// proc(5): after the name, which may hold anything, the fields from the third on.
 std::optional<Usage> usage_of(pid_t process) {
   const std::string folder = "/proc/" + std::to_string(process);
@@ -81,6 +90,8 @@ std::optional<Usage> usage_of(pid_t process) {
   }
   return usage;
 }
+
+std::uint64_t open_descriptors() { return descriptors_of("/proc/self"); }
 
 void put_last(pid_t process) {
   constexpr int kNice = 10;

@@ -34,6 +34,9 @@ void leave_no_core_file();
 /// any. What is left, memory that it shares, threads, CPU time, is for who watches it.
 void limit(const Limits& limits);
 
+/// Holds a child to so much memory of its own and so many descriptors, the latter as far as this process may give them.
+void limit_child(pid_t child, std::uint64_t memory, std::uint64_t descriptors);
+
 /// What a process has of it now; none: it is gone.
 struct Usage {
   std::uint64_t memory = 0;  ///< bytes resident
@@ -42,6 +45,9 @@ struct Usage {
   std::chrono::nanoseconds cpu_time{0};  ///< of all its threads, since it started
 };
 std::optional<Usage> usage_of(pid_t process);
+
+/// How many descriptors this process has open.
+std::uint64_t open_descriptors();
 
 /// From now on the threads that it has, and those that they start, get what others leave of the CPU.
 void put_last(pid_t process);

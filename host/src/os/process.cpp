@@ -15,6 +15,7 @@
 #include <csignal>
 #include <cstring>
 #include <fstream>
+#include <sstream>
 #include <string_view>
 
 #include "fiona/error.hpp"
@@ -36,7 +37,8 @@ bool is_harmless(std::string_view variable) {
 }  // namespace
 
 ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
-                           const std::vector<std::pair<int, int>>& inherited, bool clean) {
+                           const std::vector<std::pair<int, int>>& inherited, bool clean,
+                           std::vector<std::string> variables, const std::filesystem::path& shown_as) {
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
   // Moved out of the way first: one of ours may have the number that another is to have there.
@@ -45,17 +47,18 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
     moved.emplace_back(::fcntl(ours, F_DUPFD_CLOEXEC, kFirstFree));
     posix_spawn_file_actions_adddup2(&actions, moved.back().get(), theirs);
   }
-  std::vector<std::string> words{program.string()};
+  std::vector<std::string> words{shown_as.empty() ? program.string() : shown_as.string()};
   words.insert(words.end(), arguments.begin(), arguments.end());
   std::vector<char*> argv;
   for (auto& word : words) argv.push_back(word.data());
   argv.push_back(nullptr);
-  std::vector<char*> kept;
+  std::vector<char*> environment;
   for (char** one = environ; *one; ++one) {
-    if (is_harmless(*one)) kept.push_back(*one);
+    if (!clean || is_harmless(*one)) environment.push_back(*one);
   }
-  kept.push_back(nullptr);
-  const int error = ::posix_spawn(&id_, program.c_str(), &actions, nullptr, argv.data(), clean ? kept.data() : environ);
+  for (auto& variable : variables) environment.push_back(variable.data());
+  environment.push_back(nullptr);
+  const int error = ::posix_spawn(&id_, program.c_str(), &actions, nullptr, argv.data(), environment.data());
   posix_spawn_file_actions_destroy(&actions);
   if (error != 0) {
     throw Error(ErrorCode::Failed, {.what = "the process cannot be started",
@@ -105,11 +108,6 @@ void ChildProcess::kill() {
   if (end().empty()) ::syscall(SYS_pidfd_send_signal, handle_.get(), SIGKILL, nullptr, 0);
 }
 
-std::size_t open_descriptors() {
-  const auto all = std::filesystem::directory_iterator("/proc/self/fd");
-  return static_cast<std::size_t>(std::distance(begin(all), end(all))) - 1;  // the iterator's own
-}
-
 std::size_t descriptor_limit() {
   rlimit limit{};
   ::getrlimit(RLIMIT_NOFILE, &limit);
@@ -117,6 +115,16 @@ std::size_t descriptor_limit() {
 }
 
 std::filesystem::path program_directory() { return std::filesystem::read_symlink("/proc/self/exe").parent_path(); }
+
+std::filesystem::path program_in_path(std::string_view name) {
+  const char* const folders = ::getenv("PATH");
+  std::istringstream list(folders ? folders : "");
+  for (std::string folder; std::getline(list, folder, ':');) {
+    const auto program = std::filesystem::path(folder) / name;
+    if (program.is_absolute() && ::access(program.c_str(), X_OK) == 0) return program;
+  }
+  return {};
+}
 
 void keep_freed_memory() {
   constexpr int kKept = 8 * 1024 * 1024;

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <functional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -17,9 +18,11 @@ namespace fiona::os {
 class ChildProcess {
  public:
   /// Starts `program`. Of the descriptors only those of `inherited` reach it, each (ours, its number there).
-  /// `clean`: of our environment it has the language alone. Throws Error if it cannot be started.
+  /// `clean`: of our environment it has the language alone. `variables` ("NAME=VALUE") it has besides. `shown_as`: its
+  /// name among the processes, where that of the file says nothing. Throws Error if it cannot be started.
   ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
-               const std::vector<std::pair<int, int>>& inherited, bool clean = false);
+               const std::vector<std::pair<int, int>>& inherited, bool clean = false,
+               std::vector<std::string> variables = {}, const std::filesystem::path& shown_as = {});
   /// One that another process of ours has started, known by its pidfd. Who reaps it says how it has ended; empty: it is
   /// not known.
   using HowItEnded = std::function<std::string(pid_t)>;
@@ -47,12 +50,16 @@ class ChildProcess {
 /// "exited with code 3", of what waitpid has told.
 std::string text_of_end(int status);
 
-/// How many descriptors this process has open, and how many it and its children may have.
-std::size_t open_descriptors();
+/// How many descriptors this process and its children may have.
 std::size_t descriptor_limit();
 
 /// The directory of the running program, for its siblings.
 std::filesystem::path program_directory();
+
+/// Of xdg-dbus-proxy(1), through which sandboxes reach D-Bus.
+inline constexpr const char* kBusProxy = "xdg-dbus-proxy";
+/// Where PATH has a program; empty: nowhere.
+std::filesystem::path program_in_path(std::string_view name);
 
 /// From now on memory that is freed stays with the process, up to 8 MiB for each of the allocator's arenas, so that the
 /// next large object does not fault its pages in anew: that costs more than copying it.

@@ -3,7 +3,6 @@
 #include <coroutine>
 #include <exception>
 #include <optional>
-#include <stdexcept>
 #include <utility>
 
 namespace fiona {
@@ -22,6 +21,9 @@ class [[nodiscard]] Async;
 
 namespace detail {
 
+/// [strand] The exception that is being handled. Does not return where that is no exception but the end of the thread.
+std::exception_ptr exception_of_coroutine();
+
 struct AsyncPromiseBase {
   std::coroutine_handle<> continuation = std::noop_coroutine();
   std::exception_ptr error;
@@ -36,11 +38,7 @@ struct AsyncPromiseBase {
   };
   std::suspend_always initial_suspend() const noexcept { return {}; }
   FinalAwaiter final_suspend() const noexcept { return {}; }
-  void unhandled_exception() {
-    error = std::current_exception();
-    // One of another language has no pointer.
-    if (!error) error = std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception"));
-  }
+  void unhandled_exception() { error = exception_of_coroutine(); }
 };
 
 template <class T>

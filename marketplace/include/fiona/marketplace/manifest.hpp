@@ -57,8 +57,13 @@ bool is_publisher(std::string_view text);
 /// Of a system package: the path of its system file in the package.
 std::string system_file(const Manifest& manifest);
 
-/// Whether it is a right that opens a part of a sandbox: "network", "device:NAME" of /dev, "read:PATH", "write:PATH".
+/// Whether it is a right that opens a part of a sandbox: "network", "device:NAME" of /dev, "read:PATH", "write:PATH",
+/// "system-bus:NAME" and "session-bus:NAME" of a service on D-Bus.
 bool opens_sandbox(std::string_view right);
+
+/// Whether a service may be called so on D-Bus (D-Bus specification, "Bus names"): a well-known name, and not that of
+/// the bus itself.
+bool is_bus_name(std::string_view text);
 
 /// "publisher/name".
 std::string full_name(const Manifest& manifest);

@@ -25,7 +25,10 @@ namespace fiona::conformance {
 /// A host with its supervisor, as `fiona run --supervised` starts it.
 class SupervisedHost {
  public:
-  explicit SupervisedHost(const std::vector<std::string>& arguments = {}) { start(arguments); }
+  explicit SupervisedHost(const std::vector<std::string>& arguments = {},
+                          const std::filesystem::path& programs = os::program_directory()) {
+    start(arguments, programs);
+  }
   ~SupervisedHost() {
     lifeline_.reset();
     if (supervisor_) wait_for_end();
@@ -100,7 +103,7 @@ class SupervisedHost {
   }
 
  private:
-  void start(const std::vector<std::string>& given) {
+  void start(const std::vector<std::string>& given, const std::filesystem::path& programs) {
     std::filesystem::create_directory(directory_.path / "private");
     std::filesystem::permissions(directory_.path / "private", std::filesystem::perms::owner_all);
     std::array<int, 2> ready{}, lifeline{};
@@ -117,7 +120,7 @@ class SupervisedHost {
         "kept",       "--socket", socket().string(), "--store", (directory_.path / "store").string(),
         "--threads",  "2"};
     arguments.insert(arguments.end(), given.begin(), given.end());
-    supervisor_ = std::make_unique<os::ChildProcess>(os::program_directory() / "fiona-supervisor", arguments,
+    supervisor_ = std::make_unique<os::ChildProcess>(programs / "fiona-supervisor", arguments,
                                                      std::vector<std::pair<int, int>>{{ready_there.get(), 3},
                                                                                       {lifeline_there.get(), 4},
                                                                                       {said.get(), STDOUT_FILENO},

@@ -1,0 +1,131 @@
+// Groups that are not sandboxed are copies of one process.
+#include "os/process_template.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <optional>
+
+#include "system_fixture.hpp"
+
+namespace fiona::conformance {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+std::string words_of(pid_t process) {
+  std::ifstream file("/proc/" + std::to_string(process) + "/cmdline", std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+/// The child of this process that the groups are copies of.
+std::optional<pid_t> template_process() {
+  const std::string id = std::to_string(::getpid());
+  std::ifstream file("/proc/" + id + "/task/" + id + "/children");
+  for (pid_t one = 0; file >> one;) {
+    if (words_of(one).find("--template") != std::string::npos) return one;
+  }
+  return std::nullopt;
+}
+
+/// Where protobuf lies in a process.
+std::string place_in(pid_t process) {
+  std::ifstream file("/proc/" + std::to_string(process) + "/maps");
+  for (std::string line; std::getline(file, line);) {
+    if (line.find("libprotobuf.so") != std::string::npos) return line.substr(0, line.find('-'));
+  }
+  return "nowhere";
+}
+
+class GroupCopies : public testing::Test {
+ protected:
+  void SetUp() override {
+    if (!os::kCopiesProcesses) GTEST_SKIP() << "under a sanitizer each group is a process that was started anew";
+    system.load_in("first", "source", "source", "period_ms=5");
+    ASSERT_TRUE(template_process());
+  }
+  /// Loads another group's instance, and shows that it works.
+  void load_second() {
+    system.load_in("second", "sink", "sink");
+    system.wire("sink.each", "source.newest");
+    system.eventually("messages come", [&] { return system.port("sink.each").messages() > 3; });
+  }
+  RunningSystem system;
+};
+
+TEST_F(GroupCopies, HaveAllThingsInThePlacesWhereTheirTemplateHasThem) {
+  load_second();
+  const std::string place = place_in(*template_process());
+  EXPECT_EQ(place_in(system.group("first").process()), place);
+  EXPECT_EQ(place_in(system.group("second").process()), place);
+}
+
+TEST_F(GroupCopies, AreShownToPeopleWithTheirOwnWords) {
+  load_second();
+  EXPECT_THAT(words_of(system.group("second").process()), HasSubstr(std::string("--name\0second", 13)));
+}
+
+/// What is not used of the room for its words tells a copy from a program that was started.
+TEST_F(GroupCopies, AreNotWhatIsNotTrusted) {
+  control::Change change;
+  control::Load& request = *change.mutable_load();
+  request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/sink");
+  request.set_instance("stranger");
+  request.set_group("cage");
+  request.add_rights("confined");
+  system.system().perform(change);
+  const std::string room(16, '\0');
+  EXPECT_THAT(words_of(system.group("first").process()), HasSubstr(room));
+  const std::string cage = words_of(system.group("cage").process());
+  EXPECT_THAT(cage, HasSubstr(std::string("--name\0cage", 11)));
+  EXPECT_THAT(cage, Not(HasSubstr(room)));
+}
+
+TEST_F(GroupCopies, AreMadeAlsoOnceTheirTemplateHasDied) {
+  const pid_t first = *template_process();
+  ::kill(first, SIGKILL);
+  load_second();
+  system.load_in("third", "sink", "other");
+  ASSERT_TRUE(template_process());
+  EXPECT_NE(*template_process(), first);
+  EXPECT_EQ(place_in(system.group("third").process()), place_in(*template_process()));
+}
+
+TEST_F(GroupCopies, DoNotWaitForATemplateThatWasStopped) {
+  const pid_t stopped = *template_process();
+  ::kill(stopped, SIGSTOP);
+  load_second();
+  EXPECT_NE(template_process(), stopped);
+}
+
+TEST_F(GroupCopies, GoOnWithoutTheirTemplateOfWhichNothingIsLeft) {
+  load_second();
+  const std::string place = "/proc/" + std::to_string(*template_process());
+  ::kill(*template_process(), SIGKILL);
+  system.eventually("it is reaped", [&] {
+    system.system().watch_groups();
+    return !std::filesystem::exists(place);
+  });
+  const auto before = system.port("sink.each").messages();
+  system.eventually("more come", [&] { return system.port("sink.each").messages() > before + 3; });
+}
+
+TEST_F(GroupCopies, AreToldHowTheyEndedAsAnyOtherGroup) {
+  ::kill(system.group("first").process(), SIGSEGV);
+  system.eventually(
+      "told", [&] { return system.instance("source").reason().find("killed by signal 11") != std::string::npos; });
+}
+
+TEST_F(GroupCopies, TakeTheirTemplateWithThemWhenTheLastOfThemEnds) {
+  system.unload("source");
+  system.eventually("nothing is left", [] { return !template_process(); });
+}
+
+}  // namespace
+}  // namespace fiona::conformance
