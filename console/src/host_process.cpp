@@ -4,10 +4,13 @@
 #include <cerrno>
 #include <csignal>
 #include <cstring>
+#include <fstream>
+#include <iterator>
 #include <vector>
 
 #include <fcntl.h>
 #include <spawn.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -45,6 +48,12 @@ Pipe make_pipe() {
     end = moved;
   }
   return {ends[0], ends[1]};
+}
+
+/// proc_tid_children(5). Of several threads the first one is given who has lost its parent.
+std::vector<pid_t> children() {
+  std::ifstream file(fmt::format("/proc/self/task/{}/children", ::getpid()));
+  return {std::istream_iterator<pid_t>(file), {}};
 }
 
 SteadyTime in(std::chrono::seconds time) { return std::chrono::steady_clock::now() + time; }
@@ -87,6 +96,8 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
   ::posix_spawn_file_actions_adddup2(&actions, said, STDERR_FILENO);
   ::posix_spawn_file_actions_adddup2(&actions, ready, kReadyInHost);
   ::posix_spawn_file_actions_adddup2(&actions, lifeline, kLifelineInHost);
+  // What a supervisor leaves that was killed is this process's to end.
+  if (supervised_) ::prctl(PR_SET_CHILD_SUBREAPER, 1);
   // A group of its own: Ctrl-C in the terminal is for the console, which then stops the host in order.
   sigset_t none;
   sigset_t defaults;
@@ -199,13 +210,18 @@ int HostProcess::collect() {
   return exit_code_.value_or(1);
 }
 
-/// All that came of it is in its process group.
+/// All that came of it has become a child of this process.
 void HostProcess::end_rest() {
   const SteadyTime deadline = in(kRest);
-  while (::kill(-process_, 0) == 0 && std::chrono::steady_clock::now() < deadline) {
-    reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(5));
+  for (auto left = children(); !left.empty(); left = children()) {
+    const bool late = std::chrono::steady_clock::now() >= deadline;
+    for (const pid_t child : left) {
+      if (late) ::kill(child, SIGKILL);
+      ::waitpid(child, nullptr, late ? 0 : WNOHANG);
+    }
+    if (!late)
+      reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(5));
   }
-  ::kill(-process_, SIGKILL);
 }
 
 int HostProcess::stop() {

@@ -211,7 +211,7 @@ std::vector<Verb> file_verbs() {
        "MiB, "
        "128 and 1024; one that takes more is ended. One that takes more than --group-cpu cores (0.5 or so; 0: no "
        "limit) "
-       "for two seconds gets what others leave from then on.\n"
+       "for two seconds gets no more from then on; without control groups, what others leave.\n"
        "--unsigned lets packages in DIR be loaded that nobody has signed, as unsigned/NAME, each in a sandbox.\n"
        "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; "
        "--serve "

@@ -20,8 +20,6 @@ class CpuShare {
   /// Cores, lately.
   double cores() const { return cores_; }
   double most() const { return most_; }
-  /// Whether it has taken more than it may.
-  bool is_held() const { return held_; }
 
  private:
   const double most_;

@@ -15,6 +15,7 @@
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
 #include "names.hpp"
+#include "os/control_group.hpp"
 #include "os/unix_socket.hpp"
 
 namespace fiona::host {
@@ -302,7 +303,12 @@ Error ChildGroup::not_of_this_build() const {
                                    .next = "upgrade host"});
 }
 
-ChildGroup::~ChildGroup() { leave_nothing(); }
+ChildGroup::~ChildGroup() {
+  leave_nothing();
+  const pid_t ended = process();
+  child_.reset();
+  if (cpu_.most() > 0) os::remove_cpu_limit(ended);
+}
 
 void ChildGroup::leave_nothing() {
   if (supervisor_ && child_) supervisor_->drop(child_->id());
@@ -394,7 +400,7 @@ void ChildGroup::end_if_greedy() {
   const bool memory = os::kLimitsMemory && now->memory > confinement_.memory() + confinement_.memory() / 8;
   const bool threads = now->threads > confinement_.threads();
   const bool descriptors = now->descriptors > confinement_.descriptors();
-  if (cpu_.exceeds(Steady::now(), now->cpu_time)) put_last(cpu_.cores());
+  if (cpu_.exceeds(Steady::now(), now->cpu_time)) hold_cpu();
   if (!memory && !threads && !descriptors) return;
   child_->kill();
   if (memory) {
@@ -415,13 +421,17 @@ void ChildGroup::watch_bus(Time now) {
   note_end("was ended: " + bus_->end());
 }
 
-/// Nothing but a control group, which few users have, holds a process to a share; but it can be put behind all others.
-void ChildGroup::put_last(double cores) {
-  os::put_last(process());
-  std::cerr << fmt::format(
-      "group '{}' has taken {:.2f} cores, of {:.2f} that it may take: from now on it gets what others "
-      "leave\n",
-      name(), cores, cpu_.most());
+/// By a control group, where this user may have one; else it is put behind all others.
+void ChildGroup::hold_cpu() {
+  try {
+    os::limit_cpu(os::cpu_groups(), process(), cpu_.most());
+    cpu_held_by_ = "it gets no more";
+  } catch (const std::exception& obstacle) {
+    os::put_last(process());
+    cpu_held_by_ = fmt::format("it gets what others leave, as it can have no control group: {}", obstacle.what());
+  }
+  std::cerr << fmt::format("group '{}' has taken {:.2f} cores, of {:.2f} that it may take: from now on {}\n", name(),
+                           cpu_.cores(), cpu_.most(), cpu_held_by_);
 }
 
 /// A process that says much is waited for again and again: it is looked at as often as any other.

@@ -154,6 +154,8 @@ class ChildGroup final : public Group {
   os::Usage usage() const { return os::usage_of(process()).value_or(os::Usage()); }
   std::uint64_t dropped_output() const { return output_.dropped(); }
   const CpuShare& cpu() const { return cpu_; }
+  /// What holds it to its share of the CPU, since it has taken more; empty: nothing has to.
+  const std::string& cpu_held_by() const { return cpu_held_by_; }
   /// [control thread] Passes on what it writes. Ends it once it stands still, or one of its instances does not come
   /// back from its work.
   void watch(Time now);
@@ -181,7 +183,7 @@ class ChildGroup final : public Group {
 
   void end_if_greedy();
   void watch_bus(Time now);
-  void put_last(double cores);
+  void hold_cpu();
   void leave_nothing();
   void hand_to_supervisor(os::PacketSocket adoption);
 
@@ -196,6 +198,7 @@ class ChildGroup final : public Group {
   std::optional<wire::Adopted> adopted_;
   const Runtime::OnEvent on_event_;
   CpuShare cpu_;
+  std::string cpu_held_by_;
   std::unique_ptr<BusProxy> bus_;  ///< none: it reaches no service on D-Bus
   std::unique_ptr<os::ChildProcess> child_;
   std::unique_ptr<os::MessageStream> stream_;

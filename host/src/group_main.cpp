@@ -2,6 +2,7 @@
 // comes over that socket, and ends when the socket closes.
 #include <fcntl.h>
 #include <poll.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <google/protobuf/stubs/logging.h>
@@ -20,6 +21,7 @@
 #include "mailbox.hpp"
 #include "names.hpp"
 #include "open_plugin.hpp"
+#include "os/control_group.hpp"
 #include "os/limits.hpp"
 #include "os/message_stream.hpp"
 #include "os/packet_socket.hpp"
@@ -189,14 +191,25 @@ void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& re
   }
 }
 
-/// What a sandbox would be made of here, for people.
+std::string cpu_obstacle() {
+  try {
+    fiona::os::require_cpu_groups(fiona::os::cpu_groups());
+    return {};
+  } catch (const std::runtime_error& obstacle) {
+    return obstacle.what();
+  }
+}
+
+/// What a sandbox would be made of here, and what holds groups to their share of the CPU, for people.
 int probe_sandbox() {
   const auto proxy = fiona::os::program_in_path(fiona::os::kBusProxy);
+  const std::string cpu = cpu_obstacle();
   for (const auto& layer : fiona::os::confine({})) {
     std::cout << layer.name << ": " << (layer.missing.empty() ? layer.detail : "missing: " + layer.missing) << "\n";
   }
   std::cout << fiona::os::kBusProxy << ": " << (proxy.empty() ? "missing: apt-get install " : proxy.string())
             << (proxy.empty() ? fiona::os::kBusProxy : "") << "\n";
+  std::cout << "cpu share: " << (cpu.empty() ? "control groups" : "missing: " + cpu) << "\n";
   std::cout.flush();
   ::_exit(0);  // what would run at the end, a leak check above all, needs what was given up
 }
@@ -239,6 +252,13 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library,
   ::_exit(code);
 }
 
+/// Those that components have started and that are still in its process group: a host that was killed does not do it.
+void end_programs() {
+  if (::getpgrp() != ::getpid()) return;
+  ::signal(SIGTERM, SIG_IGN);
+  ::kill(0, SIGTERM);
+}
+
 int be_group(const Words& words) {
   fiona::os::keep_spare_descriptor();
   const std::string endpoint = value_of(words, "--endpoint");
@@ -270,6 +290,7 @@ int be_group(const Words& words) {
   const int code = welcome.adoptable() ? serve_hosts(runtime, std::move(stream), events, welcome.host())
                                        : serve(runtime, follower, *stream, events);
   fiona::os::end_within(kEndsWithin, code);
+  if (!welcome.confinement().sandboxed()) end_programs();
   clock->stop();
   return code;
 }

@@ -285,9 +285,9 @@ void Supervisor::take_back(const std::string& end) {
 /// Who has lost its host and is not kept has nobody left; how the others end, the next host is told.
 void Supervisor::reap_orphans() {
   for (auto& [process, kept] : kept_) {
-    int status = 0;
-    if (!kept.orphan || !kept.end.empty() || ::waitpid(process, &status, WNOHANG) != process) continue;
-    kept.end = os::text_of_end(status);
+    const auto status = kept.orphan && kept.end.empty() ? os::reap(process) : std::nullopt;
+    if (!status) continue;
+    kept.end = os::text_of_end(*status);
     if (host_)
       outgoing_.push_back({std::string(SupervisorLink::kEnded) + " " + std::to_string(process) + "\n" + kept.end});
   }
@@ -296,7 +296,7 @@ void Supervisor::reap_orphans() {
   for (const pid_t child : all) {
     if ((host_ && child == host_->id()) || (check_ && child == check_->process()) || kept_.contains(child)) continue;
     ::kill(child, SIGKILL);
-    ::waitpid(child, nullptr, WNOHANG);
+    os::reap(child);
   }
   pass_on();
 }
@@ -346,8 +346,9 @@ int Supervisor::end_all(int code) {
   kept_.clear();  // groups end by themselves now
   const Time until = Steady::now() + kRestWithin;
   for (auto left = children(); !left.empty() && Steady::now() < until; left = children()) {
-    for (const pid_t child : left) ::kill(child, SIGKILL);
-    while (::waitpid(-1, nullptr, WNOHANG) > 0) {
+    for (const pid_t child : left) {
+      ::kill(child, SIGKILL);
+      os::reap(child);
     }
     std::this_thread::sleep_for(milliseconds(2));
   }

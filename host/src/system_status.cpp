@@ -36,7 +36,7 @@ void add_process(control::GroupStatus& status, const Group& group) {
   status.set_descriptors_limit(child->confinement().descriptors());
   status.set_cpu(child->cpu().cores());
   status.set_cpu_limit(child->cpu().most());
-  if (child->cpu().is_held()) status.set_cpu_held_by("it gets what others leave");
+  status.set_cpu_held_by(child->cpu_held_by());
   status.set_dropped_output(child->dropped_output());
   status.set_adopted(child->adopted().has_value());
 }

@@ -13,6 +13,7 @@
 #include <optional>
 
 #include "fiona/error.hpp"
+#include "os/control_group.hpp"
 #include "system_fixture.hpp"
 #include "trial.hpp"
 
@@ -297,13 +298,61 @@ INSTANTIATE_TEST_SUITE_P(Each, ZooHog,
                                          Animal{"floods-stderr", "it has said all"}),
                          name_of);
 
-TEST_F(ZooGroup, ThatSpinsGetsWhatOthersLeaveAndSaysSo) {
+TEST_F(ZooGroup, ThatSpinsIsHeldToItsShareAndSaysSo) {
   ASSERT_EQ(load("spins.so", "cage"), std::nullopt);
-  system.eventually("it has been put last", [&] { return !system.group("cage").cpu_held_by().empty(); });
-  EXPECT_GT(system.group("cage").cpu(), 0.5);
-  EXPECT_EQ(::getpriority(PRIO_PROCESS, static_cast<id_t>(system.group("cage").process())), 10);
-  expect_others_go_on();
+  system.eventually("it has taken more", [&] { return system.group("cage").cpu() > 0.5; });
+  system.eventually("it is held", [&] { return !system.group("cage").cpu_held_by().empty(); });
+  const pid_t process = system.group("cage").process();
+  if (system.group("cage").cpu_held_by() == "it gets no more") {
+    system.eventually("it takes its share", [&] { return system.group("cage").cpu() < 0.6; });
+    const auto folder = os::cpu_groups().folder / ("fiona-" + std::to_string(process));
+    EXPECT_TRUE(std::filesystem::exists(folder));
+    expect_others_go_on();
+    system.unload("patient");
+    system.eventually("nothing is left", [&] { return !std::filesystem::exists(folder); });
+  } else {
+    EXPECT_THAT(system.group("cage").cpu_held_by(), StartsWith("it gets what others leave, as it can have no "));
+    EXPECT_EQ(::getpriority(PRIO_PROCESS, static_cast<id_t>(process)), 10);
+    expect_others_go_on();
+  }
+}
+
+// ---- they start programs of their own -------------------------------------------------------------------------
+
+class ZooGroupsProgram : public ZooGroup {
+ protected:
+  /// Of which the reason tells.
+  pid_t started() {
+    system.eventually("it has started one", [&] { return system.instance("patient").mode() == "failed"; });
+    const std::string reason = system.instance("patient").reason();
+    constexpr std::string_view kBefore = "it has started ";
+    const auto at = reason.find(kBefore);
+    return at == std::string::npos ? -1 : std::stoi(reason.substr(at + kBefore.size()));
+  }
+  /// One that has ended has no words left, though nobody may have reaped it.
+  static bool runs(pid_t program) {
+    std::ifstream words("/proc/" + std::to_string(program) + "/cmdline");
+    return words.peek() != std::ifstream::traits_type::eof();
+  }
+  void expect_gone(pid_t program) {
+    system.eventually("the program is gone", [&] { return !runs(program); });
+  }
+};
+
+TEST_F(ZooGroupsProgram, EndsWhenTheGroupHasEndedByItself) {
+  ASSERT_EQ(load("leaves-a-program.so", "cage"), std::nullopt);
+  const pid_t program = started();
+  ASSERT_GT(program, 1) << system.instance("patient").reason();
+  expect_gone(program);
+}
+
+TEST_F(ZooGroupsProgram, EndsWithTheGroup) {
+  ASSERT_EQ(load("starts-a-program.so", "cage"), std::nullopt);
+  const pid_t program = started();
+  ASSERT_GT(program, 1) << system.instance("patient").reason();
+  EXPECT_TRUE(runs(program));
   system.unload("patient");
+  expect_gone(program);
 }
 
 // ---- they try to get out --------------------------------------------------------------------------------------

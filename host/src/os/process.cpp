@@ -58,7 +58,11 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
   }
   for (auto& variable : variables) environment.push_back(variable.data());
   environment.push_back(nullptr);
-  const int error = ::posix_spawn(&id_, program.c_str(), &actions, nullptr, argv.data(), environment.data());
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP);
+  const int error = ::posix_spawn(&id_, program.c_str(), &actions, &attributes, argv.data(), environment.data());
+  posix_spawnattr_destroy(&attributes);
   posix_spawn_file_actions_destroy(&actions);
   if (error != 0) {
     throw Error(ErrorCode::Failed, {.what = "the process cannot be started",
@@ -78,6 +82,17 @@ ChildProcess::~ChildProcess() {
   if (!how_) ::waitpid(id_, nullptr, 0);
 }
 
+/// Its process group first: while it is not reaped no other one has its number.
+std::optional<int> reap(pid_t child) {
+  siginfo_t ended{};
+  if (::waitid(P_PID, static_cast<id_t>(child), &ended, WEXITED | WNOHANG | WNOWAIT) != 0 || ended.si_pid != child)
+    return std::nullopt;
+  ::kill(-child, SIGKILL);
+  int status = 0;
+  ::waitpid(child, &status, 0);
+  return status;
+}
+
 std::string text_of_end(int status) {
   if (WIFEXITED(status)) return "exited with code " + std::to_string(WEXITSTATUS(status));
   return "killed by signal " + std::to_string(WTERMSIG(status)) + " (" + strsignal(WTERMSIG(status)) + ")";
@@ -86,8 +101,7 @@ std::string text_of_end(int status) {
 std::string ChildProcess::end() {
   if (!end_.empty()) return end_;
   if (!how_) {
-    int status = 0;
-    if (::waitpid(id_, &status, WNOHANG) == id_) end_ = text_of_end(status);
+    if (const auto status = reap(id_)) end_ = text_of_end(*status);
     return end_;
   }
   pollfd ended{handle_.get(), POLLIN, 0};
@@ -105,7 +119,8 @@ bool ChildProcess::is_stopped() const {
 }
 
 void ChildProcess::kill() {
-  if (end().empty()) ::syscall(SYS_pidfd_send_signal, handle_.get(), SIGKILL, nullptr, 0);
+  if (!end().empty() || ::syscall(SYS_pidfd_send_signal, handle_.get(), SIGKILL, nullptr, 0) != 0) return;
+  ::kill(-id_, SIGKILL);
 }
 
 std::size_t descriptor_limit() {

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -15,6 +16,7 @@
 namespace fiona::os {
 
 /// A child process, known by a pidfd so that its number is never mistaken for another's. Destruction kills and reaps.
+/// It leads a process group, and at its end so do end the programs that it has started and that are still in that.
 class ChildProcess {
  public:
   /// Starts `program`. Of the descriptors only those of `inherited` reach it, each (ours, its number there).
@@ -46,6 +48,9 @@ class ChildProcess {
   HowItEnded how_;  ///< none: it is a child of this process
   std::string end_;
 };
+
+/// Reaps a child that has ended, and ends what is left of its process group. What waitpid tells of it; none: it lives.
+std::optional<int> reap(pid_t child);
 
 /// "exited with code 3", of what waitpid has told.
 std::string text_of_end(int status);

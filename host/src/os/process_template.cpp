@@ -126,6 +126,7 @@ std::vector<std::string> wait_to_be_copied(int argc, char** argv) {
     const bool whole = request.descriptors.size() == numbers.size();
     const pid_t id = whole ? copy_as_sibling() : -1;
     if (id == 0) {
+      ::setpgid(0, 0);
       socket.send(std::to_string(::getpid()));
       socket.close();
       take_over(numbers, request.descriptors);
