@@ -2,7 +2,6 @@
 // comes over that socket, and ends when the socket closes.
 #include <fcntl.h>
 #include <poll.h>
-#include <signal.h>
 #include <unistd.h>
 
 #include <google/protobuf/stubs/logging.h>
@@ -252,13 +251,6 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library,
   ::_exit(code);
 }
 
-/// Those that components have started and that are still in its process group: a host that was killed does not do it.
-void end_programs() {
-  if (::getpgrp() != ::getpid()) return;
-  ::signal(SIGTERM, SIG_IGN);
-  ::kill(0, SIGTERM);
-}
-
 int be_group(const Words& words) {
   fiona::os::keep_spare_descriptor();
   const std::string endpoint = value_of(words, "--endpoint");
@@ -290,7 +282,7 @@ int be_group(const Words& words) {
   const int code = welcome.adoptable() ? serve_hosts(runtime, std::move(stream), events, welcome.host())
                                        : serve(runtime, follower, *stream, events);
   fiona::os::end_within(kEndsWithin, code);
-  if (!welcome.confinement().sandboxed()) end_programs();
+  if (!welcome.confinement().sandboxed()) fiona::os::end_own_programs();  // a host that was killed does not do it
   clock->stop();
   return code;
 }

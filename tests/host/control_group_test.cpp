@@ -55,8 +55,7 @@ TEST_F(ControlGroupPlace, IsInTheHierarchyThatHasTheCpu) {
 }
 
 TEST_F(ControlGroupPlace, InAContainerIsTheTopOfWhatItSees) {
-  const CpuGroups found =
-      of("0::/docker/ab12\n", "30 1 0:26 /docker/ab12 /sys/fs/cgroup rw - cgroup2 cgroup rw\n");
+  const CpuGroups found = of("0::/docker/ab12\n", "30 1 0:26 /docker/ab12 /sys/fs/cgroup rw - cgroup2 cgroup rw\n");
   EXPECT_EQ(found.folder, "/sys/fs/cgroup");
   EXPECT_TRUE(found.top);
 }
@@ -92,9 +91,7 @@ class SpinningProcess : public testing::Test {
     process.emplace("/bin/sh", std::vector<std::string>{"-c", "while :; do :; done & while :; do :; done"},
                     std::vector<std::pair<int, int>>{});
   }
-  std::filesystem::path folder() const {
-    return cpu_groups().folder / ("fiona-" + std::to_string(process->id()));
-  }
+  std::filesystem::path folder() const { return cpu_groups().folder / ("fiona-" + std::to_string(process->id())); }
   std::size_t members() const {
     std::ifstream in(folder() / "cgroup.procs");
     return static_cast<std::size_t>(std::distance(std::istream_iterator<int>(in), {}));

@@ -138,7 +138,8 @@ void require_cpu_groups(const CpuGroups& groups) {
   if (!has_cpu(line_of(folder / "cgroup.controllers"), ' '))
     throw std::runtime_error(folder.string() + " has no controller of the CPU");
   if (!groups.top && !is_delegated(folder))
-    throw std::runtime_error(folder.string() + " is not delegated (systemd-run --user --scope -p Delegate=yes fiona run)");
+    throw std::runtime_error(folder.string() +
+                             " is not delegated (systemd-run --user --scope -p Delegate=yes fiona run)");
 }
 
 void limit_cpu(const CpuGroups& groups, pid_t process, double cores) {

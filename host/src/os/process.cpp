@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <csignal>
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <sstream>
@@ -91,6 +92,17 @@ std::optional<int> reap(pid_t child) {
   int status = 0;
   ::waitpid(child, &status, 0);
   return status;
+}
+
+/// One by one: a signal to all of a group would reach this process too, and who is killed so does not end in order.
+void end_own_programs() {
+  if (::getpgrp() != ::getpid()) return;
+  std::error_code ignored;
+  std::filesystem::directory_iterator process("/proc", ignored);
+  for (; process != std::filesystem::directory_iterator(); process.increment(ignored)) {
+    const pid_t id = static_cast<pid_t>(std::strtol(process->path().filename().c_str(), nullptr, 10));
+    if (id > 0 && id != ::getpid() && ::getpgid(id) == ::getpid()) ::kill(id, SIGKILL);
+  }
 }
 
 std::string text_of_end(int status) {

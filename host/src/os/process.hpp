@@ -52,6 +52,9 @@ class ChildProcess {
 /// Reaps a child that has ended, and ends what is left of its process group. What waitpid tells of it; none: it lives.
 std::optional<int> reap(pid_t child);
 
+/// Ends the programs that this process has started and left, if it leads a process group: the others in that.
+void end_own_programs();
+
 /// "exited with code 3", of what waitpid has told.
 std::string text_of_end(int status);
 
