@@ -49,10 +49,12 @@ class Installation {
   }
   /// A host that does this, once it has told its version.
   void install_broken(const std::string& does, const std::string& when_asked = "exit 0") const {
-    std::ofstream(directory_.path / "next")
-        << fmt::format("#!/bin/sh\n[ \"$1\" = --version ] && {{ {}; }}\n{}\n", when_asked, does);
+    install_script("fiona-host", fmt::format("[ \"$1\" = --version ] && {{ {}; }}\n{}\n", when_asked, does));
+  }
+  void install_script(const std::string& name, const std::string& script) const {
+    std::ofstream(directory_.path / "next") << "#!/bin/sh\n" + script;
     std::filesystem::permissions(directory_.path / "next", std::filesystem::perms::owner_all);
-    std::filesystem::rename(directory_.path / "next", host());
+    std::filesystem::rename(directory_.path / "next", programs() / name);
   }
 
  private:
@@ -242,6 +244,27 @@ TEST_F(HostUpgrade, NeedsASupervisorAndTheMachinesTime) {
   console = std::make_unique<TestConsole>(alone);
   EXPECT_THAT(refusal(), AllOf(HasSubstr("it has no supervisor that could start another one"),
                                HasSubstr("fiona run --supervised")));
+}
+
+TEST(NewGroup, OfAnotherBuildIsRefusedWithASentence) {
+  const Installation installed;
+  // What it says first, behind its length: a GroupMessage whose Ready has protocol 99.
+  installed.install_script("fiona-group",
+                           "[ \"$1\" = --template ] && exit 0\n"
+                           "printf '\\004\\000\\000\\000\\052\\002\\030\\143' >&3\nexec sleep 60\n");
+  SupervisedHost host{{}, installed.programs()};
+  const auto console = host.console();
+  try {
+    console->load("sink", "far", "sink");
+    ADD_FAILURE() << "it was started";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what,
+              "group 'far' did not start: " + (installed.programs() / "fiona-group").string() + " is of another build");
+    EXPECT_EQ(error.text().expected, fmt::format("protocol {}", host::kGroupProtocol));
+    EXPECT_EQ(error.text().found, "protocol 99");
+    EXPECT_EQ(error.text().next, "upgrade host");
+  }
+  EXPECT_EQ(console->snapshot().instances_size(), 0);
 }
 
 TEST(AdoptedGroup, OfAnotherProtocolIsEndedWithASentence) {
