@@ -49,6 +49,10 @@ export class Navigator {
   fiona(...words) {
     return execFileSync(join(this.bin, "fiona"), words, { env: this.env, encoding: "utf8", timeout: 60000, stdio: "pipe" });
   }
+  /// The process of a group.
+  processOf(group) {
+    return Number(execFileSync("pgrep", ["-f", `fiona-group --name ${group} .*${this.home}/`], { encoding: "utf8" }));
+  }
   users(words, input) {
     return execFileSync(join(this.bin, "fiona-users"), words, { env: this.env, input });
   }

@@ -260,6 +260,33 @@ try {
     await page.getByText("No localisation in this system").waitFor({ state: "detached", timeout: 5000 });
   });
 
+  await claim("a provider of the place that dies, or hangs, is told within half a second of when that is known", async () => {
+    const kBuilding = "plugins/building-simulator/institute.osm";
+    fiona("load", "guided-walk-simulator", "as", "spare", "in", "spare", `building=${kBuilding}`, "start_room=0.12");
+    fiona("wire", "web.location", "to", "spare.truth");
+    const doubt = page.locator(".uncertain");
+    const sure = () => until("the place is sure", async () => (await doubt.allInnerTexts()).join("") === "");
+    await page.evaluate(() => {
+      const told = () => document.querySelector(".uncertain[role=alert]")?.textContent && (window.doubtful_ms ??= Date.now());
+      new MutationObserver(told).observe(document.body, { childList: true, characterData: true, subtree: true });
+    });
+    // Of death it is known after 0.3 s, of a hang after 1 s; for a machine that is shared, three times as much.
+    for (const [signal, known_ms] of [["SIGKILL", 300], ["SIGSTOP", 1000], ["SIGKILL", 300], ["SIGSTOP", 1000]]) {
+      await sure();
+      await page.evaluate(() => void (window.doubtful_ms = undefined));
+      const begun_ms = Date.now();
+      process.kill(system.processOf("spare"), signal);
+      await until("the page is in doubt", () => page.evaluate(() => window.doubtful_ms !== undefined), 10000);
+      const took_ms = (await page.evaluate(() => window.doubtful_ms)) - begun_ms;
+      console.log(`        ${signal}: in doubt after ${took_ms} ms (bound ${known_ms + 500})`);
+      assert.ok(took_ms <= 3 * (known_ms + 500), `${took_ms} ms after ${signal}`);
+      await until("the group is back", () => fiona("show", "spare").includes("active"));
+    }
+    fiona("wire", "web.location", "to", "nav.shown");
+    fiona("unload", "spare");
+    await sure();
+  });
+
   await claim("25 ways of a hostile page change nothing, read nothing, open no socket and no frame", async () => {
     const state = async () => [fiona("journal"), fiona("show", "nav.destination").match(/messages +\d+/)?.[0], JSON.stringify(await api(page, "me", {}))];
     const before = await state();
