@@ -160,6 +160,29 @@ TEST_F(HostUpgrade, IsToTheFileThatIsInstalledNowAndWiresBetweenGroupsHaveNoGap)
   expect_no_gap("upgraded");
 }
 
+TEST_F(HostUpgrade, AgainAndAgainHasNoGapAndLeavesNothing) {
+  const int times = number_from("FIONA_HOST_UPGRADES", 3);
+  Holdings first;
+  for (int i = 1; i <= times; ++i) {
+    installed.install("fiona-host");
+    upgrade(1ms);
+    ASSERT_EQ(program_of(host.host()), file_of(installed.host())) << i;
+    ASSERT_FALSE(console->snapshot().taken_back()) << i;
+    console->eventually("all are wired again",
+                        [&, before = messages("sink.each")] { return messages("sink.each") > before; });
+    std::this_thread::sleep_for(600ms);  // until the supervisor has seen that it has stood its trial
+    if (i == 1) first = holdings({host.supervisor(), host.host(), there_, far_});
+  }
+  const Holdings last = holdings({host.supervisor(), host.host(), there_, far_});
+  std::cout << fmt::format("{} upgrades: {:+d} descriptors, {:+d} threads, {:+.1f} MiB\n", times,
+                           last.descriptors - first.descriptors, last.threads - first.threads,
+                           last.resident_mib - first.resident_mib);
+  EXPECT_LE(last.descriptors, first.descriptors);
+  EXPECT_LE(last.threads, first.threads);
+  EXPECT_LE(last.resident_mib, first.resident_mib + (kKeepsWhatIsFreed ? 100 : 1));
+  expect_no_gap("upgraded again and again");
+}
+
 TEST_F(HostUpgrade, GroupsThatAreStartedAfterwardsAreOfTheNewBuild) {
   const ino_t before = file_of(installed.programs() / "fiona-group");
   installed.install("fiona-group");
