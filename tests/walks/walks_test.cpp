@@ -93,11 +93,11 @@ std::vector<beacons::SurveySecond> survey(const Building& building, std::uint64_
   return seconds;
 }
 
-Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth) {
+Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
+           std::uint64_t first = number("FIONA_SEED", 1)) {
   const std::string file = FIONA_INSTITUTE_FILE;
   const Building building = Building::read(file);
   const std::string beacons = ::testing::TempDir() + "walks" + std::to_string(::getpid()) + ".beacons";
-  const std::uint64_t first = number("FIONA_SEED", 1);
   Tally tally;
   for (std::uint64_t seed = first; seed < first + count; ++seed) {
     const Errand errand = draw_errand(building, seed);
@@ -155,6 +155,15 @@ TEST(Walks, PeopleWhoseBeaconsAreHeardAreFoundOnTheirWays) {
   EXPECT_LE(tally.wrong_level + tally.unplaced, static_cast<int>(tally.errors_m.size() / 20));
   if (std::getenv("FIONA_WALKS") != nullptr) {
     EXPECT_GE(tally.share(), 0.99);
+  }
+}
+
+/// The cabin holds off some signals more than others, and once they walk again all of it is news.
+TEST(Walks, WhoComesOutOfALiftIsNotLookedForElsewhere) {
+  for (const std::uint64_t seed : {44, 188}) {
+    const Tally tally = walk(1, Guidance::Whole, Place::Beacons, seed);
+    EXPECT_LE(percentile(tally.errors_m, 0.95), 4.0) << "seed " << seed;
+    EXPECT_EQ(tally.reroutes, 0) << "seed " << seed;
   }
 }
 

@@ -174,8 +174,8 @@ void BeaconFilter::use_second(double dt_s) {
     p.weight = std::log(std::max(p.weight, 1e-300)) + log_likelihood(p, second, since, weight);
   }
   const double log_evidence = normalise();
-  // Who stands hears the same again; or is in a lift, where it is like nothing on any level.
-  if (still_s_ <= kNewFor_s) past_.push_back({std::move(second), weight, log_evidence, since});
+  // Who stands hears the same again; and a lift's cabin is like nothing on any level.
+  if (still_s_ <= kNewFor_s && !is_in_lift()) past_.push_back({std::move(second), weight, log_evidence, since});
   if (past_.size() > kPastSeconds) past_.pop_front();
   jump_or_resample(dt_s * moved);
 }

@@ -117,6 +117,7 @@ class BeaconFilter {
   void find_ways();
   void take_ways(double dt_s);
   bool is_before(const Particle& p, std::size_t way) const;
+  bool is_in_lift() const;
   void enter(Particle& p, std::size_t way);
   void ride(Particle& p, double dt_s);
   void move_on_way(Particle& p, double share);

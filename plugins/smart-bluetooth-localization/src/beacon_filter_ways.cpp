@@ -51,6 +51,13 @@ bool BeaconFilter::is_before(const Particle& p, std::size_t way) const {
   return std::hypot(p.x_m - from.x_m, p.y_m - from.y_m) < kBefore_m;
 }
 
+/// As far as it is known.
+bool BeaconFilter::is_in_lift() const {
+  double share = 0.0;
+  for (const Particle& p : particles_) share += p.way >= 0 && ways_[p.way].path->is_lift() ? p.weight : 0.0;
+  return share > 0.5;
+}
+
 /// Who stands takes a lift; whose steps are not known, stairs as well.
 void BeaconFilter::take_ways(double dt_s) {
   const double enters = -std::expm1(-options_.way_rate_per_s * dt_s);
