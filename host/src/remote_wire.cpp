@@ -423,11 +423,10 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
   const auto violation = object.parse_into(*parsed) ? answer_rules_->first_violation(*parsed) : "it does not parse";
   if (violation) {
     port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
-    return;  // the client sees the gap in the sequence
+    parsed = nullptr;
   }
-  const Outcome outcome = activation->event(
+  activation->event(
       Envelope{std::move(parsed), fired.sequence(), TimePoint(Duration(told_ns(fired.origin_ns()))), object.size()});
-  if (outcome == Outcome::Rejected) port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
 }
 
 void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object) {

@@ -96,7 +96,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
 
   Outcome event(Envelope event) override {
     if (ended_ || abandoned()) return Outcome::Disconnected;
-    if (!event.object) {
+    if (!event.object && event.sequence == 0) {
       staged(nullptr, kTaken, [self = shared_from_this()] {
         self->strand_->post([self] { self->client_.on_acknowledged(self->id_, *self); });
       });
@@ -105,7 +105,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
     Parcel parcel{std::move(event), shared_from_this(), false, static_cast<std::uint64_t>(id_)};
     if (!strand_->clock().staging()) return deliver(std::move(parcel));
     const Object* object = parcel.envelope.object.get();
-    staged(object, {},
+    staged(object, object ? std::string_view() : to_string(Outcome::Rejected),
            [self = shared_from_this(), parcel = std::move(parcel)]() mutable { self->deliver(std::move(parcel)); });
     return Outcome::Ok;
   }
@@ -117,10 +117,18 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
   }
 
  private:
+  /// What of the sequence does not come this far is counted here, each once: lost on the way, or without room.
   Outcome deliver(Parcel parcel) {
     const std::lock_guard lock(mutex_);
     if (detached_) return Outcome::Disconnected;
-    return client_.inbox_.push(std::move(parcel));
+    const std::uint64_t sequence = parcel.envelope.sequence;
+    std::uint64_t lost = sequence > last_sequence_ ? sequence - last_sequence_ - 1 : 0;
+    last_sequence_ = sequence;
+    Outcome outcome = Outcome::Ok;  // without an object: refused on the way, and counted there
+    if (parcel.envelope.object) outcome = client_.inbox_.push(std::move(parcel));
+    if (outcome == Outcome::Rejected) ++lost;
+    if (lost > 0) client_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
+    return outcome;
   }
   void staged(const Object* object, std::string_view word, Job job) {
     Clock& clock = strand_->clock();
@@ -137,6 +145,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
   std::atomic<std::uint32_t> staged_{0};
   std::mutex mutex_;
   bool detached_ = false;
+  std::uint64_t last_sequence_ = 0;
 };
 
 EventClient::EventClient(Component& owner, std::string_view name, const ServiceInfo& service,
@@ -158,7 +167,6 @@ EventClient::~EventClient() {
 /// Makes the activation at the provider of this moment and gives it up at the one before.
 Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
   const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id));
-  activation.last_sequence = 0;
   Envelope envelope{activation.parameters, static_cast<std::uint64_t>(id), hull().clock().now(),
                     activation.parameters->ByteSizeLong()};
   const Outcome outcome = target_.deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0})
@@ -272,10 +280,6 @@ std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
   if (found == activations_.end() || found->second.channel != parcel.reply || found->second.fired) return std::nullopt;
   Activation& activation = found->second;
   const Envelope& event = parcel.envelope;
-  if (event.sequence > activation.last_sequence + 1) {
-    counters().dropped.fetch_add(event.sequence - activation.last_sequence - 1, std::memory_order_relaxed);
-  }
-  activation.last_sequence = event.sequence;
   const bool over = !activation.continuous;
   if (over) activation.channel->abandon();
   if (handler_) {

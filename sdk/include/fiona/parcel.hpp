@@ -18,7 +18,8 @@ class ReplySink {
   virtual ~ReplySink() = default;
   /// [any thread] Ends the request; only the first call counts.
   virtual void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) = 0;
-  /// [any thread] Of an activation that goes on: one event; without an object, that the provider has taken it.
+  /// [any thread] Of an activation: one event. Without an object and number, that the provider has taken it; without an
+  /// object alone, that this one was refused on the way.
   virtual Outcome event(Envelope /*event*/) { return Outcome::WrongId; }
   /// [any thread] The client gave up or is gone: nobody reads the answer.
   bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
