@@ -22,14 +22,22 @@ std::size_t PeerLanes::Lane::drop_oldest() {
   });
   if (oldest == queue_.end()) return 0;
   std::size_t wires = 1;
-  ++lost_[oldest->wire];
+  const std::size_t messages = oldest->messages;
+  lost_[oldest->wire] += messages;
   if (oldest->also) {
-    for (const std::uint64_t wire : *oldest->also) ++lost_[wire];
+    for (const std::uint64_t wire : *oldest->also) lost_[wire] += messages;
     wires += oldest->also->size();
   }
   waiting_ -= oldest->cost;
   queue_.erase(oldest);
-  return wires;
+  return wires * messages;
+}
+
+bool PeerLanes::Lane::joins_last(const Item& item) const {
+  if (item.rule != Rule::DropOldest || item.payload || item.also || queue_.empty()) return false;
+  const Item& last = queue_.back();
+  return last.rule == item.rule && !last.payload && !last.also && last.wire == item.wire &&
+         last.record.size() + item.record.size() <= kTogetherBytes;
 }
 
 std::shared_ptr<PeerLanes::Lane> PeerLanes::open() {
@@ -45,7 +53,11 @@ std::size_t PeerLanes::close(Lane& lane, Rest rest) {
   lane.closed_ = true;
   std::size_t lost = 0;
   if (rest == Rest::IsLost || kept > kLaneWindow) {
-    lost = std::erase_if(lane.queue_, [](const Item& item) { return item.cost > 0 && item.next_chunk == 0; });
+    std::erase_if(lane.queue_, [&lost](const Item& item) {
+      const bool goes = item.cost > 0 && item.next_chunk == 0;
+      if (goes) lost += item.messages;
+      return goes;
+    });
     lane.lost_.clear();
     lane.waiting_ = 0;
   }
@@ -63,7 +75,14 @@ PeerLanes::Taken PeerLanes::offer(Lane& lane, Item item) {
     taken.lost += lost;
   }
   lane.waiting_ += item.cost;
-  lane.queue_.push_back(std::move(item));
+  if (lane.joins_last(item)) {
+    Item& last = lane.queue_.back();
+    last.record.append(item.record, kTogetherBytes);
+    last.cost += item.cost;
+    ++last.messages;
+  } else {
+    lane.queue_.push_back(std::move(item));
+  }
   update(lane);
   return taken;
 }

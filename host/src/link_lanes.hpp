@@ -16,6 +16,8 @@ namespace fiona::host {
 inline constexpr std::size_t kLaneWindow = 4 * 1024 * 1024;
 /// A receiver gives credit back once it owes this much, so that less of a lane may stay without credit for ever.
 inline constexpr std::size_t kCreditPortion = kLaneWindow / 8;
+/// Small messages that wait behind each other are kept together, up to so many bytes: a full lane loses them together.
+inline constexpr std::size_t kTogetherBytes = 4096;
 /// What an object counts beside its bytes.
 inline constexpr std::size_t kFrameCost = 64;
 
@@ -30,7 +32,8 @@ class PeerLanes {
     DropOldest,  ///< a full lane loses its oldest, counted
   };
   struct Item {
-    Block record;
+    Block record;               ///< of a push, perhaps with those of the messages behind it
+    std::size_t messages = 1;
     std::shared_ptr<const Payload> payload;  ///< what does not travel in the record
     Rule rule = Rule::Control;
     std::size_t cost = 0;
@@ -90,6 +93,7 @@ class PeerLanes::Lane {
   bool may_go() const;
   bool is_full(std::size_t cost) const { return waiting_ > 0 && waiting_ + cost > kLaneWindow; }
   std::size_t drop_oldest();
+  bool joins_last(const Item& item) const;
 
   const std::uint64_t id_;
   std::deque<Item> queue_;

@@ -114,20 +114,36 @@ class PiecesInput final : public google::protobuf::io::ZeroCopyInputStream {
 // ---- what is sent ---------------------------------------------------------------------------------------------
 
 Block::Block(std::size_t size)
-    : data_(is_pooled(size) ? shelf().take() : static_cast<std::uint8_t*>(::operator new(size))), size_(size) {}
+    : data_(is_pooled(size) ? shelf().take() : static_cast<std::uint8_t*>(::operator new(size))),
+      size_(size),
+      capacity_(size) {}
 
 Block::Block(Block&& other) noexcept
-    : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
+    : data_(std::exchange(other.data_, nullptr)),
+      size_(std::exchange(other.size_, 0)),
+      capacity_(std::exchange(other.capacity_, 0)) {}
 
 Block& Block::operator=(Block&& other) noexcept {
   std::swap(data_, other.data_);
   std::swap(size_, other.size_);
+  std::swap(capacity_, other.capacity_);
   return *this;
 }
 
 Block::~Block() {
   if (!data_) return;
-  is_pooled(size_) ? shelf().put_back(data_) : ::operator delete(data_);
+  is_pooled(capacity_) ? shelf().put_back(data_) : ::operator delete(data_);
+}
+
+void Block::append(const Block& more, std::size_t capacity) {
+  const std::size_t size = size_ + more.size_;
+  if (size > capacity_) {
+    Block grown(std::max(size, capacity));
+    std::memcpy(grown.data_, data_, size_);
+    *this = std::move(grown);
+  }
+  std::memcpy(data_ + (size - more.size_), more.data_, more.size_);
+  size_ = size;
 }
 
 /// Takes what protobuf writes, in order: long strings as they lie in the object, the rest in blocks.

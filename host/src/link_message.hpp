@@ -42,10 +42,13 @@ class Block {
   std::uint8_t* data() { return data_; }
   const std::uint8_t* data() const { return data_; }
   std::size_t size() const { return size_; }
+  /// Grows to `capacity` or more at once, so that many are added for few allocations.
+  void append(const Block& more, std::size_t capacity);
 
  private:
   std::uint8_t* data_ = nullptr;
   std::size_t size_ = 0;
+  std::size_t capacity_ = 0;
 };
 
 /// An object as it has come, in one piece or in several, to be parsed.

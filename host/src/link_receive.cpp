@@ -67,7 +67,10 @@ bool LinkSocket::receive(std::string& peer) {
 class LinkSocket::Incoming final : public FrameReader::Receiver {
  public:
   Incoming(LinkSocket& link, Peer& peer) : link_(link), peer_(peer) {}
-  ~Incoming() { settle(); }
+  ~Incoming() {
+    link_.receiver_.settle();
+    settle();
+  }
   Incoming(const Incoming&) = delete;
   Incoming& operator=(const Incoming&) = delete;
 

@@ -23,8 +23,11 @@ class Links::Receiver final : public LinkSocket::Receiver {
   void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
   bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.accepts(hop(peer), frame); }
   void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) override {
-    links_.on_frame(hop(peer), frame, object);
+    if (together_.take(frame, object)) return;
+    together_.settle();
+    links_.on_frame(hop(peer), frame, object, &together_);
   }
+  void settle() override { together_.settle(); }
   void on_refused(const std::string& reason) override { links_.on_refused(hop(""), reason); }
 
  private:
@@ -37,6 +40,7 @@ class Links::Receiver final : public LinkSocket::Receiver {
   Links& links_;
   std::weak_ptr<LinkSocket> link_;
   Hop last_;
+  ArrivingObjects together_;
 };
 
 Links::Peer::Peer() = default;
@@ -265,7 +269,7 @@ bool Links::accepts(const Hop& from, const wire::Frame& frame) {
   return is_ours(frame.wire()) || std::any_of(frame.also().begin(), frame.also().end(), is_ours);
 }
 
-void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object) {
+void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, ArrivingObjects* together) {
   const InUse::Scope use(ports_in_use_);
   if (frame.has_open()) return open_for(from, frame);
   std::optional<wire::Frame> some;  // to make one takes time, and there are few relays
@@ -278,13 +282,13 @@ void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectByte
     end = end_of_locked(from, rest->wire());
   }
   if (!end.wire && rest->also().empty()) return;
-  if (!end.provides) return on_client_frame(from, *rest, end.wire, object);
+  if (!end.provides) return on_client_frame(from, *rest, end.wire, object, together);
   if (rest->has_closed()) return cut(rest->wire(), rest->closed().reason());
   end.wire->on_frame(*rest, object);
 }
 
 void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire,
-                            const ObjectBytes& object) {
+                            const ObjectBytes& object, ArrivingObjects* together) {
   const auto required = [&](std::uint64_t number) {
     const End end = end_of(from, number);
     return end.provides ? nullptr : end.wire;
@@ -293,7 +297,8 @@ void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shar
   if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason());
   if (wire && frame.has_closed()) return on_closed(frame.wire(), frame.closed().reason());
   if (frame.also().empty() || !frame.has_object()) {
-    if (wire) wire->on_frame(frame, object);
+    const bool kept = wire && together && frame.also().empty() && together->begin(wire, ports_in_use_, frame, object);
+    if (wire && !kept) wire->on_frame(frame, object);
     for (const std::uint64_t other : frame.also()) {
       if ((wire = required(other))) wire->on_frame(frame, object);
     }

@@ -83,7 +83,8 @@ class Links {
   void part(const std::string& endpoint, const std::string& reason);
   /// [any thread] What has come from there, or from a peer of a socket of ours.
   bool accepts(const Hop& from, const wire::Frame& frame);
-  void on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object);
+  void on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object,
+                ArrivingObjects* together = nullptr);
 
  private:
   struct Grant {
@@ -137,7 +138,7 @@ class Links {
     bool provides = false;
   };
   void on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire,
-                       const ObjectBytes& object);
+                       const ObjectBytes& object, ArrivingObjects* together);
   void on_refused(const Hop& from, const std::string& reason);
   void on_closed(std::uint64_t wire, const std::string& reason);
   End end_of(const Hop& from, std::uint64_t wire);

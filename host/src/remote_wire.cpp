@@ -13,6 +13,8 @@ namespace {
 
 /// The most of a reason that is told to a peer.
 constexpr std::size_t kMostReason = 4096;
+/// Messages that wait for others which came with them.
+constexpr std::size_t kMostTogether = 64;
 constexpr const char* kRequestTooLarge = "the message is larger than a link carries (64 MiB)";
 constexpr const char* kTooLarge = "the answer is larger than a link carries (64 MiB)";
 constexpr const char* kFull = "the answers before it have not been taken yet";
@@ -297,6 +299,47 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
 void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job job) {
   if (!clock_.staging()) return job();
   clock_.stage({name_, ++staged_, object, word, std::move(job)});
+}
+
+void RemoteWire::on_objects(std::vector<Parcel>& parcels) {
+  const std::lock_guard lock(mutex_);
+  if (cut_) return parcels.clear();
+  last_sequence_ = parcels.back().envelope.sequence;
+  end_->push_all(parcels);
+}
+
+bool ArrivingObjects::begin(const std::shared_ptr<RemoteWire>& wire, InUse& use, const wire::Frame& frame,
+                            const ObjectBytes& object) {
+  if (!frame.has_object() || !wire->takes_many()) return false;
+  use_.emplace(use);
+  wire_ = wire;
+  return take(frame, object);
+}
+
+bool ArrivingObjects::take(const wire::Frame& frame, const ObjectBytes& object) {
+  if (!wire_ || frame.wire() != wire_->wire() || !frame.has_object() || !frame.also().empty()) return false;
+  ParsedObject parsed = wire_->parse_object(object);
+  if (parsed.refusal) {
+    pass_on();
+    wire_->on_object(frame, parsed);
+    return true;
+  }
+  parcels_.push_back({{std::move(parsed.object), frame.object().sequence(),
+                       TimePoint(Duration(told_ns(frame.object().origin_ns()))), parsed.bytes},
+                      nullptr});
+  if (parcels_.size() == kMostTogether) pass_on();
+  return true;
+}
+
+void ArrivingObjects::pass_on() {
+  if (!parcels_.empty()) wire_->on_objects(parcels_);
+}
+
+void ArrivingObjects::settle() {
+  if (!wire_) return;
+  pass_on();
+  wire_.reset();
+  use_.reset();
 }
 
 /// From the provider: it asks. From the client: it answers.

@@ -13,6 +13,7 @@
 #include "fan_out.hpp"
 #include "fiona/port.hpp"
 #include "fiona/rules.hpp"
+#include "in_use.hpp"
 #include "link_socket.hpp"
 
 namespace fiona::host {
@@ -58,6 +59,10 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   /// [any thread] A frame's object, for this wire and for others of the same port.
   ParsedObject parse_object(const ObjectBytes& object);
   void on_object(const wire::Frame& frame, const ParsedObject& object);
+  /// [any thread] Whether what comes may be taken with `on_objects`: of a push client, once it is admitted.
+  bool takes_many() const { return end_ && admitted_ && !clock_.staging(); }
+  /// [any thread] Objects that came together, in their order, for one wait for each lock. Empties it.
+  void on_objects(std::vector<Parcel>& parcels);
   void admit();
   /// [any thread] Another wire has taken the place of this one of a client: open requests end on it, and `drained` is
   /// called once there are none.
@@ -122,6 +127,25 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::unordered_map<std::uint64_t, std::weak_ptr<ReplySink>> served_;  ///< requests of the peer's
   std::uint64_t next_id_ = 1;
   std::atomic<std::uint64_t> last_sequence_{0};
+};
+
+/// Objects of one wire that come together: its end is looked up once, and its locks are waited for once. Of one reader.
+class ArrivingObjects {
+ public:
+  ~ArrivingObjects() { settle(); }
+  /// Begins with this frame; false: the wire does not take several at once. While they are kept `use` is held.
+  bool begin(const std::shared_ptr<RemoteWire>& wire, InUse& use, const wire::Frame& frame, const ObjectBytes& object);
+  /// False if it is not one more object of the wire.
+  bool take(const wire::Frame& frame, const ObjectBytes& object);
+  /// Passes on what is kept, and lets go of the wire.
+  void settle();
+
+ private:
+  void pass_on();
+
+  std::optional<InUse::Scope> use_;
+  std::shared_ptr<RemoteWire> wire_;
+  std::vector<Parcel> parcels_;
 };
 
 /// An empty frame of this wire.

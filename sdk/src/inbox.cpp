@@ -1,6 +1,7 @@
 #include "fiona/inbox.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <chrono>
 #include <utility>
 
@@ -16,6 +17,8 @@ constexpr std::size_t kBatch = 64;
 /// How long an inbox is served before the strand looks at what else waits. Not on a virtual clock, where the order of
 /// things must not depend on how fast the machine is.
 constexpr std::chrono::milliseconds kTurn{2};
+/// The clock is looked at after so many messages, of the first ones after twice as many each time.
+constexpr std::size_t kLook = 8;
 
 std::size_t cost(const Parcel& parcel) { return Inbox::cost_of(parcel.envelope.bytes); }
 
@@ -46,18 +49,39 @@ Outcome Inbox::push(Parcel parcel) {
   }
   std::unique_lock lock(strand_.mutex_);
   if (strand_.closed_) return Outcome::Disconnected;
-  if (delivery_ == Delivery::Each) return push_each(lock, std::move(parcel));
-  push_newest(lock, std::move(parcel));
-  return Outcome::Ok;
+  if (delivery_ == Delivery::Newest) {
+    push_newest(lock, std::move(parcel));
+    return Outcome::Ok;
+  }
+  const Outcome outcome = enqueue(std::move(parcel));
+  if (outcome == Outcome::Ok) wake(lock);
+  return outcome;
 }
 
-Outcome Inbox::push_each(std::unique_lock<std::mutex>& lock, Parcel parcel) {
+void Inbox::push_all(std::vector<Parcel>& parcels) {
+  if (delivery_ == Delivery::Newest) {
+    for (Parcel& parcel : parcels) push(std::move(parcel));
+    return parcels.clear();
+  }
+  const auto old = std::erase_if(parcels, [this](const Parcel& parcel) { return is_too_old(parcel.envelope); });
+  port_.counters().dropped.fetch_add(old, std::memory_order_relaxed);
+  if (parcels.empty()) return;
+  {
+    std::unique_lock lock(strand_.mutex_);
+    if (strand_.closed_) return parcels.clear();
+    for (Parcel& parcel : parcels) enqueue(std::move(parcel));
+    wake(lock);
+  }
+  parcels.clear();
+}
+
+/// Called with the strand's mutex held.
+Outcome Inbox::enqueue(Parcel parcel) {
   const std::size_t bytes = cost(parcel);
   if (!make_room(bytes)) return Outcome::Rejected;
   bytes_.fetch_add(bytes, std::memory_order_relaxed);
   notify_waiters(parcel.envelope);
   queue_.push_back(std::move(parcel));
-  wake(lock);
   return Outcome::Ok;
 }
 
@@ -209,7 +233,8 @@ void Inbox::drain(std::size_t limit) {
   for (std::size_t handled = 0; !current_; ++handled) {
     if (batch_.empty() && !refill()) return;
     if (timed && handled == 1) begun = std::chrono::steady_clock::now();
-    const bool long_enough = timed && handled > 1 && std::chrono::steady_clock::now() - begun > kTurn;
+    const bool looks = timed && (handled % kLook == 0 ? handled > 0 : handled > 1 && std::has_single_bit(handled));
+    const bool long_enough = looks && std::chrono::steady_clock::now() - begun > kTurn;
     if (handled == limit || long_enough) {
       std::unique_lock lock(strand_.mutex_);
       wake(lock);

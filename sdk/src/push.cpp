@@ -158,7 +158,9 @@ Outcome PushProvider::put_checked(std::shared_ptr<const Object> object, TimePoin
   }
   counters().count(origin);
   renew();
-  for (const auto& sink : *sinks) sink->deliver(Parcel{envelope, nullptr});
+  for (const auto& sink : *sinks) {
+    sink->deliver({&sink == &sinks->back() ? std::move(envelope) : envelope, nullptr});
+  }
   return Outcome::Ok;
 }
 

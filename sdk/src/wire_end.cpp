@@ -22,6 +22,13 @@ Outcome WireEnd::push(Parcel parcel) {
   return port_.take(*this, std::move(parcel));
 }
 
+void WireEnd::push_all(std::vector<Parcel>& parcels) {
+  if (open_.load(std::memory_order_acquire)) return port_.inbox()->push_all(parcels);
+  const std::lock_guard lock(port_.mutex_);
+  for (Parcel& parcel : parcels) port_.take(*this, std::move(parcel));
+  parcels.clear();
+}
+
 std::optional<std::size_t> WireEnd::room(std::size_t cost, std::weak_ptr<const void> who, Inbox::OnRoom then) {
   if (!open_.load(std::memory_order_acquire)) {
     const std::lock_guard lock(port_.mutex_);

@@ -4,6 +4,7 @@
 #include <google/protobuf/wrappers.pb.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstring>
 #include <random>
 #include <string>
@@ -202,6 +203,41 @@ TEST(LinkLanes, FullLaneOfAPushLosesItsOldestAndTellsEachClientBeforeTheNextMess
   EXPECT_EQ(lost, 6U) << "three messages, each of two wires";
   lanes.credit(lane->id(), kLaneWindow);
   EXPECT_THAT(next_of(lanes, reader), ElementsAre("1 lost 3", "2 lost 3"));
+}
+
+TEST(LinkLanes, SmallMessagesOfAPushThatWaitAreKeptTogetherAndCountedOneByOne) {
+  PeerLanes lanes;
+  Reader reader;
+  const auto lane = lanes.open();
+  constexpr std::uint64_t kPut = 200'000;
+  std::uint64_t given = 0;
+  std::uint64_t lost = 0;
+  const auto take_all = [&] {
+    for (auto seen = next_of(lanes, reader); !seen.empty(); seen = next_of(lanes, reader)) {
+      given += static_cast<std::uint64_t>(std::count(seen.begin(), seen.end(), "1"));
+    }
+  };
+  const auto put_half = [&] {
+    for (std::uint64_t i = 0; i < kPut / 2; ++i) lost += lanes.offer(*lane, item_of(1, 64, Rule::DropOldest)).lost;
+  };
+  put_half();
+  EXPECT_GT(lost, 0U);
+  take_all();  // the window is used up
+  EXPECT_GT(given, 0U);
+  put_half();
+  lanes.credit(lane->id(), kLaneWindow / 4);
+  take_all();
+  const std::uint64_t closed = lanes.close(*lane);
+  EXPECT_GT(closed, 0U);
+  EXPECT_EQ(given + lost + closed, kPut);
+}
+
+TEST(LinkLanes, MessagesOfOtherWiresAreNotKeptWithThoseBeforeThem) {
+  PeerLanes lanes;
+  Reader reader;
+  const auto lane = lanes.open();
+  for (const std::uint64_t wire : {1, 1, 2, 2, 1}) lanes.offer(*lane, item_of(wire, 64, Rule::DropOldest));
+  EXPECT_THAT(next_of(lanes, reader), ElementsAre("1", "1", "2", "2", "1"));
 }
 
 TEST(LinkLanes, FullLaneOfRequestsTakesNoMore) {

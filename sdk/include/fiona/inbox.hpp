@@ -36,6 +36,8 @@ class Inbox {
   /// [any thread] Queues the parcel; when full, the oldest goes and is counted (push), or the parcel is refused
   /// with Rejected (send, query: nothing that a client counts on is dropped behind its back).
   Outcome push(Parcel parcel);
+  /// [any thread] The same, of messages of a push that have come together: they wait for the lock once. Empties it.
+  void push_all(std::vector<Parcel>& parcels);
 
   /// The value in the slot of a *newest* inbox; stale: from a provider that has been replaced.
   struct Newest {
@@ -85,7 +87,7 @@ class Inbox {
   };
   std::optional<std::size_t> room_for(std::size_t cost) const;
   void tell_room();
-  Outcome push_each(std::unique_lock<std::mutex>& lock, Parcel parcel);
+  Outcome enqueue(Parcel parcel);
   void push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel);
   void wake(std::unique_lock<std::mutex>& lock);
   void notify_waiters(const Envelope& envelope);

@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "fiona/inbox.hpp"
 #include "fiona/sink.hpp"
@@ -30,6 +31,8 @@ class WireEnd final : public std::enable_shared_from_this<WireEnd> {
 
   /// Of a push: into the port's inbox, if this end serves.
   Outcome push(Parcel parcel);
+  /// As that of the inbox.
+  void push_all(std::vector<Parcel>& parcels);
   /// As that of the inbox; while this end does not serve, whatever is asked for.
   std::optional<std::size_t> room(std::size_t cost, std::weak_ptr<const void> who, Inbox::OnRoom then);
   /// Where the messages of a send, query or event client go while this end serves; null: nowhere.
