@@ -32,7 +32,7 @@ class PeerLanes {
     DropOldest,  ///< a full lane loses its oldest, counted
   };
   struct Item {
-    Block record;               ///< of a push, perhaps with those of the messages behind it
+    Block record;  ///< of a push, perhaps with those of the messages behind it
     std::size_t messages = 1;
     std::shared_ptr<const Payload> payload;  ///< what does not travel in the record
     Rule rule = Rule::Control;

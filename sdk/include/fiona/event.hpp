@@ -102,7 +102,7 @@ class EventClient : public RequiredPort {
     std::shared_ptr<Call> acknowledgement;
     std::shared_ptr<EventCall> wait;
     std::deque<Envelope> events;  ///< of a port without handler: that nobody has waited for yet
-    bool fired = false;  ///< a single one: over, but for who has not asked for its event yet
+    bool fired = false;           ///< a single one: over, but for who has not asked for its event yet
   };
   Outcome put_to_target(ActivationId id, Activation& activation);
   std::optional<Async<>> on_event(const Parcel& parcel);
