@@ -110,7 +110,8 @@ void ControlServer::end(int code, const std::string& why) {
 
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
-  if (!makes_way_) system_.waits().end_run(*exit_code_, end_reason_);
+  // With a supervisor the run goes on at the next host, unless its end was meant.
+  if (!system_.supervisor() || was_ended_) system_.waits().end_run(*exit_code_, end_reason_);
   for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
   for (auto& [id, client] : clients_) client->stream.flush();
   return *exit_code_;
@@ -163,6 +164,7 @@ void ControlServer::poll_once(int lifeline, int signals) {
     std::cerr << "the host ends: " << end_reason_
               << "; load those that hang in a GROUP, which is ended and started again\n";
     exit_code_ = static_cast<int>(ErrorCode::ComponentFailed);
+    if (system_.supervisor()) system_.supervisor()->ends(end_reason_);
   }
   send_held();
   go_on_with_upgrade();

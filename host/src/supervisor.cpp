@@ -94,6 +94,7 @@ void Supervisor::start(Time now) {
   link_ = std::move(ours);
   said_ready_.clear();
   why_.clear();
+  said_why_.clear();
   heard_ = false;
   silent_ = milliseconds(0);
   looked_ = now;
@@ -207,6 +208,7 @@ void Supervisor::take(os::Packet& packet) {
     trial_ = milliseconds(process);
     return begin_upgrade(Steady::now());
   }
+  if (word == SupervisorLink::kEnds) said_why_ = text.substr(end + 1);
   if (word == SupervisorLink::kDrop) kept_.erase(process);
   // One whose descriptors did not fit in is not kept: it ends with its host.
   if (word != SupervisorLink::kKeep || process <= 0 || packet.descriptors.size() != 4) return;
@@ -308,7 +310,7 @@ std::optional<int> Supervisor::host_ended(Time now) {
   const std::string end = host_->end();
   if (std::sscanf(end.c_str(), "exited with code %d", &code) != 1) code = kFailed;
   const bool never_ready = !said_ready_.starts_with("READY\n");
-  reason_ = why_.empty() ? end : why_;
+  reason_ = !why_.empty() ? why_ : !said_why_.empty() ? said_why_ : end;
   if (never_ready && !said_ready_.empty()) reason_ += ": " + said_ready_.substr(0, said_ready_.find('\n'));
   if (never_ready && was_ready_ && !said_ready_.empty() && !program_.on_trial())
     std::cerr << "the host did not start: " + said_ready_;

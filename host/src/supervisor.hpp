@@ -102,7 +102,8 @@ class Supervisor {
   std::optional<Time> due_;
   Time looked_{};
   milliseconds silent_{0};
-  std::string why_;  ///< we have ended it; empty: it ended by itself
+  std::string why_;       ///< we have ended it; empty: it ended by itself
+  std::string said_why_;  ///< by itself; empty: it has not said
   std::string reason_;
   std::map<pid_t, Kept> kept_;
   std::deque<Outgoing> outgoing_;

@@ -69,6 +69,10 @@ void SupervisorLink::beat() {
 
 void SupervisorLink::quits() { static_cast<void>(socket_.send_within(kPatience, kQuits)); }
 
+void SupervisorLink::ends(const std::string& why) {
+  static_cast<void>(socket_.send_within(kPatience, line_of(kEnds, 0) + why));
+}
+
 void SupervisorLink::upgrade(std::chrono::milliseconds trial) {
   static_cast<void>(socket_.send_within(kPatience, line_of(kUpgrade, static_cast<pid_t>(trial.count()))));
 }

@@ -27,9 +27,11 @@ struct KeptGroup {
 /// number of the process. All functions [control thread].
 class SupervisorLink {
  public:
-  /// The words. From the host: it is alive; its end is meant; keep this group for the host after it; do so no longer.
+  /// The words. From the host: it is alive; its end is meant; why it ends, for the host after it; keep this group for
+  /// that one; do so no longer.
   static constexpr std::string_view kBeat = "beat";
   static constexpr std::string_view kQuits = "quits";
+  static constexpr std::string_view kEnds = "ends";
   static constexpr std::string_view kKeep = "keep";
   static constexpr std::string_view kDrop = "drop";
   /// Start the program that is installed now in this one's place; the number is for how many ms it is on trial.
@@ -50,6 +52,7 @@ class SupervisorLink {
   /// Called often; says so once in a while.
   void beat();
   void quits();
+  void ends(const std::string& why);
   void upgrade(std::chrono::milliseconds trial);
   /// None: it has not been answered yet. Empty: the host is to end now. Otherwise why not.
   std::optional<std::string> upgrade_answer();

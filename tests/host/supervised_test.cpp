@@ -273,6 +273,25 @@ TEST(SupervisedHang, OfTheHostIsSeenAndEnded) {
   EXPECT_EQ(console->process_of("far"), far);
 }
 
+TEST(SupervisedHang, OfTooManyThreadsOfMainIsNoEndOfTheRun) {
+  SupervisedHost host;
+  const pid_t before = host.host();
+  auto console = host.console();
+  auto run = console->request();
+  run.mutable_run();
+  console->send(run);
+  auto other = host.console();
+  control::Change load;
+  load.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/liblocks-itself-out.so");
+  for (int i = 0; i < 5; ++i) {
+    load.mutable_load()->set_instance(fmt::format("lost{}", i));
+    other->change(load);
+  }
+  EXPECT_THROW(console->receive(), std::runtime_error) << "the connection ends, and no answer comes: the run goes on";
+  console = host.console(before);
+  EXPECT_THAT(console->snapshot().restart_reason(), HasSubstr("its components have kept 5 threads"));
+}
+
 /// A version in the group "cage", somebody else beside it, and who hears both.
 class SupervisedUpgrade : public Supervised {
  protected:
