@@ -39,6 +39,9 @@ std::string text_of_time(std::int64_t ms) {
 constexpr std::size_t kSlowWatcher = 1024 * 1024;
 /// How often a virtual clock is looked at.
 constexpr int kTimeWatch_ms = 500;
+/// For the first connections to the hosts that this one leads.
+constexpr std::chrono::seconds kMeetsWithin{2};
+constexpr int kMeeting_ms = 20;
 
 }  // namespace
 
@@ -108,6 +111,12 @@ void ControlServer::end(int code, const std::string& why) {
   if (system_.supervisor()) system_.supervisor()->quits();
 }
 
+void ControlServer::meet_peers(int lifeline, int signals) {
+  const auto end = std::chrono::steady_clock::now() + kMeetsWithin;
+  while (!exit_code_ && !system_.has_met_peers() && std::chrono::steady_clock::now() < end)
+    poll_once(lifeline, signals, kMeeting_ms);
+}
+
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
   // With a supervisor the run goes on at the next host, unless its end was meant.
@@ -117,7 +126,7 @@ int ControlServer::serve(int lifeline, int signals) {
   return *exit_code_;
 }
 
-void ControlServer::poll_once(int lifeline, int signals) {
+void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
   std::vector<pollfd> waits{{listener_.descriptor(), POLLIN, 0},
                             {events_.descriptor(), POLLIN, 0},
                             {outgoing_.descriptor(), POLLIN, 0},
@@ -139,7 +148,10 @@ void ControlServer::poll_once(int lifeline, int signals) {
   constexpr int kBeat_ms = static_cast<int>(SupervisorLink::kBeatEvery.count());
   const bool beats = system_.supervisor() != nullptr;
   if (beats) system_.supervisor()->beat();
-  const int wait_ms = beats && (usual_ms < 0 || usual_ms > kBeat_ms) ? kBeat_ms : usual_ms;
+  int wait_ms = most_ms;
+  for (const int one : {usual_ms, beats ? kBeat_ms : -1}) {
+    if (one >= 0 && (wait_ms < 0 || one < wait_ms)) wait_ms = one;
+  }
   if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;
   system_.watch_time();
 

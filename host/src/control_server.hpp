@@ -29,6 +29,9 @@ class ControlServer {
                 const std::filesystem::path& journal = {});
   ~ControlServer();
 
+  /// Until the hosts that this one leads are there, or have been tried in vain, or do not answer within two seconds:
+  /// what is loaded in them next finds them.
+  void meet_peers(int lifeline, int signals);
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
   /// The exit code of the run.
   int serve(int lifeline, int signals);
@@ -84,7 +87,7 @@ class ControlServer {
   control::Sample sample_of(const wire::Tapped& tapped, bool described);
   void begin_upgrade(std::uint64_t client, const control::Request& request);
   void go_on_with_upgrade();
-  void poll_once(int lifeline, int signals);
+  void poll_once(int lifeline, int signals, int most_ms = -1);
 
   // Mailboxes outlive the system, whose threads post to them until it is gone.
   Mailbox<wire::GroupMessage> events_;

@@ -195,6 +195,7 @@ int serve(Flags& flags) {
   fiona::host::ControlServer server(socket, std::move(options), flags.restore, journal.file);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
   if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";
+  if (flags.restarts == 0) server.meet_peers(flags.lifeline, signals);
   tell(flags.ready, "READY\n" + server.listens());
   const int code = server.serve(flags.lifeline, signals);
   // Its groups go on without it, and the next host finds them.

@@ -153,6 +153,7 @@ void PeerLink::close(State next, const std::string& reason, Steady::time_point o
   {
     const std::lock_guard lock(mutex_);
     was_joined = state_ == State::Joined;
+    tried_ = true;
     ++session_;
     end_.reset();
     no_handshake_ = false;
@@ -335,6 +336,11 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
                               .request = {}});
   }
   around_.on_event(std::move(message));
+}
+
+bool PeerLink::was_tried() const {
+  const std::lock_guard lock(mutex_);
+  return state_ != State::Connecting || tried_;
 }
 
 Error PeerLink::unreachable() const {

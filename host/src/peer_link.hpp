@@ -93,6 +93,8 @@ class PeerLink {
   wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request,
                              std::chrono::seconds deadline);
   bool joined() const;
+  /// Joined, or the first try to connect to it has ended.
+  bool was_tried() const;
   control::HostStatus status() const;
 
  private:
@@ -137,6 +139,7 @@ class PeerLink {
   bool no_handshake_ = false;                             ///< the connection came about, and no more
   bool closed_ = false;                                   ///< the connection has ended, or was not taken
   int tries_ = 0;                                         ///< since it was joined last; counted to two
+  bool tried_ = false;                                    ///< a connection has ended
   std::chrono::steady_clock::time_point next_attempt_{};  ///< at the earliest, if this one fails
   std::chrono::steady_clock::time_point give_up_at_{};
   std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last

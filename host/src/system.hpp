@@ -169,6 +169,8 @@ class System {
   int hosts_descriptor() const { return hosts_ ? hosts_->descriptor() : -1; }
   /// What there is to tell people, line by line.
   std::vector<std::string> serve_hosts();
+  /// Each host that this one leads is there, or has been tried in vain.
+  bool has_met_peers() const;
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return hosts_ && hosts_->leader() ? hosts_->leader()->address() : ""; }
 

@@ -48,6 +48,10 @@ std::vector<std::string> System::serve_hosts() {
   return said;
 }
 
+bool System::has_met_peers() const {
+  return !hosts_ || std::ranges::all_of(hosts_->peers(), [](const auto& peer) { return peer->was_tried(); });
+}
+
 void System::add_hosts(control::System& all) {
   if (!hosts_) return;
   all.set_key(hosts_->key());
