@@ -200,6 +200,22 @@ TEST(Navigation, EveryDestinationThatLeadsNowhereIsASentence) {
             "There is no way to D without stairs, and your profile leaves stairs out.");
 }
 
+TEST(Navigation, FromAPlaceThatIsLessThanSureAWayIsSoughtAgain) {
+  const auto said_from = [](double sigma_m) {
+    Led led;
+    led.profile.set_use_stairs(false);
+    led.profile.set_use_elevator(false);
+    led.stand(location(25, 6, 1, 0, sigma_m));
+    led.go_to(destination(25, 6, 0));
+    led.stand(location(25, 6, 1, 0, sigma_m));
+    EXPECT_EQ(led.last().kind(), Instruction::NO_PATH);
+    led.stand(location(5, 6, 0, 0, sigma_m), 6s);
+    return led.last().kind();
+  };
+  EXPECT_NE(said_from(1.0), Instruction::NO_PATH) << "they have been on that level all the time";
+  EXPECT_EQ(said_from(0.1), Instruction::KIND_UNSPECIFIED) << "nothing more is said";
+}
+
 TEST(Navigation, AMapWithoutLevelsIsTold) {
   Led led;
   led.map.clear_levels();

@@ -68,6 +68,40 @@ TEST(GuidedWalker, ToldToStartWithoutADirectionTheyLeaveTheRoom) {
   }
 }
 
+TEST(GuidedWalker, WhoStandsAtADoorGoesThroughItWithoutTurningRound) {
+  const building::Room& room = house().room("0.01");
+  const auto door = std::find_if(house().doors().begin(), house().doors().end(), [&](const building::Door& one) {
+    const auto sides = building::edges(room.polygon);
+    return one.level == room.level && std::any_of(sides.begin(), sides.end(), [&](const building::Segment& side) {
+             return distance_m(one.at, side) < 0.05;
+           });
+  });
+  ASSERT_NE(door, house().doors().end());
+  GuidedWalker walker(house(), 1, {.start_room = "0.01", .veer_rad = 0.0, .missed_share = 0.0});
+  const building::Point way = door->at - room.centre;
+  const double bearing = std::atan2(way.x_m, way.y_m) + house().reference().heading_rad;
+  hmi::Instruction on, through;
+  on.set_number(1), on.set_kind(hmi::Instruction::START);
+  const auto hour_to = [&](double rad) {
+    const int hour = static_cast<int>(std::lround((rad - walker.truth().heading_rad) / (kTurn / 12.0)));
+    return static_cast<hmi::NextTurn::TypeOfTurn>(((hour % 12) + 11) % 12 + 1);
+  };
+  on.set_hour(hour_to(bearing));
+  walker.hear(on);
+  walker.advance(milliseconds(8000));
+  ASSERT_LT(distance_m(door->at, building::Point{walker.truth().x_m, walker.truth().y_m}), 0.6) << "they stand at it";
+  const building::Point out = door->normal * (dot(way, door->normal) < 0.0 ? -1.0 : 1.0);
+  const double through_rad = std::atan2(out.x_m, out.y_m) + house().reference().heading_rad;
+  through.set_number(2), through.set_kind(hmi::Instruction::DOOR), through.set_hour(hmi::NextTurn::HOUR_12);
+  through.set_distance(0.2);
+  walker.hear(through);
+  for (int t = 8000; t <= 13500; t += 50) {
+    walker.advance(milliseconds(t));
+    ASSERT_LT(std::abs(std::remainder(walker.truth().heading_rad - through_rad, kTurn)), 1.75) << t;
+  }
+  EXPECT_FALSE(building::contains(room.polygon, {walker.truth().x_m, walker.truth().y_m}));
+}
+
 TEST(Random, MatchesTheReferenceOfPcg32) {
   // The first numbers of the demonstration program of the PCG library for seed 42, stream 54.
   Random random{42, 54};

@@ -27,6 +27,7 @@ constexpr double kTooLate_m = 4.0;  ///< beyond the place of a turn one does not
 constexpr double kBlockedFor_s = 3.0;
 constexpr double kVeerTime_s = 3.0;
 constexpr double kBeforeDoor_m = 0.6;
+constexpr double kSidestep_m = 0.3;
 constexpr double kDoors_s = 6.0;
 /// Behind a door, and while one is about to turn, one walks slowly.
 constexpr milliseconds kCareful{1000};
@@ -186,18 +187,23 @@ bool GuidedWalker::go_through_door(const Heard& heard) {
   const Point told = at() + direction(truth_.heading_rad) * left_m;
   Best best;
   Errand errand;
+  double wish_rad = 0.0;
   for (const building::Door& door : building_.doors()) {
     const Point way = door.at - at();
     if (door.level != truth_.level || length_m(way) > kSight_m || door.access > options_.access) continue;
     const Point through = door.normal * (dot(way, door.normal) < 0.0 ? -1.0 : 1.0);
     const double aside = std::abs(turn_between(heading(through), heard.direction_rad));
-    const Point before = door.at - through * kBeforeDoor_m;
+    // Who is nearer does not step back first, nor turn to a doorway that is in front of them.
+    const double before_m = std::clamp(dot(way, through), kBody_m, kBeforeDoor_m);
+    const Point before = door.at - through * before_m;
     if (aside > kSidewards_rad || !sees(at(), before) || !best.takes(distance_m(told, door.at) + 2.0 * aside)) continue;
-    errand.points = {{before, door.level}, {door.at + through * kBeforeDoor_m, door.level}};
+    errand.points = {{door.at + through * kBeforeDoor_m, door.level}};
+    if (distance_m(before, at()) > kSidestep_m) errand.points.push_front({before, door.level});
     errand.door = true;
+    wish_rad = heading(through);
   }
   if (errand.points.empty()) return false;
-  wish_rad_ = heading(errand.points[1].at - errand.points[0].at);
+  wish_rad_ = wish_rad;
   errand_ = std::move(errand);
   return true;
 }

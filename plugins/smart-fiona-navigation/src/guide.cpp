@@ -60,11 +60,17 @@ constexpr auto kSurelyDoes = 9s;
 constexpr auto kLeaves = 10s;        ///< a room, from when it was told
 constexpr double kAtDoor_m = 2.5;    ///< a door that is so near, and in sight, is told of wherever one looks
 constexpr double kBeforeIt_m = 0.5;  ///< who is further aside looks at the wall
+constexpr double kAtFoot_m = 0.5;    ///< of stairs
 constexpr double kThere_m = 1.5;
 constexpr double kMostThere_m = 3.0;
 /// Who does not move is told again.
 constexpr auto kRepeat = 5s;
 constexpr double kMoved_m = 0.7;
+/// A place moves by itself by about as much as it is unsure.
+constexpr double kMovedSigmas = 0.8;
+/// Who does not move for so long neither goes through a door nor is about to.
+constexpr auto kStandsFor = 2500ms;
+constexpr double kAway_m = 1.0;  ///< further from what was told than one has been: it was missed
 constexpr double kStarted_m = 0.8;
 constexpr auto kStartedFor = 4s;
 
@@ -84,7 +90,8 @@ Guide::Guide(const LevelPlan& plan, building::Route route, std::string destinati
       maneuvers_(maneuvers(path_)),
       destination_(std::move(destination)),
       first_(first),
-      begun_(now) {
+      begun_(now),
+      moved_at_(now) {
   if (!leaves || maneuvers_.front().kind != Instruction::DOOR || !begins_in_room()) return;
   leaves_until_ = *leaves + kLeaves;
   next_ = 1;
@@ -98,15 +105,16 @@ bool Guide::begins_in_room() const {
 
 Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   locate(walker, now);
+  note_motion(walker, now);
   Advice advice;
   const bool may_be_wrong = walker.sigma_m >= kSure_m && on_other_level_ && is_at_lift();
   advice.off_path = wrong_since_ && now - *wrong_since_ >= (may_be_wrong ? kOffAtLift : kOffFor);
   advice.arrived = arrived(walker);
   if (!advice.arrived) pass(walker, now);
   Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
-  if (distance_m(walker.place.at, said_at_) > kMoved_m) said_at_ = walker.place.at, said_since_ = now;
   const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
-  const bool stands = said_ == key && now - said_since_ > kRepeat && key.phase != Phase::Arrived && !waits;
+  const bool stands =
+      said_ == key && now - std::max(moved_at_, new_since_) > kRepeat && key.phase != Phase::Arrived && !waits;
   if (stands && return_to_door(walker, now)) {
     key = {phase_of(walker, now), next_, 0};
   } else if (said_ == key && is_overdue(key, walker, now)) {
@@ -118,13 +126,39 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   }
   if (back_ && now - back_->since < kTurnsBack && key.phase != Phase::Arrived) key = {Phase::Back, next_, 0};
   advice.is_new = said_ != key;
-  if (advice.is_new) said_at_ = walker.place.at, said_since_ = now;
   fill(advice, key, walker);
   const bool told_before = told_ && told_->maneuver == key.maneuver && said_ && said_->repeated == key.repeated;
   if (advice.is_new) new_since_ = now;
-  if (key.phase == Phase::Now && !told_before) told_ = Told{key.maneuver, now};
+  if (key.phase == Phase::Now && !told_before) told_ = Told{key.maneuver, now, distance_m(walker.place.at, spot())};
   said_ = key;
   return advice;
+}
+
+void Guide::note_motion(const Walker& walker, TimePoint now) {
+  if (told_ && told_->maneuver == next_) told_->least_m = std::min(told_->least_m, distance_m(walker.place.at, spot()));
+  if (distance_m(walker.place.at, moved_from_) <= std::max(kMoved_m, kMovedSigmas * walker.sigma_m)) return;
+  moved_from_ = walker.place.at;
+  moved_at_ = now;
+}
+
+bool Guide::stands(const Walker& walker, TimePoint now) const {
+  return walker.sigma_m >= kSure_m && now - moved_at_ > kStandsFor;
+}
+
+/// Where the next thing is to be done.
+Point Guide::spot() const { return path_.place(next().at_m).at; }
+
+/// Who was told to go through a door or to take stairs, and gets away from there otherwise than those lead.
+bool Guide::has_missed(const Walker& walker, TimePoint now) const {
+  if (next().kind == Instruction::TURN || !told_ || told_->maneuver != next_ || now - told_->at < kReacts) return false;
+  const auto leads_elsewhere = [&](Point direction) {
+    const auto rest = turn_to(direction, walker);
+    return rest && std::abs(*rest) > kAstray_rad;
+  };
+  const bool gets_away = distance_m(walker.place.at, spot()) > told_->least_m + kAway_m;
+  if (!gets_away || !leads_elsewhere(next().out) || !leads_elsewhere(spot() - walker.place.at)) return false;
+  // Where one turns to behind it, one may be already.
+  return !then() || leads_elsewhere(maneuvers_[next_ + 1].out);
 }
 
 /// Who does not get on behind a door has not come through it.
@@ -194,7 +228,7 @@ double Guide::steadied(double at_m, const Walker& walker, TimePoint now) {
   return std::clamp(at_m, at_m_ - kBackward_mps * since_s, at_m_ + kForward_mps * since_s);
 }
 
-bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
+bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint now) const {
   if (changes_level(maneuver)) {
     return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < 0.05;
   }
@@ -207,6 +241,10 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker) const {
   }
   if (shut_ && shut_->maneuver == next_)
     return at_m_ >= maneuver.end_m - 0.2 && dot(walker.place.at - shut_->seen_at, maneuver.out) >= kThrough_m;
+  // A closed door that nobody was told of is not behind them because a place that errs says so, nor while they stand.
+  const bool was_told = told_ && told_->maneuver == next_;
+  if (walker.sigma_m >= kSure_m && !was_told) return at_m_ >= maneuver.end_m + walker.sigma_m;
+  if (stands(walker, now)) return at_m_ >= maneuver.end_m + walker.sigma_m;
   const double aside_m = std::abs(cross(walker.place.at - path_.place(maneuver.at_m).at, maneuver.out));
   const bool before_it = aside_m < kBeforeIt_m;
   return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && before_it);
@@ -220,12 +258,15 @@ bool Guide::is_at_door(const Walker& walker) const {
 /// Who has not gone through a door in sight, or walks on beside the path along a wall, has missed the word.
 bool Guide::is_overdue(const Key& key, const Walker& walker, TimePoint now) const {
   if (key.phase == Phase::Align) return now - new_since_ > kDoes;
-  return key.phase == Phase::Now && is_door(next()) && is_at_door(walker) && !is_doing(walker, now);
+  if (key.phase != Phase::Now || is_doing(walker, now)) return false;
+  return is_door(next()) ? is_at_door(walker) : has_missed(walker, now);
 }
 
 /// What was told last.
 bool Guide::is_doing(const Walker& walker, TimePoint now) const {
+  if (has_missed(walker, now)) return false;
   const Duration does = walker.sigma_m < kSure_m || !is_door(next()) ? Duration(kDoes) : Duration(kSurelyDoes);
+  if (is_door(next()) && stands(walker, now) && now - new_since_ > kDoes) return false;
   return told_ && told_->maneuver == next_ && now - told_->at < does;
 }
 
@@ -238,7 +279,7 @@ void Guide::pass(const Walker& walker, TimePoint now) {
   if (next_ > 0 && !leaves && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m)
     shut_ = Shut{--next_, walker.place.at, now};
   const auto reacts = [&] { return told_ && told_->maneuver == next_ && now - told_->at < kReacts; };
-  while (next_ + 1 < maneuvers_.size() && !reacts() && has_passed(next(), walker)) ++next_;
+  while (next_ + 1 < maneuvers_.size() && !reacts() && has_passed(next(), walker, now)) ++next_;
   if (next_ != before) passed_at_ = now;
 }
 
@@ -264,6 +305,10 @@ Point Guide::aim(const Walker& walker) const {
   const bool is_there = to_next_m() < 1.0 && next().kind != Instruction::ARRIVE;
   const double far_m =
       is_there ? std::min(next().end_m + kLookAhead_m, path_.end_m()) : std::min(at_m_ + kLookAhead_m, next().at_m);
+  // Where a flight ends says nothing of where it begins.
+  const bool at_stairs = is_there && changes_level(next()) && next().out != Point{};
+  if (at_stairs && off_m_ > std::max(kBeside_m, walker.sigma_m)) return building::unit(spot() - walker.place.at);
+  if (at_stairs) return at_m_ < next().at_m + kAtFoot_m ? next().out : path_.direction(at_m_);
   const bool before_shut = shut_ && shut_->maneuver == next_ && at_m_ > next().at_m - 0.5;
   if (before_shut && next().out != Point{}) return next().out;
   const auto level = plan_.level_near(walker.place.level, 0.1);
@@ -334,11 +379,22 @@ NextTurn::TypeOfTurn Guide::hour(Phase phase, const Walker& walker) const {
   const Point to = at_turn ? next().out : aim(walker);
   if (to == Point{}) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
   if (phase == Phase::Ahead && leaves_until_ && located_ && *located_ < *leaves_until_) return NextTurn::HOUR_12;
+  const Point along = path_.direction(std::max(0.0, at_turn || is_before_turn(phase) ? next().at_m - 0.1 : at_m_));
+  const auto as_on_path = [&](Point way) { return hour_of(-std::atan2(cross(along, way), dot(along, way))); };
+  if ((at_turn || is_before_turn(phase)) && walks_along(along, walker)) return as_on_path(next().out);
   if (const auto rest = turn_to(to, walker))
     return is_as_told(phase, *rest, walker) ? NextTurn::HOUR_12 : hour_of(*rest);
   // Not known where the walker looks: along the path.
-  const Point along = path_.direction(std::max(0.0, at_turn ? next().at_m - 0.1 : at_m_));
-  return along == Point{} ? NextTurn::TYPE_OF_TURN_UNSPECIFIED : hour_of(-std::atan2(cross(along, to), dot(along, to)));
+  return along == Point{} ? NextTurn::TYPE_OF_TURN_UNSPECIFIED : as_on_path(to);
+}
+
+bool Guide::is_before_turn(Phase phase) const { return phase == Phase::Now && next().kind == Instruction::TURN; }
+
+/// Walls lead better than a compass among them: who walks about along the way is taken to walk along it, and turns by
+/// as much as it does.
+bool Guide::walks_along(Point along, const Walker& walker) const {
+  const auto rest = turn_to(along, walker);
+  return walker.sigma_m >= kSure_m && rest && std::abs(*rest) < kAlong_rad && next().out != Point{};
 }
 
 /// Who walks about where they were told to is not corrected by what a compass may err, for one hears whole hours.
@@ -408,7 +464,7 @@ std::string Guide::words(const Key& key, const Instruction& instruction, const W
     default: break;
   }
   const bool now = key.phase == Phase::Now;
-  return maneuver_words(plan_.plan, next(), instruction.hour(), walker.place.level,
+  return maneuver_words(plan_.plan, next(), instruction.hour(), path_.place(next().at_m).level,
                         now ? std::nullopt : std::optional(to_next_m()), instruction.then_hour());
 }
 

@@ -60,7 +60,11 @@ class Guide {
   double least_m(const Walker& walker) const;
   bool return_to_door(const Walker& walker, TimePoint now);
   void pass(const Walker& walker, TimePoint now);
-  bool has_passed(const Maneuver& maneuver, const Walker& walker) const;
+  void note_motion(const Walker& walker, TimePoint now);
+  bool stands(const Walker& walker, TimePoint now) const;
+  building::Point spot() const;
+  bool has_missed(const Walker& walker, TimePoint now) const;
+  bool has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint now) const;
   bool is_at_door(const Walker& walker) const;
   bool is_doing(const Walker& walker, TimePoint now) const;
   bool is_overdue(const Key& key, const Walker& walker, TimePoint now) const;
@@ -70,6 +74,8 @@ class Guide {
   building::Point aim(const Walker& walker) const;
   std::optional<double> turn_to(building::Point direction, const Walker& walker) const;
   hmi::NextTurn::TypeOfTurn hour(Phase phase, const Walker& walker) const;
+  bool is_before_turn(Phase phase) const;
+  bool walks_along(building::Point along, const Walker& walker) const;
   bool is_as_told(Phase phase, double rest_rad, const Walker& walker) const;
   std::optional<double> then() const;
   void fill(Advice& advice, const Key& key, const Walker& walker);
@@ -100,6 +106,7 @@ class Guide {
   struct Told {
     std::size_t maneuver;
     TimePoint at;
+    double least_m;  ///< since then, from where it is to be done
   };
   std::optional<Told> told_{};  ///< what was to be done now, and since when
   struct Back {
@@ -114,8 +121,8 @@ class Guide {
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;
   std::string words_;
-  building::Point said_at_{};
-  TimePoint said_since_{};
+  building::Point moved_from_{};
+  TimePoint moved_at_{};
 };
 
 }  // namespace fiona::guidance

@@ -30,6 +30,8 @@ constexpr auto kOnStairs = 5s;
 /// The place of one who is led from it is surer than that, or has been looked for so long.
 constexpr double kFound_m = 4.0;
 constexpr auto kSoughtFor = 10s;
+/// A place that is less sure may be another one.
+constexpr double kSurePlace_m = 0.3;
 /// Without a compass the course tells where a person looks: over so much way, and for so long.
 constexpr double kCourse_m = 1.0;
 constexpr auto kCourseFor = 4s;
@@ -246,7 +248,12 @@ Async<std::optional<Navigation::Refusal>> Navigation::find_path(PathPoint from) 
   if (!answer) co_return Refusal{"The way cannot be planned: the planner fails, " + reason_of(answer) + ".", kAgain};
   const CommPlan& plan = **answer;
   planned_in_.set(plan.time());
-  if (plan.outcome() == CommPlan::UNSOLVABLE) co_return no_way(*map, from);
+  if (plan.outcome() == CommPlan::UNSOLVABLE) {
+    Refusal refusal = no_way(*map, from);
+    // From where they really are there may be one.
+    if (walker_->sigma_m >= kSurePlace_m) refusal.again = kAgain;
+    co_return refusal;
+  }
   if (plan.outcome() != CommPlan::SOLVED) {
     log(LogLevel::Warning, "the planner: " + plan.message());
     co_return Refusal{"The way cannot be planned: " + plan.message() + ".", kAgain};
