@@ -108,6 +108,7 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   note_motion(walker, now);
   Advice advice;
   const bool may_be_wrong = walker.sigma_m >= kSure_m && on_other_level_ && is_at_lift();
+  if (may_be_wrong && stands(walker, now)) wrong_since_ = now;
   advice.off_path = wrong_since_ && now - *wrong_since_ >= (may_be_wrong ? kOffAtLift : kOffFor);
   advice.arrived = arrived(walker);
   if (!advice.arrived) pass(walker, now);
