@@ -134,7 +134,7 @@ const Load kLargePaced{1024 * 1024, 100, 20};  // what CURVE keeps up with
 const Load kSmallQuery{64, 3000, 0};
 const Load kLargeQuery{1024 * 1024, 200, 0};
 const Load kSmallStream{64, 300'000, 0};
-const Load kLargeStream{1024 * 1024, 400, 0};
+const Load kLargeStream{1024 * 1024, 1500, 0};
 const Load kRewired{64, 100, 0.2};
 
 using Measure = std::function<Latency(const Load&)>;
