@@ -102,6 +102,17 @@ TEST(BeaconField, OfBlocksIsThatOfTheWholeProcess) {
   }
 }
 
+TEST(BeaconField, ReachesTwoMetresBeyondTheSurveyAndFourBeyondBeacons) {
+  const auto spans = [](const BeaconMap& map) {
+    const BeaconField field(map);
+    const auto& level = field.levels()[0];
+    const auto first = field.centre(0, 0), last = field.centre(0, std::size_t{level.columns} * level.rows - 1);
+    return Eigen::Vector4d(first.x_m, first.y_m, last.x_m, last.y_m);
+  };
+  EXPECT_LT((spans(Surveyed().map()) - Eigen::Vector4d(-2, -2, 25, 13)).cwiseAbs().maxCoeff(), 0.5);
+  EXPECT_LT((spans(parse(kFourBeacons, "hall")) - Eigen::Vector4d(-4, -4, 24, 24)).cwiseAbs().maxCoeff(), 0.5);
+}
+
 /// A filter over the hall, for one who is heard there `offset_db` too strong.
 struct Hall {
   explicit Hall(const FilterOptions& options = {}, navigation::CommLevelMap plan_map = {})
@@ -228,6 +239,16 @@ TEST(BeaconFilter, WithoutReadingsThereIsNoPosition) {
   Hall hall;
   for (int i = 0; i < 20; ++i) hall.filter.advance(hall.now += 200ms);
   EXPECT_EQ(hall.filter.estimate().validity, Validity::NoEvidence);
+}
+
+TEST(BeaconFilter, TheFirstPlaceIsToldWithinASecond) {
+  Hall hall;
+  hall.filter.advance(hall.now);
+  hall.readings(6, 13);
+  hall.filter.advance(hall.now += 600ms);
+  EXPECT_FALSE(hall.filter.estimate().is_valid());
+  hall.filter.advance(hall.now += 200ms);
+  EXPECT_TRUE(hall.filter.estimate().is_valid());
 }
 
 TEST(BeaconFilter, WhoStandsAmongBeaconsIsFound) {

@@ -11,7 +11,8 @@ namespace fiona::beacons {
 namespace {
 
 constexpr double kFinestCell_m = 0.5;
-constexpr double kMargin_m = 4.0;  // around survey and beacons
+constexpr double kBeyondSurvey_m = 2.0;   // people are where surveyors went, or beside it
+constexpr double kBeyondBeacons_m = 4.0;  // where nobody surveyed
 constexpr std::size_t kMostValues = 16u << 20;
 constexpr int kMostPlacesOfBeacon = 400;  // of one level: the cost of the process grows with the square
 constexpr double kNothing = 1e-4;         // of the variance: a covariance that changes nothing
@@ -174,10 +175,10 @@ void BeaconField::lay_out(const BeaconMap& map, std::span<const Extent> more) {
     e = {level, std::min(e.low_x_m, x - margin), std::min(e.low_y_m, y - margin), std::max(e.high_x_m, x + margin),
          std::max(e.high_y_m, y + margin)};
   };
-  for (const auto& place : map.survey()) add(place.level(), place.x(), place.y(), kMargin_m);
+  for (const auto& place : map.survey()) add(place.level(), place.x(), place.y(), kBeyondSurvey_m);
   if (map.survey().empty()) {
     for (const auto& beacon : map.beacons()) {
-      for (const auto& on : beacon.heard()) add(on.level(), beacon.x(), beacon.y(), kMargin_m);
+      for (const auto& on : beacon.heard()) add(on.level(), beacon.x(), beacon.y(), kBeyondBeacons_m);
     }
   }
   for (const Extent& e : more) {

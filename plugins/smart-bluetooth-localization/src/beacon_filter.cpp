@@ -9,6 +9,7 @@ namespace fiona::beacons {
 namespace {
 
 constexpr Time kSecond{1000};
+constexpr Time kFirst{800};              // of the first second, are enough for a place
 constexpr std::size_t kFirstDraws = 10;  // for each particle of the first fix
 constexpr std::size_t kPastSeconds = 20;
 constexpr double kNewPlace_m = 1.0;      // walked in a second, after which what is heard is news
@@ -95,9 +96,10 @@ void BeaconFilter::advance(Time now) {
   now_ = now;
   if (!used_) used_ = now;
   diffuse(dt_s);
-  if (now - *used_ < kSecond) return;
+  const bool first = particles_.empty();
+  if (now - *used_ < (first ? kFirst : kSecond)) return;
   const double since_s = std::min(kLongestGap_s, std::chrono::duration<double>(now - *used_).count());
-  used_ = now;
+  used_ = first ? std::max(now, *used_ + kSecond) : now;
   take_ways(since_s);
   use_second(since_s);
 }
