@@ -416,6 +416,17 @@ TEST(Guide, WhoWalksPastADoorThatTheyWereToldOfIsToldAgainAtOnce) {
   }
 }
 
+TEST(Guide, WhoHasWalkedPastADoorIsLedBackToIt) {
+  const LevelPlan plan;
+  Guide guide(plan, aside_through_a_door(), "Room 7", false, at(0));
+  std::vector<NextTurn::TypeOfTurn> hours;
+  for (double x_m = 0.0; x_m < 12.0; x_m += 0.26) {
+    const auto advice = guide.follow({{{x_m, 0}, 0}, 90 * kDegree, 1.0}, at(x_m / 1.3));
+    if (advice.is_new && advice.instruction.kind() == Instruction::DOOR) hours.push_back(advice.instruction.hour());
+  }
+  EXPECT_EQ(hours.back(), NextTurn::HOUR_6);  // not the ninth, in which the door leads
+}
+
 TEST(Guide, WhoGoesThroughADoorAndTurnsBehindItHasNotMissedIt) {
   const LevelPlan plan;
   building::Route route = aside_through_a_door();
@@ -581,6 +592,20 @@ TEST(Guide, WhoDoesNotGetOnBehindADoorIsToldOfTheDoorAgain) {
   }
   EXPECT_THAT(said,
               ::testing::ElementsAre("Go through the door.", "Go on for 10 m to Room 7.", "Go through the door."));
+}
+
+TEST(Guide, WhoStandsBehindADoorAndTurnsAboutIsToldOfTheDoorAgain) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  bool told_again = false;
+  // They seem to be through, and look about, so that they are told this and that.
+  for (double t = 0; t < 13; t += 0.2) {
+    const bool about = t > 4;
+    const double y_m = std::min(12.0, 7 + 1.3 * t);
+    const auto advice = guide.follow({{{0, y_m}, 0}, about ? 80 * kDegree * std::sin(1.5 * t) : 0.0, 1.5}, at(t));
+    told_again = told_again || (about && advice.is_new && advice.instruction.kind() == Instruction::DOOR);
+  }
+  EXPECT_TRUE(told_again);
 }
 
 /// North through a door, and east `behind_m` behind it.

@@ -70,6 +70,9 @@ constexpr double kMoved_m = 0.7;
 constexpr double kMovedSigmas = 0.8;
 /// Who does not move for so long neither goes through a door nor is about to.
 constexpr auto kStandsFor = 2500ms;
+/// Who walks gets on along the path by so much in so long.
+constexpr double kGetsOn_m = 2.0;
+constexpr auto kGetsOnIn = 8s;
 constexpr double kAway_m = 1.0;  ///< further from what was told than one has been: it was missed
 constexpr double kStarted_m = 0.8;
 constexpr auto kStartedFor = 4s;
@@ -116,7 +119,9 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
   const bool stands =
       said_ == key && now - std::max(moved_at_, new_since_) > kRepeat && key.phase != Phase::Arrived && !waits;
-  if (stands && return_to_door(walker, now)) {
+  // Whatever they have been told meanwhile.
+  const bool stuck = gets_nowhere(now) && this->stands(walker, now) && !waits;
+  if ((stands || stuck) && return_to_door(walker, now)) {
     key = {phase_of(walker, now), next_, 0};
   } else if (said_ == key && is_overdue(key, walker, now)) {
     ++key.repeated;
@@ -140,6 +145,14 @@ void Guide::note_motion(const Walker& walker, TimePoint now) {
   if (distance_m(walker.place.at, moved_from_) <= std::max(kMoved_m, kMovedSigmas * walker.sigma_m)) return;
   moved_from_ = walker.place.at;
   moved_at_ = now;
+}
+
+bool Guide::gets_nowhere(TimePoint now) {
+  if (at_m_ > got_to_m_ + kGetsOn_m || at_m_ < got_to_m_ - kGetsOn_m || got_to_at_ == TimePoint{}) {
+    got_to_m_ = at_m_;
+    got_to_at_ = now;
+  }
+  return now - got_to_at_ > kGetsOnIn;
 }
 
 bool Guide::stands(const Walker& walker, TimePoint now) const {
@@ -313,6 +326,10 @@ Point Guide::aim(const Walker& walker) const {
   const bool before_shut = shut_ && shut_->maneuver == next_ && at_m_ > next().at_m - 0.5;
   if (before_shut && next().out != Point{}) return next().out;
   const auto level = plan_.level_near(walker.place.level, 0.1);
+  // A door that was missed is behind.
+  const bool missed = is_door(next()) && located_ && has_missed(walker, *located_);
+  if (missed && !(level && plan_.walled(walker.place.at, spot(), *level)))
+    return building::unit(spot() - walker.place.at);
   // Who may as well be on the path is taken to be there, unless a wall is in the way beside it.
   const Point on_path = path_.place(at_m_).at;
   const Point ahead = path_.place(far_m).at - on_path;

@@ -61,6 +61,7 @@ class Guide {
   bool return_to_door(const Walker& walker, TimePoint now);
   void pass(const Walker& walker, TimePoint now);
   void note_motion(const Walker& walker, TimePoint now);
+  bool gets_nowhere(TimePoint now);
   bool stands(const Walker& walker, TimePoint now) const;
   building::Point spot() const;
   bool has_missed(const Walker& walker, TimePoint now) const;
@@ -121,6 +122,8 @@ class Guide {
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;
   std::string words_;
+  double got_to_m_ = 0.0;
+  TimePoint got_to_at_{};  ///< that place of the path, or one about it
   building::Point moved_from_{};
   TimePoint moved_at_{};
 };
