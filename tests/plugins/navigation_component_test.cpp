@@ -201,6 +201,20 @@ TEST(Navigation, EveryDestinationThatLeadsNowhereIsASentence) {
             "There is no way to D without stairs, and your profile leaves stairs out.");
 }
 
+TEST(Navigation, WhoSeemsToBeBehindADoorThatIsClosedToThemIsNotToldThatThereIsNoWay) {
+  const auto told = [](double sigma_m) {
+    Led led;
+    led.stand(location(15, 6, 0, 0, sigma_m));
+    led.go_to(destination(5, 6, 0));
+    led.stand(location(15, 6, 0, 0, sigma_m));
+    return led.last();
+  };
+  EXPECT_EQ(told(0.1).kind(), Instruction::NO_PATH);
+  const Instruction unsure = told(1.5);
+  EXPECT_EQ(unsure.kind(), Instruction::START);
+  EXPECT_EQ(unsure.text(), "It is not sure yet where you are. Leave the room that you are in, or walk some steps.");
+}
+
 TEST(Navigation, FromAPlaceThatIsLessThanSureAWayIsSoughtAgain) {
   const auto ways_from = [](double sigma_m) {
     Led led;

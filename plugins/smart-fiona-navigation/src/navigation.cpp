@@ -32,6 +32,8 @@ constexpr double kFound_m = 4.0;
 constexpr auto kSoughtFor = 10s;
 /// A place that is less sure may be another one.
 constexpr double kSurePlace_m = 0.3;
+constexpr const char* kNotSure =
+    "It is not sure yet where you are. Leave the room that you are in, or walk some steps.";
 /// Without a compass the course tells where a person looks: over so much way, and for so long.
 constexpr double kCourse_m = 1.0;
 constexpr auto kCourseFor = 4s;
@@ -168,7 +170,7 @@ bool Navigation::is_sought() {
   if (trip_->begun || walker_->sigma_m <= kFound_m) return false;
   if (!trip_->sought_since) trip_->sought_since = now();
   if (now() - *trip_->sought_since > kSoughtFor) return false;
-  say(Instruction::START, "It is not sure yet where you are. Leave the room that you are in, or walk some steps.");
+  say(Instruction::START, kNotSure);
   return true;
 }
 
@@ -193,7 +195,7 @@ Async<> Navigation::plan() {
   if (!refusal) refusal = co_await find_path(*from);
   if (!is_trip(number) || !refusal) co_return;
   end_guidance();
-  say(Instruction::NO_PATH, refusal->text);
+  say(refusal->kind, refusal->text);
   if (!refusal->again) co_return;
   plan_due_ = true;
   try_at_ = now() + *refusal->again;
@@ -280,6 +282,7 @@ Navigation::Refusal Navigation::no_way(const Map& map, const PathPoint& from) co
     // Nobody is behind a door that is closed to them: the place that localisation says is likely another one.
     const auto room = building::room_index_at(map.plan.plan, from.at, from.level);
     const bool shut_in = room && map.plan.plan.rooms[*room].access > options_.access;
+    if (shut_in && walker_->sigma_m >= kSurePlace_m) return {kNotSure, kAgain, Instruction::START};
     return {no + " that is open to you: doors on it need another right.",
             shut_in ? std::optional<Duration>(kAgain) : std::nullopt};
   }

@@ -46,6 +46,7 @@ class Navigation final : public Component {
   struct Refusal {
     std::string text;
     std::optional<Duration> again;
+    hmi::Instruction::Kind kind = hmi::Instruction::NO_PATH;
   };
 
   void on_destination(const navigation::CommDestination& wish);
