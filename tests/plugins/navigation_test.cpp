@@ -630,6 +630,17 @@ TEST(Guide, ATurnRightBehindADoorIsToldWithIt) {
                                             "Go on for 20 m to Room 7.", "You have arrived: Room 7."));
 }
 
+TEST(Guide, ATurnThatWasToldWithItsDoorIsNotToldBeforeADoubtfulPlaceIsClearOfTheDoor) {
+  const LevelPlan plan;
+  Guide guide(plan, around_a_corner(1.5), "Room 7", false, at(0));
+  double t = 0.0;
+  const auto told_at = [&](double y_m) {
+    return guide.follow({{{0, y_m}, 0}, 0.0, 1.5}, at(t += 1.0)).instruction.kind();
+  };
+  for (const double y_m : {8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 10.9}) EXPECT_EQ(told_at(y_m), Instruction::DOOR) << y_m;
+  EXPECT_EQ(told_at(11.1), Instruction::TURN);
+}
+
 TEST(Guide, ATurnFurtherBehindADoorIsToldByItself) {
   const LevelPlan plan;
   Guide guide(plan, around_a_corner(5), "Room 7", false, at(0));

@@ -47,6 +47,7 @@ constexpr auto kShutFor = 30s;
 constexpr double kMostBehind_m = 3.5;
 constexpr auto kTurnsBack = 4s;
 constexpr double kThrough_m = 1.0;  ///< on, from where it was told of again, and a door is behind
+constexpr double kClear_m = 0.5;    ///< of a door
 /// A place that is less sure than this may leap.
 constexpr double kSure_m = 0.3;
 constexpr double kForward_mps = 1.8;
@@ -259,6 +260,8 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint
   const bool was_told = told_ && told_->maneuver == next_;
   if (walker.sigma_m >= kSure_m && !was_told) return at_m_ >= maneuver.end_m + walker.sigma_m;
   if (stands(walker, now)) return at_m_ >= maneuver.end_m + walker.sigma_m;
+  // There is no haste where the turn behind it was told with it; told too early, it is taken before the door.
+  if (walker.sigma_m >= kSure_m && then()) return at_m_ >= maneuver.end_m + kClear_m;
   const double aside_m = std::abs(cross(walker.place.at - path_.place(maneuver.at_m).at, maneuver.out));
   const bool before_it = aside_m < kBeforeIt_m;
   return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && before_it);
