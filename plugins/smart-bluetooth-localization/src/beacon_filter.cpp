@@ -94,9 +94,9 @@ void BeaconFilter::advance(Time now) {
   if (now_ && now <= *now_) return;
   const double dt_s = now_ ? std::min(kLongestGap_s, std::chrono::duration<double>(now - *now_).count()) : 0.0;
   now_ = now;
-  if (!used_) used_ = now;
-  diffuse(dt_s);
   const bool first = particles_.empty();
+  if (!used_ || (first && readings_.empty())) used_ = now;
+  diffuse(dt_s);
   if (now - *used_ < (first ? kFirst : kSecond)) return;
   const double since_s = std::min(kLongestGap_s, std::chrono::duration<double>(now - *used_).count());
   used_ = first ? std::max(now, *used_ + kSecond) : now;

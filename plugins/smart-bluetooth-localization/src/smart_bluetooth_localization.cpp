@@ -62,6 +62,7 @@ void SmartBluetoothLocalization::make_filter() {
   options.seed = params_->seed();
   options.walls = params_->walls();
   filter_.emplace(field_, plan_, beacon_map_.accuracy(), beacon_map_.radio().offset(), options);
+  note_validity(beacons::Validity::NoEvidence);  // what the one before knew has gone with it
   has_walls_.set(options.walls && plan_->has_walls());
 }
 
@@ -138,7 +139,6 @@ void SmartBluetoothLocalization::produce() {
   spread_.set(estimate.is_valid() ? std::sqrt(estimate.covariance.trace()) : std::numeric_limits<double>::infinity());
   rssi_offset_.set(estimate.rssi_offset_db);
   heading_bias_.set(estimate.heading_bias_rad);
-  validity_probe_.set(text_of(estimate.validity));
   location_.put(location_of(estimate));
 }
 
@@ -174,6 +174,7 @@ localisation::CommLocation SmartBluetoothLocalization::location_of(const beacons
 
 /// Says once, each time that it changes, why there is no position.
 void SmartBluetoothLocalization::note_validity(beacons::Validity validity) {
+  validity_probe_.set(text_of(validity));
   if (validity == validity_) return;
   validity_ = validity;
   if (validity == beacons::Validity::Ambiguous) log(LogLevel::Info, "what is heard fits too many places");
