@@ -149,7 +149,8 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
   const bool beats = system_.supervisor() != nullptr;
   if (beats) system_.supervisor()->beat();
   int wait_ms = most_ms;
-  for (const int one : {usual_ms, beats ? kBeat_ms : -1}) {
+  const int pages_ms = read_pages_.look(system_.open_libraries());
+  for (const int one : {usual_ms, beats ? kBeat_ms : -1, pages_ms}) {
     if (one >= 0 && (wait_ms < 0 || one < wait_ms)) wait_ms = one;
   }
   if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;

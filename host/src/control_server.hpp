@@ -12,6 +12,7 @@
 #include "mailbox.hpp"
 #include "masters.hpp"
 #include "os/message_stream.hpp"
+#include "os/read_pages.hpp"
 #include "os/unix_socket.hpp"
 #include "remote_consoles.hpp"
 #include "system.hpp"
@@ -103,6 +104,7 @@ class ControlServer {
   std::map<std::uint64_t, Watched> watches_;                                      ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
   std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;     ///< wire -> (client, request)
+  os::ReadPages read_pages_;
   std::uint64_t next_client_ = 1;
   std::uint64_t garbled_ = 0;  ///< connections closed for what came over them
   std::optional<int> exit_code_;

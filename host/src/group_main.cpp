@@ -26,6 +26,7 @@
 #include "os/packet_socket.hpp"
 #include "os/process.hpp"
 #include "os/process_template.hpp"
+#include "os/read_pages.hpp"
 #include "os/sandbox.hpp"
 #include "os/shared_memory.hpp"
 #include "os/spare_descriptor.hpp"
@@ -71,13 +72,14 @@ fiona::wire::GroupMessage handle(Runtime& runtime, GroupClock* clock, const fion
   return reply;
 }
 
-int serve(Runtime& runtime, GroupClock* clock, fiona::os::MessageStream& stream,
-          Mailbox<fiona::wire::GroupMessage>& events) {
+int serve(Runtime& runtime, const fiona::host::PluginLibraries& libraries, GroupClock* clock,
+          fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
+  fiona::os::ReadPages read_pages;
   while (true) {
     pollfd waits[] = {{stream.descriptor(), static_cast<short>(stream.unsent() > 0 ? POLLIN | POLLOUT : POLLIN), 0},
                       {events.descriptor(), POLLIN, 0}};
     const bool is_slow = stream.unsent() > kSlowHost;
-    ::poll(waits, is_slow ? 1 : 2, -1);
+    ::poll(waits, is_slow ? 1 : 2, read_pages.look(libraries.size()));
     if (!is_slow) {
       for (auto& event : events.take()) {
         if (!stream.send(event)) return 1;
@@ -108,11 +110,12 @@ std::unique_ptr<fiona::os::MessageStream> next_host(const fiona::os::PacketSocke
 }
 
 /// One host after the other: its wires to other groups go on between two.
-int serve_hosts(Runtime& runtime, std::unique_ptr<fiona::os::MessageStream> stream,
-                Mailbox<fiona::wire::GroupMessage>& events, const std::string& host) {
+int serve_hosts(Runtime& runtime, const fiona::host::PluginLibraries& libraries,
+                std::unique_ptr<fiona::os::MessageStream> stream, Mailbox<fiona::wire::GroupMessage>& events,
+                const std::string& host) {
   const fiona::os::PacketSocket adoption{fiona::os::Descriptor(kAdoptionSocket)};
   while (stream) {
-    serve(runtime, nullptr, *stream, events);
+    serve(runtime, libraries, nullptr, *stream, events);
     stream.reset();
     runtime.host_lost(host);
     stream = next_host(adoption);
@@ -279,8 +282,8 @@ int be_group(const Words& words) {
   ready.mutable_ready()->set_protocol(fiona::host::kGroupProtocol);
   if (!stream->send(ready)) return 1;
   if (follower) follower->follow([&runtime] { return runtime.frame_counts(); });
-  const int code = welcome.adoptable() ? serve_hosts(runtime, std::move(stream), events, welcome.host())
-                                       : serve(runtime, follower, *stream, events);
+  const int code = welcome.adoptable() ? serve_hosts(runtime, libraries, std::move(stream), events, welcome.host())
+                                       : serve(runtime, libraries, follower, *stream, events);
   fiona::os::end_within(kEndsWithin, code);
   if (!welcome.confinement().sandboxed()) fiona::os::end_own_programs();  // a host that was killed does not do it
   clock->stop();

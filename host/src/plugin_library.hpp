@@ -32,6 +32,8 @@ class PluginLibraries {
   /// do: other content than was installed, another ABI, a proto file that another plugin has brought already, a missing
   /// symbol (the loader's words), no entry.
   const Plugin& open(const std::string& name, const Files& files, const Interface& interface);
+  /// How many are open.
+  std::size_t size() const { return libraries_.size(); }
 
  private:
   struct Library;

@@ -155,10 +155,13 @@ class System {
   /// Call it every `kWatchEvery` while it watches groups: ends those that hang, starts again those that have ended.
   /// What there is to tell people, line by line.
   std::vector<std::string> watch_groups();
-  /// Threads of `main` that its instances have kept, and that have been replaced. The host ends with one more.
   /// The instances of `main` have their end, and nothing else of the system: another host goes on with it.
   void end_main();
   SupervisorLink* supervisor() const { return options_.supervisor; }
+  /// Of plugins, in `main`.
+  std::size_t open_libraries() const { return libraries_.size(); }
+  /// Threads of `main` that its instances have kept, and that have been replaced. The host ends with one more than
+  /// `kMostKeptThreads`.
   std::size_t kept_threads() const { return kept_threads_; }
   static constexpr std::size_t kMostKeptThreads = 4;
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end

@@ -9,11 +9,13 @@
 #include <fstream>
 #include <stdexcept>
 #include <string>
+#include <thread>
 
 #include "control_client.hpp"
 #include "fiona/modes.hpp"
 #include "host_process.hpp"
 #include "os/process.hpp"
+#include "os/read_pages.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::bench {
@@ -35,6 +37,12 @@ Memory memory_of(pid_t process) {
   }
   if (memory.resident > 0) return memory;
   throw std::runtime_error("the kernel does not tell what memory process " + std::to_string(process) + " has");
+}
+
+/// Once it rests, and has let go of what only its start needed.
+Memory settled_memory_of(pid_t process) {
+  std::this_thread::sleep_for(2 * os::ReadPages::kAfter);
+  return memory_of(process);
 }
 
 void add_number(control::Load& load, const char* name, std::int64_t value) {
@@ -90,7 +98,7 @@ double group_mib(std::size_t groups) {
     const std::string number = std::to_string(i);
     system.load_in("g" + number, "mover", "mover" + number, "neutral");
   }
-  return memory_of(system.group("g0").process()).proportional / 1024;
+  return settled_memory_of(system.group("g0").process()).proportional / 1024;
 }
 
 Memory host_memory() {
@@ -106,7 +114,7 @@ Memory host_memory() {
   for (const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
        std::chrono::steady_clock::now() < end;) {
     const auto system = client.call(question).system();
-    if (received(system) >= 1000) return memory_of(system.groups(0).process());
+    if (received(system) >= 1000) return settled_memory_of(system.groups(0).process());
     reactor.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(50));
   }
   throw std::runtime_error("the host's subscriber receives nothing");

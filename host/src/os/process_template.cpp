@@ -14,6 +14,8 @@
 #include <cstring>
 #include <string_view>
 
+#include "os/read_pages.hpp"
+
 namespace fiona::os {
 namespace {
 
@@ -115,6 +117,7 @@ bool is_template(int argc, char** argv) { return argc == 3 && argv[1] == std::st
 std::vector<std::string> wait_to_be_copied(int argc, char** argv) {
   PacketSocket socket{Descriptor(kSocket)};
   ::unsetenv(kBindNow);  // what a copy starts is none of this
+  let_go_of_read_pages();
   while (true) {
     pollfd wait{socket.descriptor(), POLLIN, 0};
     ::poll(&wait, 1, -1);
