@@ -169,11 +169,11 @@ void PeerLanes::take_chunk(Outgoing& out) {
   update(lane);
 }
 
-/// Up to a chunk: many small messages cost one.
+/// Up to a block: many small messages cost one.
 void PeerLanes::take_small(Outgoing& out) {
   records_.clear();
   std::size_t bytes = 0;
-  while (!small_.empty() && (records_.empty() || bytes + small_.front()->queue_.front().record.size() <= kChunkBytes)) {
+  while (!small_.empty() && (records_.empty() || bytes + small_.front()->queue_.front().record.size() <= kBlockBytes)) {
     Lane& lane = *small_.front();
     bytes += lane.queue_.front().record.size();
     begin(lane);

@@ -13,38 +13,38 @@
 namespace fiona::host {
 namespace {
 
-/// Blocks of at least this size are made in the size of a chunk, and kept.
-constexpr std::size_t kPooledFrom = kChunkBytes / 2;
+/// Blocks of at least this size are made in the size of the largest that is kept.
+constexpr std::size_t kPooledFrom = kBlockBytes / 2;
 /// Of a chunk's bytes, those that are copied into its record.
 constexpr std::size_t kInsideBytes = 4096;
-/// A string of this size is sent from where it lies: the pieces of an object are not much smaller than chunks.
-constexpr std::size_t kAliasFrom = kChunkBytes / 2;
+/// A string of this size is sent from where it lies: the pieces of an object are not much smaller than blocks.
+constexpr std::size_t kAliasFrom = kBlockBytes / 2;
 /// 4 MiB for each process that sends large messages.
-constexpr std::size_t kKeptChunks = 16;
+constexpr std::size_t kKeptBlocks = 16;
 
-/// Chunks that wait to be used again, of this process.
+/// Blocks that wait to be used again, of this process.
 class Shelf {
  public:
   ~Shelf() {
-    for (auto* chunk : idle_) ::operator delete(chunk);
+    for (auto* block : idle_) ::operator delete(block);
   }
   std::uint8_t* take() {
     {
       const std::lock_guard lock(mutex_);
       if (!idle_.empty()) {
-        auto* chunk = idle_.back();
+        auto* block = idle_.back();
         idle_.pop_back();
-        return chunk;
+        return block;
       }
     }
-    return static_cast<std::uint8_t*>(::operator new(kChunkBytes));
+    return static_cast<std::uint8_t*>(::operator new(kBlockBytes));
   }
-  void put_back(std::uint8_t* chunk) {
+  void put_back(std::uint8_t* block) {
     {
       const std::lock_guard lock(mutex_);
-      if (idle_.size() < kKeptChunks) return idle_.push_back(chunk);
+      if (idle_.size() < kKeptBlocks) return idle_.push_back(block);
     }
-    ::operator delete(chunk);
+    ::operator delete(block);
   }
 
  private:
@@ -57,7 +57,7 @@ Shelf& shelf() {
   return one;
 }
 
-bool is_pooled(std::size_t size) { return size >= kPooledFrom && size <= kChunkBytes; }
+bool is_pooled(std::size_t size) { return size >= kPooledFrom && size <= kBlockBytes; }
 
 void write_length(std::uint8_t* out, std::size_t length) {
   for (int i = 0; i < 4; ++i) out[i] = static_cast<std::uint8_t>(length >> (8 * i));
@@ -176,7 +176,7 @@ class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream 
   bool Next(void** data, int* size) override {
     if (blocks_.empty() || used_ == blocks_.back().size()) {
       end_own();
-      blocks_.emplace_back(blocks_.empty() ? kInsideBytes : kChunkBytes);
+      blocks_.emplace_back(blocks_.empty() ? kInsideBytes : kBlockBytes);
       begin_ = used_ = 0;
     }
     *data = blocks_.back().data() + used_;

@@ -15,10 +15,10 @@
 
 namespace fiona::host {
 
-/// The most of an object that one ZeroMQ message carries (architecture 7.5): what a large message may put before a
-/// small one. Between processes of one host an image of 1 MiB takes less time than a chunk does over a network, and
-/// each chunk wakes a thread at both ends.
-inline constexpr std::size_t kChunkBytes = 256 * 1024;
+/// The most of an object that one ZeroMQ message carries between hosts (architecture 7.5): what a large message may put
+/// before a small one. Between processes of one host an image of 1 MiB takes less time than a chunk does over a
+/// network, and each chunk wakes a thread at both ends.
+inline constexpr std::size_t kChunkBytes = 512 * 1024;
 inline constexpr std::size_t kLocalChunkBytes = 1024 * 1024 + 16 * 1024;
 /// The largest object that goes over a link.
 inline constexpr std::size_t kMaxObject = 64 * 1024 * 1024;
@@ -29,8 +29,11 @@ inline constexpr const char* kUnknownVersion = "unknown protocol version: this s
 /// A record begins with the lengths of its frame and of the object's bytes in it, 4 bytes each, little endian.
 inline constexpr std::size_t kRecordHead = 8;
 
-/// Bytes of their own that can be handed to ZeroMQ. Those of the size of a chunk are used again: a fresh one costs
-/// more in page faults than the copying into it.
+/// What small messages are put together in, up to so much of them, and what of an object does not lie in one piece.
+inline constexpr std::size_t kBlockBytes = 256 * 1024;
+
+/// Bytes of their own that can be handed to ZeroMQ. Those of this size are used again: a fresh one costs more in page
+/// faults than the copying into it.
 class Block {
  public:
   Block() = default;
