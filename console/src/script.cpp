@@ -41,6 +41,58 @@ std::vector<std::string> system_files_in(const std::filesystem::path& folder) {
   return files;
 }
 
+/// By one script, in all: a few that source each other twice would be as long as one likes.
+constexpr std::size_t kMostSourced = 1000;
+
+std::vector<Line> own_lines(const std::filesystem::path& file) {
+  std::vector<Line> lines;
+  for (const WordLine& words : split_script(read_text(file), file.string())) lines.push_back(read_line(words));
+  return lines;
+}
+
+/// The lines of a script, with those of the files that it sources in their place.
+class Sourcing {
+ public:
+  std::vector<Line> lines_of(const std::filesystem::path& file) {
+    open_.push_back(file.lexically_normal());
+    add(own_lines(file));
+    return std::move(lines_);
+  }
+
+ private:
+  void add(std::vector<Line> own) {
+    for (Line& line : own) line.verb.text == "source" ? add_sourced(line) : lines_.push_back(std::move(line));
+  }
+
+  void add_sourced(const Line& source) {
+    const Word& name = source.positional[0];
+    const auto file = named_file(source.words, name.text).lexically_normal();
+    if (std::find(open_.begin(), open_.end(), file) != open_.end())
+      throw source.error(name, {.what = "files source each other in a circle", .next = "take this line out"});
+    if (++sourced_ > kMostSourced)
+      throw source.error(name, {.what = fmt::format("more than {} files are sourced", kMostSourced),
+                                .next = "source parts of them one after the other"});
+    open_.push_back(file);
+    add(lines_at(source, file));
+    open_.pop_back();
+  }
+
+  /// Where there is no such file, the line that names it is told.
+  static std::vector<Line> lines_at(const Line& source, const std::filesystem::path& file) {
+    try {
+      return own_lines(file);
+    } catch (const LineError&) {
+      throw;
+    } catch (const Error& error) {
+      throw LineError(source.words, source.positional[0].place, error.text(), error.code());
+    }
+  }
+
+  std::vector<Line> lines_;
+  std::vector<std::filesystem::path> open_;  ///< those that are being read, each sourced by the one before
+  std::size_t sourced_ = 0;
+};
+
 }  // namespace
 
 std::string read_text(const std::filesystem::path& file) {
@@ -73,11 +125,7 @@ std::string read_text(const std::filesystem::path& file) {
   return text;
 }
 
-std::vector<Line> read_script(const std::filesystem::path& file) {
-  std::vector<Line> lines;
-  for (const WordLine& words : split_script(read_text(file), file.string())) lines.push_back(read_line(words));
-  return lines;
-}
+std::vector<Line> read_script(const std::filesystem::path& file) { return Sourcing().lines_of(file); }
 
 void run_script(Session& session, const std::vector<Line>& lines, const std::function<void(const Line&)>& before) {
   const ScriptSetting setting(session);

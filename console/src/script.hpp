@@ -12,8 +12,8 @@ namespace fiona::console {
 /// The text of a system file. Throws fiona::Error: NotFound, or Failed where it cannot be read.
 std::string read_text(const std::filesystem::path& file);
 
-/// The lines of a file, each read by its verb's form, so that a mistake in the last line is told before the first one
-/// runs.
+/// The lines of a file, those of a file that it sources in their place, each read by its verb's form, so that a mistake
+/// in the last line is told before the first one runs.
 std::vector<Line> read_script(const std::filesystem::path& file);
 
 /// Runs the lines in order and stops at the first that fails; its error then says file:line:column. `before` is called

@@ -50,7 +50,6 @@ class Session {
   Output& out;
   Options options;
   Setting setting = Setting::Shell;
-  int source_depth = 0;        ///< how many files are being sourced, one inside the other
   std::optional<Batch> batch;  ///< collects changes instead of making them, from `begin` to `commit`
   bool planning = false;       ///< transactions are tried only
   /// Puts a question to whoever types; nothing: nobody is there.

@@ -2,6 +2,7 @@
 #include <fstream>
 #include <mutex>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "fiona/options.pb.h"
@@ -17,6 +18,7 @@ namespace fiona::console {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::HasSubstr;
 
 control::Reply done(const std::string& note = "") {
   control::Reply reply;
@@ -486,12 +488,36 @@ TEST_F(ConsoleTest, AMistakeInTheLastLineIsToldBeforeTheFirstOneRuns) {
   EXPECT_TRUE(requests().empty());
 }
 
-TEST_F(ConsoleTest, SourceIsRelativeToItsFileAndEndsWhenFilesSourceThemselves) {
+TEST_F(ConsoleTest, SourceIsRelativeToItsFile) {
   file("inner.fiona", "unload a\n");
   run_script(session(), read_script(file("outer.fiona", "source inner.fiona\n")));
   EXPECT_EQ(requests().size(), 1U);
-  const auto path = file("self.fiona", "source self.fiona\n");
-  EXPECT_NE(error_of("source " + path.string()).find("files source each other more than 16 deep"), std::string::npos);
+}
+
+TEST_F(ConsoleTest, WhatIsSourcedStandsInThePlaceOfItsLineAndKeepsItsOwn) {
+  file("inner.fiona", "unload b\nunload c\n");
+  const auto lines = read_script(file("outer.fiona", "unload a\nsource inner.fiona\nunload d\n"));
+  ASSERT_EQ(lines.size(), 4U);
+  EXPECT_EQ(lines[2].positional[0].text, "c");
+  EXPECT_THAT(lines[2].error(lines[2].verb, {.what = "no"}).what(), HasSubstr("inner.fiona:2:1: no"));
+  EXPECT_EQ(lines[3].positional[0].text, "d");
+}
+
+TEST_F(ConsoleTest, FilesThatSourceEachOtherInACircleAreRefusedBeforeALineRuns) {
+  file("one.fiona", "unload a\nsource two.fiona\n");
+  const auto two = file("two.fiona", "source one.fiona\n");
+  EXPECT_THAT(error_of("source " + two.string()), HasSubstr("one.fiona:2:8: files source each other in a circle"));
+  EXPECT_TRUE(requests().empty());
+}
+
+TEST_F(ConsoleTest, FilesThatSourceEachOtherTwiceHaveABound) {
+  file("0.fiona", "unload a\nunload a\n");
+  std::filesystem::path last;
+  for (int i = 1; i <= 20; ++i) {
+    const std::string inner = "source " + std::to_string(i - 1) + ".fiona\n";
+    last = file(std::to_string(i) + ".fiona", inner + inner);
+  }
+  EXPECT_THAT(error_of("source " + last.string()), HasSubstr("more than 1000 files are sourced"));
 }
 
 TEST_F(ConsoleTest, AMissingFileIsNotFound) {

@@ -55,20 +55,7 @@ void save(Session& session, const Line& line) {
 }
 
 void source(Session& session, const Line& line) {
-  // A file that sources itself would never end.
-  constexpr int kDeepest = 16;
-  const fs::path file = named_file(line.words, line.positional[0].text);
-  if (session.source_depth >= kDeepest)
-    throw line.error(line.positional[0], {.what = fmt::format("files source each other more than {} deep", kDeepest)});
-  const std::vector<Line> lines = read_script(file);
-  ++session.source_depth;
-  try {
-    run_script(session, lines);
-  } catch (...) {
-    --session.source_depth;
-    throw;
-  }
-  --session.source_depth;
+  run_script(session, read_script(named_file(line.words, line.positional[0].text)));
 }
 
 }  // namespace fiona::console::verbs
