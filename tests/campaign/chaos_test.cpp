@@ -16,6 +16,7 @@
 #include <fmt/ranges.h>
 
 #include "campaign.hpp"
+#include "evidence.hpp"
 #include "fiona/error.hpp"
 #include "served_host.hpp"
 #include "supervised_host.hpp"
@@ -44,7 +45,10 @@ class SteppedClock {
     set({{"LD_PRELOAD", library_},
          {"FAKETIME_TIMESTAMP_FILE", offset_},
          {"FAKETIME_NO_CACHE", "1"},
-         {"FAKETIME_DONT_FAKE_MONOTONIC", "1"}});
+         {"FAKETIME_DONT_FAKE_MONOTONIC", "1"},
+         // A step leaves the times of files as they are. And libfaketime changes those under a lock that all processes
+         // share: one that is killed while it has it would leave every other one waiting at its next look at a file.
+         {"NO_FAKE_STAT", "1"}});
   }
   ~SteppedClock() { done(); }
   SteppedClock(const SteppedClock&) = delete;
@@ -101,6 +105,8 @@ class HostProcess {
   }
   bool lives() const { return supervisor_->end().empty(); }
   std::string end() const { return supervisor_->end(); }
+  /// What all processes are doing, and what they have said: for when nothing comes of them.
+  std::string evidence() const { return evidence_of(supervisor_->id()) + end() + "\n" + last_words(); }
   std::filesystem::path socket() const { return directory_ / "chaos.sock"; }
   std::string last_words() const {
     std::ifstream file(directory_ / "said");
@@ -344,7 +350,7 @@ class Chaos : public testing::Test {
       } catch (const std::runtime_error&) {  // not yet
       }
     }
-    throw std::runtime_error("no host came: " + host.last_words());
+    throw std::runtime_error("no host came: " + host.evidence());
   }
   /// Not so often that its supervisor leaves it: three times within 30 s.
   void kill_the_host() {
@@ -449,7 +455,7 @@ class Chaos : public testing::Test {
     do {
       ill = what_is_ill();
     } while (!ill.empty() && Steady::now() < end);
-    EXPECT_EQ(ill, "") << "not back in time\n" << host.last_words();
+    EXPECT_EQ(ill, "") << "not back in time\n" << host.evidence();
   }
   std::string what_is_ill() {
     const auto system = console->snapshot();
@@ -535,6 +541,27 @@ TEST_F(Chaos, HurtsNobodyButWhomItHitsAndTheyComeBack) {
       seconds, seed, fmt::join(texts, ", "), refused, loaded_anew, longest_answer_ms, longest_gap_ms, oldest_shown_ms,
       warm.descriptors, after.descriptors - warm.descriptors, warm.threads, after.threads - warm.threads,
       warm.resident_mib, after.resident_mib - warm.resident_mib, pulse.longest_ms());
+}
+
+TEST(SteppedClock, OneThatIsKilledWhileItLooksAtAFileKeepsNobodyElseWaiting) {
+  if (const char* how_often = std::getenv("FIONA_LOOKS")) {  // this test in the processes that it starts below
+    bool there = true;
+    do there = std::filesystem::exists("/");
+    while (there && how_often == std::string("for ever"));
+    return;
+  }
+  const TemporaryDirectory directory;
+  const SteppedClock clock(directory.path);
+  if (!clock.is_there()) GTEST_SKIP() << "no libfaketime (apt-get install libfaketime)";
+  // What the processes of a system share is what the first one has handed on: here the shell.
+  const std::string script =
+      "looks() { FIONA_LOOKS=$1 timeout -s KILL $2 $0 --gtest_filter='SteppedClock.*' >/dev/null 2>&1; }\n"
+      "for i in 1 2 3 4 5; do looks 'for ever' 0.3; done\n"
+      "looks once 10\n";
+  os::ChildProcess shell("/bin/sh", {"-c", script, std::filesystem::read_symlink("/proc/self/exe").string()}, {});
+  for (const auto end = Steady::now() + 30s; shell.end().empty() && Steady::now() < end;)
+    std::this_thread::sleep_for(2ms);
+  EXPECT_EQ(shell.end(), "exited with code 0");
 }
 
 }  // namespace

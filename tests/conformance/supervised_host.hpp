@@ -16,6 +16,7 @@
 #include <thread>
 #include <vector>
 
+#include "evidence.hpp"
 #include "os/process.hpp"
 #include "served_host.hpp"
 #include "system_fixture.hpp"
@@ -69,7 +70,7 @@ class SupervisedHost {
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
-    throw std::runtime_error("no host came: " + said());
+    throw std::runtime_error("no host came: " + said() + evidence_of(supervisor()));
   }
   /// Ends the host, at once, and waits for the one after it.
   std::unique_ptr<TestConsole> kill_host(int signal = SIGKILL) const {
