@@ -4,6 +4,7 @@
 #include <atomic>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -117,6 +118,13 @@ struct LinkSocket::Release {
   }
 };
 
+/// What goes to a peer as one: ZeroMQ takes all of it, or nothing.
+struct LinkSocket::Crossing {
+  zmq::message_t beside_frames;  ///< of a chunk, ahead of it; empty: it is none
+  zmq::message_t body;
+  std::size_t bytes = 0;
+};
+
 class LinkSocket::Peer {
  public:
   Peer(std::string i, std::string p, std::shared_ptr<Gate> g, std::shared_ptr<Debts> d, bool has_proved)
@@ -136,6 +144,7 @@ class LinkSocket::Peer {
   bool gone = false;
   FrameCounts counts;
   PeerLanes lanes;
+  std::optional<Crossing> held;  ///< ahead of the lanes: ZeroMQ has had no room for it
   const std::shared_ptr<PeerLanes::Lane> control;
   FrameReader reader;  ///< the reader's
 };

@@ -36,7 +36,8 @@ bool LinkSocket::drain() {
     std::string peer;
     {
       const std::lock_guard lock(mutex_);
-      if (stopped_ || !receive(peer)) return false;
+      if (stopped_) return false;
+      if (!receive(peer)) return pump_held(), false;  // reading may have told of room
     }
     dispatch(peer);
   }

@@ -286,46 +286,74 @@ void LinkSocket::tell_locked(Peer& peer, wire::Frame& frame) {
 
 /// Called with the mutex held, as is what follows.
 void LinkSocket::pump(Peer& peer) {
-  if (stopped_ || !peer.proven || peer.gone) return;
+  if (stopped_ || !peer.proven || peer.gone || !fill(peer)) return;
+  // Sending, also in vain, may have consumed the descriptor's edge for messages that wait, or for room.
+  if (has_input()) pool_.submit(turn_);
+  pump_held();
+}
+
+/// Those for which ZeroMQ had no room, and may have some by now.
+void LinkSocket::pump_held() {
+  if (stopped_ || !has_held_) return;
+  has_held_ = false;
+  for (const auto& [identity, peer] : peers_) {
+    if (peer->held) fill(*peer);
+  }
+}
+
+/// Whether anything was tried.
+bool LinkSocket::fill(Peer& peer) {
+  if (peer.held && !cross(peer, *std::exchange(peer.held, std::nullopt))) return true;
   bool tried = false;
   PeerLanes::Outgoing out;
   while (peer.lanes.has_ready() && peer.gate->enter_or_wait() && peer.lanes.next(out)) {
     tried = true;
     if (!send_out(peer, out)) break;
   }
-  // Sending, also in vain, may have consumed the descriptor's edge for messages that wait.
-  if (tried && has_input()) pool_.submit(turn_);
+  return tried;
 }
 
 bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
-  const std::size_t bytes = out.bytes();
-  peer.gate->bytes += bytes;
+  Crossing crossing;
+  crossing.bytes = out.bytes();
+  peer.gate->bytes += crossing.bytes;
   if (!out.payload) peer.gate->messages += 1;
   auto release = std::make_unique<Release>();
   release->gate = peer.gate;
-  release->bytes = bytes;
-  zmq::message_t beside_frames;
+  release->bytes = crossing.bytes;
   Block records = std::move(out.records);
   const std::string_view beside = out.payload ? out.payload->chunks()[out.chunk].beside : std::string_view();
   const bool chunk = !beside.empty();
-  if (chunk) beside_frames.rebuild(records.data(), records.size());
+  if (chunk) crossing.beside_frames.rebuild(records.data(), records.size());
   release->payload = std::move(out.payload);
   if (!chunk) release->records = std::move(records);
   // ZeroMQ only reads the bytes: they are not its own.
   void* data = chunk ? const_cast<char*>(beside.data()) : static_cast<void*>(release->records.data());
   const std::size_t size = chunk ? beside.size() : release->records.size();
-  zmq::message_t body(data, size, &Release::done, release.release());
+  crossing.body.rebuild(data, size, &Release::done, release.release());
+  return cross(peer, std::move(crossing));
+}
+
+/// False: nothing more goes to this peer now. The gate is there so that ZeroMQ has room whenever this is called; where
+/// it has none all the same, or no connection just then, what was to go waits for the next try, and is not lost.
+bool LinkSocket::cross(Peer& peer, Crossing crossing) {
+  bool taken = false;
   try {
-    // A connection that is just not there takes none of the parts.
-    bool taken = !routed_ || sent(socket_, zmq::buffer(peer.identity), zmq::send_flags::sndmore);
-    if (taken && chunk) taken = sent(socket_, beside_frames, zmq::send_flags::sndmore);
-    if (taken) sent(socket_, body);
+    taken = !routed_ || sent(socket_, zmq::buffer(peer.identity), zmq::send_flags::sndmore);
+    if (taken && crossing.beside_frames.size() > 0)
+      taken = sent(socket_, crossing.beside_frames, zmq::send_flags::sndmore);
+    if (taken) taken = sent(socket_, crossing.body);
   } catch (const zmq::error_t&) {
     peer.gone = true;  // supervision reports that, not each message
     return false;
   }
+  if (!taken) {
+    peer.held = std::move(crossing);
+    has_held_ = true;
+    return false;
+  }
   counters_.sent_messages.fetch_add(1, std::memory_order_relaxed);
-  counters_.sent_bytes.fetch_add(bytes, std::memory_order_relaxed);
+  counters_.sent_bytes.fetch_add(crossing.bytes, std::memory_order_relaxed);
   return true;
 }
 

@@ -133,6 +133,7 @@ class LinkSocket {
   struct Debt;
   struct Release;
   struct Turn;
+  struct Crossing;
   class Incoming;
 
   void be_proven();
@@ -152,7 +153,10 @@ class LinkSocket {
   std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
   void forget_locked(const std::string& process);
   void pump(Peer& peer);
+  void pump_held();
+  bool fill(Peer& peer);
   bool send_out(Peer& peer, PeerLanes::Outgoing& out);
+  bool cross(Peer& peer, Crossing crossing);
   void send_plain(const std::string& peer, const wire::Frame& frame);
   void tell_locked(Peer& peer, wire::Frame& frame);
   PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
@@ -179,6 +183,7 @@ class LinkSocket {
   std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled
   Peer* sender_ = nullptr;               ///< the reader's, with what the receipt is for
   std::pair<std::uint64_t, std::size_t> arrived_;
+  bool has_held_ = false;  ///< there may be peers for which ZeroMQ had no room
   bool curve_ = false;
   std::size_t chunk_ = kLocalChunkBytes;
   bool stopped_ = false;

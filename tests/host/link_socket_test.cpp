@@ -6,6 +6,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <filesystem>
@@ -234,6 +235,27 @@ TEST_F(ProvingLink, CarriesSmallAndLargeObjectsBetweenTwoOfItsKind) {
   EXPECT_TRUE(eventually([&] { return noted.seen().size() == 4; }));
   EXPECT_THAT(noted.seen(), ElementsAre(64, 300'000, 64, 8'000'000)) << "in order";
   EXPECT_EQ(noted.bytes, bytes);
+  client.stop();
+  provider.stop();
+}
+
+TEST_F(ProvingLink, KeepsInOrderWhatZeroMqHasNoRoomFor) {
+  constexpr std::size_t kMessages = 5'000;
+  const std::string endpoint = "ipc://@fiona-link-test-full-" + std::to_string(::getpid());
+  LinkSocket provider(pool, context, zmq::socket_type::router, counters, noted);
+  provider.listen(endpoint, kKey);
+  Noted client_noted;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
+  client.socket().set(zmq::sockopt::sndhwm, 1);  // the gate lets two in
+  client.connect(endpoint, "peer", link_key(kKey, "peer"));
+  const auto lane = client.open_lane("");
+  for (std::size_t i = 0; i < kMessages; ++i) {
+    wire::Frame frame = frame_of(i);
+    client.send(lane, frame, std::make_shared<BytesValue>(), LinkSocket::Rule::Control);
+  }
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == kMessages; })) << noted.seen().size();
+  const auto seen = noted.seen();
+  EXPECT_TRUE(std::is_sorted(seen.begin(), seen.end()));
   client.stop();
   provider.stop();
 }
