@@ -1,5 +1,6 @@
 #include "host_process.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <csignal>
@@ -26,6 +27,9 @@ constexpr std::chrono::seconds kStart{10};
 constexpr std::chrono::seconds kEnd{5};
 /// For a host whose supervisor has gone to end by itself.
 constexpr std::chrono::seconds kRest{1};
+/// For what has been killed to be gone. What waits for a disk or a device in the kernel goes only then.
+constexpr std::chrono::seconds kKilled{2};
+constexpr std::chrono::milliseconds kNap{5};
 constexpr std::size_t kLongestLine = 4096;
 // The descriptors in the host; above the standard ones, below what it opens itself.
 constexpr int kReadyInHost = 3;
@@ -196,16 +200,22 @@ bool HostProcess::running() {
   return false;
 }
 
+/// Short naps instead of a pidfd: this happens once, at the end, and the pipe's output is served meanwhile.
+bool HostProcess::nap_until(SteadyTime deadline) {
+  reactor_.run_until([] { return false; }, std::min(deadline, std::chrono::steady_clock::now() + kNap));
+  return std::chrono::steady_clock::now() < deadline;
+}
+
 int HostProcess::collect() {
-  const SteadyTime deadline = in(kEnd);
-  // Short naps instead of a pidfd: this happens once, at the end, and the pipe's output is served meanwhile.
-  while (running() && std::chrono::steady_clock::now() < deadline) {
-    reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(5));
+  for (const SteadyTime deadline = in(kEnd); running() && nap_until(deadline);) {
   }
   if (running()) ::kill(process_, SIGKILL);
-  int status = 0;
-  if (!exit_code_ && ::waitpid(process_, &status, 0) == process_)
-    exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  for (const SteadyTime deadline = in(kKilled); running() && nap_until(deadline);) {
+  }
+  if (running()) {
+    tell_left(process_);
+    exit_code_ = 128 + SIGKILL;
+  }
   if (was_killed()) end_rest();
   return exit_code_.value_or(1);
 }
@@ -213,15 +223,24 @@ int HostProcess::collect() {
 /// All that came of it has become a child of this process.
 void HostProcess::end_rest() {
   const SteadyTime deadline = in(kRest);
-  for (auto left = children(); !left.empty(); left = children()) {
+  auto left = children();
+  while (!left.empty() && nap_until(deadline + kKilled)) {
     const bool late = std::chrono::steady_clock::now() >= deadline;
     for (const pid_t child : left) {
       if (late) ::kill(child, SIGKILL);
-      ::waitpid(child, nullptr, late ? 0 : WNOHANG);
+      ::waitpid(child, nullptr, WNOHANG);
     }
-    if (!late)
-      reactor_.run_until([] { return false; }, std::chrono::steady_clock::now() + std::chrono::milliseconds(5));
+    left = children();
   }
+  for (const pid_t child : left) tell_left(child);
+}
+
+/// Whoever waits for the end of a run is not kept by what nobody can end.
+void HostProcess::tell_left(pid_t process) {
+  on_line_(
+      fmt::format("process {} was killed, and is still there after {} s: it waits in the kernel for a disk or a "
+                  "device, and ends when that answers; see ps -o pid,stat,wchan,args -p {}",
+                  process, kKilled.count(), process));
 }
 
 int HostProcess::stop() {

@@ -39,7 +39,8 @@ class HostProcess {
   HostProcess& operator=(const HostProcess&) = delete;
   ~HostProcess();
 
-  /// Lets go of the lifeline and waits; kills it if it has not ended after 5 s. The exit code; 128 + signal.
+  /// Lets go of the lifeline and waits; kills it if it has not ended after 5 s, and waits 2 s more: what is still there
+  /// then is told, and left. The exit code; 128 + signal.
   int stop();
   bool running();
   /// Whether a supervisor has been killed: what it has left is gone once `stop` returns.
@@ -49,8 +50,11 @@ class HostProcess {
   void spawn(const HostLaunch& launch, int ready, int lifeline, int said);
   void wait_ready(int ready);
   void read_said();
+  /// Whether there is time left.
+  bool nap_until(SteadyTime deadline);
   int collect();
   void end_rest();
+  void tell_left(pid_t process);
 
   Reactor& reactor_;
   const bool supervised_;
