@@ -1,14 +1,18 @@
 #include "os/unix_socket.hpp"
 
 #include <fcntl.h>
+#include <signal.h>
 #include <sys/file.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 
 #include <cerrno>
+#include <chrono>
+#include <cstdlib>
 #include <cstring>
 #include <system_error>
+#include <thread>
 
 #include "fiona/error.hpp"
 
@@ -38,33 +42,54 @@ sockaddr_un address_of(const std::filesystem::path& path) {
   return address;
 }
 
-Descriptor lock_beside(const std::filesystem::path& path) {
-  const std::filesystem::path lock_path = path.string() + ".lock";
-  Descriptor lock(::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (!lock) fail("the lock beside the socket cannot be opened", lock_path);
-  if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
-    char holder[32] = {};
-    const auto size = ::pread(lock.get(), holder, sizeof holder - 1, 0);
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "another host already serves this name",
-                 .where = path.string(),
-                 .found = "process " + std::string(holder, size > 0 ? static_cast<std::size_t>(size) : 0),
-                 .next = "stop it, or start this one with --host NAME"});
+/// For what a process that was killed had just begun to start: until that is a program of its own it has the locks too.
+constexpr std::chrono::seconds kLetsGoWithin{2};
+constexpr std::chrono::milliseconds kNap{5};
+
+struct Lock {
+  Descriptor taken;    ///< none: another process has it
+  std::string holder;  ///< the number of the one that has taken it last
+};
+
+std::string holder_in(const Descriptor& file) {
+  char number[32] = {};
+  const auto size = ::pread(file.get(), number, sizeof number - 1, 0);
+  return {number, size > 0 ? static_cast<std::size_t>(size) : 0};
+}
+
+bool has_gone(const std::string& process) {
+  const int id = std::atoi(process.c_str());
+  return id > 0 && ::kill(id, 0) != 0 && errno == ESRCH;
+}
+
+/// In a file that says who has it.
+Lock lock_in(const std::filesystem::path& path) {
+  Descriptor file(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+  if (!file) fail("the lock cannot be opened", path);
+  const auto end = std::chrono::steady_clock::now() + kLetsGoWithin;
+  while (::flock(file.get(), LOCK_EX | LOCK_NB) != 0) {
+    std::string holder = holder_in(file);
+    if (!has_gone(holder) || std::chrono::steady_clock::now() >= end) return {{}, std::move(holder)};
+    std::this_thread::sleep_for(kNap);
   }
   const std::string self = std::to_string(::getpid());
-  if (::ftruncate(lock.get(), 0) != 0 || ::pwrite(lock.get(), self.data(), self.size(), 0) < 0) {
-    fail("the lock beside the socket cannot be written", lock_path);
-  }
-  return lock;
+  if (::ftruncate(file.get(), 0) != 0 || ::pwrite(file.get(), self.data(), self.size(), 0) < 0)
+    fail("the lock cannot be written", path);
+  return {std::move(file), self};
+}
+
+Descriptor lock_beside(const std::filesystem::path& path) {
+  Lock lock = lock_in(path.string() + ".lock");
+  if (lock.taken) return std::move(lock.taken);
+  throw Error(ErrorCode::NotAllowed, {.what = "another host already serves this name",
+                                      .where = path.string(),
+                                      .found = "process " + lock.holder,
+                                      .next = "stop it, or start this one with --host NAME"});
 }
 
 }  // namespace
 
-Descriptor try_lock(const std::filesystem::path& file) {
-  Descriptor lock(::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (!lock) fail("the lock cannot be opened", file);
-  return ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0 ? std::move(lock) : Descriptor();
-}
+Descriptor try_lock(const std::filesystem::path& file) { return lock_in(file).taken; }
 
 void require_private_directory(const std::filesystem::path& directory) {
   std::error_code ignored;

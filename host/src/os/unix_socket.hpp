@@ -32,8 +32,9 @@ class UnixListener {
 /// A connected pair of stream sockets, both closed on exec.
 std::pair<Descriptor, Descriptor> socket_pair();
 
-/// A lock that ends with this process, in a file that is made if it is missing; none: another process has it. Throws
-/// Error Failed if there can be no such file.
+/// A lock that ends with this process, in a file that is made if it is missing and tells its number; none: another
+/// process has it. What one that was killed has left has two seconds to let go. Throws Error Failed if there can be no
+/// such file.
 Descriptor try_lock(const std::filesystem::path& file);
 
 /// Makes `directory` with mode 0700, or checks that it is ours and closed to others. Throws Error NotAllowed.
