@@ -58,7 +58,11 @@ std::string seconds(std::chrono::milliseconds time) {
   return text;
 }
 
-void say(const std::string& line) { std::cerr << "supervisor: " + line + "\n"; }
+/// Who does not read it keeps no host from being started: pipe(7), what is writable has room for a line.
+void say(const std::string& line) {
+  pollfd room{STDERR_FILENO, POLLOUT, 0};
+  if (::poll(&room, 1, 0) > 0) std::cerr << "supervisor: " + line + "\n";
+}
 
 }  // namespace
 
@@ -71,12 +75,12 @@ void Supervisor::start(Time now) {
        {std::pair("--ready-fd", kReadyInHost), {"--lifeline-fd", kLifelineInHost}, {"--supervisor-fd", kLinkInHost}}) {
     arguments.insert(arguments.end(), {flag, std::to_string(number)});
   }
-  if (const std::uint64_t restarts = starts_++; restarts > 0) {
+  if (starts_ > 0) {
     std::erase(arguments, "--restore");
     arguments.insert(arguments.end(),
-                     {"--restore", "--restarts", std::to_string(restarts), "--restart-reason", reason_});
+                     {"--restore", "--restarts", std::to_string(starts_), "--restart-reason", reason_});
   }
-  if (std::exchange(taken_back_, false)) arguments.emplace_back("--taken-back");
+  if (taken_back_) arguments.emplace_back("--taken-back");
   try {
     host_ = std::make_unique<os::ChildProcess>(program_.next(), arguments,
                                                std::vector<std::pair<int, int>>{{ready_there.get(), kReadyInHost},
@@ -88,6 +92,8 @@ void Supervisor::start(Time now) {
     take_back("cannot be started: " + error.text().found);
     return start(now);
   }
+  ++starts_;
+  taken_back_ = false;
   ready_ = std::move(ready);
   ::fcntl(ready_.get(), F_SETFL, O_NONBLOCK);
   lifeline_ = std::move(lifeline);
@@ -114,6 +120,28 @@ int Supervisor::run(int signals) {
   while (true) {
     if (const auto code = look(signals)) return end_all(*code);
   }
+}
+
+/// What keeps it from being started may pass: it counts as one that has ended.
+std::optional<int> Supervisor::start_again(Time now) {
+  try {
+    start(now);
+    return std::nullopt;
+  } catch (const Error& error) {
+    return start_later("the host could not be started: " + error.text().what + ": " + error.text().found, now);
+  }
+}
+
+/// Unless that has been too often.
+std::optional<int> Supervisor::start_later(const std::string& what, Time now) {
+  due_ = supervision_.ended("host", now);
+  if (due_) {
+    say(what + "; it is started again");
+    return std::nullopt;
+  }
+  say(what + "; it is left, after " + std::to_string(Supervision::kRestarts) + " restarts within " +
+      std::to_string(Supervision::kWithin.count()) + " s");
+  return kFailed;
 }
 
 int Supervisor::wait_ms(Time now) const {
@@ -158,7 +186,7 @@ std::optional<int> Supervisor::look(int signals) {
   if (due_ && now >= *due_) {
     due_.reset();
     supervision_.take_due(now);
-    start(now);
+    return start_again(now);
   }
   return std::nullopt;
 }
@@ -328,18 +356,9 @@ std::optional<int> Supervisor::host_ended(Time now) {
   if (made_way || program_.on_trial()) {
     if (made_way) reason_ = "upgraded";
     if (!made_way) take_back(reason_);
-    start(now);
-    return std::nullopt;
+    return start_again(now);
   }
-  const auto due = supervision_.ended("host", now);
-  if (!due) {
-    say("the host has ended: " + reason_ + "; it is left, after " + std::to_string(Supervision::kRestarts) +
-        " restarts within " + std::to_string(Supervision::kWithin.count()) + " s");
-    return kFailed;
-  }
-  due_ = *due;
-  say("the host has ended: " + reason_ + "; it is started again");
-  return std::nullopt;
+  return start_later("the host has ended: " + reason_, now);
 }
 
 /// Nobody is left behind.

@@ -64,6 +64,8 @@ class Supervisor {
   };
 
   void start(Time now);
+  std::optional<int> start_again(Time now);
+  std::optional<int> start_later(const std::string& what, Time now);
   std::optional<int> look(int signals);
   void forward_ready();
   void serve_host();

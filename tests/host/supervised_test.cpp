@@ -2,6 +2,7 @@
 // FIONA_KILLS says how often a host is killed while it is changed, FIONA_SEED when.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <fmt/format.h>
 
@@ -146,6 +147,7 @@ TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
   console->load("mover", "moves", "mover", "work_ms=8000");  // holds the activity that a change of mode waits for
   console->load("source", "moves", "silent", "period_ms=10000");
   wire(*console, "mover.orders", "silent.newest");
+  console->eventually("it holds it", [&] { return port(*console, "mover.orders").messages() > 0; });
   const pid_t there = console->process_of("there"), far = console->process_of("far");
   const auto payload_is = [](TestConsole& at, std::int64_t wanted) {
     const auto source = at.instance("source");
@@ -261,6 +263,47 @@ TEST(SupervisedStart, ThatFailsIsNotTriedAgain) {
   SupervisedHost host({"--restore"});
   EXPECT_THAT(host.said_ready(), HasSubstr("there is no journal"));
   EXPECT_EQ(host.wait_for_end(), "exited with code 3");
+}
+
+/// How many descriptors a process may have, until the end of this.
+class FewDescriptors {
+ public:
+  FewDescriptors(pid_t process, rlim_t most) : process_(process) {
+    ::prlimit(process_, RLIMIT_NOFILE, nullptr, &before_);
+    const rlimit small{most, before_.rlim_max};
+    ::prlimit(process_, RLIMIT_NOFILE, &small, nullptr);
+  }
+  ~FewDescriptors() { ::prlimit(process_, RLIMIT_NOFILE, &before_, nullptr); }
+  FewDescriptors(const FewDescriptors&) = delete;
+  FewDescriptors& operator=(const FewDescriptors&) = delete;
+
+ private:
+  const pid_t process_;
+  rlimit before_{};
+};
+
+TEST_F(Supervised, AHostThatCannotBeStartedIsTriedAgain) {
+  auto console = host.console();
+  load_pair(*console, 0);
+  const pid_t there = console->process_of("there"), before = host.host();
+  {
+    const FewDescriptors none(host.supervisor(), 3);
+    ::kill(before, SIGKILL);
+    console->eventually("it has been tried",
+                        [&] { return host.said().find("could not be started") != std::string::npos; });
+  }
+  console = host.console(before);
+  EXPECT_EQ(console->process_of("there"), there);
+  EXPECT_THAT(host.said(), HasSubstr("supervisor: the host could not be started: no pipe can be made: Too many open "
+                                     "files; it is started again"));
+}
+
+TEST_F(Supervised, AHostThatCanNeverBeStartedIsLeftWithTheReason) {
+  auto console = host.console();
+  const FewDescriptors none(host.supervisor(), 3);
+  ::kill(host.host(), SIGKILL);
+  EXPECT_EQ(host.wait_for_end(), "exited with code 9");
+  EXPECT_THAT(host.said(), HasSubstr("Too many open files; it is left, after 3 restarts within 30 s"));
 }
 
 TEST(SupervisedHang, OfTheHostIsSeenAndEnded) {

@@ -35,19 +35,31 @@ bool is_harmless(std::string_view variable) {
   return std::any_of(std::begin(kHarmless), std::end(kHarmless), [&](auto one) { return variable.starts_with(one); });
 }
 
+[[noreturn]] void fail_to_start(const std::filesystem::path& program, int error) {
+  const char* const next = error == ENOENT || error == ENOEXEC || error == EACCES
+                               ? "build or install FIONA again: its programs belong side by side"
+                               : "fiona doctor; end what takes up processes, memory or descriptors here";
+  throw Error(ErrorCode::Failed, {.what = "the process cannot be started",
+                                  .where = program.string(),
+                                  .found = std::strerror(error),
+                                  .next = next});
+}
+
 }  // namespace
 
 ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
                            const std::vector<std::pair<int, int>>& inherited, bool clean,
                            std::vector<std::string> variables, const std::filesystem::path& shown_as) {
-  posix_spawn_file_actions_t actions;
-  posix_spawn_file_actions_init(&actions);
   // Moved out of the way first: one of ours may have the number that another is to have there.
   std::vector<Descriptor> moved;
   for (const auto& [ours, theirs] : inherited) {
     moved.emplace_back(::fcntl(ours, F_DUPFD_CLOEXEC, kFirstFree));
-    posix_spawn_file_actions_adddup2(&actions, moved.back().get(), theirs);
+    if (!moved.back()) fail_to_start(program, errno);  // a process that finds some of them would be worse than none
   }
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  for (std::size_t i = 0; i < moved.size(); ++i)
+    posix_spawn_file_actions_adddup2(&actions, moved[i].get(), inherited[i].second);
   std::vector<std::string> words{shown_as.empty() ? program.string() : shown_as.string()};
   words.insert(words.end(), arguments.begin(), arguments.end());
   std::vector<char*> argv;
@@ -65,12 +77,7 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
   const int error = ::posix_spawn(&id_, program.c_str(), &actions, &attributes, argv.data(), environment.data());
   posix_spawnattr_destroy(&attributes);
   posix_spawn_file_actions_destroy(&actions);
-  if (error != 0) {
-    throw Error(ErrorCode::Failed, {.what = "the process cannot be started",
-                                    .where = program.string(),
-                                    .found = std::strerror(error),
-                                    .next = "build or install FIONA again: its programs belong side by side"});
-  }
+  if (error != 0) fail_to_start(program, error);
   handle_ = Descriptor(static_cast<int>(::syscall(SYS_pidfd_open, id_, 0)));
 }
 
@@ -130,8 +137,12 @@ bool ChildProcess::is_stopped() const {
   return end_.empty() && name != std::string::npos && line.compare(name, 3, ") T") == 0;
 }
 
+/// One of our own that has no pidfd, for want of descriptors, has its number until it is reaped.
 void ChildProcess::kill() {
-  if (!end().empty() || ::syscall(SYS_pidfd_send_signal, handle_.get(), SIGKILL, nullptr, 0) != 0) return;
+  if (!end().empty()) return;
+  const bool told = handle_ ? ::syscall(SYS_pidfd_send_signal, handle_.get(), SIGKILL, nullptr, 0) == 0
+                            : !how_ && ::kill(id_, SIGKILL) == 0;
+  if (!told) return;
   ::kill(-id_, SIGKILL);
 }
 
