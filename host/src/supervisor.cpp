@@ -147,6 +147,7 @@ std::optional<int> Supervisor::start_later(const std::string& what, Time now) {
 int Supervisor::wait_ms(Time now) const {
   Time until = now + kLook;
   if (due_) until = std::min(until, *due_);
+  if (tried_until_) until = std::min(until, *tried_until_);
   if (stopping_) until = std::min(until, *stopping_);
   if (check_) until = std::min(until, check_->until());
   return static_cast<int>(std::max<std::int64_t>(0, std::chrono::ceil<milliseconds>(until - now).count()));
