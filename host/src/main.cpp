@@ -19,6 +19,7 @@
 #include "os/process.hpp"
 #include "os/spare_descriptor.hpp"
 #include "os/unix_socket.hpp"
+#include "os/unread.hpp"
 
 namespace {
 
@@ -216,6 +217,7 @@ int main(int argc, char** argv) {
   fiona::os::leave_no_core_file();
   fiona::os::keep_freed_memory();
   fiona::os::keep_spare_descriptor();
+  fiona::os::wait_for_no_reader();
   try {
     flags = parse(argc, argv, description);
     if (flags.help) return std::cout << description, 0;

@@ -58,11 +58,7 @@ std::string seconds(std::chrono::milliseconds time) {
   return text;
 }
 
-/// Who does not read it keeps no host from being started: pipe(7), what is writable has room for a line.
-void say(const std::string& line) {
-  pollfd room{STDERR_FILENO, POLLOUT, 0};
-  if (::poll(&room, 1, 0) > 0) std::cerr << "supervisor: " + line + "\n";
-}
+void say(const std::string& line) { std::cerr << "supervisor: " + line + "\n"; }
 
 }  // namespace
 

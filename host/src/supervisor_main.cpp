@@ -8,6 +8,7 @@
 #include <iostream>
 #include <string>
 
+#include "os/unread.hpp"
 #include "supervisor.hpp"
 
 namespace {
@@ -47,6 +48,7 @@ Supervisor::Options options_from(int argc, char** argv) {
 int main(int argc, char** argv) {
   // Whoever reads what it says may go first. A handler, unlike SIG_IGN, is not handed down to the host.
   ::signal(SIGPIPE, [](int) {});
+  fiona::os::wait_for_no_reader();
   try {
     auto options = options_from(argc, argv);
     for (const int one : {options.ready.get(), options.lifeline.get()}) {

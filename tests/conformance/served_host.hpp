@@ -95,7 +95,7 @@ class TestConsole {
     control::Reply reply;
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(40);
     for (bool open = true; !stream_.next(reply);) {
-      if (!open) throw std::runtime_error("no answer");
+      if (!open) throw std::runtime_error(stream_.closed() ? "the host has gone" : "no answer within 40 s");
       open = stream_.wait_readable(end) && stream_.receive();  // the last words may come with the end
     }
     if (reply.has_failure()) host::throw_failure(reply.failure());

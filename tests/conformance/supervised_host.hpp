@@ -26,9 +26,10 @@ namespace fiona::conformance {
 /// A host with its supervisor, as `fiona run --supervised` starts it.
 class SupervisedHost {
  public:
+  /// `says_to`: what is said goes there, and not into a file.
   explicit SupervisedHost(const std::vector<std::string>& arguments = {},
-                          const std::filesystem::path& programs = os::program_directory()) {
-    start(arguments, programs);
+                          const std::filesystem::path& programs = os::program_directory(), int says_to = -1) {
+    start(arguments, programs, says_to);
   }
   ~SupervisedHost() {
     lifeline_.reset();
@@ -104,7 +105,7 @@ class SupervisedHost {
   }
 
  private:
-  void start(const std::vector<std::string>& given, const std::filesystem::path& programs) {
+  void start(const std::vector<std::string>& given, const std::filesystem::path& programs, int says_to) {
     std::filesystem::create_directory(directory_.path / "private");
     std::filesystem::permissions(directory_.path / "private", std::filesystem::perms::owner_all);
     std::array<int, 2> ready{}, lifeline{};
@@ -121,11 +122,12 @@ class SupervisedHost {
         "kept",       "--socket", socket().string(), "--store", (directory_.path / "store").string(),
         "--threads",  "2"};
     arguments.insert(arguments.end(), given.begin(), given.end());
-    supervisor_ = std::make_unique<os::ChildProcess>(programs / "fiona-supervisor", arguments,
-                                                     std::vector<std::pair<int, int>>{{ready_there.get(), 3},
-                                                                                      {lifeline_there.get(), 4},
-                                                                                      {said.get(), STDOUT_FILENO},
-                                                                                      {said.get(), STDERR_FILENO}});
+    supervisor_ = std::make_unique<os::ChildProcess>(
+        programs / "fiona-supervisor", arguments,
+        std::vector<std::pair<int, int>>{{ready_there.get(), 3},
+                                         {lifeline_there.get(), 4},
+                                         {says_to < 0 ? said.get() : says_to, STDOUT_FILENO},
+                                         {says_to < 0 ? said.get() : says_to, STDERR_FILENO}});
     ready_there.reset();
     char text[4096];
     for (ssize_t got = 0; (got = ::read(ready_here.get(), text, sizeof text)) > 0;)

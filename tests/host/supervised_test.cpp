@@ -147,7 +147,6 @@ TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
   console->load("mover", "moves", "mover", "work_ms=8000");  // holds the activity that a change of mode waits for
   console->load("source", "moves", "silent", "period_ms=10000");
   wire(*console, "mover.orders", "silent.newest");
-  console->eventually("it holds it", [&] { return port(*console, "mover.orders").messages() > 0; });
   const pid_t there = console->process_of("there"), far = console->process_of("far");
   const auto payload_is = [](TestConsole& at, std::int64_t wanted) {
     const auto source = at.instance("source");
@@ -257,6 +256,48 @@ TEST(SupervisedEnd, OfSupervisorAndHostTogetherLeavesNobody) {
   const auto end = Steady::now() + 20s;
   while (!host.left().empty() && Steady::now() < end) std::this_thread::sleep_for(20ms);
   EXPECT_THAT(host.left(), testing::IsEmpty());
+}
+
+/// A pipe that is full; what is in it is taken when it is asked for.
+class FullPipe {
+ public:
+  FullPipe() {
+    if (::pipe2(ends_, O_CLOEXEC | O_NONBLOCK) != 0) throw std::runtime_error("no pipe");
+    const std::string lines(4096, '\n');
+    while (::write(ends_[1], lines.data(), lines.size()) > 0) continue;
+    ::fcntl(ends_[1], F_SETFL, 0);
+  }
+  ~FullPipe() {
+    for (const int end : ends_) ::close(end);
+  }
+  FullPipe(const FullPipe&) = delete;
+  FullPipe& operator=(const FullPipe&) = delete;
+  int write_end() const { return ends_[1]; }
+  std::string take() const {
+    std::string all;
+    std::array<char, 4096> chunk{};
+    for (ssize_t got = 0; (got = ::read(ends_[0], chunk.data(), chunk.size())) > 0;)
+      all.append(chunk.data(), static_cast<std::size_t>(got));
+    return all;
+  }
+
+ private:
+  int ends_[2] = {-1, -1};
+};
+
+TEST(SupervisedWords, ThatNobodyReadsKeepNoHostFromBeingStarted) {
+  const FullPipe pipe;
+  const SupervisedHost host{{}, os::program_directory(), pipe.write_end()};
+  auto console = host.console();
+  load_pair(*console, 0);
+  const pid_t there = console->process_of("there");
+  console = host.kill_host();
+  EXPECT_EQ(console->process_of("there"), there);
+  pipe.take();
+  console = host.kill_host();
+  const std::string said = pipe.take();
+  EXPECT_THAT(said, HasSubstr("(1 lines are missing here: nobody has read them)\nsupervisor: the host has ended"));
+  EXPECT_THAT(said, HasSubstr("group 'there' goes on"));
 }
 
 TEST(SupervisedStart, ThatFailsIsNotTriedAgain) {
