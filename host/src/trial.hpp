@@ -18,7 +18,7 @@ namespace fiona::host {
 /// message packages among them, and for this host: the next one asks again.
 class Trials {
  public:
-  /// How long opening may take: as long as in a group.
+  /// How long opening may take: as long as in a group, beside what it waits for a processor.
   static constexpr std::chrono::milliseconds kWithin = HangWatch::kOpening;
 
   /// Throws Error Failed, if opening the libraries of this plugin ends a process or does not end. What the loader
