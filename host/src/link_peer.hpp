@@ -120,7 +120,7 @@ struct LinkSocket::Release {
 
 /// What goes to a peer as one: ZeroMQ takes all of it, or nothing.
 struct LinkSocket::Crossing {
-  zmq::message_t beside_frames;  ///< of a chunk, ahead of it; empty: it is none
+  std::optional<zmq::message_t> beside_frames;  ///< of a chunk, ahead of it
   zmq::message_t body;
   std::size_t bytes = 0;
 };

@@ -324,7 +324,7 @@ bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   Block records = std::move(out.records);
   const std::string_view beside = out.payload ? out.payload->chunks()[out.chunk].beside : std::string_view();
   const bool chunk = !beside.empty();
-  if (chunk) crossing.beside_frames.rebuild(records.data(), records.size());
+  if (chunk) crossing.beside_frames.emplace(records.data(), records.size());
   release->payload = std::move(out.payload);
   if (!chunk) release->records = std::move(records);
   // ZeroMQ only reads the bytes: they are not its own.
@@ -340,8 +340,7 @@ bool LinkSocket::cross(Peer& peer, Crossing crossing) {
   bool taken = false;
   try {
     taken = !routed_ || sent(socket_, zmq::buffer(peer.identity), zmq::send_flags::sndmore);
-    if (taken && crossing.beside_frames.size() > 0)
-      taken = sent(socket_, crossing.beside_frames, zmq::send_flags::sndmore);
+    if (taken && crossing.beside_frames) taken = sent(socket_, *crossing.beside_frames, zmq::send_flags::sndmore);
     if (taken) taken = sent(socket_, crossing.body);
   } catch (const zmq::error_t&) {
     peer.gone = true;  // supervision reports that, not each message

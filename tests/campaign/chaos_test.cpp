@@ -106,7 +106,10 @@ class HostProcess {
   bool lives() const { return supervisor_->end().empty(); }
   std::string end() const { return supervisor_->end(); }
   /// What all processes are doing, and what they have said: for when nothing comes of them.
-  std::string evidence() const { return evidence_of(supervisor_->id()) + end() + "\n" + last_words(); }
+  std::string evidence() const {
+    const std::string doing = evidence_of(supervisor_->id());
+    return doing + end() + "\n" + last_words();  // with what has been said since
+  }
   std::filesystem::path socket() const { return directory_ / "chaos.sock"; }
   std::string last_words() const {
     std::ifstream file(directory_ / "said");

@@ -4,8 +4,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <sys/ptrace.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -125,6 +128,28 @@ TEST_F(GroupCopies, AreToldHowTheyEndedAsAnyOtherGroup) {
 TEST_F(GroupCopies, TakeTheirTemplateWithThemWhenTheLastOfThemEnds) {
   system.unload("source");
   system.eventually("nothing is left", [] { return !template_process(); });
+}
+
+TEST(ChildProcess, ThatIsKilledAndDoesNotGoIsNotWaitedFor) {
+  auto held = std::make_unique<os::ChildProcess>("/bin/sleep", std::vector<std::string>{"100"},
+                                                 std::vector<std::pair<int, int>>{});
+  int told[2];
+  ASSERT_EQ(::pipe(told), 0);
+  const pid_t holder = ::fork();
+  if (holder == 0) {  // one that a debugger holds is not gone before that has looked
+    const char holds = ::ptrace(PTRACE_SEIZE, held->id(), nullptr, nullptr) == 0 ? 'y' : 'n';
+    static_cast<void>(::write(told[1], &holds, 1));
+    while (true) ::pause();
+  }
+  char holds = 'n';
+  static_cast<void>(::read(told[0], &holds, 1));
+  const auto begun = std::chrono::steady_clock::now();
+  if (holds == 'y') held.reset();
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, std::chrono::seconds(5));
+  ::kill(holder, SIGKILL);
+  ::waitpid(holder, nullptr, 0);
+  for (const int one : told) ::close(one);
+  if (holds != 'y') GTEST_SKIP() << "this user may hold no other process";
 }
 
 }  // namespace

@@ -18,6 +18,8 @@
 #include <fstream>
 #include <sstream>
 #include <string_view>
+#include <system_error>
+#include <thread>
 
 #include "fiona/error.hpp"
 
@@ -33,6 +35,22 @@ constexpr int kFirstFree = 16;
 bool is_harmless(std::string_view variable) {
   constexpr std::string_view kHarmless[] = {"LANG=", "LC_", "TZ=", "ASAN_OPTIONS=", "UBSAN_OPTIONS=", "TSAN_OPTIONS="};
   return std::any_of(std::begin(kHarmless), std::end(kHarmless), [&](auto one) { return variable.starts_with(one); });
+}
+
+/// For one that was killed to be gone, while somebody waits.
+constexpr int kGoesWithin_ms = 500;
+
+/// To die a process needs a processor as any other, and what it waits for in the kernel. The thread that ends it may be
+/// the one that a host is alive by.
+void reap_in_time(pid_t child, int handle) {
+  pollfd ended{handle, POLLIN, 0};
+  ::poll(&ended, 1, kGoesWithin_ms);
+  if (::waitpid(child, nullptr, WNOHANG) != 0) return;
+  try {
+    std::thread([child] { ::waitpid(child, nullptr, 0); }).detach();
+  } catch (const std::system_error&) {  // there are no more threads
+    ::waitpid(child, nullptr, 0);
+  }
 }
 
 [[noreturn]] void fail_to_start(const std::filesystem::path& program, int error) {
@@ -87,7 +105,7 @@ ChildProcess::ChildProcess(pid_t id, Descriptor handle, HowItEnded how)
 ChildProcess::~ChildProcess() {
   if (!end().empty()) return;
   kill();
-  if (!how_) ::waitpid(id_, nullptr, 0);
+  if (!how_) reap_in_time(id_, handle_.get());
 }
 
 /// Its process group first: while it is not reaped no other one has its number.

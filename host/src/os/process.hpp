@@ -15,7 +15,8 @@
 
 namespace fiona::os {
 
-/// A child process, known by a pidfd so that its number is never mistaken for another's. Destruction kills and reaps.
+/// A child process, known by a pidfd so that its number is never mistaken for another's. Destruction kills and
+/// reaps, after half a second without waiting for that.
 /// It leads a process group, and at its end so do end the programs that it has started and that are still in that.
 class ChildProcess {
  public:
