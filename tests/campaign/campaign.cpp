@@ -52,9 +52,9 @@ Holdings holdings(const std::vector<pid_t>& processes) {
       ::closedir(directory);
     }
     all.threads += threads_of(process);
-    long pages = 0, resident = 0;
-    std::ifstream(process + "/statm") >> pages >> resident;
-    all.resident_mib += static_cast<double>(resident * ::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
+    long pages = 0, resident = 0, of_files = 0;
+    std::ifstream(process + "/statm") >> pages >> resident >> of_files;
+    all.resident_mib += static_cast<double>((resident - of_files) * ::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
   }
   return all;
 }

@@ -32,7 +32,7 @@ struct Holdings {
   long descriptors = 0;
   long sockets = 0;  ///< of the descriptors
   long threads = 0;
-  double resident_mib = 0;
+  double resident_mib = 0;  ///< other than pages of files, which come and go as they are read
 };
 
 Holdings holdings(const std::vector<pid_t>& processes);

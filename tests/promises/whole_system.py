@@ -130,8 +130,9 @@ class WholeSystem:
 
 
 def resident_kib(process):
+    """Other than pages of files, which come and go as they are read."""
     with open("/proc/%d/status" % process, encoding="ascii") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith("VmRSS:"))
+        return next(int(line.split()[1]) for line in file if line.startswith("RssAnon:"))
 
 
 def descriptors(process):
