@@ -24,6 +24,9 @@ using google::protobuf::Reflection;
 
 namespace {
 
+/// As deep as an object may be that comes as bytes: a deeper one would end the process that reads it.
+constexpr int kDeepestText = 100;
+
 std::string in_quotes(std::string_view text) {
   std::string out = "\"";
   for (const char c : text) {
@@ -138,6 +141,7 @@ std::optional<std::string> misread(const Value& value, Message& target) {
   FirstComplaint complaint;
   google::protobuf::TextFormat::Parser parser;
   parser.RecordErrorsTo(&complaint);
+  parser.SetRecursionLimit(kDeepestText);
   if (value.kind_case() == Value::kMessage && parser.MergeFromString(value.message(), &target)) return std::nullopt;
   return "protobuf text of " + target.GetDescriptor()->full_name() + " in braces" + complaint.text();
 }

@@ -349,6 +349,18 @@ TEST_F(Parameters, ProtobufTextThatDoesNotParseIsToldWithItsPlace) {
   EXPECT_EQ(text.found, "{angel: 1}");
 }
 
+TEST(ProtobufText, ThatIsNestedWithoutEndIsRefused) {
+  google::protobuf::DescriptorProto nested;
+  control::Argument all;
+  for (int i = 0; i < 200'000; ++i) all.mutable_value()->mutable_message()->append("nested_type{");
+  try {
+    set_fields(nested, {&all, 1});
+    FAIL() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.text().expected, ::testing::HasSubstr("recursion"));
+  }
+}
+
 TEST_F(Parameters, UnknownEnumeratorGetsTheNearest) {
   const auto text = refusal_of({word("colour", "GRENE")});
   EXPECT_EQ(text.expected, "one of RED, GREEN");
