@@ -21,6 +21,9 @@ void use(const Building& building) {
   for (const Room& room : building.rooms()) {
     if (!std::isfinite(room.centre.x_m) || !std::isfinite(room.centre.y_m)) std::abort();
     building.room_at(room.centre, room.level);
+    if (!room.name.empty() && building.room(room.name).name != room.name && building.room(room.name).ref != room.name)
+      std::abort();
+    building.to_local(building.to_wgs84(room.centre));
     building.walls_crossed(room.centre, building.height_m(room.level) + 1.0, {}, 1.0);
   }
   if (building.rooms().empty()) return;

@@ -7,6 +7,7 @@
 #include <array>
 #include <cstdint>
 #include <cstdlib>
+#include <initializer_list>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -15,6 +16,7 @@
 #include "field_compare.hpp"
 #include "fiona/error.hpp"
 #include "fiona/localisation.pb.h"
+#include "fiona/probe.pb.h"
 #include "inert.hpp"
 #include "os/message_stream.hpp"
 
@@ -52,12 +54,17 @@ void check_request(const std::string& bytes) {
   Request request;
   request.ParseFromString(bytes);
   if (!request.has_expect()) return;
-  static const auto kObject = location();
+  static const auto kLocation = location();
+  static const fiona::probe::Number kNumber;
   const auto& expect = request.expect();
-  try {
-    fiona::host::compare_field(kObject, expect.field(), expect.comparison(), expect.value());
-  } catch (const fiona::Error& error) {
-    if (error.text().what.empty()) std::abort();
+  // A request itself has fields of all kinds.
+  for (const google::protobuf::Message* object :
+       std::initializer_list<const google::protobuf::Message*>{&kLocation, &kNumber, &request}) {
+    try {
+      fiona::host::compare_field(*object, expect.field(), expect.comparison(), expect.value(), "m");
+    } catch (const fiona::Error& error) {
+      if (error.text().what.empty()) std::abort();
+    }
   }
 }
 

@@ -26,6 +26,7 @@ void navigate(const CommLevelMap& map) {
   const auto plan = fiona::guidance::read_level_plan(map);
   plan.level_near(0.0, 1.0);
   plan.walled({0.0, 0.0}, {10.0, 10.0}, 0.0);
+  plan.behind_door({0.0, 0.0}, {10.0, 10.0}, 0.0);
   plan.room_name({{1.0, 1.0}, 0.0});
   if (plan.graph.nodes.size() != static_cast<std::size_t>(map.nodes_size())) std::abort();
   if (plan.graph.nodes.empty()) return;
@@ -38,10 +39,12 @@ void locate(const CommLevelMap& map) {
   const fiona::beacons::FloorPlan plan(map);
   for (const auto& extent : plan.extents()) {
     plan.wall_between(extent.level, extent.low_x_m, extent.low_y_m, extent.low_x_m + 1.0, extent.low_y_m + 1.0);
-    plan.may_be_at(extent.level, extent.low_x_m, extent.low_y_m);
+    const double x_m = (extent.low_x_m + extent.high_x_m) / 2, y_m = (extent.low_y_m + extent.high_y_m) / 2;
+    plan.may_be_at(extent.level, x_m, y_m);
+    plan.is_closed(extent.level, x_m, y_m);
   }
   for (const auto& way : plan.ways()) {
-    if (way.from_level == way.to_level) std::abort();
+    if (way.from_level == way.to_level || !std::isfinite(way.at(0.5).x_m)) std::abort();
   }
 }
 

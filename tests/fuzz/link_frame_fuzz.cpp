@@ -207,6 +207,74 @@ class LinksAndPeers {
   RawPeer stranger_{context_, "ipc://" + path_.string(), "stranger"};
 };
 
+/// A process that has connected to one which sends what it likes, and may have proved the key before.
+class ClientAndProvider final : public LinkSocket::Receiver {
+ public:
+  ClientAndProvider(const std::string& endpoint, bool knows_key) : knows_key_(knows_key) {
+    provider_.set(zmq::sockopt::linger, 0);
+    provider_.bind(endpoint);
+    link_->connect(endpoint, kPeer, fiona::host::link_key(kKey, kPeer));
+    challenge(hello_nonce());
+    while (knows_key_ && link_->peers() == 0) std::this_thread::yield();
+  }
+  ~ClientAndProvider() override { link_->stop(); }
+
+  void run(const std::vector<Message>& messages) {
+    for (const auto& message : messages) send(message);
+    while (counters_.received_messages < expected_) std::this_thread::yield();
+    if ((link_->peers() == 1) != knows_key_) std::abort();
+    for (zmq::message_t answer; provider_.recv(answer, zmq::recv_flags::dontwait);) continue;
+  }
+
+ private:
+  std::string hello_nonce() {
+    struct First final : fiona::host::FrameReader::Receiver {
+      bool accepts(const Frame&) override { return false; }
+      void on_frame(const Frame& one, const ObjectBytes&) override { frame = one; }
+      Frame frame;
+    } first;
+    static_cast<void>(provider_.recv(client_));
+    std::vector<zmq::message_t> parts(1);
+    static_cast<void>(provider_.recv(parts.front()));
+    fiona::host::FrameReader().read(parts, first);
+    return first.frame.hello().nonce();
+  }
+  void challenge(const std::string& theirs) {
+    using namespace fiona::host;
+    const std::string ours(kNonceBytes, 'o');
+    Frame frame;
+    frame.mutable_challenge()->set_nonce(ours);
+    frame.mutable_challenge()->set_proof(
+        link_proof(knows_key_ ? link_key(kKey, kPeer) : kKey, LinkSide::Provider, theirs, ours));
+    const Block record = make_record(frame, nullptr, 0);
+    send({{reinterpret_cast<const char*>(record.data()), record.size()}});
+  }
+  void send(const Message& message) {
+    provider_.send(zmq::buffer(client_.to_string_view()), zmq::send_flags::sndmore);
+    for (std::size_t i = 0; i < message.size(); ++i) {
+      provider_.send(zmq::buffer(message[i]),
+                     i + 1 < message.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+    }
+    ++expected_;
+  }
+
+  bool accepts(const std::string&, const Frame& frame) override { return accepts_or_aborts(frame.wire() < 3); }
+  void on_frame(const std::string&, const Frame&, const ObjectBytes&) override { accepts_or_aborts(true); }
+  void on_refused(const std::string&) override {}
+  /// Nothing comes from who has not proved the key.
+  bool accepts_or_aborts(bool accepted) const { return knows_key_ ? accepted : (std::abort(), false); }
+
+  const bool knows_key_;
+  std::uint64_t expected_ = 0;
+  fiona::Pool pool_{1};
+  zmq::context_t context_;
+  zmq::socket_t provider_{context_, zmq::socket_type::router};
+  zmq::message_t client_;  ///< how the provider's socket names it
+  LinkCounters counters_;
+  const std::shared_ptr<LinkSocket> link_ =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *this);
+};
+
 /// Puts objects together out of chunks small enough for an input of this size to have several.
 class SmallChunks final : public fiona::host::FrameReader::Receiver {
  public:
@@ -243,6 +311,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   static_cast<void>(kLogBefore);
   static EndsAndPeer ends;
   static LinksAndPeers links;
+  static ClientAndProvider client("inproc://provider", true);
+  static ClientAndProvider deceived("inproc://impostor", false);
   std::string_view rest(reinterpret_cast<const char*>(data), size);
   std::vector<Message> messages;
   bool second = false;
@@ -259,5 +329,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   SmallChunks().run(messages);
   ends.run(messages);
   links.run(messages);
+  client.run(messages);
+  deceived.run(messages);
   return 0;
 }

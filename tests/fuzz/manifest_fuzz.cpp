@@ -38,6 +38,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       check(
           [](auto... arguments) {
             const auto manifest = parse_manifest(arguments...);
+            for (const auto& right : manifest.rights()) opens_sandbox(right);
             check_packed_manifest(manifest, "fuzz");
             return manifest;
           },

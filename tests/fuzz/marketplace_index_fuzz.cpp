@@ -34,15 +34,21 @@ class Directory {
   std::string path_;
 };
 
+void refuses_version(const Marketplace& market, const std::string& name) {
+  try {
+    market.resolve(name + "@none");
+  } catch (const fiona::Error& error) {
+    if (error.code() == fiona::ErrorCode::NotFound) return;
+  }
+  std::abort();
+}
+
 void use(const Marketplace& market) {
   for (const auto& entry : market.search({})) {
     const std::string name = entry.manifest().publisher() + "/" + entry.manifest().name();
-    if (market.info(name).empty()) std::abort();
-    try {
-      market.resolve(name);
-    } catch (const fiona::Error& error) {  // for another machine
-      if (error.code() != fiona::ErrorCode::DependencyConflict) std::abort();
-    }
+    if (market.info(name).empty() || market.search({entry.manifest().name()}).empty()) std::abort();
+    if (!market.resolve(name + "@" + entry.manifest().version()).version) std::abort();
+    refuses_version(market, name);
     for (const auto& component : entry.interface().components()) {
       for (const auto& port : component.ports()) market.providers_of(port.service());
     }

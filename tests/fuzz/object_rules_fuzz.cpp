@@ -65,6 +65,8 @@ void check_set(const Type& type, std::string_view bytes) {
   try {
     fiona::set_fields(*draft, std::vector(set.parameters().begin(), set.parameters().end()));
     if (type.rules->first_violation(*draft)) std::abort();
+    const auto again = made(*type.descriptor);
+    fiona::set_fields(*again, fiona::differences(*draft, *again));
   } catch (const fiona::Error& error) {
     if (error.text().what.empty()) std::abort();
   }

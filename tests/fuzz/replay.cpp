@@ -1,7 +1,7 @@
 // Runs a fuzz target without a fuzzer: over each file of its corpus, then over mutations of them, the same ones each
 // time. A child does it, so that whatever ends it, the input that did is known, kept in a file and told.
 //
-//     TARGET CORPUS_DIR MUTATIONS
+//     TARGET MUTATIONS CORPUS_DIR …
 #include <sys/mman.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -18,6 +18,7 @@
 #include <iterator>
 #include <new>
 #include <random>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -34,11 +35,13 @@ struct Seed {
   std::string bytes;
 };
 
-std::vector<Seed> read_corpus(const std::filesystem::path& directory) {
+std::vector<Seed> read_corpus(std::span<char*> directories) {
   std::vector<Seed> seeds;
-  for (const auto& entry : std::filesystem::directory_iterator(directory)) {
-    std::ifstream file(entry.path(), std::ios::binary);
-    seeds.push_back({entry.path().filename().string(), {std::istreambuf_iterator<char>(file), {}}});
+  for (const char* directory : directories) {
+    for (const auto& entry : std::filesystem::directory_iterator(directory)) {
+      std::ifstream file(entry.path(), std::ios::binary);
+      seeds.push_back({entry.path().filename().string(), {std::istreambuf_iterator<char>(file), {}}});
+    }
   }
   std::sort(seeds.begin(), seeds.end(), [](const Seed& a, const Seed& b) { return a.name < b.name; });
   return seeds;
@@ -112,14 +115,14 @@ int report(const std::string& target, const std::vector<Seed>& seeds, std::size_
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 3) {
-    std::fprintf(stderr, "usage: %s CORPUS_DIR MUTATIONS\n", argv[0]);
+  if (argc < 3) {
+    std::fprintf(stderr, "usage: %s MUTATIONS CORPUS_DIR …\n", argv[0]);
     return 2;
   }
-  const auto seeds = read_corpus(argv[1]);
-  const std::size_t mutations = std::stoul(argv[2]);
+  const std::size_t mutations = std::stoul(argv[1]);
+  const auto seeds = read_corpus({argv + 2, argv + argc});
   if (seeds.empty()) {
-    std::fprintf(stderr, "error: %s holds no seed\n", argv[1]);
+    std::fprintf(stderr, "error: %s holds no seed\n", argv[2]);
     return 1;
   }
   void* shared =

@@ -16,7 +16,11 @@ using namespace fiona::marketplace;
 
 std::string written(std::string_view text, int kind) {
   if (kind == 0) return Requirement::parse(text, "fuzz").text();
-  if (kind == 1) return VersionRange::parse(text, "fuzz").text();
+  if (kind == 1) {
+    const VersionRange range = VersionRange::parse(text, "fuzz");
+    for (const auto& bound : range.bounds()) range.has(bound.version);
+    return range.text();
+  }
   std::string printed;
   google::protobuf::TextFormat::PrintToString(parse_lock(text, "fuzz"), &printed);
   return printed;

@@ -58,6 +58,16 @@ void check_delegations(std::string_view bytes) {
   }
 }
 
+// Whether it is signed as it says itself.
+void check_signatures(std::string_view bytes) {
+  try {
+    const auto root = fiona::tuf::parse_root(bytes, "input");
+    for (const auto& [role, signers] : root.roles) fiona::tuf::require_signatures(root, signers, root.keys, role);
+  } catch (const fiona::Error&) {
+    // As above.
+  }
+}
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
@@ -68,5 +78,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   check_role(fiona::tuf::parse_snapshot, bytes);
   check_role(fiona::tuf::parse_targets, bytes);
   check_delegations(bytes);
+  check_signatures(bytes);
   return 0;
 }
