@@ -15,6 +15,8 @@ import sys
 
 HERE = pathlib.Path(__file__).resolve().parent
 SLICE_S = 300
+# What is promised is 1 s and 256 MiB without sanitizers: with them an input takes several times as long, and their shadow,
+# what they keep of what was freed, and the fuzzer's own corpus need memory.
 LONGEST_S = 10
 MOST_MIB = 512
 TIMED_OUT = 70
