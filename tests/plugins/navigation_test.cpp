@@ -668,6 +668,13 @@ TEST(Guide, APlaceThatIsLessThanSureTurnsNobodyForAMoment) {
   EXPECT_EQ(kind_at(1.2), Instruction::TURN);
 }
 
+TEST(Guide, WhoLooksQuiteAnotherWayIsTurnedAtOnceHoweverDoubtfulTheirPlace) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  EXPECT_EQ(guide.follow({{{0, 3}, 0}, 0.0, 1.5}, at(0)).instruction.kind(), Instruction::CONTINUE);
+  EXPECT_EQ(guide.follow({{{0, 4}, 0}, 150 * kDegree, 1.5}, at(4)).instruction.kind(), Instruction::TURN);
+}
+
 TEST(Guide, WhoGetsOnNowhereIsSentBackALittle) {
   const LevelPlan plan;
   Guide guide(plan, corner(), "Room 7", false, at(0));

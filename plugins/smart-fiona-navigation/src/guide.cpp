@@ -41,6 +41,8 @@ constexpr double kAlong_rad = 30.0 * kDegree;
 constexpr double kAsTold_rad = 22.5 * kDegree;
 /// A place that is less than sure has one look elsewhere for a moment.
 constexpr auto kAstrayFor = 1s;
+/// But by more than this no corner that the place is taken to be on the wrong side of does.
+constexpr double kAway_rad = 120.0 * kDegree;
 constexpr auto kThroughDoor = 2s;
 constexpr double kThen_m = 3.0;  ///< a turn that is nearer behind a door or stairs is told together with them
 constexpr auto kShutFor = 30s;
@@ -364,7 +366,8 @@ Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
     astray_since_.reset();
   } else {
     if (!astray_since_) astray_since_ = now;
-    if (walker.sigma_m < kSure_m || now - *astray_since_ >= kAstrayFor) aligned_ = false;
+    const bool is_sure = walker.sigma_m < kSure_m || std::abs(*rest) > kAway_rad;
+    if (is_sure || now - *astray_since_ >= kAstrayFor) aligned_ = false;
   }
   const bool is_there =
       ahead_m < 1.0 && off_m_ < std::max(kBeside_m, walker.sigma_m) && next().kind != Instruction::ARRIVE;
