@@ -300,6 +300,7 @@ class System {
   void hand_over(const Model& next, const Model::Instance& old, bool keeps);
   void untap_candidate();
   void dispose_later(Beside version);
+  void end_leaving(const std::string& group);
   void cut_beside(Beside& version);
   void look_after_versions(std::chrono::steady_clock::time_point now);
   void destroy_version(Beside& version);

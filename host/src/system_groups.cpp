@@ -65,6 +65,7 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   if (found != groups_.end() && found->second->alive()) return *found->second;
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
+  end_leaving(wanted);
   require_descriptors_for("another group", child_groups().size() + attached_names(), options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   std::filesystem::create_directories(folder);

@@ -375,6 +375,14 @@ void System::dispose_standby(const std::string& name) {
 /// Once what it was asked has been answered, it is destroyed; its process ends with the last instance in it.
 void System::dispose_later(Beside version) { leaving_.push_back(std::move(version)); }
 
+/// With a process that has gone: the next one of that name has nothing to do with it.
+void System::end_leaving(const std::string& group) {
+  for (Beside& one : leaving_) {
+    if (one.made.group == group) cut_beside(one);
+  }
+  std::erase_if(leaving_, [&](const Beside& one) { return one.made.group == group; });
+}
+
 void System::cut_beside(Beside& version) {
   for (const auto& [client, wire] : std::exchange(version.wires, {})) {
     if (wire.id == 0) continue;

@@ -149,6 +149,20 @@ INSTANTIATE_TEST_SUITE_P(
                     Bad{"silent=1 hangs_after_ms=100", "group 'x' was ended: 'x' was stuck"}),
     name_of);
 
+TEST_F(Upgrade, RightAfterABadOneIsNotEndedWithWhatThatHasLeft) {
+  build("version=2 dies_when_opened=1");
+  static_cast<void>(refusal_of(upgrade_of()));
+  build("version=3");
+  const auto answer = begin(upgrade_of());
+  system.eventually("it is made in the group whose name was that of the bad one", [&] {
+    serve();
+    return answer->ended.load();
+  });
+  EXPECT_EQ(answer->reply.failure().found(), "");
+  EXPECT_EQ(system.instance("x").group(), "x");
+  EXPECT_EQ(version_heard(), 3);
+}
+
 class UpgradeThatGoesWrongLater : public Upgrade, public testing::WithParamInterface<Bad> {};
 
 TEST_P(UpgradeThatGoesWrongLater, IsTakenBackByItselfAndSaysWhy) {
