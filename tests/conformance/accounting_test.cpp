@@ -41,12 +41,12 @@ class Accounting : public OverTransports {
 };
 
 TEST_P(Accounting, OfAHandlerThatIsTooSlowForEachAddsUp) {
-  put(30, 1'000'000);
-  system.load_client("sink", "sink", "work_ms=200");
+  put(60, 100'000);
+  system.load_client("sink", "sink", "work_ms=100");
   system.wire("sink.each", "source.newest");
   system.state("source", "active");
-  system.eventually("all put", [&] { return system.port("source.newest").messages() == 30; });
-  expect_sum("sink.each", 30);
+  system.eventually("all put", [&] { return system.port("source.newest").messages() == 60; });
+  expect_sum("sink.each", 60);
   EXPECT_GT(system.port("sink.each").dropped(), 0U);
 }
 
@@ -87,17 +87,17 @@ TEST_P(Accounting, OfAWireThatIsCutHasAllUntilTheCutAndNothingAfterIt) {
 TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
   system.load_client("sink", "sink", "work_ms=500");
   system.load_provider("caller", "caller");
-  system.load_provider("source", "source", "neutral period_ms=1 count=3");
+  system.load_provider("source", "source", "neutral period_ms=1 count=4");
   system.wire("caller.orders", "sink.orders");
   system.wire("sink.each", "source.newest");  // its handler takes long, and the orders wait meanwhile
   system.state("source", "active");
   const auto outcomes = system.watch("caller.outcome");
-  system.set("caller", "call=send_burst go=1 every=20 payload=1000000");
+  system.set("caller", "call=send_burst go=1 every=50 payload=1000000");
   const auto taken =
       std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
   EXPECT_GT(taken, 0U);
-  EXPECT_LT(taken, 20U) << "a full queue is an outcome, not a wait";
-  EXPECT_EQ(system.port("caller.orders").dropped(), 20 - taken);
+  EXPECT_LT(taken, 50U) << "a full queue is an outcome, not a wait";
+  EXPECT_EQ(system.port("caller.orders").dropped(), 50 - taken);
   const auto arrived = [&] { return system.port("sink.orders").messages() + system.port("sink.orders").refused(); };
   system.eventually("handled", [&] { return arrived() == taken; });
 }

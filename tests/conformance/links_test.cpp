@@ -23,7 +23,7 @@ class Links : public testing::TestWithParam<Transport> {
   /// Puts `count` samples of this payload, and waits until each of the sinks has them all.
   void push_to(int sinks, int count, std::size_t payload) {
     system.load_provider("source", "source",
-                         "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
+                         "neutral period_ms=5 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
     for (int i = 0; i < sinks; ++i) {
       system.load_client("sink", "sink" + std::to_string(i));
       system.wire("sink" + std::to_string(i) + ".each", "source.newest");
@@ -82,9 +82,9 @@ TEST_P(Links, LateSubscriberOfAServiceWithLastValueIsGivenItAloneThoughItSharesT
 }
 
 TEST_P(Links, SlowConsumerLosesInItsOwnNameAndNobodyElseLoses) {
-  system.load_client("sink", "slow", "work_ms=100");
+  system.load_client("sink", "slow", "work_ms=200");
   system.load_client("sink", "quick");
-  system.load_provider("source", "source", "neutral period_ms=4 count=200 payload=200000");
+  system.load_provider("source", "source", "neutral period_ms=4 count=200 payload=100000");
   system.wire("slow.each", "source.newest");
   system.wire("quick.each", "source.newest");
   system.state("source", "active");
