@@ -1,6 +1,7 @@
 #include "script.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
@@ -115,13 +116,15 @@ std::string read_text(const std::filesystem::path& file) {
   }
   std::ifstream in(file, std::ios::binary);
   constexpr std::size_t kMost = (16U << 20U) + 1;  // one more than a script may have: it says that it is too long
-  std::string text(kMost, '\0');
-  if (in) in.read(text.data(), static_cast<std::streamsize>(kMost));
+  std::string text;
+  for (std::array<char, 1U << 16U> block{}; in && text.size() < kMost;) {
+    in.read(block.data(), block.size());
+    text.append(block.data(), static_cast<std::size_t>(in.gcount()));
+  }
   if (!in && !in.eof())
     throw Error(ErrorCode::Failed, ErrorText{.what = fmt::format("the file cannot be read: {}", std::strerror(errno)),
                                              .where = file.string(),
                                              .next = "see what it allows: ls -l " + file.string()});
-  text.resize(static_cast<std::size_t>(in.gcount()));
   return text;
 }
 

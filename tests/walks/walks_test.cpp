@@ -7,22 +7,19 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
-#include <map>
 #include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "fiona/simulator/survey.hpp"
 #include "guided_walk.hpp"
-#include "survey_learner.hpp"
+#include "surveyor.hpp"
 
 namespace fiona::walks {
 namespace {
 
 using building::Building;
-using namespace std::chrono_literals;
 
 std::uint64_t number(const char* variable, std::uint64_t otherwise) {
   const char* text = std::getenv(variable);
@@ -47,52 +44,6 @@ double percentile(std::vector<double> values, double share) {
   return values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
 }
 
-std::vector<beacons::SurveySecond> seconds_of(const simulator::Trace& trace, std::uint32_t walk) {
-  std::vector<beacons::SurveySecond> seconds;
-  auto to = trace.waypoints.begin();
-  auto heard = trace.beacons.begin();
-  for (std::chrono::milliseconds begin{0}; begin + 1s <= trace.duration; begin += 1s) {
-    while (to != trace.waypoints.end() && to->t < begin + 500ms) ++to;
-    if (to == trace.waypoints.begin()) continue;
-    if (to == trace.waypoints.end()) break;
-    const auto from = std::prev(to);
-    const double share = static_cast<double>((begin + 500ms - from->t).count()) /
-                         static_cast<double>(std::max<std::int64_t>(1, (to->t - from->t).count()));
-    beacons::SurveySecond second{walk,
-                                 from->x_m + share * (to->x_m - from->x_m),
-                                 from->y_m + share * (to->y_m - from->y_m),
-                                 static_cast<int>(trace.level),
-                                 {}};
-    std::map<std::string, std::pair<double, int>> sums;
-    for (; heard != trace.beacons.end() && heard->heard < begin + 1s; ++heard) {
-      if (heard->heard < begin) continue;
-      auto& [sum, count] = sums[beacons::normalised_id(simulator::beacon_address(*heard))];
-      sum += heard->rssi_dbm;
-      ++count;
-    }
-    for (const auto& [id, sum] : sums) second.rssi_dbm[id] = static_cast<float>(sum.first / sum.second);
-    seconds.push_back(std::move(second));
-  }
-  return seconds;
-}
-
-/// What a surveyor of that radio world hears, second by second: who draws another world each time, surveys it.
-std::vector<beacons::SurveySecond> survey(const Building& building, std::uint64_t seed) {
-  simulator::SurveyOptions options;
-  options.inertial_walks = 0;
-  options.radio = simulator::drawn_radio(seed);
-  std::vector<beacons::SurveySecond> seconds;
-  std::uint32_t walk = 0;
-  for (const building::Level& level : building.levels()) {
-    if (level.level != std::floor(level.level)) continue;
-    for (const simulator::Trace& trace : simulator::survey_walk(building, level.level, seed, options)) {
-      const auto more = seconds_of(trace, walk++);
-      seconds.insert(seconds.end(), more.begin(), more.end());
-    }
-  }
-  return seconds;
-}
-
 Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
            std::uint64_t first = number("FIONA_SEED", 1)) {
   const std::string file = FIONA_INSTITUTE_FILE;
@@ -101,7 +52,7 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
   Tally tally;
   for (std::uint64_t seed = first; seed < first + count; ++seed) {
     const Errand errand = draw_errand(building, seed);
-    if (place == Place::Beacons) beacons::save(beacons::learn(survey(building, seed), "survey"), beacons);
+    if (place == Place::Beacons) beacons::save(surveyed(building, seed), beacons);
     const Outcome outcome = lead(building, file, errand, guidance, place, beacons);
     ++tally.walks;
     tally.errors_m.insert(tally.errors_m.end(), outcome.errors_m.begin(), outcome.errors_m.end());
@@ -148,7 +99,7 @@ TEST(Walks, PeopleAreLedToTheirRooms) {
 
 /// That they arrive as well is the campaign's goal, and it is not reached: docs/promises.md has the figure.
 TEST(Walks, PeopleWhoseBeaconsAreHeardAreFoundOnTheirWays) {
-  const Tally tally = walk(number("FIONA_WALKS", 3), Guidance::Whole, Place::Beacons);
+  const Tally tally = walk(number("FIONA_WALKS", FIONA_SURVEYS), Guidance::Whole, Place::Beacons);
   EXPECT_EQ(tally.faults, 0);
   EXPECT_LE(percentile(tally.errors_m, 0.5), 1.5);
   EXPECT_LE(percentile(tally.errors_m, 0.95), 4.0);
@@ -160,7 +111,8 @@ TEST(Walks, PeopleWhoseBeaconsAreHeardAreFoundOnTheirWays) {
 
 /// The cabin holds off some signals more than others, and once they walk again all of it is news.
 TEST(Walks, WhoComesOutOfALiftIsNotLookedForElsewhere) {
-  for (const std::uint64_t seed : {44, 188}) {
+  for (const std::uint64_t seed : {188, 44}) {
+    if (FIONA_SURVEYS < 2 && seed == 44) continue;
     const Tally tally = walk(1, Guidance::Whole, Place::Beacons, seed);
     EXPECT_LE(percentile(tally.errors_m, 0.95), 4.0) << "seed " << seed;
     EXPECT_EQ(tally.reroutes, 0) << "seed " << seed;

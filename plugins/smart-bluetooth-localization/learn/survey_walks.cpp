@@ -17,7 +17,6 @@ constexpr double kInside = 0.95;
 constexpr std::size_t kPlaceFolds = 5, kMostFixes = 500;
 constexpr std::size_t kLeastFixes = 200;
 constexpr double kSamePlace_m = 3.0;
-constexpr std::size_t kMostFolds = 8;  // each is learnt without an eighth of the walks: nearly what the whole is
 
 /// How many walks of a survey went by a place.
 std::size_t walks_near(const std::vector<SurveySecond>& survey, const walk::WayPoint& at) {
@@ -86,11 +85,11 @@ void replay(const radio::Journey& journey, const BeaconField& field, BeaconFilte
 }
 
 BeaconMap::Accuracy accuracy_of(const std::vector<radio::Journey>& walks, const FloorPlan& plan,
-                                const FilterOptions& options) {
+                                const FilterOptions& options, std::size_t most_folds) {
   std::vector<radio::LeftOutFix> fixes;
   const auto shared_plan = std::make_shared<const FloorPlan>(plan);
-  const std::size_t folds = std::min(kMostFolds, walks.size());
-  for (std::size_t fold = 0; fold < folds; ++fold) {
+  const std::size_t folds = std::min(kFolds, walks.size());
+  for (std::size_t fold = 0; fold < std::min(folds, most_folds); ++fold) {
     std::vector<SurveySecond> learnt;
     for (std::size_t i = 0; i < walks.size(); ++i) {
       const auto seconds = seconds_of(walks[i], static_cast<std::uint32_t>(i));

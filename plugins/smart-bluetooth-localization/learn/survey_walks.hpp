@@ -17,10 +17,13 @@ std::vector<SurveySecond> seconds_of(const radio::Journey& journey, std::uint32_
 void replay(const radio::Journey& journey, const BeaconField& field, BeaconFilter& filter,
             const std::function<void(Time)>& show);
 
+constexpr std::size_t kFolds = 8;  ///< a map without an eighth of its walks is nearly what the whole is
+
 /// Covariance factor and floor, from walks that the map did not learn: an eighth of them against what the others teach,
-/// in turns, in places where others went. Without enough of them the careful default.
+/// in places where others went; of the eighths the first `most_folds` in turns, each of which costs as much as learning
+/// a map. Without enough of them the careful default.
 BeaconMap::Accuracy accuracy_of(const std::vector<radio::Journey>& walks, const FloorPlan& plan,
-                                const FilterOptions& options);
+                                const FilterOptions& options, std::size_t most_folds = kFolds);
 
 /// The same from a survey that says nothing of steps: each second alone is a fix, of a map that has not learnt its
 /// place.
