@@ -52,7 +52,7 @@ class Sipper final : public Component {
  private:
   Async<> on_sample(const Sample& sample) {
     if (sample.number() != ++seen_) ++wrong_;
-    if (params_->sip_ms() > 0) co_await never_.wait_update(from_ms(params_->sip_ms()));
+    if (params_->sip_ms() > 0) static_cast<void>(co_await never_.wait_update(from_ms(params_->sip_ms())));
     Sample report;
     report.set_number(seen_);
     report.set_value(wrong_);

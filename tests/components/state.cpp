@@ -29,7 +29,7 @@ class Mover final : public Component {
     return result;
   }
   Async<TurnResult> turn_later(const TurnRequest& request) {
-    co_await orders_in_.wait_update(50ms);
+    static_cast<void>(co_await orders_in_.wait_update(50ms));
     co_return turn(request);
   }
   static Sample numbered(std::uint64_t number) {

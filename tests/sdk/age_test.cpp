@@ -22,7 +22,7 @@ class Slow final : public Component {
   using Component::Component;
   Async<> on_number(const Number& number) {
     passed_.put(number);
-    co_await never_.wait_update(300ms);
+    static_cast<void>(co_await never_.wait_update(300ms));
   }
 
  private:

@@ -62,7 +62,7 @@ class Sipper final : public Component {
  private:
   Async<> on_number(const Number& number) {
     seen.push_back(number.value());
-    if (sip > Duration::zero()) co_await never.wait_update(sip);
+    if (sip > Duration::zero()) static_cast<void>(co_await never.wait_update(sip));
   }
   void on_newest(const Number& number) { seen.push_back(number.value()); }
   Requires<Numbers> each_{*this, "each", &Sipper::on_number};

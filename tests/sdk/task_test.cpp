@@ -40,7 +40,7 @@ class Chain final : public Component {
   void seen() { ran.push_back("seen " + std::to_string((*slot_.latest())->value())); }
   Async<> slow() {
     ran.push_back("slow");
-    co_await slot_.wait_update(100ms);
+    static_cast<void>(co_await slot_.wait_update(100ms));
     ran.push_back("slow ends");
   }
   void next() { ran.push_back("next"); }
