@@ -92,7 +92,7 @@ TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
   system.wire("sink.each", "source.newest");  // its handler takes long, and the orders wait meanwhile
   system.state("source", "active");
   const auto outcomes = system.watch("caller.outcome");
-  system.set("caller", "call=send_burst go=1 every=50 payload=1000000");
+  system.set("caller", "call=send_burst go=1 every=50 payload=300000");
   const auto taken =
       std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
   EXPECT_GT(taken, 0U);
