@@ -235,12 +235,13 @@ void Guide::locate(const Walker& walker, TimePoint now) {
   }
 }
 
-/// Nobody runs: a place that leaps ahead, or back, may leap again.
+/// Nobody runs: a place that leaps ahead, or back, may leap again. From one level to another nobody has walked.
 double Guide::steadied(double at_m, const Walker& walker, TimePoint now) {
   const auto before = std::exchange(located_, now);
   const Passage passage = path_.passage(at_m);
   const bool walks = passage == Passage::Walk || passage == Passage::Door;
-  if (walker.sigma_m < kSure_m || !walks || !before) return at_m;
+  const bool on_same_level = std::abs(path_.place(at_m).level - path_.place(at_m_).level) < kOnLevel;
+  if (walker.sigma_m < kSure_m || !walks || !on_same_level || !before) return at_m;
   const double since_s = to_seconds(now - *before);
   return std::clamp(at_m, at_m_ - kBackward_mps * since_s, at_m_ + kForward_mps * since_s);
 }
