@@ -1,3 +1,5 @@
+#include <unistd.h>
+
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
@@ -92,15 +94,17 @@ TEST(BuildingFile, ARoomOnSeveralLevelsIsARoomOnEach) {
   EXPECT_EQ(levels, Levels({0, 1, 4}));
 }
 
-/// The same elements as PBF.
+/// The same elements as PBF. Tests run side by side, so each writes its own.
 std::string as_pbf(const std::string& xml) {
-  const std::filesystem::path file = std::filesystem::path(testing::TempDir()) / "building_as.osm.pbf";
+  const std::filesystem::path file =
+      std::filesystem::path(testing::TempDir()) / (std::to_string(::getpid()) + ".osm.pbf");
   osmium::io::Reader reader(osmium::io::File(xml.data(), xml.size(), "osm"));
   osmium::io::Writer writer(osmium::io::File(file.string(), "pbf"), osmium::io::overwrite::allow);
   while (osmium::memory::Buffer buffer = reader.read()) writer(std::move(buffer));
   writer.close();
   std::ostringstream bytes;
   bytes << std::ifstream(file, std::ios::binary).rdbuf();
+  std::filesystem::remove(file);
   return bytes.str();
 }
 
