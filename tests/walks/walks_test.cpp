@@ -111,8 +111,8 @@ TEST(Walks, PeopleWhoseBeaconsAreHeardAreFoundOnTheirWays) {
 
 /// The cabin holds off some signals more than others, and once they walk again all of it is news.
 TEST(Walks, WhoComesOutOfALiftIsNotLookedForElsewhere) {
-  for (const std::uint64_t seed : {188, 44}) {
-    if (FIONA_SURVEYS < 2 && seed == 44) continue;
+  if (FIONA_SURVEYS < 2) GTEST_SKIP() << "under a sanitizer the one before walks for both: a survey takes minutes there";
+  for (const std::uint64_t seed : {44, 188}) {
     const Tally tally = walk(1, Guidance::Whole, Place::Beacons, seed);
     EXPECT_LE(percentile(tally.errors_m, 0.95), 4.0) << "seed " << seed;
     EXPECT_EQ(tally.reroutes, 0) << "seed " << seed;
