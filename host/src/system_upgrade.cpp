@@ -375,7 +375,7 @@ void System::dispose_standby(const std::string& name) {
 /// Once what it was asked has been answered, it is destroyed; its process ends with the last instance in it.
 void System::dispose_later(Beside version) { leaving_.push_back(std::move(version)); }
 
-/// With a process that has gone: the next one of that name has nothing to do with it.
+/// What was to leave a process that has gone has left: the next process of that name is none of its business.
 void System::end_leaving(const std::string& group) {
   for (Beside& one : leaving_) {
     if (one.made.group == group) cut_beside(one);

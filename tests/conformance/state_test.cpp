@@ -2,8 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <thread>
-
 #include "fiona/error.hpp"
 #include "system_fixture.hpp"
 
@@ -72,7 +70,8 @@ TEST_P(State, EachMainModeRunsItsActivitiesAndNoOthers) {
   expect_stands("steers", "looks");
   system.state("mover", "rest");
   const auto looked = count("looks");
-  std::this_thread::sleep_for(100ms);
+  system.load_provider("source", "source", "period_ms=10");
+  system.eventually("time has passed", [&] { return system.port("source.newest").messages() > 10; });
   EXPECT_LE(count("looks"), looked + 1);
   system.state("mover", "drive");
   expect_runs("steers");
