@@ -1,5 +1,6 @@
 // The closed loop: people who know nothing of the building are led to rooms of it. FIONA_WALKS=N: so many walks;
-// FIONA_SEED=N: the first one's seed; FIONA_COURSE=1: prints their courses.
+// FIONA_SEED=N: the first one's seed; FIONA_COURSE=1: prints their courses;
+// FIONA_MAPS=DIR: keeps the surveys' beacon maps there, by seed, and takes those that are there.
 #include <unistd.h>
 
 #include <algorithm>
@@ -44,16 +45,25 @@ double percentile(std::vector<double> values, double share) {
   return values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
 }
 
+/// The file of a map learnt from a survey of the seed's radio world.
+std::string beacon_map(const Building& building, std::uint64_t seed) {
+  const char* kept = std::getenv("FIONA_MAPS");
+  const std::string file = kept ? std::string(kept) + "/" + std::to_string(seed) + ".beacons"
+                                : ::testing::TempDir() + "walks" + std::to_string(::getpid()) + ".beacons";
+  if (!kept || !std::filesystem::exists(file)) beacons::save(surveyed(building, seed), file);
+  return file;
+}
+
 Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
            std::uint64_t first = number("FIONA_SEED", 1)) {
   const std::string file = FIONA_INSTITUTE_FILE;
   const Building building = Building::read(file);
-  const std::string beacons = ::testing::TempDir() + "walks" + std::to_string(::getpid()) + ".beacons";
   Tally tally;
   for (std::uint64_t seed = first; seed < first + count; ++seed) {
     const Errand errand = draw_errand(building, seed);
-    if (place == Place::Beacons) beacons::save(surveyed(building, seed), beacons);
+    const std::string beacons = place == Place::Beacons ? beacon_map(building, seed) : "";
     const Outcome outcome = lead(building, file, errand, guidance, place, beacons);
+    if (!beacons.empty() && std::getenv("FIONA_MAPS") == nullptr) std::filesystem::remove(beacons);
     ++tally.walks;
     tally.errors_m.insert(tally.errors_m.end(), outcome.errors_m.begin(), outcome.errors_m.end());
     tally.inside += outcome.inside;
@@ -87,7 +97,6 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
         tally.errors_m.size() + static_cast<std::size_t>(tally.unplaced));
   }
   std::fflush(stdout);
-  std::filesystem::remove(beacons);
   return tally;
 }
 

@@ -49,7 +49,8 @@ void BeaconFilter::use(std::shared_ptr<const FloorPlan> plan) {
 
 bool BeaconFilter::is_blocked(const Particle& p, double x_m, double y_m) const {
   const int level = field_->levels()[p.level_index].level;
-  return options_.walls && (plan_->wall_between(level, p.x_m, p.y_m, x_m, y_m) || plan_->is_closed(level, x_m, y_m));
+  return options_.walls && (plan_->wall_between(level, p.x_m, p.y_m, x_m, y_m) || plan_->is_closed(level, x_m, y_m) ||
+                            stairs_at(p.level_index, x_m, y_m));
 }
 
 void BeaconFilter::step(const StepInput& step) {
@@ -71,8 +72,8 @@ void BeaconFilter::step(const StepInput& step) {
       step_on_way(p, step.length_m, heading);
       continue;
     }
-    if (take_stairs(p, heading)) continue;
     const double x = p.x_m + length * std::cos(heading), y = p.y_m + length * std::sin(heading);
+    if (take_stairs(p, heading, x, y)) continue;
     if (is_blocked(p, x, y)) {
       p.weight *= options_.through_wall;
       continue;
@@ -130,7 +131,8 @@ double BeaconFilter::log_likelihood(const Particle& p, const Second& second, con
   if (p.way >= 0) return log_likelihood_on_way(p, second, weight);
   const double c = p.step_gain * std::cos(p.heading_bias_rad), s = p.step_gain * std::sin(p.heading_bias_rad);
   const double x = p.x_m - (c * since.east_m - s * since.north_m), y = p.y_m - (s * since.east_m + c * since.north_m);
-  return weight * field_->log_likelihood(field_->at(p.level_index, x, y), second, p.offset_db, options_.silence);
+  const double offset_db = p.offset_db - p.loss_db;
+  return weight * field_->log_likelihood(field_->at(p.level_index, x, y), second, offset_db, options_.silence);
 }
 
 /// Readings of a second come while one walks on: they are those of the place where one was on the average.
@@ -149,13 +151,20 @@ BeaconFilter::Particle BeaconFilter::anywhere() {
                y = place.y_m + field_->cell_m() * (random_.uniform() - 0.5);
   const int level = field_->levels()[place.level_index].level;
   const bool blocked = options_.walls && plan_->wall_between(level, place.x_m, place.y_m, x, y);
-  return {blocked ? place.x_m : x,
-          blocked ? place.y_m : y,
-          options_.heading_bias ? options_.heading_bias_sd_rad * random_.normal() : 0.0,
-          1.0 + options_.step_gain_sd * random_.normal(),
-          offset_sd_db_ * random_.normal(),
-          place.level_index,
-          1.0};
+  Particle p{blocked ? place.x_m : x,
+             blocked ? place.y_m : y,
+             options_.heading_bias ? options_.heading_bias_sd_rad * random_.normal() : 0.0,
+             1.0 + options_.step_gain_sd * random_.normal(),
+             offset_sd_db_ * random_.normal(),
+             place.level_index,
+             1.0};
+  if (!options_.walls) return p;
+  if (auto stairs = stairs_at(p.level_index, p.x_m, p.y_m)) {
+    const auto back = ways_[stairs->way].back;
+    if (back && random_.uniform() < 0.5) *stairs = {*back, 1.0 - stairs->share};
+    put_on(p, *stairs);
+  }
+  return p;
 }
 
 void BeaconFilter::use_second(double dt_s) {
@@ -174,6 +183,7 @@ void BeaconFilter::use_second(double dt_s) {
   const double weight = weight_of_second(moved);
   for (Particle& p : particles_) {
     p.weight = std::log(std::max(p.weight, 1e-300)) + log_likelihood(p, second, since, weight);
+    if (p.way < 0) p.loss_db = 0.0f;
   }
   const double log_evidence = normalise();
   // Who stands hears the same again; and a lift's cabin is like nothing on any level.

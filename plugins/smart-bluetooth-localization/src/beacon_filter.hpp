@@ -98,7 +98,7 @@ class BeaconFilter {
     std::int32_t way = -1;  ///< of ways_, while it is on one
     float share = 0.0f;     ///< of that way
     float pace = 0.0f;      ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
-    float loss_db = 0.0f;   ///< in a lift
+    float loss_db = 0.0f;   ///< in a lift, and of the second in which it was left
   };
   /// By the steps alone.
   struct Walked {
@@ -122,7 +122,13 @@ class BeaconFilter {
   void ride(Particle& p, double dt_s);
   void move_on_way(Particle& p, double share);
   void step_on_way(Particle& p, double length_m, double heading_rad);
-  bool take_stairs(Particle& p, double heading_rad);
+  bool take_stairs(Particle& p, double heading_rad, double x_m, double y_m);
+  struct OnStairs {
+    std::size_t way;  ///< of ways_
+    double share;
+  };
+  std::optional<OnStairs> stairs_at(std::uint32_t level_index, double x_m, double y_m) const;
+  void put_on(Particle& p, OnStairs stairs);
   double log_likelihood_on_way(const Particle& p, const Second& second, double weight) const;
   void use_second(double dt_s);
   void start_again(const Second& second);
@@ -151,6 +157,8 @@ class BeaconFilter {
   struct Way {
     const FloorPlan::Way* path;  ///< of plan_
     std::uint32_t from_index, to_index;
+    std::optional<std::size_t> back;              ///< the way down where this one leads up, if there is one
+    double low_x_m, low_y_m, high_x_m, high_y_m;  ///< around it, as wide as it is
   };
   std::vector<Way> ways_;      ///< those between levels of the field
   std::vector<Place> places_;  ///< where a person may be, one for each cell of the field

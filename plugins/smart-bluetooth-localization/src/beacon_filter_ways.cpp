@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <optional>
 
 #include "beacon_filter.hpp"
 
@@ -12,6 +13,9 @@ namespace {
 constexpr double kBefore_m = 2.0;   // of stairs or a lift: who is there may take it
 constexpr double kAlong_rad = 1.0;  // who walks in such a direction walks along stairs
 constexpr double kTread_m = 0.1;    // of stairs, over which their direction is taken
+constexpr double kHalfWidth_m = 0.5;  // of stairs: DIN 18065 asks for a metre in public buildings
+constexpr double kFoot_m = 0.5;       // of stairs, over which one may walk as on the level
+constexpr double kUnder = 0.6;        // of stairs, below which nobody stands upright
 /// Of a second: how fast lifts go, in levels, and people on stairs, in metres.
 constexpr double kSlowLift = 0.15, kFastLift = 0.5, kSlowOnStairs_mps = 0.3, kFastOnStairs_mps = 0.7;
 /// Steps on stairs are shorter than they seem by their swing.
@@ -39,8 +43,22 @@ void BeaconFilter::find_ways() {
         levels.begin());
   };
   for (const FloorPlan::Way& way : plan_->ways()) {
-    const Way one{&way, index_of(way.from_level), index_of(way.to_level)};
-    if (one.from_index < levels.size() && one.to_index < levels.size()) ways_.push_back(one);
+    Way one{&way, index_of(way.from_level), index_of(way.to_level), std::nullopt, 1e300, 1e300, -1e300, -1e300};
+    if (one.from_index >= levels.size() || one.to_index >= levels.size()) continue;
+    for (const FloorPlan::Way::Place& place : way.path) {
+      one.low_x_m = std::min(one.low_x_m, place.x_m - kHalfWidth_m);
+      one.low_y_m = std::min(one.low_y_m, place.y_m - kHalfWidth_m);
+      one.high_x_m = std::max(one.high_x_m, place.x_m + kHalfWidth_m);
+      one.high_y_m = std::max(one.high_y_m, place.y_m + kHalfWidth_m);
+    }
+    for (std::size_t i = 0; i < ways_.size(); ++i) {
+      const FloorPlan::Way::Place &front = ways_[i].path->path.front(), &back = way.path.back();
+      if (ways_[i].to_index != one.from_index || ways_[i].from_index != one.to_index) continue;
+      if (std::hypot(front.x_m - back.x_m, front.y_m - back.y_m) > kTread_m) continue;
+      one.back = i;
+      ways_[i].back = ways_.size();
+    }
+    ways_.push_back(one);
   }
   for (Particle& p : particles_) p.way = -1, p.loss_db = 0.0f;
 }
@@ -131,9 +149,11 @@ void BeaconFilter::step_on_way(Particle& p, double length_m, double heading_rad)
       p.weight *= options_.through_wall;
       return;
     }
+    // Some of what is heard in this second was heard in the cabin, nobody knows how much.
+    const auto loss_db = static_cast<float>(p.loss_db * random_.uniform());
     if (p.pace > 0.0f) move_on_way(p, 1.0);
     p.way = -1;
-    p.loss_db = 0.0f;
+    p.loss_db = loss_db;
     return;
   }
   // A turn tells where on the stairs one is, if about there they turn so.
@@ -147,7 +167,13 @@ void BeaconFilter::step_on_way(Particle& p, double length_m, double heading_rad)
   move_on_way(p, p.pace * length_m);
 }
 
-bool BeaconFilter::take_stairs(Particle& p, double heading_rad) {
+/// On a step to (x, y).
+bool BeaconFilter::take_stairs(Particle& p, double heading_rad, double x_m, double y_m) {
+  const auto stairs = stairs_at(p.level_index, x_m, y_m);
+  if (stairs && leads(*ways_[stairs->way].path, stairs->share, heading_rad)) {
+    put_on(p, *stairs);
+    return true;
+  }
   for (std::size_t i = 0; i < ways_.size(); ++i) {
     const FloorPlan::Way& way = *ways_[i].path;
     if (way.is_lift() || !is_before(p, i) || !leads(way, 0.0, heading_rad)) continue;
@@ -160,6 +186,33 @@ bool BeaconFilter::take_stairs(Particle& p, double heading_rad) {
     return true;
   }
   return false;
+}
+
+/// Where stairs rise from a level, or go down from it, and nobody is on the level itself.
+std::optional<BeaconFilter::OnStairs> BeaconFilter::stairs_at(std::uint32_t level_index, double x_m, double y_m) const {
+  for (std::size_t i = 0; i < ways_.size(); ++i) {
+    const Way& way = ways_[i];
+    if (way.from_index != level_index || x_m < way.low_x_m || x_m > way.high_x_m || y_m < way.low_y_m ||
+        y_m > way.high_y_m || way.path->is_lift()) {
+      continue;
+    }
+    for (std::size_t j = 1; j < way.path->path.size(); ++j) {
+      const FloorPlan::Way::Place &from = way.path->path[j - 1], &to = way.path->path[j];
+      const double length = std::max(kTread_m, to.on_m - from.on_m);
+      const double east = (to.x_m - from.x_m) / length, north = (to.y_m - from.y_m) / length;
+      const double along = (x_m - from.x_m) * east + (y_m - from.y_m) * north;
+      const double beside = (y_m - from.y_m) * east - (x_m - from.x_m) * north;
+      if (along < 0.0 || along > length || std::abs(beside) > kHalfWidth_m) continue;
+      const double on_m = from.on_m + along;
+      if (on_m >= kFoot_m && on_m <= kUnder * way.path->length_m()) return OnStairs{i, on_m / way.path->length_m()};
+    }
+  }
+  return std::nullopt;
+}
+
+void BeaconFilter::put_on(Particle& p, OnStairs stairs) {
+  enter(p, stairs.way);
+  move_on_way(p, stairs.share);
 }
 
 /// Between two levels it is heard what is on the one or what is on the other: where the slab is, no plan tells.
