@@ -214,7 +214,8 @@ void Guide::locate(const Walker& walker, TimePoint now) {
     const double away_m = distance_m(walker.place.at, on_path.at);
     // A wall that is nearer than the place is sure says little of the side that one is on.
     const double unsure_m = kUnsureOfSide * walker.sigma_m;
-    if (!level || passage != Passage::Walk || away_m <= std::max(0.3, unsure_m)) return false;
+    const bool in_plan = passage == Passage::Walk || passage == Passage::Lift;
+    if (!level || !in_plan || away_m <= std::max(0.3, unsure_m)) return false;
     const Point nearer = walker.place.at + (on_path.at - walker.place.at) * (unsure_m / away_m);
     return plan_.walled(nearer, on_path.at, *level) || plan_.behind_door(nearer, on_path.at, *level);
   };
