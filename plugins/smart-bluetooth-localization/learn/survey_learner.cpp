@@ -19,6 +19,7 @@ constexpr int kTurns = 8;
 constexpr double kSearchMargin_m = 10.0, kSearchStep_m = 1.0;
 constexpr double kLeastExponent = 1.0, kMostExponent = 4.0;
 constexpr double kBin_m = 1.0;
+constexpr double kExpectedStep_db = 0.25;
 constexpr double kOffsetPrior_db = 6.0;
 constexpr double kLeastOffset_db = 5.0;  // the next phone is none of the surveyors'
 constexpr std::size_t kLeastRows = 10;
@@ -270,16 +271,16 @@ class Learner {
   }
 
   void fit_silence() {
-    struct Sample {
-      double mean_dbm;
-      bool heard;
+    struct Seconds {
+      double heard = 0.0, silent = 0.0;
     };
-    std::vector<Sample> samples;
+    std::map<long, Seconds> expected;  // by what is usual there, in steps
     for (const SurveySecond& second : survey_) {
       for (const auto& [id, fit] : fits_) {
         if (!fit.power_dbm.contains(second.level)) continue;
-        samples.push_back(
-            {fit.mean_dbm(second.x_m, second.y_m, second.level) + offsets_[second.walk], second.rssi_dbm.contains(id)});
+        const double mean_dbm = fit.mean_dbm(second.x_m, second.y_m, second.level) + offsets_[second.walk];
+        Seconds& seconds = expected[std::lround(mean_dbm / kExpectedStep_db)];
+        (second.rssi_dbm.contains(id) ? seconds.heard : seconds.silent) += 1.0;
       }
     }
     double best = -std::numeric_limits<double>::max();
@@ -287,9 +288,10 @@ class Learner {
       for (const double slope : {1.5, 2.5, 4.0, 6.0, 9.0}) {
         for (const double most : {0.3, 0.5, 0.7, 0.85, 0.95, 0.99}) {
           double log = 0.0;
-          for (const Sample& s : samples) {
-            const double p = most / (1.0 + std::exp((threshold - s.mean_dbm) / slope));
-            log += std::log(s.heard ? std::max(p, 1e-6) : 1.0 - p);
+          for (const auto& [step, seconds] : expected) {
+            const double mean_dbm = kExpectedStep_db * static_cast<double>(step);
+            const double p = most / (1.0 + std::exp((threshold - mean_dbm) / slope));
+            log += seconds.heard * std::log(std::max(p, 1e-6)) + seconds.silent * std::log(1.0 - p);
           }
           if (log <= best) continue;
           best = log;
