@@ -326,16 +326,18 @@ void Navigation::end_guidance() {
 void Navigation::on_location(const Received<localisation::CommLocation>& location) {
   const localisation::CommPosition& position = location->position();
   if (!location->is_valid() || !position.is_valid()) return;
-  const ShownPosition::Shown shown = blender_.follow({position.x(), position.y()}, covariance_of(position), now());
+  const building::Point at{position.x(), position.y()};
+  const Covariance covariance = covariance_of(position);
+  const ShownPosition::Shown shown = blender_.follow(at, covariance, now());
   note_heading(*location);
   std::optional<double> heading = course_rad_;
   if (location->orientation().is_valid()) {
     // Yaw goes counter-clockwise from magnetic north.
     heading = radians(params_->declination()) - location->orientation().yaw();
   }
-  const double sigma_m = shown.covariance.sigma_m();
-  walker_ = Walker{{shown.at, position.z()}, heading, sigma_m};
-  uncertain_ = shown.blending || kRegionSigmas * sigma_m > params_->uncertain_radius();
+  // What is shown moves over; guidance is to know at once.
+  walker_ = Walker{{at, position.z()}, heading, covariance.sigma_m()};
+  uncertain_ = shown.blending || kRegionSigmas * shown.covariance.sigma_m() > params_->uncertain_radius();
   located_ = now();
   put_shown(*location, shown);
   lead();
