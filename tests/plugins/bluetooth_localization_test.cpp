@@ -378,6 +378,27 @@ TEST(BeaconFilter, WhoHasStoodIsFollowedFromTheirFirstStepOn) {
   EXPECT_NEAR(at.y_m, 10, 1.5);
 }
 
+/// Two halls of 20 m, one above the other, and a staircase that is as wide as its flight between the middles of their
+/// eastern and western walls.
+void add_staircase(navigation::CommLevelMap& plan, double length_m) {
+  const double end = 10 + length_m;
+  for (const int level : {0, 1}) {
+    const double west = level == 0 ? -10.0 : end, side = level == 0 ? 10.0 : end;
+    for (const auto& [x1, y1, x2, y2] : {std::array{west, 0.0, west + 20, 20.0}, std::array{10.0, 9.5, end, 10.5}}) {
+      auto& room = *plan.add_rooms();
+      room.set_level(level);
+      for (const double x : {x1, x2, x2, x1}) room.mutable_outline()->add_x(x);
+      for (const double y : {y1, y1, y2, y2}) room.mutable_outline()->add_y(y);
+    }
+    for (const auto& [x1, y1, x2, y2] : {std::array{side, 0.0, side, 9.5}, std::array{side, 10.5, side, 20.0},
+                                         std::array{10.0, 9.5, end, 9.5}, std::array{10.0, 10.5, end, 10.5}}) {
+      auto& wall = *plan.add_walls();
+      wall.set_level(level);
+      wall.set_x1(x1), wall.set_y1(y1), wall.set_x2(x2), wall.set_y2(y2);
+    }
+  }
+}
+
 struct House {
   explicit House(navigation::MapEdge::Kind kind, double far_m)
       : map(parse(two_levels(), "house")), field(std::make_shared<const BeaconField>(map)) {
@@ -388,6 +409,7 @@ struct House {
     }
     auto& edge = *plan.add_edges();
     edge.set_from(0), edge.set_to(1), edge.set_kind(kind);
+    if (kind == navigation::MapEdge::STAIRS) add_staircase(plan, far_m);
     filter.emplace(field, std::make_shared<const FloorPlan>(plan), map.accuracy(), map.radio().offset(),
                    FilterOptions{});
   }
@@ -446,6 +468,34 @@ TEST(BeaconFilter, WhoTakesStairsComesOutAtTheirEnd) {
   EXPECT_EQ(at.level, 1);
   EXPECT_NEAR(at.x_m, 16.0, 2.0);
   EXPECT_NEAR(at.y_m, 10.0, 1.5);
+}
+
+TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
+  House house(navigation::MapEdge::STAIRS, 6.0);
+  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
+  for (double x = 6; x < 12; x += 1.0) {
+    house.filter->step({1.0, 0.05, 0.0, 0.05});
+    house.hear(x + 1, 10, 0);
+  }
+  for (int step = 0; step < 40; ++step) house.filter->step({0.6, 0.05, 0.0, 0.05});  // and nothing is heard
+  house.filter->advance(house.now += 1s);
+  EXPECT_EQ(house.filter->estimate().level, 1);
+  EXPECT_LT(house.filter->estimate().level_variance, 0.02);
+}
+
+/// Most of the second in which they leave it is heard in the cabin.
+TEST(BeaconFilter, WhoWalksOutOfALiftIsNotHeldInIt) {
+  House house(navigation::MapEdge::LIFT, 0.0);
+  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
+  for (double x = 6; x < 10; x += 1.0) {
+    house.filter->step({1.0, 0.05, 0.0, 0.05});
+    house.hear(x + 1, 10, 0);
+  }
+  for (int i = 0; i < 15; ++i) house.hear(10, 10, 0, 15.0);
+  for (int i = 0; i < 6; ++i) house.hear(10, 10, 1, 15.0);
+  house.filter->step({0.7, 0.05, 0.0, 0.05});
+  house.hear(10.4, 10, 1, 13.0);
+  EXPECT_NEAR(house.filter->estimate().x_m, 10.7, 0.7);
 }
 
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {

@@ -10,9 +10,9 @@
 namespace fiona::beacons {
 namespace {
 
-constexpr double kBefore_m = 2.0;   // of stairs or a lift: who is there may take it
-constexpr double kAlong_rad = 1.0;  // who walks in such a direction walks along stairs
-constexpr double kTread_m = 0.1;    // of stairs, over which their direction is taken
+constexpr double kBefore_m = 2.0;     // of stairs or a lift: who is there may take it
+constexpr double kAlong_rad = 1.0;    // who walks in such a direction walks along stairs
+constexpr double kTread_m = 0.1;      // of stairs, over which their direction is taken
 constexpr double kHalfWidth_m = 0.5;  // of stairs: DIN 18065 asks for a metre in public buildings
 constexpr double kFoot_m = 0.5;       // of stairs, over which one may walk as on the level
 constexpr double kUnder = 0.6;        // of stairs, below which nobody stands upright
