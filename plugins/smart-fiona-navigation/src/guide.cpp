@@ -32,6 +32,7 @@ constexpr auto kOffFor = 2s;
 constexpr auto kOffAtLift = 6s;
 constexpr double kAtLift_m = 3.0;
 constexpr double kLookAhead_m = 2.5;
+constexpr double kHeldUp_m = 0.5;
 /// Who is further from a turn or a door has missed it.
 constexpr double kBeside_m = 1.2;
 /// Beyond it a walker does not walk along the path; and is back on it within the smaller one.
@@ -324,8 +325,11 @@ std::optional<double> Guide::turn_to(Point direction, const Walker& walker) cons
 /// and at that one the direction in which it leads.
 Point Guide::aim(const Walker& walker) const {
   const bool is_there = to_next_m() < 1.0 && next().kind != Instruction::ARRIVE;
+  // Who stands beside the path has a corner of a wall before them: back to the path first.
+  const bool held_up = located_ && off_m_ > kHeldUp_m && stands(walker, *located_);
+  const double look_ahead_m = held_up ? kHeldUp_m : kLookAhead_m;
   const double far_m =
-      is_there ? std::min(next().end_m + kLookAhead_m, path_.end_m()) : std::min(at_m_ + kLookAhead_m, next().at_m);
+      is_there ? std::min(next().end_m + look_ahead_m, path_.end_m()) : std::min(at_m_ + look_ahead_m, next().at_m);
   // Where a flight ends says nothing of where it begins.
   const bool at_stairs = is_there && changes_level(next()) && next().out != Point{};
   if (at_stairs && off_m_ > std::max(kBeside_m, walker.sigma_m)) return building::unit(spot() - walker.place.at);
@@ -341,7 +345,7 @@ Point Guide::aim(const Walker& walker) const {
   const Point on_path = path_.place(at_m_).at;
   const Point ahead = path_.place(far_m).at - on_path;
   const bool as_if_on_path =
-      off_m_ < walker.sigma_m && !(level && plan_.walled(walker.place.at, walker.place.at + ahead, *level));
+      !held_up && off_m_ < walker.sigma_m && !(level && plan_.walled(walker.place.at, walker.place.at + ahead, *level));
   const Point from = as_if_on_path ? on_path : walker.place.at;
   for (const double at : {far_m, (at_m_ + far_m) / 2.0, at_m_}) {
     const Point to = path_.place(at).at;
