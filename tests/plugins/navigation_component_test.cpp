@@ -362,7 +362,17 @@ TEST(Navigation, TheLocationShownIsBlendedAndTheInstructionSaysUncertain) {
   EXPECT_FALSE(led.last().uncertain());
 }
 
-}  // namespace
+/// Only what is shown moves over.
+TEST(Navigation, GuidanceKnowsOfALeapAtOnce) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(8, 6, 0));
+  led.stand(location(5, 6, 0));
+  led.stand(location(7.4, 6, 0), 200ms);
+  EXPECT_EQ(led.last().kind(), Instruction::ARRIVE);
+  EXPECT_LT(led.bench.take<LocationProvider>("shown").back()->position().x(), 6.0);
+}
+
 TEST(Navigation, APlaceThatIsNotFollowedInTimeIsShownAgainWithItsOwnTime) {
   Led led;
   led.stand(location(5, 6, 0));
@@ -380,4 +390,5 @@ TEST(Navigation, APlaceThatIsNotFollowedInTimeIsShownAgainWithItsOwnTime) {
   EXPECT_THAT(led.bench.take<LocationProvider>("shown"), ::testing::IsEmpty()) << "it is lost";
 }
 
+}  // namespace
 }  // namespace fiona::guidance

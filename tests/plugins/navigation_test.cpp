@@ -687,6 +687,14 @@ TEST(Guide, WhoGetsOnNowhereIsSentBackALittle) {
                                            "You do not get on there. Turn around, and walk some steps."));
 }
 
+TEST(Guide, WhoStandsBesideThePathIsLedBackToIt) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  std::string last;
+  for (double t = 0; t < 5; t += 0.2) last = guide.follow({{{0.9, 8}, 0}, 0.0, 0.7}, at(t)).instruction.text();
+  EXPECT_EQ(last, "Turn left to the path.");
+}
+
 TEST(Guide, NoiseOfAPlaceDoesNotTurnWhoWalksAlongThePath) {
   const LevelPlan plan;
   Guide guide(plan, corner(), "Room 7", false, at(0));
