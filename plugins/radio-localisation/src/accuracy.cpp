@@ -14,7 +14,9 @@ namespace {
 constexpr double kChiSquare95 = 5.991;
 constexpr double kLargestFloor_m = 8.0;
 constexpr double kFloorStep_m = 0.25;
-constexpr double kLeastFactor = 0.01, kLargestFactor = 1000.0;
+/// With less, particles in two places would claim to be sure of the middle between them.
+constexpr double kLeastFactor = 0.25;
+constexpr double kLargestFactor = 1000.0;
 constexpr std::size_t kLeastFixes = 200;
 constexpr std::size_t kSeveralWalks = 3;
 
