@@ -1,6 +1,7 @@
 #include <fcntl.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstdlib>
 #include <fiona/error.hpp>
 #include <fiona/marketplace/open.hpp>
@@ -17,6 +18,8 @@ namespace fiona::marketplace {
 namespace {
 
 namespace filesystem = std::filesystem;
+
+constexpr std::chrono::hours kMayBeInUse{1};  // a package, since it was fetched
 
 filesystem::path trusted_places(const OpenOptions& options) {
   return options.trusted.empty() ? trust::KeyDirectory().path() / "markets" : options.trusted;
@@ -97,12 +100,21 @@ std::shared_ptr<tuf::Client> make_client(const filesystem::path& trusted, const 
                                                           .transport = options.transport});
 }
 
-// Packages of earlier installations; the store has what is needed of them.
+// Packages of earlier installations; the store has what is needed of them. Another process may just be fetching one,
+// and hold the lock, or installing from it.
 void remove_old_packages(const filesystem::path& copy) {
   const OsCalls os = system_calls();
   DurableDirectory directory{os, copy, 0700};
+  try {
+    directory.lock(std::chrono::milliseconds(0));
+  } catch (const Error&) {
+    return;  // the next one removes them
+  }
+  const auto in_use_since = filesystem::file_time_type::clock::now() - kMayBeInUse;
   for (const auto& name : directory.names()) {
-    if (name.ends_with(".fpk") || name.ends_with(".new")) directory.remove_tree_quietly(name);
+    std::error_code failure;
+    const bool is_old = filesystem::last_write_time(copy / name, failure) < in_use_since && !failure;
+    if (name.ends_with(".new") || (name.ends_with(".fpk") && is_old)) directory.remove_tree_quietly(name);
   }
 }
 

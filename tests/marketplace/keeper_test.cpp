@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
+#include <chrono>
 #include <fiona/error.hpp>
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/keeper.hpp>
@@ -12,6 +13,7 @@
 #include <optional>
 #include <random>
 
+#include "durable.hpp"
 #include "kept_market.hpp"
 
 namespace fiona::marketplace {
@@ -28,6 +30,31 @@ TEST_F(KeptMarket, ASignedPackageIsInstalled) {
   EXPECT_THAT(hand_in(packed("nav", "1.0.0")).packages, ElementsAre(HasSubstr("acme/nav-1.0.0-")));
   EXPECT_EQ(install_fault("nav"), "");
   EXPECT_NO_THROW(Store{scratch_ / "store"}.verify(Store{scratch_ / "store"}.find("nav")));
+}
+
+/// Several processes of a user have one place for copies.
+TEST_F(KeptMarket, WhatAnotherProcessIsJustFetchingOrInstallingIsLeftToIt) {
+  hand_in(packed("nav", "1.0.0"));
+  EXPECT_EQ(install_fault("nav"), "");
+  std::filesystem::path copy;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(user().copies)) {
+    if (entry.path().filename() == "index.binpb") copy = entry.path().parent_path();
+  }
+  const auto old = copy / "old.fpk", fresh = copy / "fresh.fpk", half = copy / "other.fpk.new";
+  for (const auto& file : {old, fresh, half}) write_file(file, "a package");
+  std::filesystem::last_write_time(old, std::filesystem::file_time_type::clock::now() - std::chrono::hours(2));
+  {
+    const OsCalls os = system_calls();
+    DurableDirectory fetching{os, copy, 0700};
+    fetching.lock(std::chrono::seconds(1));
+    open_marketplace(market_.string(), user());
+    EXPECT_TRUE(std::filesystem::exists(half));
+    EXPECT_TRUE(std::filesystem::exists(old)) << "who waits for nobody removes nothing";
+  }
+  open_marketplace(market_.string(), user());
+  EXPECT_FALSE(std::filesystem::exists(half)) << "nobody fetches any more";
+  EXPECT_FALSE(std::filesystem::exists(old));
+  EXPECT_TRUE(std::filesystem::exists(fresh));
 }
 
 TEST_F(KeptMarket, SeveralVersionsAndPackagesLieSideBySide) {
