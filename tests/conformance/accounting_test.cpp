@@ -87,7 +87,7 @@ TEST_P(Accounting, OfAWireThatIsCutHasAllUntilTheCutAndNothingAfterIt) {
 TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
   system.load_client("sink", "sink", "work_ms=500");
   system.load_provider("caller", "caller");
-  system.load_provider("source", "source", "neutral period_ms=1 count=4");
+  system.load_provider("source", "source", "neutral period_ms=1 count=8");
   system.wire("caller.orders", "sink.orders");
   system.wire("sink.each", "source.newest");  // its handler takes long, and the orders wait meanwhile
   system.state("source", "active");
