@@ -424,6 +424,15 @@ struct House {
     filter->advance(now += 1s);
   }
 
+  /// Stands for 8 s at (6, 10) of level 0, then walks a metre a second.
+  void stand_and_walk_east_to(double to_x) {
+    for (int i = 0; i < 8; ++i) hear(6, 10, 0);
+    for (double x = 6; x < to_x; x += 1.0) {
+      filter->step({1.0, 0.05, 0.0, 0.05});
+      hear(x + 1, 10, 0);
+    }
+  }
+
   BeaconMap map;
   std::shared_ptr<const BeaconField> field;
   std::optional<BeaconFilter> filter;
@@ -432,11 +441,7 @@ struct House {
 
 TEST(BeaconFilter, WhoTakesALiftIsInItAndThenOnTheOtherLevel) {
   House house(navigation::MapEdge::LIFT, 0.0);
-  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
-  for (double x = 6; x < 10; x += 1.0) {
-    house.filter->step({1.0, 0.05, 0.0, 0.05});
-    house.hear(x + 1, 10, 0);
-  }
+  house.stand_and_walk_east_to(10);
   for (int i = 0; i < 15; ++i) {
     house.hear(10, 10, 0, 12.0);  // the cabin
     EXPECT_TRUE(house.filter->estimate().is_valid());
@@ -454,11 +459,7 @@ TEST(BeaconFilter, WhoTakesALiftIsInItAndThenOnTheOtherLevel) {
 
 TEST(BeaconFilter, WhoTakesStairsComesOutAtTheirEnd) {
   House house(navigation::MapEdge::STAIRS, 6.0);
-  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
-  for (double x = 6; x < 10; x += 1.0) {
-    house.filter->step({1.0, 0.05, 0.0, 0.05});
-    house.hear(x + 1, 10, 0);
-  }
+  house.stand_and_walk_east_to(10);
   for (double x = 10; x < 16; x += 0.6) {  // two steps a second, that seem to be of 0.6 m and are of half that
     house.filter->step({0.6, 0.05, 0.0, 0.05});
     house.filter->step({0.6, 0.05, 0.0, 0.05});
@@ -472,11 +473,7 @@ TEST(BeaconFilter, WhoTakesStairsComesOutAtTheirEnd) {
 
 TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
   House house(navigation::MapEdge::STAIRS, 6.0);
-  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
-  for (double x = 6; x < 12; x += 1.0) {
-    house.filter->step({1.0, 0.05, 0.0, 0.05});
-    house.hear(x + 1, 10, 0);
-  }
+  house.stand_and_walk_east_to(12);
   for (int step = 0; step < 40; ++step) house.filter->step({0.6, 0.05, 0.0, 0.05});  // and nothing is heard
   house.filter->advance(house.now += 1s);
   EXPECT_EQ(house.filter->estimate().level, 1);
@@ -486,11 +483,7 @@ TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
 /// Most of the second in which they leave it is heard in the cabin.
 TEST(BeaconFilter, WhoWalksOutOfALiftIsNotHeldInIt) {
   House house(navigation::MapEdge::LIFT, 0.0);
-  for (int i = 0; i < 8; ++i) house.hear(6, 10, 0);
-  for (double x = 6; x < 10; x += 1.0) {
-    house.filter->step({1.0, 0.05, 0.0, 0.05});
-    house.hear(x + 1, 10, 0);
-  }
+  house.stand_and_walk_east_to(10);
   for (int i = 0; i < 15; ++i) house.hear(10, 10, 0, 15.0);
   for (int i = 0; i < 6; ++i) house.hear(10, 10, 1, 15.0);
   house.filter->step({0.7, 0.05, 0.0, 0.05});
