@@ -87,17 +87,23 @@ TEST_P(Accounting, OfAWireThatIsCutHasAllUntilTheCutAndNothingAfterIt) {
 TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
   system.load_client("sink", "sink", "work_ms=500");
   system.load_provider("caller", "caller");
-  system.load_provider("source", "source", "neutral period_ms=1 count=8");
+  system.load_provider("source", "source", "neutral period_ms=1");
   system.wire("caller.orders", "sink.orders");
-  system.wire("sink.each", "source.newest");  // its handler takes long, and the orders wait meanwhile
-  system.state("source", "active");
+  system.wire("sink.each", "source.newest");
   const auto outcomes = system.watch("caller.outcome");
+  // What lets the orders wait: a handler that takes long, where they are queued before it; else a process that stands.
+  system.state("source", "active");
+  system.eventually("at work", [&] { return system.port("sink.each").messages() > 0; });
+  const pid_t far = GetParam() == Transport::Process ? 0 : system.far_process();
+  if (far != 0) stop_process(far);
   system.set("caller", "call=send_burst go=1 every=50 payload=300000");
   const auto taken =
       std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
+  if (far != 0) ::kill(far, SIGCONT);
   EXPECT_GT(taken, 0U);
   EXPECT_LT(taken, 50U) << "a full queue is an outcome, not a wait";
   EXPECT_EQ(system.port("caller.orders").dropped(), 50 - taken);
+  system.state("source", "neutral");
   const auto arrived = [&] { return system.port("sink.orders").messages() + system.port("sink.orders").refused(); };
   system.eventually("handled", [&] { return arrived() == taken; });
 }
