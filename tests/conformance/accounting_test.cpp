@@ -41,12 +41,12 @@ class Accounting : public OverTransports {
 };
 
 TEST_P(Accounting, OfAHandlerThatIsTooSlowForEachAddsUp) {
-  put(60, 100'000);
+  put(120, 100'000);
   system.load_client("sink", "sink", "work_ms=100");
   system.wire("sink.each", "source.newest");
   system.state("source", "active");
-  system.eventually("all put", [&] { return system.port("source.newest").messages() == 60; });
-  expect_sum("sink.each", 60);
+  system.eventually("all put", [&] { return system.port("source.newest").messages() == 120; });
+  expect_sum("sink.each", 120);
   EXPECT_GT(system.port("sink.each").dropped(), 0U);
 }
 

@@ -84,7 +84,7 @@ TEST_P(Links, LateSubscriberOfAServiceWithLastValueIsGivenItAloneThoughItSharesT
 TEST_P(Links, SlowConsumerLosesInItsOwnNameAndNobodyElseLoses) {
   system.load_client("sink", "slow", "work_ms=200");
   system.load_client("sink", "quick");
-  system.load_provider("source", "source", "neutral period_ms=4 count=200 payload=100000");
+  system.load_provider("source", "source", "neutral period_ms=12 count=200 payload=100000");
   system.wire("slow.each", "source.newest");
   system.wire("quick.each", "source.newest");
   system.state("source", "active");
