@@ -381,7 +381,7 @@ void RemoteWire::on_cancel(std::uint64_t id) {
   {
     const std::lock_guard lock(mutex_);
     const auto open = open_.find(id);
-    if (open == open_.end()) return;
+    if (open == open_.end() || !open->second->given_up()) return;
     given_up = std::move(open->second);
     open_.erase(open);
   }

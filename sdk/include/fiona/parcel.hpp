@@ -23,6 +23,8 @@ class ReplySink {
   virtual Outcome event(Envelope /*event*/) { return Outcome::WrongId; }
   /// [any thread] The client gave up or is gone: nobody reads the answer.
   bool abandoned() const { return abandoned_.load(std::memory_order_acquire); }
+  /// [any thread] The same, though the provider may not know it yet.
+  bool given_up() const { return given_up_.load(std::memory_order_acquire); }
   void abandon() {
     if (given_up_.exchange(true)) return;
     if (!in_turn_) note_abandoned();
