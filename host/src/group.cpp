@@ -30,8 +30,6 @@ constexpr milliseconds kWaitingRequest{3'000};
 /// Of all others, which a process that does not hang answers at once.
 constexpr milliseconds kRequest{2'000};
 constexpr std::chrono::seconds kReadyDeadline{5};
-/// Of a group that is to be adopted.
-constexpr std::chrono::seconds kAdoptionDeadline{3};
 
 milliseconds patience_with(const wire::GroupRequest& request) {
   switch (request.what_case()) {
@@ -253,8 +251,12 @@ ChildGroup::ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_e
   wake_ = either_readable(stream_->descriptor(), child_->descriptor());
   wire::GroupRequest adopt;
   adopt.mutable_adopt();
-  const bool asked = handed && send(adopt);
-  const auto reply = asked ? wait_for(adopt.id(), Steady::now() + kAdoptionDeadline) : std::nullopt;
+  if (handed && send(adopt)) adoption_ = adopt.id();
+}
+
+void ChildGroup::finish_adoption(Time deadline) {
+  if (!alive()) return;
+  const auto reply = adoption_ != 0 ? wait_for(adoption_, deadline) : std::nullopt;
   if (reply && reply->has_adopted()) adopted_ = reply->adopted();
   if (!adopted_) end_now("was ended: it did not answer the new host");
 }

@@ -99,6 +99,9 @@ inline constexpr std::chrono::milliseconds kWatchEvery{100};
 /// The same while somebody waits for its answer: what looking late adds to a bound, he waits longer.
 inline constexpr std::chrono::milliseconds kWatchWaiting{25};
 
+/// Within which groups that are to be adopted answer, all together.
+inline constexpr std::chrono::seconds kAdoptionDeadline{3};
+
 /// The program of each, beside that of the host.
 inline constexpr const char* kGroupProgram = "fiona-group";
 
@@ -124,10 +127,12 @@ class ChildGroup final : public Group {
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
-  /// Takes over one that a host before this one has started; what it holds is in `adopted`. Where it has ended, or does
-  /// not answer, it is an ended group from the beginning.
+  /// Asks one that a host before this one has started what it holds, and does not wait for its answer: many are asked
+  /// before any is waited for. Where it speaks another protocol it is an ended group from the beginning.
   ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_event);
   ~ChildGroup() override;
+  /// [control thread] Takes it over; what it holds is in `adopted`. It is ended where it has not answered by then.
+  void finish_adoption(Time deadline);
   /// None: it was started by this host, or has ended.
   const std::optional<wire::Adopted>& adopted() const { return adopted_; }
   /// [control thread] Ends it.
@@ -195,6 +200,7 @@ class ChildGroup final : public Group {
   ClockMaster* const master_;
   SupervisorLink* const supervisor_;
   const std::shared_ptr<os::ProcessTemplate> copied_;
+  std::uint64_t adoption_ = 0;  ///< the request of it; 0: it could not be asked
   std::optional<wire::Adopted> adopted_;
   const Runtime::OnEvent on_event_;
   CpuShare cpu_;

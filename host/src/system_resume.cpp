@@ -126,12 +126,17 @@ std::string System::difference_from(const ChildGroup& group) const {
 /// The wires of the others to one that is gone end before any are opened.
 std::vector<std::string> System::adopt_groups() {
   std::vector<std::string> lines;
-  std::vector<std::unique_ptr<ChildGroup>> gone;
+  std::vector<std::unique_ptr<ChildGroup>> asked, gone;
   for (KeptGroup& kept : std::exchange(kept_, {})) {
     const std::string name = kept.told.name();
     const ChildGroup::Start start = start_of_group(nullptr, kept.told.folder());
-    auto group = std::make_unique<ChildGroup>(
-        std::move(kept), start, [this, name](wire::GroupMessage event) { deliver_from(name, std::move(event)); });
+    asked.push_back(std::make_unique<ChildGroup>(
+        std::move(kept), start, [this, name](wire::GroupMessage event) { deliver_from(name, std::move(event)); }));
+  }
+  const auto deadline = std::chrono::steady_clock::now() + kAdoptionDeadline;
+  for (auto& group : asked) {
+    const std::string name = group->name();
+    group->finish_adoption(deadline);
     if (group->alive()) {
       if (const auto difference = difference_from(*group); !difference.empty())
         group->end_now("was ended: after the host's end " + difference);

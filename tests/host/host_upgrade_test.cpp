@@ -305,27 +305,74 @@ TEST(NewGroup, OfAnotherBuildIsRefusedWithASentence) {
   EXPECT_EQ(console->snapshot().instances_size(), 0);
 }
 
-TEST(AdoptedGroup, OfAnotherProtocolIsEndedWithASentence) {
-  auto [supervisor, ours] = os::PacketSocket::pair();
-  host::SupervisorLink link(std::move(ours));
-  const os::ChildProcess process("/bin/sleep", {"60"}, {});
-  const auto [adoption, group] = os::PacketSocket::pair();
-  const os::SharedMemory page(sizeof(Liveness::Page));
-  const auto copy = [](int one) { return os::Descriptor(::fcntl(one, F_DUPFD_CLOEXEC, 0)); };
-  host::KeptGroup kept;
-  kept.told.set_name("old");
-  kept.told.mutable_ready()->set_protocol(host::kGroupProtocol + 1);
-  kept.process = process.id();
-  kept.handle = copy(process.descriptor());
-  kept.adoption = copy(adoption.descriptor());
-  kept.liveness = copy(page.descriptor());
-  kept.output = os::Descriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+/// A group that a host which has ended has left: its process does nothing, what it says is up to the test.
+struct LeftGroup {
+  os::ChildProcess process{"/bin/sleep", {"60"}, {}};
+  std::pair<os::PacketSocket, os::PacketSocket> adoption = os::PacketSocket::pair();
+  os::SharedMemory page{sizeof(Liveness::Page)};
+
+  host::KeptGroup kept(const std::string& name) const {
+    const auto copy = [](int one) { return os::Descriptor(::fcntl(one, F_DUPFD_CLOEXEC, 0)); };
+    host::KeptGroup kept;
+    kept.told.set_name(name);
+    kept.told.mutable_ready()->set_protocol(host::kGroupProtocol);
+    kept.told.mutable_confinement()->set_memory(1 << 30);
+    kept.told.mutable_confinement()->set_threads(16);
+    kept.told.mutable_confinement()->set_descriptors(64);
+    kept.process = process.id();
+    kept.handle = copy(process.descriptor());
+    kept.adoption = copy(adoption.first.descriptor());
+    kept.liveness = copy(page.descriptor());
+    kept.output = os::Descriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+    return kept;
+  }
+  /// To what the new host has asked.
+  void answer() const {
+    os::Packet packet;
+    ASSERT_TRUE(adoption.second.receive_until(std::chrono::steady_clock::now() + 5s, packet));
+    os::MessageStream stream(std::move(packet.descriptors.at(0)));
+    wire::GroupRequest asked;
+    while (!stream.next(asked)) ASSERT_TRUE(stream.receive());
+    wire::GroupMessage answer;
+    answer.set_id(asked.id());
+    answer.mutable_adopted();
+    ASSERT_TRUE(stream.send(answer));
+  }
+};
+
+class AdoptedGroup : public ::testing::Test {
+ protected:
+  host::ChildGroup ask(host::KeptGroup kept) {
+    return {std::move(kept), {.endpoint = "", .clock = clock, .parts = {}, .supervisor = &link}, [](const auto&) {}};
+  }
+
+  std::pair<os::PacketSocket, os::PacketSocket> supervisor = os::PacketSocket::pair();
+  host::SupervisorLink link{std::move(supervisor.second)};
   const SystemClock clock;
-  const host::ChildGroup old(std::move(kept), {.endpoint = "", .clock = clock, .parts = {}, .supervisor = &link},
-                             [](const wire::GroupMessage&) {});
+};
+
+TEST_F(AdoptedGroup, OfAnotherProtocolIsEndedWithASentence) {
+  const LeftGroup left;
+  auto kept = left.kept("old");
+  kept.told.mutable_ready()->set_protocol(host::kGroupProtocol + 1);
+  const host::ChildGroup old = ask(std::move(kept));
   EXPECT_FALSE(old.alive());
   EXPECT_EQ(old.end(), fmt::format("was ended: it speaks protocol {}, and the host that has taken over speaks {}",
                                    host::kGroupProtocol + 1, host::kGroupProtocol));
+}
+
+TEST_F(AdoptedGroup, IsNotEndedForWhatTheOnesBeforeItHaveWaited) {
+  const LeftGroup silent, sound;
+  host::ChildGroup first = ask(silent.kept("silent"));
+  host::ChildGroup second = ask(sound.kept("sound"));
+  sound.answer();
+  const auto deadline = std::chrono::steady_clock::now() + 50ms;
+  first.finish_adoption(deadline);
+  EXPECT_EQ(first.end(), "was ended: it did not answer the new host");
+  EXPECT_GE(std::chrono::steady_clock::now(), deadline);
+  second.finish_adoption(deadline);
+  EXPECT_TRUE(second.alive()) << second.end();
+  EXPECT_TRUE(second.adopted());
 }
 
 }  // namespace
