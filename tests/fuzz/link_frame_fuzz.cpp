@@ -25,6 +25,7 @@
 #include "link_keys.hpp"
 #include "links.hpp"
 #include "raw_peer.hpp"
+#include "uninterrupted.hpp"
 
 namespace {
 
@@ -223,7 +224,7 @@ class ClientAndProvider final : public LinkSocket::Receiver {
     for (const auto& message : messages) send(message);
     while (counters_.received_messages < expected_) std::this_thread::yield();
     if ((link_->peers() == 1) != knows_key_) std::abort();
-    for (zmq::message_t answer; provider_.recv(answer, zmq::recv_flags::dontwait);) continue;
+    for (zmq::message_t answer; fiona::host::received(provider_, answer);) continue;
   }
 
  private:
@@ -250,10 +251,11 @@ class ClientAndProvider final : public LinkSocket::Receiver {
     send({{reinterpret_cast<const char*>(record.data()), record.size()}});
   }
   void send(const Message& message) {
-    provider_.send(zmq::buffer(client_.to_string_view()), zmq::send_flags::sndmore);
+    using fiona::host::sent;
+    sent(provider_, zmq::buffer(client_.to_string_view()), zmq::send_flags::sndmore);
     for (std::size_t i = 0; i < message.size(); ++i) {
-      provider_.send(zmq::buffer(message[i]),
-                     i + 1 < message.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+      const auto more = i + 1 < message.size() ? zmq::send_flags::sndmore : zmq::send_flags::none;
+      sent(provider_, zmq::buffer(message[i]), more);
     }
     ++expected_;
   }

@@ -9,6 +9,7 @@
 
 #include "link_keys.hpp"
 #include "link_message.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 
@@ -50,28 +51,29 @@ class RawPeer {
   }
   /// Whether it could be sent at once.
   bool try_send(const Message& message) {
-    return socket_.send(zmq::buffer(message.front()), zmq::send_flags::dontwait).has_value();
+    return sent(socket_, zmq::buffer(message.front()));
   }
   void send(const Message& message) {
     for (std::size_t i = 0; i < message.size(); ++i) {
-      socket_.send(zmq::buffer(message[i]), i + 1 < message.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+      const auto more = i + 1 < message.size() ? zmq::send_flags::sndmore : zmq::send_flags::none;
+      uninterrupted([&] { return socket_.send(zmq::buffer(message[i]), more); });
     }
   }
   /// The first frame of the next message. Throws when there is none within five seconds.
   wire::Frame receive() {
     zmq::message_t answer;
     wire::Frame frame;
-    if (!socket_.recv(answer)) throw std::runtime_error("nothing has come");
+    if (!uninterrupted([&] { return socket_.recv(answer); })) throw std::runtime_error("nothing has come");
     const auto* in = static_cast<const std::uint8_t*>(answer.data());
     const std::size_t size = in[0] | in[1] << 8;
     if (!frame.ParseFromArray(in + kRecordHead, static_cast<int>(size))) throw std::runtime_error("this is no frame");
     for (bool more = answer.more(); more; more = answer.more()) {
-      if (!socket_.recv(answer)) throw std::runtime_error("the rest has not come");
+      if (!received(socket_, answer)) throw std::runtime_error("the rest has not come");
     }
     return frame;
   }
   void read_away() {
-    for (zmq::message_t answer; socket_.recv(answer, zmq::recv_flags::dontwait);) continue;
+    for (zmq::message_t answer; received(socket_, answer);) continue;
   }
 
  private:
