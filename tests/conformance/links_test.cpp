@@ -99,11 +99,11 @@ TEST_P(Links, SlowConsumerLosesInItsOwnNameAndNobodyElseLoses) {
 
 TEST_P(Links, ObjectsLargerThanEveryWindowArriveWhole) {
   system.load_client("sink", "sink");
-  system.load_provider("source", "source", "neutral period_ms=50 count=2 payload=20000000");
+  system.load_provider("source", "source", "neutral period_ms=50 count=2 payload=6000000");
   system.wire("sink.each", "source.newest");
   const auto report = system.watch("sink.report");
   system.state("source", "active");
-  EXPECT_EQ(system.wait_for(report, [](const auto& one) { return one.number() == 2; }).payload(), "20000000");
+  EXPECT_EQ(system.wait_for(report, [](const auto& one) { return one.number() == 2; }).payload(), "6000000");
 }
 
 TEST_P(Links, ObjectAboveTheCapOfALinkIsRefusedAtTheSenderAndCounted) {
