@@ -5,6 +5,7 @@
 #include <cmath>
 #include <fstream>
 #include <functional>
+#include <numbers>
 
 #include <Eigen/Cholesky>
 
@@ -16,6 +17,7 @@
 #include "floor_plan.hpp"
 #include "smart_bluetooth_localization.hpp"
 #include "survey_learner.hpp"
+#include "survey_walks.hpp"
 
 namespace fiona::beacons {
 namespace {
@@ -113,10 +115,30 @@ TEST(BeaconField, ReachesTwoMetresBeyondTheSurveyAndFourBeyondBeacons) {
   EXPECT_LT((spans(parse(kFourBeacons, "hall")) - Eigen::Vector4d(-4, -4, 24, 24)).cwiseAbs().maxCoeff(), 0.5);
 }
 
+/// The hall with steel in its east, which turns compasses there to the left.
+std::string with_steel(double from_x_m) {
+  std::string text = kFourBeacons;
+  for (int x = 0; x <= 20; ++x) {
+    for (int y = 0; y <= 20; ++y)
+      text += "compass { x: " + std::to_string(x) + " y: " + std::to_string(y) +
+              " angle: " + (x < from_x_m ? "0.0" : "0.5") + " steps: 4 }\n";
+  }
+  return text;
+}
+
+TEST(BeaconField, TurnsACompassWhereTheSurveySaysSo) {
+  const BeaconField field(parse(with_steel(10), "hall"));
+  EXPECT_TRUE(field.knows_compass());
+  EXPECT_NEAR(field.compass_deviation_rad(0, 15, 10), 0.5, 0.05);
+  EXPECT_NEAR(field.compass_deviation_rad(0, 5, 10), 0.0, 0.01);
+  EXPECT_FALSE(BeaconField(parse(kFourBeacons, "hall")).knows_compass());
+}
+
 /// A filter over the hall, for one who is heard there `offset_db` too strong.
 struct Hall {
-  explicit Hall(const FilterOptions& options = {}, navigation::CommLevelMap plan_map = {})
-      : map(parse(kFourBeacons, "hall")),
+  explicit Hall(const FilterOptions& options = {}, navigation::CommLevelMap plan_map = {},
+                const std::string& text = kFourBeacons)
+      : map(parse(text, "hall")),
         field(std::make_shared<const BeaconField>(map)),
         filter(field, std::make_shared<const FloorPlan>(plan_map), map.accuracy(), map.radio().offset(), options) {}
 
@@ -155,6 +177,12 @@ TEST(BeaconMap, WhatIsNoMapIsNamedByLineAndColumn) {
 TEST(BeaconMap, ABeaconWhoseValueCannotBeIsNamed) {
   const std::string error = error_of([] { parse("beacons { id: 'a' x: nan heard { level: 0 power: -59 } }", "hall"); });
   EXPECT_NE(error.find("beacon 'a': x cannot be"), std::string::npos) << error;
+}
+
+TEST(BeaconMap, ADeviationOfMoreThanHalfATurnIsNamed) {
+  const std::string text = std::string(kFourBeacons) + "compass { angle: 0.2 steps: 3 } compass { angle: 4 steps: 3 }";
+  const std::string error = error_of([&] { parse(text, "hall"); });
+  EXPECT_NE(error.find("compass 2: angle cannot be 4"), std::string::npos) << error;
 }
 
 TEST(BeaconMap, OneBeaconTwiceIsRefusedHoweverItsAddressIsSpelt) {
@@ -279,6 +307,25 @@ TEST(BeaconFilter, AHeadingBiasIsLearntOnTheWay) {
     hall.hear(x + 1, 10);
   }
   EXPECT_LT(hall.filter.estimate().heading_bias_rad, -0.04) << "the truth is -0.25; beacons alone tell it slowly";
+}
+
+TEST(BeaconFilter, ACompassThatTheBuildingTurnsLeadsNobodyAstray) {
+  const auto beside_m = [](const std::string& text) {
+    FilterOptions options;
+    options.still_diffusion_m = 0.2;
+    Hall hall(options, {}, text);
+    for (int i = 0; i < 5; ++i) hall.hear(4, 10);
+    double turned_rad = 0.0;  // of their headings, which follow the compass
+    for (double x = 4; x < 18; x += 0.7) {
+      turned_rad += -std::expm1(-0.15) * ((x < 8 ? 0.0 : 0.5) - turned_rad);
+      hall.filter.step({0.7, 0.05, turned_rad, 0.05});
+      hall.filter.advance(hall.now += 1000ms);
+    }
+    return std::abs(hall.filter.estimate().y_m - 10.0);
+  };
+  const double unknown_m = beside_m(kFourBeacons), known_m = beside_m(with_steel(8));
+  EXPECT_GT(unknown_m, 2.0);
+  EXPECT_LT(known_m, 0.5 * unknown_m);
 }
 
 TEST(BeaconFilter, AWallHoldsBackWhoseStepsRunIntoIt) {
@@ -515,6 +562,40 @@ TEST(SurveyLearner, BeaconsAreFoundWhereTheyAreAndReceiversBesideEachOther) {
   EXPECT_NEAR(map.beacons(3).y(), 20, 1.0);
   EXPECT_NEAR(map.beacons(3).exponent(), 2.0, 0.1);
   EXPECT_NEAR(map.beacons(3).heard(0).power(), -59, 1.0);
+}
+
+/// By someone who walks eastwards and back, with a phone that they hold 0.1 rad to the left.
+radio::Journey survey_walk(double steel_from_x_m) {
+  radio::Journey walk;
+  for (const auto& [t_ms, x] : {std::pair(0, 0.0), {20'000, 20.0}, {25'000, 20.0}, {45'000, 0.0}})
+    walk.way_points.emplace_back(t_ms, walk::WayPoint{x, 3.0, 0});
+  for (int t_ms = 0; t_ms < 45'000; t_ms += 500) {
+    const double x = t_ms < 20'000 ? t_ms / 1000.0 : t_ms < 25'000 ? 20.0 : 45.0 - t_ms / 1000.0;
+    const double way_rad = t_ms < 22'500 ? 0.0 : std::numbers::pi;
+    const double compass_rad = way_rad + 0.1 + (x < steel_from_x_m ? -0.2 : 0.2);
+    walk.told.push_back({Time(t_ms + 400), radio::StepInput{Time(t_ms), 0.5, 0.05, way_rad, 0.1, compass_rad}});
+  }
+  return walk;
+}
+
+TEST(SurveyLearner, WhatTurnsACompassInOnePlaceIsLearntAndWhatDoesEverywhereIsNot) {
+  BeaconMap map;
+  learn_compass({survey_walk(10), survey_walk(10)}, map);
+  ASSERT_GT(map.compass_size(), 15);
+  for (const auto& one : map.compass()) {
+    if (std::abs(one.x() - 10) < 1.5) continue;  // a place of both
+    EXPECT_NEAR(one.angle(), one.x() < 10 ? -0.2 : 0.2, 0.03) << "at " << one.x();
+    EXPECT_NEAR(one.y(), 3.0, 1e-9);
+    EXPECT_GE(one.steps(), 4U);
+  }
+}
+
+TEST(SurveyLearner, WhoStandsOrTurnsTeachesNothingAboutTheCompass) {
+  radio::Journey stands = survey_walk(10);
+  stands.way_points = {{0, walk::WayPoint{5.0, 3.0, 0}}, {45'000, walk::WayPoint{5.0, 3.0, 0}}};
+  BeaconMap map;
+  learn_compass({stands}, map);
+  EXPECT_EQ(map.compass_size(), 0);
 }
 
 /// The component over the hall's map in a file.

@@ -88,6 +88,22 @@ TEST(HeadingFilter, AlignsToTheCompassAtOnce) {
   }
 }
 
+TEST(HeadingFilter, WhatSteelDoesToTheFieldTurnsTheCompassAtOnceAndTheHeadingSlowly) {
+  HeadingFilter filter;
+  int t_ms = 0;
+  for (; t_ms < 5000; t_ms += 20) filter.feed(flat_phone(milliseconds(t_ms), 0.5));
+  const auto beside_steel = [&t_ms] {
+    ImuSample sample = flat_phone(milliseconds(t_ms += 20), 0.5);
+    sample.field_gauss = Eigen::AngleAxisd(-20 * kDegree, Vector3d::UnitZ()) * sample.field_gauss;
+    return sample;
+  };
+  filter.feed(beside_steel());
+  EXPECT_NEAR(filter.compass_rad(), 0.5 + 20 * kDegree, 1 * kDegree);
+  EXPECT_NEAR(filter.heading_rad(), 0.5, 1 * kDegree);
+  for (int i = 0; i < 500; ++i) filter.feed(beside_steel());
+  EXPECT_GT(filter.heading_rad(), 0.5 + 14 * kDegree);
+}
+
 TEST(HeadingFilter, ATurnToTheLeftIsCounterClockwise) {
   HeadingFilter filter;
   for (int t_ms = 0; t_ms <= 1000; t_ms += 10) filter.feed(flat_phone(milliseconds(t_ms), 0.09 * t_ms * kDegree, 90.0));

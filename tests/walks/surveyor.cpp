@@ -33,7 +33,7 @@ radio::Journey journey_of(const simulator::Trace& trace) {
                       Eigen::Vector3d(imu.magnetic_gauss.data())});
     if (!step) continue;
     journey.told.push_back({imu.t, radio::StepInput{step->time, step->length_m, step->length_sd_m, step->heading_rad,
-                                                    step->heading_sd_rad}});
+                                                    step->heading_sd_rad, step->compass_rad}});
   }
   for (const simulator::BeaconReading& beacon : trace.beacons) {
     const std::string id = simulator::beacon_address(beacon);
@@ -65,6 +65,7 @@ beacons::BeaconMap surveyed(const building::Building& building, std::uint64_t se
     }
   }
   beacons::BeaconMap map = beacons::learn(seconds, "survey");
+  beacons::learn_compass(walks, map);
   const beacons::FloorPlan plan(map_server::level_map_of(building, "plan", {}));
   *map.mutable_accuracy() = beacons::accuracy_of(walks, plan, {}, kFoldsJudged);
   return map;

@@ -28,8 +28,8 @@ Journey journey_of(const walk::Walk& walk) {
       const auto step = tracker.feed({Time(imu->t_ms), Eigen::Vector3d(imu->acceleration_g),
                                       Eigen::Vector3d(imu->rate_dps), Eigen::Vector3d(imu->field_gauss)});
       if (!step) continue;
-      journey.told.push_back(
-          {time, StepInput{step->time, step->length_m, step->length_sd_m, step->heading_rad, step->heading_sd_rad}});
+      journey.told.push_back({time, StepInput{step->time, step->length_m, step->length_sd_m, step->heading_rad,
+                                              step->heading_sd_rad, step->compass_rad}});
     }
   }
   return journey;

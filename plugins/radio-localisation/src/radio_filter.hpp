@@ -46,6 +46,7 @@ struct StepInput {
   double length_sd_m;
   double heading_rad;  ///< counter-clockwise from east
   double heading_sd_rad;
+  double compass_rad = 0.0;  ///< the same by the magnetometer alone; only a survey is learnt from it
 };
 
 /// One transmitter heard.

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <map>
+#include <optional>
 #include <set>
 #include <tuple>
 
@@ -17,6 +19,9 @@ constexpr double kInside = 0.95;
 constexpr std::size_t kPlaceFolds = 5, kMostFixes = 500;
 constexpr std::size_t kLeastFixes = 200;
 constexpr double kSamePlace_m = 3.0;
+constexpr Time kStepToldAfter{400};  // its middle
+constexpr Time kBeside{600};         // of a step: how long before and behind it nobody may turn
+constexpr double kLeastWay_m = 0.3, kStraight_rad = 0.15;
 
 /// How many walks of a survey went by a place.
 std::size_t walks_near(const std::vector<SurveySecond>& survey, const walk::WayPoint& at) {
@@ -35,6 +40,18 @@ BeaconMap::Accuracy fitted(const std::vector<radio::LeftOutFix>& fixes) {
   accuracy.set_factor(fit.covariance_factor);
   accuracy.set_floor(std::max(0.1, fit.covariance_floor_m));
   return accuracy;
+}
+
+/// Where a surveyor was then, and in which direction they walked; nothing while they stood or turned.
+std::optional<std::pair<walk::WayPoint, double>> way_at(const radio::Journey& walk, Time time) {
+  const auto position = [&](Time then) { return walk::position_at(walk.way_points, then.count()); };
+  const auto before = position(time - kBeside), at = position(time), after = position(time + kBeside);
+  if (!before || !at || !after || before->level != after->level) return std::nullopt;
+  const std::complex<double> to(at->x_m - before->x_m, at->y_m - before->y_m),
+      on(after->x_m - at->x_m, after->y_m - at->y_m);
+  const bool turns = std::abs(std::arg(on * std::conj(to))) > kStraight_rad;
+  if (std::abs(to) < kLeastWay_m || std::abs(on) < kLeastWay_m || turns) return std::nullopt;
+  return std::pair(*at, std::arg(to + on));
 }
 
 }  // namespace
@@ -152,6 +169,40 @@ BeaconMap::Accuracy accuracy_of(const std::vector<SurveySecond>& survey, const F
     }
   }
   return fitted(fixes);
+}
+
+void learn_compass(const std::vector<radio::Journey>& walks, BeaconMap& map) {
+  struct Sum {
+    double x_m = 0.0, y_m = 0.0;
+    std::complex<double> off;
+    std::uint32_t steps = 0;
+  };
+  std::map<std::tuple<int, std::int64_t, std::int64_t>, Sum> cells;
+  std::complex<double> all;
+  for (const radio::Journey& walk : walks) {
+    for (const auto& told : walk.told) {
+      const auto* step = std::get_if<radio::StepInput>(&told.what);
+      const auto way = step != nullptr ? way_at(walk, told.time - kStepToldAfter) : std::nullopt;
+      if (!way) continue;
+      const auto& [at, direction_rad] = *way;
+      Sum& sum = cells[{at.level, std::llround(at.x_m), std::llround(at.y_m)}];
+      const auto off = std::polar(1.0, step->compass_rad - direction_rad);
+      sum.x_m += at.x_m;
+      sum.y_m += at.y_m;
+      sum.off += off;
+      ++sum.steps;
+      all += off;
+    }
+  }
+  map.clear_compass();
+  for (const auto& [cell, sum] : cells) {
+    auto& deviation = *map.add_compass();
+    deviation.set_level(std::get<0>(cell));
+    deviation.set_x(sum.x_m / sum.steps);
+    deviation.set_y(sum.y_m / sum.steps);
+    deviation.set_angle(std::arg(sum.off * std::conj(all)));  // declination and how a phone is held are no place's
+    deviation.set_steps(sum.steps);
+  }
 }
 
 }  // namespace fiona::beacons

@@ -17,6 +17,10 @@ std::vector<SurveySecond> seconds_of(const radio::Journey& journey, std::uint32_
 void replay(const radio::Journey& journey, const BeaconField& field, BeaconFilter& filter,
             const std::function<void(Time)>& show);
 
+/// How the building turns a compass: by place, the mean of what the magnetometer said at the walks' steps less the way
+/// from way-point to way-point. What it is off everywhere is left out. Walks without steps teach nothing.
+void learn_compass(const std::vector<radio::Journey>& walks, BeaconMap& map);
+
 constexpr std::size_t kFolds = 8;  ///< a map without an eighth of its walks is nearly what the whole is
 
 /// Covariance factor and floor, from walks that the map did not learn: an eighth of them against what the others teach,

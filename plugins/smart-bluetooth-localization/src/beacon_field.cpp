@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <map>
 
 #include <Eigen/Cholesky>
@@ -17,9 +18,12 @@ constexpr std::size_t kMostValues = 16u << 20;
 constexpr int kMostPlacesOfBeacon = 400;  // of one level: the cost of the process grows with the square
 constexpr double kNothing = 1e-4;         // of the variance: a covariance that changes nothing
 const double kLogNear = std::log(0.01);
-constexpr std::uint32_t kBlock = 12;    // cells of a side, which are worked out together
-constexpr double kNearest_m = 1.0;      // path loss is not defined at distance 0
-constexpr double kReliableCount = 4.0;  // seconds in one place: more of them share the same error
+constexpr double kCompassWidth_m = 1.0, kCompassReach_m = 3.0;
+constexpr float kNoDeviation = 0.1f;         // of a compass: counts as a tenth of a step that says so
+constexpr std::uint32_t kReliableSteps = 4;  // in one place: more of them share the same error
+constexpr std::uint32_t kBlock = 12;         // cells of a side, which are worked out together
+constexpr double kNearest_m = 1.0;           // path loss is not defined at distance 0
+constexpr double kReliableCount = 4.0;       // seconds in one place: more of them share the same error
 constexpr double kOutliers = 0.02, kOutlierRange_db = 60.0;
 constexpr double kTableLow_dbm = -160.0, kTableStep_db = 0.25;
 constexpr std::size_t kTableSize = 960;
@@ -166,6 +170,7 @@ BeaconField::BeaconField(const BeaconMap& map, std::span<const Extent> more)
     by_id_.emplace(normalised_id(map.beacons(static_cast<int>(i)).id()), static_cast<std::uint32_t>(i));
     work_out(map, i);
   }
+  work_out_compass(map);
 }
 
 void BeaconField::lay_out(const BeaconMap& map, std::span<const Extent> more) {
@@ -240,13 +245,47 @@ std::optional<std::uint32_t> BeaconField::find(std::string_view id) const {
   return found == by_id_.end() ? std::nullopt : std::optional(found->second);
 }
 
-std::span<const Expected> BeaconField::at(std::size_t level_index, double x_m, double y_m) const {
-  const Level& level = levels_[level_index];
+std::size_t BeaconField::cell_at(const Level& level, double x_m, double y_m) const {
   const auto index = [&](double from_low_m, std::uint32_t count) {
     return static_cast<std::size_t>(std::clamp(from_low_m / cell_m_, 0.0, static_cast<double>(count - 1)));
   };
-  return of_cell(level.first_cell + index(y_m - level.south_m, level.rows) * level.columns +
-                 index(x_m - level.west_m, level.columns));
+  return level.first_cell + index(y_m - level.south_m, level.rows) * level.columns +
+         index(x_m - level.west_m, level.columns);
+}
+
+std::span<const Expected> BeaconField::at(std::size_t level_index, double x_m, double y_m) const {
+  return of_cell(cell_at(levels_[level_index], x_m, y_m));
+}
+
+double BeaconField::compass_deviation_rad(std::size_t level_index, double x_m, double y_m) const {
+  return knows_compass() ? deviation_rad_[cell_at(levels_[level_index], x_m, y_m)] : 0.0;
+}
+
+void BeaconField::work_out_compass(const BeaconMap& map) {
+  if (map.compass().empty()) return;
+  std::vector<std::complex<float>> sums(cells_, kNoDeviation);
+  for (const auto& one : map.compass()) {
+    usual_deviation_rad_ += one.angle() * one.angle() / map.compass_size();
+    const auto level =
+        std::find_if(levels_.begin(), levels_.end(), [&](const Level& l) { return l.level == one.level(); });
+    if (level == levels_.end()) continue;
+    const auto places = static_cast<float>(std::min(one.steps(), kReliableSteps));
+    const auto sum = std::polar(places, static_cast<float>(one.angle()));
+    for (double y = one.y() - kCompassReach_m; y <= one.y() + kCompassReach_m; y += cell_m_) {
+      for (double x = one.x() - kCompassReach_m; x <= one.x() + kCompassReach_m; x += cell_m_) {
+        if (x < level->west_m || y < level->south_m || x >= level->west_m + level->columns * cell_m_ ||
+            y >= level->south_m + level->rows * cell_m_) {
+          continue;
+        }
+        const std::size_t cell = cell_at(*level, x, y);
+        const Cell at = centre(static_cast<std::size_t>(level - levels_.begin()), cell - level->first_cell);
+        const double off = std::hypot(at.x_m - one.x(), at.y_m - one.y()) / kCompassWidth_m;
+        sums[cell] += sum * static_cast<float>(std::exp(-0.5 * off * off));
+      }
+    }
+  }
+  usual_deviation_rad_ = std::sqrt(usual_deviation_rad_);
+  for (const auto& sum : sums) deviation_rad_.push_back(std::arg(sum));
 }
 
 float BeaconField::table(const std::vector<float>& values, double mean_dbm) const {

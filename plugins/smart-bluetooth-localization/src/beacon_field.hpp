@@ -60,6 +60,12 @@ class BeaconField {
   std::span<const Expected> at(std::size_t level_index, double x_m, double y_m) const;
   std::span<const Expected> of_cell(std::size_t cell) const { return {&expected_[cell * beacons_], beacons_}; }
 
+  /// By how much the building turns a compass around there, radians counter-clockwise, nearly 0 where no survey went: a
+  /// kernel smoother (Nadaraya 1964, doi 10.1137/1109020) over what the survey says. As `at` of the nearest cell.
+  double compass_deviation_rad(std::size_t level_index, double x_m, double y_m) const;
+  double usual_deviation_rad() const { return usual_deviation_rad_; }  ///< root mean square of what the survey says
+  bool knows_compass() const { return !deviation_rad_.empty(); }
+
   /// Log-likelihood of a second: `heard`, ascending by beacon, and the silence of all others, for a receiver that reads
   /// `offset_db` too high. `silence` weighs what was not heard; 0: not at all.
   double log_likelihood(std::span<const Expected> expected, std::span<const Heard> heard, double offset_db,
@@ -68,6 +74,8 @@ class BeaconField {
  private:
   void lay_out(const BeaconMap& map, std::span<const Extent> more);
   void work_out(const BeaconMap& map, std::size_t beacon);
+  void work_out_compass(const BeaconMap& map);
+  std::size_t cell_at(const Level& level, double x_m, double y_m) const;
   float log_heard(double mean_dbm) const { return table(log_heard_, mean_dbm); }
   float log_unheard(double mean_dbm) const { return table(log_unheard_, mean_dbm); }
   float table(const std::vector<float>& values, double mean_dbm) const;
@@ -77,6 +85,8 @@ class BeaconField {
   double cell_m_ = 1.0;
   std::size_t cells_ = 0, beacons_ = 0;
   std::vector<Expected> expected_;  ///< cell by cell, beacon by beacon
+  double usual_deviation_rad_ = 0.0;
+  std::vector<float> deviation_rad_;  ///< of a compass, cell by cell; empty: no survey says
   std::unordered_map<std::string, std::uint32_t> by_id_;
   std::vector<float> log_heard_, log_unheard_;  ///< by expected dBm
 };

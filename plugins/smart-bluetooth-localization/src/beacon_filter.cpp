@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <numbers>
 #include <utility>
 
 namespace fiona::beacons {
@@ -61,13 +62,14 @@ void BeaconFilter::step(const StepInput& step) {
     walked.east_m += east_m;
     walked.north_m += north_m;
   };
+  const double drift_rad = knows_compass() ? options_.held_drift_rad : options_.heading_drift_rad;
   for (Past& past : past_) walk(past.since);
   walk(walked_);
   for (Particle& p : particles_) {
-    if (options_.heading_bias) p.heading_bias_rad += options_.heading_drift_rad * random_.normal();
+    if (options_.heading_bias) p.heading_bias_rad += drift_rad * random_.normal();
     p.step_gain += options_.step_gain_drift * random_.normal();
     const double length = p.step_gain * step.length_m + step.length_sd_m * random_.normal();
-    const double heading = step.heading_rad + p.heading_bias_rad + 0.5 * step.heading_sd_rad * random_.normal();
+    const double heading = step.heading_rad + p.turned_rad() + 0.5 * step.heading_sd_rad * random_.normal();
     if (p.way >= 0) {
       step_on_way(p, step.length_m, heading);
       continue;
@@ -110,12 +112,30 @@ void BeaconFilter::diffuse(double dt_s) {
   const double offset_sd = options_.rssi_offset ? options_.offset_drift_db * std::sqrt(dt_s) : 0.0;
   for (Particle& p : particles_) {
     p.offset_db += offset_sd * random_.normal();
+    follow_compass(p, dt_s);
     if (p.way >= 0) continue;
     const double x = p.x_m + sd * random_.normal(), y = p.y_m + sd * random_.normal();
     if (is_blocked(p, x, y)) continue;
     p.x_m = x;
     p.y_m = y;
   }
+}
+
+/// Headings of steps are a gyroscope's, pulled to the compass: what turns that, turns them some seconds later. In a
+/// lift and on stairs nobody surveyed: there it is as much as elsewhere, to any side.
+void BeaconFilter::follow_compass(Particle& p, double dt_s) {
+  if (!knows_compass()) return;
+  const double follows = -std::expm1(-options_.compass_gain_per_s * dt_s);
+  if (p.way >= 0) {
+    const double sd_rad = field_->usual_deviation_rad() * std::sqrt(follows * (2.0 - follows));
+    p.deviation_rad += static_cast<float>(sd_rad * random_.normal() - follows * p.deviation_rad);
+    p.deviation_rad_s = 0.0f;
+    return;
+  }
+  const double there_rad = field_->compass_deviation_rad(p.level_index, p.x_m, p.y_m);
+  const double off_rad = std::remainder(there_rad - p.deviation_rad, 2.0 * std::numbers::pi);
+  p.deviation_rad_s += static_cast<float>(options_.drift_gain_per_s2 * dt_s * off_rad);
+  p.deviation_rad += static_cast<float>(follows * off_rad + dt_s * p.deviation_rad_s);
 }
 
 /// The mean of n seconds in one place errs less than one of them, by what differs from second to second: the n-th one
@@ -129,7 +149,7 @@ double BeaconFilter::weight_of_second(double moved) {
 /// Of one who is there now and since then went as the steps say.
 double BeaconFilter::log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const {
   if (p.way >= 0) return log_likelihood_on_way(p, second, weight);
-  const double c = p.step_gain * std::cos(p.heading_bias_rad), s = p.step_gain * std::sin(p.heading_bias_rad);
+  const double c = p.step_gain * std::cos(p.turned_rad()), s = p.step_gain * std::sin(p.turned_rad());
   const double x = p.x_m - (c * since.east_m - s * since.north_m), y = p.y_m - (s * since.east_m + c * since.north_m);
   const double offset_db = p.offset_db - p.loss_db;
   return weight * field_->log_likelihood(field_->at(p.level_index, x, y), second, offset_db, options_.silence);
@@ -151,13 +171,15 @@ BeaconFilter::Particle BeaconFilter::anywhere() {
                y = place.y_m + field_->cell_m() * (random_.uniform() - 0.5);
   const int level = field_->levels()[place.level_index].level;
   const bool blocked = options_.walls && plan_->wall_between(level, place.x_m, place.y_m, x, y);
+  const double bias_sd_rad = knows_compass() ? options_.held_sd_rad : options_.heading_bias_sd_rad;
   Particle p{blocked ? place.x_m : x,
              blocked ? place.y_m : y,
-             options_.heading_bias ? options_.heading_bias_sd_rad * random_.normal() : 0.0,
+             options_.heading_bias ? bias_sd_rad * random_.normal() : 0.0,
              1.0 + options_.step_gain_sd * random_.normal(),
              offset_sd_db_ * random_.normal(),
              place.level_index,
              1.0};
+  if (knows_compass()) p.deviation_rad = static_cast<float>(field_->compass_deviation_rad(p.level_index, p.x_m, p.y_m));
   if (!options_.walls) return p;
   if (auto stairs = stairs_at(p.level_index, p.x_m, p.y_m)) {
     const auto back = ways_[stairs->way].back;
@@ -325,8 +347,8 @@ Estimate BeaconFilter::estimate() const {
   for (const Particle& p : particles_) {
     all += p.weight;
     result.rssi_offset_db += p.weight * p.offset_db;
-    result.heading_bias_rad += p.weight * p.heading_bias_rad;
-    bias_squares += p.weight * p.heading_bias_rad * p.heading_bias_rad;
+    result.heading_bias_rad += p.weight * p.turned_rad();
+    bias_squares += p.weight * p.turned_rad() * p.turned_rad();
     const double levels_off = field_->levels()[p.level_index].level - result.level;
     result.level_variance += p.weight * levels_off * levels_off;
     const Eigen::Vector2d at(p.x_m, p.y_m);

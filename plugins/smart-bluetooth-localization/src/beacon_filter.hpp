@@ -23,13 +23,16 @@ struct FilterOptions {
   std::uint64_t seed = 1;
   bool walls = true;         ///< nobody walks through them
   bool heading_bias = true;  ///< as a state; false: headings of steps are taken as they are
+  bool compass = true;       ///< what the building does to one is taken off; false: part of the heading bias
   bool rssi_offset = true;   ///< as a state; false: the receiver reads as the survey's did
   double temper = 0.8;       ///< weight of a second's log-likelihood: seconds are not independent
   double still_temper =
       0.1;               ///< least share of that for who stands: what a place does to a signal stays the same there
   double silence = 0.5;  ///< weight of what a second did not hear, beside what it did
   double heading_bias_sd_rad = 0.15;
-  double heading_drift_rad = 0.02;  ///< per step
+  double heading_drift_rad = 0.02;                   ///< per step
+  double held_sd_rad = 0.12, held_drift_rad = 0.01;  ///< the same where it is known how the building turns a compass
+  double compass_gain_per_s = 0.15, drift_gain_per_s2 = 0.01;  ///< by which headings of steps follow the compass
   double step_gain_sd = 0.08, step_gain_drift = 0.006;
   double offset_drift_db = 0.1;        ///< per square root of a second
   double still_diffusion_m = 0.4;      ///< per square root of a second, with steps
@@ -95,10 +98,14 @@ class BeaconFilter {
     double x_m, y_m, heading_bias_rad, step_gain, offset_db;
     std::uint32_t level_index;
     double weight;
-    std::int32_t way = -1;  ///< of ways_, while it is on one
-    float share = 0.0f;     ///< of that way
-    float pace = 0.0f;      ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
-    float loss_db = 0.0f;   ///< in a lift, and of the second in which it was left
+    std::int32_t way = -1;       ///< of ways_, while it is on one
+    float share = 0.0f;          ///< of that way
+    float deviation_rad = 0.0f;  ///< of headings, from what the building does to a compass where it was
+    float deviation_rad_s = 0.0f;
+    float pace = 0.0f;     ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
+    float loss_db = 0.0f;  ///< in a lift, and of the second in which it was left
+
+    double turned_rad() const { return heading_bias_rad - deviation_rad; }  ///< what is added to headings of steps
   };
   /// By the steps alone.
   struct Walked {
@@ -114,6 +121,8 @@ class BeaconFilter {
 
   bool is_blocked(const Particle& p, double x_m, double y_m) const;
   void diffuse(double dt_s);
+  bool knows_compass() const { return options_.compass && options_.heading_bias && field_->knows_compass(); }
+  void follow_compass(Particle& p, double dt_s);
   void find_ways();
   void take_ways(double dt_s);
   bool is_before(const Particle& p, std::size_t way) const;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <fstream>
+#include <numbers>
 #include <set>
 
 #include "fiona/error.hpp"
@@ -86,6 +87,16 @@ void check_survey(const BeaconMap& map, const Check& check) {
   }
 }
 
+void check_compass(const BeaconMap& map, const Check& check) {
+  if (map.compass_size() > kMostPlaces) check.refuse("too many deviations", "at most " + std::to_string(kMostPlaces));
+  for (int i = 0; i < map.compass_size(); ++i) {
+    const auto& deviation = map.compass(i);
+    const std::string what = "compass " + std::to_string(i + 1);
+    check.place(what, deviation.x(), deviation.y(), deviation.level());
+    check.number(what + ": angle", deviation.angle(), -std::numbers::pi, std::numbers::pi);
+  }
+}
+
 void fill(google::protobuf::Message& message, const google::protobuf::Message& usual, const Check& check) {
   const auto& reflection = *message.GetReflection();
   const auto& type = *message.GetDescriptor();
@@ -139,6 +150,7 @@ BeaconMap parse(std::string_view text, const std::string& name) {
   const Check check(name);
   check_beacons(map, check);
   check_survey(map, check);
+  check_compass(map, check);
   fill(*map.mutable_radio(), usual_radio(), check);
   fill(*map.mutable_accuracy(), careful_accuracy(), check);
   if (map.radio().heard_most() >= 1.0) check.refuse("Radio.heard_most is 1 or more", "a share below 1");

@@ -134,6 +134,7 @@ struct Variant {
 };
 constexpr Variant kVariants[] = {
     {"all", [](beacons::FilterOptions&) {}},
+    {"without compass", [](beacons::FilterOptions& o) { o.compass = false; }},
     {"without bias", [](beacons::FilterOptions& o) { o.heading_bias = false; }},
     {"without walls", [](beacons::FilterOptions& o) { o.walls = false; }},
     {"without offset", [](beacons::FilterOptions& o) { o.rssi_offset = false; }},
@@ -179,7 +180,8 @@ int run(int argc, char** argv) {
       "seed", options::value(&base.seed), "")("particles", options::value(&base.particles), "")(
       "temper", options::value(&base.temper), "")("still-temper", options::value(&base.still_temper), "")(
       "silence", options::value(&base.silence), "")("bias", options::value(&base.heading_bias_sd_rad), "")(
-      "drift", options::value(&base.heading_drift_rad), "")("still", options::value(&base.still_diffusion_m), "")(
+      "drift", options::value(&base.heading_drift_rad), "")("held", options::value(&base.held_sd_rad), "")(
+      "held-drift", options::value(&base.held_drift_rad), "")("still", options::value(&base.still_diffusion_m), "")(
       "free", options::value(&base.free_diffusion_m), "")("through", options::value(&base.through_wall), "")(
       "jump", options::value(&base.jump_rate_per_s), "")("offset-drift", options::value(&base.offset_drift_db), "")(
       "tracks", "errors of each track")("output,o", options::value<std::string>(),

@@ -66,6 +66,7 @@ int learn(const options::variables_map& given, const std::filesystem::path& from
       seconds.insert(seconds.end(), more.begin(), more.end());
     }
     map = beacons::learn(seconds, name);
+    beacons::learn_compass(walks, map);
     *map.mutable_accuracy() = beacons::accuracy_of(walks, plan_of(given), {});
   } else {
     const auto seconds = beacons::read_survey(from);

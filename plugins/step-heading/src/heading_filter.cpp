@@ -70,14 +70,14 @@ Vector3d HeadingFilter::gravity_correction(const ImuSample& sample) const {
 
 Vector3d HeadingFilter::magnetic_correction(const ImuSample& sample, double dt_s) {
   const Vector3d field = attitude_ * sample.field_gauss;
+  // The horizontal field must point to magnetic north (y); its angle from there is undone about the vertical.
+  compass_error_rad_ = std::atan2(field.x(), field.y());
   if (!field_is_plausible(field, dt_s)) {
     heading_sd_rad_ = std::min(kWorstSd_rad, heading_sd_rad_ + kSdGrowth_rad_per_s * dt_s);
     return Vector3d::Zero();
   }
   heading_sd_rad_ += (kTrustedSd_rad - heading_sd_rad_) * std::min(1.0, dt_s / kSdDecay_s);
-  // The horizontal field must point to magnetic north (y); its angle from there is undone about the vertical.
-  const double error_rad = std::atan2(field.x(), field.y());
-  return attitude_.conjugate() * Vector3d(0.0, 0.0, error_rad);
+  return attitude_.conjugate() * Vector3d(0.0, 0.0, compass_error_rad_);
 }
 
 bool HeadingFilter::field_is_plausible(const Vector3d& field, double dt_s) {

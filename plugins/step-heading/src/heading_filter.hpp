@@ -1,6 +1,8 @@
 #pragma once
 
 #include <chrono>
+#include <cmath>
+#include <numbers>
 #include <optional>
 
 #include <Eigen/Geometry>
@@ -39,6 +41,10 @@ class HeadingFilter {
   /// Standard deviation of heading_rad() that the magnetic surroundings justify.
   double heading_sd_rad() const { return heading_sd_rad_; }
 
+  /// Where heading_rad() would be if the magnetometer alone turned the attitude about the vertical. Only when
+  /// is_aligned().
+  double compass_rad() const { return std::remainder(heading_rad() + compass_error_rad_, 2.0 * std::numbers::pi); }
+
   /// Rotates phone axes to east, magnetic north, up.
   const Eigen::Quaterniond& attitude() const { return attitude_; }
 
@@ -54,6 +60,7 @@ class HeadingFilter {
   std::chrono::milliseconds aligned_at_{};
   Eigen::Quaterniond attitude_ = Eigen::Quaterniond::Identity();
   Eigen::Vector3d rate_bias_ = Eigen::Vector3d::Zero();
+  double compass_error_rad_ = 0.0;  ///< of the last sample
   double mean_norm_gauss_ = 0.0;
   double mean_dip_rad_ = 0.0;
   double heading_sd_rad_ = 0.0;

@@ -15,6 +15,7 @@ struct Step {
   double length_sd_m;
   double heading_rad;  ///< counter-clockwise from true east: east += length cos, north += length sin
   double heading_sd_rad;
+  double compass_rad;  ///< the same by the magnetometer alone, without the gyroscope
 };
 
 /// Steps with length and direction from the phone's own inertial sensors: StepDetector and HeadingFilter side by
@@ -33,6 +34,8 @@ class StepTracker {
   HeadingFilter heading_;
   double east_sum_ = 0.0;
   double north_sum_ = 0.0;
+  double compass_east_sum_ = 0.0;
+  double compass_north_sum_ = 0.0;
   std::optional<std::chrono::milliseconds> sum_since_;
 };
 
