@@ -98,12 +98,12 @@ class BeaconFilter {
     double x_m, y_m, heading_bias_rad, step_gain, offset_db;
     std::uint32_t level_index;
     double weight;
-    std::int32_t way = -1;       ///< of ways_, while it is on one
-    float share = 0.0f;          ///< of that way
-    float deviation_rad = 0.0f;  ///< of headings, from what the building does to a compass where it was
-    float deviation_rad_s = 0.0f;
-    float pace = 0.0f;     ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
-    float loss_db = 0.0f;  ///< in a lift, and of the second in which it was left
+    std::int32_t way = -1;         ///< of ways_, while it is on one
+    float share = 0.0f;            ///< of that way
+    float deviation_rad = 0.0f;    ///< of headings, from what the building does to a compass where it was
+    float deviation_rad_s = 0.0f;  ///< of that, as the gyroscope's bias has taken it on
+    float pace = 0.0f;             ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
+    float loss_db = 0.0f;          ///< in a lift, and of the second in which it was left
 
     double turned_rad() const { return heading_bias_rad - deviation_rad; }  ///< what is added to headings of steps
   };

@@ -38,6 +38,7 @@ void HeadingFilter::align(const ImuSample& sample) {
   mean_norm_gauss_ = field.norm();
   mean_dip_rad_ = std::atan2(-field.z(), std::hypot(field.x(), field.y()));
   heading_sd_rad_ = 2.0 * kTrustedSd_rad;
+  compass_error_rad_ = 0.0;
   aligned_ = true;
   last_time_ = aligned_at_ = sample.time;
 }
