@@ -1,6 +1,7 @@
 // The closed loop: people who know nothing of the building are led to rooms of it. FIONA_WALKS=N: so many walks;
 // FIONA_SEED=N: the first one's seed; FIONA_COURSE=1: prints their courses;
-// FIONA_MAPS=DIR: keeps the surveys' beacon maps there, by seed, and takes those that are there.
+// FIONA_MAPS=DIR: keeps the surveys' beacon maps there, by seed, and takes those that are there; FIONA_ERRANDS=N: leads
+// by them people with the errands of the seeds N later.
 #include <unistd.h>
 
 #include <algorithm>
@@ -60,7 +61,8 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
   const Building building = Building::read(file);
   Tally tally;
   for (std::uint64_t seed = first; seed < first + count; ++seed) {
-    const Errand errand = draw_errand(building, seed);
+    Errand errand = draw_errand(building, seed + number("FIONA_ERRANDS", 0));
+    errand.seed = seed;
     const std::string beacons = place == Place::Beacons ? beacon_map(building, seed) : "";
     const Outcome outcome = lead(building, file, errand, guidance, place, beacons);
     if (!beacons.empty() && std::getenv("FIONA_MAPS") == nullptr) std::filesystem::remove(beacons);
