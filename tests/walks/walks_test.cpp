@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -33,8 +34,8 @@ struct Tally {
   int arrived = 0;
   int faults = 0;
   int reroutes = 0;
-  double time = 0.0, to_door = 0.0;  ///< taken, as shares of the route's: until told to be there, and to the door
-  int at_door = 0;
+  double time = 0.0;               ///< taken until told to be there, in all, as a share of the routes'
+  std::vector<double> to_door{};  ///< the same until at the door, of each who came there
   std::vector<double> errors_m{};
   int inside = 0, wrong_level = 0, unplaced = 0;  ///< seconds
   double share() const { return static_cast<double>(arrived) / walks; }
@@ -44,6 +45,10 @@ double percentile(std::vector<double> values, double share) {
   if (values.empty()) return NAN;
   std::sort(values.begin(), values.end());
   return values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
+}
+
+double mean(const std::vector<double>& values) {
+  return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
 }
 
 /// The file of a map learnt from a survey of the seed's radio world.
@@ -74,7 +79,7 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
     tally.arrived += outcome.arrived ? 1 : 0;
     tally.reroutes += outcome.reroutes;
     tally.time += outcome.took_s / errand.route_s;
-    if (outcome.at_door_s) ++tally.at_door, tally.to_door += *outcome.at_door_s / errand.route_s;
+    if (outcome.at_door_s) tally.to_door.push_back(*outcome.at_door_s / errand.route_s);
     tally.faults += static_cast<int>(outcome.faults.size());
     if (guidance == Guidance::Whole && (!outcome.arrived || !outcome.faults.empty())) {
       std::printf("%s: %s after %.0f s of %.0f s\n", errand.text().c_str(), outcome.ending.c_str(), outcome.took_s,
@@ -86,10 +91,11 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
     }
   }
   std::printf(
-      "seeds %llu to %llu: %d of %d arrived, %.2f times the route's time to the door, %.2f until told so, %d times "
-      "rerouted, %d faults\n",
+      "seeds %llu to %llu: %d of %d arrived, to the door in %.2f times the route's time (p90 %.2f, p95 %.2f), told so "
+      "after %.2f, %d times rerouted, %d faults\n",
       static_cast<unsigned long long>(first), static_cast<unsigned long long>(first + count - 1), tally.arrived,
-      tally.walks, tally.to_door / tally.at_door, tally.time / tally.walks, tally.reroutes, tally.faults);
+      tally.walks, mean(tally.to_door), percentile(tally.to_door, 0.90), percentile(tally.to_door, 0.95),
+      tally.time / tally.walks, tally.reroutes, tally.faults);
   if (place == Place::Beacons) {
     std::printf(
         "  position error: median %.2f m, p95 %.2f m, %.1f %% in the 95 %% region; wrong level %d s, no place %d s, of "
