@@ -451,6 +451,9 @@ struct House {
       : map(parse(two_levels(), "house")), field(std::make_shared<const BeaconField>(map)) {
     navigation::CommLevelMap plan;
     for (const double level : {0.0, 1.0}) {
+      auto& told = *plan.add_levels();
+      told.set_level(level), told.set_floor(3.5 * level);
+      add_wall(plan, -30, -30, -30, 50, level);
       auto& node = *plan.add_nodes();
       node.set_x(10 + level * far_m), node.set_y(10), node.set_level(level);
     }
@@ -525,6 +528,22 @@ TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
   house.filter->advance(house.now += 1s);
   EXPECT_EQ(house.filter->estimate().level, 1);
   EXPECT_LT(house.filter->estimate().level_variance, 0.02);
+}
+
+/// What is heard in the cabin is that of the level below, all the way.
+TEST(BeaconFilter, WhoFeltALiftIsOnTheLevelThatItCarriedThemTo) {
+  const auto level_after = [](std::optional<double> rise_m) {
+    House house(navigation::MapEdge::LIFT, 0.0);
+    house.stand_and_walk_east_to(10);
+    for (int i = 0; i < 20; ++i) house.hear(10, 10, 0, 12.0);
+    house.filter->step({0.7, 0.05, 0.0, 0.05, rise_m});
+    house.filter->advance(house.now += 1s);
+    return house.filter->estimate().level;
+  };
+  EXPECT_EQ(level_after(std::nullopt), 0);
+  EXPECT_EQ(level_after(0.0), 0);
+  EXPECT_EQ(level_after(3.3), 1);
+  EXPECT_EQ(level_after(-3.3), 0) << "there is nothing below";
 }
 
 /// Most of the second in which they leave it is heard in the cabin.

@@ -244,6 +244,28 @@ TEST(Walker, ABuildingWithoutDoorsIsRefusedWithTheNextStep) {
   }
 }
 
+/// R. D. Peters, "Ideal lift kinematics": one that carries people, over a storey and over six.
+TEST(LiftRide, StartsAndStopsAsLiftsDo) {
+  for (const double rise_m : {3.3, -3.3, 20.0, 2.5}) {
+    const LiftRide lift(rise_m);
+    double before_m = 0.0, before_mps = 0.0, before_mps2 = 0.0, most_mps = 0.0, most_mps2 = 0.0, most_mps3 = 0.0;
+    for (double t_s = 0.01; t_s < lift.duration_s() + 1.0; t_s += 0.01) {
+      const double mps = (lift.risen_m(t_s) - before_m) / 0.01, mps2 = (mps - before_mps) / 0.01;
+      most_mps = std::max(most_mps, std::abs(mps));
+      most_mps2 = std::max(most_mps2, std::abs(mps2));
+      most_mps3 = std::max(most_mps3, std::abs(mps2 - before_mps2) / 0.01);
+      before_m = lift.risen_m(t_s), before_mps = mps, before_mps2 = mps2;
+    }
+    EXPECT_EQ(lift.risen_m(-1.0), 0.0);
+    EXPECT_NEAR(before_m, rise_m, 1e-9);
+    EXPECT_NEAR(before_mps, 0.0, 1e-9);
+    EXPECT_LE(most_mps2, 0.81) << rise_m;
+    EXPECT_LE(most_mps3, 1.05) << rise_m;
+    EXPECT_NEAR(most_mps, building::kLiftPace_mps, 1e-6) << rise_m;
+  }
+  EXPECT_EQ(LiftRide(0.0).risen_m(1.0), 0.0);
+}
+
 TEST(ImuModel, AtRestThePhoneFeelsOneG) {
   ImuModel imu{1};
   double sum = 0.0;

@@ -1,5 +1,7 @@
+#include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <random>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -163,6 +165,85 @@ TEST(StepTracker, AWalkNorthGoesNorth) {
   }
   EXPECT_GT(north_m, 8.0);
   EXPECT_NEAR(east_m, 0.0, 0.2);
+}
+
+/// What a lift adds to the weight of one who stands in it: from 10 s on it speeds up by 0.8 m/s^2 to 1 m/s, and slows
+/// down likewise when it has carried them so far.
+double lift_g(double t_s, double rise_m) {
+  constexpr double kSpeedsUp_s = 1.25, kAcceleration_g = 0.8 / 9.80665;
+  const double since_s = t_s - 10.0, up = std::copysign(kAcceleration_g, rise_m);
+  if (since_s >= 0.0 && since_s < kSpeedsUp_s) return up;
+  const double slows_s = since_s - std::abs(rise_m);
+  return slows_s >= 0.0 && slows_s < kSpeedsUp_s ? -up : 0.0;
+}
+
+/// Walks for 5 s, stands until it is 40 s, and walks again: the steps, as a phone with a bias and noise has them.
+std::vector<Step> steps_about(double rise_m, double bias_g = 0.0) {
+  StepTracker tracker;
+  std::mt19937 random(1);
+  std::normal_distribution<double> noise(0.0, 0.012);
+  std::vector<Step> steps;
+  for (int t_ms = 0; t_ms < 45'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    const bool walks = t_ms < 5000 || t_ms > 40'000;
+    sample.acceleration_g.z() += bias_g + noise(random) + (rise_m != 0.0 ? lift_g(t_ms / 1000.0, rise_m) : 0.0) +
+                                 (walks ? 0.25 * std::sin(2 * std::numbers::pi * 1.8 * t_ms / 1000.0) : 0.0);
+    if (const auto step = tracker.feed(sample)) steps.push_back(*step);
+  }
+  return steps;
+}
+
+TEST(StepTracker, TheFirstStepOutOfALiftTellsHowFarItHasCarriedThem) {
+  for (const double rise_m : {3.3, -3.3, 7.0, -16.0}) {
+    for (const double bias_g : {0.0, 0.03, -0.03}) {
+      const auto steps = steps_about(rise_m, bias_g);
+      const auto out =
+          std::find_if(steps.begin(), steps.end(), [](const Step& one) { return one.time.count() > 5500; });
+      ASSERT_NE(out, steps.end());
+      EXPECT_GT(out->time.count(), 40'000) << "a lift that starts was taken for a step";
+      ASSERT_TRUE(out->risen_m);
+      EXPECT_NEAR(*out->risen_m, rise_m, 0.1 * std::abs(rise_m)) << bias_g;
+      EXPECT_FALSE(std::next(out)->risen_m) << "who walks does not feel a lift";
+    }
+  }
+}
+
+TEST(StepTracker, WhoOnlyStoodWasNotCarried) {
+  const auto steps = steps_about(0.0);
+  const auto out = std::find_if(steps.begin(), steps.end(), [](const Step& one) { return one.time.count() > 5500; });
+  ASSERT_NE(out, steps.end());
+  EXPECT_EQ(out->risen_m, 0.0);
+}
+
+/// Half a metre up within a second: a lift goes further.
+TEST(RideDetector, APhoneThatIsRaisedIsNoLift) {
+  RideDetector detector;
+  for (int t_ms = 0; t_ms < 10'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    if (t_ms >= 5000 && t_ms < 6000) sample.acceleration_g.z() += 0.3 * std::sin(2 * std::numbers::pi * t_ms / 1000.0);
+    detector.feed(sample);
+  }
+  const auto risen_m = detector.step(milliseconds(10'000));
+  ASSERT_TRUE(risen_m);
+  EXPECT_LT(std::abs(*risen_m), 1.0);
+}
+
+/// The last valley before a pause is none of the first peak after it.
+TEST(StepDetector, WhatComesAfterAPauseIsMeasuredFromThen) {
+  StepDetector detector;
+  int steps = 0;
+  for (int t_ms = 0; t_ms < 20'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    if (t_ms < 5000) sample.acceleration_g.z() += 0.25 * std::sin(2 * std::numbers::pi * 1.8 * t_ms / 1000.0);
+    if (t_ms >= 12'000 && t_ms < 13'000) sample.acceleration_g.z() += 0.08;
+    steps += detector.feed(sample) && t_ms > 6000 ? 1 : 0;
+  }
+  EXPECT_EQ(steps, 0);
+}
+
+TEST(StepDetector, AWeakFirstStepIsToldWithTheSecond) {
+  const double together_m = steps_of_bounce(1.5, 0.04, 5.0).front().length_m;
+  EXPECT_NEAR(together_m, 2.0 * steps_of_bounce(1.5, 0.04, 5.0).back().length_m, 0.1);
 }
 
 }  // namespace

@@ -34,7 +34,7 @@ struct Tally {
   int arrived = 0;
   int faults = 0;
   int reroutes = 0;
-  double time = 0.0;               ///< taken until told to be there, in all, as a share of the routes'
+  double time = 0.0;              ///< taken until told to be there, in all, as a share of the routes'
   std::vector<double> to_door{};  ///< the same until at the door, of each who came there
   std::vector<double> errors_m{};
   int inside = 0, wrong_level = 0, unplaced = 0;  ///< seconds

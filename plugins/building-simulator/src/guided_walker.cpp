@@ -28,7 +28,7 @@ constexpr double kBlockedFor_s = 3.0;
 constexpr double kVeerTime_s = 3.0;
 constexpr double kBeforeDoor_m = 0.6;
 constexpr double kSidestep_m = 0.3;
-constexpr double kDoors_s = 6.0;
+constexpr double kDoors_s = 3.0;  ///< to close, and to open
 /// Behind a door, and while one is about to turn, one walks slowly.
 constexpr milliseconds kCareful{1000};
 constexpr double kCarefulShare = 0.6;
@@ -337,14 +337,16 @@ void GuidedWalker::ride(Errand& errand) {
     errand.wait_s -= kStep_s;
     return;
   }
+  if (errand.ridden_s == 0.0) errand.from_m = truth_.height_m;
+  errand.ridden_s += kStep_s;
   const double goal_m = building_.height_m(*errand.ride_to);
-  const double rest_m = goal_m - truth_.height_m;
-  const double move_m = std::min(std::abs(rest_m), building::kLiftPace_mps * kStep_s);
-  truth_.height_m += std::copysign(move_m, rest_m);
+  const LiftRide lift(goal_m - errand.from_m);
+  truth_.height_m = errand.from_m + lift.risen_m(errand.ridden_s);
   truth_.level = building_.plan().heights.level_at(truth_.height_m);
-  if (move_m < std::abs(rest_m)) return;
+  if (errand.ridden_s < lift.duration_s()) return;
   truth_.height_m = goal_m;
   truth_.level = *errand.ride_to;
+  if (errand.ridden_s < lift.duration_s() + kDoors_s) return;
   errand_.reset();
   careful_until_ = truth_.t + kCareful;
 }

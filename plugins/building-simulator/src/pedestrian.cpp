@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <numbers>
 #include <utility>
@@ -33,7 +34,31 @@ bool turns_back(Point before, Point corner, Point after) {
   return dot(building::unit(corner - before), building::unit(after - corner)) < kSharpest;
 }
 
+constexpr double kLiftAcceleration_mps2 = 0.8;
+constexpr double kLiftJerk_mps3 = 1.0;
+/// The speed is a step that lasts for the way, smoothed by how long the lift speeds up, and that by how long it takes
+/// to do so with all its acceleration.
+constexpr double kSpeedsUp_s = building::kLiftPace_mps / kLiftAcceleration_mps2;
+constexpr double kEases_s = kLiftAcceleration_mps2 / kLiftJerk_mps3;
+
 }  // namespace
+
+LiftRide::LiftRide(double rise_m) : rise_m_(rise_m) {}
+
+double LiftRide::duration_s() const { return std::abs(rise_m_) / building::kLiftPace_mps + kSpeedsUp_s + kEases_s; }
+
+/// The jerk is piecewise constant: the way is a sum of cubes.
+double LiftRide::risen_m(double time_s) const {
+  const double way_s = std::abs(rise_m_) / building::kLiftPace_mps;
+  double sum = 0.0;
+  for (unsigned ends = 0; ends < 8; ++ends) {
+    const double from_s =
+        ((ends & 1U) != 0 ? way_s : 0.0) + ((ends & 2U) != 0 ? kSpeedsUp_s : 0.0) + ((ends & 4U) != 0 ? kEases_s : 0.0);
+    const double since_s = std::max(0.0, std::clamp(time_s, 0.0, duration_s()) - from_s);
+    sum += (std::popcount(ends) % 2 == 0 ? 1.0 : -1.0) * since_s * since_s * since_s;
+  }
+  return std::copysign(building::kLiftPace_mps * sum / (6.0 * kSpeedsUp_s * kEases_s), rise_m_);
+}
 
 Pedestrian::Pedestrian(const building::Building& building, const PathPoint& start, const Gait& gait)
     : building_(building), gait_(gait) {
@@ -49,11 +74,11 @@ void Pedestrian::follow(const building::Route& route, milliseconds pause) {
   for (std::size_t i = 1; i < route.points.size(); ++i) {
     if (route.points[i].passage != Passage::Lift) continue;
     add_walk(route.points, first, i - 1);
-    legs_.push_back({Leg::Kind::Lift, {}, kLiftDoors_s, route.points[i].level});
+    legs_.push_back({Leg::Kind::Lift, {}, 0.0, route.points[i - 1].level, route.points[i].level});
     first = i;
   }
   add_walk(route.points, first, route.points.size() - 1);
-  if (pause.count() > 0) legs_.push_back({Leg::Kind::Stand, {}, static_cast<double>(pause.count()) / 1000.0, 0.0});
+  if (pause.count() > 0) legs_.push_back({Leg::Kind::Stand, {}, static_cast<double>(pause.count()) / 1000.0});
 }
 
 void Pedestrian::add_walk(const std::vector<building::RoutePoint>& points, std::size_t first, std::size_t last) {
@@ -63,7 +88,7 @@ void Pedestrian::add_walk(const std::vector<building::RoutePoint>& points, std::
     add_walk(points, first, i);
     return add_walk(points, i, last);
   }
-  Leg leg{Leg::Kind::Walk, {}, 0.0, 0.0};
+  Leg leg{Leg::Kind::Walk};
   double at_m = 0.0;
   for (std::size_t i = first; i <= last; ++i) {
     if (i > first) at_m += distance_m(points[i - 1].at, points[i].at);
@@ -91,7 +116,7 @@ void Pedestrian::step() {
 void Pedestrian::begin_leg() {
   begun_ = true;
   walked_m_ = 0.0;
-  pace_mps_ = 0.0;
+  pace_mps_ = ridden_s_ = 0.0;
   next_corner_ = 0;
 }
 
@@ -186,28 +211,19 @@ void Pedestrian::place_on(const Leg& leg) {
   truth_.steps += truth_.cadence_hz * kTick_s;
 }
 
-/// Doors close, the cabin speeds up to its pace and slows down, doors open.
+/// Doors close, the cabin goes, doors open.
 void Pedestrian::ride(Leg& leg) {
   stand();
-  const double goal_m = building_.height_m(leg.to_level);
-  const double rest_m = goal_m - truth_.height_m;
-  if (rest_m == 0.0) {
-    leg.left_s -= kTick_s;
-    if (leg.left_s <= 0.0) end_leg();
-    return;
-  }
-  if (leg.left_s > kLiftDoors_s / 2) {
-    leg.left_s -= kTick_s;
-    return;
-  }
-  constexpr double kLiftAcceleration_mps2 = 0.8;
-  const double limit = std::min(building::kLiftPace_mps, std::sqrt(2.0 * kLiftAcceleration_mps2 * std::abs(rest_m)));
-  pace_mps_ = std::max(0.02, std::min(limit, pace_mps_ + kLiftAcceleration_mps2 * kTick_s));
-  const double move_m = std::min(std::abs(rest_m), pace_mps_ * kTick_s);
-  truth_.velocity_up_mps = std::copysign(move_m / kTick_s, rest_m);
-  const bool there = move_m >= std::abs(rest_m);
-  truth_.height_m = there ? goal_m : truth_.height_m + std::copysign(move_m, rest_m);
+  ridden_s_ += kTick_s;
+  const double from_m = building_.height_m(leg.from_level), to_m = building_.height_m(leg.to_level);
+  const LiftRide lift(to_m - from_m);
+  const double moves_s = ridden_s_ - kLiftDoors_s / 2.0;
+  const double before_m = truth_.height_m;
+  const bool there = moves_s >= lift.duration_s();
+  truth_.height_m = there ? to_m : from_m + lift.risen_m(moves_s);
+  truth_.velocity_up_mps = (truth_.height_m - before_m) / kTick_s;
   truth_.level = there ? leg.to_level : building_.plan().heights.level_at(truth_.height_m);
+  if (moves_s >= lift.duration_s() + kLiftDoors_s / 2.0) end_leg();
 }
 
 std::vector<Truth> Pedestrian::take_waypoints() { return std::exchange(waypoints_, {}); }

@@ -66,6 +66,8 @@ void BeaconFilter::step(const StepInput& step) {
   for (Past& past : past_) walk(past.since);
   walk(walked_);
   for (Particle& p : particles_) {
+    if (step.rise_m) carry(p, *step.rise_m);
+    p.stood_index = p.level_index;
     if (options_.heading_bias) p.heading_bias_rad += drift_rad * random_.normal();
     p.step_gain += options_.step_gain_drift * random_.normal();
     const double length = p.step_gain * step.length_m + step.length_sd_m * random_.normal();

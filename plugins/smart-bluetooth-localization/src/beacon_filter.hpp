@@ -34,12 +34,13 @@ struct FilterOptions {
   double held_sd_rad = 0.12, held_drift_rad = 0.01;  ///< the same where it is known how the building turns a compass
   double compass_gain_per_s = 0.15, drift_gain_per_s2 = 0.01;  ///< by which headings of steps follow the compass
   double step_gain_sd = 0.08, step_gain_drift = 0.006;
-  double offset_drift_db = 0.1;        ///< per square root of a second
-  double still_diffusion_m = 0.4;      ///< per square root of a second, with steps
-  double free_diffusion_m = 2.0;       ///< the same without a source of steps
-  double through_wall = 0.01;          ///< what remains of a particle's weight that walks through a wall
-  double way_rate_per_s = 0.1;         ///< at which who stands before a lift gets into it
-  double departure_rate_per_s = 0.1;   ///< at which a lift goes to another level
+  double offset_drift_db = 0.1;       ///< per square root of a second
+  double still_diffusion_m = 0.4;     ///< per square root of a second, with steps
+  double free_diffusion_m = 2.0;      ///< the same without a source of steps
+  double through_wall = 0.01;         ///< what remains of a particle's weight that walks through a wall
+  double way_rate_per_s = 0.1;        ///< at which who stands before a lift gets into it
+  double departure_rate_per_s = 0.1;  ///< at which a lift goes to another level
+  double not_felt = 0.02;  ///< what remains of a particle's weight that was carried otherwise than the person felt
   double most_cabin_loss_db = 15.0;    ///< what a lift's cabin holds off, at most
   double way_rate_per_step = 0.3;      ///< at which who walks towards stairs takes them
   double jump_rate_per_s = 1e-3;       ///< carried off unseen, while walking
@@ -50,6 +51,7 @@ struct StepInput {
   double length_m, length_sd_m;
   double heading_rad;  ///< counter-clockwise from east
   double heading_sd_rad;
+  std::optional<double> rise_m{};  ///< by which a lift has carried the person since the step before
 };
 
 enum class Validity : std::uint8_t {
@@ -98,12 +100,13 @@ class BeaconFilter {
     double x_m, y_m, heading_bias_rad, step_gain, offset_db;
     std::uint32_t level_index;
     double weight;
-    std::int32_t way = -1;         ///< of ways_, while it is on one
-    float share = 0.0f;            ///< of that way
-    float deviation_rad = 0.0f;    ///< of headings, from what the building does to a compass where it was
-    float deviation_rad_s = 0.0f;  ///< of that, as the gyroscope's bias has taken it on
-    float pace = 0.0f;             ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
-    float loss_db = 0.0f;          ///< in a lift, and of the second in which it was left
+    std::uint32_t stood_index = level_index;  ///< the level of the last step
+    std::int32_t way = -1;                    ///< of ways_, while it is on one
+    float share = 0.0f;                       ///< of that way
+    float deviation_rad = 0.0f;               ///< of headings, from what the building does to a compass where it was
+    float deviation_rad_s = 0.0f;             ///< of that, as the gyroscope's bias has taken it on
+    float pace = 0.0f;     ///< share of it a second or, with steps, a metre of them; a lift that waits: 0
+    float loss_db = 0.0f;  ///< in a lift, and of the second in which it was left
 
     double turned_rad() const { return heading_bias_rad - deviation_rad; }  ///< what is added to headings of steps
   };
@@ -127,6 +130,7 @@ class BeaconFilter {
   void take_ways(double dt_s);
   bool is_before(const Particle& p, std::size_t way) const;
   bool is_in_lift() const;
+  void carry(Particle& p, double rise_m);
   void enter(Particle& p, std::size_t way);
   void ride(Particle& p, double dt_s);
   void move_on_way(Particle& p, double share);

@@ -21,6 +21,8 @@ constexpr double kSlowLift = 0.15, kFastLift = 0.5, kSlowOnStairs_mps = 0.3, kFa
 /// Steps on stairs are shorter than they seem by their swing.
 constexpr double kLeastOfStep = 0.4, kMostOfStep = 1.0;
 constexpr float kNearlyThere = 0.7f;
+/// What a person feels of a lift errs by so much, and this share of the way; and no stop is further from where it went.
+constexpr double kRiseSd_m = 0.5, kRiseSdPart = 0.1, kOtherStop_m = 2.0;
 constexpr double kOtherWay = 0.3;  // what remains of a particle's weight that walks otherwise than its stairs lead
 
 double between(double low, double high, double share) { return low + share * (high - low); }
@@ -74,6 +76,34 @@ bool BeaconFilter::is_in_lift() const {
   double share = 0.0;
   for (const Particle& p : particles_) share += p.way >= 0 && ways_[p.way].path->is_lift() ? p.weight : 0.0;
   return share > 0.5;
+}
+
+/// Who is in a lift is on the level that it has carried them to; who is not was carried nowhere.
+void BeaconFilter::carry(Particle& p, double rise_m) {
+  const auto levels = field_->levels();
+  const auto off_m = [&](std::uint32_t index) {
+    const auto risen_m = plan_->rise_m(levels[p.stood_index].level, levels[index].level);
+    return risen_m ? std::optional(std::abs(*risen_m - rise_m)) : std::nullopt;
+  };
+  if (p.way >= 0 && ways_[p.way].path->is_lift()) {
+    const FloorPlan::Way::Place cabin = ways_[p.way].path->path.front();
+    double least_m = kOtherStop_m;
+    for (std::size_t i = 0; i < ways_.size(); ++i) {
+      const FloorPlan::Way::Place& stop = ways_[i].path->path.front();
+      const auto stop_off_m = off_m(ways_[i].from_index);
+      const bool same_lift =
+          ways_[i].path->is_lift() && std::hypot(stop.x_m - cabin.x_m, stop.y_m - cabin.y_m) < kBefore_m;
+      if (!same_lift || !stop_off_m || *stop_off_m >= least_m) continue;
+      least_m = *stop_off_m;
+      p.way = static_cast<std::int32_t>(i);
+      p.share = p.pace = 0.0f;
+      p.level_index = ways_[i].from_index;
+    }
+  }
+  const auto rest_m = off_m(p.level_index);
+  if (!rest_m) return;
+  const double off = *rest_m / (kRiseSd_m + kRiseSdPart * std::abs(rise_m));
+  p.weight *= std::max(options_.not_felt, std::exp(-0.5 * off * off));
 }
 
 /// Who stands takes a lift; whose steps are not known, stairs as well.

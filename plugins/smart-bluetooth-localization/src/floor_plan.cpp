@@ -90,9 +90,19 @@ FloorPlan::FloorPlan(const navigation::CommLevelMap& map) {
     for (int i = 0; i < std::min(ring.x_size(), ring.y_size()); ++i) level_at(room.level(), ring.x(i), ring.y(i));
     level_at(room.level(), ring.x(0), ring.y(0)).rooms.push_back(room);
   }
+  for (const auto& told : map.levels()) {
+    for (Level& level : levels_) level.floor_m = level.level == whole(told.level()) ? told.floor() : level.floor_m;
+  }
   std::sort(levels_.begin(), levels_.end(), [](const Level& a, const Level& b) { return a.level < b.level; });
   fill_buckets();
   read_graph(map);
+}
+
+std::optional<double> FloorPlan::rise_m(int from_level, int to_level) const {
+  if (from_level == to_level) return 0.0;
+  const Level *from = find(from_level), *to = find(to_level);
+  if (from == nullptr || to == nullptr || from->floor_m == to->floor_m) return std::nullopt;
+  return to->floor_m - from->floor_m;
 }
 
 FloorPlan::Level& FloorPlan::level_at(double level, double x, double y) {

@@ -44,6 +44,9 @@ class FloorPlan {
   /// Whether the point is in a room that somebody may enter, or the level has none.
   bool may_be_at(int level, double x_m, double y_m) const;
 
+  /// From the floor of one level up to that of another; nothing if the map does not tell.
+  std::optional<double> rise_m(int from_level, int to_level) const;
+
   /// Stairs, lifts and the like, each way that they may be taken.
   std::span<const Way> ways() const { return ways_; }
 
@@ -64,6 +67,7 @@ class FloorPlan {
   };
   struct Level {
     int level;
+    double floor_m = 0.0;  ///< above that of level 0
     std::vector<Wall> walls;
     std::vector<navigation::MapRoom> rooms;
     std::vector<std::pair<Extent, std::size_t>> closed;  ///< around rooms that nobody may enter

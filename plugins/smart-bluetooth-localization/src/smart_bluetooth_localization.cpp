@@ -90,7 +90,8 @@ void SmartBluetoothLocalization::on_beacons(const sensors::CommiBeaconList& list
 
 void SmartBluetoothLocalization::on_step(const localisation::CommStep& step) {
   if (!step.is_valid()) return;
-  filter_->step({step.length(), std::sqrt(step.length_var()), step.heading(), std::sqrt(step.heading_var())});
+  filter_->step({step.length(), std::sqrt(step.length_var()), step.heading(), std::sqrt(step.heading_var()),
+                 step.has_rise() ? std::optional(step.rise()) : std::nullopt});
 }
 
 void SmartBluetoothLocalization::on_orientation(const Received<localisation::CommOrientation>& orientation) {

@@ -10,6 +10,7 @@ namespace fiona::steps {
 struct StepDetectorOptions {
   double low_pass_hz = 3.0;     ///< keeps the step and its first harmonic
   double least_swing_g = 0.06;  ///< peak to valley; smaller is handling, not walking
+  double lone_swing_g = 0.10;   ///< the same of the first step after a pause: a lift that starts is no step
   double swing_part = 0.4;      ///< of the recent steps' swing that the next one must reach
   std::chrono::milliseconds least_interval{280};
   std::chrono::milliseconds longest_interval{1500};  ///< a pause beyond this forgets the recent swing
@@ -27,6 +28,7 @@ struct DetectedStep {
 /// and estimates each step's length from that swing: L = K (a_max - a_min)^(1/4) (H. Weinberg, "Using the ADXL202 in
 /// pedometer and personal navigation applications", Analog Devices AN-602, 2002).
 ///
+/// A first step that is weaker than one that is believed alone is told with the second, as one of both lengths.
 /// Causal: a step is reported when the signal has fallen from its peak by half of the threshold.
 class StepDetector {
  public:
@@ -38,7 +40,7 @@ class StepDetector {
  private:
   void restart(double norm_g);
   double threshold_g(std::chrono::milliseconds now) const;
-  DetectedStep take_step();
+  std::optional<DetectedStep> take_step();
 
   StepDetectorOptions options_;
   bool started_ = false;
@@ -48,9 +50,10 @@ class StepDetector {
   double peak_g_ = 0.0;
   double valley_g_ = 0.0;
   double valley_before_peak_g_ = 0.0;
-  std::chrono::milliseconds peak_time_{};
+  std::chrono::milliseconds peak_time_{}, valley_time_{};
   std::optional<std::chrono::milliseconds> last_step_;
   double recent_swing_g_ = 0.0;
+  double not_told_m_ = 0.0;  ///< length of a weak first step
 };
 
 }  // namespace fiona::steps

@@ -73,6 +73,7 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   message.set_heading(std::remainder(step->heading_rad, 2 * std::numbers::pi));
   message.set_length_var(step->length_sd_m * step->length_sd_m);
   message.set_heading_var(step->heading_sd_rad * step->heading_sd_rad);
+  if (step->risen_m) message.set_rise(*step->risen_m);
   message.set_is_valid(true);
   last_step_ = step->time;
   steps_.put(std::move(message), TimePoint(step->time));

@@ -18,6 +18,7 @@ StepTracker::StepTracker(const StepDetectorOptions& steps, const HeadingFilterOp
 std::optional<Step> StepTracker::feed(const ImuSample& sample) {
   const auto detected = detector_.feed(sample);
   heading_.feed(sample);
+  ride_.feed(sample);
   if (!heading_.is_aligned()) return std::nullopt;
   if (!sum_since_ || sample.time - *sum_since_ > kLongestMean) {
     east_sum_ = north_sum_ = compass_east_sum_ = compass_north_sum_ = 0.0;
@@ -35,7 +36,8 @@ std::optional<Step> StepTracker::feed(const ImuSample& sample) {
                   kLengthSdPart * detected->length_m,
                   std::atan2(north_sum_, east_sum_),
                   heading_.heading_sd_rad(),
-                  std::atan2(compass_north_sum_, compass_east_sum_)};
+                  std::atan2(compass_north_sum_, compass_east_sum_),
+                  ride_.step(detected->time)};
   sum_since_.reset();
   return step;
 }

@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "heading_filter.hpp"
+#include "ride_detector.hpp"
 #include "step_detector.hpp"
 
 namespace fiona::steps {
@@ -15,7 +16,8 @@ struct Step {
   double length_sd_m;
   double heading_rad;  ///< counter-clockwise from true east: east += length cos, north += length sin
   double heading_sd_rad;
-  double compass_rad;  ///< the same by the magnetometer alone, without the gyroscope
+  double compass_rad;             ///< the same by the magnetometer alone, without the gyroscope
+  std::optional<double> risen_m;  ///< in a lift since the step before; nothing while one walks
 };
 
 /// Steps with length and direction from the phone's own inertial sensors: StepDetector and HeadingFilter side by
@@ -32,6 +34,7 @@ class StepTracker {
  private:
   StepDetector detector_;
   HeadingFilter heading_;
+  RideDetector ride_;
   double east_sum_ = 0.0;
   double north_sum_ = 0.0;
   double compass_east_sum_ = 0.0;

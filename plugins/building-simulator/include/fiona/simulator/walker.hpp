@@ -38,6 +38,19 @@ struct Gait {
   double turn_rate_rad_s = 2.4;
 };
 
+/// A lift from stop to stop, with the speed, acceleration and jerk of those that carry passengers (R. D. Peters, "Ideal
+/// lift kinematics", Elevator Technology 6, 1995).
+class LiftRide {
+ public:
+  explicit LiftRide(double rise_m);
+  /// Since the departure; before it 0, and after the arrival the whole rise.
+  double risen_m(double time_s) const;
+  double duration_s() const;
+
+ private:
+  double rise_m_;
+};
+
 /// Walks along a way: speeds up, slows down, rounds corners, turns on the spot, climbs, rides lifts. Moves in
 /// ticks of 5 ms, so the truth does not depend on how often it is asked for.
 class Pedestrian {
@@ -64,8 +77,8 @@ class Pedestrian {
   struct Leg {
     enum class Kind : std::uint8_t { Walk, Lift, Stand } kind = Kind::Stand;
     std::vector<Corner> corners{};
-    double left_s = 0.0;  ///< standing or waiting
-    double to_level = 0.0;
+    double left_s = 0.0;  ///< standing
+    double from_level = 0.0, to_level = 0.0;
   };
 
   void add_walk(const std::vector<building::RoutePoint>& points, std::size_t first, std::size_t last);
@@ -86,6 +99,7 @@ class Pedestrian {
   std::vector<Truth> waypoints_{};
   double walked_m_ = 0.0;  ///< in the current leg
   double pace_mps_ = 0.0;
+  double ridden_s_ = 0.0;  ///< likewise
   std::size_t next_corner_ = 0;
   bool begun_ = false;
 };
