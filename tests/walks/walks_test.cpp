@@ -138,6 +138,14 @@ TEST(Walks, WhoComesOutOfALiftIsNotLookedForElsewhere) {
   }
 }
 
+/// They had been on the stairs for most of what they had heard, and it was looked for as if they had stood on them.
+TEST(Walks, WhoComesDownStairsIsNotPutBackOnThem) {
+  if (FIONA_SANITIZED) GTEST_SKIP() << "a survey takes minutes under a sanitizer";
+  const Tally tally = walk(1, Guidance::Whole, Place::Beacons, 1252);
+  ASSERT_GT(tally.errors_m.size(), 35U);
+  EXPECT_LE(*std::max_element(tally.errors_m.begin() + 10, tally.errors_m.end()), 4.0);
+}
+
 TEST(Walks, WithGuidanceMutedNextToNobodyArrives) {
   const Tally tally = walk(number("FIONA_WALKS", 8), Guidance::Muted);
   EXPECT_LT(tally.share(), 0.05);

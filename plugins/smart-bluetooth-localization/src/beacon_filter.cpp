@@ -150,9 +150,10 @@ double BeaconFilter::weight_of_second(double moved) {
 
 /// Of one who is there now and since then went as the steps say.
 double BeaconFilter::log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const {
-  if (p.way >= 0) return log_likelihood_on_way(p, second, weight);
-  const double c = p.step_gain * std::cos(p.turned_rad()), s = p.step_gain * std::sin(p.turned_rad());
+  const double gain = p.step_gain * share_of_steps(p);
+  const double c = gain * std::cos(p.turned_rad()), s = gain * std::sin(p.turned_rad());
   const double x = p.x_m - (c * since.east_m - s * since.north_m), y = p.y_m - (s * since.east_m + c * since.north_m);
+  if (p.way >= 0) return log_likelihood_on_way(p, x, y, second, weight);
   const double offset_db = p.offset_db - p.loss_db;
   return weight * field_->log_likelihood(field_->at(p.level_index, x, y), second, offset_db, options_.silence);
 }

@@ -142,7 +142,8 @@ class BeaconFilter {
   };
   std::optional<OnStairs> stairs_at(std::uint32_t level_index, double x_m, double y_m) const;
   void put_on(Particle& p, OnStairs stairs);
-  double log_likelihood_on_way(const Particle& p, const Second& second, double weight) const;
+  double share_of_steps(const Particle& p) const;
+  double log_likelihood_on_way(const Particle& p, double x_m, double y_m, const Second& second, double weight) const;
   void use_second(double dt_s);
   void start_again(const Second& second);
   void start(const Second& second);

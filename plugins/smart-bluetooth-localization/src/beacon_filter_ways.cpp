@@ -245,11 +245,18 @@ void BeaconFilter::put_on(Particle& p, OnStairs stairs) {
   move_on_way(p, stairs.share);
 }
 
+/// Of the length that steps seem to have, what they lead on by where the particle is.
+double BeaconFilter::share_of_steps(const Particle& p) const {
+  const bool on_stairs = steps_ && p.way >= 0 && !ways_[p.way].path->is_lift();
+  return on_stairs ? p.pace * ways_[p.way].path->length_m() : 1.0;
+}
+
 /// Between two levels it is heard what is on the one or what is on the other: where the slab is, no plan tells.
-double BeaconFilter::log_likelihood_on_way(const Particle& p, const Second& second, double weight) const {
+double BeaconFilter::log_likelihood_on_way(const Particle& p, double x_m, double y_m, const Second& second,
+                                           double weight) const {
   const double offset_db = p.offset_db - p.loss_db;
   const auto as_on = [&](std::uint32_t level_index) {
-    return weight * field_->log_likelihood(field_->at(level_index, p.x_m, p.y_m), second, offset_db, options_.silence);
+    return weight * field_->log_likelihood(field_->at(level_index, x_m, y_m), second, offset_db, options_.silence);
   };
   const double from = as_on(ways_[p.way].from_index);
   if (p.share == 0.0f) return from;
