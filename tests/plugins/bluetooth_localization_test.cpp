@@ -530,6 +530,19 @@ TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
   EXPECT_LT(house.filter->estimate().level_variance, 0.02);
 }
 
+TEST(FloorPlan, WithoutHeightsOfItsFloorsNobodyIsToldHowFarTheyAreApart) {
+  navigation::CommLevelMap map;
+  for (const int level : {0, 1, 2}) add_wall(map, 0, 0, 10, 0, level);
+  EXPECT_EQ(FloorPlan(map).rise_m(0, 1), std::nullopt);
+  EXPECT_EQ(FloorPlan(map).rise_m(1, 1), 0.0);
+  for (const int level : {0, 1, 2}) {
+    auto& told = *map.add_levels();
+    told.set_level(level), told.set_floor(3.5 * level);
+  }
+  EXPECT_EQ(FloorPlan(map).rise_m(2, 0), -7.0);
+  EXPECT_EQ(FloorPlan(map).rise_m(0, 5), std::nullopt);
+}
+
 /// What is heard in the cabin is that of the level below, all the way.
 TEST(BeaconFilter, WhoFeltALiftIsOnTheLevelThatItCarriedThemTo) {
   const auto level_after = [](std::optional<double> rise_m) {

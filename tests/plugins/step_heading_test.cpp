@@ -228,6 +228,17 @@ TEST(RideDetector, APhoneThatIsRaisedIsNoLift) {
   EXPECT_LT(std::abs(*risen_m), 1.0);
 }
 
+/// Another hand, and another axis' error: heavier for good, by what a lift's start adds for a second.
+TEST(RideDetector, APhoneThatIsHeldOtherwiseIsNoLift) {
+  RideDetector detector;
+  for (int t_ms = 0; t_ms < 40'000; t_ms += 20) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), 0.0);
+    if (t_ms >= 10'000 && t_ms < 20'000) sample.acceleration_g.z() += 0.03;
+    detector.feed(sample);
+  }
+  EXPECT_EQ(detector.step(milliseconds(40'000)), 0.0);
+}
+
 /// The last valley before a pause is none of the first peak after it.
 TEST(StepDetector, WhatComesAfterAPauseIsMeasuredFromThen) {
   StepDetector detector;

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 #include <utility>
 
 namespace fiona::steps {
@@ -50,10 +49,13 @@ void RideDetector::feed(const ImuSample& sample) {
     const double change_mps = (norm_g - weight_g_) * kGravity_mps2 * dt_s;
     pulse_->change_mps += change_mps;
     pulse_->middle_s_mps += change_mps * seconds(sample.time - pulse_->begun);
+    if (sample.time - pulse_->begun > options_.longest_pulse) {  // the phone is held otherwise, and weighs otherwise
+      pulse_.reset();
+      weighed_s_ = 0.0;
+      return;
+    }
     const bool turned = off_g * pulse_->change_mps < 0.0;
-    const bool too_long = sample.time - pulse_->begun > options_.longest_pulse;
-    if (too_long) weighed_s_ = 0.0;  // the phone is held otherwise
-    if (too_long || turned || std::abs(off_g) < kEnds * options_.onset_g) end_pulse();
+    if (turned || std::abs(off_g) < kEnds * options_.onset_g) end_pulse();
   } else if (knows_weight && std::abs(off_g) > options_.onset_g) {
     pulse_ = Pulse{0.0, 0.0, sample.time};
   } else {

@@ -9,10 +9,10 @@ namespace fiona::steps {
 
 struct RideDetectorOptions {
   double onset_g = 0.025;         ///< beyond it a lift speeds up or slows down; smaller is the hand
-  double least_change_mps = 0.3;  ///< of speed, by one such pulse; and the most
+  double least_change_mps = 0.3;  ///< of speed, by one such pulse
   double most_change_mps = 4.0;
-  std::chrono::milliseconds calm{1000};  ///< after the last step, until a person stands
-  std::chrono::milliseconds longest_pulse{4000};
+  std::chrono::milliseconds calm{1000};           ///< after the last step, until a person stands
+  std::chrono::milliseconds longest_pulse{4000};  ///< what lasts longer is no lift
   std::chrono::milliseconds longest_ride{180'000};
 };
 

@@ -60,7 +60,8 @@ class GuidedWalker {
   struct Errand {
     std::deque<building::PathPoint> points{};
     std::optional<double> ride_to{};
-    double wait_s = 0.0, ridden_s = 0.0, from_m = 0.0;
+    double wait_s = 0.0;
+    double ridden_s = 0.0, from_m = 0.0;  ///< since the lift went, and the height that it went from
     bool stairs = false;
     bool door = false;
     std::optional<double> then_rad{};  ///< to turn by afterwards, clockwise

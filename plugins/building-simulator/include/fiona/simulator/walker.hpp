@@ -39,7 +39,7 @@ struct Gait {
 };
 
 /// A lift from stop to stop, with the speed, acceleration and jerk of those that carry passengers (R. D. Peters, "Ideal
-/// lift kinematics", Elevator Technology 6, 1995).
+/// lift kinematics", Elevator Technology 6, 1995). One that goes less than 2 m has twice their jerk.
 class LiftRide {
  public:
   explicit LiftRide(double rise_m);
