@@ -88,18 +88,44 @@ TEST(GuidedWalker, WhoStandsAtADoorGoesThroughItWithoutTurningRound) {
   };
   on.set_hour(hour_to(bearing));
   walker.hear(on);
-  walker.advance(milliseconds(8000));
-  ASSERT_LT(distance_m(door->at, building::Point{walker.truth().x_m, walker.truth().y_m}), 0.6) << "they stand at it";
+  const auto to_door_m = [&] { return distance_m(door->at, building::Point{walker.truth().x_m, walker.truth().y_m}); };
+  int t = 0;
+  while (to_door_m() >= 1.5 && t < 8000) walker.advance(milliseconds(t += 50));
+  hmi::Instruction stop;
+  stop.set_number(2), stop.set_kind(hmi::Instruction::LOST);
+  walker.hear(stop);
+  walker.advance(milliseconds(t += 2500));
+  ASSERT_LT(to_door_m(), 1.0) << "they stand at it";
   const building::Point out = door->normal * (dot(way, door->normal) < 0.0 ? -1.0 : 1.0);
   const double through_rad = std::atan2(out.x_m, out.y_m) + house().reference().heading_rad;
-  through.set_number(2), through.set_kind(hmi::Instruction::DOOR), through.set_hour(hmi::NextTurn::HOUR_12);
-  through.set_distance(0.2);
+  through.set_number(3), through.set_kind(hmi::Instruction::DOOR), through.set_hour(hour_to(through_rad));
+  through.set_distance(to_door_m());
   walker.hear(through);
-  for (int t = 8000; t <= 13500; t += 50) {
+  for (const int end = t + 5500; t <= end; t += 50) {
     walker.advance(milliseconds(t));
     ASSERT_LT(std::abs(std::remainder(walker.truth().heading_rad - through_rad, kTurn)), 1.75) << t;
   }
   EXPECT_FALSE(building::contains(room.polygon, {walker.truth().x_m, walker.truth().y_m}));
+}
+
+TEST(GuidedWalker, NobodyWalksSidewardsAlongAWall) {
+  for (int hour = 1; hour <= 12; ++hour) {
+    GuidedWalker walker(house(), 1, {.start_room = "0.01", .veer_rad = 0.0, .missed_share = 0.0});
+    hmi::Instruction on;
+    on.set_number(1), on.set_kind(hmi::Instruction::START);
+    on.set_hour(static_cast<hmi::NextTurn::TypeOfTurn>(hour));
+    walker.hear(on);
+    int sidewards = 0, longest = 0;
+    for (int t = 50; t <= 8000; t += 50) {
+      walker.advance(milliseconds(t));
+      const Truth& now = walker.truth();
+      const double gets_on_rad = std::atan2(now.velocity_x_mps, now.velocity_y_mps) + house().reference().heading_rad;
+      const bool aslant = std::abs(std::remainder(gets_on_rad - now.heading_rad, kTurn)) > 0.3;
+      sidewards = now.speed_mps > 0.3 && aslant ? sidewards + 1 : 0;
+      longest = std::max(longest, sidewards);
+    }
+    EXPECT_LE(longest * 50, 1000) << "ms, to hour " << hour;
+  }
 }
 
 TEST(Random, MatchesTheReferenceOfPcg32) {

@@ -35,6 +35,7 @@ constexpr double kCarefulShare = 0.6;
 /// A direction that one was told is corrected by the walls so far; and while one only walks on.
 constexpr double kNarrow_rad = 0.35;
 constexpr double kWide_rad = 0.6;
+constexpr double kSlides_rad = 0.2;      ///< between where one looks and where one gets on: a wall is in the way
 constexpr double kSidewards_rad = 1.35;  ///< a doorway is looked for so far to either side of the direction told
 
 double turn_between(double to_rad, double from_rad) {
@@ -373,6 +374,7 @@ void GuidedWalker::walk() {
   move(direction(truth_.heading_rad + veer_rad_) * (pace_mps_ * kStep_s));
   const double moved_m = distance_m(before, at());
   walked_m_ += moved_m;
+  follow_wall(at() - before, moved_m);
   blocked_s_ = walking_ && turned && moved_m < 0.3 * pace_mps_ * kStep_s ? blocked_s_ + kStep_s : 0.0;
   if (blocked_s_ < kBlockedFor_s) return;
   // In front of a wall one thinks again of what was said.
@@ -380,6 +382,13 @@ void GuidedWalker::walk() {
   missed_.clear();
   done_.clear();
   if (last_) act(*last_);
+}
+
+/// Nobody walks sidewards: who comes to a wall aslant turns along it.
+void GuidedWalker::follow_wall(Point moved, double moved_m) {
+  if (moved_m < 0.3 * pace_mps_ * kStep_s || moved_m == 0.0) return;
+  const double along_rad = heading(moved);
+  if (std::abs(turn_between(along_rad, truth_.heading_rad + veer_rad_)) > kSlides_rad) wish_rad_ = along_rad;
 }
 
 void GuidedWalker::turn_when_open() {

@@ -81,6 +81,7 @@ class GuidedWalker {
   void run(Errand& errand);
   void ride(Errand& errand);
   void walk();
+  void follow_wall(building::Point moved, double moved_m);
   void turn_when_open();
   void move(building::Point by);
   void note_motion(building::Point before, double height_before_m);
