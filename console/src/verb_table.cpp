@@ -237,7 +237,8 @@ std::vector<Verb> waiting_verbs() {
       {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe,
        verbs::sleep, false},
       {"quit", forms({"quit [CODE]"}), "ends the host; its exit code is CODE",
-       "To leave the prompt and let the host run: Ctrl-D.", Access::Administer, verbs::quit, false},
+       "It returns once another host can have its name. To leave the prompt and let the host run: Ctrl-D.",
+       Access::Administer, verbs::quit, false},
   };
 }
 

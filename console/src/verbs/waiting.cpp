@@ -1,5 +1,6 @@
 // wait, expect, sleep, quit: what headless scripts and tests are made of.
 #include <array>
+#include <chrono>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -13,6 +14,8 @@ struct Operator {
   std::string_view typed;
   control::Comparison meant;
 };
+constexpr std::chrono::milliseconds kLooks{10};
+constexpr std::chrono::seconds kEnds{5};
 constexpr std::array kOperators{Operator{"==", control::EQUAL},  Operator{"!=", control::NOT_EQUAL},
                                 Operator{"<", control::LESS},    Operator{"<=", control::LESS_OR_EQUAL},
                                 Operator{">", control::GREATER}, Operator{">=", control::GREATER_OR_EQUAL}};
@@ -29,6 +32,19 @@ control::Comparison comparison_of(const Word& word, const Line& line) {
 void tell_met(Session& session, const control::Met& met) {
   session.out.done(fmt::format("{} after {:.0f} ms", met.seen().empty() ? "reached" : met.seen(), met.after_ms()),
                    {{"after_ms", met.after_ms()}, {"seen", met.seen()}});
+}
+
+/// Until another host can have its name: who starts one next is not refused because this one is still letting go.
+void wait_until_gone(Session& session, const ControlClient& host) {
+  if (host.remote()) return;
+  const auto end = std::chrono::steady_clock::now() + kEnds;
+  const auto later = [](SteadyTime most) { return std::min(most, std::chrono::steady_clock::now() + kLooks); };
+  while (answers(host.endpoint().socket)) {
+    if (std::chrono::steady_clock::now() >= end)
+      return session.out.remark(
+          fmt::format("the host has not ended within {} s: it is still letting go", kEnds.count()));
+    session.reactor.run_until([] { return false; }, later(end));
+  }
 }
 
 }  // namespace
@@ -85,8 +101,10 @@ void quit(Session& session, const Line& line) {
   }
   control::Request request;
   request.mutable_quit()->set_exit_code(code);
-  session.call(std::move(request));
+  ControlClient& host = session.host();
+  host.call(std::move(request));
   session.finished = code;
+  wait_until_gone(session, host);
   session.out.done("");
 }
 
