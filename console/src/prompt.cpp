@@ -154,8 +154,8 @@ class Prompt {
     if (!session_.connected() && !endpoint_.remote && !answers(endpoint_.socket)) return retry_later();
     try {
       if (!session_.connected()) {
-        session_.disconnect();  // what was watched there is watched no more
         session_.connect(endpoint_);
+        session_.watches().resume();
       }
       attach();
     } catch (const Error&) {

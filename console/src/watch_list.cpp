@@ -1,34 +1,51 @@
 #include "watch_list.hpp"
 
+#include <utility>
+
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 namespace fiona::console {
 
+namespace {
+
+constexpr std::chrono::milliseconds kLooksSoon{100}, kLooksAgain{500};
+
+}  // namespace
+
 std::uint64_t WatchList::start(const WatchRequest& request) {
-  control::Request message;
-  *message.mutable_watch()->mutable_port() = request.port;
-  message.mutable_watch()->set_min_period_ms(request.every_ms);
-  message.mutable_watch()->set_prescale(request.every_nth);
-  if (request.when) *message.mutable_watch()->mutable_condition() = *request.when;
-  const auto number = std::make_shared<std::uint64_t>(0);
-  // The entry exists before any reply can be served: replies come in the reactor's waits only.
-  *number = session_.host().begin(std::move(message),
-                                  [this, number](const control::Reply& reply) { arrived(*number, reply); });
-  Running& watch = running_[*number];
+  const std::uint64_t number = ++last_;
+  Running& watch = running_[number];
   watch.request = request;
   watch.name = request.port.instance() + "." + request.port.port();
   watch.manner_json = session_.out.manner.json;
+  try {
+    ask(number, watch);
+  } catch (...) {
+    running_.erase(number);
+    throw;
+  }
   if (request.for_ms) {
     const auto end_at =
         std::chrono::steady_clock::now() + std::chrono::microseconds(static_cast<std::int64_t>(*request.for_ms * 1000));
-    watch.timer = session_.reactor.add_timer(end_at, [this, id = *number] { end(id, true); });
+    watch.timer = session_.reactor.add_timer(end_at, [this, number] { end(number, true); });
   }
-  return *number;
+  return number;
 }
 
-void WatchList::arrived(std::uint64_t id, const control::Reply& reply) {
-  const auto found = running_.find(id);
+/// Replies come in the reactor's waits only.
+void WatchList::ask(std::uint64_t number, Running& watch) {
+  control::Request message;
+  *message.mutable_watch()->mutable_port() = watch.request.port;
+  message.mutable_watch()->set_min_period_ms(watch.request.every_ms);
+  message.mutable_watch()->set_prescale(watch.request.every_nth);
+  if (watch.request.when) *message.mutable_watch()->mutable_condition() = *watch.request.when;
+  watch.asked = session_.host().begin(std::move(message),
+                                      [this, number](const control::Reply& reply) { arrived(number, reply); });
+}
+
+void WatchList::arrived(std::uint64_t number, const control::Reply& reply) {
+  const auto found = running_.find(number);
   if (found == running_.end()) return;
   try {
     if (reply.has_failure()) throw_failure(reply.failure());
@@ -36,11 +53,53 @@ void WatchList::arrived(std::uint64_t id, const control::Reply& reply) {
     if (reply.has_done() && found->second.samples == 0 && !reply.done().note().empty())
       session_.out.remark(reply.done().note());
   } catch (const Error& problem) {
-    end(id, !reply.has_failure());
+    if (reply.has_failure() && goes_on(number, found->second, problem)) return;
+    end(number, !reply.has_failure());
     // In a shell the watch is the command, and its failure the command's; elsewhere it is news beside other lines.
     if (session_.setting == Setting::Shell) throw;
     session_.out.error(problem);
   }
+}
+
+/// What has been seen and is lost may come back: its group is started again, its host is connected again. What the host
+/// says at the second time says whether that is so.
+bool WatchList::goes_on(std::uint64_t number, Running& watch, const Error& problem) {
+  const bool is_new = watch.lost.empty();
+  const bool is_away = problem.code() == ErrorCode::Unreachable || (problem.code() == ErrorCode::NotFound && !is_new);
+  if (!is_away || watch.samples == 0) return false;
+  const std::string& why = problem.text().what;
+  if (!is_new && why != watch.told) {
+    watch.told = why;
+    session_.out.remark(fmt::format("{}; the watch of {} goes on when it is back", why, watch.name));
+  }
+  watch.lost = why;
+  watch.object.reset();
+  watch.types.reset();
+  session_.host().forget(watch.asked);
+  const auto when = std::chrono::steady_clock::now() + (is_new ? kLooksSoon : kLooksAgain);
+  watch.retry = session_.reactor.add_timer(when, [this, number] {
+    const auto found = running_.find(number);
+    if (found == running_.end()) return;
+    found->second.retry.reset();
+    if (session_.connected()) ask(number, found->second);
+  });
+  return true;
+}
+
+void WatchList::resume() {
+  for (auto& [number, watch] : running_) {
+    if (watch.retry) session_.reactor.cancel_timer(*std::exchange(watch.retry, std::nullopt));
+    watch.object.reset();
+    watch.types.reset();
+    watch.lost = watch.told = "the host has gone";
+    ask(number, watch);
+  }
+}
+
+void WatchList::is_back(Running& watch) {
+  if (watch.told.empty()) session_.out.remark(fmt::format("{}; the watch of {} goes on", watch.lost, watch.name));
+  watch.lost.clear();
+  watch.told.clear();
 }
 
 void WatchList::check_fields(const Running& watch) const {
@@ -90,6 +149,7 @@ std::string WatchList::text_of(const Running& watch, const control::Sample& samp
 
 void WatchList::print(Running& watch, const control::Sample& sample) {
   if (!sample.type().empty()) read(watch, sample);
+  if (!watch.lost.empty()) is_back(watch);
   ++watch.samples;
   // The host counts `every` on the system's clock, which may run much faster than anybody reads. Half of it, so that
   // a sample that comes a little early is not lost.
@@ -115,38 +175,42 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
   out.manner = before;
 }
 
-void WatchList::end(std::uint64_t id, bool tell_host) {
-  const auto found = running_.find(id);
+void WatchList::stop_timers(Running& watch) {
+  if (watch.timer) session_.reactor.cancel_timer(*watch.timer);
+  if (watch.retry) session_.reactor.cancel_timer(*watch.retry);
+}
+
+void WatchList::end(std::uint64_t number, bool tell_host) {
+  const auto found = running_.find(number);
   if (found == running_.end()) return;
-  if (found->second.timer) session_.reactor.cancel_timer(*found->second.timer);
+  stop_timers(found->second);
+  const std::uint64_t asked = found->second.asked;
   running_.erase(found);
   if (!session_.connected()) return;
-  session_.host().forget(id);
+  session_.host().forget(asked);
   if (!tell_host) return;
   control::Request request;
-  request.mutable_unwatch()->set_watch(id);
+  request.mutable_unwatch()->set_watch(asked);
   session_.host().tell(std::move(request));
 }
 
 std::size_t WatchList::stop(const std::string& port) {
   std::vector<std::uint64_t> ended;
-  for (const auto& [id, watch] : running_) {
-    if (port.empty() || watch.name == port) ended.push_back(id);
+  for (const auto& [number, watch] : running_) {
+    if (port.empty() || watch.name == port) ended.push_back(number);
   }
-  for (const std::uint64_t id : ended) end(id, true);
+  for (const std::uint64_t number : ended) end(number, true);
   return ended.size();
 }
 
 void WatchList::clear() {
-  for (auto& [id, watch] : running_) {
-    if (watch.timer) session_.reactor.cancel_timer(*watch.timer);
-  }
+  for (auto& [number, watch] : running_) stop_timers(watch);
   running_.clear();
 }
 
 std::vector<std::string> WatchList::ports() const {
   std::vector<std::string> names;
-  for (const auto& [id, watch] : running_) names.push_back(watch.name);
+  for (const auto& [number, watch] : running_) names.push_back(watch.name);
   return names;
 }
 

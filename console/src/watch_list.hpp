@@ -26,7 +26,7 @@ struct WatchRequest {
 WatchRequest watch_request(const Line& line);
 
 /// The watches that run in this console: each prints its samples until it is stopped, its time is over, or the host
-/// ends it.
+/// ends it. One whose group or host has been lost says so, and goes on when that is back.
 class WatchList {
  public:
   explicit WatchList(Session& session) : session_(session) {}
@@ -35,6 +35,8 @@ class WatchList {
   std::uint64_t start(const WatchRequest& request);
   /// Stops those of the port, "instance.port"; all with an empty name. Returns how many.
   std::size_t stop(const std::string& port);
+  /// Asks for all of them anew, of a host that is back.
+  void resume();
   /// Forgets all without telling the host, as when it has gone.
   void clear();
   bool empty() const { return running_.empty(); }
@@ -47,19 +49,27 @@ class WatchList {
     std::unique_ptr<TypeSet> types;
     std::unique_ptr<google::protobuf::Message> object;
     std::optional<std::uint64_t> timer;
+    std::uint64_t asked = 0;             ///< the host's number of it
+    std::optional<std::uint64_t> retry;  ///< the timer, after what it looks at was lost
+    std::string lost, told;              ///< why, and what has been said of it
     bool manner_json = false;
     std::uint64_t samples = 0;
     SteadyTime printed{};
   };
 
-  void arrived(std::uint64_t id, const control::Reply& reply);
+  void ask(std::uint64_t number, Running& watch);
+  void arrived(std::uint64_t number, const control::Reply& reply);
+  bool goes_on(std::uint64_t number, Running& watch, const Error& problem);
+  void is_back(Running& watch);
+  void stop_timers(Running& watch);
   void read(Running& watch, const control::Sample& sample);
   void print(Running& watch, const control::Sample& sample);
   std::string text_of(const Running& watch, const control::Sample& sample) const;
   void check_fields(const Running& watch) const;
-  void end(std::uint64_t id, bool tell_host);
+  void end(std::uint64_t number, bool tell_host);
 
   Session& session_;
+  std::uint64_t last_ = 0;
   std::map<std::uint64_t, Running> running_;
 };
 
