@@ -60,6 +60,7 @@ constexpr double kUnsureOfSide = 0.5;  ///< of a wall: so many standard deviatio
 /// only later that it is done; and who has gone through a door takes another word for another door.
 constexpr auto kReacts = 1500ms;
 constexpr auto kDoes = 4s;
+constexpr auto kTurnsIn = 2500ms;
 constexpr auto kSurelyDoes = 9s;
 constexpr auto kLeaves = 10s;        ///< a room, from when it was told
 constexpr double kAtDoor_m = 2.5;    ///< a door that is so near, and in sight, is told of wherever one looks
@@ -138,7 +139,10 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   advice.is_new = said_ != key;
   fill(advice, key, walker);
   const bool told_before = told_ && told_->maneuver == key.maneuver && said_ && said_->repeated == key.repeated;
-  if (advice.is_new) new_since_ = now;
+  if (advice.is_new) {
+    new_since_ = now;
+    looked_rad_ = walker.heading_rad;
+  }
   if (key.phase == Phase::Now && !told_before) told_ = Told{key.maneuver, now, distance_m(walker.place.at, spot())};
   said_ = key;
   return advice;
@@ -279,9 +283,15 @@ bool Guide::is_at_door(const Walker& walker) const {
 
 /// Who has not gone through a door in sight, or walks on beside the path along a wall, has missed the word.
 bool Guide::is_overdue(const Key& key, const Walker& walker, TimePoint now) const {
-  if (key.phase == Phase::Align) return now - new_since_ > kDoes;
+  if (key.phase == Phase::Align) return now - new_since_ > (turns(walker) ? Duration(kDoes) : Duration(kTurnsIn));
   if (key.phase != Phase::Now || is_doing(walker, now)) return false;
   return is_door(next()) ? is_at_door(walker) : has_missed(walker, now);
+}
+
+/// Since the newest word: who missed it looks where they looked.
+bool Guide::turns(const Walker& walker) const {
+  if (!walker.heading_rad || !looked_rad_) return true;
+  return std::abs(std::remainder(*walker.heading_rad - *looked_rad_, 2.0 * std::numbers::pi)) > kAlong_rad;
 }
 
 /// What was told last.

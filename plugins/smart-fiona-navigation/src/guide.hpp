@@ -67,6 +67,7 @@ class Guide {
   bool has_missed(const Walker& walker, TimePoint now) const;
   bool has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint now) const;
   bool is_at_door(const Walker& walker) const;
+  bool turns(const Walker& walker) const;
   bool is_doing(const Walker& walker, TimePoint now) const;
   bool is_overdue(const Key& key, const Walker& walker, TimePoint now) const;
   bool arrived(const Walker& walker) const;
@@ -117,6 +118,7 @@ class Guide {
   std::optional<Back> back_{};  ///< who does not get on is sent back a little: on the move they are found better
   bool aligned_ = true;
   TimePoint new_since_{};  ///< when the newest word was new
+  std::optional<double> looked_rad_{};  ///< where the walker looked then
   std::optional<TimePoint> astray_since_{};
   std::pair<std::size_t, Phase> nearest_{0, Phase::Ahead};  ///< of a maneuver, what has been said of how near it is
   std::optional<TimePoint> wrong_since_;
