@@ -568,16 +568,29 @@ TEST(Guide, WhoHasClimbedAndWalksBackBesideTheStairsIsOffThePathAndNotOnThem) {
   EXPECT_NE(advice.instruction.kind(), Instruction::STAIRS);
 }
 
+/// An hour is 30 degrees: who is turned by one for a metre that a place errs walks past what they are led to.
+TEST(Guide, WhoMayBeOnThePathIsLedAsIfTheyWere) {
+  const LevelPlan plan;
+  for (const auto& [sigma_m, hour] : {std::pair(0.7, NextTurn::HOUR_12), std::pair(0.35, NextTurn::HOUR_11)}) {
+    Guide guide(plan, corner(), "Room 7", false, at(0));
+    EXPECT_EQ(guide.follow({{{1.2, 1.0}, 0}, 0.0, sigma_m}, at(0)).instruction.hour(), hour) << sigma_m;
+  }
+}
+
+/// Who has not moved their head has missed the word; who turns, though the wrong way, is left some more time for it.
 TEST(Guide, WhoWalksOnBesideThePathIsToldToTurnAgain) {
   const LevelPlan plan;
-  Guide guide(plan, corner(), "Room 7", false, at(0));
-  std::vector<double> told_s;
-  for (int i = 0; i < 40; ++i) {
-    const auto advice = guide.follow({{{0.5, 1.0 + 0.05 * i}, 0}, 80 * kDegree, 0.0}, at(0.2 * i));
-    if (advice.is_new && advice.instruction.kind() == Instruction::TURN) told_s.push_back(0.2 * i);
+  for (const auto& [turned_to, after_s] : {std::pair(80, 2.6), std::pair(120, 4.2)}) {
+    Guide guide(plan, corner(), "Room 7", false, at(0));
+    std::vector<double> told_s;
+    for (int i = 0; i < 40; ++i) {
+      const double looks_rad = (i < 5 ? 80 : turned_to) * kDegree;
+      const auto advice = guide.follow({{{0.5, 1.0 + 0.05 * i}, 0}, looks_rad, 0.0}, at(0.2 * i));
+      if (advice.is_new && advice.instruction.kind() == Instruction::TURN) told_s.push_back(0.2 * i);
+    }
+    ASSERT_GE(told_s.size(), 2u);
+    EXPECT_NEAR(told_s[1] - told_s[0], after_s, 0.3) << turned_to;
   }
-  ASSERT_GE(told_s.size(), 2u);
-  EXPECT_NEAR(told_s[1] - told_s[0], 4.2, 0.3);
 }
 
 TEST(Guide, WhoDoesNotGetOnBehindADoorIsToldOfTheDoorAgain) {

@@ -56,6 +56,7 @@ constexpr double kSure_m = 0.3;
 constexpr double kForward_mps = 1.8;
 constexpr double kBackward_mps = 0.8;
 constexpr double kUnsureOfSide = 0.5;  ///< of a wall: so many standard deviations
+constexpr double kMayBeOnPath = 2.0;   ///< so many of them away from it
 /// Who is told to do something needs so long to begin, and so long to do it. A place that is less than sure may tell
 /// only later that it is done; and who has gone through a door takes another word for another door.
 constexpr auto kReacts = 1500ms;
@@ -354,8 +355,8 @@ Point Guide::aim(const Walker& walker) const {
   // Who may as well be on the path is taken to be there, unless a wall is in the way beside it.
   const Point on_path = path_.place(at_m_).at;
   const Point ahead = path_.place(far_m).at - on_path;
-  const bool as_if_on_path =
-      !held_up && off_m_ < walker.sigma_m && !(level && plan_.walled(walker.place.at, walker.place.at + ahead, *level));
+  const bool as_if_on_path = !held_up && off_m_ < kMayBeOnPath * walker.sigma_m &&
+                             !(level && plan_.walled(walker.place.at, walker.place.at + ahead, *level));
   const Point from = as_if_on_path ? on_path : walker.place.at;
   for (const double at : {far_m, (at_m_ + far_m) / 2.0, at_m_}) {
     const Point to = path_.place(at).at;

@@ -117,7 +117,7 @@ class Guide {
   };
   std::optional<Back> back_{};  ///< who does not get on is sent back a little: on the move they are found better
   bool aligned_ = true;
-  TimePoint new_since_{};  ///< when the newest word was new
+  TimePoint new_since_{};               ///< when the newest word was new
   std::optional<double> looked_rad_{};  ///< where the walker looked then
   std::optional<TimePoint> astray_since_{};
   std::pair<std::size_t, Phase> nearest_{0, Phase::Ahead};  ///< of a maneuver, what has been said of how near it is
