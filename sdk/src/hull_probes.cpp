@@ -214,7 +214,7 @@ void Hull::end_taps() {
     ended.swap(taps_);
   }
   for (const auto& tap : ended) {
-    tap->end(Error(ErrorCode::Unreachable,
+    tap->end(Error(ErrorCode::NotFound,
                    {.what = "'" + name_ + "' was unloaded", .where = name_, .next = "load it again, or undo"}));
   }
   for (const auto& tap : ended) untap(tap);

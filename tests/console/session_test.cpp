@@ -420,12 +420,26 @@ TEST_F(ConsoleTest, WatchPrintsAProbeWithItsUnitAndWhatWasLost) {
     control::Reply none;
     none.mutable_sample()->set_time_s(1);
     return std::vector{none, probe_sample(2.5, 0), probe_sample(3.5, 4),
-                       failure(ErrorCode::Unreachable, "'nav' was unloaded")};
+                       failure(ErrorCode::NotFound, "'nav' was unloaded")};
   };
   EXPECT_EQ(error_of("watch nav.spread when above 2"), "column 7: 'nav' was unloaded");
   EXPECT_EQ(
       out,
       "nav.spread  1.000 s  no value yet\nnav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m, 4 lost before it\n");
+}
+
+TEST_F(ConsoleTest, AWatchGoesOnWhenWhatItLooksAtIsBackAndEndsOnceItIsUnloaded) {
+  int asked = 0;
+  script = [&asked](const control::Request&) {
+    switch (++asked) {
+      case 1: return std::vector{probe_sample(2.5, 0), failure(ErrorCode::Unreachable, "group 'left' ended")};
+      case 2: return std::vector{failure(ErrorCode::Unreachable, "'nav' is lost: it is started again")};
+      default: return std::vector{probe_sample(3.5, 0), failure(ErrorCode::NotFound, "'nav' was unloaded")};
+    }
+  };
+  EXPECT_EQ(error_of("watch nav.spread"), "column 7: 'nav' was unloaded");
+  EXPECT_EQ(out, "nav.spread  1.500 s  2.5 m\nnav.spread  1.500 s  3.5 m\n");
+  EXPECT_EQ(requests().size(), 3u);
 }
 
 TEST_F(ConsoleTest, ExpectTakesAProbe) {
