@@ -166,8 +166,7 @@ std::vector<Verb> seeing_verbs() {
        "become false before it is told again.\n" +
            hull_probe_text() +
            "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, "
-           "Ctrl-C "
-           "does.",
+           "Ctrl-C does. When the group or host that it looks at is lost, it says so and goes on once that is back.",
        Access::Observe, verbs::watch},
       {"graph", forms({"graph [dot|mermaid]"}), "the wiring as text, for Graphviz or for Mermaid",
        "As text `<-` comes from there, `?-` nobody serves, `->` goes there. As in: fiona graph dot | dot -Tsvg > "
