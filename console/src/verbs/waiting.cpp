@@ -1,4 +1,5 @@
 // wait, expect, sleep, quit: what headless scripts and tests are made of.
+#include <algorithm>
 #include <array>
 #include <chrono>
 
