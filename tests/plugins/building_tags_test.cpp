@@ -1,5 +1,10 @@
 // Tag by tag: what each says on the map, and on the way.
 #include <algorithm>
+#include <array>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -45,6 +50,16 @@ Osm floors(const std::string& low = "0", const std::string& high = "1") {
   return osm.node(30, 2, 5).node(31, 8, 5);
 }
 
+/// The levels that each of the stairs and lifts joins, the lowest first.
+std::vector<std::vector<double>> joined(const Building& building) {
+  std::vector<std::vector<double>> levels;
+  for (const Connector& connector : building.connectors()) levels.push_back(connector.levels);
+  std::sort(levels.begin(), levels.end());
+  return levels;
+}
+
+constexpr std::array kLines = {"footway", "corridor", "path", "pedestrian", "service"};
+
 TEST(Tags, AWallWithoutADoorIsOccupiedAndNotPassed) {
   const Building house = halls().read();
   EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Wall);
@@ -69,6 +84,19 @@ TEST(Tags, ADoorIsAsWideAsItSays) {
   const Building house = halls({5}).node(5, 10, 5, "door=yes level=0 width=3").read();
   EXPECT_EQ(cell_at(house, 0, 10, 6.3), Cell::Door);
   EXPECT_EQ(cell_at(house, 0, 10, 7.0), Cell::Wall);
+}
+
+TEST(Tags, AWideDoorIsPassedWithoutADetourToItsMiddle) {
+  const auto length_m = [](const std::string& width) {
+    Osm osm;
+    osm.rectangle(10, 0, 0, 20, 10, "indoor=room level=0 name=Hall");
+    osm.node(30, 10, 0).node(5, 10, 5, "door=yes level=0 width=" + width).node(31, 10, 10);
+    const Building house = osm.way(50, {30, 5, 31}, "indoor=wall level=0").read();
+    const auto route = house.route(PathPoint{{7, 6.3}, 0}, PathPoint{{13, 6.3}, 0});
+    return route ? route->length_m : 0.0;
+  };
+  EXPECT_NEAR(length_m("3"), 6.0, 0.01);
+  EXPECT_GT(length_m("1"), 6.2);
 }
 
 TEST(Tags, ADoorOnALineOfItsOwnCountsToo) {
@@ -102,6 +130,23 @@ TEST(Tags, AWallAcrossAHallIsWalkedAround) {
   EXPECT_LT(route->length_m, 17.0);
 }
 
+TEST(Tags, TheOutlineIsAWallBeyondWhichOneComesByAnEntrance) {
+  for (const auto& [building, door, cell] :
+       std::vector<std::tuple<std::string, std::string, Cell>>{{"building=yes", "", Cell::Wall},
+                                                               {"building=train_station", "", Cell::Wall},
+                                                               {"building=yes", "entrance=yes", Cell::Door},
+                                                               {"building=no", "", Cell::Free}}) {
+    Osm osm;
+    osm.rectangle(10, 0, 0, 10, 10, "indoor=area level=0 name=Inside");
+    osm.rectangle(20, 10, 0, 20, 10, "indoor=area level=0 name=Outside");
+    osm.node(40, -1, -1).node(41, 10, -1).node(5, 10, 5, door).node(42, 10, 11).node(43, -1, 11);
+    const Building house = osm.way(40, {40, 41, 5, 42, 43, 40}, building).read();
+    EXPECT_EQ(cell_at(house, 0, 10, 5), cell) << building << ' ' << door;
+    EXPECT_EQ(house.route(house.room("Inside"), house.room("Outside")).has_value(), cell != Cell::Wall)
+        << building << ' ' << door;
+  }
+}
+
 TEST(Tags, CorridorsAndAreasAreOpenToEachOther) {
   Osm osm;
   osm.rectangle(10, 0, 0, 10, 3, "indoor=corridor level=0 name=West");
@@ -129,6 +174,22 @@ TEST(Tags, ListsRangesFractionsAndNegativesAreLevelsEach) {
   }
 }
 
+TEST(Tags, LevelsThatTheBuildingSkipsAreNoLevels) {
+  Osm osm;
+  osm.rectangle(10, -1, -1, 11, 11, "building=yes non_existent_levels=1");
+  osm.rectangle(20, 0, 0, 10, 10, "indoor=area name=Hall level=0-3").node(30, 2, 5).node(31, 8, 5);
+  osm.node(32, 5, 8, "highway=elevator level=0-3");
+  const Building house = osm.way(30, {30, 31}, "highway=steps level=2;3 repeat_on=0-1 incline=up").read();
+  std::vector<double> levels;
+  for (const Level& level : house.levels()) levels.push_back(level.level);
+  EXPECT_EQ(levels, std::vector<double>({0, 2, 3}));
+  EXPECT_EQ(joined(house), std::vector<std::vector<double>>({{0, 2}, {0, 2, 3}, {2, 3}}));
+  EXPECT_EQ(cell_at(house, 1, 5, 2), Cell::Outside);
+  EXPECT_EQ(cell_at(house, 2, 5, 2), Cell::Free);
+  EXPECT_TRUE(uses(house.route(house.room("Hall", 0), house.room("Hall", 3), {.lift = false}), Passage::Stairs));
+  EXPECT_TRUE(uses(house.route(house.room("Hall", 0), house.room("Hall", 2), {.stairs = false}), Passage::Lift));
+}
+
 TEST(Tags, AMultipolygonIsARoomWithItsHole) {
   Osm osm;
   osm.rectangle(10, 0, 0, 20, 20, "").rectangle(20, 5, 5, 15, 15, "");
@@ -144,10 +205,14 @@ TEST(Tags, AMultipolygonIsARoomWithItsHole) {
 
 TEST(Tags, AMultipolygonOfOpenWaysIsJoined) {
   Osm osm;
-  osm.node(10, 0, 0).node(11, 10, 0).node(12, 10, 10).node(13, 0, 10);
-  osm.way(10, {10, 11, 12}, "").way(11, {10, 13, 12}, "");
+  osm.node(10, 0, 0).node(11, 10, 0).node(12, 10, 10).node(13, 0, 10).node(14, 20, 0).node(15, 20, 10);
+  osm.way(10, {10, 11, 5, 12}, "").way(11, {10, 13, 12}, "").node(5, 10, 5, "door=yes level=2");
+  osm.way(12, {11, 14, 15, 12, 5, 11}, "indoor=room level=2 name=East");
   osm.multipolygon(1, {10, 11}, {}, "indoor=room level=2 name=Hall");
-  EXPECT_EQ(cell_at(osm.read(), 2, 5, 5), Cell::Free);
+  const Building house = osm.read();
+  EXPECT_EQ(cell_at(house, 2, 5, 5), Cell::Free);
+  EXPECT_EQ(cell_at(house, 2, 0, 5), Cell::Wall);
+  EXPECT_TRUE(uses(house.route(house.room("East"), house.room("Hall")), Passage::Door));
 }
 
 TEST(Tags, StepsJoinTheirLevelsAndAreDrawnOnBoth) {
@@ -164,10 +229,81 @@ TEST(Tags, StepsJoinNegativeAndHalfLevels) {
   EXPECT_TRUE(house.route(house.room("Low"), house.room("High")));
 }
 
-TEST(Tags, AnEscalatorLeadsOneWay) {
-  const Building house = floors().way(30, {30, 31}, "highway=steps conveying=forward level=0;1 incline=up").read();
-  EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High")), Passage::Escalator));
-  EXPECT_FALSE(house.route(house.room("High"), house.room("Low")));
+TEST(Tags, StepsOverThreeLevelsAreLeftAtTheMiddleOne) {
+  for (const bool told : {true, false}) {
+    Osm osm = floors("0", "2").rectangle(40, 0, 0, 10, 10, "indoor=area level=1 name=Middle");
+    osm.node(32, 5, 5, told ? "level=1" : "").node(33, 5, 8);
+    // Without a level of its own, the landing is where what leads away from it is.
+    if (!told) osm.way(31, {32, 33}, "highway=footway level=1");
+    const Building house = osm.way(30, {30, 32, 31}, "highway=steps level=0-2 incline=up").read();
+    EXPECT_EQ(cell_at(house, 1, 3, 5), Cell::Stairs);
+    EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("Middle")), Passage::Stairs)) << told;
+    EXPECT_TRUE(uses(house.route(house.room("Middle"), house.room("High")), Passage::Stairs)) << told;
+  }
+}
+
+TEST(Tags, StepsThatRepeatClimbAsMappedAndFromEachOtherBase) {
+  using Climbs = std::vector<std::vector<double>>;
+  for (const auto& [tags, climbs] :
+       std::vector<std::pair<std::string, Climbs>>{{"level=0;1 repeat_on=5", {{0, 1}, {5, 6}}},
+                                                   {"level=0-1 repeat_on=1-2", {{0, 1}, {1, 2}, {2, 3}}},
+                                                   {"level=0;1 repeat_on=0;5", {{0, 1}, {5, 6}}},
+                                                   {"level=0-2 repeat_on=4", {{0, 1, 2}, {4, 5, 6}}},
+                                                   {"level=3;4 repeat_on=0", {{0, 1}, {3, 4}}},
+                                                   {"level=0.1;0.3 repeat_on=2.1", {{0.1, 0.3}, {2.1, 2.3}}},
+                                                   {"level=0;1 repeat_on=above", {{0, 1}}}}) {
+    Osm osm;
+    osm.rectangle(10, 0, 0, 10, 10, "indoor=area name=Hall level=0-7;0.1;0.3;2.1;2.3");
+    osm.node(30, 2, 5).node(31, 8, 5);
+    const Building house = osm.way(30, {30, 31}, "highway=steps incline=up " + tags).read();
+    EXPECT_EQ(joined(house), climbs) << tags;
+    for (double level = 0; level <= 7; ++level) {
+      const auto reaches = [&](const auto& climb) { return std::count(climb.begin(), climb.end(), level) > 0; };
+      const bool reached = std::any_of(climbs.begin(), climbs.end(), reaches);
+      EXPECT_EQ(cell_at(house, level, 5, 5), reached ? Cell::Stairs : Cell::Free) << tags << ": " << level;
+    }
+    for (const auto& climb : climbs) {
+      EXPECT_TRUE(
+          uses(house.route(house.room("Hall", climb.front()), house.room("Hall", climb.back())), Passage::Stairs))
+          << tags;
+    }
+    EXPECT_FALSE(house.route(house.room("Hall", 0), house.room("Hall", 7))) << tags;
+  }
+}
+
+TEST(Tags, StepsThatRepeatKeepTheirDirectionAndTheirLanding) {
+  const Building house = floors()
+                             .node(32, 2, 7, "level=1")
+                             .node(33, 5, 7, "level=0.5")
+                             .node(34, 8, 7, "level=0")
+                             .way(30, {32, 33, 34}, "highway=steps level=0;1 repeat_on=3")
+                             .read();
+  ASSERT_EQ(house.connectors().size(), 2u);
+  std::vector<double> levels;
+  for (const PathPoint& p : house.connectors()[1].path) levels.push_back(p.level);
+  EXPECT_EQ(levels, std::vector<double>({4, 3.5, 3}));
+}
+
+TEST(Tags, AnEscalatorLeadsWhereItRuns) {
+  for (const auto& [conveying, up, down] :
+       {std::tuple("forward", true, false), {"backward", false, true}, {"yes", true, true}}) {
+    const std::string tags = std::string("highway=steps level=0;1 incline=up conveying=") + conveying;
+    const Building house = floors().way(30, {30, 31}, tags).read();
+    EXPECT_EQ(cell_at(house, 0, 5, 5), Cell::Stairs) << conveying;
+    EXPECT_EQ(cell_at(house, 1, 5, 5), Cell::Stairs) << conveying;
+    EXPECT_EQ(uses(house.route(house.room("Low"), house.room("High")), Passage::Escalator), up) << conveying;
+    EXPECT_EQ(uses(house.route(house.room("High"), house.room("Low")), Passage::Escalator), down) << conveying;
+    EXPECT_FALSE(house.route(house.room("Low"), house.room("High"), {.stairs = false})) << conveying;
+  }
+}
+
+TEST(Tags, AWayFromOneLevelToAnotherIsARampForWhoTakesNoStairs) {
+  for (const std::string kind : kLines) {
+    const Building house = floors().way(30, {30, 31}, "level=0;1 incline=up highway=" + kind).read();
+    EXPECT_EQ(cell_at(house, 0, 5, 5), Cell::Path) << kind;
+    EXPECT_EQ(cell_at(house, 1, 5, 5), Cell::Path) << kind;
+    EXPECT_TRUE(uses(house.route(house.room("Low"), house.room("High"), {.stairs = false}), Passage::Ramp)) << kind;
+  }
 }
 
 TEST(Tags, ALiftNodeJoinsItsLevels) {
@@ -197,32 +333,40 @@ TEST(Tags, AStairwellJoinsItsLevelsThroughItsDoors) {
   }
 }
 
-TEST(Tags, AFootwayWithoutALevelJoinsWhatItMeets) {
-  Osm osm = floors();
-  osm.node(50, -5, 5).node(51, -20, 5, "").way(50, {30, 50}, "highway=footway level=0");
-  const Building house = osm.way(51, {50, 51}, "highway=footway").read();
-  const auto route = house.route(PathPoint{{5, 5}, 0}, PathPoint{{-20, 5}, 0});
-  ASSERT_TRUE(route);
-  EXPECT_TRUE(route->points.back().outdoors || route->points[route->points.size() - 2].outdoors);
+TEST(Tags, AWayWithoutALevelJoinsWhatItMeets) {
+  for (const std::string kind : kLines) {
+    Osm osm = floors();
+    osm.node(50, -5, 5).node(51, -20, 5).way(50, {30, 50}, "highway=footway level=0");
+    const Building house = osm.way(51, {50, 51}, "highway=" + kind).read();
+    EXPECT_EQ(cell_at(house, 0, -5.9, 5), Cell::Path) << kind;
+    EXPECT_EQ(cell_at(house, 1, -5.9, 5), Cell::Outside) << kind;
+    const PathPoint inside{{5, 5}, 0}, outside{{-20, 5}, 0};
+    EXPECT_TRUE(house.route(inside, outside)) << kind;
+    EXPECT_FALSE(house.route(inside, outside, {.outdoors = false})) << kind;
+  }
 }
 
 TEST(Tags, AWayThatIsDrawnThroughAWallOpensIt) {
-  Osm osm = halls();
-  osm.node(50, 5, 5).node(51, 15, 5).way(50, {50, 51}, "highway=corridor level=0");
-  const Building house = osm.read();
-  EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Path);
-  EXPECT_EQ(cell_at(house, 0, 10, 6), Cell::Wall);
-  EXPECT_TRUE(house.route(house.room("Left"), house.room("Right")));
+  for (const std::string kind : kLines) {
+    Osm osm = halls();
+    osm.node(50, 5, 5).node(51, 15, 5).way(50, {50, 51}, "level=0 highway=" + kind);
+    const Building house = osm.read();
+    EXPECT_EQ(cell_at(house, 0, 10, 5), Cell::Path) << kind;
+    EXPECT_EQ(cell_at(house, 0, 10, 6), Cell::Wall) << kind;
+    EXPECT_TRUE(house.route(house.room("Left"), house.room("Right"))) << kind;
+  }
 }
 
 TEST(Tags, TheEntranceLeadsOutUnlessOneStaysInside) {
-  const Building house = halls({5})
-                             .node(5, 10, 5, "entrance=main level=0")
-                             .node(50, 14, 5)
-                             .node(51, -9, 12)
-                             .way(50, {5, 50}, "highway=footway")
-                             .read();
-  EXPECT_TRUE(house.route(house.room("Left"), house.room("Right")));
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 10, "indoor=room level=0 name=Hall", {5}).node(5, 5, 0, "entrance=main level=0");
+  const Building house = osm.node(50, 5, -20).way(50, {5, 50}, "highway=footway").read();
+  EXPECT_EQ(cell_at(house, 0, 5, 0), Cell::Door);
+  const PathPoint inside{{5, 5}, 0}, outside{{5, -20}, 0};
+  const auto out = house.route(inside, outside);
+  EXPECT_TRUE(uses(out, Passage::Door));
+  EXPECT_TRUE(out && std::any_of(out->points.begin(), out->points.end(), [](const auto& p) { return p.outdoors; }));
+  EXPECT_FALSE(house.route(inside, outside, {.outdoors = false}));
 }
 
 TEST(Tags, WhoStaysIndoorsTakesNoWayAroundTheBuilding) {
@@ -241,7 +385,8 @@ TEST(Tags, WhoStaysIndoorsTakesNoWayAroundTheBuilding) {
 }
 
 TEST(Tags, APrivateRoomIsClosedToGuestsAndOpenToStaff) {
-  for (const char* tags : {"access=private", "access=staff", "foot=private access=yes", "fiona:access=5"}) {
+  for (const char* tags : {"access=private", "access=staff", "access=employees", "access=permit", "access=delivery",
+                           "access=emergency", "foot=private access=yes", "fiona:access=5"}) {
     const Building house = halls({5}, "level=0 " + std::string(tags)).node(5, 10, 5, "door=yes level=0").read();
     EXPECT_EQ(cell_at(house, 0, 15, 5, 0), Cell::Closed) << tags;
     EXPECT_EQ(cell_at(house, 0, 15, 5, 5), Cell::Free) << tags;

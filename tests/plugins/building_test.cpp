@@ -196,6 +196,15 @@ TEST(BuildingFile, WithoutHeightsAStoreyIsThreeMetres) {
   EXPECT_DOUBLE_EQ(corridor_with_two_rooms().read().height_m(2), 6.0);
 }
 
+TEST(BuildingFile, ALevelThatTheBuildingSkipsHasNoHeight) {
+  Osm osm = corridor_with_two_rooms();
+  osm.rectangle(40, -1, -1, 21, 9, "building=yes non_existent_levels=-1;1");
+  const Building house = osm.read();
+  EXPECT_DOUBLE_EQ(house.height_m(2), 3.0);
+  EXPECT_DOUBLE_EQ(house.height_m(3), 6.0);
+  EXPECT_DOUBLE_EQ(house.height_m(-2), -3.0);
+}
+
 TEST(BuildingFile, WithoutATaggedReferenceTheCentroidOfTheOutlineIsTheOrigin) {
   Osm osm = corridor_with_two_rooms();
   osm.rectangle(40, 0, 0, 20, 8, "building=yes");
@@ -222,6 +231,13 @@ TEST(BuildingFile, LocalAndWgs84AreInverse) {
   const Point back = house.to_local(house.to_wgs84({12.5, 30.25}));
   EXPECT_NEAR(back.x_m, 12.5, 1e-6);
   EXPECT_NEAR(back.y_m, 30.25, 1e-6);
+}
+
+TEST(BuildingFile, LocalAndWgs84AreInverseAtTheFarthestTooWhereTheEarthHasCurvedAway) {
+  const Building house = own_building();
+  const Point back = house.to_local(house.to_wgs84({-5000.0, 5000.0}));
+  EXPECT_NEAR(back.x_m, -5000.0, 1e-6);
+  EXPECT_NEAR(back.y_m, 5000.0, 1e-6);
 }
 
 TEST(BuildingFile, OwnBuildingIsReadWithoutAWarning) {
@@ -622,6 +638,34 @@ TEST_F(RealFiles, MoorgateHasRoutesBetweenItsLevelsForEachProfile) {
 
 TEST_F(RealFiles, TheLondonCorridorHasRoutesBetweenItsLevelsForEachProfile) {
   expect_profiles_to_hold(read("london-corridor.osm.xz", "xz"), 208, 208, 120, 24);
+}
+
+/// The map has no stairs, and nothing from its lifts to the platforms.
+TEST_F(RealFiles, CologneHasRoutesBetweenItsLevelsByLiftAlone) {
+  const Building station = read("kde-cologne-central.osm.gz", "gzip");
+  std::vector<std::pair<double, double>> joined;
+  for (const Connector& lift : station.connectors()) {
+    const PathPoint low = lift.path.front(), high = lift.path.back();
+    joined.push_back({low.level, high.level});
+    for (const auto& [from, to] : {std::pair(low, high), std::pair(high, low)}) {
+      const auto route = station.route(from, to, {.stairs = false, .outdoors = false});
+      ASSERT_TRUE(route) << text(lift.id);
+      EXPECT_TRUE(uses(*route, Passage::Lift)) << text(lift.id);
+      EXPECT_FALSE(station.route(from, to, {.lift = false})) << text(lift.id);
+    }
+  }
+  std::sort(joined.begin(), joined.end());
+  EXPECT_EQ(joined, (std::vector<std::pair<double, double>>{{-2, 0}, {-2, 0}, {-1, 0}}));
+}
+
+TEST_F(RealFiles, CologneTellsOfEachLiftThatItLeavesOut) {
+  const Building station = read("kde-cologne-central.osm.gz", "gzip");
+  for (const std::string node : {"2393836723", "3094360229", "3309389973"}) {
+    EXPECT_EQ(std::count(station.warnings().begin(), station.warnings().end(),
+                         "node " + node + ": the lift joins no two levels; left out"),
+              1)
+        << node;
+  }
 }
 
 TEST_F(RealFiles, PlatformsAloneAreNoBuildingAndTheErrorSaysSo) {

@@ -9,7 +9,11 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <regex>
+#include <sstream>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -29,6 +33,7 @@ using navigation::CommCoordConvRequest;
 using navigation::CommRasterMap;
 using navigation::CommRasterMapInfo;
 using navigation::MapEdge;
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using namespace std::chrono_literals;
@@ -57,8 +62,31 @@ std::filesystem::path written(const std::string& text, const std::string& name =
   return folder / name;
 }
 
+/// The same building at another latitude (east and west are nearer to each other there), and turned.
+std::string moved(const std::string& text, double latitude_deg, double heading_deg) {
+  static const std::regex kLatitude("lat=.([0-9.]+)");
+  std::ostringstream elsewhere;
+  elsewhere.precision(12);
+  auto from = text.begin();
+  for (std::sregex_iterator at(text.begin(), text.end(), kLatitude), end; at != end; ++at) {
+    elsewhere << std::string(from, (*at)[1].first) << std::stod((*at)[1]) - 48.0 + latitude_deg;
+    from = (*at)[1].second;
+  }
+  elsewhere << std::string(from, text.end());
+  const std::string reference = "<tag k='fiona:reference' v='yes'/>";
+  std::string xml = elsewhere.str();
+  return xml.insert(xml.find(reference), "<tag k='fiona:heading' v='" + std::to_string(heading_deg) + "'/>");
+}
+
+/// A room whose reference is two kilometres away.
+Osm far_house() {
+  Osm osm;
+  return osm.rectangle(20, 1600, 1200, 1620, 1210, "indoor=room level=0 name=Far");
+}
+
 struct Served {
-  explicit Served(const Osm& osm = house()) : file(written(osm.text())) {
+  explicit Served(const Osm& osm = house()) : Served(osm.text()) {}
+  explicit Served(const std::string& text) : file(written(text)) {
     bench.set("building", file.string());
     bench.start();
   }
@@ -87,6 +115,12 @@ struct Served {
     request.set_coord_x(x);
     request.set_coord_y(y);
     return ask<navigation::CoordinateConversion>("coordinates", request);
+  }
+  /// The corners of a map in pixels.
+  std::vector<Point> corners(const std::string& name) {
+    const CommRasterMapInfo extent = info(name);
+    const auto columns = static_cast<double>(extent.grid_x_size()), rows = static_cast<double>(extent.grid_y_size());
+    return {{0, 0}, {columns, 0}, {0, rows}, {columns, rows}};
   }
   navigation::CommLevelMap levels(std::initializer_list<double> wanted = {}) {
     navigation::CommLevelMapRequest request;
@@ -210,28 +244,45 @@ TEST(MapServer, AnUnknownMapIsRefusedWithThoseThatThereAre) {
   }
 }
 
-TEST(MapServer, ACropIsThePartOfTheWholeBetweenItsCorners) {
-  Served served;
-  const CommRasterMap whole = served.map("house@0");
-  const auto corner = [&](double x, double y) {
-    return **served.convert("house@0", CommCoordConvRequest::E_GEOGRAPHIC, x, y);
+/// The part between two pixels, by their places in degrees.
+CommRasterMap crop(Served& served, Point upper_left, Point lower_right) {
+  const auto place = [&](Point p) {
+    return **served.convert("house@0", CommCoordConvRequest::E_GEOGRAPHIC, p.x_m, p.y_m);
   };
-  const auto upper_left = corner(20, 10), lower_right = corner(120, 70);
+  const auto from = place(upper_left), to = place(lower_right);
   navigation::CommRasterMapRequest request;
   request.set_map_name("house@0");
-  request.set_map_crop_ul_lon(upper_left.coord_conv_x());
-  request.set_map_crop_ul_lat(upper_left.coord_conv_y());
-  request.set_map_crop_lr_lon(lower_right.coord_conv_x());
-  request.set_map_crop_lr_lat(lower_right.coord_conv_y());
-  const auto crop = served.ask<navigation::RasterMapProvider>("raster", request);
-  ASSERT_TRUE(crop) << crop.reason();
-  const auto& grid = (*crop)->map_grid_data();
-  ASSERT_EQ(grid.columns(), 100u);
-  ASSERT_EQ(grid.rows(), 60u);
-  for (double x_m = grid.origin().x() + 0.05; x_m < grid.origin().x() + 10; x_m += 0.1) {
-    for (double y_m = grid.origin().y() + 0.05; y_m < grid.origin().y() + 6; y_m += 0.1) {
-      ASSERT_EQ(cell(**crop, x_m, y_m), cell(whole, x_m, y_m)) << x_m << ", " << y_m;
+  request.set_map_crop_ul_lon(from.coord_conv_x());
+  request.set_map_crop_ul_lat(from.coord_conv_y());
+  request.set_map_crop_lr_lon(to.coord_conv_x());
+  request.set_map_crop_lr_lat(to.coord_conv_y());
+  const auto part = served.ask<navigation::RasterMapProvider>("raster", request);
+  if (!part) throw std::runtime_error(part.reason());
+  return **part;
+}
+
+TEST(MapServer, ACropIsThePartOfTheWholeBetweenItsCorners) {
+  for (const std::string& text : {house().text(), far_house().text(), moved(house().text(), 48.0, 200.0)}) {
+    Served served(text);
+    const CommRasterMap whole = served.map("house@0"), part = crop(served, {20, 10}, {120, 70});
+    const auto& grid = part.map_grid_data();
+    ASSERT_EQ(grid.columns(), 100u);
+    ASSERT_EQ(grid.rows(), 60u);
+    for (double x_m = grid.origin().x() + 0.05; x_m < grid.origin().x() + 10; x_m += 0.1) {
+      for (double y_m = grid.origin().y() + 0.05; y_m < grid.origin().y() + 6; y_m += 0.1) {
+        ASSERT_EQ(cell(part, x_m, y_m), cell(whole, x_m, y_m)) << x_m << ", " << y_m;
+      }
     }
+  }
+}
+
+TEST(MapServer, TheGridTellsTheLevelAndTheReferenceOfItsOrigin) {
+  Served served(moved(house().text(), 48.0, 30.0));
+  for (const double level : {0.0, 1.0}) {
+    const auto origin = served.map("house@" + building::level_text(level)).map_grid_data().origin();
+    EXPECT_EQ(origin.z(), level);
+    EXPECT_NEAR(origin.reference_lat(), 48.0, 1e-9);
+    EXPECT_NEAR(origin.reference_heading(), 30.0, 1e-9);
   }
 }
 
@@ -264,13 +315,12 @@ TEST(MapServer, ACropWithoutAPixelIsRefusedWithTheExtentOfTheMap) {
               HasSubstr("within latitude 47.99"));
 }
 
-/// Each direction against GeographicLib, at the corners of a map of a building that is turned and far from the equator.
+/// Each direction against GeographicLib, at the corners of the map.
 void expect_corners_within_a_centimetre(Served& served, double latitude_deg, double longitude_deg, double heading_deg) {
   const CommRasterMapInfo info = served.info("house@0");
   const GeographicLib::LocalCartesian plane(latitude_deg, longitude_deg, 0.0);
   const double heading = heading_deg * M_PI / 180.0;
-  const auto columns = static_cast<double>(info.grid_x_size()), rows = static_cast<double>(info.grid_y_size());
-  for (const Point pixel : {Point{0, 0}, Point{columns, 0}, Point{0, rows}, Point{columns, rows}}) {
+  for (const Point pixel : served.corners("house@0")) {
     const double x_m = info.origin().x() + pixel.x_m * info.pixel_size();
     const double y_m = info.origin().y() - pixel.y_m * info.pixel_size();
     const double east_m = x_m * std::cos(heading) + y_m * std::sin(heading);
@@ -282,19 +332,55 @@ void expect_corners_within_a_centimetre(Served& served, double latitude_deg, dou
     EXPECT_LT(std::hypot(east - east_m, north - north_m), 0.01);
     plane.Reverse(east_m, north_m, 0.0, latitude, longitude, height);
     const auto back = served.convert("house@0", CommCoordConvRequest::E_SYNTHETIC, longitude, latitude);
-    // A corner may fall a rounding beyond the map: what is compared is the conversion.
-    if (!back) {
-      EXPECT_THAT(back.reason(), HasSubstr("is not on the map"));
-      continue;
-    }
+    ASSERT_TRUE(back) << back.reason();
     EXPECT_LT(std::hypot((*back)->coord_conv_x() - pixel.x_m, (*back)->coord_conv_y() - pixel.y_m) * info.pixel_size(),
               0.01);
   }
 }
 
-TEST(MapServer, PixelsAndDegreesAgreeWithGeographicLibAtTheCorners) {
+TEST(MapServer, PixelsAndDegreesAgreeWithGeographicLibAtTheCornersTurnedOrNotAndFarFromTheEquator) {
+  for (const auto& [latitude_deg, heading_deg] :
+       std::vector<std::pair<double, double>>{{48, 0}, {48, 37}, {48, -160}, {78.2, 0}, {78.2, 300}, {-54.8, 90}}) {
+    SCOPED_TRACE(std::to_string(latitude_deg) + ", " + std::to_string(heading_deg));
+    Served served(moved(house().text(), latitude_deg, heading_deg));
+    ASSERT_NEAR(served.info("house@0").origin().reference_heading(), std::fmod(heading_deg + 360, 360), 1e-9);
+    expect_corners_within_a_centimetre(served, latitude_deg, 10.0, heading_deg);
+  }
+}
+
+TEST(MapServer, ACornerThatWasToldIsOnTheMap) {
+  for (const std::string& text : {house().text(), far_house().text(), moved(house().text(), 78.2, 37.0)}) {
+    Served served(text);
+    const auto back = [&](double longitude, double latitude) {
+      return served.convert("house@0", CommCoordConvRequest::E_SYNTHETIC, longitude, latitude);
+    };
+    for (const Point pixel : served.corners("house@0")) {
+      const auto place = served.convert("house@0", CommCoordConvRequest::E_GEOGRAPHIC, pixel.x_m, pixel.y_m);
+      const auto found = back((*place)->coord_conv_x(), (*place)->coord_conv_y());
+      ASSERT_TRUE(found) << found.reason();
+      EXPECT_NEAR((*found)->coord_conv_x(), pixel.x_m, 1e-5);
+      EXPECT_NEAR((*found)->coord_conv_y(), pixel.y_m, 1e-5);
+      EXPECT_TRUE(served.convert("house@0", CommCoordConvRequest::E_GEOGRAPHIC, (*found)->coord_conv_x(),
+                                 (*found)->coord_conv_y()));
+    }
+    const CommRasterMapInfo info = served.info("house@0");
+    EXPECT_TRUE(back(info.map_crop_ul_lon(), info.map_crop_ul_lat()));
+    EXPECT_TRUE(back(info.map_crop_lr_lon(), info.map_crop_lr_lat()));
+  }
+}
+
+TEST(MapServer, ACornerRoundedToTheSevenDecimalsOfARefusalIsOnTheMapAndTwoCentimetresBeyondIsNot) {
   Served served;
-  expect_corners_within_a_centimetre(served, 48.0, 10.0, 0.0);
+  const auto corner = served.info("house@0");
+  const auto at = [&](double longitude, double latitude) {
+    return served.convert("house@0", CommCoordConvRequest::E_SYNTHETIC, longitude, latitude);
+  };
+  const double west = corner.map_crop_ul_lon(), north = corner.map_crop_ul_lat();
+  const auto rounded = at(west - 0.5e-7, north + 0.5e-7);
+  ASSERT_TRUE(rounded) << rounded.reason();
+  EXPECT_EQ((*rounded)->coord_conv_x(), 0.0);
+  EXPECT_EQ((*rounded)->coord_conv_y(), 0.0);
+  EXPECT_FALSE(at(west, north + 2e-7));
 }
 
 TEST(MapServer, TheyAgreeTwoKilometresFromTheReferenceToo) {
@@ -319,6 +405,12 @@ TEST(MapServer, APlaceOffTheMapIsRefusedWithItsExtentInEitherDirection) {
               HasSubstr("is not on the map"));
   EXPECT_THAT(served.convert("house@0", CommCoordConvRequest::COORD_TYPE_UNSPECIFIED, 1, 1).reason(),
               HasSubstr("the direction of the conversion is not told"));
+}
+
+TEST(MapServer, TheExtentOfATurnedMapIsToldFromSouthToNorthAndFromWestToEast) {
+  Served served(moved(house().text(), 48.0, 180.0));
+  EXPECT_THAT(served.convert("house@0", CommCoordConvRequest::E_SYNTHETIC, 11, 48).reason(),
+              AllOf(HasSubstr("latitude 47.99"), HasSubstr("longitude 9.999")));
 }
 
 TEST(MapServer, TheLevelMapHoldsEachKindOfEdge) {

@@ -22,7 +22,9 @@ Plan make_plan(const OsmFile& file) {
   draft.outline = outline;
   if (outline != nullptr) {
     const auto absent = parse_levels(tag(*outline->tags, "non_existent_levels"));
-    if (absent) draft.absent_levels = {absent->begin(), absent->end()};
+    for (double level : absent.value_or(std::vector<double>{})) {
+      if (level == std::floor(level)) draft.absent_levels.insert(level);  // what lies between two levels is no storey
+    }
   }
   for (const auto& [id, way] : file.ways) {
     for (std::int64_t node : way.nodes) draft.ways_of_node[node].push_back(id);

@@ -18,7 +18,9 @@ std::set<double> levels_at_node(Draft& draft, std::int64_t node) {
   };
   add_single(draft.file.nodes.at(node).tags);
   if (!levels.empty()) return levels;
-  for (std::int64_t way : draft.ways_of_node[node]) add_single(draft.file.ways.at(way).tags);
+  const std::vector<std::int64_t>& ways = draft.ways_of_node[node];
+  draft.work.spend(100 * ways.size(), {'n', node});
+  for (std::int64_t way : ways) add_single(draft.file.ways.at(way).tags);
   return levels;
 }
 
@@ -39,14 +41,24 @@ bool starts_low(Draft& draft, const OsmWay& way, const std::vector<double>& leve
   return levels.front() == low;
 }
 
-/// Levels along a way: as its nodes say (landings with a level of their own), in between by length.
-std::vector<PathPoint> climb(const Draft& draft, const OsmWay& way, const std::vector<Point>& points, double from,
+/// The level of a node on the way: its own tag, else that of the ways which lead away from it.
+std::optional<double> landing_level(Draft& draft, std::int64_t node, double from, double to) {
+  const std::set<double> levels = levels_at_node(draft, node);
+  if (levels.size() != 1) return std::nullopt;
+  const double level = *levels.begin();
+  const double beyond = (level - from) * (level - to);
+  if (beyond < 0.0) return level;
+  // A wall or a platform of an end's level may meet the steps anywhere; only the node itself tells that they are flat.
+  const auto own = parse_levels(tag(draft.file.nodes.at(node).tags, "level"));
+  return beyond == 0.0 && own && own->size() == 1 ? std::optional(level) : std::nullopt;
+}
+
+/// Levels along a way: as its landings say, in between by length.
+std::vector<PathPoint> climb(Draft& draft, const OsmWay& way, const std::vector<Point>& points, double from,
                              double to) {
   std::vector<std::pair<std::size_t, double>> known{{0, from}};
   for (std::size_t i = 1; i + 1 < points.size(); ++i) {
-    const auto own = parse_levels(tag(draft.file.nodes.at(way.nodes[i]).tags, "level"));
-    const bool between = own && own->size() == 1 && (own->front() - from) * (own->front() - to) <= 0.0;
-    if (between) known.push_back({i, own->front()});
+    if (const auto level = landing_level(draft, way.nodes[i], from, to)) known.push_back({i, *level});
   }
   known.push_back({points.size() - 1, to});
   std::vector<PathPoint> path{{points.front(), from}};
@@ -76,8 +88,32 @@ ConnectorKind kind_of(const Tags& tags) {
   return tag(tags, "highway") == "steps" ? ConnectorKind::Stairs : ConnectorKind::Ramp;
 }
 
+/// How many storeys `level` is above `base`; levels that the building skips are none.
+double storeys_between(const std::set<double>& absent, double base, double level) {
+  const auto skipped = std::distance(absent.upper_bound(base), absent.upper_bound(level));
+  return level - base - static_cast<double>(skipped);
+}
+
+double level_above(const std::set<double>& absent, double base, double storeys) {
+  double level = base + storeys;
+  for (auto skipped = absent.upper_bound(base); skipped != absent.end() && *skipped <= level; ++skipped) level += 1.0;
+  return std::round(level * 1e6) / 1e6;  // as it would be read: levels are the same or not
+}
+
+/// The same climb from another level.
+Connector repeated(const Connector& mapped, const std::set<double>& absent, double base) {
+  const double lowest = mapped.levels.front();
+  const auto moved = [&](double level) { return level_above(absent, base, storeys_between(absent, lowest, level)); };
+  Connector copy = mapped;
+  for (double& level : copy.levels) level = moved(level);
+  for (PathPoint& p : copy.path) p.level = moved(p.level);
+  return copy;
+}
+
+/// `bases`: from where else. The wiki (Key:repeat_on) leaves open which of several levels is found again on those that
+/// it names. Here the lowest: level=0-1 repeat_on=1-2 are three flights, one above the other.
 void add_climb(Draft& draft, std::int64_t id, const OsmWay& way, const std::vector<double>& levels,
-               const std::vector<Point>& points) {
+               const std::vector<Point>& points, const std::vector<double>& bases = {}) {
   const auto [low, high] = std::minmax_element(levels.begin(), levels.end());
   const bool up = starts_low(draft, way, levels, *low, *high);
   Connector connector{{'w', id}, kind_of(way.tags), tag(way.tags, "name"), levels, {}, false};
@@ -88,23 +124,27 @@ void add_climb(Draft& draft, std::int64_t id, const OsmWay& way, const std::vect
   const std::string& conveying = tag(way.tags, "conveying");
   connector.one_way = conveying == "forward" || conveying == "backward";
   if (conveying == "backward") std::reverse(connector.path.begin(), connector.path.end());
-  draft.plan.connectors.push_back(std::move(connector));
+  draft.plan.connectors.push_back(connector);
+  draft.work.spend(bases.size() * connector.path.size() * (100 + 10 * draft.absent_levels.size()), connector.id);
+  for (double base : bases) {
+    if (base != *low) draft.plan.connectors.push_back(repeated(connector, draft.absent_levels, base));
+  }
+}
+
+/// As Draft::levels_of, of one tag and without a warning.
+std::vector<double> levels_in(const Draft& draft, const std::string& value) {
+  std::vector<double> levels = parse_levels(value).value_or(std::vector<double>{});
+  std::erase_if(levels, [&](double level) { return draft.absent_levels.contains(level); });
+  return levels;
 }
 
 void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
   const ElementId element{'w', id};
-  std::vector<double> levels = draft.levels_of(element, way.tags);
+  const std::vector<double> levels = draft.levels_of(element, way.tags);
   const auto points = levels.empty() ? std::nullopt : draft.points_of(id);
   if (!points || points->size() < 2) return;
-  const bool repeats = way.tags.contains("repeat_on");
-  const auto own = parse_levels(tag(way.tags, "level"));
-  if (levels.size() > 1 && !repeats) return add_climb(draft, id, way, levels, *points);
-  if (repeats && own && own->size() > 1) {
-    // Stairs that repeat: the same climb from each of the levels named.
-    const double rise = *std::max_element(own->begin(), own->end()) - *std::min_element(own->begin(), own->end());
-    for (double base : levels) add_climb(draft, id, way, {base, base + rise}, *points);
-    return;
-  }
+  const std::vector<double> own = levels_in(draft, tag(way.tags, "level"));
+  if (own.size() > 1) return add_climb(draft, id, way, own, *points, levels_in(draft, tag(way.tags, "repeat_on")));
   for (double level : levels) {
     Path path{element, {}, tag(way.tags, "highway") == "steps"};
     path.indoors = is_indoors(way.tags);

@@ -29,6 +29,9 @@ class LocalFrame {
     Wgs84 place;
     double height_m = 0.0;
     plane_.Reverse(east_m, north_m, 0.0, place.latitude_deg, place.longitude_deg, height_m);
+    // The ground that to_local() projects onto this point, not the ground plumb below it: beside the reference the
+    // plane is above the earth, and the two are millimetres apart at 5 km.
+    plane_.Reverse(east_m, north_m, -height_m, place.latitude_deg, place.longitude_deg, height_m);
     return place;
   }
 

@@ -243,6 +243,7 @@ void add_levels(Draft& draft) {
   std::map<int, double> storeys;
   std::map<double, std::string> names;
   read_level_elements(draft, storeys, names);
+  for (double absent : draft.absent_levels) storeys[static_cast<int>(absent)] = 0.0;
   draft.plan.heights = Heights(default_storey_m(draft.outline), std::move(storeys));
   for (double level : used_levels(draft.plan)) {
     const auto name = names.find(level);

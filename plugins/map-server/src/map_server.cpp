@@ -36,11 +36,18 @@ std::string degrees(double value) { return building::level_text(std::round(value
 
 /// What a client may ask for.
 std::string extent(const Building& building, const PixelFrame& frame) {
-  const Wgs84 upper_left = building.to_wgs84(frame.to_local({0.0, 0.0}));
-  const Wgs84 lower_right =
-      building.to_wgs84(frame.to_local({static_cast<double>(frame.columns), static_cast<double>(frame.rows)}));
-  return "latitude " + degrees(lower_right.latitude_deg) + " to " + degrees(upper_left.latitude_deg) + ", longitude " +
-         degrees(upper_left.longitude_deg) + " to " + degrees(lower_right.longitude_deg);
+  const auto columns = static_cast<double>(frame.columns), rows = static_cast<double>(frame.rows);
+  std::array<double, 4> latitudes_deg{}, longitudes_deg{};
+  const std::array<Point, 4> corners = {{{0.0, 0.0}, {columns, 0.0}, {0.0, rows}, {columns, rows}}};
+  for (std::size_t i = 0; i < corners.size(); ++i) {
+    const Wgs84 place = building.to_wgs84(frame.to_local(corners[i]));
+    latitudes_deg[i] = place.latitude_deg;
+    longitudes_deg[i] = place.longitude_deg;
+  }
+  const auto [south, north] = std::minmax_element(latitudes_deg.begin(), latitudes_deg.end());
+  const auto [west, east] = std::minmax_element(longitudes_deg.begin(), longitudes_deg.end());
+  return "latitude " + degrees(*south) + " to " + degrees(*north) + ", longitude " + degrees(*west) + " to " +
+         degrees(*east);
 }
 
 /// The whole map where no corner is set, or all four are 0. Throws Error Usage for a window without pixels.
@@ -71,7 +78,7 @@ Window window_of(const Building& building, const PixelFrame& frame, const Reques
   const int bottom = static_cast<int>(std::ceil(clamped(lower_right.y_m - kRounding_px, frame.rows)));
   if (right <= left || bottom <= top) {
     throw Error(ErrorCode::Usage, {.what = "the part asked for has no pixel of the map",
-                                   .expected = "an upper left corner north-west of the lower right one, within " +
+                                   .expected = "an upper left corner above and left of the lower right one, within " +
                                                extent(building, frame)});
   }
   return {left, top, right - left, bottom - top};
@@ -270,20 +277,19 @@ navigation::CommCoordConv MapServer::on_coordinates(const navigation::CommCoordC
   const PixelFrame& frame = map_->frame;
   const Point asked{request.coord_x(), request.coord_y()};
   const bool on_earth = to_world || (std::abs(asked.x_m) <= 180.0 && std::abs(asked.y_m) <= 90.0);
-  const Point pixel = to_world   ? asked
-                      : on_earth ? frame.to_pixel(map_->building.to_local({asked.y_m, asked.x_m}))
-                                 : asked;
-  if (!on_earth || !frame.contains(pixel)) {
+  const Point place = to_world || !on_earth ? asked : frame.to_pixel(map_->building.to_local({asked.y_m, asked.x_m}));
+  const auto pixel = on_earth ? frame.on_map(place) : std::nullopt;
+  if (!pixel) {
     const std::string size = "x 0 to " + std::to_string(frame.columns) + ", y 0 to " + std::to_string(frame.rows);
     throw Error(ErrorCode::NotFound, {.what = "the place is not on the map " + request.map_name(),
                                       .where = name(),
                                       .expected = to_world ? "pixels " + size : extent(map_->building, frame)});
   }
-  const Wgs84 place = to_world ? map_->building.to_wgs84(frame.to_local(pixel)) : Wgs84{};
+  const Wgs84 world = to_world ? map_->building.to_wgs84(frame.to_local(*pixel)) : Wgs84{};
   navigation::CommCoordConv answer;
   answer.set_map_name(MapName{map_->name, level}.text());
-  answer.set_coord_conv_x(to_world ? place.longitude_deg : pixel.x_m);
-  answer.set_coord_conv_y(to_world ? place.latitude_deg : pixel.y_m);
+  answer.set_coord_conv_x(to_world ? world.longitude_deg : pixel->x_m);
+  answer.set_coord_conv_y(to_world ? world.latitude_deg : pixel->y_m);
   return answer;
 }
 

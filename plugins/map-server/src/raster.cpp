@@ -15,6 +15,8 @@ using building::Point;
 using building::Segment;
 
 constexpr double kMargin_m = 1.0;
+/// A corner of the map that was told is on the map, though it was rounded: to seven decimals of a degree in refusals.
+constexpr double kBorder_m = 0.01;
 constexpr double kHalfWall_m = 0.1;
 constexpr double kHalfPath_m = 0.75;
 constexpr double kHalfGap_m = 0.3;
@@ -196,8 +198,12 @@ void draw_ways(Painter& painter, const building::Plan& plan, double level, int a
 
 }  // namespace
 
-bool PixelFrame::contains(Point pixel) const {
-  return pixel.x_m >= 0.0 && pixel.y_m >= 0.0 && pixel.x_m <= columns && pixel.y_m <= rows;
+std::optional<Point> PixelFrame::on_map(Point pixel) const {
+  const double border = kBorder_m / pixel_m;
+  const Point nearest{std::clamp(pixel.x_m, 0.0, static_cast<double>(columns)),
+                      std::clamp(pixel.y_m, 0.0, static_cast<double>(rows))};
+  const bool near = std::abs(pixel.x_m - nearest.x_m) <= border && std::abs(pixel.y_m - nearest.y_m) <= border;
+  return near ? std::optional(nearest) : std::nullopt;
 }
 
 PixelFrame frame_of(const building::Plan& plan, double pixel_m) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -23,7 +24,8 @@ struct PixelFrame {
   building::Point to_pixel(building::Point local) const {
     return {(local.x_m - origin.x_m) / pixel_m, (origin.y_m - local.y_m) / pixel_m};
   }
-  bool contains(building::Point pixel) const;
+  /// The pixel itself, or the nearest on the border that it is not more than a centimetre beyond; else nothing.
+  std::optional<building::Point> on_map(building::Point pixel) const;
 };
 
 /// A part of a map, in whole pixels.

@@ -28,7 +28,8 @@ struct Wgs84 {
 ///
 /// The file: `indoor=room|corridor|area|wall|level`, `level`, `repeat_on`, `non_existent_levels`, doors
 /// (`door=*`, `entrance=*` on nodes), `highway=steps|elevator|footway|...` with levels, `building=*` as
-/// outline. Platform tags: `fiona:reference=yes` on one node anchors the local frame (optional
+/// outline. `repeat_on` of steps, escalators and ramps names where else their lowest level is found.
+/// Platform tags: `fiona:reference=yes` on one node anchors the local frame (optional
 /// `fiona:heading`, degrees, true north, clockwise: where the y axis points; default 0); without it the
 /// centroid of the outline does, and without an outline that of all rooms. `fiona:attenuation` (dB) on a wall
 /// or room overrides its `material`. Heights: `height` on `indoor=level` is that storey's height; else
