@@ -1,12 +1,9 @@
-// What beacons advertise, byte by byte, and how far away they are.
+// What beacons advertise, byte by byte.
 #include <gtest/gtest.h>
 
-#include <cmath>
 #include <vector>
 
 #include "advertisement.hpp"
-#include "fiona/error.hpp"
-#include "path_loss.hpp"
 
 namespace fiona::beacon_server {
 namespace {
@@ -68,33 +65,6 @@ TEST(Advertisement, AStructureThatOverrunsThePacketIsNone) {
   const Bytes data = ibeacon();
   packet.insert(packet.end(), data.begin(), data.end());
   EXPECT_FALSE(parse_advertising_data(packet));
-}
-
-TEST(PathLoss, AtItsMeasuredPowerABeaconIsOneMetreAway) {
-  EXPECT_DOUBLE_EQ(distance_of(-59, -59, {2.0, 4.0}).metres, 1.0);
-  EXPECT_DOUBLE_EQ(distance_of(-59, -79, {2.0, 4.0}).metres, 10.0);
-}
-
-TEST(PathLoss, TheSpreadIsAFactorToBothSides) {
-  EXPECT_NEAR(distance_of(-59, -79, {2.0, 6.0}).factor, std::pow(10.0, 0.3), 1e-12);
-}
-
-TEST(PathLoss, AFitFindsExponentAndSpread) {
-  std::vector<std::pair<double, double>> pairs;
-  for (int i = 1; i <= 200; ++i) pairs.emplace_back(0.2 * i, 27.0 * std::log10(0.2 * i) + (i % 2 == 0 ? 4.0 : -4.0));
-  const PathLoss loss = fit(pairs);
-  EXPECT_NEAR(loss.exponent, 2.7, 0.05);
-  EXPECT_NEAR(loss.spread_db, 4.0, 0.1);
-}
-
-TEST(PathLoss, ReadingsThatAreAllAMetreAwayCannotBeFitted) {
-  const std::vector<std::pair<double, double>> pairs(5, {1.0, 0.0});
-  try {
-    fit(pairs);
-    FAIL() << "fitted";
-  } catch (const Error& error) {
-    EXPECT_NE(std::string(error.what()).find("no path loss can be fitted"), std::string::npos) << error.what();
-  }
 }
 
 }  // namespace

@@ -8,7 +8,8 @@ What it keeps of BlueZ (src/adapter.c, src/device.c, doc/device-api.txt):
 - ManufacturerData (a{qv}) and ServiceData (a{sv}) are told again when they differ, and with DuplicateData always;
 - all changes of one packet are one PropertiesChanged;
 - nothing is told without discovery; when it ends, and when the radio goes off, each RSSI is withdrawn as invalidated;
-- StartDiscovery on a radio that is off is org.bluez.Error.NotReady, twice is org.bluez.Error.InProgress.
+- StartDiscovery on a radio that is off is org.bluez.Error.NotReady, twice is org.bluez.Error.InProgress;
+- a radio that is unplugged goes with InterfacesRemoved, its devices before it; no property says that discovery has ended.
 org.bluez.Mock at / is what the tests drive.
 """
 import dbus
@@ -26,7 +27,7 @@ RSSI_DELTA = 8
 
 
 def load(mock, parameters):
-    mock.discoveries = 0
+    mock.refuses = False
 
 
 def path_of(adapter, address):
@@ -66,7 +67,29 @@ def AddAdapter(self, name, address, powered):
                     [dbus.ObjectPath(path), {ADAPTER: mockobject.objects[path].props[ADAPTER]}])
 
 
+@dbus.service.method(MAIN_IFACE, in_signature="s")
+def RemoveAdapter(self, name):
+    path = "/org/bluez/" + name
+    for device in [one for one in mockobject.objects if one.startswith(path + "/dev_")]:
+        remove(self, device, DEVICE)
+    remove(self, path, ADAPTER)
+
+
+def remove(manager, path, interface):
+    manager.RemoveObject(path)
+    manager.EmitSignal(OBJECT_MANAGER_IFACE, "InterfacesRemoved", "oas",
+                       [dbus.ObjectPath(path), [PROPERTIES, interface]])
+
+
+@dbus.service.method(MAIN_IFACE, in_signature="b")
+def Refuse(self, refuses):
+    """As a policy of the bus does, of whose changes nobody is told."""
+    self.refuses = refuses
+
+
 def start_discovery(adapter):
+    if mockobject.objects["/"].refuses:
+        raise dbus.exceptions.DBusException("Not permitted", name="org.freedesktop.DBus.Error.AccessDenied")
     if not adapter.props[ADAPTER]["Powered"]:
         raise dbus.exceptions.DBusException("Resource Not Ready", name="org.bluez.Error.NotReady")
     if adapter.props[ADAPTER]["Discovering"]:
@@ -102,9 +125,7 @@ def Discovers(self, name):
 
 @dbus.service.method(MAIN_IFACE, in_signature="ss")
 def Forget(self, name, address):
-    path = path_of(name, address)
-    self.RemoveObject(path)
-    self.EmitSignal(OBJECT_MANAGER_IFACE, "InterfacesRemoved", "oas", [dbus.ObjectPath(path), [DEVICE, PROPERTIES]])
+    remove(self, path_of(name, address), DEVICE)
 
 
 @dbus.service.method(MAIN_IFACE, in_signature="ssna{qay}a{say}")

@@ -11,7 +11,6 @@ constexpr const char* kAdapter = "org.bluez.Adapter1";
 constexpr const char* kDevice = "org.bluez.Device1";
 constexpr const char* kManager = "org.freedesktop.DBus.ObjectManager";
 constexpr const char* kPropertiesInterface = "org.freedesktop.DBus.Properties";
-constexpr std::chrono::seconds kLookAgain{2};  // for what has no signal, such as a refusal
 constexpr int kNotAvailable_dbm = 127;
 constexpr std::size_t kMostMessages = 1000;  // handled in one run, so that a storm does not hold up who calls it
 
@@ -53,7 +52,8 @@ std::string system_bus() {
   return told && *told ? told : "unix:path=/run/dbus/system_bus_socket";
 }
 
-BluezScanner::BluezScanner(const std::string& bus, std::string adapter) : wanted_(std::move(adapter)), bus_(bus) {
+BluezScanner::BluezScanner(const std::string& bus, std::string adapter, std::chrono::milliseconds look_again)
+    : wanted_(std::move(adapter)), every_(look_again), bus_(bus) {
   watch();
 }
 
@@ -98,7 +98,7 @@ Message BluezScanner::call(const std::string& path, const char* interface, const
 
 void BluezScanner::start_over() {
   look_again_ = false;
-  next_look_ = std::chrono::steady_clock::now() + kLookAgain;
+  next_look_ = std::chrono::steady_clock::now() + every_;
   try {
     find_adapter();
     if (!adapter_.empty() && radio_ != Radio::Off) listen();

@@ -44,8 +44,11 @@ class BluezScanner {
   static constexpr std::size_t kMostDevices = 4096;   ///< that are remembered; others are counted
   static constexpr std::size_t kMostReadings = 4096;  ///< between two calls of take()
 
-  /// Connects to the bus. Throws BusError if nobody is there.
-  BluezScanner(const std::string& bus, std::string adapter);
+  static constexpr std::chrono::seconds kLookAgain{2};
+
+  /// Connects to the bus. Throws BusError if nobody is there. While it does not listen it looks again every
+  /// `look_again`: for what has no signal, such as the end of a refusal.
+  BluezScanner(const std::string& bus, std::string adapter, std::chrono::milliseconds look_again = kLookAgain);
 
   /// Waits for at most so long for what the bus says, and handles it. Throws BusError when the bus is gone.
   void run(std::chrono::milliseconds at_most);
@@ -81,6 +84,7 @@ class BluezScanner {
   Message call(const std::string& path, const char* interface, const char* method);
 
   const std::string wanted_;
+  const std::chrono::milliseconds every_;  ///< between two looks
   Bus bus_;
   std::string adapter_;  ///< object path; empty: none
   std::string receiver_;

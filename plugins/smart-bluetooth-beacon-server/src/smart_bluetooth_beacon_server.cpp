@@ -1,9 +1,7 @@
 #include "smart_bluetooth_beacon_server.hpp"
 
-#include <algorithm>
-#include <cmath>
-
-#include "path_loss.hpp"
+#include <iomanip>
+#include <sstream>
 
 namespace fiona::smart_bluetooth_beacon_server {
 namespace {
@@ -12,11 +10,14 @@ using beacon_server::Radio;
 
 constexpr std::chrono::milliseconds kWait{50};
 constexpr std::chrono::seconds kBeforeNextTry{2};
-constexpr int kMostBeacons = 1024;          // of the contract
-constexpr std::size_t kMostReadings = 256;  // of one beacon in a window
+constexpr std::size_t kMostMeasured = 10'000;  // many minutes, after which a fit changes no more
 
-std::int64_t wall_ms(std::chrono::system_clock::time_point time) {
-  return std::chrono::duration_cast<std::chrono::milliseconds>(time.time_since_epoch()).count();
+/// As one would type it behind `set`.
+std::string text_of(const beacon_server::PathLoss& loss) {
+  std::ostringstream text;
+  text << std::fixed << std::setprecision(2) << "path_loss_exponent=" << loss.exponent << std::setprecision(1)
+       << " path_loss_spread=" << loss.spread_db << " receiver_gain=" << loss.gain_db;
+  return text.str();
 }
 
 }  // namespace
@@ -60,60 +61,49 @@ void SmartBluetoothBeaconServer::on_told(const Told& told) {
 }
 
 void SmartBluetoothBeaconServer::on_reading(const beacon_server::Reading& reading) {
-  const std::int64_t t_ms = wall_ms(reading.heard);
+  const auto since_1970 = reading.heard.time_since_epoch();
   sensors::RFSignalRSSI signal;
   signal.set_transmitter_id(reading.address);
   signal.set_receiver_id(receiver_);
   signal.set_rf_type("BT");
   signal.set_rss(static_cast<float>(reading.rssi_dbm));
-  signal.set_t(t_ms);
+  signal.set_t(std::chrono::duration_cast<std::chrono::milliseconds>(since_1970).count());
   signals_.put(std::move(signal));
-  if (!reading.beacon) return;
-  Heard& heard = heard_[reading.address];
-  heard.identity = *reading.beacon;
-  heard.readings.emplace_back(t_ms, reading.rssi_dbm);
-  if (heard.readings.size() > kMostReadings) heard.readings.pop_front();
+  heard_.hear(reading);
+  measure(reading);
+}
+
+/// What was heard of another reference says nothing of this one.
+void SmartBluetoothBeaconServer::take_reference() {
+  if (params_->reference() == reference_) return;
+  reference_ = params_->reference();
+  measured_.clear();
+}
+
+void SmartBluetoothBeaconServer::measure(const beacon_server::Reading& reading) {
+  const double distance_m = params_->reference_distance();
+  if (!reading.beacon || reading.address != reference_ || !(distance_m > 0.0)) return;
+  if (measured_.size() < kMostMeasured)
+    measured_.emplace_back(distance_m, reading.beacon->measured_power_dbm - reading.rssi_dbm);
+}
+
+void SmartBluetoothBeaconServer::tell_fit() {
+  if (reference_.empty()) return;
+  const auto loss = beacon_server::fit(measured_);
+  fitted_.set(std::to_string(measured_.size()) +
+              " readings: " + (loss ? text_of(*loss) : "not enough, or all at one distance"));
 }
 
 /// While the radio does not listen nothing is said: an empty list would mean that no beacon is near.
 void SmartBluetoothBeaconServer::put_list() {
+  const beacon_server::PathLoss loss{params_->path_loss_exponent(), params_->path_loss_spread(),
+                                     params_->receiver_gain()};
+  distance_factor_.set(beacon_server::distance_factor(loss));
+  tell_fit();
   if (!listening_) return;
-  beacons_.put(list(wall_ms(std::chrono::system_clock::now())));
+  const std::chrono::milliseconds window(params_->window());
+  beacons_.put(heard_.list(std::chrono::system_clock::now(), window, loss));
   signals_.still_valid();
-}
-
-sensors::CommiBeaconList SmartBluetoothBeaconServer::list(std::int64_t now_ms) {
-  const beacon_server::PathLoss loss{params_->path_loss_exponent(), params_->path_loss_spread()};
-  std::vector<sensors::CommiBeacon> beacons;
-  for (auto it = heard_.begin(); it != heard_.end();) {
-    auto& [address, heard] = *it;
-    std::erase_if(heard.readings, [&](const auto& reading) { return now_ms - reading.first > params_->window(); });
-    if (heard.readings.empty()) {
-      it = heard_.erase(it);
-      continue;
-    }
-    double sum = 0.0;
-    for (const auto& [t_ms, rssi] : heard.readings) sum += rssi;
-    const double mean = sum / static_cast<double>(heard.readings.size());
-    const auto distance = beacon_server::distance_of(heard.identity.measured_power_dbm, mean, loss);
-    distance_factor_.set(distance.factor);
-    auto& beacon = beacons.emplace_back();
-    beacon.set_uuid(heard.identity.uuid);
-    beacon.set_major(heard.identity.major);
-    beacon.set_minor(heard.identity.minor);
-    beacon.set_measured_power(std::max(-128, heard.identity.measured_power_dbm));
-    beacon.set_rssi(static_cast<int>(std::lround(mean)));
-    beacon.set_distance(static_cast<float>(distance.metres));
-    beacon.set_t(heard.readings.back().first);
-    beacon.set_address(address);
-    ++it;
-  }
-  std::stable_sort(beacons.begin(), beacons.end(), [](const auto& a, const auto& b) { return a.rssi() > b.rssi(); });
-  sensors::CommiBeaconList result;
-  for (auto& beacon : beacons) {
-    if (result.beacon_list_size() < kMostBeacons) *result.add_beacon_list() = std::move(beacon);
-  }
-  return result;
 }
 
 }  // namespace fiona::smart_bluetooth_beacon_server
