@@ -246,6 +246,23 @@ TEST(FloorPlan, StairsOverALandingAreOneWayUpAndOneDown) {
   EXPECT_EQ(up.at(0.75).level, 0.75);
 }
 
+TEST(FloorPlan, WhatIsBetweenTwoLevelsStandsOnNeither) {
+  navigation::CommLevelMap map;
+  add_wall(map, 0, 0, 0, 10);
+  add_wall(map, 5, 0, 5, 10);
+  map.mutable_walls(1)->set_level(0.5);
+  for (const auto& [level, floor_m] : {std::pair(0.0, 0.0), {1.0, 4.0}, {1.4, 5.5}}) {
+    auto& told = *map.add_levels();
+    told.set_level(level), told.set_floor(floor_m);
+    auto& wall = *map.add_walls();
+    wall.set_level(level), wall.set_x2(1);
+  }
+  const FloorPlan plan(map);
+  EXPECT_FALSE(plan.wall_between(0, 4, 5, 6, 5));
+  EXPECT_FALSE(plan.wall_between(1, 4, 5, 6, 5));
+  EXPECT_EQ(plan.rise_m(0, 1), 4.0);
+}
+
 TEST(FloorPlan, ARoomThatNobodyMayEnterIsClosedAndNoPlaceToBe) {
   navigation::CommLevelMap map;
   for (const int access : {0, 10}) {
@@ -637,7 +654,8 @@ class Component : public ::testing::Test {
     std::ofstream(file_) << kFourBeacons;
     bench_.set("beacons", file_.c_str());
   }
-  void hear(double x, double y) {
+  void hear(double x, double y) { hear(bench_, x, y); }
+  static void hear(Bench<SmartBluetoothLocalization>& bench, double x, double y) {
     sensors::CommiBeaconList list;
     for (int b = 0; b < 4; ++b) {
       auto& beacon = *list.add_beacon_list();
@@ -645,8 +663,8 @@ class Component : public ::testing::Test {
       beacon.set_uuid("c0de"), beacon.set_major(1), beacon.set_minor(static_cast<std::uint32_t>(b + 1));
       beacon.set_rssi(static_cast<int>(std::lround(rssi_dbm(x, y, b))));
     }
-    bench_.put<sensors::IbeaconlistProvider>("beacons", list);
-    bench_.advance(1s);
+    bench.put<sensors::IbeaconlistProvider>("beacons", list);
+    bench.advance(1s);
   }
   localisation::CommLocation location() {
     const auto all = bench_.take<localisation::LocationProvider>("location");
@@ -686,6 +704,56 @@ TEST_F(Component, WallsComeFromTheLevelMap) {
   bench_.start();
   bench_.advance(3s);
   EXPECT_EQ(bench_.probe<bool>("has_walls"), true);
+}
+
+TEST_F(Component, StepsAgainstTrueNorthLeadAlongTheAxesOfATurnedMap) {
+  bench_.answer_with<navigation::LevelMap>("map", [](const navigation::CommLevelMapRequest&) {
+    navigation::CommLevelMap map;
+    map.set_version(7);
+    map.mutable_reference()->set_reference_lat(48.4), map.mutable_reference()->set_reference_long(10.0);
+    map.mutable_reference()->set_reference_heading(90);  // its y axis points east
+    return map;
+  });
+  bench_.start();
+  for (int i = 0; i < 10; ++i) hear(4, 10);
+  bench_.take<localisation::LocationProvider>("location");
+  for (int i = 0; i < 8; ++i) {
+    localisation::CommStep east;
+    east.set_is_valid(true), east.set_length(0.7), east.set_length_var(0.01), east.set_heading_var(0.01);
+    bench_.put<localisation::StepProvider>("steps", east);
+    bench_.advance(500ms);
+  }
+  const auto position = location().position();
+  EXPECT_NEAR(position.x(), 4, 2.5);
+  EXPECT_NEAR(position.y(), 10 + 8 * 0.7, 2.5);
+  EXPECT_EQ(position.reference_heading(), 90);
+}
+
+TEST(StepInput, OfAStepThatTellsNoVarianceIsNotExact) {
+  localisation::CommStep step;
+  step.set_length(0.7);
+  EXPECT_NEAR(smart_bluetooth_localization::step_input(step, 0.0).length_sd_m, 0.14, 1e-9);
+  EXPECT_NEAR(smart_bluetooth_localization::step_input(step, 0.0).heading_sd_rad, 0.3, 1e-9);
+  step.set_length_var(0.0), step.set_heading_var(0.04);
+  EXPECT_EQ(smart_bluetooth_localization::step_input(step, 0.0).length_sd_m, 0.0);
+  EXPECT_NEAR(smart_bluetooth_localization::step_input(step, 0.0).heading_sd_rad, 0.2, 1e-9);
+}
+
+TEST_F(Component, TheOrientationIsPassedOnLessTheBiasOfTheHeading) {
+  bench_.start();
+  for (int i = 0; i < 10; ++i) hear(6, 13);
+  localisation::CommOrientation held;
+  held.set_is_valid(true), held.set_yaw(1.0);
+  for (int i = 0; i < 9; ++i) held.add_confidence(i % 4 == 0 ? 0.01 : 0.0);
+  bench_.put<localisation::OrientationProvider>("orientation", held);
+  bench_.advance(200ms);
+  const auto told = location().orientation();
+  ASSERT_TRUE(told.is_valid());
+  EXPECT_NEAR(told.yaw(), 1.0 + *bench_.probe<double>("heading_bias"), 1e-9);
+  EXPECT_GT(told.confidence(0), 0.01) << "and what the bias is not known by comes on top";
+  EXPECT_EQ(told.confidence(4), 0.01);
+  bench_.advance(2s);
+  EXPECT_FALSE(location().has_orientation()) << "one of two seconds ago says nothing of now";
 }
 
 TEST_F(Component, ABeaconThatIsNotInTheMapIsCounted) {

@@ -112,14 +112,6 @@ TEST(HeadingFilter, ATurnToTheLeftIsCounterClockwise) {
   EXPECT_NEAR(filter.heading_rad(), 90 * kDegree, 2 * kDegree);
 }
 
-TEST(HeadingFilter, DeclinationTurnsMagneticIntoTrue) {
-  HeadingFilterOptions options;
-  options.declination_rad = 15 * kDegree;  // the compass points 15 degrees east of true north
-  HeadingFilter filter(options);
-  filter.feed(flat_phone(milliseconds(0), std::numbers::pi / 2));
-  EXPECT_NEAR(filter.heading_rad(), 75 * kDegree, 1e-6);
-}
-
 TEST(HeadingFilter, AnUprightPhoneLooksWhereItsBackPoints) {
   // Top edge to the ceiling, back to the north.
   const Matrix3d world_from_phone = AngleAxisd(std::numbers::pi / 2, Vector3d::UnitX()).toRotationMatrix();

@@ -67,6 +67,24 @@ TEST(StepHeadingComponent, DeclinationTurnsTheHeadingClockwise) {
   EXPECT_NEAR(steps.back()->heading(), -10.0 * std::numbers::pi / 180, 0.1);
 }
 
+TEST(StepHeadingComponent, TheMapsPlaceTellsTheDeclination) {
+  Bench<StepHeading> bench;
+  bench.set("declination", -100.0);  // is not asked where a map is
+  navigation::CommLevelMap seattle;
+  seattle.mutable_reference()->set_reference_lat(47.6);
+  seattle.mutable_reference()->set_reference_long(-122.3);
+  bench.answer_with<navigation::LevelMap>("map", [&](const auto&) { return seattle; });
+  bench.start();
+  bench.advance(1s);
+  for (int i = 0; i < 500; ++i) {
+    bench.put<sensors::GetIMUService>("imu", gait(0.02 * i));
+    bench.advance(20ms);
+  }
+  const auto steps = bench.take<localisation::StepProvider>("steps");
+  ASSERT_FALSE(steps.empty());
+  EXPECT_NEAR(steps.back()->heading(), -15.0 * std::numbers::pi / 180, 0.05);
+}
+
 TEST(StepHeadingComponent, TheOrientationIsThatOfTheDeviceAgainstMagneticNorth) {
   Bench<StepHeading> bench;
   bench.set("declination", 10.0);

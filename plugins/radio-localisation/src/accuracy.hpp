@@ -19,12 +19,15 @@ struct LeftOutFix {
   std::size_t other_walks = 0;  ///< that surveyed the place and that the map had learnt
 };
 
+/// How many of the left-out fixes are to be inside: the middle of what is asked of a 95 % region, 90 to 98 %.
+constexpr double kInside = 0.94;
+
 /// The smallest covariance factor * spread + floor^2 that keeps the share `inside` of the fixes within their own 95 %
 /// region (chi-square of two degrees of freedom, 5.991); smallest by the mean logarithm of the region's area. A
 /// quantile, not a variance: errors indoors have heavier tails than a Gaussian, and the region is what users act on.
 /// Judged are places that several other walks surveyed, if there are enough: where only one or two did, a map without
 /// the walk is another kind of map, of one phone. With too few fixes to judge, the accuracy is the careful default.
-Accuracy fit_accuracy(std::span<const LeftOutFix> fixes, double inside = 0.95);
+Accuracy fit_accuracy(std::span<const LeftOutFix> fixes, double inside = kInside);
 
 /// A survey walk with its number in the learner.
 struct SurveyedJourney {

@@ -15,7 +15,6 @@ namespace {
 
 constexpr Time kOutput{200};
 constexpr Time kJudged{1000};
-constexpr double kInside = 0.95;
 constexpr std::size_t kPlaceFolds = 5, kMostFixes = 500;
 constexpr std::size_t kLeastFixes = 200;
 constexpr double kSamePlace_m = 3.0;
@@ -36,7 +35,7 @@ std::size_t walks_near(const std::vector<SurveySecond>& survey, const walk::WayP
 BeaconMap::Accuracy fitted(const std::vector<radio::LeftOutFix>& fixes) {
   BeaconMap::Accuracy accuracy = careful_accuracy();
   if (fixes.size() < kLeastFixes) return accuracy;
-  const radio::Accuracy fit = radio::fit_accuracy(fixes, kInside);
+  const radio::Accuracy fit = radio::fit_accuracy(fixes);
   accuracy.set_factor(fit.covariance_factor);
   accuracy.set_floor(std::max(0.1, fit.covariance_floor_m));
   return accuracy;

@@ -51,6 +51,9 @@ std::uint32_t bucket_index(double m, double low, std::uint32_t count) {
   return static_cast<std::uint32_t>(std::clamp((m - low) / kBucket_m, 0.0, count - 1.0));
 }
 
+/// A position has a whole level: what lies between two, a mezzanine, is on neither of them.
+bool is_whole(double level) { return level == std::round(level); }
+
 int whole(double level) { return static_cast<int>(std::lround(std::clamp(level, -1000.0, 1000.0))); }
 
 bool inside(const navigation::MapRing& ring, double x, double y) {
@@ -81,16 +84,18 @@ bool joins_levels(const navigation::MapEdge& edge) {
 
 FloorPlan::FloorPlan(const navigation::CommLevelMap& map) {
   for (const auto& wall : map.walls()) {
+    if (!is_whole(wall.level())) continue;
     level_at(wall.level(), wall.x2(), wall.y2());
     level_at(wall.level(), wall.x1(), wall.y1()).walls.push_back({wall.x1(), wall.y1(), wall.x2(), wall.y2()});
   }
   for (const auto& room : map.rooms()) {
     const auto& ring = room.outline();
-    if (std::min(ring.x_size(), ring.y_size()) < 3) continue;
+    if (!is_whole(room.level()) || std::min(ring.x_size(), ring.y_size()) < 3) continue;
     for (int i = 0; i < std::min(ring.x_size(), ring.y_size()); ++i) level_at(room.level(), ring.x(i), ring.y(i));
     level_at(room.level(), ring.x(0), ring.y(0)).rooms.push_back(room);
   }
   for (const auto& told : map.levels()) {
+    if (!is_whole(told.level())) continue;
     for (Level& level : levels_) level.floor_m = level.level == whole(told.level()) ? told.floor() : level.floor_m;
   }
   std::sort(levels_.begin(), levels_.end(), [](const Level& a, const Level& b) { return a.level < b.level; });
@@ -180,11 +185,11 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
   }
   for (const auto& [start, unused] : next) {
     const auto& from = map.nodes(static_cast<int>(start));
-    if (from.level() != std::floor(from.level())) continue;
+    if (!is_whole(from.level())) continue;
     std::vector<std::pair<std::uint32_t, std::size_t>> seen{{start, 0}};  // and whence
     for (std::size_t i = 0; i < seen.size(); ++i) {
       const auto& at = map.nodes(static_cast<int>(seen[i].first));
-      if (whole(at.level()) != whole(from.level()) && at.level() == std::floor(at.level())) {
+      if (whole(at.level()) != whole(from.level()) && is_whole(at.level())) {
         if (ways_.size() == kMostWays)
           refuse("has too many stairs and lifts", std::to_string(kMostWays) + " ways", "more");
         Way way{whole(from.level()), whole(at.level()), {}};

@@ -12,7 +12,7 @@
 
 namespace fiona::beacons {
 
-/// What a level map says about where a person can be and go: walls, rooms, and what joins levels. Immutable.
+/// What a level map says about where a person can be and go: walls and rooms of whole levels, and what joins them. Immutable.
 class FloorPlan {
  public:
   /// Stairs or the like, or a lift, from one whole level to the next one.

@@ -10,6 +10,8 @@ namespace {
 
 constexpr std::chrono::seconds kOldestReading{3};
 constexpr std::chrono::seconds kOldestOrientation{1};
+/// Of steps that do not tell: the share of their length, and what a compass among steel errs by.
+constexpr double kUnknownLength = 0.2, kUnknownHeading_rad = 0.3;
 
 std::string text_of(beacons::Validity validity) {
   switch (validity) {
@@ -24,6 +26,13 @@ std::string text_of(beacons::Validity validity) {
 constexpr const char* kHouse = "house.beacons";
 
 }  // namespace
+
+beacons::StepInput step_input(const localisation::CommStep& step, double frame_turn_rad) {
+  const double length_sd_m = step.has_length_var() ? std::sqrt(step.length_var()) : kUnknownLength * step.length();
+  const double heading_sd_rad = step.has_heading_var() ? std::sqrt(step.heading_var()) : kUnknownHeading_rad;
+  return {step.length(), length_sd_m, step.heading() + frame_turn_rad, heading_sd_rad,
+          step.has_rise() ? std::optional(step.rise()) : std::nullopt};
+}
 
 void SmartBluetoothLocalization::on_start() {
   if (params_->beacons().empty()) {
@@ -89,9 +98,7 @@ void SmartBluetoothLocalization::on_beacons(const sensors::CommiBeaconList& list
 }
 
 void SmartBluetoothLocalization::on_step(const localisation::CommStep& step) {
-  if (!step.is_valid()) return;
-  filter_->step({step.length(), std::sqrt(step.length_var()), step.heading(), std::sqrt(step.heading_var()),
-                 step.has_rise() ? std::optional(step.rise()) : std::nullopt});
+  if (step.is_valid()) filter_->step(step_input(step, frame_turn_rad_));
 }
 
 void SmartBluetoothLocalization::on_orientation(const Received<localisation::CommOrientation>& orientation) {
@@ -120,6 +127,7 @@ Async<> SmartBluetoothLocalization::look_for_map() {
 void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevelMap> map) {
   if (level_map_ && level_map_->version() == map->version()) return;
   level_map_ = std::move(map);
+  frame_turn_rad_ = level_map_->reference().reference_heading() * std::numbers::pi / 180.0;
   try {
     plan_ = std::make_shared<const beacons::FloorPlan>(*level_map_);
   } catch (const Error& error) {
@@ -149,6 +157,7 @@ localisation::CommLocation SmartBluetoothLocalization::location_of(const beacons
   if (level_map_ && level_map_->reference().has_reference_lat()) {
     position.set_reference_lat(level_map_->reference().reference_lat());
     position.set_reference_long(level_map_->reference().reference_long());
+    position.set_reference_heading(level_map_->reference().reference_heading());
   }
   if (newest_orientation_ && (*newest_orientation_)->is_valid() &&
       now() - newest_orientation_->origin <= kOldestOrientation) {

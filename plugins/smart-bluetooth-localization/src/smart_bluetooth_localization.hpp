@@ -15,6 +15,10 @@
 
 namespace fiona::smart_bluetooth_localization {
 
+/// What the filter is told of a step, in axes that are turned against true north by so much, clockwise. A variance that is absent
+/// is not known, which is not zero.
+beacons::StepInput step_input(const localisation::CommStep& step, double frame_turn_rad);
+
 /// Positions from iBeacons whose map is known, with steps in between and walls around.
 class SmartBluetoothLocalization final : public Component {
  public:
@@ -74,6 +78,7 @@ class SmartBluetoothLocalization final : public Component {
   std::shared_ptr<const beacons::BeaconField> field_;
   std::shared_ptr<const beacons::FloorPlan> plan_ = std::make_shared<const beacons::FloorPlan>();
   std::shared_ptr<const navigation::CommLevelMap> level_map_;
+  double frame_turn_rad_ = 0.0;  ///< of the map's y axis, clockwise from true north, which steps are told against
   std::optional<beacons::BeaconFilter> filter_;
   std::map<std::uint32_t, std::int64_t> last_heard_ms_;
   std::optional<Received<localisation::CommOrientation>> newest_orientation_;

@@ -101,7 +101,7 @@ double HeadingFilter::heading_rad() const {
   const double pitch = std::asin(std::clamp(top.z(), -1.0, 1.0));
   const double upright = std::clamp((pitch * 180.0 / std::numbers::pi - 45.0) / 25.0, 0.0, 1.0);
   const Vector3d ahead = (1.0 - upright) * top + upright * back;
-  return std::remainder(std::atan2(ahead.y(), ahead.x()) - options_.declination_rad, 2.0 * std::numbers::pi);
+  return std::atan2(ahead.y(), ahead.x());
 }
 
 }  // namespace fiona::steps

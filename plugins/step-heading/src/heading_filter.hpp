@@ -15,7 +15,6 @@ struct HeadingFilterOptions {
   double gravity_gain_per_s = 0.5;    ///< pull of the accelerometer on the tilt
   double magnetic_gain_per_s = 0.15;  ///< pull of the magnetometer on the heading, when it can be trusted
   double bias_gain_per_s2 = 0.01;     ///< pull of both on the gyroscope's bias
-  double declination_rad = 0.0;       ///< bearing of magnetic north, clockwise from true north
   double gravity_gate_g = 0.35;       ///< |norm - 1| beyond which an acceleration says nothing about the tilt
   double field_gate_part = 0.25;      ///< deviation of the field's norm from its recent mean that is a disturbance
   double dip_gate_rad = 0.35;         ///< deviation of the field's dip from its recent mean, likewise
@@ -34,7 +33,7 @@ class HeadingFilter {
 
   bool is_aligned() const { return aligned_; }
 
-  /// Direction in which the phone points, radians counter-clockwise from true east. The phone's top edge counts, or
+  /// Direction in which the phone points, radians counter-clockwise from magnetic east. The phone's top edge counts, or
   /// its back when the phone is held upright. Only when is_aligned().
   double heading_rad() const;
 

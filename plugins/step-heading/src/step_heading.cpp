@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "fiona/building/declination.hpp"
 #include "fiona/objects/imu.hpp"
 
 namespace fiona::step_heading {
@@ -50,11 +51,24 @@ void StepHeading::rebuild() {
   steps::StepDetectorOptions detector;
   detector.weinberg_gain_m = params_->weinberg_gain();
   detector.least_swing_g = params_->least_swing();
-  steps::HeadingFilterOptions heading;
-  heading.declination_rad = params_->declination() * std::numbers::pi / 180.0;
-  tracker_.emplace(detector, heading);
+  tracker_.emplace(detector, steps::HeadingFilterOptions());
   last_step_.reset();
   last_sample_.reset();
+}
+
+double StepHeading::declination_rad() const {
+  return declination_of_map_rad_.value_or(params_->declination() * std::numbers::pi / 180.0);
+}
+
+Async<> StepHeading::look_for_map() {
+  declination_.set(declination_rad() * 180.0 / std::numbers::pi);
+  if (map_.connection() != Connection::Connected) declination_of_map_rad_.reset();
+  if (declination_of_map_rad_ || map_.connection() != Connection::Connected) co_return;
+  const auto map = co_await map_.query({});
+  if (!map || !(*map)->reference().has_reference_lat() || !(*map)->reference().has_reference_long()) co_return;
+  const auto& place = (*map)->reference();
+  declination_of_map_rad_ = building::declination_rad(place.reference_lat(), place.reference_long(),
+                                                      std::chrono::milliseconds(to_milliseconds(now())));
 }
 
 void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
@@ -70,7 +84,7 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   message.set_t_begin(follows ? last_step_->count() : step->time.count());
   message.set_t_end(step->time.count());
   message.set_length(step->length_m);
-  message.set_heading(std::remainder(step->heading_rad, 2 * std::numbers::pi));
+  message.set_heading(std::remainder(step->heading_rad - declination_rad(), 2 * std::numbers::pi));
   message.set_length_var(step->length_sd_m * step->length_sd_m);
   message.set_heading_var(step->heading_sd_rad * step->heading_sd_rad);
   if (step->risen_m) message.set_rise(*step->risen_m);

@@ -4,6 +4,7 @@
 
 #include "fiona/component.hpp"
 #include "fiona/localisation.fiona.hpp"
+#include "fiona/navigation.fiona.hpp"
 #include "fiona/sensors.fiona.hpp"
 #include "fiona/step_heading/params.pb.h"
 #include "step_tracker.hpp"
@@ -19,11 +20,18 @@ class StepHeading final : public Component {
  private:
   void on_imu(const Received<sensors::GetIMU>& imu);
   void produce_orientation();
+  Async<> look_for_map();
+  double declination_rad() const;
   void rebuild();
 
   Params<StepHeadingParams> params_{*this, nullptr, &StepHeading::rebuild};
   Requires<sensors::GetIMUService> imu_{
       *this, "imu", &StepHeading::on_imu, {.doc = "of a device that a person carries"}};
+  Requires<navigation::LevelMap> map_{
+      *this,
+      "map",
+      {.optional = true,
+       .doc = "of the building: its place says where magnetic north is; without it the parameter declination does"}};
   Provides<localisation::StepProvider> steps_{*this, "steps", {.doc = "each step, about 0.1 s after the foot fell"}};
   Provides<localisation::OrientationProvider> orientation_{
       *this,
@@ -32,7 +40,12 @@ class StepHeading final : public Component {
       std::chrono::milliseconds(20),
       {.doc = "how the device is turned; not valid while nothing is measured"}};
 
+  Probe<double> declination_{
+      *this, "magnetic_north", {.unit = "deg", .doc = "the bearing of magnetic north in use, clockwise from true north"}};
+  Task look_{*this, "look_for_map", std::chrono::milliseconds(1000), &StepHeading::look_for_map};
+
   std::optional<steps::StepTracker> tracker_;
+  std::optional<double> declination_of_map_rad_;
   std::optional<std::chrono::milliseconds> last_step_, last_sample_;
 };
 
