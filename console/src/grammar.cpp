@@ -60,13 +60,31 @@ WordLine frame_of(std::string_view text, const std::string& origin) {
   return frame;
 }
 
-std::string made_caret(const WordLine& line, const Place& place) {
-  if (!line.source || place.line == 0 || place.line > line.source->size()) return {};
-  const std::string& source = (*line.source)[place.line - 1];
-  std::size_t before = source.starts_with("\xef\xbb\xbf") ? 3 : 0;
-  for (std::size_t column = 1; column < place.column && before < source.size(); ++column) {
-    before += decode(std::string_view(source).substr(before)).bytes;
-  }
+/// Where in a physical line the column is, in bytes.
+std::size_t offset_of(std::size_t column, std::string_view line) {
+  std::size_t offset = line.starts_with("\xef\xbb\xbf") ? 3 : 0;
+  for (; column > 1 && offset < line.size(); --column) offset += decode(line.substr(offset)).bytes;
+  return offset;
+}
+
+/// From where on a physical line is not to be shown; a value may have begun in a line that goes on with it.
+std::size_t secret_begin(const std::vector<std::string>& lines, std::size_t number, const SecretNames& secrets) {
+  std::size_t first = number;
+  while (first > 0 && lines[first - 1].ends_with('\\')) --first;
+  std::string before;
+  for (std::size_t i = first; i < number; ++i) before += lines[i] + "\n";
+  const std::size_t begin = secrets.begin_in(before + lines[number]);
+  return begin == std::string::npos ? begin : begin - std::min(begin, before.size());
+}
+
+std::string stars(std::string_view text) {
+  std::string out;
+  for (; !text.empty(); text.remove_prefix(decode(text).bytes)) out += '*';
+  return out;
+}
+
+std::string made_caret(const std::string& source, std::size_t column) {
+  const std::size_t before = offset_of(column, source);
   // A long line is shown around the word only.
   constexpr std::size_t kShownBefore = 60;
   constexpr std::size_t kShown = 100;
@@ -95,7 +113,21 @@ ErrorText placed(ErrorText text, const WordLine& line, const Place& place) {
 }  // namespace
 
 LineError::LineError(const WordLine& line, const Place& place, ErrorText text, ErrorCode code)
-    : Error(code, placed(std::move(text), line, place)), caret_(made_caret(line, place)) {}
+    : Error(code, placed(std::move(text), line, place)), source_(line.source), place_(place) {}
+
+std::string LineError::caret(const SecretNames& secrets) const {
+  if (!source_ || place_.line == 0 || place_.line > source_->size()) return {};
+  const std::string& line = (*source_)[place_.line - 1];
+  const std::size_t hidden = std::min(secret_begin(*source_, place_.line - 1, secrets), line.size());
+  return made_caret(line.substr(0, hidden) + stars(std::string_view(line).substr(hidden)), place_.column);
+}
+
+bool LineError::is_in_secret(const SecretNames& secrets) const {
+  if (!source_ || place_.line == 0 || place_.line > source_->size()) return false;
+  const std::string& line = (*source_)[place_.line - 1];
+  const std::size_t hidden = secret_begin(*source_, place_.line - 1, secrets);
+  return hidden < line.size() && offset_of(place_.column, line) >= hidden;
+}
 
 std::string place_text(const WordLine& line, const Place& place) {
   if (!line.origin.empty()) return fmt::format("{}:{}:{}", line.origin, place.line, place.column);

@@ -11,6 +11,7 @@
 #include <fiona/error.hpp>
 
 #include "fiona/control.pb.h"
+#include "secret_names.hpp"
 
 namespace fiona::console {
 
@@ -100,11 +101,15 @@ class LineError : public Error {
  public:
   LineError(const WordLine& line, const Place& place, ErrorText text, ErrorCode code = ErrorCode::Usage);
 
-  /// The source line and below it a caret, two inert lines without a newline at the end; empty when unknown.
-  const std::string& caret() const noexcept { return caret_; }
+  /// The source line, with `*` for what of it is secret, and below it a caret: two inert lines without a newline at the
+  /// end; empty when unknown.
+  std::string caret(const SecretNames& secrets = {}) const;
+  /// Whether the word that it is about may be part of a secret, which the text is likely to repeat.
+  bool is_in_secret(const SecretNames& secrets) const;
 
  private:
-  std::string caret_;
+  std::shared_ptr<const std::vector<std::string>> source_;
+  Place place_;
 };
 
 /// "file:line:column"; "column 5" of a typed line.

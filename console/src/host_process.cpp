@@ -182,9 +182,11 @@ void HostProcess::read_said() {
   if (count < 0 && (errno == EAGAIN || errno == EINTR)) return;
   const bool ended = count <= 0;
   for (ssize_t i = 0; i < count; ++i) {
-    if (chunk[static_cast<std::size_t>(i)] != '\n') line_ += chunk[static_cast<std::size_t>(i)];
-    if (chunk[static_cast<std::size_t>(i)] != '\n' && line_.size() < kLongestLine) continue;
-    on_line_(std::exchange(line_, {}));
+    const char next = chunk[static_cast<std::size_t>(i)];
+    if (next != '\n') line_ += next;
+    if (next != '\n' && line_.size() < kLongestLine) continue;
+    // The rest of a long line is not to look like another one.
+    on_line_(std::exchange(line_, next == '\n' ? "" : "    "));
   }
   if (!ended) return;
   if (!line_.empty()) on_line_(std::exchange(line_, {}));

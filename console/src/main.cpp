@@ -1,4 +1,5 @@
 // The `fiona` command: everything a person types.
+#include <algorithm>
 #include <cstdio>
 #include <iostream>
 #include <string>
@@ -35,6 +36,16 @@ std::optional<bool> ask(Reactor& reactor, const std::string& question) {
   return answer && (answer->starts_with('y') || answer->starts_with('Y'));
 }
 
+/// Other users of the machine see what a program was started with: from now on without the secrets in it.
+void hide_secrets(char** words, const SecretNames& secrets) {
+  for (bool hidden = false; *words != nullptr; ++words) {
+    const std::size_t size = std::string_view(*words).size();
+    const std::size_t begin = hidden ? 0 : secrets.begin_in(*words);
+    hidden = begin != std::string_view::npos;
+    if (hidden) std::fill(*words + begin, *words + size, '*');
+  }
+}
+
 int serve(Output& out, const std::vector<std::string>& arguments) {
   CommandLine command = read_command_line(arguments);
   out.manner = command.manner;
@@ -61,8 +72,10 @@ int serve(Output& out, const std::vector<std::string>& arguments) {
 int main(int argc, char** argv) {
   Output out(Output::standard_sink());
   out.columns = Output::terminal_columns;
+  const std::vector<std::string> arguments(argv + 1, argv + argc);
+  hide_secrets(argv, out.secrets);
   try {
-    return serve(out, {argv + 1, argv + argc});
+    return serve(out, arguments);
   } catch (const Interrupted&) {
     return kInterrupted;
   } catch (const Terminated&) {

@@ -27,6 +27,13 @@ nlohmann::json error_object(const Error& error) {
   return object;
 }
 
+/// In the place of an error whose text may repeat a part of a secret.
+Error untold(const LineError& error) {
+  return Error(error.code(), {.what = "this cannot be read; it may be part of a secret and is not repeated",
+                              .where = error.text().where,
+                              .next = "quote a value that has blanks in it: name=\"a b\""});
+}
+
 }  // namespace
 
 std::size_t Output::terminal_columns() {
@@ -82,12 +89,14 @@ void Output::table(const Table& table, std::string_view when_empty, bool header)
 }
 
 void Output::error(const Error& error) {
-  if (manner.json) return object({{"error", error_object(error)}});
-  std::string text = fmt::format("error: {}", error.what());
   const auto* placed = dynamic_cast<const LineError*>(&error);
-  if (placed != nullptr && !placed->caret().empty()) {
+  const Error told = placed != nullptr && placed->is_in_secret(secrets) ? untold(*placed) : error;
+  if (manner.json) return object({{"error", error_object(told)}});
+  std::string text = fmt::format("error: {}", told.what());
+  const std::string source = placed != nullptr ? placed->caret(secrets) : "";
+  if (!source.empty()) {
     std::string caret;
-    for (const char c : "\n" + placed->caret()) caret += c == '\n' ? std::string("\n  ") : std::string(1, c);
+    for (const char c : "\n" + source) caret += c == '\n' ? std::string("\n  ") : std::string(1, c);
     const std::size_t first_line = text.find('\n');
     text.insert(first_line == std::string::npos ? text.size() : first_line, caret);
   }

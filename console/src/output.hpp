@@ -7,6 +7,7 @@
 #include <fiona/error.hpp>
 #include <nlohmann/json.hpp>
 
+#include "secret_names.hpp"
 #include "table.hpp"
 
 namespace fiona::console {
@@ -38,6 +39,8 @@ class Output {
   Sink exchange_sink(Sink sink) { return std::exchange(sink_, std::move(sink)); }
 
   Manner manner{};
+  /// Fields whose values stand in lines that people type, and do not come out here again.
+  SecretNames secrets{};
   /// How many columns of a terminal a table has; 0: it goes elsewhere.
   std::function<std::size_t()> columns = [] { return std::size_t{0}; };
 

@@ -2,12 +2,15 @@
 
 #include <algorithm>
 
+#include <sys/resource.h>
+
 #include <fmt/format.h>
 
 #include "grammar.hpp"
 #include "line_editor.hpp"
 #include "living_names.hpp"
 #include "locations.hpp"
+#include "typed_secrets.hpp"
 #include "verb_table.hpp"
 #include "watch_list.hpp"
 
@@ -70,7 +73,7 @@ class Prompt {
     typed_ += (more ? "\n" : "") + *line;
     if (continues(typed_)) return;
     const std::string typed = std::exchange(typed_, {});
-    editor_.remember(joined(typed));
+    editor_.remember(kept_part(joined(typed), session_, names_));
     run(typed);
   }
 
@@ -186,6 +189,13 @@ class Prompt {
 
 }  // namespace
 
-void run_prompt(Session& session, const PromptOptions& options) { Prompt(session, options).serve(); }
+void run_prompt(Session& session, const PromptOptions& options) {
+  // What is typed may be a password, and none reaches a disk. What this process starts may leave cores again.
+  rlimit cores{};
+  ::getrlimit(RLIMIT_CORE, &cores);
+  cores.rlim_cur = 0;
+  ::setrlimit(RLIMIT_CORE, &cores);
+  Prompt(session, options).serve();
+}
 
 }  // namespace fiona::console

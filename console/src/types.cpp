@@ -9,6 +9,7 @@
 #include <fmt/ranges.h>
 #include <google/protobuf/util/json_util.h>
 #include <fiona/error.hpp>
+#include <fiona/secrets.hpp>
 
 #include "fiona/options.pb.h"
 
@@ -123,8 +124,8 @@ bool is_below(std::string_view path, std::string_view above) {
 
 class Flattener {
  public:
-  Flattener(const std::vector<std::string>& wanted, int most_elements)
-      : wanted_(wanted), most_elements_(most_elements) {}
+  Flattener(const std::vector<std::string>& wanted, int most_elements, Secrets secrets)
+      : wanted_(wanted), most_elements_(most_elements), secrets_(secrets) {}
 
   void walk(const pb::Message& object, const std::string& prefix, int depth) {
     const pb::Descriptor& type = *object.GetDescriptor();
@@ -145,10 +146,17 @@ class Flattener {
     const pb::Reflection& reflection = *object.GetReflection();
     const bool nested = field.cpp_type() == pb::FieldDescriptor::CPPTYPE_MESSAGE;
     if (!passes(path, nested || field.is_repeated())) return;
+    if (secrets_ == Secrets::Hidden && is_secret(field) && is_set(object, field))
+      return found.push_back({path, "(secret)", ""});
     if (field.is_repeated()) return take_list(object, field, path, depth);
     if (field.has_presence() && !reflection.HasField(object, &field)) return;
     if (nested) return walk(reflection.GetMessage(object, &field), path + ".", depth + 1);
     found.push_back({path, scalar_text(object, field, 0), field.options().GetExtension(fiona::unit)});
+  }
+
+  static bool is_set(const pb::Message& object, const pb::FieldDescriptor& field) {
+    const pb::Reflection& reflection = *object.GetReflection();
+    return field.is_repeated() ? reflection.FieldSize(object, &field) > 0 : reflection.HasField(object, &field);
   }
 
   void take_list(const pb::Message& object, const pb::FieldDescriptor& field, const std::string& path, int depth) {
@@ -181,7 +189,26 @@ class Flattener {
 
   const std::vector<std::string>& wanted_;
   const int most_elements_;
+  const Secrets secrets_;
 };
+
+/// In what protobuf has made of an object of the type.
+void hide_secrets(nlohmann::json& json, const pb::Descriptor& type) {
+  for (int i = 0; i < type.field_count() && json.is_object(); ++i) {
+    const pb::FieldDescriptor& field = *type.field(i);
+    const auto at = json.find(field.name());
+    if (at == json.end()) continue;
+    const pb::Descriptor* below =
+        field.is_map() ? field.message_type()->FindFieldByNumber(2)->message_type() : field.message_type();
+    if (is_secret(field)) {
+      *at = nullptr;
+    } else if (below != nullptr && field.is_repeated()) {
+      for (nlohmann::json& element : *at) hide_secrets(element, *below);
+    } else if (below != nullptr) {
+      hide_secrets(*at, *below);
+    }
+  }
+}
 
 std::string type_text(const pb::FieldDescriptor& field) {
   const std::string base = field.message_type() != nullptr ? field.message_type()->name()
@@ -252,9 +279,9 @@ std::unique_ptr<pb::Message> TypeSet::make(const std::string& full_name) const {
   return type == nullptr ? nullptr : std::unique_ptr<pb::Message>(factory_->GetPrototype(type)->New());
 }
 
-std::vector<FieldText> field_texts(const pb::Message& object, const std::vector<std::string>& wanted,
+std::vector<FieldText> field_texts(const pb::Message& object, const std::vector<std::string>& wanted, Secrets secrets,
                                    int most_elements) {
-  Flattener flattener(wanted, most_elements);
+  Flattener flattener(wanted, most_elements, secrets);
   flattener.walk(object, "", 0);
   return std::move(flattener.found);
 }
@@ -279,13 +306,15 @@ PathCheck check_path(const pb::Descriptor& type, std::string_view path) {
   return {.exists = true, .level = {}, .known = {}};
 }
 
-nlohmann::json object_json(const pb::Message& object) {
+nlohmann::json object_json(const pb::Message& object, Secrets secrets) {
   pb::util::JsonPrintOptions options;
   options.preserve_proto_field_names = true;
   options.always_print_primitive_fields = true;
   std::string text;
   if (!pb::util::MessageToJsonString(object, &text, options).ok()) return nullptr;
-  return nlohmann::json::parse(text, nullptr, false);
+  nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
+  if (secrets == Secrets::Hidden) hide_secrets(json, *object.GetDescriptor());
+  return json;
 }
 
 Table field_table(const pb::Descriptor& type) {

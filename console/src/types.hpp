@@ -42,10 +42,16 @@ struct FieldText {
   std::string unit;
 };
 
+/// What becomes of fields that are marked `(fiona.secret)`.
+enum class Secrets {
+  Hidden,
+  Shown,  ///< to somebody who has asked for nothing else
+};
+
 /// The fields that are set, in the order of their declaration, nested ones by path. With `wanted`, only those and what
-/// is below them. Long lists end in "… n more" after `most_elements`.
+/// is below them. Long lists end in "… n more" after `most_elements`. Of secrets it says that they are.
 std::vector<FieldText> field_texts(const google::protobuf::Message& object, const std::vector<std::string>& wanted,
-                                   int most_elements = 8);
+                                   Secrets secrets = Secrets::Hidden, int most_elements = 8);
 
 /// Whether a path like "position.x" or "beacons[0].rssi" exists in the type; near names of the level that fails.
 struct PathCheck {
@@ -58,8 +64,8 @@ PathCheck check_path(const google::protobuf::Descriptor& type, std::string_view 
 /// Whether a value of a probe travels as the only field of this type, and not as an object of its own.
 bool is_plain_value(std::string_view type);
 
-/// The whole object for programs, names as in the proto.
-nlohmann::json object_json(const google::protobuf::Message& object);
+/// The whole object for programs, names as in the proto; secrets are null.
+nlohmann::json object_json(const google::protobuf::Message& object, Secrets secrets = Secrets::Hidden);
 
 /// Fields with type, unit, range and doc, nested ones by path.
 Table field_table(const google::protobuf::Descriptor& type);

@@ -115,7 +115,9 @@ std::vector<Verb> operating_verbs() {
        "uses a query port or a trigger by hand, and shows the answer",
        "Of a required port: the provider at its wire's end. OBJECT is protobuf text: {number: 7}. `for`, or 2 s, is "
        "how "
-       "long it may take.",
+       "long it may take.\n"
+       "A value of a secret field, a password, is shown in no answer or error and kept in no history. Type it at the "
+       "prompt: the command lines of a shell are kept by the shell.",
        Access::Operate, verbs::call, false},
       {"send", forms({"send INSTANCE.NAME [OBJECT] [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
        "OBJECT is protobuf text: {number: 7}. Waits until the provider's hull has it.", Access::Operate, verbs::call,

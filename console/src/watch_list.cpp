@@ -137,7 +137,7 @@ std::string WatchList::text_of(const Running& watch, const control::Sample& samp
   std::vector<std::string> parts;
   const bool is_plain = is_plain_value(sample.type());
   for (const FieldText& field :
-       field_texts(*watch.object, watch.request.fields, session_.out.manner.verbose ? 1000 : 8)) {
+       field_texts(*watch.object, watch.request.fields, Secrets::Hidden, session_.out.manner.verbose ? 1000 : 8)) {
     const std::string& unit = is_plain ? sample.unit() : field.unit;
     parts.push_back(
         fmt::format("{}{}{}{}", is_plain ? "" : field.path + " ", field.text, unit.empty() ? "" : " ", unit));

@@ -43,6 +43,13 @@ constexpr int kTimeWatch_ms = 500;
 constexpr std::chrono::seconds kMeetsWithin{2};
 constexpr int kMeeting_ms = 20;
 
+/// What a component has said, as one record: its further lines are indented, so that none can be taken for another's.
+std::string record_of(const std::string& instance, const std::string& text) {
+  std::string record = instance + ": ";
+  for (const char c : text) record += c == '\n' ? std::string("\n    ") : std::string(1, c);
+  return record + "\n";
+}
+
 }  // namespace
 
 struct ControlServer::Client {
@@ -417,11 +424,11 @@ void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tap_ended()) on_tap_ended(event.tap_ended());
   if (event.has_asked()) masters_.serve(event.asked());
   if (event.has_wire_lost()) on_wire_lost(event.wire_lost());
-  if (event.has_logged()) std::cerr << event.logged().instance() << ": " << event.logged().text() << "\n";
+  if (event.has_logged()) std::cerr << record_of(event.logged().instance(), event.logged().text());
   // One that fails while it is being loaded is told to whoever loads it.
   const bool failed = event.has_mode_changed() && event.mode_changed().mode() == kModeFailed;
   if (failed && system_.is_loaded(event.mode_changed().instance())) {
-    std::cerr << event.mode_changed().instance() << ": failed: " << event.mode_changed().reason() << "\n";
+    std::cerr << record_of(event.mode_changed().instance(), "failed: " + event.mode_changed().reason());
   }
 }
 

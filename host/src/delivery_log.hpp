@@ -12,8 +12,8 @@
 namespace fiona::host {
 
 /// Writes each delivery of a system on a virtual clock as a line: its time in seconds, the wire, the number on the
-/// wire, and the hash of the object or the word of a delivery without one. In the order (time, wire, number): the same
-/// for the same system, whatever threads and processes it ran in.
+/// wire, and the hash of the object without its secrets, or the word of a delivery without one. In the order (time, wire,
+/// number): the same for the same system, whatever threads and processes it ran in.
 class DeliveryLog final : public DeliveryRecorder {
  public:
   /// What may wait to be sorted. An instant with more is written in several runs, each sorted; they end where rounds

@@ -10,6 +10,7 @@
 #include "fiona/error.hpp"
 #include "fiona/options.pb.h"
 #include "fiona/probe.pb.h"
+#include "fiona/secrets.hpp"
 #include "fiona/units.hpp"
 
 namespace fiona::host {
@@ -57,6 +58,11 @@ Place resolve(const Message& message, const Step& step, const std::string& path)
                                       .where = path,
                                       .expected = fmt::format("one of {}", fmt::join(known, ", ")),
                                       .near = nearest_names(step.name, known)});
+  }
+  if (is_secret(*field)) {
+    throw Error(ErrorCode::NotAllowed, {.what = "'" + step.name + "' is secret: it is neither shown nor compared",
+                                        .where = path,
+                                        .next = "compare another field"});
   }
   if (field->is_repeated() != (step.index >= 0)) {
     throw Error(ErrorCode::Usage,

@@ -5,6 +5,7 @@
 #include "failure.hpp"
 #include "field_compare.hpp"
 #include "fiona/error.hpp"
+#include "fiona/secrets.hpp"
 
 namespace fiona::host {
 namespace {
@@ -20,7 +21,7 @@ wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit) {
   tapped.set_origin_ns(envelope.origin.time_since_epoch().count());
   if (!envelope.object) return tapped;
   tapped.set_type(envelope.object->GetDescriptor()->full_name());
-  envelope.object->SerializeToString(tapped.mutable_object());
+  WithoutSecrets(*envelope.object)->SerializeToString(tapped.mutable_object());
   return tapped;
 }
 
@@ -129,7 +130,7 @@ void fill_probes(control::InstanceStatus& status, const Hull& hull, TimePoint no
     one.set_age_ms(-1);
     const Envelope value = probe->read();
     if (!value.object) continue;
-    one.set_value(value_text(*value.object));
+    one.set_value(value_text(*WithoutSecrets(*value.object)));
     one.set_age_ms(std::max(0.0, 1e3 * to_seconds(now - value.origin)));
   }
 }

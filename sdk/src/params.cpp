@@ -11,6 +11,7 @@
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/rules.hpp"
+#include "fiona/secrets.hpp"
 #include "value_text.hpp"
 
 namespace fiona {
@@ -132,6 +133,13 @@ ParamsBase::ParamsBase(Component& owner, std::unique_ptr<Object> defaults, Check
     throw Error(ErrorCode::Usage, {.what = "a component has one parameter message",
                                    .where = hull_.name(),
                                    .next = "put the members of both into one message"});
+  }
+  if (const auto secret = first_secret(*defaults_->GetDescriptor())) {
+    throw Error(ErrorCode::Usage, {.what = "'" + *secret +
+                                           "' is secret, and no parameter is: each is shown, saved and "
+                                           "kept in the journal",
+                                   .where = hull_.name(),
+                                   .next = "let a parameter name a file that holds it"});
   }
   hull_.params_ = this;
 }

@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "fiona/secrets.hpp"
+
 namespace fiona {
 
 using google::protobuf::Descriptor;
@@ -143,6 +145,7 @@ bool ObjectRules::FieldRule::allows(double value) const {
 }
 
 std::string ObjectRules::FieldRule::violation(double value, const std::string& name) const {
+  if (is_secret(*field)) return fmt::format("{} is not as its rule says", name);
   if (finite && !std::isfinite(value)) return fmt::format("{} is {}, not a finite number", name, value);
   const bool below = min && value < *min;
   return fmt::format("{} is {}, {} {}{}", name, value, below ? "below" : "above", below ? *min : *max, unit_of(*field));

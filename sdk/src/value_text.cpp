@@ -13,6 +13,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/options.pb.h"
+#include "fiona/secrets.hpp"
 #include "fiona/units.hpp"
 
 namespace fiona::detail {
@@ -63,13 +64,20 @@ std::vector<std::string> enumerators(const FieldDescriptor& field) {
   return names;
 }
 
+bool has_secrets(const google::protobuf::Descriptor* type) { return type && first_secret(*type); }
+
+/// The value as a refusal may repeat it.
+std::string shown(const FieldDescriptor& field, const Value& value) {
+  return is_secret(field) || has_secrets(field.message_type()) ? "a value that is not shown" : value_text(value);
+}
+
 [[noreturn]] void refuse(const std::string& name, const FieldDescriptor& field, const Value& value,
                          std::string expected) {
   std::vector<std::string> near;
   if (field.cpp_type() == FieldDescriptor::CPPTYPE_ENUM) near = nearest_names(value.text(), enumerators(field));
   throw Error(ErrorCode::Usage, {.what = "parameter '" + name + "' does not take this value",
                                  .expected = std::move(expected),
-                                 .found = value_text(value),
+                                 .found = shown(field, value),
                                  .near = std::move(near)});
 }
 
@@ -128,11 +136,15 @@ int enumerator_of(const std::string& name, const FieldDescriptor& field, const V
 class FirstComplaint final : public google::protobuf::io::ErrorCollector {
  public:
   void AddError(int line, int column, const std::string& text) override {
-    if (text_.empty()) text_ = fmt::format("; at {}:{}: {}", line + 1, column + 1, text);
+    if (!place_.empty()) return;
+    place_ = fmt::format("; at {}:{}", line + 1, column + 1);
+    text_ = ": " + text;
   }
-  const std::string& text() const { return text_; }
+  /// It may quote what it cannot read.
+  std::string of(const google::protobuf::Descriptor* type) const { return has_secrets(type) ? place_ : place_ + text_; }
 
  private:
+  std::string place_;
   std::string text_;
 };
 
@@ -143,7 +155,8 @@ std::optional<std::string> misread(const Value& value, Message& target) {
   parser.RecordErrorsTo(&complaint);
   parser.SetRecursionLimit(kDeepestText);
   if (value.kind_case() == Value::kMessage && parser.MergeFromString(value.message(), &target)) return std::nullopt;
-  return "protobuf text of " + target.GetDescriptor()->full_name() + " in braces" + complaint.text();
+  return "protobuf text of " + target.GetDescriptor()->full_name() + " in braces" +
+         complaint.of(target.GetDescriptor());
 }
 
 void parse_message(const std::string& name, const FieldDescriptor& field, const Value& value, Message& target) {
@@ -228,7 +241,9 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
 
 void merge_text(Message& message, const Value& value) {
   if (const auto expected = misread(value, message)) {
-    throw Error(ErrorCode::Usage, {.what = "'" + value_text(value) + "' cannot be read", .expected = *expected});
+    const bool hidden = has_secrets(message.GetDescriptor());
+    const std::string what = hidden ? "the text of the object" : "'" + value_text(value) + "'";
+    throw Error(ErrorCode::Usage, {.what = what + " cannot be read", .expected = *expected});
   }
 }
 

@@ -6,6 +6,7 @@
 #include <cassert>
 
 #include "fiona/clock.hpp"
+#include "fiona/secrets.hpp"
 
 namespace fiona {
 namespace {
@@ -13,10 +14,10 @@ namespace {
 constexpr std::uint64_t kFnvOffset = 0xcbf29ce484222325;
 constexpr std::uint64_t kFnvPrime = 0x100000001b3;
 
-/// What a delivery log says of one delivery.
+/// What a delivery log says of one delivery. Nothing of a password, whose hash would tell whether a guess is right.
 std::string_view what_of(const Staged& staged, std::array<char, 16>& digits) {
   if (!staged.object) return staged.word;
-  std::uint64_t hash = hash_of(*staged.object);
+  std::uint64_t hash = hash_of(*WithoutSecrets(*staged.object));
   for (auto digit = digits.rbegin(); digit != digits.rend(); ++digit, hash >>= 4)
     *digit = "0123456789abcdef"[hash & 0xf];
   return {digits.data(), digits.size()};

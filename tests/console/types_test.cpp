@@ -75,5 +75,38 @@ TEST(Types, ElementOfAListIsThereOnlyWithinIt) {
   EXPECT_THAT(field_texts(*object, {"n[-1]"}), SizeIs(0));
 }
 
+const char* const kKeys = R"(file { name: "k.proto" syntax: "proto3" dependency: "fiona/options.proto"
+    message_type { name: "Key"
+      field { name: "door" number: 1 type: TYPE_STRING label: LABEL_OPTIONAL }
+      field { name: "pin" number: 2 type: TYPE_INT32 label: LABEL_OPTIONAL options { [fiona.secret]: true } } }
+    message_type { name: "Ring"
+      field { name: "keys" number: 1 type: TYPE_MESSAGE type_name: "Key" label: LABEL_REPEATED }
+      field { name: "rooms" number: 2 type: TYPE_MESSAGE type_name: "Ring.RoomsEntry" label: LABEL_REPEATED }
+      field { name: "code" number: 3 type: TYPE_BYTES label: LABEL_OPTIONAL options { [fiona.secret]: true } }
+      nested_type { name: "RoomsEntry" options { map_entry: true }
+        field { name: "key" number: 1 type: TYPE_STRING label: LABEL_OPTIONAL }
+        field { name: "value" number: 2 type: TYPE_MESSAGE type_name: "Key" label: LABEL_OPTIONAL } } } })";
+
+TEST(Types, SecretsAreNamedAndNotShown) {
+  const TypeSet types(described(kKeys));
+  const auto ring = types.make("Ring");
+  google::protobuf::TextFormat::ParseFromString(
+      R"(keys { door: "a" pin: 1234 } keys { pin: 1234 } rooms { key: "hall" value { pin: 1234 } } code: "1234")",
+      ring.get());
+  std::string text;
+  for (const FieldText& field : field_texts(*ring, {})) text += field.path + "=" + field.text + " ";
+  EXPECT_EQ(text,
+            "keys[0].door=\"a\" keys[0].pin=(secret) keys[1].door=\"\" keys[1].pin=(secret) "
+            "rooms[0].key=\"hall\" rooms[0].value.door=\"\" rooms[0].value.pin=(secret) code=(secret) ");
+  EXPECT_EQ(
+      object_json(*ring).dump(),
+      R"({"code":null,"keys":[{"door":"a","pin":null},{"door":"","pin":null}],"rooms":{"hall":{"door":"","pin":null}}})");
+}
+
+TEST(Types, ASecretThatIsNotSetIsSeenNotToBe) {
+  const TypeSet types(described(kKeys));
+  EXPECT_EQ(field_texts(*types.make("Ring"), {"code"})[0].text, "<0 bytes>");
+}
+
 }  // namespace
 }  // namespace fiona::console

@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
-"""Who may include whom (architecture 3): reads every #include of the tree.
+"""Who may include whom (architecture 3), and which plugins have nothing in common: reads every #include of the tree, and
+what the plugins' CMakeLists.txt say is linked.
 
     layers_test.py SOURCE_DIR
 
-Exit code 1 and one line for each include that points the wrong way.
+Exit code 1 and one line for each include or link that points the wrong way.
 """
+import itertools
 import pathlib
 import re
 import sys
@@ -20,6 +22,13 @@ MAY_USE = {
     "console": {"sdk", "marketplace"},
     "plugins": {"sdk"},
 }
+
+# A plugin that is judged by another one's world must not know how that is made: neither may reach anything of the other,
+# and both only the libraries named here.
+APART = {("building-simulator", "smart-bluetooth-localization"): {"building"}}
+COMMAND = re.compile(r"\b(add_library|add_executable|fiona_add_plugin|target_link_libraries)\s*\(([^)]*)\)")
+NO_TARGETS = {"PUBLIC", "PRIVATE", "INTERFACE", "STATIC", "SHARED", "MODULE", "OBJECT"}
+PLUGIN_ARGUMENTS = {"SOURCES", "LIBRARIES", "MANIFEST", "README", "SHARE"}
 
 
 def headers_of(root, layer):
@@ -57,11 +66,79 @@ def wrong_includes(root):
     return problems, seen
 
 
+def without_comments(text):
+    return re.sub(r"#[^\n]*", "", text)
+
+
+def linked_targets(plugins):
+    """Target -> what it links; target -> plugin folder that makes it."""
+    links, owner = {}, {}
+    for file in sorted(plugins.glob("*/CMakeLists.txt")):
+        for command, arguments in COMMAND.findall(without_comments(file.read_text(encoding="utf-8"))):
+            target, *words = arguments.split()
+            if command != "target_link_libraries":
+                owner[target] = file.parent.name
+            if command == "target_link_libraries":
+                links.setdefault(target, set()).update(word for word in words if word not in NO_TARGETS)
+            if command == "fiona_add_plugin" and "LIBRARIES" in words:
+                libraries = itertools.takewhile(lambda word: word not in PLUGIN_ARGUMENTS,
+                                                words[words.index("LIBRARIES") + 1:])
+                links.setdefault(target, set()).update(libraries)
+    return links, owner
+
+
+def folders_linked_by(plugin, links, owner):
+    """The plugin folders that the targets of a plugin link, themselves or through others."""
+    open_targets = [target for target, folder in owner.items() if folder == plugin]
+    seen = set(open_targets)
+    while open_targets:
+        for linked in links.get(open_targets.pop(), ()):
+            if linked in owner and linked not in seen:
+                seen.add(linked)
+                open_targets.append(linked)
+    return {owner[target] for target in seen}
+
+
+def folders_included_by(plugin, plugins):
+    """The plugin folders whose headers the sources of a plugin include, themselves or through others. A spelling that
+    several folders have counts for each of them, unless the including folder is one."""
+    spellings = {}
+    for header in plugins.glob("*/*/**/*.hpp"):
+        folder, _, *spelling = header.relative_to(plugins).parts
+        spellings.setdefault("/".join(spelling), set()).add(folder)
+    reached, open_folders = {plugin}, [plugin]
+    while open_folders:
+        folder = open_folders.pop()
+        for source in sources_of(plugins, folder):
+            for spelling in INCLUDE.findall(source.read_text(encoding="utf-8")):
+                beside = (source.parent / spelling).resolve()
+                owners = {beside.relative_to(plugins).parts[0]} if beside.exists() else spellings.get(spelling, set())
+                for owner in owners - reached if folder not in owners else ():
+                    reached.add(owner)
+                    open_folders.append(owner)
+    return reached
+
+
+def not_apart(root):
+    plugins = (root / "plugins").resolve()
+    links, owner = linked_targets(plugins)
+    problems = []
+    for pair, common in APART.items():
+        reached = [folders_linked_by(plugin, links, owner) | folders_included_by(plugin, plugins) for plugin in pair]
+        for plugin, folders in zip(pair, reached):
+            if len(folders) < 2:
+                problems.append("%s seems to use nothing: this test does not read its sources" % plugin)
+        for plugin in sorted((reached[0] & reached[1]) - common):
+            problems.append("%s and %s both use %s" % (*pair, plugin))
+    return problems
+
+
 def main():
     if len(sys.argv) != 2:
         print(__doc__, file=sys.stderr)
         return 2
     problems, seen = wrong_includes(pathlib.Path(sys.argv[1]))
+    problems += not_apart(pathlib.Path(sys.argv[1]))
     for problem in problems:
         print(problem)
     if seen < 500:

@@ -1,13 +1,31 @@
 // call, send: what uses one port or trigger by hand.
+#include <algorithm>
+
 #include <fmt/format.h>
 
+#include <fiona/secrets.hpp>
+
+#include "../system_view.hpp"
 #include "../types.hpp"
 #include "verbs.hpp"
 
 namespace fiona::console::verbs {
 namespace {
 
-void tell_result(Session& session, const std::string& target, const control::Called& called) {
+/// What a trigger answers is for whoever has called it by hand: nobody else could have. A query's answer is for
+/// components, and goes without its secrets.
+Secrets secrets_of(Session& session, const control::PortName& target, const google::protobuf::Message& result) {
+  if (!first_secret(*result.GetDescriptor())) return Secrets::Hidden;
+  const control::System system = session.snapshot();
+  const auto* instance = find_instance(system, target.instance());
+  const bool is_trigger =
+      instance != nullptr && std::any_of(instance->triggers().begin(), instance->triggers().end(),
+                                         [&target](const auto& trigger) { return trigger.name() == target.port(); });
+  return is_trigger ? Secrets::Shown : Secrets::Hidden;
+}
+
+void tell_result(Session& session, const control::PortName& name, const control::Called& called) {
+  const std::string target = text_of(name);
   nlohmann::json facts{
       {"call", target}, {"run", called.run()}, {"outcome", called.outcome()}, {"after_ms", called.after_ms()}};
   std::string text = fmt::format("{} ended after {:.0f} ms", target, called.after_ms());
@@ -19,8 +37,9 @@ void tell_result(Session& session, const std::string& target, const control::Cal
                                       .found = called.result().type(),
                                       .next = "tell the component's publisher: market info tells who"});
     }
-    facts["result"] = object_json(*object);
-    for (const FieldText& field : field_texts(*object, {})) {
+    const Secrets secrets = secrets_of(session, name, *object);
+    facts["result"] = object_json(*object, secrets);
+    for (const FieldText& field : field_texts(*object, {}, secrets)) {
       text += fmt::format("\n  {}={}{}", field.path, field.text, field.unit.empty() ? "" : " " + field.unit);
     }
   }
@@ -44,14 +63,14 @@ void call(Session& session, const Line& line) {
   if (line.positional.size() > 1) *call.add_arguments()->mutable_value() = object_of(line, line.positional[1]);
   for (control::Argument& argument : line.control_arguments()) *call.add_arguments() = std::move(argument);
   if (const Word* within = line.clause("for")) call.set_within_ms(duration_ms(*within, line.words));
-  const std::string instance = call.target().instance();
+  const control::PortName name = call.target();
   const control::Called called = session.host().call_waiting(std::move(request)).called();
-  if (called.outcome() == "ok") return tell_result(session, target, called);
+  if (called.outcome() == "ok") return tell_result(session, name, called);
   throw Error(
       called.outcome() == "timeout" ? ErrorCode::Unreachable : ErrorCode::Failed,
       {.what = fmt::format("{}: {}{}", target, called.outcome(), called.reason().empty() ? "" : ", " + called.reason()),
        .where = target,
-       .next = "show " + instance});
+       .next = "show " + name.instance()});
 }
 
 }  // namespace fiona::console::verbs

@@ -108,14 +108,10 @@ security::CommSession Authenticator::on_session(const security::CommSessionReque
 
 /// Null: the account is gone, disabled, or has had another password since.
 const Account* Authenticator::account_of(const Session& session) {
-  const auto fits = [&]() -> const Account* {
-    const auto found = known_.find(session.user());
-    const bool same = found != known_.end() && found->second.generation() == session.generation();
-    return same && !found->second.disabled() ? &found->second : nullptr;
-  };
-  if (const Account* account = fits()) return account;
-  look();  // it may be newer than what is known
-  return fits();
+  read_changes();  // each time: who is disabled has not one more request
+  const auto found = known_.find(session.user());
+  const bool same = found != known_.end() && found->second.generation() == session.generation();
+  return same && !found->second.disabled() ? &found->second : nullptr;
 }
 
 security::CommLogoutResponse Authenticator::on_logout(const security::CommSessionRequest& request) {
@@ -127,20 +123,37 @@ security::CommLogoutResponse Authenticator::on_logout(const security::CommSessio
 
 void Authenticator::read_accounts() {
   const std::uint64_t version = store_->version();
+  if (version_ == version) return;
   known_ = accounts_->all();
   version_ = version;
+  trouble_.clear();
 }
 
 /// What cannot be read leaves what is known: nobody becomes more than they were.
-void Authenticator::look() {
+void Authenticator::read_changes() {
   try {
-    if (reading_failed_ || store_->version() != version_) read_accounts();
-    sessions_->sweep(now());
-    reading_failed_ = false;
+    read_accounts();
   } catch (const Error& error) {
-    if (!std::exchange(reading_failed_, true)) log(LogLevel::Error, error.what());
+    version_.reset();
+    tell(error);
+  }
+}
+
+void Authenticator::look() {
+  read_changes();
+  try {
+    sessions_->sweep(now());
+  } catch (const Error& error) {
+    tell(error);
   }
   session_count_.set(sessions_->size());
+}
+
+/// Once, and not at each look.
+void Authenticator::tell(const Error& trouble) {
+  if (trouble_ == trouble.what()) return;
+  trouble_ = trouble.what();
+  log(LogLevel::Error, trouble_);
 }
 
 }  // namespace fiona::authenticator

@@ -39,6 +39,8 @@ class Authenticator final : public Component {
   security::CommAuthenticationResponse checked(const LoginDesk::Attempt& attempt, const Sessions::Bounds& bounds);
   const Account* account_of(const Session& session);
   void read_accounts();
+  void read_changes();
+  void tell(const Error& trouble);
 
   Params<Parameters> params_{*this, &Authenticator::check};
   Provides<security::AuthenticationProvider> login_{
@@ -54,8 +56,8 @@ class Authenticator final : public Component {
   std::unique_ptr<Accounts> accounts_;
   std::unique_ptr<Sessions> sessions_;
   std::map<std::string, Account> known_;  ///< accounts as they were at `version_`
-  std::uint64_t version_ = 0;
-  bool reading_failed_ = false;
+  std::optional<std::uint64_t> version_;  ///< none: they could not be read when they were looked at last
+  std::string trouble_;                   ///< with the database, as it was told
   std::uint64_t refusals_ = 0;
   std::atomic<std::uint64_t> failures_{0};
   std::mutex throttle_mutex_;

@@ -1,5 +1,6 @@
 // fiona-users: who may log in. Passwords come from the terminal, without echo, or from standard input; never from the
 // command line, which other processes see and shells keep.
+#include <sys/resource.h>
 #include <termios.h>
 #include <unistd.h>
 
@@ -126,6 +127,9 @@ void run(std::vector<std::string> words) {
     throw usage(command.empty() ? "what is to be done?" : "there is no command '" + command + "'");
   }
   if (words.size() < needed) throw usage(command + " needs " + (needed == 3 ? "a name and a level" : "a name"));
+  // The word may be a password, so it is not repeated.
+  if (words.size() > needed && (command == "add" || command == "passwd"))
+    throw usage("there is one word too many: passwords are asked for, the command line takes none");
   if (words.size() > needed) throw usage("'" + words[needed] + "' is one word too many");
   if (level && command != "add") throw usage("--level goes with add; to change it: fiona-users level NAME N");
 
@@ -150,6 +154,8 @@ void run(std::vector<std::string> words) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  const rlimit none{};
+  ::setrlimit(RLIMIT_CORE, &none);  // no password reaches a disk
   const std::vector<std::string> words(argv + 1, argv + argc);
   if (!words.empty() && (words.front() == "--help" || words.front() == "-h" || words.front() == "help")) {
     std::cout << kUsage;
