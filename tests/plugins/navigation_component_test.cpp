@@ -9,7 +9,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "fiona/sink.hpp"
 #include "fiona/testing/bench.hpp"
+#include "fiona/wire_end.hpp"
 #include "navigation.hpp"
 #include "navigation_world.hpp"
 
@@ -51,6 +53,23 @@ navigation::CommDestination destination(double x, double y, double level) {
   return wish;
 }
 
+navigation::CommDestination of_user(navigation::CommDestination wish, const std::string& name) {
+  wish.set_user_name(name);
+  wish.set_session(name + std::string(16 - name.size(), '.'));
+  return wish;
+}
+
+/// Takes what a required port asks for, in the place of a provider that is not as it should be.
+struct Provider final : Sink {
+  Outcome deliver(Parcel parcel) override {
+    if (on_request) on_request(*parcel.reply);
+    asked.push_back(std::move(parcel));
+    return Outcome::Ok;
+  }
+  std::function<void(ReplySink&)> on_request;
+  std::vector<Parcel> asked;
+};
+
 /// Navigation in the house of the tests, with map, planner and profile on the bench.
 struct Led {
   explicit Led(const building::Osm& osm = world::house()) : map(world::told(osm.read())) {
@@ -60,7 +79,35 @@ struct Led {
       asked = request;
       return profile;
     });
+    changes = replace("change", [](ReplySink& client) { client.event({}); });
     bench.start();
+  }
+  /// Wires a required port to another provider.
+  std::shared_ptr<Provider> replace(const char* port, std::function<void(ReplySink&)> on_request = {}) {
+    auto provider = std::make_shared<Provider>();
+    provider->on_request = std::move(on_request);
+    const auto end = dynamic_cast<RequiredPort&>(*bench.hull().find_port(port)).end_for("bench");
+    end->set_target(provider);
+    end->set_connection(Connection::Connected, "on the bench");
+    return provider;
+  }
+  void unwire(const char* port) {
+    const auto end = dynamic_cast<RequiredPort&>(*bench.hull().find_port(port)).end_for("bench");
+    end->set_target(nullptr);
+    end->set_connection(Connection::Unwired, "on the bench");
+  }
+  /// From now on the building is as this file says, and who watches it is told.
+  void rebuild(const building::Osm& osm) {
+    const std::uint64_t version = map.version() + 1;
+    map = world::told(osm.read());
+    map.set_version(version);
+    tell_of_change(version);
+  }
+  void tell_of_change(std::uint64_t version) {
+    auto changed = std::make_shared<navigation::LevelMapVersion>();
+    changed->set_version(version);
+    ASSERT_FALSE(changes->asked.empty()) << "nobody watches the map";
+    changes->asked.back().reply->event({changed, ++fired, bench.now(), 0});
   }
   void stand(const CommLocation& at, Duration time = 600ms) {
     for (Duration passed{}; passed < time; passed += 200ms) {
@@ -85,9 +132,15 @@ struct Led {
     for (const auto& one : bench.take<navigation::PathProvider>("path")) all.push_back(*one);
     return all;
   }
+  navigation::CommPath last_path() {
+    const auto all = paths();
+    return all.empty() ? navigation::CommPath{} : all.back();
+  }
 
   testing::Bench<Navigation> bench{"nav"};
   navigation::CommLevelMap map;
+  std::shared_ptr<Provider> changes;
+  std::uint64_t fired = 0;
   hmi::CommUserProfileReply profile;
   hmi::CommUserProfileRequest asked;
 };
@@ -162,17 +215,16 @@ TEST(Navigation, TheProfileOfTheSessionIsAskedForAndObeyed) {
 
 TEST(Navigation, AQuarterTurnRightIsHourThreeWhereTheCompassIsFifteenDegreesOff) {
   Led led;
-  led.bench.set("declination", 15);
-  // East along the hall to the door of C in the north: the compass, held to the east, reads 90 - 15 degrees.
-  led.stand(location(10, 2, 0, 90 - 15));
+  led.map.mutable_reference()->set_reference_lat(47.6);
+  led.map.mutable_reference()->set_reference_long(-122.3);  // Seattle
+  // In the hall before the door of C, which is in the north. By the compass alone, which says 245, the turn were hour 4.
+  const double looks_deg = 260;
+  led.stand(location(25, 1, 0, looks_deg - 15));
   led.go_to(destination(25, 6, 0));
-  led.stand(location(10, 2, 0, 90 - 15));
+  led.stand(location(25, 1, 0, looks_deg - 15));
   const auto turns = led.bench.take<hmi::LocalPath>("turn");
   ASSERT_FALSE(turns.empty());
-  led.stand(location(12, 2, 0, 90 - 15), 4s);
-  const auto later = led.bench.take<hmi::LocalPath>("turn");
-  EXPECT_EQ(later.back()->type_of_turn(), NextTurn::HOUR_9);  // north, seen from who looks east
-  EXPECT_GT(later.back()->distance_to_turn(), 10000u);
+  EXPECT_EQ(turns.back()->type_of_turn(), NextTurn::HOUR_3);
 }
 
 TEST(Navigation, EveryDestinationThatLeadsNowhereIsASentence) {
@@ -342,6 +394,262 @@ TEST(Navigation, APointOfAttentionStandsBesideTheInstruction) {
   }
   EXPECT_THAT(told, ::testing::ElementsAre("You are passing statue."));
   EXPECT_THAT(led.bench.log(), ::testing::Contains(HasSubstr("nonsense")));
+}
+
+/// Ada has been led to where she wanted to go, in room A; a statue stands in the hall.
+struct Arrived : Led {
+  Arrived() {
+    profile.add_landmark_list("5,1.5,0 statue");
+    stand(location(5, 6, 0));
+    go_to(of_user(destination(8, 6, 0), "ada"));
+    stand(location(5, 6, 0));
+    stand(location(7.2, 6, 0), 3s);
+    EXPECT_EQ(last().kind(), Instruction::ARRIVE);
+  }
+  void log_out(Duration ago = 8s) {
+    replace("profile", [](ReplySink& client) {
+      client.answer(Outcome::Rejected, "there is no such session, or it has ended", nullptr);
+    });
+    stand(location(7.2, 6, 0), ago);
+  }
+  /// What they are told of when they walk along the hall.
+  std::vector<std::string> told_in_the_hall() {
+    said();
+    stand(location(5, 1.5, 0), 1s);
+    std::vector<std::string> told;
+    for (const auto& one : said()) {
+      if (one.kind() == Instruction::ATTENTION) told.push_back(one.text());
+    }
+    return told;
+  }
+};
+
+TEST(Navigation, WhoHasArrivedIsToldOfTheirPointsAsBefore) {
+  EXPECT_THAT(Arrived().told_in_the_hall(), ::testing::ElementsAre("You are passing statue."));
+}
+
+TEST(Navigation, APointThatTheUserAddsAfterArrivalIsTold) {
+  Arrived led;
+  led.profile.add_landmark_list("5,2,0 bench");
+  led.stand(location(7.2, 6, 0), 6s);
+  EXPECT_THAT(led.told_in_the_hall(), ::testing::Contains("You are passing bench."));
+}
+
+TEST(Navigation, WhoHasLoggedOutIsToldOfNoPoint) {
+  Arrived led;
+  led.log_out();
+  EXPECT_THAT(led.told_in_the_hall(), ::testing::IsEmpty());
+}
+
+TEST(Navigation, WhoLogsOutOnTheWayIsToldSoAndOfNoPoint) {
+  Arrived led;
+  led.go_to(of_user(destination(25, 6, 0), "ada"));
+  led.stand(location(7.2, 6, 0));
+  led.log_out();
+  const Instruction last = led.last();
+  EXPECT_EQ(last.kind(), Instruction::NO_PATH);
+  EXPECT_EQ(last.text(), "Your profile cannot be had: there is no such session, or it has ended.");
+  EXPECT_FALSE(led.last_path().is_valid());
+  EXPECT_THAT(led.told_in_the_hall(), ::testing::IsEmpty());
+}
+
+TEST(Navigation, WhoseSessionCannotBeCheckedOnceIsLedOn) {
+  Arrived led;
+  led.go_to(of_user(destination(25, 6, 0), "ada"));
+  led.stand(location(7.2, 6, 0));
+  led.log_out(5s);  // asked once, and the authenticator was just being started again
+  led.replace("profile", [&](ReplySink& client) {
+    client.answer(Outcome::Ok, {}, std::make_shared<hmi::CommUserProfileReply>(led.profile));
+  });
+  led.stand(location(7.2, 6, 0), 6s);
+  EXPECT_NE(led.last().kind(), Instruction::NO_PATH);
+  EXPECT_TRUE(led.last_path().is_valid());
+}
+
+TEST(Navigation, WhoArrivesWhileTheirPlaceMovesOverIsNotInDoubtForEver) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(8, 6, 0));
+  led.stand(location(5, 6, 0));
+  led.stand(location(7.4, 6, 0), 200ms);
+  EXPECT_TRUE(led.last().uncertain());
+  led.stand(location(7.4, 6, 0), 4s);
+  const Instruction last = led.last();
+  EXPECT_EQ(last.kind(), Instruction::ARRIVE);
+  EXPECT_FALSE(last.uncertain());
+}
+
+TEST(Navigation, ThePointsOfOneUserAreNotToldToTheNext) {
+  Arrived led;
+  led.profile.clear_landmark_list();
+  led.go_to(of_user(destination(8, 6, 0), "bob"));
+  led.stand(location(7.2, 6, 0));
+  EXPECT_THAT(led.told_in_the_hall(), ::testing::IsEmpty());
+}
+
+TEST(Navigation, WhoseProfileCannotBeHadForAWhileIsToldOfTheirPointsAsBefore) {
+  Arrived led;
+  led.unwire("profile");
+  led.stand(location(7.2, 6, 0), 6s);
+  EXPECT_THAT(led.told_in_the_hall(), ::testing::ElementsAre("You are passing statue."));
+}
+
+TEST(Navigation, WhoCannotBeLedIsToldOfTheirPointsAllTheSame) {
+  Led led;
+  led.profile.add_landmark_list("5,6,0 statue");
+  led.stand(location(5, 6, 0));
+  led.go_to(of_user(destination(500, 6, 1), "ada"));
+  led.stand(location(5, 6, 0), 1s);
+  std::vector<int> kinds;
+  for (const auto& one : led.said()) kinds.push_back(one.kind());
+  EXPECT_THAT(kinds, ::testing::IsSupersetOf({int{Instruction::NO_PATH}, int{Instruction::ATTENTION}}));
+}
+
+TEST(Navigation, AfterAPointOfAttentionTheInstructionThatHoldsComesAgainUnderItsOwnNumber) {
+  Arrived led;
+  led.stand(location(5, 1.5, 0), 1s);
+  const auto told = led.said();
+  ASSERT_GE(told.size(), 2u);
+  EXPECT_EQ(told.front().kind(), Instruction::ATTENTION);
+  EXPECT_EQ(told.back().kind(), Instruction::ARRIVE);
+  EXPECT_LT(told.back().number(), told.front().number());
+}
+
+/// A hall with room A and, east of it, room C, which has a door in the west, on the shorter way, and one in the east.
+building::Osm two_doors(const std::string& west, const std::string& east = "door=hinged level=0") {
+  building::Osm osm;
+  osm.node(5, 5, 3, "door=hinged level=0").node(6, 12, 3, west).node(8, 28, 3, east);
+  osm.node(10, 0, 0).node(11, 30, 0).node(12, 30, 3).node(13, 0, 3);
+  osm.way(10, {10, 11, 12, 8, 6, 5, 13, 10}, "indoor=room level=0 name=Hall");
+  osm.rectangle(20, 0, 3, 10, 8, "indoor=room level=0 name=A", {5});
+  osm.rectangle(30, 10, 3, 30, 8, "indoor=room level=0 name=C", {6, 8});
+  return osm;
+}
+constexpr const char* kOpenDoor = "door=hinged level=0";
+constexpr const char* kLockedDoor = "door=hinged level=0 access=private";
+constexpr const char* kNoDoor = "";
+
+bool leads_by(const navigation::CommPath& path, double x, double y) {
+  return std::any_of(path.waypoints().begin(), path.waypoints().end(),
+                     [&](const auto& place) { return std::hypot(place.x() - x, place.y() - y) < 1.0; });
+}
+
+/// On the way along the hall to room C.
+struct LedToC : Led {
+  LedToC() : Led(two_doors(kOpenDoor)) {
+    stand(location(6, 1.5, 0, 90));
+    go_to(destination(25, 6, 0));
+    stand(location(6, 1.5, 0, 90), 2s);
+    EXPECT_TRUE(leads_by(last_path(), 12, 3));
+    EXPECT_GT(last().number(), 0u);
+  }
+};
+
+TEST(Navigation, WhoIsLedToADoorThatIsClosedMeanwhileIsLedByAnotherOne) {
+  for (const char* closed : {kLockedDoor, kNoDoor}) {
+    LedToC led;
+    led.rebuild(two_doors(closed));
+    led.stand(location(6, 1.5, 0, 90));
+    const auto paths = led.paths();
+    ASSERT_EQ(paths.size(), 1u) << closed;
+    EXPECT_TRUE(paths[0].is_valid());
+    EXPECT_FALSE(leads_by(paths[0], 12, 3)) << closed;
+    EXPECT_TRUE(leads_by(paths[0], 28, 3)) << closed;
+    const auto said = led.said();
+    ASSERT_FALSE(said.empty());
+    EXPECT_EQ(said.back().text(), "Go straight on for 22 m.") << closed;
+  }
+}
+
+TEST(Navigation, WhomAClosedDoorLeavesNoWayIsToldSo) {
+  LedToC led;
+  led.rebuild(two_doors(kNoDoor, kLockedDoor));
+  led.stand(location(6, 1.5, 0, 90));
+  const Instruction last = led.last();
+  EXPECT_EQ(last.kind(), Instruction::NO_PATH);
+  EXPECT_EQ(last.text(), "There is no way to C that is open to you: doors on it need another right.");
+  EXPECT_FALSE(led.last_path().is_valid());
+  led.rebuild(two_doors(kOpenDoor));
+  led.stand(location(6, 1.5, 0, 90));
+  EXPECT_TRUE(led.last_path().is_valid()) << "the door is open again";
+}
+
+TEST(Navigation, AMapOfTheSameVersionIsNotAskedForAgain) {
+  LedToC led;
+  led.bench.take_any("levels");
+  led.tell_of_change(led.map.version());
+  led.stand(location(6, 1.5, 0, 90));
+  EXPECT_THAT(led.bench.take_any("levels"), ::testing::IsEmpty());
+}
+
+TEST(Navigation, ADestinationOnALevelThatHasVanishedIsToldSo) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(25, 6, 1));
+  led.stand(location(5, 6, 0), 2s);
+  led.rebuild(two_doors(kOpenDoor));
+  led.stand(location(5, 6, 0));
+  EXPECT_EQ(led.last().text(), "house has no level 1.");
+  EXPECT_FALSE(led.last_path().is_valid());
+}
+
+TEST(Navigation, AMapThatCannotBeReadIsAskedForEveryTwoSeconds) {
+  LedToC led;
+  navigation::CommLevelMap whole = led.map;
+  led.map.clear_levels();
+  led.bench.take_any("levels");
+  led.tell_of_change(2);
+  led.stand(location(6, 1.5, 0, 90), 7s);
+  EXPECT_EQ(led.last().text(), "The way cannot be planned: the map of house has no levels.");
+  EXPECT_THAT(led.bench.take_any("levels"), ::testing::SizeIs(4));
+  EXPECT_EQ(std::count(led.bench.log().begin(), led.bench.log().end(), "the map of house has no levels"), 1);
+  led.map = whole;
+  led.stand(location(6, 1.5, 0, 90), 2s);
+  EXPECT_TRUE(led.last_path().is_valid());
+}
+
+TEST(Navigation, OnceNobodyTellsOfChangesAnyMoreTheMapIsAskedForAtEachDestination) {
+  LedToC led;
+  led.unwire("change");
+  led.map = world::told(two_doors(kNoDoor).read());
+  led.go_to(destination(25, 6, 0));
+  led.stand(location(6, 1.5, 0, 90));
+  EXPECT_TRUE(leads_by(led.last_path(), 28, 3));
+}
+
+// ---- without a word
+
+TEST(Navigation, WhoWasLostWhereThereIsNoWayHearsAgainThatThereIsNone) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  led.go_to(destination(15, 6, 0));
+  led.stand(location(5, 6, 0));
+  EXPECT_EQ(led.last().kind(), Instruction::NO_PATH);
+  led.bench.advance(2s);
+  EXPECT_EQ(led.last().kind(), Instruction::LOST);
+  led.stand(location(5, 6, 0));
+  EXPECT_EQ(led.last().kind(), Instruction::NO_PATH) << "and does not stop and wait for ever";
+}
+
+TEST(Navigation, WhoAsksAgainIsAnsweredAgain) {
+  Led led;
+  led.stand(location(5, 6, 0));
+  std::vector<std::uint32_t> numbers;
+  for (int i = 0; i < 2; ++i) {
+    led.go_to(destination(15, 6, 0));
+    led.stand(location(5, 6, 0));
+    for (const auto& one : led.said()) numbers.push_back(one.number());
+  }
+  EXPECT_THAT(numbers, ::testing::ElementsAre(1u, 2u));
+}
+
+TEST(Navigation, WhoIsLostIsToldInTimeThoughTheMapIsSilent) {
+  LedToC led;
+  led.replace("levels");
+  led.tell_of_change(2);
+  led.bench.advance(1800ms);
+  EXPECT_EQ(led.last().kind(), Instruction::LOST);
+  EXPECT_FALSE(led.bench.take_silence("instructions"));
 }
 
 TEST(Navigation, TheLocationShownIsBlendedAndTheInstructionSaysUncertain) {

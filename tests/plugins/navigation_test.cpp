@@ -291,6 +291,18 @@ TEST(Guide, TheNextTurnIsInMillimetresAndByTheCurrentHeading) {
   EXPECT_EQ(advice.turn.type_of_turn(), NextTurn::HOUR_2);
 }
 
+/// The document's UInt16 ends at 65.535 m: there 90 m would read as 24.464 m.
+TEST(Guide, ATurnThatIsFurtherThanSixteenBitsOfMillimetresIsToldWithItsWholeDistance) {
+  const LevelPlan plan;
+  building::Route route;
+  for (const building::Point point : {building::Point{0, 0}, {0, 100}, {20, 100}}) route.points.push_back({point, 0.0});
+  route.length_m = 120;
+  Guide guide(plan, route, "Room 7", false, at(0));
+  const auto advice = guide.follow({{{0, 10}, 0}, 0.0, 0}, at(0));
+  EXPECT_EQ(advice.turn.distance_to_turn(), 90000u);
+  EXPECT_EQ(advice.turn.type_of_turn(), NextTurn::HOUR_3);
+}
+
 TEST(Guide, WithoutHeadingTheHourIsThatOfThePath) {
   const LevelPlan plan;
   Guide guide(plan, corner(), "Room 7", false, at(0));

@@ -91,7 +91,9 @@ class World {
   }
 
   void execute(const Node& step) {
-    const Node& action = actions_.at(step.at(0).word);
+    const auto found = actions_.find(step.at(0).word);
+    if (found == actions_.end()) throw std::runtime_error("the domain has no such action");
+    const Node& action = found->second;
     std::map<std::string, std::string> binding;
     const Node *condition = nullptr, *effect = nullptr;
     for (std::size_t i = 2; i + 1 < action.items.size(); i += 2) {
@@ -149,8 +151,10 @@ class World {
       throw std::runtime_error("it has not as many arguments as parameters");
     for (std::size_t i = 0; i < parameters.size(); ++i) {
       const std::string& object = step.at(i + 1).word;
+      const auto type = type_of_.find(object);
+      if (type == type_of_.end()) throw std::runtime_error("there is no object " + object);
       bool fits = false;
-      for (const std::string& wanted : parameters[i].second) fits = fits || is_kind_of(type_of_.at(object), wanted);
+      for (const std::string& wanted : parameters[i].second) fits = fits || is_kind_of(type->second, wanted);
       if (!fits) throw std::runtime_error(object + " is of a wrong type");
       binding[parameters[i].first] = object;
     }

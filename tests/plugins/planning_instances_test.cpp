@@ -1,4 +1,5 @@
 // Problems of the International Planning Competition, where they are on this machine.
+#include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -60,9 +61,14 @@ testing::Validation validation_of(const std::string& domain, const std::string& 
   return testing::validate(domain, problem, plan);
 }
 
-TEST_F(PlanningInstances, EachIsSolvedByAValidPlanWithin512MiB) {
+/// 5000 are for cheaper plans, some hundred for the first one. A machine may be busy, and takes its time: that each
+/// takes less than 5 s of an idle one is what fiona-planner-bench says.
+constexpr std::uint64_t kMostExpanded = 10'000;
+
+TEST_F(PlanningInstances, EachIsSolvedByAValidPlanWithin512MiBAndTenThousandExpandedStates) {
   for_each([](const std::string& name, const std::string& domain, const std::string& problem) {
     const auto answer = plan({.domain = domain, .problem = problem, .time_bound = 600s});
+    EXPECT_LE(answer.statistics.expanded, kMostExpanded) << name;
     EXPECT_EQ(answer.outcome, PlanAnswer::Outcome::Solved) << name << ": " << answer.message;
     const auto validation = validation_of(domain, problem, answer);
     EXPECT_EQ(validation.error, "") << name;

@@ -1,5 +1,5 @@
-// The planner without FIONA, on small domains: what it answers, that an independent validator agrees, and that nothing
-// that it is given makes it work without bound.
+// The planner without FIONA, on small domains: what it answers, that an independent validator agrees, which itself is
+// shown broken plans, what the search is guided by, and that nothing that it is given makes it work without bound.
 #include <algorithm>
 #include <chrono>
 #include <random>
@@ -9,6 +9,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "best_first.hpp"
+#include "ff_heuristic.hpp"
+#include "grounder.hpp"
 #include "plan_validator.hpp"
 #include "planner.hpp"
 #include "planning_domains.hpp"
@@ -20,6 +23,8 @@ using Outcome = PlanAnswer::Outcome;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Optional;
+using ::testing::UnorderedElementsAre;
 using namespace std::chrono_literals;
 
 /// Long enough for a sanitizer on a busy machine.
@@ -48,6 +53,213 @@ std::string small_domain(const std::string& actions) {
 std::string small_problem(const std::string& init, const std::string& goal) {
   return "(define (problem one) (:domain small) (:objects a b) (:init " + init + ") (:goal " + goal + "))";
 }
+
+// ---- the validator
+
+/// By stairs and key: the cheapest one.
+testing::PlanText plan_by_key() {
+  return {"(walk foyer landing-0)",
+          "(climb landing-0 landing-1)",
+          "(walk landing-1 office)",
+          "(take key-7 office)",
+          "(walk office landing-1)",
+          "(climb landing-1 landing-2)",
+          "(unlock key-7 landing-2 laboratory)",
+          "(walk landing-2 laboratory)"};
+}
+
+testing::Validation validation_of(const testing::PlanText& plan) {
+  return testing::validate(testing::kBuildingDomain, testing::kBuildingProblem, plan);
+}
+
+/// The plan by key with one step replaced, from 1.
+testing::Validation with_step(std::size_t number, const std::string& step) {
+  testing::PlanText plan = plan_by_key();
+  plan.at(number - 1) = step;
+  return validation_of(plan);
+}
+
+TEST(PlanValidator, AddsUpWhatTheStepsCost) {
+  EXPECT_EQ(validation_of(plan_by_key()).error, "");
+  EXPECT_DOUBLE_EQ(validation_of(plan_by_key()).cost, 89);
+  testing::PlanText detour = plan_by_key();
+  detour.insert(detour.begin() + 1, {"(walk landing-0 foyer)", "(walk foyer landing-0)"});
+  EXPECT_EQ(validation_of(detour).error, "");
+  EXPECT_DOUBLE_EQ(validation_of(detour).cost, 105);
+}
+
+TEST(PlanValidator, FindsAMissingStepWhereTheNextOneNeedsIt) {
+  testing::PlanText plan = plan_by_key();
+  plan.erase(plan.begin() + 1);
+  EXPECT_EQ(validation_of(plan).error, "step 2, (walk landing-1 office): its precondition does not hold");
+}
+
+TEST(PlanValidator, RefusesAStepWhosePreconditionIsTakenAwayByTheOneBefore) {
+  EXPECT_EQ(with_step(2, "(walk foyer landing-0)").error,
+            "step 2, (walk foyer landing-0): its precondition does not hold");
+}
+
+TEST(PlanValidator, RefusesAStepThatNeedsThatSomethingIsNotSo) {
+  EXPECT_EQ(with_step(7, "(walk landing-2 laboratory)").error,
+            "step 7, (walk landing-2 laboratory): its precondition does not hold");
+}
+
+TEST(PlanValidator, RefusesAStepBetweenTwoThatAreOneWhereTheyMustDiffer) {
+  EXPECT_EQ(
+      validation_of({"(walk foyer landing-0)", "(call-lift landing-2 landing-0)", "(call-lift landing-0 landing-0)"})
+          .error,
+      "step 3, (call-lift landing-0 landing-0): its precondition does not hold");
+}
+
+TEST(PlanValidator, RefusesAPlanThatEndsBeforeTheGoal) {
+  testing::PlanText plan = plan_by_key();
+  plan.pop_back();
+  EXPECT_EQ(validation_of(plan).error, "the goal is not reached");
+}
+
+TEST(PlanValidator, RefusesAPlanThatReachesAPartOfTheGoal) {
+  std::string problem = testing::kBuildingProblem;
+  problem.replace(problem.find("(at foyer)"), 10, "(at landing-2) (may staff)");
+  const testing::PlanText plan{"(swipe staff landing-2 laboratory)", "(walk landing-2 laboratory)"};
+  EXPECT_EQ(testing::validate(testing::kBuildingDomain, problem, plan).error, "the goal is not reached");
+}
+
+TEST(PlanValidator, RefusesAnActionThatTheDomainDoesNotHave) {
+  EXPECT_EQ(with_step(2, "(fly landing-0 landing-1)").error,
+            "step 2, (fly landing-0 landing-1): the domain has no such action");
+}
+
+TEST(PlanValidator, RefusesAnArgumentTooFewOrTooMany) {
+  for (const std::string step : {"(walk foyer)", "(walk foyer landing-0 landing-1)"})
+    EXPECT_EQ(with_step(1, step).error, "step 1, " + step + ": it has not as many arguments as parameters");
+}
+
+TEST(PlanValidator, RefusesAnArgumentOfAWrongTypeOrThatIsNoObject) {
+  EXPECT_EQ(with_step(4, "(take office office)").error, "step 4, (take office office): office is of a wrong type");
+  EXPECT_EQ(with_step(4, "(take key-8 office)").error, "step 4, (take key-8 office): there is no object key-8");
+}
+
+// ---- what the search is guided by
+
+/// Two doors and the key to both, which lies in the foyer; there is a lamp, too, and a drain.
+enum Fact : Index { InFoyer, HasKey, OfficeOpen, StoreOpen, LampOn, kFacts };
+enum Step : Index { Take, OpenOffice, OpenStore, SwitchOn, DropIntoDrain, kSteps };
+
+struct Keys {
+  Keys() : task(memory) {
+    task.fact_count = kFacts;
+    add({InFoyer}, {HasKey}, {});
+    add({HasKey}, {OfficeOpen}, {HasKey});
+    add({HasKey}, {StoreOpen}, {HasKey});
+    add({InFoyer}, {LampOn}, {});
+    add({HasKey}, {}, {HasKey, InFoyer});
+    task.goal.assign({OfficeOpen, StoreOpen});
+  }
+  void add(std::initializer_list<Index> needs, std::initializer_list<Index> adds, std::initializer_list<Index> deletes,
+           Cost cost = 1) {
+    task.needs.add(needs);
+    task.adds.add(adds);
+    task.deletes.add(deletes);
+    task.costs.push_back(cost);
+  }
+  struct Guess {
+    std::optional<Cost> estimate;
+    std::vector<Index> preferred;
+  };
+  Guess guess(std::initializer_list<Index> facts) const {
+    std::vector<std::uint64_t> state(1);
+    for (const Index fact : facts) set(state, fact);
+    Pace pace(kAmpleTime);
+    FfHeuristic heuristic(task, task.costs, pace, memory);
+    Guess made;
+    const auto guessing = [](FfHeuristic& from, State of, std::optional<Cost>& estimate) -> Async<> {
+      auto estimating = from.estimate(of);
+      estimate = co_await estimating;
+    };
+    pace.run(guessing(heuristic, state, made.estimate), 1h);
+    made.preferred.assign(heuristic.preferred().begin(), heuristic.preferred().end());
+    return made;
+  }
+
+  std::pmr::memory_resource* memory = std::pmr::new_delete_resource();
+  GroundTask task;
+};
+
+TEST(FfHeuristic, CountsEachStepOfAPlanWithoutDeletesOnce) {
+  const Keys keys;
+  EXPECT_THAT(keys.guess({InFoyer}).estimate, Optional(3)) << "the key is taken for both doors";
+  EXPECT_THAT(keys.guess({InFoyer, HasKey}).estimate, Optional(2));
+  EXPECT_THAT(keys.guess({HasKey, OfficeOpen}).estimate, Optional(1));
+  EXPECT_THAT(keys.guess({OfficeOpen, StoreOpen, LampOn}).estimate, Optional(0));
+}
+
+TEST(FfHeuristic, IsInfiniteWhereNothingLeadsToTheGoal) {
+  const Keys keys;
+  EXPECT_EQ(keys.guess({OfficeOpen, LampOn}).estimate, std::nullopt) << "the key is in the drain";
+  EXPECT_THAT(keys.guess({OfficeOpen, LampOn}).preferred, IsEmpty());
+}
+
+TEST(FfHeuristic, TakesTheCheapestOfSeveralWaysAndAddsUpItsCosts) {
+  Keys keys;
+  keys.task.costs.assign({9, 1, 1, 3, 1});
+  EXPECT_THAT(keys.guess({InFoyer}).estimate, Optional(11));
+  keys.add({LampOn}, {HasKey}, {}, 4);  // by light the key is found sooner
+  EXPECT_THAT(keys.guess({InFoyer}).estimate, Optional(9));
+}
+
+TEST(FfHeuristic, PrefersTheStepsOfThatPlanThatCanBeTakenAtOnce) {
+  const Keys keys;
+  EXPECT_THAT(keys.guess({InFoyer}).preferred, ElementsAre(Take)) << "not the lamp, and no door before the key";
+  EXPECT_THAT(keys.guess({InFoyer, HasKey}).preferred, UnorderedElementsAre(OpenOffice, OpenStore));
+  EXPECT_THAT(keys.guess({InFoyer, HasKey, StoreOpen}).preferred, ElementsAre(OpenOffice));
+  EXPECT_THAT(keys.guess({OfficeOpen, StoreOpen}).preferred, IsEmpty());
+}
+
+/// 40 rooms in a row, and ten niches beside each, which are told of before the next room is.
+std::string row_with_niches() {
+  std::string objects, init;
+  const auto join = [&](const std::string& a, const std::string& b) {
+    for (const std::string& pair : {a + " " + b, b + " " + a})
+      init += "(door " + pair + ") (= (metres " + pair + ") 3) ";
+  };
+  for (int i = 0; i < 40; ++i) {
+    const std::string room = "r" + std::to_string(i);
+    for (int k = 0; k < 10; ++k) {
+      const std::string niche = room + "-" + std::to_string(k);
+      objects += niche + " ";
+      join(room, niche);
+    }
+    objects += room + " ";
+    if (i > 0) join("r" + std::to_string(i - 1), room);
+  }
+  return "(define (problem row) (:domain building) (:objects " + objects + "- room) (:init (at r0) " + init +
+         ") (:goal (at r39)) (:metric minimize (total-cost)))";
+}
+
+Async<> search_greedily(const std::string& problem, Pace& pace, Statistics& statistics) {
+  std::pmr::memory_resource* memory = std::pmr::new_delete_resource();
+  LiftedTask lifted(memory);
+  read_domain(lifted, testing::kBuildingDomain, pace);
+  auto reading = read_problem(lifted, problem, pace);
+  co_await reading;
+  GroundTask task(memory);
+  auto grounding = ground(lifted, task, pace);
+  co_await grounding;
+  BestFirst search(task, {.counts_costs = false}, pace, statistics, memory);
+  auto running = search.run();
+  const BestFirst::End end = co_await running;
+  EXPECT_EQ(end, BestFirst::End::Found);
+}
+
+TEST(BestFirst, PreferredOperatorsLeadPastWhatIsBesideTheWay) {
+  Pace pace(kAmpleTime);
+  Statistics statistics;
+  pace.run(search_greedily(row_with_niches(), pace, statistics), 1h);
+  EXPECT_GT(statistics.generated, 400u) << "each step is one of eleven or twelve";
+  EXPECT_LT(statistics.expanded, 80u) << "without them a room's niches are looked into before the next room";
+}
+
+// ---- plans
 
 TEST(SymbolicPlanner, ThePlanThroughABuildingIsValidAndCostsWhatItSays) {
   const auto answer = solve(testing::kBuildingDomain, testing::kBuildingProblem);

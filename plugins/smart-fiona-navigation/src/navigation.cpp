@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 #include <vector>
 
+#include <fiona/building/declination.hpp>
 #include <fiona/building/geometry.hpp>
 #include <fiona/building/levels.hpp>
 
@@ -41,7 +41,9 @@ constexpr int kMostWaypoints = 4096;
 /// 95 % of two dimensions lie within so many standard deviations.
 constexpr double kRegionSigmas = 2.4477;
 
-double radians(double degrees) { return degrees * std::numbers::pi / 180.0; }
+bool is_same(const building::RouteOptions& a, const building::RouteOptions& b) {
+  return a.stairs == b.stairs && a.lift == b.lift && a.outdoors == b.outdoors && a.access == b.access;
+}
 
 Covariance covariance_of(const localisation::CommPosition& position) {
   if (position.confidence_size() != 9) return {};
@@ -65,28 +67,42 @@ void Navigation::on_destination(const navigation::CommDestination& wish) {
   end_guidance();
   trip_ = Trip{.number = ++trips_, .wish = wish};
   trip_->goal = {{wish.destination().x(), wish.destination().y()}, wish.destination().z()};
-  plan_due_ = true;
-  try_at_ = now();
-  profile_at_.reset();
+  plan_due_at_ = now();
+  ask_for(wish.user_name(), wish.session());
+  said_.Clear();  // who asks again is answered again
+  const bool is_told_of_changes = watches_ && change_.connection() == Connection::Connected;
+  if (!is_told_of_changes) map_due_at_ = now();
+}
+
+/// They are known from then on until they log out, or another one wants to go somewhere.
+void Navigation::ask_for(const std::string& user_name, const std::string& session) {
+  if (user_.user_name() != user_name || user_.session() != session) passing_.watch({});
+  user_.set_user_name(user_name);
+  user_.set_session(session);
   options_ = {.access = 0};
-  passing_.watch({});
-  if (!watches_) map_due_ = true;  // nobody tells of changes
+  has_profile_ = was_refused_ = false;
+  profile_fault_.clear();
+  profile_due_at_ = now();
 }
 
 void Navigation::on_map_change(const Fired<navigation::LevelMapVersion>& change) {
-  if (!map_ || map_->plan.version != change->version()) map_due_ = true;
+  if (!map_ || map_->plan.version != change->version()) map_due_at_ = now();
 }
 
-/// All that guidance waits for is done here, one after the other.
-Async<> Navigation::work() {
+/// What waits for nobody: a person whose place is lost is told so though the planner is silent, too.
+void Navigation::tell() {
   watch_location();
   show_again();
   instructions_.still_valid();
   turn_.still_valid();
   path_.still_valid();
-  if (map_due_) co_await fetch_map();
-  if (trip_ && guide_ && profile_at_ && now() - *profile_at_ >= kProfilePeriod) co_await refresh_profile();
-  if (trip_ && plan_due_ && now() >= try_at_) co_await plan();
+}
+
+/// All that guidance waits for is done here, one after the other.
+Async<> Navigation::work() {
+  if (is_due(map_due_at_)) co_await fetch_map();
+  if (is_due(profile_due_at_)) co_await ask_profile();
+  if (trip_ && is_due(plan_due_at_)) co_await plan();
 }
 
 Async<> Navigation::watch_map() {
@@ -98,42 +114,51 @@ Async<> Navigation::watch_map() {
 }
 
 Async<> Navigation::fetch_map() {
-  map_due_ = false;
+  map_due_at_.reset();
   const auto answer = co_await levels_.query({});
-  map_fault_.clear();
+  std::string fault;
   try {
     if (answer) {
       map_ = std::make_shared<Map>(read_level_plan(**answer));
+      const localisation::CommPosition& place = (*answer)->reference();
+      declination_rad_ = building::declination_rad(place.reference_lat(), place.reference_long(),
+                                                   std::chrono::milliseconds(to_milliseconds(now())));
     } else {
-      map_fault_ = "there is no map of the building: " + reason_of(answer);
+      fault = "there is no map of the building: " + reason_of(answer);
     }
   } catch (const Error& error) {
-    map_fault_ = error.text().what;
+    fault = error.text().what;
   }
-  if (!map_fault_.empty()) {
-    log(LogLevel::Warning, map_fault_);
+  if (!fault.empty()) {
+    if (fault != map_fault_) log(LogLevel::Warning, fault);
     // A map that cannot be read is not led by, and neither is the one before it: a door may be closed.
     map_.reset();
+    if (!map_due_at_) map_due_at_ = now() + kAgain;
   }
-  if (trip_) plan_due_ = true, try_at_ = now();
+  map_fault_ = std::move(fault);
+  plan_due_at_ = now();
 }
 
-Async<std::optional<Navigation::Refusal>> Navigation::ask_profile() {
-  hmi::CommUserProfileRequest request;
-  request.set_user_name(trip_->wish.user_name());
-  request.set_session(trip_->wish.session());
-  const bool guest = request.user_name().empty() && request.session().empty();
-  const std::uint64_t number = trip_->number;
-  const auto answer = co_await profile_.query(std::move(request), kProfileDeadline);
-  if (!is_trip(number)) co_return std::nullopt;
-  profile_at_ = now();
-  if (!answer) {
-    if (guest && answer.outcome() == Outcome::Unwired) co_return std::nullopt;
-    const bool refused = answer.outcome() == Outcome::Rejected;
-    co_return Refusal{"Your profile cannot be had: " + reason_of(answer) + ".",
-                      refused ? std::nullopt : std::optional<Duration>(kAgain)};
-  }
-  const hmi::CommUserProfileReply& profile = **answer;
+/// What a profile says holds from then on; one that cannot be had just now stays as it was.
+Async<> Navigation::ask_profile() {
+  const std::uint64_t number = trips_;
+  const bool is_guest = user_.user_name().empty() && user_.session().empty();
+  const auto answer = co_await profile_.query(user_, kProfileDeadline);
+  if (number != trips_) co_return;  // another user's, perhaps
+  const bool has_answer = answer || (is_guest && answer.outcome() == Outcome::Unwired);
+  profile_due_at_ = now() + (has_answer ? Duration(kProfilePeriod) : Duration(kAgain));
+  // Whoever checks sessions may have been late, or is just being started again: nobody is left without a way for that.
+  const bool is_refused = answer.outcome() == Outcome::Rejected;
+  if (is_refused && std::exchange(was_refused_, true)) co_return forget_user(answer.reason());
+  was_refused_ = is_refused;
+  const building::RouteOptions before = options_;
+  if (answer) take_profile(**answer);
+  if (!has_answer) profile_fault_ = "Your profile cannot be had: " + reason_of(answer) + ".";
+  if (!has_profile_ || !is_same(options_, before)) plan_due_at_ = now();
+  has_profile_ = has_profile_ || has_answer;
+}
+
+void Navigation::take_profile(const hmi::CommUserProfileReply& profile) {
   options_ = {.stairs = !profile.has_use_stairs() || profile.use_stairs(),
               .lift = !profile.has_use_elevator() || profile.use_elevator(),
               .outdoors = !profile.has_use_outdoor_navigation() || profile.use_outdoor_navigation(),
@@ -147,22 +172,17 @@ Async<std::optional<Navigation::Refusal>> Navigation::ask_profile() {
     }
   }
   passing_.watch(std::move(points));
-  co_return std::nullopt;
 }
 
-/// A profile that is changed on the way holds from then on; one that cannot be had just now stays as it was.
-Async<> Navigation::refresh_profile() {
-  const building::RouteOptions before = options_;
-  const auto refusal = co_await ask_profile();
-  if (refusal && !refusal->again) {
-    end_guidance();
-    trip_.reset();
-    say(Instruction::NO_PATH, refusal->text);
-  }
-  if (before.stairs != options_.stairs || before.lift != options_.lift || before.outdoors != options_.outdoors ||
-      before.access != options_.access) {
-    plan_due_ = true;
-  }
+/// Whoever has logged out is neither led nor told of their points.
+void Navigation::forget_user(const std::string& why) {
+  user_.Clear();
+  profile_due_at_.reset();
+  passing_.watch({});
+  if (!trip_) return;
+  end_guidance();
+  trip_.reset();
+  say(Instruction::NO_PATH, "Your profile cannot be had: " + why + ".");
 }
 
 /// Who may be in one of several rooms is found once they move.
@@ -177,28 +197,22 @@ bool Navigation::is_sought() {
 Async<> Navigation::plan() {
   const std::uint64_t number = trip_->number;
   const auto from = start();
-  if (!from) co_return;
+  const bool has_asked = has_profile_ || !profile_fault_.empty();
+  if (!from || !has_asked) co_return;
   std::optional<Refusal> refusal;
   if (!map_) {
-    map_due_ = true;
-    refusal = Refusal{"The way cannot be planned: " + map_fault_ + ".", kAgain};
+    refusal = Refusal{"The way cannot be planned: " + map_fault_ + ".", {}};
   } else {
     refusal = check(*trip_);
   }
   if (!refusal && is_sought()) co_return;
-  plan_due_ = false;
-  if (!refusal && !profile_at_) {
-    refusal = co_await ask_profile();
-    if (refusal) profile_at_.reset();
-    if (!is_trip(number)) co_return;
-  }
+  plan_due_at_.reset();
+  if (!refusal && !has_profile_) refusal = Refusal{profile_fault_, {}};
   if (!refusal) refusal = co_await find_path(*from);
   if (!is_trip(number) || !refusal) co_return;
   end_guidance();
   say(refusal->kind, refusal->text);
-  if (!refusal->again) co_return;
-  plan_due_ = true;
-  try_at_ = now() + *refusal->again;
+  if (refusal->again) plan_due_at_ = now() + *refusal->again;
 }
 
 std::optional<Navigation::Refusal> Navigation::check(const Trip& trip) const {
@@ -333,14 +347,15 @@ void Navigation::on_location(const Received<localisation::CommLocation>& locatio
   std::optional<double> heading = course_rad_;
   if (location->orientation().is_valid()) {
     // Yaw goes counter-clockwise from magnetic north.
-    heading = radians(params_->declination()) - location->orientation().yaw();
+    heading = declination_rad_ - location->orientation().yaw();
   }
   // What is shown moves over; guidance is to know at once.
   walker_ = Walker{{at, position.z()}, heading, covariance.sigma_m()};
   uncertain_ = shown.blending || kRegionSigmas * shown.covariance.sigma_m() > params_->uncertain_radius();
   located_ = now();
-  put_shown(*location, shown);
+  put_shown(*location, shown, location.origin);
   lead();
+  say_again();
   tell_passed_points();
 }
 
@@ -360,9 +375,12 @@ void Navigation::watch_location() {
   blender_.forget();
   course_from_.reset();
   course_rad_.reset();
+  say_again();
   if (!trip_) return;
   say(Instruction::LOST, walker_ ? "Your place is not known any more. Stop, and wait."
                                  : "Your place is not known yet. Stay where you are.");
+  // Whoever is not led, because there is no way, is to hear so again, and not to wait for ever.
+  if (!guide_) plan_due_at_ = now();
 }
 
 void Navigation::lead() {
@@ -371,8 +389,7 @@ void Navigation::lead() {
   if (advice.off_path) {
     reroutes_.set(++reroutes_count_);
     end_guidance();
-    plan_due_ = true;
-    try_at_ = now();
+    plan_due_at_ = now();
     return say(Instruction::REROUTE, "You have left the path. Stop: another one is being planned.");
   }
   const bool again = std::exchange(other_said_, false);
@@ -395,7 +412,19 @@ void Navigation::tell_passed_points() {
     attention.set_number(++number_);
     attention.set_uncertain(uncertain_);
     instructions_.put(attention);
+    attends_ = true;
   }
+}
+
+/// A point of attention stands beside the instruction that holds, and not in its place; and who is not led any more is told
+/// when their place is in doubt, and when it is no more.
+void Navigation::say_again() {
+  const bool attended = std::exchange(attends_, false);
+  const bool in_doubt = uncertain_ || said_.kind() == Instruction::LOST;
+  const bool doubts_otherwise = !guide_ && said_.uncertain() != in_doubt;
+  if ((!attended && !doubts_otherwise) || said_.kind() == Instruction::KIND_UNSPECIFIED) return;
+  said_.set_uncertain(in_doubt);
+  instructions_.put(said_);
 }
 
 /// The same sentence is said once; who comes later is given it by the service.
@@ -416,10 +445,12 @@ void Navigation::say(Instruction instruction, bool is_new) {
   instruction.set_number(is_new ? number_ : said_.number());
   instruction.set_uncertain(uncertain_ || instruction.kind() == Instruction::LOST);
   said_ = instruction;
+  attends_ = false;
   instructions_.put(std::move(instruction));
 }
 
-void Navigation::put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown) {
+void Navigation::put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown,
+                           TimePoint origin) {
   localisation::CommLocation told = location;
   localisation::CommPosition& position = *told.mutable_position();
   position.set_x(shown.at.x_m);
@@ -432,7 +463,7 @@ void Navigation::put_shown(const localisation::CommLocation& location, const Sho
     position.set_confidence(4, shown.covariance.yy_m2);
   }
   last_shown_ = std::move(told);
-  shown_.put(*last_shown_);
+  shown_.put(*last_shown_, origin);
   shown_at_ = now();
 }
 

@@ -53,13 +53,16 @@ class Navigation final : public Component {
   void on_location(const Received<localisation::CommLocation>& location);
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
 
+  void tell();
   Async<> work();
   Async<> watch_map();
   Async<> fetch_map();
-  Async<> refresh_profile();
+  void ask_for(const std::string& user_name, const std::string& session);
+  Async<> ask_profile();
+  void take_profile(const hmi::CommUserProfileReply& profile);
+  void forget_user(const std::string& why);
   bool is_sought();
   Async<> plan();
-  Async<std::optional<Refusal>> ask_profile();
   Async<std::optional<Refusal>> find_path(building::PathPoint from);
   std::optional<Refusal> check(const Trip& trip) const;
   std::optional<building::PathPoint> start();
@@ -67,17 +70,19 @@ class Navigation final : public Component {
   std::string goal_name() const;
   /// Another destination may have come while something was asked for.
   bool is_trip(std::uint64_t number) const { return trip_ && trip_->number == number; }
+  bool is_due(const std::optional<TimePoint>& at) const { return at && now() >= *at; }
 
   void note_heading(const localisation::CommLocation& location);
   void lead();
   void tell_passed_points();
+  void say_again();
   void watch_location();
   void begin_guidance(std::shared_ptr<Map> map, building::Route route);
   void end_guidance();
   void say(hmi::Instruction instruction, bool is_new);
   void say(hmi::Instruction::Kind kind, const std::string& text);
   void show_again();
-  void put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown);
+  void put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown, TimePoint origin);
   void put_path(const building::Route* route);
 
   Params<Parameters> params_{*this};
@@ -101,17 +106,25 @@ class Navigation final : public Component {
   Probe<std::int64_t> plans_{*this, "plans", {.doc = "ways found so far"}};
   Probe<std::int64_t> reroutes_{*this, "reroutes", {.doc = "how often the person has left the path"}};
   Probe<double> planned_in_{*this, "planned_in", {.unit = "ms", .doc = "time of computation of the newest plan"}};
+  Task tell_{*this, "tell", std::chrono::milliseconds(100), &Navigation::tell};
   Task work_{*this, "work", std::chrono::milliseconds(100), &Navigation::work};
   Task watch_{*this, "watch", std::chrono::seconds(1), &Navigation::watch_map};
 
   // what is known
   std::shared_ptr<Map> map_;
   std::string map_fault_;
-  bool map_due_ = true;
+  double declination_rad_ = 0.0;  ///< at the map's place
+  std::optional<TimePoint> map_due_at_{TimePoint{}};
   bool watches_ = false;
+  // who the person is
+  hmi::CommUserProfileRequest user_;
+  std::optional<TimePoint> profile_due_at_;  ///< none: there is nobody to ask for
+  bool has_profile_ = false;
+  bool was_refused_ = false;  ///< when it was asked for last
+  std::string profile_fault_;
   building::RouteOptions options_{};
-  bool refused_point_ = false;           ///< of the profile: told once
-  std::optional<TimePoint> profile_at_;  ///< when it was asked for
+  bool refused_point_ = false;  ///< of the profile: told once
+  Passing passing_;
   // where the person is
   ShownPosition blender_;
   std::optional<Walker> walker_;
@@ -125,14 +138,13 @@ class Navigation final : public Component {
   // where the person is led
   std::optional<Trip> trip_;
   std::uint64_t trips_ = 0;
-  bool plan_due_ = false;
-  TimePoint try_at_{};
+  std::optional<TimePoint> plan_due_at_;
   std::shared_ptr<Map> led_by_;  ///< the map that the guide refers to
   std::optional<Guide> guide_;
-  Passing passing_;
   hmi::Instruction said_;
   std::uint32_t number_ = 0;
   bool other_said_ = false;  ///< the guide's instruction is to be said again, with a number
+  bool attends_ = false;     ///< a point of attention was told last
   std::int64_t plans_count_ = 0;
   std::int64_t reroutes_count_ = 0;
 };
