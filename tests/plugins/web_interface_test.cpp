@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "attentions.hpp"
 #include "fiona/testing/bench.hpp"
 #include "page_calls.hpp"
 #include "system_json.hpp"
@@ -233,6 +234,43 @@ TEST(Board, ASlowReaderSkipsWhatWasReplaced) {
   EXPECT_EQ(news[1].topic + news[1].text, "a2");
   board.set("a", "2");
   EXPECT_TRUE(board.since(seen).empty()) << "nothing has changed";
+}
+
+hmi::Instruction passing(std::uint32_t number) {
+  hmi::Instruction one;
+  one.set_number(number);
+  one.set_kind(hmi::Instruction::ATTENTION);
+  one.set_text("You are passing statue.");
+  return one;
+}
+
+std::vector<int> numbers_in(const std::string& list) {
+  std::vector<int> numbers;
+  for (const json& one : json::parse(list)) numbers.push_back(one["number"]);
+  return numbers;
+}
+
+TEST(Attentions, StandBesideEachOtherUntilTheyAreNoNewsAnyMore) {
+  Attentions attentions;
+  const TimePoint begin{1h};
+  EXPECT_EQ(attentions.json(begin), "[]");
+  attentions.add(passing(1), begin);
+  attentions.add(passing(2), begin + 5s);
+  EXPECT_EQ(numbers_in(attentions.json(begin + 5s)), (std::vector{1, 2}));
+  EXPECT_EQ(numbers_in(attentions.json(begin + 8s)), std::vector{2});
+  EXPECT_EQ(attentions.json(begin + 13s), "[]");
+}
+
+TEST(Attentions, OneThatWasToldLongAgoIsNoNewsToWhoComesLate) {
+  Attentions attentions;
+  attentions.add(passing(1), TimePoint{1h});
+  EXPECT_EQ(attentions.json(TimePoint{2h}), "[]");
+}
+
+TEST(Attentions, AreFewHoweverManyAreTold) {
+  Attentions attentions;
+  for (std::uint32_t i = 1; i <= 100; ++i) attentions.add(passing(i), TimePoint{1h});
+  EXPECT_EQ(numbers_in(attentions.json(TimePoint{1h})), (std::vector{97, 98, 99, 100}));
 }
 
 class PageSessionsTest : public ::testing::Test {

@@ -119,6 +119,49 @@ export class Claims {
   }
 }
 
+/// A call as the page makes it, with the page's own session.
+export const api = (page, name, body) =>
+  page.evaluate(
+    async ({ name, body }) => {
+      const headers = { "content-type": "application/json", authorization: `Bearer ${sessionStorage.getItem("fiona-session")}` };
+      const response = await fetch(`/api/${name}`, { method: "POST", headers, body: JSON.stringify(body) });
+      return { status: response.status, ...(await response.json()) };
+    },
+    { name, body },
+  );
+/// The newest of a topic that pages are told.
+export const newest = (page, topic) =>
+  page.evaluate(async (topic) => {
+    const stop = new AbortController();
+    const headers = { "content-type": "application/json", authorization: `Bearer ${sessionStorage.getItem("fiona-session")}` };
+    const response = await fetch("/api/events", { method: "POST", headers, body: "{}", signal: stop.signal });
+    const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+    for (let text = ""; ; ) {
+      const { done, value } = await reader.read();
+      if (done) throw new Error(`the stream has ended without ${topic}`);
+      text += value;
+      const found = text.split("\n\n").slice(0, -1).find((one) => one.startsWith(`event: ${topic}\n`));
+      if (!found) continue;
+      stop.abort();
+      return JSON.parse(found.split("data: ")[1]);
+    }
+  }, topic);
+
+/// Keeps what parts of the page say, each text when it comes: `saidBy` gives those of one, by its selector.
+export const listenTo = (page, ...selectors) =>
+  page.evaluate((selectors) => {
+    const said = (window.said = Object.fromEntries(selectors.map((one) => [one, []])));
+    const look = () => {
+      for (const one of selectors) {
+        const text = [...document.querySelectorAll(one)].map((part) => part.textContent).join(" ").trim();
+        if (text !== (said[one].at(-1) ?? "")) said[one].push(text);
+      }
+    };
+    look();
+    new MutationObserver(look).observe(document.body, { subtree: true, childList: true, characterData: true });
+  }, selectors);
+export const saidBy = async (page, selector) => (await page.evaluate((one) => window.said[one], selector)).filter(Boolean);
+
 /// playwright-core and axe-core, which are installed with what the page is built with.
 export function browserTools(modules) {
   const require = createRequire(join(modules, "x.js"));
@@ -128,12 +171,30 @@ export function browserTools(modules) {
 /// That axe-core, whose text this is, finds nothing.
 export async function accessible(axe, page, state) {
   // A context of its own: the page's policy lets no script in, and is right to.
-  await page.evaluate(axe);
-  const { violations } = await page.evaluate(() =>
-    window.axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"] }),
-  );
-  assert.deepEqual(
-    violations.map((one) => `${state}: ${one.id}: ${one.nodes.map((node) => node.html.slice(0, 120)).join(" | ")}`),
-    [],
-  );
+  if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(`${axe};undefined`);
+  const found = await page.evaluate(async () => {
+    const rules = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"];
+    const { violations } = await window.axe.run(document, { runOnly: rules, resultTypes: ["violations"] });
+    return violations.map((one) => `${one.id}: ${one.nodes.map((node) => node.html.slice(0, 120)).join(" | ")}`);
+  });
+  assert.deepEqual(found, [], state);
+}
+
+/// That nothing scrolls sideways, reaches beyond the window's sides, or is cut by the box that it is in. What is for screen
+/// readers alone is cut by intent, and so is the plan, which is moved.
+export async function uncut(page, state) {
+  const found = await page.evaluate(() => {
+    const told = (one, how) => `${how}: ${one.outerHTML.slice(0, 100)}`;
+    const faults = document.documentElement.scrollWidth > innerWidth ? ["the page scrolls sideways"] : [];
+    const seen = [...document.querySelectorAll("body *")].filter((one) => one.checkVisibility() && !one.closest(".hidden, .skip, .plan-view, svg"));
+    for (const one of seen) {
+      const box = one.getBoundingClientRect();
+      const { overflowX, overflowY } = getComputedStyle(one);
+      if (box.width > 0 && (box.left < -0.5 || box.right > innerWidth + 0.5)) faults.push(told(one, "beyond the window"));
+      if (overflowX !== "visible" && one.scrollWidth > one.clientWidth + 1) faults.push(told(one, "cut, or scrolls sideways"));
+      if (/hidden|clip/.test(overflowY) && one.scrollHeight > one.clientHeight + 1) faults.push(told(one, "cut below"));
+    }
+    return faults;
+  });
+  assert.deepEqual(found, [], state);
 }

@@ -32,10 +32,12 @@ Duration seconds(double value) { return std::chrono::duration_cast<Duration>(std
 
 WebReply refusal(int status, std::string text) { return {status, text_of({{"error", std::move(text)}})}; }
 
+std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
+
 /// What an outcome means for who reads the page.
 WebReply no_answer(const std::string& who, Outcome outcome, const std::string& reason) {
   if (outcome == Outcome::Unwired) return refusal(503, who + " is not part of this system");
-  if (outcome == Outcome::Rejected) return refusal(409, reason.substr(0, reason.find('\n')));
+  if (outcome == Outcome::Rejected) return refusal(409, first_line(reason));
   return refusal(503, who + " does not answer");
 }
 
@@ -154,8 +156,14 @@ void WebInterface::on_location(const Received<localisation::CommLocation>& locat
 
 void WebInterface::on_path(const navigation::CommPath& path) { board_.set("path", path_json(path)); }
 
-void WebInterface::on_instruction(const hmi::Instruction& instruction) {
-  board_.set("instruction", instruction_json(instruction));
+void WebInterface::on_instruction(const Received<hmi::Instruction>& instruction) {
+  // It stands beside the instruction that holds, which is still what is to be done.
+  if (instruction->kind() == hmi::Instruction::ATTENTION) {
+    attentions_.add(*instruction, instruction.origin);
+    board_.set("attention", attentions_.json(now()));
+  } else {
+    board_.set("instruction", instruction_json(*instruction));
+  }
 }
 
 void WebInterface::on_map_change(const Fired<navigation::LevelMapVersion>&) { map_version_ = 0; }
@@ -167,13 +175,19 @@ void WebInterface::tell_status() {
                                 {"instructions", state_of(instructions_)},
                                 {"destination", state_of(destination_)},
                                 {"map", state_of(levels_)},
+                                {"mapFault", map_fault()},
                                 {"login", state_of(login_)},
                                 {"profile", state_of(profile_)},
                                 {"points", state_of(points_)}}));
 }
 
+std::string WebInterface::map_fault() const {
+  return levels_.connection() == Connection::Connected ? map_fault_ : levels_.connection_reason();
+}
+
 Async<> WebInterface::look() {
   connections_.set(server_->connections());
+  board_.set("attention", attentions_.json(now()));
   tell_status();
   if (map_change_.connection() == Connection::Connected && !activation_) {
     navigation::LevelMapVersion known;
@@ -188,6 +202,7 @@ Async<> WebInterface::look() {
 
 Async<> WebInterface::fetch_map() {
   const auto map = co_await levels_.query({}, kDeadline);
+  map_fault_ = map ? "" : map.outcome() == Outcome::Rejected ? first_line(map.reason()) : "it does not answer";
   if (!map) co_return;
   map_version_ = (*map)->version();
   map_ = std::make_shared<const std::string>(map_json(**map));

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "attentions.hpp"
 #include "board.hpp"
 #include "fiona/component.hpp"
 #include "fiona/hmi.fiona.hpp"
@@ -39,11 +40,12 @@ class WebInterface final : public Component {
 
   void on_location(const Received<localisation::CommLocation>& location);
   void on_path(const navigation::CommPath& path);
-  void on_instruction(const hmi::Instruction& instruction);
+  void on_instruction(const Received<hmi::Instruction>& instruction);
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
   Async<> look();
   Async<> fetch_map();
   void tell_status();
+  std::string map_fault() const;
 
   /// [the server's thread]
   void on_call(ApiCall call, std::string from, std::shared_ptr<Responder> respond);
@@ -97,12 +99,14 @@ class WebInterface final : public Component {
   Task look_{*this, "look", std::chrono::milliseconds(250), &WebInterface::look};
 
   Board board_;
+  Attentions attentions_;
   std::unique_ptr<records::RecordStore> store_;
   std::unique_ptr<PageSessions> pages_;
   std::unique_ptr<LocalAuthority> authority_;  ///< null where only this machine is served
   std::unique_ptr<WebServer> server_;
   std::shared_ptr<const std::string> map_;  ///< as JSON; null: there is none yet
   std::uint64_t map_version_ = 0;           ///< 0: it is to be asked for
+  std::string map_fault_;                   ///< why the newest request for it gave none
   std::optional<ActivationId> activation_;
   TimePoint location_at_{};
   std::optional<std::pair<TimePoint, control::System>> system_;  ///< as it was a moment ago

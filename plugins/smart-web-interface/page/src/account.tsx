@@ -20,12 +20,20 @@ const kChoices = [
 
 export function Account({ me, map, location, close, changed }: Props) {
   const dialog = useRef<HTMLDialogElement>(null);
+  const heading = useRef<HTMLHeadingElement>(null);
+  const used = useRef<Element | null>(null);
   const [fault, setFault] = useState("");
   const [done, setDone] = useState(me.notice);
   const [busy, setBusy] = useState(false);
   useEffect(() => dialog.current?.showModal(), []);
+  // What was used is disabled meanwhile, and may be gone by now: the focus is not to be lost with it.
+  useEffect(() => {
+    if (busy || !used.current || document.activeElement !== document.body) return;
+    (used.current.isConnected ? (used.current as HTMLElement) : heading.current)?.focus();
+  }, [busy]);
 
   const ask = async (name: string, body: unknown, said: string) => {
+    used.current = document.activeElement;
     setBusy(true);
     setFault("");
     setDone("");
@@ -42,7 +50,7 @@ export function Account({ me, map, location, close, changed }: Props) {
   return (
     <dialog ref={dialog} class="account" aria-labelledby="account" onClose={close}>
       <header>
-        <h2 id="account">{me.user ? inert(me.user) : "Log in"}</h2>
+        <h2 id="account" ref={heading} tabIndex={-1}>{me.user ? inert(me.user) : "Log in"}</h2>
         <button type="button" class="close" aria-label="Close" onClick={() => dialog.current?.close()}>
           <svg viewBox="0 0 24 24" aria-hidden="true"><path d="M6 6l12 12M18 6 6 18" /></svg>
         </button>

@@ -1,19 +1,17 @@
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useState } from "preact/hooks";
 import { Account } from "./account";
-import type { BuildingMap, Destination, Instruction, Location, Me, Path, Point, Status } from "./model";
-import { Plan, shownLevel } from "./plan";
-import { pathLength, progressOf, stepsOf } from "./route";
+import { Doubt, doubtOf, useSettled } from "./doubt";
+import type { BuildingMap, Destination, Instruction, Location, Me, Path, Status } from "./model";
+import { Passing, usePassing } from "./passing";
+import { Plan } from "./plan";
+import { goalOf, pathLength, progressOf, stepsOf } from "./route";
 import { WhatIsRunning } from "./running";
 import { Search } from "./search";
 import { call, follow, open } from "./server";
 import { NoGuidance, Now, Steps } from "./steps";
 import { inert, levelName } from "./text";
 
-const kUncertain_m = 8; // semi-axis of the 95 % region above which doors are guesses
-const kPassing_m = 3;
-const kPassed_m = 6;
 const kGuest: Me = { user: null, profile: null, notice: "" };
-const kDestination = "fiona-destination";
 const kTabs = [["guide", "Guide"], ["running", "What is running"]] as const;
 type Tab = (typeof kTabs)[number][0];
 
@@ -48,56 +46,19 @@ function Tabs({ tab, choose }: { tab: Tab; choose: (tab: Tab) => void }) {
   );
 }
 
-/// Points are told once when they are passed, on their own level, and again after the walker has been away.
-function usePassing(points: Point[], location: Location | null, map: BuildingMap | null): string {
-  const near = useRef(new Set<string>());
-  const [said, setSaid] = useState("");
-  useEffect(() => {
-    if (!location?.valid || !map) return;
-    for (const point of points) {
-      const key = `${point.x},${point.y},${point.level}`;
-      const away = Math.hypot(point.x - location.x, point.y - location.y);
-      const same = shownLevel(location.level, map) === point.level;
-      if (same && away < kPassing_m && !near.current.has(key)) {
-        near.current.add(key);
-        setSaid(`Passing ${inert(point.name) || "a point of attention"}`);
-      } else if (!same || away > kPassed_m) {
-        near.current.delete(key);
-      }
-    }
-  }, [points, location, map]);
-  useEffect(() => {
-    if (!said) return;
-    const timer = setTimeout(() => setSaid(""), 8000);
-    return () => clearTimeout(timer);
-  }, [said]);
-  return said;
+/// Why there is no plan to be shown; empty: there is one.
+function whyNoMap(map: BuildingMap | null, status: Status | null): string {
+  if (map) return map.rooms.length ? "" : "The map of the building has no levels with rooms: there is nothing to be shown, and nowhere to be led.";
+  if (status?.map === "unwired") return "This system has no map.";
+  return status?.mapFault ? `There is no map of the building: ${inert(status.mapFault)}.` : "Waiting for the map…";
 }
 
-function keptDestination(): Destination | null {
-  try {
-    return JSON.parse(sessionStorage.getItem(kDestination) ?? "null");
-  } catch {
-    return null;
-  }
-}
-
-/// Why the position must not be trusted; empty: it may.
-function doubt(connected: boolean, status: Status | null, location: Location | null, guide: Instruction | null): string {
-  if (!connected) return "";
-  if (!status) return "Position not known yet";
-  const reasons: Record<string, string> = {
-    lost: "Position uncertain: localisation was lost",
-    silent: "Position uncertain: nothing is heard of localisation",
-    waiting: "Position uncertain: localisation is not there yet",
-    unwired: "No localisation in this system",
-  };
-  const reason = reasons[status.location];
-  if (reason) return reason;
-  if (!location?.valid) return "Position uncertain";
-  const within = location.ellipse ? `, within ${Math.max(1, Math.round(location.ellipse.major))} m` : "";
-  // Who guides knows more: that the place has just jumped, say.
-  return guide?.uncertain || (location.ellipse?.major ?? 0) > kUncertain_m ? `Position uncertain${within}` : "";
+function Whither({ said, to, map }: { said: string; to: Destination; map: BuildingMap | null }) {
+  return (
+    <p class="to">
+      <span>{said}</span> <strong>{inert(to.label) || "a place without a name"}</strong>, {levelName(to.level, map?.levels ?? [])}
+    </p>
+  );
 }
 
 export function App() {
@@ -113,7 +74,8 @@ export function App() {
   const [map, setMap] = useState<BuildingMap | null>(null);
   const [me, setMe] = useState<Me>(kGuest);
   const [account, setAccount] = useState(false);
-  const [destination, setDestination] = useState<Destination | null>(keptDestination);
+  const [attention, setAttention] = useState<Instruction[]>([]);
+  const [wanted, setWanted] = useState<Destination | null>(null); // picked here, and not answered yet
   const [fault, setFault] = useState("");
   const [tab, setTab] = useState<Tab>("guide");
   const [busy, setBusy] = useState(false);
@@ -129,6 +91,7 @@ export function App() {
         location: setLocation,
         path: setPath,
         instruction: setInstruction,
+        attention: setAttention,
         map: (value: { version: string }) => setVersion(value.version),
       };
       link = follow(
@@ -163,24 +126,35 @@ export function App() {
 
   const points = me.profile?.points ?? [];
   const path = status?.path === "connected" ? toldPath : null;
-  const passing = usePassing(points, location, map);
   const guide = status?.instructions === "connected" && connected ? instruction : null;
-  const uncertain = doubt(connected, status, location, guide);
+  const passing = usePassing(points, location, map, guide !== null);
+  const uncertain = useSettled(doubtOf(connected, status, location, guide));
   const certain = connected && uncertain === "";
   const progress = useMemo(() => (path ? progressOf(path, location) : null), [path, location]);
-  const steps = useMemo(() => (path ? stepsOf(path, map, destination ? inert(destination.label) : "") : []), [path, map, destination]);
+  // Another page, or the console, may have chosen another room: where one is led is what the path says.
+  const goal = useMemo(() => goalOf(path, map), [path, map]);
+  const steps = useMemo(() => (path ? stepsOf(path, map, goal?.label ?? "") : []), [path, map, goal]);
   const along = progress?.along ?? 0;
   const current = Math.max(0, steps.map((step) => step.at <= along + 0.5).lastIndexOf(true));
   const next = steps[current + 1] ?? steps[current] ?? null;
 
+  useEffect(() => {
+    if (goal) setWanted(null);
+  }, [goal]);
+  useEffect(() => {
+    if (guide?.kind === "NO_PATH" || guide?.kind === "ARRIVE") setWanted(null);
+  }, [guide]);
+
   const pick = async (to: Destination) => {
     setBusy(true);
     setFault("");
+    setWanted(to);
+    // The list of rooms closes, and what had the focus may have been in it.
+    document.getElementById("panel")?.focus();
     try {
       await call("destination", { x: to.x, y: to.y, level: to.level });
-      setDestination(to);
-      sessionStorage.setItem(kDestination, JSON.stringify(to));
     } catch (error) {
+      setWanted(null);
       setFault(`${to.label}: ${(error as Error).message}`);
     } finally {
       setBusy(false);
@@ -199,6 +173,7 @@ export function App() {
   }
   const connection = connected ? "Connected" : everConnected ? "Connection lost, connecting again…" : "Connecting…";
   const lost = status?.instructions === "lost" || (status?.instructions === "unwired" && status.path === "lost");
+  const unmapped = whyNoMap(map, status);
   const unguided = !connected ? "No guidance without a connection" : lost ? "No guidance: navigation was lost" : "";
   return (
     <div class={connected ? "app" : "app offline"}>
@@ -226,9 +201,15 @@ export function App() {
         </div>
         <div class="view guide" role="tabpanel" id="view-guide" aria-labelledby="tab-guide" hidden={tab !== "guide"}>
           <div class="lead">
-            <p role="alert" class="uncertain">{uncertain}</p>
+            <Doubt told={uncertain} connected={connected} location={location} />
             <p role="alert" class="fault">{fault}</p>
-            <p role="status" class="passing">{passing}</p>
+            <Passing
+              told={
+                guide
+                  ? attention.map((one) => ({ key: one.number, text: inert(one.text), language: one.language }))
+                  : passing.map((text) => ({ key: text, text }))
+              }
+            />
             {!account && me.notice && <p role="status" class="notice">{me.notice}</p>}
             {unguided ? (
               <NoGuidance why={unguided} />
@@ -236,20 +217,16 @@ export function App() {
               <Now instruction={guide} next={next} ahead={next && progress ? next.at - along : null} />
             )}
           </div>
-          {map ? (
-            <Plan map={map} location={location} certain={certain} path={path} progress={progress} destination={destination} points={points} />
+          {map && !unmapped ? (
+            <Plan map={map} location={location} certain={certain} path={path} progress={progress} destination={goal ?? wanted} chosen={wanted} points={points} />
           ) : (
-            <p class="no-map" role="status">{status?.map === "unwired" ? "This system has no map." : "Waiting for the map…"}</p>
+            <p class="no-map" role="status">{unmapped}</p>
           )}
           <div class="panel" id="panel" tabIndex={-1}>
-            {map ? <Search map={map} access={me.profile?.level ?? 0} busy={busy || !connected} pick={pick} /> : null}
-            {destination && (
-              <p class="to">
-                <span>To</span> <strong>{inert(destination.label)}</strong>, {levelName(destination.level, map?.levels ?? [])}
-              </p>
-            )}
+            {map && !unmapped ? <Search map={map} access={me.profile?.level ?? 0} busy={busy || !connected} pick={pick} /> : null}
+            {goal ? <Whither said="To" to={goal} map={map} /> : wanted && <Whither said="Asked for" to={wanted} map={map} />}
             {steps.length > 1 && <Steps steps={steps} current={current} total={Math.max(0, pathLength(path!) - along)} />}
-            {!steps.length && map && <p class="hint">Choose a room, and the way to it is shown here step by step.</p>}
+            {!steps.length && !wanted && map && !unmapped && <p class="hint">Choose a room, and the way to it is shown here step by step.</p>}
           </div>
         </div>
       </main>

@@ -41,6 +41,7 @@ export interface Status {
   instructions: PortState;
   destination: PortState;
   map: PortState;
+  mapFault: string; // why none can be had; empty: nothing is wrong with it
   login: PortState;
   profile: PortState;
   points: PortState;

@@ -16,6 +16,7 @@ interface Props {
   path: Path | null;
   progress: Progress | null;
   destination: Destination | null;
+  chosen: Destination | null; // just now, on this page
   points: Point[];
 }
 
@@ -167,7 +168,7 @@ function Walker({ location, certain, progress, pixel }: { location: Location; ce
   );
 }
 
-export function Plan({ map, location, certain, path, progress, destination, points }: Props) {
+export function Plan({ map, location, certain, path, progress, destination, chosen, points }: Props) {
   const whole = useMemo(() => extent(map), [map]);
   const walkersLevel = location ? shownLevel(location.level, map) : null;
   const [picked, setPicked] = useState<number | null>(null);
@@ -186,8 +187,8 @@ export function Plan({ map, location, certain, path, progress, destination, poin
 
   // Who has just chosen where to go wants to see the way from close by.
   useEffect(() => {
-    if (destination) follow();
-  }, [destination]);
+    if (chosen) follow();
+  }, [chosen]);
 
   const level = picked ?? walkersLevel ?? shownLevel(0, map);
   const centre = following && near && location?.valid ? { ...view, x: location.x, y: location.y } : view;

@@ -1,5 +1,5 @@
-import type { BuildingMap, Location, Path, Waypoint } from "./model";
-import { levelName, metres, turnOf } from "./text";
+import type { BuildingMap, Destination, Location, Path, Waypoint } from "./model";
+import { levelName, metres, roomName, turnOf } from "./text";
 
 export interface Step {
   text: string;
@@ -89,6 +89,19 @@ function contains(ring: [number, number][], [x, y]: Waypoint): boolean {
     if (y1 > y !== y2 > y && x < ((x2 - x1) * (y - y1)) / (y2 - y1) + x1) inside = !inside;
   });
   return inside;
+}
+
+const area = (ring: [number, number][]): number =>
+  Math.abs(ring.reduce((sum, [x, y], i) => sum + x * ring[(i + 1) % ring.length]![1] - y * ring[(i + 1) % ring.length]![0], 0)) / 2;
+
+/// Where a path leads, with the name of the smallest room there.
+export function goalOf(path: Path | null, map: BuildingMap | null): Destination | null {
+  const end = path?.valid ? path.points[path.points.length - 1] : undefined;
+  if (!end) return null;
+  const [room] = (map?.rooms ?? [])
+    .filter((one) => sameLevel(one.level, end[2]) && contains(one.outline, end) && !one.holes.some((hole) => contains(hole, end)))
+    .sort((one, other) => area(one.outline) - area(other.outline));
+  return { x: end[0], y: end[1], level: end[2] ?? 0, label: room ? roomName(room) : "" };
 }
 
 /// The pieces of a path between changes of level, and where along the path each begins.

@@ -1,4 +1,4 @@
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import type { Instance, Running, Wire } from "./model";
 import { Refused, call } from "./server";
 import { inert } from "./text";
@@ -43,6 +43,7 @@ interface Change {
 
 function WireCard({ wire, may, busy, change }: Change & { wire: Wire; may: boolean }) {
   const [picked, setPicked] = useState("");
+  const select = useRef<HTMLSelectElement>(null);
   const choice = wire.fits.includes(picked) ? picked : "";
   const bad = wire.provider ? wire.state !== "connected" : !wire.optional;
   return (
@@ -58,10 +59,18 @@ function WireCard({ wire, may, busy, change }: Change & { wire: Wire; may: boole
           class="swap"
           onSubmit={(event) => {
             event.preventDefault();
-            if (choice) change(wire.client, choice);
+            if (!choice) return;
+            // The button has nothing to do once it was used, and what is disabled loses the focus.
+            select.current?.focus();
+            change(wire.client, choice);
           }}
         >
-          <select aria-label={`Another provider for ${inert(wire.client)}`} value={choice} onChange={(event) => setPicked(event.currentTarget.value)}>
+          <select
+            ref={select}
+            aria-label={`Another provider for ${inert(wire.client)}`}
+            value={choice}
+            onChange={(event) => setPicked(event.currentTarget.value)}
+          >
             <option value="">Another that fits…</option>
             {wire.fits.map((one) => <option key={one} value={one}>{inert(one)}</option>)}
           </select>

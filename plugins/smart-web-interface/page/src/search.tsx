@@ -1,4 +1,4 @@
-import { useMemo, useRef, useState } from "preact/hooks";
+import { useMemo, useState } from "preact/hooks";
 import type { BuildingMap, Destination, Room } from "./model";
 import { levelName, roomName } from "./text";
 
@@ -16,7 +16,6 @@ interface Props {
 export function Search({ map, access, busy, pick }: Props) {
   const [typed, setTyped] = useState("");
   const [open, setOpen] = useState(false);
-  const input = useRef<HTMLInputElement>(null);
   const rooms = useMemo(
     () =>
       map.rooms
@@ -46,7 +45,6 @@ export function Search({ map, access, busy, pick }: Props) {
         <label for="where">Where to?</label>
         <input
           id="where"
-          ref={input}
           type="search"
           autocomplete="off"
           enterkeyhint="go"

@@ -1,0 +1,50 @@
+import { useEffect, useRef, useState } from "preact/hooks";
+import type { Instruction, Location, Status } from "./model";
+
+const kUncertain_m = 8; // semi-axis of the 95 % region above which doors are guesses
+const kSettled_ms = 1500;
+
+/// Why the position must not be trusted; empty: it may.
+export function doubtOf(connected: boolean, status: Status | null, location: Location | null, guide: Instruction | null): string {
+  if (!connected) return "";
+  if (!status) return "Position not known yet";
+  const reasons: Record<string, string> = {
+    lost: "Position uncertain: localisation was lost",
+    silent: "Position uncertain: nothing is heard of localisation",
+    waiting: "Position uncertain: localisation is not there yet",
+    unwired: "No localisation in this system",
+  };
+  const reason = reasons[status.location];
+  if (reason) return reason;
+  if (!location?.valid) return "Position uncertain";
+  // Who guides knows more: that the place has just jumped, say.
+  return guide?.uncertain || (location.ellipse?.major ?? 0) > kUncertain_m ? "Position uncertain" : "";
+}
+
+/// A doubt is over once it has been gone for a while: at its edge it would come and go with each position.
+export function useSettled(doubt: string): string {
+  const [settled, setSettled] = useState(doubt);
+  useEffect(() => {
+    if (doubt) return setSettled(doubt);
+    const timer = setTimeout(() => setSettled(""), kSettled_ms);
+    return () => clearTimeout(timer);
+  }, [doubt]);
+  return doubt || settled;
+}
+
+/// The doubt is announced when it begins, and that it is over. How far the place may be off changes with each position, and is
+/// therefore beside what is announced.
+export function Doubt({ told, connected, location }: { told: string; connected: boolean; location: Location | null }) {
+  const doubted = useRef(false);
+  if (told) doubted.current = true;
+  const region = told === "Position uncertain" && location?.valid ? location.ellipse : undefined;
+  return (
+    <>
+      <div class={told ? "doubt" : "hidden"}>
+        <p role="alert" class="uncertain">{told}</p>
+        {region && <p class="within">within {Math.max(1, Math.round(region.major))} m</p>}
+      </div>
+      <p role="status" class="hidden">{!told && connected && doubted.current ? "The position is certain." : ""}</p>
+    </>
+  );
+}

@@ -1,0 +1,194 @@
+// What a person is told, by a server that is played: where they are led, whoever chose it; once that the place is in doubt, and once
+// that it is not any more; points of attention, once, from one source; and the way on the plan, with the arrows along it.
+// usage: node told_test.mjs BIN MARKETPLACE NODE_MODULES SCREENSHOTS
+import assert from "node:assert/strict";
+import { join, resolve } from "node:path";
+import { Claims, browserProgram, browserTools, listenTo, saidBy, skip, until } from "./navigator.mjs";
+import { anna, at, instruction, kBuilding, kStatus, kToLibrary, kToOffice, play } from "./played_server.mjs";
+
+const modules = resolve(process.argv[4]);
+if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
+const browser = await browserTools(modules).chromium.launch({ executablePath: browserProgram, args: ["--no-sandbox"] });
+const context = await browser.newContext({ viewport: { width: 390, height: 844 }, reducedMotion: "reduce" });
+const claims = new Claims();
+const pause = (time_ms) => new Promise((done) => setTimeout(done, time_ms));
+
+const opened = async (server) => {
+  const page = await context.newPage();
+  await page.goto(`${server.url}/#played`);
+  await page.getByRole("heading", { name: "Played House" }).waitFor();
+  await page.getByText("Connected", { exact: true }).waitFor();
+  return page;
+};
+/// Each place is drawn before the next one is told.
+async function walk(page, server, places) {
+  for (const [x, y, level] of places) {
+    server.tell("location", at(x, y, level));
+    const drawn = `translate(${x.toFixed(2)} ${(-y).toFixed(2)})`;
+    await page.locator(`.walker > g[transform^="${drawn}"]`).waitFor({ state: "attached" });
+  }
+}
+const along = (from, to, y, level) => Array.from({ length: Math.abs(to - from) + 1 }, (_, i) => [from + i * Math.sign(to - from), y, level]);
+
+async function claim(what, test) {
+  const server = await play(join(modules, "../dist"));
+  await claims.claim(what, () => test(server));
+  for (const page of context.pages()) await page.close();
+  await server.close();
+}
+
+await claim("where one is led is what the path says: a room that another page or the console picked is told on each page", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await page.getByLabel("Where to?").fill("0.2");
+  await page.keyboard.press("Enter");
+  await page.getByText("Asked for Office 0.2, Ground floor").waitFor();
+  server.tell("path", kToOffice);
+  await page.getByText("To Office 0.2, Ground floor").waitFor();
+  await page.locator(".steps li", { hasText: "Arrive at Office 0.2" }).waitFor();
+  server.tell("path", kToLibrary);
+  const late = await opened(server);
+  for (const one of [page, late]) {
+    await one.getByText("To Library (1.1), First floor").waitFor();
+    await one.locator(".steps li", { hasText: "Arrive at Library (1.1)" }).waitFor();
+    assert.doesNotMatch(await one.locator(".panel").innerText(), /Office/);
+  }
+});
+await claim("a room that cannot be reached is asked for no longer", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await page.getByLabel("Where to?").fill("Library");
+  await page.keyboard.press("Enter");
+  await page.getByText("Asked for Library (1.1), First floor").waitFor();
+  server.tell("instruction", instruction(1, "NO_PATH", "There is no way to Library from here."));
+  await page.locator(".to").waitFor({ state: "detached" });
+  await page.locator(".now", { hasText: "There is no way to Library from here." }).waitFor();
+});
+await claim("a doubt is announced when it begins and when it is over, and not with each number", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await listenTo(page, "[role=alert]", ".lead > .hidden[role=status]");
+  for (let major = 9; major <= 20; ++major) {
+    server.tell("location", at(2, 1.5, 0, major));
+    await page.getByText(`within ${major} m`).waitFor();
+  }
+  // At the edge it comes and goes with each position.
+  for (const major of [7.9, 8.1, 7.9, 8.1, 7.9, 8.1]) {
+    server.tell("location", at(2, 1.5, 0, major));
+    await pause(200);
+  }
+  assert.deepEqual(await saidBy(page, "[role=alert]"), ["Position uncertain"]);
+  server.tell("location", at(2, 1.5));
+  await page.locator(".doubt").waitFor({ state: "detached" });
+  assert.deepEqual(await saidBy(page, ".lead > .hidden[role=status]"), ["The position is certain."]);
+});
+
+const kFountain = { x: 9, y: 1.5, level: 0, name: "the fountain" };
+const kBell = { x: 9, y: 1.5, level: 1, name: "the bell" };
+const kStatue = { x: 14, y: 3.5, level: 0, name: "the statue" };
+await claim("without a guide a point is told once in passing, on its level and on this side of a wall, and again the next time", async (server) => {
+  server.answer("me", 200, anna(kFountain, kBell, kStatue));
+  server.tell("status", { ...kStatus, instructions: "unwired" });
+  const page = (claims.shown = await opened(server));
+  await page.getByRole("button", { name: "Profile of anna" }).waitFor();
+  await listenTo(page, ".passing");
+  await walk(page, server, along(2, 17, 1.5));
+  assert.deepEqual(await saidBy(page, ".passing"), ["You are passing the fountain."]);
+  await page.locator(".passing").getByText("the fountain").waitFor({ state: "detached", timeout: 12000 });
+  await walk(page, server, along(17, 2, 1.5));
+  assert.deepEqual(await saidBy(page, ".passing"), ["You are passing the fountain.", "You are passing the fountain."]);
+});
+await claim("a guide that leads is the one that tells points, once, beside what is to be done", async (server) => {
+  server.answer("me", 200, anna(kFountain));
+  server.tell("instruction", instruction(1, "TURN", "Turn left.", { hour: 9, distance: 8 }));
+  const page = (claims.shown = await opened(server));
+  await page.getByRole("button", { name: "Profile of anna" }).waitFor();
+  await listenTo(page, ".passing", ".now .text");
+  await walk(page, server, along(2, 6, 1.5));
+  const passing = instruction(2, "ATTENTION", "You are passing the fountain.");
+  server.tell("attention", [passing]);
+  await walk(page, server, along(7, 12, 1.5));
+  server.tell("attention", [passing, instruction(3, "ATTENTION", "You are passing a kiosk.")]);
+  await page.getByText("You are passing a kiosk.").waitFor();
+  server.tell("attention", []);
+  await page.locator(".passing p").first().waitFor({ state: "detached" });
+  assert.deepEqual(await saidBy(page, ".passing"), ["You are passing the fountain.", "You are passing the fountain.You are passing a kiosk."]);
+  assert.deepEqual(await saidBy(page, ".now .text"), ["Turn left."]);
+  assert.equal(await page.locator(".passing").getAttribute("aria-atomic"), "false", "what was told would be read again");
+});
+
+/// The colour at a place of the plan, in metres, as it is on the screen.
+async function colours(page, places) {
+  const picture = (await page.screenshot()).toString("base64");
+  return page.evaluate(
+    async ({ picture, places }) => {
+      const image = await createImageBitmap(await (await fetch(`data:image/png;base64,${picture}`)).blob());
+      const canvas = new OffscreenCanvas(image.width, image.height).getContext("2d");
+      canvas.drawImage(image, 0, 0);
+      const matrix = document.querySelector(".plan-view svg").getScreenCTM();
+      return places.map(([x, y]) => {
+        const at = new DOMPoint(x, -y).matrixTransform(matrix);
+        return [...canvas.getImageData(Math.round(at.x), Math.round(at.y), 1, 1).data].slice(0, 3).join(" ");
+      });
+    },
+    { picture, places },
+  );
+}
+/// Where the arrows are in metres, and where they point to: degrees counter-clockwise from east, on the screen.
+const arrows = (page, selector, tip, tail) =>
+  page.locator(selector).evaluateAll(
+    (all, { tip, tail }) => {
+      const back = document.querySelector(".plan-view svg").getScreenCTM().inverse();
+      return all.map((one) => {
+        const [a, b] = [tail, tip].map(([x, y]) => new DOMPoint(x, y).matrixTransform(one.getScreenCTM()));
+        const at = b.matrixTransform(back);
+        return { x: at.x, y: -at.y, degrees: Math.round((Math.atan2(a.y - b.y, b.x - a.x) * 180) / Math.PI) };
+      });
+    },
+    { tip, tail },
+  );
+const wayArrows = (page) => arrows(page, ".way-arrow", [0.1, 0], [-0.35, 0]);
+const heading = async (page) => (await arrows(page, ".heading", [2.1, 0], [0.9, 0]))[0].degrees;
+const kWay = "11 92 173";
+const kBehind = "143 165 186";
+
+await claim("the way is drawn where it leads, what lies behind is faint, and nothing of it on another level", async (server) => {
+  server.tell("path", kToOffice);
+  const page = (claims.shown = await opened(server));
+  await page.locator(".way").first().waitFor({ state: "attached" });
+  // Between the arrows: some places along it have the way's colour, and none beside it.
+  const on = [...along(4, 8, 1.5), [9, 2.2], [9, 2.5], [9, 4.4]];
+  const shown = await colours(page, on);
+  assert.ok(shown.filter((one) => one === kWay).length >= 5, `along the way: ${shown}`);
+  const beside = await colours(page, [...along(10, 16, 1.5), [3, 5], [15, 5]]);
+  assert.ok(!beside.includes(kWay), `beside it: ${beside}`);
+  await walk(page, server, along(3, 8, 1.5));
+  const passed = await colours(page, along(3, 6, 1.5));
+  assert.deepEqual(passed, [kBehind, kBehind, kBehind, kBehind], "what lies behind");
+  await page.getByRole("button", { name: "First floor" }).click();
+  await page.locator(".way, .way-arrow").first().waitFor({ state: "detached" });
+});
+await claim("arrows lie on the way and point along it, and so does the walker's", async (server) => {
+  server.tell("path", kToOffice);
+  const page = (claims.shown = await opened(server));
+  await page.locator(".way-arrow").first().waitFor({ state: "attached" });
+  const all = await wayArrows(page);
+  const [east, north] = [all.filter((one) => one.degrees === 0), all.filter((one) => one.degrees === 90)];
+  assert.ok(east.length > 0 && north.length > 0, `too few arrows: ${JSON.stringify(all)}`);
+  assert.equal(east.length + north.length, all.length, `arrows that point elsewhere: ${JSON.stringify(all)}`);
+  for (const { x, y } of east) assert.ok(Math.abs(y - 1.5) < 0.1 && x > 2 && x < 9.3, `${x} ${y} is not in the corridor's part of the way`);
+  for (const { x, y } of north) assert.ok(Math.abs(x - 9) < 0.1 && y > 1.5 && y < 5.8, `${x} ${y} is not in the room's part of the way`);
+  assert.equal(await heading(page), 0);
+  await walk(page, server, [[6, 1.5], [9, 1.5], [9, 4]]);
+  await until("the walker's arrow points into the room", async () => (await heading(page)) === 90, 5000);
+  const [box, plan] = await Promise.all([page.locator(".heading").boundingBox(), page.locator(".plan-view").boundingBox()]);
+  assert.ok(box.width > 3 && box.x > plan.x && box.x + box.width < plan.x + plan.width && box.y > plan.y && box.y + box.height < plan.y + plan.height, "on the screen");
+});
+await claim("on another level the way goes on from the lift", async (server) => {
+  server.tell("path", kToLibrary);
+  server.tell("location", at(19, 4, 1));
+  const page = (claims.shown = await opened(server));
+  await page.locator('.levels [aria-pressed="true"]', { hasText: "First floor" }).waitFor();
+  const shown = await colours(page, [...along(7, 17, 1.5), [6, 3], [6, 4]]);
+  assert.ok(shown.filter((one) => one === kWay).length >= 6, `along the way: ${shown}`);
+  for (const { degrees } of await wayArrows(page)) assert.ok([-90, 180, 90].includes(degrees), `${degrees} degrees`);
+});
+await browser.close();
+process.exit(claims.failures.length ? 1 : 0);
