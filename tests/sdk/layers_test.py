@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Who may include whom (architecture 3), and which plugins have nothing in common: reads every #include of the tree, and
-what the plugins' CMakeLists.txt say is linked.
+"""Who may include whom (architecture 3), and which plugins have nothing in common: reads every #include of the tree,
+and what the plugins' CMakeLists.txt say is linked.
 
     layers_test.py SOURCE_DIR
 
@@ -23,8 +23,8 @@ MAY_USE = {
     "plugins": {"sdk"},
 }
 
-# A plugin that is judged by another one's world must not know how that is made: neither may reach anything of the other,
-# and both only the libraries named here.
+# A plugin that is judged by another one's world must not know how that is made: neither may reach anything of the
+# other, and both only the libraries named here.
 APART = {("building-simulator", "smart-bluetooth-localization"): {"building"}}
 COMMAND = re.compile(r"\b(add_library|add_executable|fiona_add_plugin|target_link_libraries)\s*\(([^)]*)\)")
 NO_TARGETS = {"PUBLIC", "PRIVATE", "INTERFACE", "STATIC", "SHARED", "MODULE", "OBJECT"}

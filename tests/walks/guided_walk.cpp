@@ -9,6 +9,7 @@
 #include "fiona/building/geometry.hpp"
 #include "fiona/simulator/building_simulator.hpp"
 #include "fiona/simulator/random.hpp"
+#include "led_path.hpp"
 #include "map_server.hpp"
 #include "navigation.hpp"
 #include "smart_bluetooth_localization.hpp"
@@ -29,7 +30,9 @@ constexpr double kShortest_m = 15.0;
 constexpr double kInTime = 1.5;  ///< of the route's time, to the door
 constexpr double kAtLast = 2.0;  ///< of the route's time, until one is told to be there
 constexpr double kAtDoor_m = 2.0;
+constexpr std::size_t kMostFaults = 20;
 constexpr auto kPicksIn = 15s;
+constexpr double kDeclination_rad = 4.0 * std::numbers::pi / 180.0;  ///< as all are told
 
 /// Stands between navigation and the walker: asks for the destination, has the profile, passes on what is said, and
 /// sees where the walker really is.
@@ -39,6 +42,7 @@ class Referee final : public Component {
 
   void begin(const Building& building, const Errand& errand, Guidance guidance, Place place) {
     building_ = &building;
+    check_.emplace(building, errand.profile);
     errand_ = errand;
     guidance_ = guidance;
     place_ = place;
@@ -133,7 +137,10 @@ class Referee final : public Component {
     return false;
   }
 
-  void on_location(const localisation::CommLocation& location) { told_ = location; }
+  void on_location(const localisation::CommLocation& location) {
+    told_ = location;
+    note_progress();
+  }
   void on_compass(const localisation::CommOrientation& compass) { compass_rad_ = compass.yaw(); }
 
   void on_instruction(const Instruction& said) {
@@ -145,6 +152,7 @@ class Referee final : public Component {
            static_cast<int>(said.hour()), said.distance());
     }
     number_ = said.number();
+    check_way(said);
     if (said.kind() == Instruction::REROUTE) ++outcome.reroutes;
     if (said.kind() == Instruction::ARRIVE) end_at_goal();
     // A localisation that errs may have one behind a closed door for a while.
@@ -158,12 +166,41 @@ class Referee final : public Component {
     passed_on_.put(std::move(told));
   }
 
-  /// A turn is announced at 6 +- 2 m, unless the way there is shorter, and again at 2 m.
   void check(const Instruction& said) {
     const bool to_do =
         said.kind() >= Instruction::TURN && said.kind() <= Instruction::LEAVE && said.kind() != Instruction::CONTINUE;
     if (to_do && said.distance() > 8.0) fault(said.text() + " at " + std::to_string(said.distance()) + " m");
     if (said.uncertain() && place_ == Place::Truth) fault("uncertain with the true place");
+    if (led_) led_->hear(said);
+  }
+
+  /// Distance and hour are another word each time; a fault is counted once.
+  void check_way(const Instruction& said) {
+    if (!led_ || said.number() == wrong_number_) return;
+    const std::string wrong = led_->fault_of(said, believed());
+    if (wrong.empty()) return;
+    wrong_number_ = said.number();
+    fault("told \"" + said.text() + "\", " + wrong);
+  }
+
+  Believed believed() const {
+    const auto& place = told_->position();
+    Believed walker{{{place.x(), place.y()}, place.z()}, std::nullopt, 0.0};
+    if (told_->orientation().is_valid()) walker.heading_rad = kDeclination_rad - told_->orientation().yaw();
+    if (place.confidence_size() == 9) {
+      const double xx = place.confidence(0), xy = place.confidence(1), yy = place.confidence(4);
+      walker.sigma_m = std::sqrt(std::max(0.0, (xx + yy) / 2.0 + std::hypot((xx - yy) / 2.0, xy)));
+    }
+    return walker;
+  }
+
+  void note_progress() {
+    if (!led_ || !is_placed()) return;
+    led_->walk(believed(), {at_, level_});
+    for (const Announcement& one : led_->take_passed()) {
+      if (const std::string wrong = one.fault(); !wrong.empty()) fault(wrong);
+      outcome.announcements.push_back(one);
+    }
   }
 
   void end_at_goal() {
@@ -173,39 +210,23 @@ class Referee final : public Component {
     outcome.ending = !right ? "told to have arrived elsewhere" : outcome.arrived ? "arrived" : "late";
   }
 
-  /// What lies on a published path must be open to the profile, and walked without crossing a wall.
   void on_path(const navigation::CommPath& path) {
-    for (int i = 0; i < path.waypoints_size(); ++i) {
-      const auto& to = path.waypoints(i);
-      const Point at{to.x(), to.y()};
-      const Room* room = building_->room_at(at, to.z());
-      if (room && room->access > errand_.profile.access)
-        fault("a path through " + room->name + " at " + std::to_string(at.x_m) + ", " + std::to_string(at.y_m));
-      const bool outdoors = !room && !building::contains(building_->plan().outline.outer, at) &&
-                            std::none_of(building_->doors().begin(), building_->doors().end(),
-                                         [&](const auto& door) { return distance_m(door.at, at) < 0.1; });
-      if (outdoors && !errand_.profile.outdoors) fault("a path outdoors");
-      if (i > 0) check_way(path.waypoints(i - 1), to);
-    }
-  }
-
-  void check_way(const localisation::CommPosition& from, const localisation::CommPosition& to) {
-    const Point a{from.x(), from.y()};
-    const Point b{to.x(), to.y()};
-    if (from.z() != to.z()) {
-      const bool by_lift = distance_m(a, b) < 0.3;
-      if (by_lift ? !errand_.profile.lift : !errand_.profile.stairs)
-        fault(by_lift ? "a path by lift" : "a path by stairs");
-    } else if (building_->walls_crossed(a, b, to.z()).walls > 0) {
-      fault("a path through a wall at " + std::to_string(b.x_m) + ", " + std::to_string(b.y_m));
-    }
+    led_.reset();
+    if (!path.is_valid() || path.waypoints().empty()) return;
+    if (std::string wrong = check_->fault_of(path); !wrong.empty()) fault(std::move(wrong));
+    led_.emplace(*building_, *check_, path);
+    note_progress();
   }
 
   void fault(std::string text) {
-    if (outcome.faults.size() < 20) outcome.faults.push_back(std::move(text));
+    if (outcome.faults.size() == kMostFaults) return;
+    note("%6.1f s  ! %s", since_begun_s(), text.c_str());
+    outcome.faults.push_back("after " + std::to_string(std::lround(since_begun_s())) + " s " + std::move(text));
   }
 
   const Building* building_ = nullptr;
+  std::optional<WordCheck> check_;
+  std::optional<LedPath> led_;
   Errand errand_;
   Guidance guidance_ = Guidance::Whole;
   Place place_ = Place::Truth;
@@ -216,7 +237,7 @@ class Referee final : public Component {
   double level_ = 0.0;
   double yaw_rad_ = 0.0;
   double compass_rad_ = 0.0;
-  std::uint32_t number_ = 0;
+  std::uint32_t number_ = 0, wrong_number_ = 0;
 
   Provides<hmi::ProfileProvider> profile_{*this, "profile", &Referee::on_profile};
   Provides<localisation::LocationProvider> start_{*this, "start"};
@@ -293,7 +314,6 @@ Outcome lead(const Building& building, const std::string& file, const Errand& er
   stage.set("phone", "access", errand.profile.access);
   stage.set("phone", "start_room", label(*errand.from));
   stage.set("map", "building", file);
-  stage.set("nav", "declination", 4);
   if (place == Place::Beacons) add_localisation(stage, beacons, errand);
   const std::string located = place == Place::Beacons ? "ble.location"
                               : place == Place::Start ? "referee.start"

@@ -7,6 +7,8 @@
 
 #include <fiona/building/building.hpp>
 
+#include "announcements.hpp"
+
 namespace fiona::walks {
 
 /// Who is led, from where to where: drawn from a seed.
@@ -30,11 +32,12 @@ struct Outcome {
   std::string ending{};               ///< what happened, in a few words
   double took_s = 0.0;
   int reroutes = 0;
-  std::vector<std::string> faults{};  ///< instructions and paths that must not be
-  std::uint64_t instructions = 0;     ///< a hash of all that was said, and when
-  std::vector<double> errors_m{};     ///< of the localisation, once a second from when the destination was sent
-  int inside = 0;                     ///< seconds within the 95 % region of the place
-  int wrong_level = 0, unplaced = 0;  ///< seconds with a place on another level, and without a place
+  std::vector<std::string> faults{};          ///< instructions and paths that must not be
+  std::uint64_t instructions = 0;             ///< a hash of all that was said, and when
+  std::vector<double> errors_m{};             ///< of the localisation, once a second from when the destination was sent
+  int inside = 0;                             ///< seconds within the 95 % region of the place
+  int wrong_level = 0, unplaced = 0;          ///< seconds with a place on another level, and without a place
+  std::vector<Announcement> announcements{};  ///< of the marks that they walked up to
   std::vector<std::string> course{};  ///< second by second where they were and were taken to be; what they were told
 };
 

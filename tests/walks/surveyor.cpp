@@ -17,7 +17,15 @@ namespace {
 
 constexpr std::size_t kFoldsJudged = 4;  // of eight: twelve walks of a minute are enough for a covariance
 
-/// What a receiver is told on the walk, in the order of time.
+std::uint32_t number_of(const std::string& id, radio::Journey& journey) {
+  const auto known = std::find(journey.transmitters.begin(), journey.transmitters.end(), id);
+  const auto number = static_cast<std::uint32_t>(known - journey.transmitters.begin());
+  if (known == journey.transmitters.end()) journey.transmitters.push_back(id);
+  return number;
+}
+
+}  // namespace
+
 radio::Journey journey_of(const simulator::Trace& trace) {
   radio::Journey journey;
   journey.name = trace.id;
@@ -36,10 +44,7 @@ radio::Journey journey_of(const simulator::Trace& trace) {
                                                     step->heading_sd_rad, step->compass_rad}});
   }
   for (const simulator::BeaconReading& beacon : trace.beacons) {
-    const std::string id = simulator::beacon_address(beacon);
-    const auto known = std::find(journey.transmitters.begin(), journey.transmitters.end(), id);
-    const auto number = static_cast<std::uint32_t>(known - journey.transmitters.begin());
-    if (known == journey.transmitters.end()) journey.transmitters.push_back(id);
+    const std::uint32_t number = number_of(simulator::beacon_address(beacon), journey);
     journey.told.push_back({beacon.heard, radio::Journey::Row{number, radio::Radio::Bluetooth,
                                                               static_cast<float>(beacon.rssi_dbm), beacon.heard}});
   }
@@ -48,21 +53,25 @@ radio::Journey journey_of(const simulator::Trace& trace) {
   return journey;
 }
 
-}  // namespace
-
-beacons::BeaconMap surveyed(const building::Building& building, std::uint64_t seed) {
+std::vector<radio::Journey> survey_of(const building::Building& building, std::uint64_t seed) {
   simulator::SurveyOptions options;
   options.inertial_walks = std::numeric_limits<std::size_t>::max();
   options.radio = simulator::drawn_radio(seed);
   std::vector<radio::Journey> walks;
-  std::vector<beacons::SurveySecond> seconds;
   for (const building::Level& level : building.levels()) {
     if (level.level != std::floor(level.level)) continue;
-    for (const simulator::Trace& trace : simulator::survey_walk(building, level.level, seed, options)) {
+    for (const simulator::Trace& trace : simulator::survey_walk(building, level.level, seed, options))
       walks.push_back(journey_of(trace));
-      const auto more = beacons::seconds_of(walks.back(), static_cast<std::uint32_t>(walks.size() - 1));
-      seconds.insert(seconds.end(), more.begin(), more.end());
-    }
+  }
+  return walks;
+}
+
+beacons::BeaconMap surveyed(const building::Building& building, std::uint64_t seed) {
+  const std::vector<radio::Journey> walks = survey_of(building, seed);
+  std::vector<beacons::SurveySecond> seconds;
+  for (std::size_t i = 0; i < walks.size(); ++i) {
+    const auto more = beacons::seconds_of(walks[i], static_cast<std::uint32_t>(i));
+    seconds.insert(seconds.end(), more.begin(), more.end());
   }
   beacons::BeaconMap map = beacons::learn(seconds, "survey");
   beacons::learn_compass(walks, map);

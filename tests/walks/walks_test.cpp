@@ -38,6 +38,7 @@ struct Tally {
   std::vector<double> to_door{};  ///< the same until at the door, of each who came there
   std::vector<double> errors_m{};
   int inside = 0, wrong_level = 0, unplaced = 0;  ///< seconds
+  std::vector<Announcement> announcements{};
   double share() const { return static_cast<double>(arrived) / walks; }
 };
 
@@ -49,6 +50,41 @@ double percentile(std::vector<double> values, double share) {
 
 double mean(const std::vector<double>& values) {
   return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
+}
+
+void print_distances(const char* what, const std::vector<std::optional<double>>& told) {
+  std::vector<double> distances;
+  for (const auto& one : told) {
+    if (one) distances.push_back(*one);
+  }
+  std::printf("    %-22s %3zu of %3zu", what, distances.size(), told.size());
+  if (!distances.empty()) {
+    std::printf(", %5.2f to %5.2f m (p5 %.2f, median %.2f, p95 %.2f)", percentile(distances, 0.0),
+                percentile(distances, 1.0), percentile(distances, 0.05), percentile(distances, 0.5),
+                percentile(distances, 0.95));
+  }
+  std::printf("\n");
+}
+
+/// By what guidance said, and by where they were.
+void print_announcements(const std::vector<Announcement>& all) {
+  for (const auto& [kind, name] : {std::pair(Mark::Kind::Turn, "turns"), std::pair(Mark::Kind::Door, "doors"),
+                                   std::pair(Mark::Kind::Climb, "stairs and lifts")}) {
+    std::vector<std::optional<double>> first, again, truly_first, truly_again;
+    for (const Announcement& one : all) {
+      if (one.mark.kind != kind || one.held_up) continue;
+      first.push_back(one.first_m);
+      again.push_back(one.again_m);
+      truly_first.push_back(one.truly_first_m);
+      truly_again.push_back(one.truly_again_m);
+    }
+    if (first.empty()) continue;
+    std::printf("  %s walked up to for %.0f m\n", name, Announcements::kLeg_m);
+    print_distances("announced", first);
+    print_distances("truly", truly_first);
+    print_distances("told again", again);
+    print_distances("truly", truly_again);
+  }
 }
 
 /// The file of a map learnt from a survey of the seed's radio world.
@@ -81,6 +117,7 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
     tally.time += outcome.took_s / errand.route_s;
     if (outcome.at_door_s) tally.to_door.push_back(*outcome.at_door_s / errand.route_s);
     tally.faults += static_cast<int>(outcome.faults.size());
+    tally.announcements.insert(tally.announcements.end(), outcome.announcements.begin(), outcome.announcements.end());
     if (guidance == Guidance::Whole && (!outcome.arrived || !outcome.faults.empty())) {
       std::printf("%s: %s after %.0f s of %.0f s\n", errand.text().c_str(), outcome.ending.c_str(), outcome.took_s,
                   errand.route_s);
@@ -104,6 +141,7 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
         100.0 * tally.inside / static_cast<double>(tally.errors_m.size()), tally.wrong_level, tally.unplaced,
         tally.errors_m.size() + static_cast<std::size_t>(tally.unplaced));
   }
+  print_announcements(tally.announcements);
   std::fflush(stdout);
   return tally;
 }
