@@ -416,12 +416,12 @@ void Navigation::tell_passed_points() {
   }
 }
 
-/// A point of attention stands beside the instruction that holds, and not in its place; and who is not led any more is told
+/// A point of attention stands beside the instruction that holds, and not in its place; and who has arrived is told
 /// when their place is in doubt, and when it is no more.
 void Navigation::say_again() {
   const bool attended = std::exchange(attends_, false);
   const bool in_doubt = uncertain_ || said_.kind() == Instruction::LOST;
-  const bool doubts_otherwise = !guide_ && said_.uncertain() != in_doubt;
+  const bool doubts_otherwise = said_.kind() == Instruction::ARRIVE && said_.uncertain() != in_doubt;
   if ((!attended && !doubts_otherwise) || said_.kind() == Instruction::KIND_UNSPECIFIED) return;
   said_.set_uncertain(in_doubt);
   instructions_.put(said_);
