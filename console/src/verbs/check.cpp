@@ -14,9 +14,11 @@ void check(Session& session, const Line& line) {
   const CheckResult result = check_system(system_path(line.positional[0].text, session.options.store), catalogue);
   for (const std::string& remark : result.remarks) session.out.remark(remark);
   Table spots({"port", "service", "state", "who could"});
-  for (const auto& spot : result.spots)
+  for (const auto& spot : result.spots) {
+    if (spot.optional && spot.could.empty()) continue;  // nothing is missing, and nothing at hand was forgotten
     spots.add({spot.port, short_name(spot.service), spot.optional ? "unwired, optional" : "unwired",
                fmt::format("{}", fmt::join(spot.could, ", "))});
+  }
   if (!spots.empty()) session.out.text("required, nobody serves it");
   session.out.table(spots, "");
   // The last one is thrown, and told by whoever ran this line.
