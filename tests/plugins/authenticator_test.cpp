@@ -341,6 +341,7 @@ TEST_F(AuthenticatorTest, OneThreadHashesAndEveryOtherComesBeforeIt) {
   std::vector<std::shared_ptr<Waiting>> storm;
   for (int i = 0; i < 20; ++i)
     storm.push_back(begin_login(*bench, "anna", "wrong horse", "10.0.0." + std::to_string(i)));
+  storm.front()->wait();  // the thread is there
   const int usual = ::getpriority(PRIO_PROCESS, 0);
   EXPECT_THAT(of_threads("passwords", kNiceness), ElementsAre(usual + 5));
   EXPECT_THAT(of_threads("passwords", kNiceness, true), Each(Lt(usual + 5)));
