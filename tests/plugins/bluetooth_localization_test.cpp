@@ -13,6 +13,7 @@
 #include "beacon_filter.hpp"
 #include "beacon_map.hpp"
 #include "fiona/error.hpp"
+#include "fiona/objects/step.hpp"
 #include "fiona/testing/bench.hpp"
 #include "floor_plan.hpp"
 #include "smart_bluetooth_localization.hpp"
@@ -729,14 +730,14 @@ TEST_F(Component, StepsAgainstTrueNorthLeadAlongTheAxesOfATurnedMap) {
   EXPECT_EQ(position.reference_heading(), 90);
 }
 
-TEST(StepInput, OfAStepThatTellsNoVarianceIsNotExact) {
+TEST(CommStep, ThatTellsNoVarianceIsNotExact) {
   localisation::CommStep step;
   step.set_length(0.7);
-  EXPECT_NEAR(smart_bluetooth_localization::step_input(step, 0.0).length_sd_m, 0.14, 1e-9);
-  EXPECT_NEAR(smart_bluetooth_localization::step_input(step, 0.0).heading_sd_rad, 0.3, 1e-9);
+  EXPECT_NEAR(localisation::length_sd_m(step), 0.14, 1e-9);
+  EXPECT_NEAR(localisation::heading_sd_rad(step), 0.3, 1e-9);
   step.set_length_var(0.0), step.set_heading_var(0.04);
-  EXPECT_EQ(smart_bluetooth_localization::step_input(step, 0.0).length_sd_m, 0.0);
-  EXPECT_NEAR(smart_bluetooth_localization::step_input(step, 0.0).heading_sd_rad, 0.2, 1e-9);
+  EXPECT_EQ(localisation::length_sd_m(step), 0.0);
+  EXPECT_NEAR(localisation::heading_sd_rad(step), 0.2, 1e-9);
 }
 
 TEST_F(Component, TheOrientationIsPassedOnLessTheBiasOfTheHeading) {

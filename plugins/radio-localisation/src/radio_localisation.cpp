@@ -5,6 +5,7 @@
 #include <limits>
 #include <string>
 
+#include "fiona/objects/step.hpp"
 #include "radio_map_file.hpp"
 
 namespace fiona::radio_localisation {
@@ -49,9 +50,6 @@ localisation::CommLocation location_of(const radio::Estimate& estimate, const ra
 /// The map that comes with the package, to try it: no map is a default, for each is of one building.
 constexpr const char* kHouse = "house.radiomap";
 
-/// Of steps that do not tell: the share of their length, and what a compass among steel errs by.
-constexpr double kUnknownLength = 0.2, kUnknownHeading_rad = 0.3;
-
 }  // namespace
 
 void RadioLocalisation::on_start() {
@@ -88,9 +86,8 @@ void RadioLocalisation::on_beacons(const sensors::CommiBeaconList& beacons) {
 
 void RadioLocalisation::on_step(const localisation::CommStep& step) {
   if (!step.is_valid()) return;
-  const double length_sd_m = step.has_length_var() ? std::sqrt(step.length_var()) : kUnknownLength * step.length();
-  const double heading_sd_rad = step.has_heading_var() ? std::sqrt(step.heading_var()) : kUnknownHeading_rad;
-  filter_->step({radio::Time(step.t_end()), step.length(), length_sd_m, step.heading(), heading_sd_rad});
+  filter_->step({radio::Time(step.t_end()), step.length(), localisation::length_sd_m(step), step.heading(),
+                 localisation::heading_sd_rad(step)});
 }
 
 void RadioLocalisation::produce() {

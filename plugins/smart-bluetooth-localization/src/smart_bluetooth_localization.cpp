@@ -5,13 +5,13 @@
 #include <limits>
 #include <numbers>
 
+#include "fiona/objects/step.hpp"
+
 namespace fiona::smart_bluetooth_localization {
 namespace {
 
 constexpr std::chrono::seconds kOldestReading{3};
 constexpr std::chrono::seconds kOldestOrientation{1};
-/// Of steps that do not tell: the share of their length, and what a compass among steel errs by.
-constexpr double kUnknownLength = 0.2, kUnknownHeading_rad = 0.3;
 
 std::string text_of(beacons::Validity validity) {
   switch (validity) {
@@ -26,13 +26,6 @@ std::string text_of(beacons::Validity validity) {
 constexpr const char* kHouse = "house.beacons";
 
 }  // namespace
-
-beacons::StepInput step_input(const localisation::CommStep& step, double frame_turn_rad) {
-  const double length_sd_m = step.has_length_var() ? std::sqrt(step.length_var()) : kUnknownLength * step.length();
-  const double heading_sd_rad = step.has_heading_var() ? std::sqrt(step.heading_var()) : kUnknownHeading_rad;
-  return {step.length(), length_sd_m, step.heading() + frame_turn_rad, heading_sd_rad,
-          step.has_rise() ? std::optional(step.rise()) : std::nullopt};
-}
 
 void SmartBluetoothLocalization::on_start() {
   if (params_->beacons().empty()) {
@@ -98,7 +91,9 @@ void SmartBluetoothLocalization::on_beacons(const sensors::CommiBeaconList& list
 }
 
 void SmartBluetoothLocalization::on_step(const localisation::CommStep& step) {
-  if (step.is_valid()) filter_->step(step_input(step, frame_turn_rad_));
+  if (!step.is_valid()) return;
+  filter_->step({step.length(), localisation::length_sd_m(step), step.heading() + frame_turn_rad_,
+                 localisation::heading_sd_rad(step), step.has_rise() ? std::optional(step.rise()) : std::nullopt});
 }
 
 void SmartBluetoothLocalization::on_orientation(const Received<localisation::CommOrientation>& orientation) {

@@ -15,10 +15,6 @@
 
 namespace fiona::smart_bluetooth_localization {
 
-/// What the filter is told of a step, in axes that are turned against true north by so much, clockwise. A variance that is absent
-/// is not known, which is not zero.
-beacons::StepInput step_input(const localisation::CommStep& step, double frame_turn_rad);
-
 /// Positions from iBeacons whose map is known, with steps in between and walls around.
 class SmartBluetoothLocalization final : public Component {
  public:

@@ -113,6 +113,13 @@ Async<> Navigation::watch_map() {
   watches_ = activation.ok();
 }
 
+/// 0 where the map tells no place.
+double Navigation::declination_of(const localisation::CommPosition& place) const {
+  if (!place.has_reference_lat() || !place.has_reference_long()) return 0.0;
+  return building::declination_rad(place.reference_lat(), place.reference_long(),
+                                   std::chrono::milliseconds(to_milliseconds(now())));
+}
+
 Async<> Navigation::fetch_map() {
   map_due_at_.reset();
   const auto answer = co_await levels_.query({});
@@ -120,9 +127,7 @@ Async<> Navigation::fetch_map() {
   try {
     if (answer) {
       map_ = std::make_shared<Map>(read_level_plan(**answer));
-      const localisation::CommPosition& place = (*answer)->reference();
-      declination_rad_ = building::declination_rad(place.reference_lat(), place.reference_long(),
-                                                   std::chrono::milliseconds(to_milliseconds(now())));
+      declination_rad_ = declination_of((*answer)->reference());
     } else {
       fault = "there is no map of the building: " + reason_of(answer);
     }

@@ -57,6 +57,7 @@ class Navigation final : public Component {
   Async<> work();
   Async<> watch_map();
   Async<> fetch_map();
+  double declination_of(const localisation::CommPosition& place) const;
   void ask_for(const std::string& user_name, const std::string& session);
   Async<> ask_profile();
   void take_profile(const hmi::CommUserProfileReply& profile);
