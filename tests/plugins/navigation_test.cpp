@@ -367,6 +367,14 @@ building::Route through_a_door() {
   return route;
 }
 
+/// North through a door, and east `behind_m` behind it.
+building::Route around_a_corner(double behind_m) {
+  building::Route route = through_a_door();
+  route.points.back().at.y_m = 10.5 + behind_m;
+  route.points.push_back({.at = {20, 10.5 + behind_m}, .level = 0});
+  return route;
+}
+
 TEST(Guide, APlaceThatLeapsTakesNobodyThroughADoorBeforeTheyHaveReacted) {
   const LevelPlan plan;
   Guide guide(plan, through_a_door(), "Room 7", false, at(0));
@@ -545,6 +553,16 @@ TEST(Guide, WhoStandsBesideADoorAndLooksAtTheWallHasNotGoneThroughIt) {
   EXPECT_EQ(guide.follow({{{0.1, 9.9}, 0}, 0.0}, at(3.2)).instruction.kind(), Instruction::CONTINUE);
 }
 
+TEST(Guide, WhoLooksThroughADoorAndGoesOnBesideItIsToldOfItAtOnce) {
+  const LevelPlan plan;
+  Guide guide(plan, around_a_corner(8), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0}, at(0));
+  ASSERT_EQ(guide.follow({{{0.3, 9.9}, 0}, 20 * kDegree}, at(2)).instruction.kind(), Instruction::CONTINUE);
+  const auto beside = guide.follow({{{0.8, 9.9}, 0}, 90 * kDegree}, at(2.4)).instruction;
+  EXPECT_EQ(beside.kind(), Instruction::DOOR) << beside.text();  // and is not turned into the wall
+  EXPECT_EQ(beside.hour(), NextTurn::HOUR_9);
+}
+
 TEST(Guide, AWrongLevelAtALiftPlansNoOtherPathWhileTheyStandUnlessThePlaceIsSure) {
   const LevelPlan plan;
   for (const auto& [sigma_m, off_s] : {std::pair{0.0, 2.0}, {1.0, 26.0}}) {
@@ -631,14 +649,6 @@ TEST(Guide, WhoStandsBehindADoorAndTurnsAboutIsToldOfTheDoorAgain) {
     told_again = told_again || (about && advice.is_new && advice.instruction.kind() == Instruction::DOOR);
   }
   EXPECT_TRUE(told_again);
-}
-
-/// North through a door, and east `behind_m` behind it.
-building::Route around_a_corner(double behind_m) {
-  building::Route route = through_a_door();
-  route.points.back().at.y_m = 10.5 + behind_m;
-  route.points.push_back({.at = {20, 10.5 + behind_m}, .level = 0});
-  return route;
 }
 
 TEST(Guide, ATurnRightBehindADoorIsToldWithIt) {

@@ -58,6 +58,7 @@ class Referee final : public Component {
     begun_ = now();
   }
   bool ended() const { return !outcome.ending.empty(); }
+  bool was_in_time() const { return outcome.at_door_s && *outcome.at_door_s <= kInTime * errand_.route_s; }
   bool is_placed() const { return told_ && told_->is_valid(); }
 
   /// To be called once a second.
@@ -205,9 +206,9 @@ class Referee final : public Component {
 
   void end_at_goal() {
     const Room& goal = *errand_.to;
-    const bool right = is_at_door() || (level_ == goal.level && building::contains(goal.polygon, at_));
-    outcome.arrived = right && outcome.at_door_s && *outcome.at_door_s <= kInTime * errand_.route_s;
-    outcome.ending = !right ? "told to have arrived elsewhere" : outcome.arrived ? "arrived" : "late";
+    outcome.told_so = is_at_door() || (level_ == goal.level && building::contains(goal.polygon, at_));
+    outcome.arrived = outcome.told_so && was_in_time();
+    outcome.ending = !outcome.told_so ? "told to have arrived elsewhere" : outcome.arrived ? "arrived" : "late";
   }
 
   void on_path(const navigation::CommPath& path) {
@@ -343,7 +344,10 @@ Outcome lead(const Building& building, const std::string& file, const Errand& er
   }
   Outcome outcome = referee.outcome;
   outcome.took_s = to_seconds(stage.now() - begun);
-  if (outcome.ending.empty()) outcome.ending = "not there in time";
+  if (outcome.ending.empty()) {
+    outcome.arrived = referee.was_in_time();
+    outcome.ending = outcome.arrived ? "never told to be there" : "not there in time";
+  }
   for (const std::string& line : stage.log()) outcome.faults.push_back(line);
   return outcome;
 }

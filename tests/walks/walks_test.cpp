@@ -32,6 +32,7 @@ std::uint64_t number(const char* variable, std::uint64_t otherwise) {
 struct Tally {
   int walks = 0;
   int arrived = 0;
+  int told_so = 0;
   int faults = 0;
   int reroutes = 0;
   double time = 0.0;              ///< taken until told to be there, in all, as a share of the routes'
@@ -113,12 +114,13 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
     tally.wrong_level += outcome.wrong_level;
     tally.unplaced += outcome.unplaced;
     tally.arrived += outcome.arrived ? 1 : 0;
+    tally.told_so += outcome.arrived && outcome.told_so ? 1 : 0;
     tally.reroutes += outcome.reroutes;
     tally.time += outcome.took_s / errand.route_s;
     if (outcome.at_door_s) tally.to_door.push_back(*outcome.at_door_s / errand.route_s);
     tally.faults += static_cast<int>(outcome.faults.size());
     tally.announcements.insert(tally.announcements.end(), outcome.announcements.begin(), outcome.announcements.end());
-    if (guidance == Guidance::Whole && (!outcome.arrived || !outcome.faults.empty())) {
+    if (guidance == Guidance::Whole && (!outcome.told_so || !outcome.arrived || !outcome.faults.empty())) {
       std::printf("%s: %s after %.0f s of %.0f s\n", errand.text().c_str(), outcome.ending.c_str(), outcome.took_s,
                   errand.route_s);
       for (const std::string& fault : outcome.faults) std::printf("  %s\n", fault.c_str());
@@ -128,11 +130,11 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
     }
   }
   std::printf(
-      "seeds %llu to %llu: %d of %d arrived, to the door in %.2f times the route's time (p90 %.2f, p95 %.2f), told so "
-      "after %.2f, %d times rerouted, %d faults\n",
+      "seeds %llu to %llu: %d of %d arrived, to the door in %.2f times the route's time (p90 %.2f, p95 %.2f); %d were "
+      "told so, after %.2f; %d times rerouted, %d faults\n",
       static_cast<unsigned long long>(first), static_cast<unsigned long long>(first + count - 1), tally.arrived,
       tally.walks, mean(tally.to_door), percentile(tally.to_door, 0.90), percentile(tally.to_door, 0.95),
-      tally.time / tally.walks, tally.reroutes, tally.faults);
+      tally.told_so, tally.time / tally.walks, tally.reroutes, tally.faults);
   if (place == Place::Beacons) {
     std::printf(
         "  position error: median %.2f m, p95 %.2f m, %.1f %% in the 95 %% region; wrong level %d s, no place %d s, of "

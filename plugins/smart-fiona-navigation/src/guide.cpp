@@ -272,9 +272,11 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint
   if (stands(walker, now)) return at_m_ >= maneuver.end_m + walker.sigma_m;
   // There is no haste where the turn behind it was told with it; told too early, it is taken before the door.
   if (walker.sigma_m >= kSure_m && then()) return at_m_ >= maneuver.end_m + kClear_m;
-  const double aside_m = std::abs(cross(walker.place.at - path_.place(maneuver.at_m).at, maneuver.out));
-  const bool before_it = aside_m < kBeforeIt_m;
-  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && before_it);
+  return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && is_before(maneuver, walker));
+}
+
+bool Guide::is_before(const Maneuver& door, const Walker& walker) const {
+  return std::abs(cross(walker.place.at - path_.place(door.at_m).at, door.out)) < kBeforeIt_m;
 }
 
 bool Guide::is_at_door(const Walker& walker) const {
@@ -308,8 +310,12 @@ void Guide::pass(const Walker& walker, TimePoint now) {
   const double unsure_m = std::min(walker.sigma_m, 2.0);
   const bool leaves = next_ == 1 && leaves_until_ && now < *leaves_until_;
   while (next_ > 0 && !leaves && at_m_ < maneuvers_[next_ - 1].at_m - kNow_m - unsure_m) --next_;
-  // Who seemed to go through a door and still stands before it is told of the door again.
-  if (next_ > 0 && !leaves && now - passed_at_ > kThroughDoor && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m)
+  // Who seemed to go through a door and still stands before it is told of the door again; who has gone on beside it, at
+  // once: what is behind it lies behind a wall.
+  const auto missed_it = [&](const Maneuver& door) {
+    return now - passed_at_ > kThroughDoor || (walker.sigma_m < kSure_m && is_door(door) && !is_before(door, walker));
+  };
+  if (next_ > 0 && !leaves && at_m_ < maneuvers_[next_ - 1].end_m - 0.2 - unsure_m && missed_it(maneuvers_[next_ - 1]))
     shut_ = Shut{--next_, walker.place.at, now};
   const auto reacts = [&] { return told_ && told_->maneuver == next_ && now - told_->at < kReacts; };
   while (next_ + 1 < maneuvers_.size() && !reacts() && has_passed(next(), walker, now)) ++next_;
