@@ -848,7 +848,7 @@ TEST(Landmarks, APointIsNeverToldOnAnotherLevelOrThroughAWall) {
 TEST(ShownPosition, FollowsAWalkerAsLocalisationSays) {
   ShownPosition shown;
   for (int i = 0; i < 50; ++i) {
-    const auto now = shown.follow({0.26 * i, 0}, {1, 0, 1}, at(0.2 * i));
+    const auto now = shown.follow({{0.26 * i, 0}, 0}, {1, 0, 1}, at(0.2 * i));
     EXPECT_DOUBLE_EQ(now.at.x_m, 0.26 * i);
     EXPECT_FALSE(now.blending);
   }
@@ -856,10 +856,10 @@ TEST(ShownPosition, FollowsAWalkerAsLocalisationSays) {
 
 TEST(ShownPosition, AJumpIsBlendedWithinThreeSeconds) {
   ShownPosition shown;
-  shown.follow({0, 0}, {0.1, 0, 0.1}, at(0));
+  shown.follow({{0, 0}, 0}, {0.1, 0, 0.1}, at(0));
   double before = 0;
   for (double t = 0.2; t < 3.3; t += 0.2) {
-    const auto now = shown.follow({6, 0}, {0.1, 0, 0.1}, at(t));
+    const auto now = shown.follow({{6, 0}, 0}, {0.1, 0, 0.1}, at(t));
     EXPECT_LE(now.at.x_m - before, 0.5);
     EXPECT_GE(now.at.x_m, before);
     EXPECT_EQ(now.blending, now.at.x_m < 6);
@@ -870,9 +870,9 @@ TEST(ShownPosition, AJumpIsBlendedWithinThreeSeconds) {
 
 TEST(ShownPosition, WhatIsLessThanTwoSigmaIsNoJump) {
   ShownPosition shown;
-  shown.follow({0, 0}, {4, 0, 4}, at(0));
-  EXPECT_FALSE(shown.follow({3.9, 0}, {4, 0, 4}, at(0.2)).blending);
-  EXPECT_TRUE(shown.follow({8.1, 0}, {4, 0, 4}, at(0.4)).blending);
+  shown.follow({{0, 0}, 0}, {4, 0, 4}, at(0));
+  EXPECT_FALSE(shown.follow({{3.9, 0}, 0}, {4, 0, 4}, at(0.2)).blending);
+  EXPECT_TRUE(shown.follow({{8.1, 0}, 0}, {4, 0, 4}, at(0.4)).blending);
 }
 
 /// Whether the 95 % ellipse at `middle` contains a place.
@@ -887,7 +887,7 @@ TEST(ShownPosition, TheEllipseCoversThatOfBeforeAndTheNewOneAllTheWay) {
   ShownPosition shown;
   const Covariance before{0.5, 0.2, 0.3};
   const Covariance after{0.4, -0.1, 0.9};
-  shown.follow({1, 2}, before, at(0));
+  shown.follow({{1, 2}, 0}, before, at(0));
   const auto on_ellipse = [](building::Point middle, const Covariance& c, double angle) {
     // Cholesky of the covariance, at the 95 % radius.
     const double a = std::sqrt(c.xx_m2), b = c.xy_m2 / a, e = std::sqrt(c.yy_m2 - b * b);
@@ -895,13 +895,27 @@ TEST(ShownPosition, TheEllipseCoversThatOfBeforeAndTheNewOneAllTheWay) {
     return building::Point{middle.x_m + a * u, middle.y_m + b * u + e * v};
   };
   for (double t = 0.2; t < 3.0; t += 0.2) {
-    const auto now = shown.follow({5, -1}, after, at(t));
+    const auto now = shown.follow({{5, -1}, 0}, after, at(t));
     for (double angle = 0; angle < 6.3; angle += 0.1) {
       EXPECT_TRUE(covers(now, on_ellipse({5, -1}, after, angle))) << t << " " << angle;
       if (t < 0.3) {
         EXPECT_TRUE(covers(now, on_ellipse({1, 2}, before, angle))) << angle;
       }
     }
+    EXPECT_TRUE(covers(now, {1, 2})) << t;
+  }
+}
+
+TEST(ShownPosition, AnotherLevelIsShownAtOnceAndIsAJump) {
+  ShownPosition shown;
+  shown.follow({{1, 2}, 0}, {0.5, 0, 0.5}, at(0));
+  for (double t = 0.2; t < 3.3; t += 0.2) {
+    const auto now = shown.follow({{1, 2}, 1}, {0.5, 0, 0.5}, at(t));
+    EXPECT_EQ(now.at, (building::Point{1, 2}));
+    EXPECT_EQ(now.blending, t < 3.1) << t;
+  }
+  for (double level = 1; level < 2; level += 0.1) {
+    EXPECT_FALSE(shown.follow({{1, 2}, level}, {0.5, 0, 0.5}, at(4 + level)).blending) << "stairs";
   }
 }
 

@@ -197,10 +197,15 @@ TEST(LocationJson, TheEllipseHoldsTheWalkerWith95Percent) {
   localisation::CommLocation location;
   localisation::CommPosition& position = *location.mutable_position();
   for (const double value : {4.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1}) position.add_confidence(value);
-  const json ellipse = json::parse(location_json(location))["ellipse"];
+  const json ellipse = json::parse(location_json(location, TimePoint{}))["ellipse"];
   EXPECT_NEAR(ellipse["major"].get<double>(), 2 * std::sqrt(5.991464547), 1e-6);
   EXPECT_NEAR(ellipse["minor"].get<double>(), std::sqrt(5.991464547), 1e-6);
   EXPECT_NEAR(ellipse["angle"].get<double>(), 0, 1e-9);
+}
+
+TEST(LocationJson, SaysWhenTheWalkerWasThere) {
+  const TimePoint measured(std::chrono::milliseconds(1'700'000'000'123));
+  EXPECT_EQ(json::parse(location_json({}, measured))["measured"], 1'700'000'000'123);
 }
 
 TEST(LocationJson, ACovarianceThatIsNoneGivesNoEllipse) {
@@ -208,18 +213,18 @@ TEST(LocationJson, ACovarianceThatIsNoneGivesNoEllipse) {
            {}, {1, 2, 0, 2, 1, 0, 0, 0, 1}, {-1, 0, 0, 0, 1, 0, 0, 0, 1}, {NAN, 0, 0, 0, 1, 0, 0, 0, 1}}) {
     localisation::CommLocation location;
     for (const double value : covariance) location.mutable_position()->add_confidence(value);
-    EXPECT_FALSE(json::parse(location_json(location)).contains("ellipse"));
+    EXPECT_FALSE(json::parse(location_json(location, TimePoint{})).contains("ellipse"));
   }
 }
 
 TEST(LocationJson, IsValidOnlyWhereBothSayItAndNumbersAreFinite) {
   localisation::CommLocation location;
   location.set_is_valid(true);
-  EXPECT_FALSE(json::parse(location_json(location))["valid"]);
+  EXPECT_FALSE(json::parse(location_json(location, TimePoint{}))["valid"]);
   location.mutable_position()->set_is_valid(true);
-  EXPECT_TRUE(json::parse(location_json(location))["valid"]);
+  EXPECT_TRUE(json::parse(location_json(location, TimePoint{}))["valid"]);
   location.mutable_position()->set_x(NAN);
-  EXPECT_FALSE(json::parse(location_json(location))["valid"]);
+  EXPECT_FALSE(json::parse(location_json(location, TimePoint{}))["valid"]);
 }
 
 TEST(Board, ASlowReaderSkipsWhatWasReplaced) {

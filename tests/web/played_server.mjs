@@ -106,7 +106,7 @@ export const kStatus = {
 const kNothingSaid = { use_elevator: null, use_stairs: null, use_outdoor_navigation: null };
 export const kGuest = { user: null, profile: { level: 0, ...kNothingSaid, points: [] }, notice: "" };
 export const anna = (...points) => ({ user: "anna", profile: { level: 3, ...kNothingSaid, points }, notice: "" });
-export const at = (x, y, level = 0, major = 1.2) => ({ x, y, level, valid: true, ellipse: { major, minor: major / 2, angle: 0.3 } });
+export const at = (x, y, level = 0, major = 1.2) => ({ x, y, level, measured: Date.now(), valid: true, ellipse: { major, minor: major / 2, angle: 0.3 } });
 export const kToOffice = { valid: true, points: [[2, 1.5, 0], [9, 1.5, 0], [9, 5.5, 0]] };
 export const kToLibrary = { valid: true, points: [[2, 1.5, 0], [19, 1.5, 0], [19, 4, 0], [19, 4, 1], [19, 1.5, 1], [6, 1.5, 1], [6, 5.5, 1]] };
 export const instruction = (number, kind, text, more = {}) => ({ number, kind, text, language: "en", uncertain: false, ...more });

@@ -91,11 +91,12 @@ void RadioLocalisation::on_step(const localisation::CommStep& step) {
 }
 
 void RadioLocalisation::produce() {
+  const TimePoint heard_until = now();
   filter_->advance(clock_ms());
   const radio::Estimate estimate = filter_->estimate();
   note_validity(estimate.validity);
   show(estimate);
-  location_.put(location_of(estimate, *map_));
+  location_.put(location_of(estimate, *map_), heard_until);
 }
 
 void RadioLocalisation::show(const radio::Estimate& estimate) {

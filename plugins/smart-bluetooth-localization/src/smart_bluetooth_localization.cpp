@@ -136,6 +136,7 @@ void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevel
 }
 
 void SmartBluetoothLocalization::produce() {
+  const TimePoint heard_until = now();
   if (steps_.connection() == Connection::Connected) filter_->expect_steps();
   filter_->advance(clock_ms());
   const beacons::Estimate estimate = filter_->estimate();
@@ -143,7 +144,7 @@ void SmartBluetoothLocalization::produce() {
   spread_.set(estimate.is_valid() ? std::sqrt(estimate.covariance.trace()) : std::numeric_limits<double>::infinity());
   rssi_offset_.set(estimate.rssi_offset_db);
   heading_bias_.set(estimate.heading_bias_rad);
-  location_.put(location_of(estimate));
+  location_.put(location_of(estimate), heard_until);
 }
 
 localisation::CommLocation SmartBluetoothLocalization::location_of(const beacons::Estimate& estimate) const {

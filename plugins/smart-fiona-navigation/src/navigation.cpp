@@ -347,7 +347,7 @@ void Navigation::on_location(const Received<localisation::CommLocation>& locatio
   if (!location->is_valid() || !position.is_valid()) return;
   const building::Point at{position.x(), position.y()};
   const Covariance covariance = covariance_of(position);
-  const ShownPosition::Shown shown = blender_.follow(at, covariance, now());
+  const ShownPosition::Shown shown = blender_.follow({at, position.z()}, covariance, now());
   note_heading(*location);
   std::optional<double> heading = course_rad_;
   if (location->orientation().is_valid()) {

@@ -31,13 +31,18 @@ Covariance moved(const Covariance& covariance, Point offset) {
 
 }  // namespace
 
-ShownPosition::Shown ShownPosition::follow(Point at, const Covariance& covariance, TimePoint now) {
+ShownPosition::Shown ShownPosition::follow(const building::PathPoint& place, const Covariance& covariance,
+                                           TimePoint now) {
+  const Point at = place.at;
   const double jump_m = std::max(kJump_m, kJumpSigmas * covariance.sigma_m());
   const auto share_left = [&] {
     return jumped_ ? std::clamp(1.0 - to_seconds(now - *jumped_) / to_seconds(kBlend), 0.0, 1.0) : 0.0;
   };
   double left = share_left();
-  if (last_ && distance_m(last_->at, at + offset_ * left) > jump_m) {
+  const bool jumps = last_ && (distance_m(last_->at, at + offset_ * left) > jump_m ||
+                               std::abs(place.level - level_) > kJumpLevels);
+  level_ = place.level;
+  if (jumps) {
     offset_ = last_->at - at;
     before_ = last_->covariance;
     jumped_ = now;
@@ -45,7 +50,9 @@ ShownPosition::Shown ShownPosition::follow(Point at, const Covariance& covarianc
   }
   if (left == 0.0) jumped_.reset();
   const Point offset = offset_ * left;
-  last_ = Shown{at + offset, left > 0.0 ? moved(covariance + before_ * left, offset) : covariance, left > 0.0};
+  // From the place shown to the further one of the two that it covers.
+  const Point reach = offset_ * std::max(left, 1.0 - left);
+  last_ = Shown{at + offset, left > 0.0 ? moved(covariance + before_ * left, reach) : covariance, left > 0.0};
   return *last_;
 }
 

@@ -55,11 +55,12 @@ json room_of(const navigation::MapRoom& room) {
 
 std::string text_of(const json& value) { return value.dump(-1, ' ', false, json::error_handler_t::replace); }
 
-std::string location_json(const localisation::CommLocation& location) {
+std::string location_json(const localisation::CommLocation& location, TimePoint measured) {
   const localisation::CommPosition& position = location.position();
   const bool finite = std::isfinite(position.x()) && std::isfinite(position.y()) && std::isfinite(position.z());
   json value{{"x", finite ? position.x() : 0.0},
              {"y", finite ? position.y() : 0.0},
+             {"measured", to_milliseconds(measured)},
              {"valid", finite && location.is_valid() && position.is_valid()}};
   if (position.has_z() && finite) value["level"] = position.z();
   if (json ellipse = ellipse_of(position); !ellipse.is_null()) value["ellipse"] = std::move(ellipse);

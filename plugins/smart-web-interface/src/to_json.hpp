@@ -14,9 +14,10 @@ namespace fiona::smart_web_interface {
 /// As text on one line; bytes that are no UTF-8, where a supplier does not check them, are replaced.
 std::string text_of(const nlohmann::json& value);
 
-/// {x, y, level?, valid, ellipse?: {major, minor, angle}}: the semi-axes of the 95 % ellipse in metres, and the angle
-/// of the major one counter-clockwise from east in radians; no ellipse where the covariance is not known or none.
-std::string location_json(const localisation::CommLocation& location);
+/// {x, y, level?, measured, valid, ellipse?: {major, minor, angle}}: when the walker was there, in milliseconds of Unix
+/// time; the semi-axes of the 95 % ellipse in metres, and the angle of the major one counter-clockwise from east in
+/// radians; no ellipse where the covariance is not known or none.
+std::string location_json(const localisation::CommLocation& location, TimePoint measured);
 
 /// {valid, points: [[x, y, level?]]}
 std::string path_json(const navigation::CommPath& path);

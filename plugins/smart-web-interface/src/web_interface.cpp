@@ -150,7 +150,7 @@ Link WebInterface::make_link(const None&) {
 
 void WebInterface::on_location(const Received<localisation::CommLocation>& location) {
   location_at_ = now();
-  board_.set("location", location_json(*location));
+  board_.set("location", location_json(*location, location.origin));
   tell_status();
 }
 

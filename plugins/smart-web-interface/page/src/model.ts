@@ -10,6 +10,7 @@ export interface Location {
   x: number;
   y: number;
   level?: number; // absent outdoors
+  measured: number; // when the walker was there, in milliseconds of Unix time
   valid: boolean;
   ellipse?: Ellipse;
 }

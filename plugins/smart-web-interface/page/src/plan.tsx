@@ -149,7 +149,7 @@ function Walker({ location, certain, progress, pixel }: { location: Location; ce
   const ellipse = location.ellipse;
   const heading = progress && progress.off < 5 ? progress.heading : null;
   return (
-    <g class={certain ? "walker" : "walker uncertain"}>
+    <g class={certain ? "walker" : "walker uncertain"} data-measured={location.measured}>
       {ellipse && (
         <ellipse
           class="region"
