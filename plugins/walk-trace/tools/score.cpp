@@ -12,6 +12,7 @@
 #include <fstream>
 #include <iostream>
 #include <map>
+#include <numbers>
 #include <optional>
 #include <sstream>
 #include <string>
@@ -116,6 +117,8 @@ struct Score {
   std::vector<double> errors_m = {};
   std::vector<double> radii_m = {};  ///< of circles as large as the 95 % regions
   std::size_t points = 0, right_floor = 0, inside = 0;
+  double log_density = 0.0;                   ///< of the truths, in all
+  std::array<double, 3> moments_m2{0, 0, 0};  ///< xx, xy, yy of those errors, in all
 
   void add(const Point& truth, const Point& shown) {
     const double x = shown.x_m - truth.x_m, y = shown.y_m - truth.y_m;
@@ -126,7 +129,22 @@ struct Score {
     const double determinant = xx * yy - xy * xy;
     if (!(xx > 0.0 && determinant > 0.0)) return;
     radii_m.push_back(std::sqrt(kChiSquare95 * std::sqrt(determinant)));
-    if ((yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant <= kChiSquare95) ++inside;
+    const double distance2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant;
+    if (distance2 <= kChiSquare95) ++inside;
+    log_density += log_density_of(distance2, determinant);
+    moments_m2[0] += x * x, moments_m2[1] += x * y, moments_m2[2] += y * y;
+  }
+
+  /// Of a normal variate of two dimensions, at so many standard deviations, squared.
+  static double log_density_of(double distance2, double determinant) {
+    return -0.5 * (distance2 + std::log(determinant)) - std::log(2.0 * std::numbers::pi);
+  }
+  double log_score() const { return log_density / static_cast<double>(radii_m.size()); }
+  /// The log score of the constant covariance that is best on these very points: none chosen before can be better.
+  double constant_log_score() const {
+    const auto n = static_cast<double>(radii_m.size());
+    const auto [xx, xy, yy] = moments_m2;
+    return log_density_of(2.0, (xx * yy - xy * xy) / (n * n));
   }
 };
 
@@ -156,9 +174,11 @@ void print(Score score) {
               100.0 * static_cast<double>(score.right_floor) / count, score.errors_m.size(), score.points);
   if (score.radii_m.empty()) return;
   const double radius = percentile(score.radii_m, 0.5);
-  std::printf("95 %% region: holds %.1f %% of %zu truths; its median radius is %.2f m, %.2f times the median error\n",
-              100.0 * static_cast<double>(score.inside) / static_cast<double>(score.radii_m.size()),
-              score.radii_m.size(), radius, median > 0.0 ? radius / median : 0.0);
+  std::printf(
+      "95 %% region: holds %.1f %% of %zu truths; its median radius is %.2f m, %.2f times the median error; log score "
+      "%.2f, of the best constant one %.2f\n",
+      100.0 * static_cast<double>(score.inside) / static_cast<double>(score.radii_m.size()), score.radii_m.size(),
+      radius, median > 0.0 ? radius / median : 0.0, score.log_score(), score.constant_log_score());
 }
 
 int run(const std::string& truth_file, const std::string& track_file, const std::string& only) {
