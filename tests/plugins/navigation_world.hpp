@@ -5,6 +5,7 @@
 #include <string>
 
 #include <fiona/building/building.hpp>
+#include <fiona/time.hpp>
 
 #include "level_map.hpp"
 #include "level_plan.hpp"
@@ -46,6 +47,15 @@ inline navigation::CommPlan solve(const TaskGraph::Request& request) {
   question.set_problem(request.problem());
   return solve(question);
 }
+
+inline building::Route way(const LevelPlan& plan, building::PathPoint from, building::PathPoint to,
+                           const building::RouteOptions& options = {}) {
+  TaskGraph tasks(plan, from, options);
+  const auto request = tasks.request(from, to);
+  return request.route(solve(request));
+}
+
+inline TimePoint at(double seconds) { return TimePoint(Duration(static_cast<std::int64_t>(seconds * 1e9))); }
 
 /// A corridor 30 x 3 m on level 0 with rooms A, B (for staff) and C north of it; stairs in the corridor's west end and
 /// a lift in its east end lead to a corridor with room D on level 1. The main entrance is in the west.
