@@ -483,6 +483,24 @@ TEST(Guide, ATurnThatWasToldWithItsDoorIsNotToldBeforeADoubtfulPlaceIsClearOfThe
   EXPECT_EQ(told_at(11.1), Instruction::TURN);
 }
 
+TEST(Guide, WhoGoesStraightOnBehindADoorWhereThePathTurnsAtOnceIsThroughIt) {
+  const LevelPlan plan;
+  Guide guide(plan, around_a_corner(0), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0, 0.5}, at(0));
+  EXPECT_EQ(guide.follow({{{0, 10.7}, 0}, 0.0, 0.5}, at(2)).instruction.kind(), Instruction::DOOR);
+  const auto beyond = guide.follow({{{0, 11.3}, 0}, 0.0, 0.5}, at(3)).instruction;
+  EXPECT_EQ(beyond.kind(), Instruction::TURN) << beyond.text();
+  EXPECT_EQ(beyond.hour(), NextTurn::HOUR_3);
+}
+
+TEST(Guide, ADoorThatSomebodyHasGoneAwayFromIsNoneToGoThroughNow) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 90 * kDegree, 1.0}, at(0));
+  EXPECT_EQ(guide.follow({{{2.5, 8}, 0}, 90 * kDegree, 1.0}, at(1)).instruction.kind(), Instruction::DOOR);
+  EXPECT_EQ(guide.follow({{{5.5, 8}, 0}, 90 * kDegree, 1.0}, at(3)).instruction.kind(), Instruction::TURN);
+}
+
 TEST(Guide, ATurnFurtherBehindADoorIsToldByItself) {
   const LevelPlan plan;
   Guide guide(plan, around_a_corner(5), "Room 7", false, at(0));

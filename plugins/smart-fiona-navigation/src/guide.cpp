@@ -65,6 +65,7 @@ constexpr auto kTurnsIn = 2500ms;
 constexpr auto kSurelyDoes = 9s;
 constexpr auto kLeaves = 10s;        ///< a room, from when it was told
 constexpr double kAtDoor_m = 2.5;    ///< a door that is so near, and in sight, is told of wherever one looks
+constexpr double kReach_m = 3.0;     ///< off the way to it
 constexpr double kBeforeIt_m = 0.5;  ///< who is further aside looks at the wall
 constexpr double kAtFoot_m = 0.5;    ///< of stairs
 constexpr double kThere_m = 1.5;
@@ -271,7 +272,11 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint
   if (walker.sigma_m >= kSure_m && !was_told) return at_m_ >= maneuver.end_m + walker.sigma_m;
   if (stands(walker, now)) return at_m_ >= maneuver.end_m + walker.sigma_m;
   // There is no haste where the turn behind it was told with it; told too early, it is taken before the door.
-  if (walker.sigma_m >= kSure_m && then()) return at_m_ >= maneuver.end_m + kClear_m;
+  if (walker.sigma_m >= kSure_m && then()) {
+    // Who goes straight on behind it gets no further along the path.
+    const double beyond_m = dot(walker.place.at - path_.place(maneuver.end_m).at, maneuver.out);
+    return at_m_ >= maneuver.end_m + kClear_m || (at_m_ >= maneuver.end_m - 0.2 && beyond_m >= kClear_m);
+  }
   return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && is_before(maneuver, walker));
 }
 
@@ -380,6 +385,9 @@ Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
   const bool in_it = at_m_ > next().at_m - 0.3;
   const double ahead_m = to_next_m();
   if (changes_level(next()) && in_it) return Phase::Now;
+  // A door that is further than it is told to be is not gone through now.
+  const bool out_of_reach = is_door(next()) && distance_m(walker.place.at, spot()) > ahead_m + kReach_m;
+  if (out_of_reach && off_m_ > kBeside_m && !leaves) return Phase::Align;
   // Who was told to go through a door is about to: another word would be taken for another door.
   if (is_doing(walker, now) && next().kind != Instruction::TURN) return Phase::Now;
   if (nearest_ == std::pair{next_, Phase::Now} && is_door(next()) && is_at_door(walker)) return Phase::Now;
