@@ -45,16 +45,6 @@ void add_arguments(const std::string& text, google::protobuf::RepeatedPtrField<c
   }
 }
 
-TemporaryDirectory::TemporaryDirectory() {
-  std::string name = (std::filesystem::temp_directory_path() / "fiona-test-XXXXXX").string();
-  path = ::mkdtemp(name.data());
-}
-
-TemporaryDirectory::~TemporaryDirectory() {
-  std::error_code ignored;
-  std::filesystem::remove_all(path, ignored);
-}
-
 std::string to_string(Transport transport) {
   return transport == Transport::Process ? "Process" : transport == Transport::Ipc ? "Ipc" : "Tcp";
 }

@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "../temporary_directory.hpp"
 #include "os/process.hpp"
 #include "system.hpp"
 
@@ -28,15 +29,7 @@ control::PortName port_name(const std::string& text);
 /// "a=1 b=text" as arguments; a word without = is passed over.
 void add_arguments(const std::string& text, google::protobuf::RepeatedPtrField<control::Argument>& list);
 
-/// A directory of its own, removed at the end.
-struct TemporaryDirectory {
-  TemporaryDirectory();
-  ~TemporaryDirectory();
-  TemporaryDirectory(const TemporaryDirectory&) = delete;
-  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
-
-  std::filesystem::path path;
-};
+using tests::TemporaryDirectory;
 
 /// A fiona.test.Sample as the test sees it. The test must not link the message itself: the plugin brings it, and
 /// protobuf allows a file once per process. Also the value of a probe: a number as `value`, a text as `payload`.

@@ -130,9 +130,9 @@ class AccessTable : public ::testing::TestWithParam<From> {
  protected:
   void SetUp() override {
     ::setenv("FIONA_MARKET", "/nonexistent", 1);
-    ::setenv("FIONA_KEYS", (directory.path() / "keys").c_str(), 1);
-    ::setenv("XDG_RUNTIME_DIR", directory.path().c_str(), 1);
-    std::ofstream(directory.path() / "system.fiona") << "load trace-player as walk\n";
+    ::setenv("FIONA_KEYS", (directory.path / "keys").c_str(), 1);
+    ::setenv("XDG_RUNTIME_DIR", directory.path.c_str(), 1);
+    std::ofstream(directory.path / "system.fiona") << "load trace-player as walk\n";
   }
 
   std::vector<control::Reply> answer(const control::Request& request) {
@@ -160,12 +160,12 @@ class AccessTable : public ::testing::TestWithParam<From> {
       const std::size_t at = lines.find(name);
       if (at != std::string::npos)
         lines.replace(at, std::string(name).size(),
-                      (directory.path() / (name[0] == 'F' ? "system.fiona" : "saved.fiona")).string());
+                      (directory.path / (name[0] == 'F' ? "system.fiona" : "saved.fiona")).string());
     }
     Options options;
     options.at = "unix:" + host.socket().string();
     options.timeout = 10s;
-    options.store = directory.path() / "store";
+    options.store = directory.path / "store";
     Session session(reactor, output, options);
     bool told = false;
     try {
@@ -182,7 +182,7 @@ class AccessTable : public ::testing::TestWithParam<From> {
 
   void run(Session& session, const std::string& lines) {
     if (GetParam() == From::SourcedFile) {
-      const std::string file = (directory.path() / "lines.fiona").string();
+      const std::string file = (directory.path / "lines.fiona").string();
       std::ofstream(file) << lines << "\n";
       return session.run(split_line("source " + file));
     }

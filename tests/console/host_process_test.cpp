@@ -17,6 +17,7 @@
 
 #include <fmt/format.h>
 
+#include "../temporary_directory.hpp"
 #include "host_process.hpp"
 
 namespace fiona::console {
@@ -69,26 +70,23 @@ class Holder {
 class HostProcessEnd : public testing::Test {
  protected:
   HostProcessEnd() {
-    std::string pattern = (std::filesystem::temp_directory_path() / "fiona-host-process-XXXXXX").string();
-    directory_ = ::mkdtemp(pattern.data());
-    std::ofstream(directory_ / "host") << "#!/bin/sh\nsleep 100 3>&- 4<&- >/dev/null 2>&1 &\necho $$ $! > '"
-                                       << (directory_ / "processes").string()
-                                       << "'\nprintf 'READY\\n' >&3\nexec 3>&-\nwait\n";
-    std::filesystem::permissions(directory_ / "host", std::filesystem::perms::owner_all);
+    std::ofstream(directory_.path / "host")
+        << "#!/bin/sh\nsleep 100 3>&- 4<&- >/dev/null 2>&1 &\necho $$ $! > '"
+        << (directory_.path / "processes").string() << "'\nprintf 'READY\\n' >&3\nexec 3>&-\nwait\n";
+    std::filesystem::permissions(directory_.path / "host", std::filesystem::perms::owner_all);
   }
-  ~HostProcessEnd() override { std::filesystem::remove_all(directory_); }
 
   /// The script, and the program that it has started.
   std::pair<pid_t, pid_t> processes() const {
-    std::ifstream file(directory_ / "processes");
+    std::ifstream file(directory_.path / "processes");
     std::pair<pid_t, pid_t> both;
     file >> both.first >> both.second;
     return both;
   }
   HostProcess started(bool supervised) {
     HostLaunch launch;
-    launch.program = directory_ / "host";
-    launch.socket = directory_ / "socket";
+    launch.program = directory_.path / "host";
+    launch.socket = directory_.path / "socket";
     launch.name = "held";
     launch.supervised = supervised;
     return HostProcess(reactor_, launch, [this](const std::string& line) { said_.push_back(line); });
@@ -101,7 +99,7 @@ class HostProcessEnd : public testing::Test {
   std::vector<std::string> said_;
 
  private:
-  std::filesystem::path directory_;
+  tests::TemporaryDirectory directory_;
 };
 
 TEST_F(HostProcessEnd, OfOneThatNobodyCanEndIsWaitedForSevenSecondsAndTold) {

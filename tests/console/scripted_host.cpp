@@ -12,24 +12,13 @@
 
 namespace fiona::console {
 
-TemporaryDirectory::TemporaryDirectory() {
-  std::string pattern = (std::filesystem::temp_directory_path() / "fiona-console-XXXXXX").string();
-  if (::mkdtemp(pattern.data()) == nullptr) throw std::runtime_error("mkdtemp");
-  path_ = pattern;
-}
-
-TemporaryDirectory::~TemporaryDirectory() {
-  std::error_code problem;
-  std::filesystem::remove_all(path_, problem);
-}
-
 std::string framed(const std::string& body) {
   std::string frame;
   for (std::size_t i = 0; i < 4; ++i) frame += static_cast<char>(body.size() >> (8 * i) & 0xffU);
   return frame + body;
 }
 
-ScriptedHost::ScriptedHost(Script script) : socket_(directory_.path() / "main.sock"), script_(std::move(script)) {
+ScriptedHost::ScriptedHost(Script script) : socket_(directory_.path / "main.sock"), script_(std::move(script)) {
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
   std::memcpy(address.sun_path, socket_.c_str(), socket_.native().size());

@@ -6,22 +6,12 @@
 #include <thread>
 #include <vector>
 
+#include "../temporary_directory.hpp"
 #include "fiona/control.pb.h"
 
 namespace fiona::console {
 
-/// A directory of its own for a test, gone afterwards.
-class TemporaryDirectory {
- public:
-  TemporaryDirectory();
-  ~TemporaryDirectory();
-  TemporaryDirectory(const TemporaryDirectory&) = delete;
-  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  std::filesystem::path path_;
-};
+using tests::TemporaryDirectory;
 
 /// A control server on a real unix socket that answers as a test says. It serves one client after the other, in a
 /// thread.

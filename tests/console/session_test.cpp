@@ -113,15 +113,15 @@ class ConsoleTest : public ::testing::Test {
       Options options;
       options.at = "unix:" + host.socket().string();
       options.timeout = 10s;  // a loaded machine is slow; what must time out says so itself
-      options.store = directory.path() / "store";
+      options.store = directory.path / "store";
       session_ = std::make_unique<Session>(reactor, output, options);
     }
     return *session_;
   }
 
   std::filesystem::path file(const std::string& name, const std::string& text) {
-    std::ofstream(directory.path() / name) << text;
-    return directory.path() / name;
+    std::ofstream(directory.path / name) << text;
+    return directory.path / name;
   }
 
   ScriptedHost::Script script;
@@ -551,12 +551,12 @@ TEST_F(ConsoleTest, SaveReplacesTheFileByTheSystem) {
             "load fiona/tools/step-heading as nav in fast\n"
             "wire nav.imu to walk.imu every 5\n"
             "state nav neutral\n");
-  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(directory.path()), {}), 1);
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(directory.path), {}), 1);
 }
 
 TEST_F(ConsoleTest, SaveThatCannotWriteLeavesNothingBehind) {
   script = [](const auto&) { return system_reply(wired_system()); };
-  EXPECT_NE(error_of("save " + (directory.path() / "no" / "x.fiona").string())
+  EXPECT_NE(error_of("save " + (directory.path / "no" / "x.fiona").string())
                 .find("the file cannot be written: No such file or directory"),
             std::string::npos);
 }
@@ -642,7 +642,7 @@ TEST(SavedSystem, KeepsTheOrderOfAlternativesWhoeverServes) {
 
 TEST(WhiteSpots, NameTheAlternativesThatAreMissing) {
   const TemporaryDirectory directory;
-  const auto spots = white_spots(system_with_alternatives(), Catalogue(directory.path()));
+  const auto spots = white_spots(system_with_alternatives(), Catalogue(directory.path));
   std::vector<std::string> missing;
   for (const auto& spot : spots) {
     if (spot.reason == "served, an alternative is missing") missing.push_back(spot.fillers.at(0).what);
@@ -657,7 +657,7 @@ TEST(WhiteSpots, AreNotFilledByTheirOwnInstance) {
   auto* const own = system.mutable_instances(1)->add_ports();
   *own = system.instances(0).ports(0);
   own->set_name("smoothed");
-  const auto spots = white_spots(system, Catalogue(directory.path()));
+  const auto spots = white_spots(system, Catalogue(directory.path));
   std::vector<std::string> offers;
   for (const auto& spot : spots) {
     for (const auto& filler : spot.fillers) {
@@ -682,7 +682,7 @@ TEST(Endpoint, NobodyListeningIsUnreachableWithTheNextStep) {
   const TemporaryDirectory directory;
   Reactor reactor;
   try {
-    const ControlClient client(reactor, Endpoint{directory.path() / "main.sock"}, 100ms);
+    const ControlClient client(reactor, Endpoint{directory.path / "main.sock"}, 100ms);
     FAIL() << "it connected";
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ErrorCode::Unreachable);

@@ -1,7 +1,6 @@
 // The index of a marketplace, which strangers fill: any bytes give a marketplace or one fiona::Error, and each package
 // that it offers can be found by its name.
 #include <google/protobuf/stubs/logging.h>
-#include <stdlib.h>
 
 #include <cstdint>
 #include <cstdlib>
@@ -12,27 +11,12 @@
 #include <string>
 #include <string_view>
 
+#include "../temporary_directory.hpp"
 #include "index_file.hpp"
 
 namespace {
 
 using fiona::marketplace::Marketplace;
-
-/// A directory of its own, gone at the end.
-class Directory {
- public:
-  Directory() : path_((std::filesystem::temp_directory_path() / "fiona-fuzz-XXXXXX").string()) {
-    if (::mkdtemp(path_.data()) == nullptr) std::abort();
-  }
-  ~Directory() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-  std::filesystem::path path() const { return path_; }
-
- private:
-  std::string path_;
-};
 
 void refuses_version(const Marketplace& market, const std::string& name) {
   try {
@@ -60,11 +44,11 @@ void use(const Marketplace& market) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   static const auto kLogBefore = google::protobuf::SetLogHandler(nullptr);  // it tells of each garbled message
   static_cast<void>(kLogBefore);
-  static const Directory kDirectory;
-  std::ofstream(kDirectory.path() / fiona::marketplace::kIndexFile, std::ios::binary)
+  static const fiona::tests::TemporaryDirectory kDirectory;
+  std::ofstream(kDirectory.path / fiona::marketplace::kIndexFile, std::ios::binary)
       << std::string_view(reinterpret_cast<const char*>(data), size);
   try {
-    use(Marketplace(kDirectory.path()));
+    use(Marketplace(kDirectory.path));
   } catch (const fiona::Error& error) {
     if (error.text().what.empty()) std::abort();
   }

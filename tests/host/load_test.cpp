@@ -10,6 +10,7 @@
 #include <optional>
 #include <sstream>
 
+#include "../temporary_directory.hpp"
 #include "fiona/error.hpp"
 #include "plugin_library.hpp"
 #include "system_fixture.hpp"
@@ -239,19 +240,16 @@ TEST_F(SharedMessages, OfAnotherVersionAreNotTakenForThoseThatAPluginWasOpenedWi
 class CopiedPlugin : public testing::Test {
  protected:
   CopiedPlugin() {
-    std::string name = (std::filesystem::temp_directory_path() / "fiona-load-XXXXXX").string();
-    directory = ::mkdtemp(name.data());
     const std::filesystem::path built(TEST_COMPONENTS_LIBRARY);
     std::filesystem::copy_file(built.parent_path() / "test-components.interface.textproto", interface());
     std::filesystem::copy_file(built, library());
   }
-  ~CopiedPlugin() override { std::filesystem::remove_all(directory); }
 
-  std::filesystem::path library() const { return directory / "libcopy.so"; }
-  std::filesystem::path interface() const { return directory / "copy.interface.textproto"; }
+  std::filesystem::path library() const { return directory.path / "libcopy.so"; }
+  std::filesystem::path interface() const { return directory.path / "copy.interface.textproto"; }
   std::string component() const { return library().string() + "/source"; }
 
-  std::filesystem::path directory;
+  tests::TemporaryDirectory directory;
   RunningSystem system;
 };
 

@@ -1,5 +1,6 @@
 // Users, passwords, attempts and sessions: who gets in, who does not, and how little that tells.
 #include "authenticator.hpp"
+#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -77,14 +78,11 @@ class Waiting final : public ReplySink {
 class AuthenticatorTest : public ::testing::Test {
  protected:
   AuthenticatorTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "fiona-users-XXXXXX").string();
-    folder_ = ::mkdtemp(name.data());
     records::RecordStore store(file(), kDatabaseKind);
     Accounts(store).add("anna", Secret(kPassword), 3);
   }
-  ~AuthenticatorTest() override { std::filesystem::remove_all(folder_); }
 
-  std::string file() const { return folder_ / "users.db"; }
+  std::string file() const { return folder_.path / "users.db"; }
   std::unique_ptr<Bench<Authenticator>> started() const {
     auto bench = std::make_unique<Bench<Authenticator>>("auth");
     bench->set("database", file());
@@ -123,7 +121,7 @@ class AuthenticatorTest : public ::testing::Test {
     return answer ? **answer : CommSession();
   }
 
-  std::filesystem::path folder_;
+  tests::TemporaryDirectory folder_;
 };
 
 TEST_F(AuthenticatorTest, TheRightPasswordGetsASessionOf128Bits) {
@@ -435,7 +433,7 @@ TEST_F(AuthenticatorTest, NeitherPasswordsNorSessionsAreInTheDatabaseOrTheLog) {
     login(*bench, "anna", "canary in a mine");
     said = bench->log();
   }
-  for (const auto& entry : std::filesystem::directory_iterator(folder_)) {
+  for (const auto& entry : std::filesystem::directory_iterator(folder_.path)) {
     std::ifstream in(entry.path(), std::ios::binary);
     const std::string bytes((std::istreambuf_iterator<char>(in)), {});
     EXPECT_THAT(bytes, Not(HasSubstr(kPassword))) << entry.path();

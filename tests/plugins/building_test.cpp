@@ -17,6 +17,7 @@
 #include <fiona/building/svg.hpp>
 #include <fiona/error.hpp>
 
+#include "../temporary_directory.hpp"
 #include "osm_text.hpp"
 
 namespace fiona::building {
@@ -94,17 +95,16 @@ TEST(BuildingFile, ARoomOnSeveralLevelsIsARoomOnEach) {
   EXPECT_EQ(levels, Levels({0, 1, 4}));
 }
 
-/// The same elements as PBF. Tests run side by side, so each writes its own.
+/// The same elements as PBF.
 std::string as_pbf(const std::string& xml) {
-  const std::filesystem::path file =
-      std::filesystem::path(testing::TempDir()) / (std::to_string(::getpid()) + ".osm.pbf");
+  const tests::TemporaryDirectory folder;
+  const std::filesystem::path file = folder.path / "house.osm.pbf";
   osmium::io::Reader reader(osmium::io::File(xml.data(), xml.size(), "osm"));
   osmium::io::Writer writer(osmium::io::File(file.string(), "pbf"), osmium::io::overwrite::allow);
   while (osmium::memory::Buffer buffer = reader.read()) writer(std::move(buffer));
   writer.close();
   std::ostringstream bytes;
   bytes << std::ifstream(file, std::ios::binary).rdbuf();
-  std::filesystem::remove(file);
   return bytes.str();
 }
 
@@ -532,11 +532,11 @@ class RealFiles : public testing::Test {
     if (!std::filesystem::exists(folder_)) GTEST_SKIP() << "no map at " << folder_ << ": set FIONA_DATA";
   }
 
-  /// The files are kept compressed; the reader takes plain .osm. Tests run side by side, so each unpacks its own.
+  /// The files are kept compressed; the reader takes plain .osm.
   Building read(const std::string& name, const std::string& unpack) const {
     const std::filesystem::path packed = folder_ / name;
-    const std::string test = testing::UnitTest::GetInstance()->current_test_info()->name();
-    const std::filesystem::path plain = std::filesystem::path(testing::TempDir()) / (test + ".osm");
+    const tests::TemporaryDirectory unpacked;
+    const std::filesystem::path plain = unpacked.path / "station.osm";
     const std::string command = unpack + " -dc '" + packed.string() + "' > '" + plain.string() + "'";
     if (std::system(command.c_str()) != 0) throw std::runtime_error("cannot unpack " + packed.string());
     return Building::read(plain);

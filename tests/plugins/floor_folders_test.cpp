@@ -10,6 +10,8 @@
 #include <fiona/building/svg.hpp>
 #include <fiona/error.hpp>
 
+#include "../temporary_directory.hpp"
+
 namespace fiona::building {
 namespace {
 
@@ -55,13 +57,9 @@ std::string refusal(const std::string& info, const std::string& map) {
 class FloorFolders : public ::testing::Test {
  protected:
   FloorFolders() {
-    site_ = fs::path(::testing::TempDir()) /
-            ("floor_folders_" + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
-    fs::remove_all(site_);
     fs::create_directories(site_ / "F1");
     std::ofstream(site_ / "F1" / "floor_info.json") << kInfo;
   }
-  ~FloorFolders() override { fs::remove_all(site_); }
 
   fs::path map() const { return site_ / "F1" / "geojson_map.json.gz"; }
 
@@ -81,7 +79,8 @@ class FloorFolders : public ::testing::Test {
     return {};
   }
 
-  fs::path site_;
+  tests::TemporaryDirectory folder_;
+  fs::path site_ = folder_.path / "site";
 };
 
 TEST(FloorPlan, TheOutlinesBoxIsAsLargeAsTheFloorAndBeginsAtItsLowerLeft) {

@@ -1,4 +1,5 @@
 #include "map_server.hpp"
+#include "../temporary_directory.hpp"
 
 #include <png.h>
 
@@ -54,12 +55,10 @@ Osm house() {
   return osm;
 }
 
-std::filesystem::path written(const std::string& text, const std::string& name = "house.osm") {
-  const std::string test = ::testing::UnitTest::GetInstance()->current_test_info()->name();
-  const std::filesystem::path folder = std::filesystem::path(::testing::TempDir()) / ("map_server_" + test);
-  std::filesystem::create_directories(folder);
-  std::ofstream(folder / name) << text;
-  return folder / name;
+std::filesystem::path written(const tests::TemporaryDirectory& folder, const std::string& text) {
+  const std::filesystem::path file = folder.path / "house.osm";
+  std::ofstream(file) << text;
+  return file;
 }
 
 /// The same building at another latitude (east and west are nearer to each other there), and turned.
@@ -86,7 +85,7 @@ Osm far_house() {
 
 struct Served {
   explicit Served(const Osm& osm = house()) : Served(osm.text()) {}
-  explicit Served(const std::string& text) : file(written(text)) {
+  explicit Served(const std::string& text) : file(written(folder, text)) {
     bench.set("building", file.string());
     bench.start();
   }
@@ -128,6 +127,7 @@ struct Served {
     return **ask<navigation::LevelMap>("levels", request);
   }
 
+  tests::TemporaryDirectory folder;
   std::filesystem::path file;
   testing::Bench<MapServer> bench;
 };
@@ -485,8 +485,9 @@ TEST(MapServer, TooManyPixelsAreRefusedWithTheSizeThatWouldDo) {
   Osm osm = house();
   osm.rectangle(70, 4000, 0, 4010, 10, "indoor=room level=0 name=Far");
   osm.rectangle(80, 0, 4000, 10, 4010, "indoor=room level=0 name=North");
+  const tests::TemporaryDirectory folder;
   testing::Bench<MapServer> bench;
-  bench.set("building", written(osm.text()).string());
+  bench.set("building", written(folder, osm.text()).string());
   try {
     bench.start();
     FAIL() << "no error";

@@ -16,6 +16,7 @@
 
 #include <fiona/error.hpp>
 
+#include "../temporary_directory.hpp"
 #include "accuracy.hpp"
 #include "level_tracker.hpp"
 #include "radio_filter.hpp"
@@ -137,16 +138,6 @@ class Walker {
   milliseconds now_{10'000};
 };
 
-class Folder {
- public:
-  Folder() {
-    std::string pattern = (fs::temp_directory_path() / "radio-map-XXXXXX").string();
-    path = mkdtemp(pattern.data());
-  }
-  ~Folder() { fs::remove_all(path); }
-  fs::path path;
-};
-
 std::string bytes_of(const fs::path& file) {
   std::ifstream stream(file, std::ios::binary);
   return {std::istreambuf_iterator<char>(stream), {}};
@@ -154,7 +145,7 @@ std::string bytes_of(const fs::path& file) {
 
 /// The error that loading these bytes gives.
 Error error_of(const std::string& bytes) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   std::ofstream(folder.path / "hall.radiomap", std::ios::binary) << bytes;
   try {
     load(folder.path / "hall.radiomap");
@@ -165,7 +156,7 @@ Error error_of(const std::string& bytes) {
 }
 
 std::string saved_map() {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   save(*learnt_map(), folder.path / "hall.radiomap");
   return bytes_of(folder.path / "hall.radiomap");
 }
@@ -219,7 +210,7 @@ TEST(RadioMap, AnOddPhoneInTheSurveyDoesNotShiftTheMap) {
 
 TEST(RadioMap, AWalkThatIsLeftOutTeachesNothing) {
   const auto bytes = [](const RadioMap& map) {
-    const Folder folder;
+    const tests::TemporaryDirectory folder;
     save(map, folder.path / "map");
     return bytes_of(folder.path / "map");
   };
@@ -275,7 +266,7 @@ TEST(RadioMap, NothingHeardIsNoMap) {
 }
 
 TEST(RadioMapFile, AMapComesBackAsItWasSaved) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   RadioMap map = *learnt_map();
   map.reference = Reference{49.4611419, 11.1109429};
   map.accuracy = {2.25, 0.75};
@@ -293,7 +284,7 @@ TEST(RadioMapFile, AMapComesBackAsItWasSaved) {
 
 /// The error that loading a map gives after `change`.
 std::string error_after(const std::function<void(RadioMap&)>& change) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   RadioMap map = *learnt_map();
   change(map);
   save(map, folder.path / "a");
@@ -348,7 +339,7 @@ TEST(RadioMapFile, AnotherKindOfFileIsTold) {
 }
 
 TEST(RadioMapFile, AMissingFileIsNotFound) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   try {
     load(folder.path / "none");
     FAIL() << "no error";
@@ -359,7 +350,7 @@ TEST(RadioMapFile, AMissingFileIsNotFound) {
 }
 
 TEST(RadioMapFile, AFolderThatDoesNotExistIsToldBeforeAnythingIsLost) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   EXPECT_THROW(save(*learnt_map(), folder.path / "none" / "hall"), Error);
 }
 

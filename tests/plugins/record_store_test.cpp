@@ -1,5 +1,6 @@
 // The database of users and profiles: what it keeps, and that it tells its damage.
 #include "fiona/records/record_store.hpp"
+#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -27,13 +28,6 @@ using ::testing::Pair;
 
 class RecordStoreTest : public ::testing::Test {
  protected:
-  RecordStoreTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "fiona-records-XXXXXX").string();
-    folder_ = ::mkdtemp(name.data());
-    file_ = folder_ / "deep/users.db";
-  }
-  ~RecordStoreTest() override { std::filesystem::remove_all(folder_); }
-
   /// Why it does not open, or how a look into it ends; empty: it opens, and holds what `said` says.
   std::string refusal(std::map<std::string, std::string>* said = nullptr) const {
     try {
@@ -51,8 +45,8 @@ class RecordStoreTest : public ::testing::Test {
   }
   std::filesystem::path key() const { return file_.string() + ".key"; }
 
-  std::filesystem::path folder_;
-  std::filesystem::path file_;
+  tests::TemporaryDirectory folder_;
+  std::filesystem::path file_ = folder_.path / "deep/users.db";
 };
 
 TEST_F(RecordStoreTest, WhatIsPutIsThereWhenItIsOpenedAgain) {
@@ -170,7 +164,7 @@ TEST_F(RecordStoreTest, NoCutIsTakenForLess) {
   const auto size = std::filesystem::file_size(file_);
   std::mt19937 random(8);
   for (int i = 0; i < 50; ++i) {
-    const std::filesystem::path copy = folder_ / "copy";
+    const std::filesystem::path copy = folder_.path / "copy";
     std::filesystem::copy_file(file_, copy, std::filesystem::copy_options::overwrite_existing);
     std::filesystem::resize_file(file_, random() % size);
     EXPECT_NE(refusal(), "");

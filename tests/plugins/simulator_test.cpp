@@ -21,6 +21,8 @@
 #include <fiona/simulator/survey.hpp>
 #include <fiona/simulator/walker.hpp>
 
+#include "../temporary_directory.hpp"
+
 namespace fiona::simulator {
 namespace {
 
@@ -503,12 +505,6 @@ TEST(Survey, ALevelWithoutRoomsIsRefused) {
   }
 }
 
-std::filesystem::path fresh_directory(const std::string& name) {
-  const std::filesystem::path directory = std::filesystem::path(testing::TempDir()) / name;
-  std::filesystem::remove_all(directory);
-  return directory;
-}
-
 std::string content(const std::filesystem::path& file) {
   std::ifstream stream(file, std::ios::binary);
   std::ostringstream text;
@@ -517,7 +513,8 @@ std::string content(const std::filesystem::path& file) {
 }
 
 TEST(Survey, TheDirectoryHasTheLayoutOfTheDataSetAndTheSameSeedGivesTheSameBytes) {
-  const auto one = fresh_directory("survey_one"), two = fresh_directory("survey_two");
+  const tests::TemporaryDirectory folder;
+  const auto one = folder.path / "one", two = folder.path / "two";
   const SurveyReport report = write_survey(house(), 5, one, quick());
   write_survey(house(), 5, two, quick());
   EXPECT_EQ(report.levels, 2u);
@@ -530,7 +527,8 @@ TEST(Survey, TheDirectoryHasTheLayoutOfTheDataSetAndTheSameSeedGivesTheSameBytes
 }
 
 TEST(Survey, ADirectoryThatIsNotEmptyIsLeftAlone) {
-  const auto directory = fresh_directory("survey_filled");
+  const tests::TemporaryDirectory folder;
+  const auto directory = folder.path / "filled";
   std::filesystem::create_directories(directory / "mine");
   try {
     write_survey(house(), 5, directory, quick());

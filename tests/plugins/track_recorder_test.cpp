@@ -6,6 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "../temporary_directory.hpp"
 #include "error_statistics.hpp"
 #include "fiona/testing/bench.hpp"
 #include "thinned_track.hpp"
@@ -62,23 +63,14 @@ std::string content(const fs::path& file) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 
-/// A directory of its own for each test.
 class TrackRecorderTest : public ::testing::Test {
  protected:
-  TrackRecorderTest() {
-    const auto* test = ::testing::UnitTest::GetInstance()->current_test_info();
-    directory_ = fs::path(::testing::TempDir()) / (std::string("track_recorder_") + test->name());
-    fs::remove_all(directory_);
-    fs::create_directories(directory_);
-  }
-  ~TrackRecorderTest() override { fs::remove_all(directory_); }
-
-  std::string path(const std::string& name) const { return (directory_ / name).string(); }
+  std::string path(const std::string& name) const { return (directory_.path / name).string(); }
   std::size_t files() const {
-    return static_cast<std::size_t>(std::distance(fs::directory_iterator(directory_), fs::directory_iterator()));
+    return static_cast<std::size_t>(std::distance(fs::directory_iterator(directory_.path), fs::directory_iterator()));
   }
 
-  fs::path directory_;
+  tests::TemporaryDirectory directory_;
 };
 
 void put(Recorder& recorder, CommLocation location) { recorder.put<LocationProvider>("location", std::move(location)); }
@@ -199,7 +191,7 @@ TEST_F(TrackRecorderTest, TheDrawingLiesOverTheFloorPlan) {
 
 TEST_F(TrackRecorderTest, AFolderOfFloorPlansLiesUnderTheTrackOnTheLevelsItVisits) {
   for (const int floor : {1, 2}) {
-    const fs::path folder = directory_ / "site" / ("F" + std::to_string(floor));
+    const fs::path folder = directory_.path / "site" / ("F" + std::to_string(floor));
     fs::create_directories(folder);
     std::ofstream(folder / "floor_info.json") << R"({"map_info":{"width":20,"height":10}})";
     std::ofstream(folder / "geojson_map.json")

@@ -1,5 +1,6 @@
 // What users can and want on the way: given to who carries the session, kept, and refused to everyone else.
 #include "user_profiles.hpp"
+#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -27,20 +28,11 @@ const std::string kSession(16, 's');
 
 class UserProfilesTest : public ::testing::Test {
  protected:
-  UserProfilesTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "fiona-profiles-XXXXXX").string();
-    folder_ = ::mkdtemp(name.data());
-    begin();
-  }
-  ~UserProfilesTest() override {
-    bench_.reset();
-    std::filesystem::remove_all(folder_);
-  }
-
+  UserProfilesTest() { begin(); }
   void begin() {
     bench_.reset();
     bench_ = std::make_unique<Bench<UserProfiles>>("profiles");
-    bench_->set("database", (folder_ / "profiles.db").string());
+    bench_->set("database", (folder_.path / "profiles.db").string());
     bench_->answer_with<security::SessionProvider>("sessions", [](const security::CommSessionRequest& request) {
       security::CommSession session;
       if (request.session() != kSession) return session;
@@ -84,7 +76,7 @@ class UserProfilesTest : public ::testing::Test {
     return request;
   }
 
-  std::filesystem::path folder_;
+  tests::TemporaryDirectory folder_;
   std::unique_ptr<Bench<UserProfiles>> bench_;
   int maps_asked_ = 0;
 };
@@ -115,7 +107,7 @@ TEST_F(UserProfilesTest, ANameWithoutItsSessionIsRejected) {
 
 TEST_F(UserProfilesTest, WithoutAProviderOfSessionsNobodyIsBelieved) {
   Bench<UserProfiles> alone("profiles");
-  alone.set("database", (folder_ / "alone.db").string());
+  alone.set("database", (folder_.path / "alone.db").string());
   alone.start();
   CommUserProfileRequest request;
   request.set_user_name("anna");
@@ -178,9 +170,9 @@ TEST_F(UserProfilesTest, TheMapIsNotAskedForEachProfile) {
 
 TEST_F(UserProfilesTest, ADamagedDatabaseFailsTheInstanceAndSaysWhatToDo) {
   bench_.reset();
-  std::ofstream(folder_ / "profiles.db", std::ios::trunc) << "not a database";
+  std::ofstream(folder_.path / "profiles.db", std::ios::trunc) << "not a database";
   Bench<UserProfiles> bench("profiles");
-  bench.set("database", (folder_ / "profiles.db").string());
+  bench.set("database", (folder_.path / "profiles.db").string());
   EXPECT_THROW(bench.start(), Error);
   EXPECT_THAT(bench.reason(), HasSubstr("the database is damaged: file is not a database"));
 }

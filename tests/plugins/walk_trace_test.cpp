@@ -13,6 +13,8 @@
 #include <fiona/walk/dataset.hpp>
 #include <fiona/walk/imu_merger.hpp>
 
+#include "../temporary_directory.hpp"
+
 namespace fiona::walk {
 namespace {
 
@@ -36,17 +38,6 @@ constexpr const char* kMuseum =
     "W\t10\t000000000007\t-71\t5180\n"
     "H\t20\t976.2\n"
     "P\t30\t1.5\t19.4\t-2\n";
-
-/// A folder that disappears with the test.
-class Folder {
- public:
-  Folder() {
-    std::string pattern = (fs::temp_directory_path() / "walk-trace-XXXXXX").string();
-    path = mkdtemp(pattern.data());
-  }
-  ~Folder() { fs::remove_all(path); }
-  fs::path path;
-};
 
 using Files = std::vector<std::pair<std::string, std::string>>;
 
@@ -81,7 +72,7 @@ std::vector<Walk> survey_of(const Dataset& dataset) {
 
 /// The error that reading the only survey walk of a dataset with this text gives.
 std::string error_of(const std::string& text, const Limits& limits = {}) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "F1" / "train.tar.xz", {{"train/north.tsv", text}});
   try {
     survey_of(Dataset::open(folder.path, limits));
@@ -92,7 +83,7 @@ std::string error_of(const std::string& text, const Limits& limits = {}) {
 }
 
 TEST(WalkTrace, FloorFoldersGiveTheirLevelsInOrder) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   for (const char* floor : {"F7", "B2", "F1"}) {
     const int level = *level_of_floor_name(floor);
     write_archive(
@@ -113,7 +104,7 @@ TEST(WalkTrace, FloorNamesOfOtherKindsAreNotGuessed) {
 }
 
 TEST(WalkTrace, AWiFiRowKeepsWhenItWasReallyHeard) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "F1" / "train.tar.xz", {{"train/north.tsv", kSurvey}});
   const Walk walk = survey_of(Dataset::open(folder.path)).at(0);
   const auto& row = std::get<WifiRow>(walk.events.at(1).data);
@@ -124,7 +115,7 @@ TEST(WalkTrace, AWiFiRowKeepsWhenItWasReallyHeard) {
 }
 
 Walk walk_of(const std::string& text) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "F1" / "train.tar.xz", {{"train/north.tsv", text}});
   return survey_of(Dataset::open(folder.path)).at(0);
 }
@@ -162,7 +153,7 @@ TEST(WalkTrace, ABeaconBeyondTheRangeOfItsFieldsIsGarbled) {
 }
 
 TEST(WalkTrace, OneArchiveAtTheTopCarriesLevelsInItsWayPoints) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "train.tar.xz", {{"train/T01R01.tsv", kMuseum}});
   const Walk walk = survey_of(Dataset::open(folder.path)).at(0);
   EXPECT_EQ(way_points_of(walk).at(0).second.level, -2);
@@ -194,7 +185,7 @@ TEST(WalkTrace, MergedSamplesCarryTheUnitsOfGetImu) {
 }
 
 TEST(WalkTrace, ATestWalkIsFoundByName) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "test.tar.xz",
                 {{"test/one.tsv", "# trace=one\nW\t5\tab\t-50\t2412\t1\n"}, {"test/two.tsv", "# trace=two\n"}});
   const Dataset dataset = Dataset::open(folder.path);
@@ -203,7 +194,7 @@ TEST(WalkTrace, ATestWalkIsFoundByName) {
 }
 
 TEST(WalkTrace, AnUnknownNameIsToldWithItsNeighbours) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "test.tar.xz", {{"test/T01R02.tsv", "# trace=T01R02\n"}});
   try {
     Dataset::open(folder.path).walk("T01R03");
@@ -216,7 +207,7 @@ TEST(WalkTrace, AnUnknownNameIsToldWithItsNeighbours) {
 }
 
 TEST(WalkTrace, AFolderWithoutWalksIsRefusedWithTheLayoutsItMayHave) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   try {
     Dataset::open(folder.path);
     FAIL() << "no error";
@@ -227,7 +218,7 @@ TEST(WalkTrace, AFolderWithoutWalksIsRefusedWithTheLayoutsItMayHave) {
 }
 
 TEST(WalkTrace, AFloorWithoutALevelIsRefusedByName) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   write_archive(folder.path / "mezzanine" / "train.tar.xz", {{"a.tsv", kSurvey}});
   try {
     Dataset::open(folder.path);
@@ -238,7 +229,7 @@ TEST(WalkTrace, AFloorWithoutALevelIsRefusedByName) {
 }
 
 TEST(WalkTrace, ATruncatedArchiveIsOneClearError) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   const fs::path file = folder.path / "F1" / "train.tar.xz";
   std::string noise(200'000, 'x');
   for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = static_cast<char>('a' + (i * i * 7919 >> 5) % 26);
@@ -254,7 +245,7 @@ TEST(WalkTrace, ATruncatedArchiveIsOneClearError) {
 }
 
 TEST(WalkTrace, AFileThatIsNoArchiveIsOneClearError) {
-  const Folder folder;
+  const tests::TemporaryDirectory folder;
   fs::create_directories(folder.path / "F1");
   std::ofstream(folder.path / "F1" / "train.tar.xz") << "hello";
   try {

@@ -1,5 +1,6 @@
 // What the page's server decides, keeps and tells; the page itself is tested in tests/web, in a browser.
 #include "web_interface.hpp"
+#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -280,25 +281,16 @@ TEST(Attentions, AreFewHoweverManyAreTold) {
 
 class PageSessionsTest : public ::testing::Test {
  protected:
-  PageSessionsTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "fiona-pages-XXXXXX").string();
-    folder_ = ::mkdtemp(name.data());
-    begin();
-  }
-  ~PageSessionsTest() override {
-    pages_.reset();
-    store_.reset();
-    std::filesystem::remove_all(folder_);
-  }
+  PageSessionsTest() { begin(); }
   void begin() {
     pages_.reset();
     store_.reset();
-    store_ = std::make_unique<records::RecordStore>(folder_ / "web.db", "pages");
+    store_ = std::make_unique<records::RecordStore>(folder_.path / "web.db", "pages");
     pages_ = std::make_unique<PageSessions>(*store_, now_, 1h);
   }
   std::string open() { return pages_->open(pages_->make_token(now_), now_, 1h).value(); }
 
-  std::filesystem::path folder_;
+  tests::TemporaryDirectory folder_;
   TimePoint now_{24h};
   std::unique_ptr<records::RecordStore> store_;
   std::unique_ptr<PageSessions> pages_;
@@ -339,7 +331,7 @@ TEST_F(PageSessionsTest, TheFileOpensNoPageAndNamesNoUser) {
   user.set_name("canary-name");
   user.set_session("canary-number---");
   pages_->set_user(session, user, now_);
-  for (const auto& entry : std::filesystem::directory_iterator(folder_)) {
+  for (const auto& entry : std::filesystem::directory_iterator(folder_.path)) {
     std::ifstream in(entry.path(), std::ios::binary);
     const std::string bytes((std::istreambuf_iterator<char>(in)), {});
     EXPECT_THAT(bytes, Not(HasSubstr("canary"))) << entry.path();
@@ -362,11 +354,11 @@ class WebInterfaceTest : public PageSessionsTest {
  protected:
   WebInterfaceTest() {
     for (const char* file : {"index.html", "page.js", "page.css", "icon.svg"})
-      std::ofstream(folder_ / file) << "content";
+      std::ofstream(folder_.path / file) << "content";
   }
   std::unique_ptr<testing::Bench<WebInterface>> bench() const {
-    auto made = std::make_unique<testing::Bench<WebInterface>>("web", folder_);
-    made->set("database", (folder_ / "bench.db").string());
+    auto made = std::make_unique<testing::Bench<WebInterface>>("web", folder_.path);
+    made->set("database", (folder_.path / "bench.db").string());
     return made;
   }
 };

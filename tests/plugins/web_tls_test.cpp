@@ -5,12 +5,12 @@
 #include <openssl/pem.h>
 #include <openssl/ssl.h>
 #include <openssl/x509v3.h>
-#include <stdlib.h>
 
 #include <filesystem>
 #include <string>
 #include <thread>
 
+#include "../temporary_directory.hpp"
 #include "fiona/error.hpp"
 #include "local_authority.hpp"
 #include "web_server.hpp"
@@ -61,21 +61,13 @@ std::string judged(const std::string& authority, X509* server, const Visit& visi
 
 class LocalAuthorityTest : public ::testing::Test {
  protected:
-  LocalAuthorityTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "fiona-authority-XXXXXX").string();
-    folder_ = ::mkdtemp(name.data());
-    begin();
-  }
-  ~LocalAuthorityTest() override {
-    store_.reset();
-    std::filesystem::remove_all(folder_);
-  }
+  LocalAuthorityTest() { begin(); }
   void begin() {
     store_.reset();
-    store_ = std::make_unique<records::RecordStore>(folder_ / "web.db", "pages");
+    store_ = std::make_unique<records::RecordStore>(folder_.path / "web.db", "pages");
   }
 
-  std::filesystem::path folder_;
+  tests::TemporaryDirectory folder_;
   std::unique_ptr<records::RecordStore> store_;
   const LocalAuthority::Time now_ = std::chrono::system_clock::now();
 };
@@ -133,7 +125,7 @@ TEST_F(LocalAuthorityTest, WhatIsKeptAndIsNoneIsRefused) {
     FAIL() << "it was taken";
   } catch (const Error& error) {
     EXPECT_EQ(error.text().what, "what is kept of the page's authority is none");
-    EXPECT_EQ(error.text().where, (folder_ / "web.db").string());
+    EXPECT_EQ(error.text().where, (folder_.path / "web.db").string());
   }
 }
 
