@@ -100,6 +100,7 @@ class Lookout final : public Component {
     if (question.manner() == "forget") {
       seen_.Clear();
       seen_.set_sees(said.sees());
+      seen_.set_asked(open_);  // their outcomes are still to come
     }
     return said;
   }
