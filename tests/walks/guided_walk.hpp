@@ -27,7 +27,7 @@ Errand draw_errand(const building::Building& building, std::uint64_t seed);
 struct Outcome {
   /// Within 2 m of the right door, on its level, within 1.5 times the route's time, and never told to be elsewhere.
   bool arrived = false;
-  bool told_so = false;  ///< to have arrived, there or in the room, within twice the route's time
+  bool told_so = false;               ///< to have arrived, there or in the room, within twice the route's time
   std::optional<double> at_door_s{};  ///< when the door was reached
   std::string ending{};               ///< what happened, in a few words
   double took_s = 0.0;

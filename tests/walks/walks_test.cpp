@@ -133,8 +133,8 @@ Tally walk(std::uint64_t count, Guidance guidance, Place place = Place::Truth,
       "seeds %llu to %llu: %d of %d arrived, to the door in %.2f times the route's time (p90 %.2f, p95 %.2f); %d were "
       "told so, after %.2f; %d times rerouted, %d faults\n",
       static_cast<unsigned long long>(first), static_cast<unsigned long long>(first + count - 1), tally.arrived,
-      tally.walks, mean(tally.to_door), percentile(tally.to_door, 0.90), percentile(tally.to_door, 0.95),
-      tally.told_so, tally.time / tally.walks, tally.reroutes, tally.faults);
+      tally.walks, mean(tally.to_door), percentile(tally.to_door, 0.90), percentile(tally.to_door, 0.95), tally.told_so,
+      tally.time / tally.walks, tally.reroutes, tally.faults);
   if (place == Place::Beacons) {
     std::printf(
         "  position error: median %.2f m, p95 %.2f m, %.1f %% in the 95 %% region; wrong level %d s, no place %d s, of "

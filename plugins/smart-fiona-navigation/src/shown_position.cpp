@@ -39,8 +39,8 @@ ShownPosition::Shown ShownPosition::follow(const building::PathPoint& place, con
     return jumped_ ? std::clamp(1.0 - to_seconds(now - *jumped_) / to_seconds(kBlend), 0.0, 1.0) : 0.0;
   };
   double left = share_left();
-  const bool jumps = last_ && (distance_m(last_->at, at + offset_ * left) > jump_m ||
-                               std::abs(place.level - level_) > kJumpLevels);
+  const bool jumps =
+      last_ && (distance_m(last_->at, at + offset_ * left) > jump_m || std::abs(place.level - level_) > kJumpLevels);
   level_ = place.level;
   if (jumps) {
     offset_ = last_->at - at;
