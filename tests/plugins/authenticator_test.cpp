@@ -1,6 +1,5 @@
 // Users, passwords, attempts and sessions: who gets in, who does not, and how little that tells.
 #include "authenticator.hpp"
-#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -20,6 +19,7 @@
 #include <string>
 #include <vector>
 
+#include "../temporary_directory.hpp"
 #include "fiona/testing/bench.hpp"
 
 namespace fiona::authenticator {

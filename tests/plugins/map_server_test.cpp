@@ -1,5 +1,4 @@
 #include "map_server.hpp"
-#include "../temporary_directory.hpp"
 
 #include <png.h>
 
@@ -19,6 +18,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "../temporary_directory.hpp"
 #include "fiona/testing/bench.hpp"
 #include "level_map.hpp"
 #include "map_name.hpp"

@@ -1,6 +1,5 @@
 // The database of users and profiles: what it keeps, and that it tells its damage.
 #include "fiona/records/record_store.hpp"
-#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -17,6 +16,7 @@
 #include <random>
 #include <string>
 
+#include "../temporary_directory.hpp"
 #include "fiona/error.hpp"
 
 namespace fiona::records {

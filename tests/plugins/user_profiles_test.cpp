@@ -1,6 +1,5 @@
 // What users can and want on the way: given to who carries the session, kept, and refused to everyone else.
 #include "user_profiles.hpp"
-#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,6 +8,7 @@
 #include <fstream>
 #include <string>
 
+#include "../temporary_directory.hpp"
 #include "fiona/testing/bench.hpp"
 
 namespace fiona::user_profiles {

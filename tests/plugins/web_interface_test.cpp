@@ -1,6 +1,5 @@
 // What the page's server decides, keeps and tells; the page itself is tested in tests/web, in a browser.
 #include "web_interface.hpp"
-#include "../temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "../temporary_directory.hpp"
 #include "attentions.hpp"
 #include "fiona/testing/bench.hpp"
 #include "page_calls.hpp"
