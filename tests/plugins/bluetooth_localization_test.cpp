@@ -548,6 +548,57 @@ TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
   EXPECT_LT(house.filter->estimate().level_variance, 0.02);
 }
 
+/// Nothing is heard: the stairs alone tell.
+TEST(BeaconFilter, StairsTellHowMuchACompassErrs) {
+  House house(navigation::MapEdge::STAIRS, 6.0);
+  house.stand_and_walk_east_to(11);
+  for (int step = 0; step < 10; ++step) house.filter->step({0.6, 0.05, 0.25, 0.05});
+  house.filter->advance(house.now += 1s);
+  EXPECT_NEAR(house.filter->estimate().heading_bias_rad, -0.25, 0.17);
+}
+
+/// East, south over a landing, and west.
+struct StairsOverALanding : House {
+  StairsOverALanding() : House(navigation::MapEdge::STAIRS, 6.0) {
+    navigation::CommLevelMap plan;
+    for (const double level : {0.0, 1.0}) {
+      add_wall(plan, 9, -30, 9, 6.4, level);
+      add_wall(plan, 9, 6.4, 14.6, 6.4, level);
+      add_wall(plan, 14.6, 6.4, 14.6, 10.6, level);
+      add_wall(plan, 9, 10.6, 14.6, 10.6, level);
+      add_wall(plan, 9, 10.6, 9, 50, level);
+    }
+    for (const auto& [x, y, level] : {std::array{10.0, 10.0, 0.0}, std::array{14.0, 10.0, 0.5},
+                                      std::array{14.0, 7.0, 0.5}, std::array{10.0, 7.0, 1.0}}) {
+      auto& node = *plan.add_nodes();
+      node.set_x(x), node.set_y(y), node.set_level(level);
+    }
+    for (std::uint32_t i = 0; i < 3; ++i) {
+      auto& edge = *plan.add_edges();
+      edge.set_from(i), edge.set_to(i + 1), edge.set_kind(navigation::MapEdge::STAIRS);
+    }
+    filter->use(std::make_shared<const FloorPlan>(plan));
+  }
+
+  /// Steps that seem to be of 0.6 m; and nothing is heard.
+  void climb(int steps, double heading_rad) {
+    for (int step = 0; step < steps; ++step) filter->step({0.6, 0.05, heading_rad, 0.05});
+    filter->advance(now += 1s);
+  }
+};
+
+/// They are of 0.3 m.
+TEST(BeaconFilter, TurnsOnStairsTellHowLongTheirStepsAre) {
+  StairsOverALanding house;
+  house.stand_and_walk_east_to(10);
+  house.climb(13, 0.0);
+  house.climb(10, -std::numbers::pi / 2);
+  house.climb(7, std::numbers::pi);
+  const Estimate at = house.filter->estimate();
+  EXPECT_EQ(at.level, 1);
+  EXPECT_NEAR(at.x_m, 14.0 - 7 * 0.3, 0.6);
+}
+
 TEST(FloorPlan, WithoutHeightsOfItsFloorsNobodyIsToldHowFarTheyAreApart) {
   navigation::CommLevelMap map;
   for (const int level : {0, 1, 2}) add_wall(map, 0, 0, 10, 0, level);
@@ -585,7 +636,9 @@ TEST(BeaconFilter, WhoWalksOutOfALiftIsNotHeldInIt) {
   for (int i = 0; i < 6; ++i) house.hear(10, 10, 1, 15.0);
   house.filter->step({0.7, 0.05, 0.0, 0.05});
   house.hear(10.4, 10, 1, 13.0);
-  EXPECT_NEAR(house.filter->estimate().x_m, 10.7, 0.7);
+  house.filter->step({0.7, 0.05, 0.0, 0.05});
+  house.hear(11.1, 10, 1);
+  EXPECT_NEAR(house.filter->estimate().x_m, 11.1, 0.7);
 }
 
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {

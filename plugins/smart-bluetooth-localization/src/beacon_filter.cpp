@@ -65,7 +65,10 @@ void BeaconFilter::step(const StepInput& step) {
   const double drift_rad = knows_compass() ? options_.held_drift_rad : options_.heading_drift_rad;
   for (Past& past : past_) walk(past.since);
   walk(walked_);
-  for (Particle& p : particles_) {
+  on_ways_.clear();
+  on_stairs_.clear();
+  for (std::size_t i = 0; i < particles_.size(); ++i) {
+    Particle& p = particles_[i];
     if (step.rise_m) carry(p, *step.rise_m);
     p.stood_index = p.level_index;
     if (options_.heading_bias) p.heading_bias_rad += drift_rad * random_.normal();
@@ -73,7 +76,7 @@ void BeaconFilter::step(const StepInput& step) {
     const double length = p.step_gain * step.length_m + step.length_sd_m * random_.normal();
     const double heading = step.heading_rad + p.turned_rad() + 0.5 * step.heading_sd_rad * random_.normal();
     if (p.way >= 0) {
-      step_on_way(p, step.length_m, heading);
+      on_ways_.emplace_back(i, heading);
       continue;
     }
     const double x = p.x_m + length * std::cos(heading), y = p.y_m + length * std::sin(heading);
@@ -85,6 +88,7 @@ void BeaconFilter::step(const StepInput& step) {
     p.x_m = x;
     p.y_m = y;
   }
+  step_on_ways(step);
 }
 
 void BeaconFilter::heard(std::uint32_t beacon, double rssi_dbm) {

@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -134,7 +135,9 @@ class BeaconFilter {
   void enter(Particle& p, std::size_t way);
   void ride(Particle& p, double dt_s);
   void move_on_way(Particle& p, double share);
-  void step_on_way(Particle& p, double length_m, double heading_rad);
+  void step_on_ways(const StepInput& step);
+  void step_out_of_lift(Particle& p);
+  double step_on_stairs(Particle& p, double length_m, double heading_rad);
   bool take_stairs(Particle& p, double heading_rad, double x_m, double y_m);
   struct OnStairs {
     std::size_t way;  ///< of ways_
@@ -177,6 +180,8 @@ class BeaconFilter {
   std::vector<Way> ways_;      ///< those between levels of the field
   std::vector<Place> places_;  ///< where a person may be, one for each cell of the field
   std::vector<Particle> particles_, scratch_;
+  std::vector<std::pair<std::size_t, double>> on_ways_;       ///< in a step: particle and heading
+  std::vector<std::size_t> on_stairs_;                        ///< those of them
   std::map<std::uint32_t, std::pair<double, int>> readings_;  ///< of this second: sum and count, by beacon
   Walked walked_;                                             ///< since the last second was used
   Walked heard_at_;                                           ///< the sum of that at the readings

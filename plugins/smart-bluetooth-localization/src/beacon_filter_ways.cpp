@@ -23,15 +23,25 @@ constexpr double kLeastOfStep = 0.4, kMostOfStep = 1.0;
 constexpr float kNearlyThere = 0.7f;
 /// What a person feels of a lift errs by so much, and this share of the way; and no stop is further from where it went.
 constexpr double kRiseSd_m = 0.5, kRiseSdPart = 0.1, kOtherStop_m = 2.0;
+/// Who is on stairs looks where they lead, and is where they are taken to be, but for so much.
+constexpr double kOnStairsSd_rad = 0.4, kOnStairsSd_m = 1.0;
+constexpr int kTurnsTried = 4;  // ahead and behind
+constexpr double kTurnTried_m = 0.6;
 constexpr double kOtherWay = 0.3;  // what remains of a particle's weight that walks otherwise than its stairs lead
+constexpr double kLeastFit = 0.03;
 
 double between(double low, double high, double share) { return low + share * (high - low); }
 
-bool leads(const FloorPlan::Way& way, double share, double heading_rad) {
+/// By how much a heading differs from where the way leads there; nothing at its end.
+std::optional<double> off_heading_rad(const FloorPlan::Way& way, double share, double heading_rad) {
   const FloorPlan::Way::Place from = way.at(share), to = way.at(std::min(1.0, share + kTread_m / way.length_m()));
-  if (to.on_m <= from.on_m) return false;
-  const double along_rad = std::atan2(to.y_m - from.y_m, to.x_m - from.x_m);
-  return std::abs(std::remainder(heading_rad - along_rad, 2.0 * std::numbers::pi)) <= kAlong_rad;
+  if (to.on_m <= from.on_m) return std::nullopt;
+  return std::remainder(heading_rad - std::atan2(to.y_m - from.y_m, to.x_m - from.x_m), 2.0 * std::numbers::pi);
+}
+
+bool leads(const FloorPlan::Way& way, double share, double heading_rad) {
+  const auto off_rad = off_heading_rad(way, share, heading_rad);
+  return off_rad && std::abs(*off_rad) <= kAlong_rad;
 }
 
 }  // namespace
@@ -172,29 +182,57 @@ void BeaconFilter::move_on_way(Particle& p, double share) {
   if (p.way < 0) p.loss_db = 0.0f;
 }
 
-void BeaconFilter::step_on_way(Particle& p, double length_m, double heading_rad) {
-  const FloorPlan::Way& way = *ways_[p.way].path;
-  if (way.is_lift()) {
-    if (p.pace > 0.0f && p.share < kNearlyThere) {  // between two levels nobody walks
-      p.weight *= options_.through_wall;
-      return;
-    }
-    // Some of what is heard in this second was heard in the cabin, nobody knows how much.
-    const auto loss_db = static_cast<float>(p.loss_db * random_.uniform());
-    if (p.pace > 0.0f) move_on_way(p, 1.0);
-    p.way = -1;
-    p.loss_db = loss_db;
+void BeaconFilter::step_out_of_lift(Particle& p) {
+  if (p.pace > 0.0f && p.share < kNearlyThere) {  // between two levels nobody walks
+    p.weight *= options_.through_wall;
     return;
   }
-  // A turn tells where on the stairs one is, if about there they turn so.
-  for (const double off_m : {0.0, 0.6, -0.6, 1.2, -1.2, 1.8, -1.8, 2.4, -2.4}) {
-    const double share = p.share + off_m / way.length_m();
-    if (share < 0.0 || share > 1.0 || !leads(way, share, heading_rad)) continue;
-    p.share = static_cast<float>(share);
-    return move_on_way(p, p.pace * length_m);
+  // Some of what is heard in this second was heard in the cabin, nobody knows how much.
+  const auto loss_db = static_cast<float>(p.loss_db * random_.uniform());
+  if (p.pace > 0.0f) move_on_way(p, 1.0);
+  p.way = -1;
+  p.loss_db = loss_db;
+}
+
+/// A turn tells where on the stairs one is, and so how long the steps are; their direction tells how much a compass
+/// errs. Answers how well the step fits.
+double BeaconFilter::step_on_stairs(Particle& p, double length_m, double heading_rad) {
+  const FloorPlan::Way& way = *ways_[p.way].path;
+  double best = 0.0, best_share = p.share;
+  for (int i = -kTurnsTried; i <= kTurnsTried; ++i) {
+    const double off_m = i * kTurnTried_m, share = p.share + off_m / way.length_m();
+    const auto off_rad = share < 0.0 || share > 1.0 ? std::nullopt : off_heading_rad(way, share, heading_rad);
+    if (!off_rad || std::abs(*off_rad) > kAlong_rad) continue;
+    const double turned = *off_rad / kOnStairsSd_rad, moved = off_m / kOnStairsSd_m;
+    const double fit = std::exp(-0.5 * (turned * turned + moved * moved));
+    if (fit > best) best = fit, best_share = share;
   }
-  p.weight *= kOtherWay;
+  if (best == 0.0) p.weight *= kOtherWay;
+  if (p.share * way.length_m() > kTurnTried_m) {
+    const double pace = p.pace * best_share / p.share * way.length_m();
+    p.pace = static_cast<float>(std::clamp(pace, kLeastOfStep, kMostOfStep) / way.length_m());
+  }
+  p.share = static_cast<float>(best_share);
   move_on_way(p, p.pace * length_m);
+  return std::max(best, kLeastFit);
+}
+
+/// How well a step fits says where on stairs one is, and not whether one is on any.
+void BeaconFilter::step_on_ways(const StepInput& step) {
+  double before = 0.0, after = 0.0;
+  for (const auto& [number, heading_rad] : on_ways_) {
+    Particle& p = particles_[number];
+    if (ways_[p.way].path->is_lift()) {
+      step_out_of_lift(p);
+      continue;
+    }
+    const double fit = step_on_stairs(p, step.length_m, heading_rad);
+    before += p.weight;
+    after += p.weight *= fit;
+    on_stairs_.push_back(number);
+  }
+  if (!(after > 0.0)) return;  // nothing was heard for thousands of steps
+  for (const std::size_t number : on_stairs_) particles_[number].weight *= before / after;
 }
 
 /// On a step to (x, y).

@@ -512,7 +512,9 @@ std::string Guide::words(const Key& key, const Instruction& instruction, const W
     case Phase::Back: return "You do not get on there. Turn around, and walk some steps.";
     case Phase::Align:
       return instruction.hour() == NextTurn::HOUR_6 ? "Turn around."
-                                                    : "Turn " + direction_words(instruction.hour()) + " to the path.";
+             : instruction.hour() == NextTurn::HOUR_12
+                 ? "Go straight on to the path."
+                 : "Turn " + direction_words(instruction.hour()) + " to the path.";
     case Phase::Ahead:
       return next().kind == Instruction::ARRIVE ? "Go on for " + metres(to_next_m()) + " to " + destination_ + "."
                                                 : "Go straight on for " + metres(to_next_m()) + ".";
