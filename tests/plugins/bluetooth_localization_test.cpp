@@ -1,4 +1,4 @@
-// Beacon maps, walls, the filter over them, and the component around it.
+// Beacon maps, walls, and the component around the filter over them.
 #include <gtest/gtest.h>
 
 #include <array>
@@ -10,7 +10,7 @@
 #include <Eigen/Cholesky>
 
 #include "beacon_field.hpp"
-#include "beacon_filter.hpp"
+#include "beacon_hall.hpp"
 #include "beacon_map.hpp"
 #include "fiona/error.hpp"
 #include "fiona/objects/step.hpp"
@@ -34,18 +34,6 @@ std::string error_of(const std::function<void()>& act) {
     return error.what();
   }
   return "no error";
-}
-
-constexpr const char* kFourBeacons =
-    "name: 'hall'\n"
-    "beacons { id: '02:00:00:00:00:01' x: 0 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n"
-    "beacons { id: '02:00:00:00:00:02' x: 20 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n"
-    "beacons { id: '02:00:00:00:00:03' x: 0 y: 20 heard { level: 0 power: -59 } exponent: 2 }\n"
-    "beacons { id: 'c0de/1/4' x: 20 y: 20 heard { level: 0 power: -59 } exponent: 2 }\n";
-
-double rssi_dbm(double x, double y, int beacon) {
-  const double dx = x - (beacon % 2 == 1 ? 20.0 : 0.0), dy = y - (beacon >= 2 ? 20.0 : 0.0);
-  return -59 - 10 * std::log10(dx * dx + dy * dy + 1.0);
 }
 
 /// Places of a survey around a beacon, a metre apart, with what was heard beyond its path loss.
@@ -116,51 +104,12 @@ TEST(BeaconField, ReachesTwoMetresBeyondTheSurveyAndFourBeyondBeacons) {
   EXPECT_LT((spans(parse(kFourBeacons, "hall")) - Eigen::Vector4d(-4, -4, 24, 24)).cwiseAbs().maxCoeff(), 0.5);
 }
 
-/// The hall with steel in its east, which turns compasses there to the left.
-std::string with_steel(double from_x_m) {
-  std::string text = kFourBeacons;
-  for (int x = 0; x <= 20; ++x) {
-    for (int y = 0; y <= 20; ++y)
-      text += "compass { x: " + std::to_string(x) + " y: " + std::to_string(y) +
-              " angle: " + (x < from_x_m ? "0.0" : "0.5") + " steps: 4 }\n";
-  }
-  return text;
-}
-
 TEST(BeaconField, TurnsACompassWhereTheSurveySaysSo) {
   const BeaconField field(parse(with_steel(10), "hall"));
   EXPECT_TRUE(field.knows_compass());
   EXPECT_NEAR(field.compass_deviation_rad(0, 15, 10), 0.5, 0.05);
   EXPECT_NEAR(field.compass_deviation_rad(0, 5, 10), 0.0, 0.01);
   EXPECT_FALSE(BeaconField(parse(kFourBeacons, "hall")).knows_compass());
-}
-
-/// A filter over the hall, for one who is heard there `offset_db` too strong.
-struct Hall {
-  explicit Hall(const FilterOptions& options = {}, navigation::CommLevelMap plan_map = {},
-                const std::string& text = kFourBeacons)
-      : map(parse(text, "hall")),
-        field(std::make_shared<const BeaconField>(map)),
-        filter(field, std::make_shared<const FloorPlan>(plan_map), map.accuracy(), map.radio().offset(), options) {}
-
-  void readings(double x, double y, double offset_db = 0.0) {
-    for (int beacon = 0; beacon < 4; ++beacon)
-      filter.heard(static_cast<std::uint32_t>(beacon), rssi_dbm(x, y, beacon) + offset_db);
-  }
-  void hear(double x, double y, double offset_db = 0.0) {
-    readings(x, y, offset_db);
-    filter.advance(now += 1000ms);
-  }
-
-  BeaconMap map;
-  std::shared_ptr<const BeaconField> field;
-  BeaconFilter filter;
-  Time now{0};
-};
-
-void add_wall(navigation::CommLevelMap& map, double x1, double y1, double x2, double y2, double level = 0) {
-  auto& wall = *map.add_walls();
-  wall.set_x1(x1), wall.set_y1(y1), wall.set_x2(x2), wall.set_y2(y2), wall.set_level(level);
 }
 
 TEST(BeaconMap, AMapByHandTakesTheUsualRadio) {
@@ -281,324 +230,6 @@ TEST(FloorPlan, ARoomThatNobodyMayEnterIsClosedAndNoPlaceToBe) {
   EXPECT_FALSE(plan.is_closed(1, 15, 5));
 }
 
-TEST(BeaconFilter, WithoutReadingsThereIsNoPosition) {
-  Hall hall;
-  for (int i = 0; i < 20; ++i) hall.filter.advance(hall.now += 200ms);
-  EXPECT_EQ(hall.filter.estimate().validity, Validity::NoEvidence);
-}
-
-TEST(BeaconFilter, TheFirstPlaceIsToldWithinASecond) {
-  Hall hall;
-  hall.filter.advance(hall.now);
-  hall.readings(6, 13);
-  hall.filter.advance(hall.now += 600ms);
-  EXPECT_FALSE(hall.filter.estimate().is_valid());
-  hall.filter.advance(hall.now += 200ms);
-  EXPECT_TRUE(hall.filter.estimate().is_valid());
-}
-
-TEST(BeaconFilter, WhoStandsAmongBeaconsIsFound) {
-  Hall hall;
-  for (int i = 0; i < 20; ++i) hall.hear(6, 13);
-  const Estimate at = hall.filter.estimate();
-  ASSERT_TRUE(at.is_valid());
-  EXPECT_NEAR(at.x_m, 6, 2.0);
-  EXPECT_NEAR(at.y_m, 13, 2.0);
-}
-
-TEST(BeaconFilter, AReceiversOffsetIsLearntAndMovesNobody) {
-  Hall hall;
-  for (int i = 0; i < 30; ++i) hall.hear(6, 13, 8.0);
-  const Estimate at = hall.filter.estimate();
-  EXPECT_NEAR(at.rssi_offset_db, 8.0, 3.0);
-  EXPECT_NEAR(at.x_m, 6, 2.5);
-  EXPECT_NEAR(at.y_m, 13, 2.5);
-}
-
-TEST(BeaconFilter, AHeadingBiasIsLearntOnTheWay) {
-  FilterOptions options;
-  options.still_diffusion_m = 0.2;
-  Hall hall(options);
-  for (int i = 0; i < 5; ++i) hall.hear(2, 10);
-  for (double x = 2; x < 18; x += 1.0) {  // eastward; the steps say 0.25 rad to the left of that
-    hall.filter.step({1.0, 0.1, 0.25, 0.1});
-    hall.hear(x + 1, 10);
-  }
-  EXPECT_LT(hall.filter.estimate().heading_bias_rad, -0.04) << "the truth is -0.25; beacons alone tell it slowly";
-}
-
-TEST(BeaconFilter, ACompassThatTheBuildingTurnsLeadsNobodyAstray) {
-  const auto beside_m = [](const std::string& text) {
-    FilterOptions options;
-    options.still_diffusion_m = 0.2;
-    Hall hall(options, {}, text);
-    for (int i = 0; i < 5; ++i) hall.hear(4, 10);
-    double turned_rad = 0.0;  // of their headings, which follow the compass
-    for (double x = 4; x < 18; x += 0.7) {
-      turned_rad += -std::expm1(-0.15) * ((x < 8 ? 0.0 : 0.5) - turned_rad);
-      hall.filter.step({0.7, 0.05, turned_rad, 0.05});
-      hall.filter.advance(hall.now += 1000ms);
-    }
-    return std::abs(hall.filter.estimate().y_m - 10.0);
-  };
-  const double unknown_m = beside_m(kFourBeacons), known_m = beside_m(with_steel(8));
-  EXPECT_GT(unknown_m, 2.0);
-  EXPECT_LT(known_m, 0.5 * unknown_m);
-}
-
-TEST(BeaconFilter, AWallHoldsBackWhoseStepsRunIntoIt) {
-  navigation::CommLevelMap plan;
-  add_wall(plan, 12, -10, 12, 40);
-  const auto walked = [&](bool walls) {
-    FilterOptions options;
-    options.walls = walls;
-    Hall hall(options, plan);
-    for (int i = 0; i < 10; ++i) hall.hear(8, 10);
-    for (int i = 0; i < 10; ++i) hall.filter.step({1.0, 0.05, 0.0, 0.05});
-    return hall.filter.estimate().x_m;
-  };
-  EXPECT_LT(walked(true), walked(false) - 2.0);
-}
-
-TEST(BeaconFilter, WhatWasHeardOnTheWayHoldsNobodyBack) {
-  Hall hall;
-  for (int i = 0; i < 8; ++i) hall.hear(3, 10);
-  double behind_m = 0.0;
-  int seconds = 0;
-  for (double x = 3; x < 17; x += 1.4, ++seconds) {  // two steps a second, heard in the middle
-    hall.filter.step({0.7, 0.05, 0.0, 0.05});
-    hall.readings(x + 0.7, 10);
-    hall.filter.step({0.7, 0.05, 0.0, 0.05});
-    hall.filter.advance(hall.now += 1s);
-    behind_m += x + 1.4 - hall.filter.estimate().x_m;
-  }
-  EXPECT_NEAR(behind_m / seconds, 0.0, 0.35);
-}
-
-TEST(BeaconFilter, NobodyIsCarriedOffWhileTheyStand) {
-  Hall hall;
-  for (int i = 0; i < 8; ++i) hall.hear(4, 10);
-  hall.filter.step({0.5, 0.05, 0.0, 0.05});
-  hall.hear(4.5, 10);
-  for (int i = 0; i < 15; ++i) hall.hear(16, 10);  // as in a lift: not what is heard here
-  EXPECT_LT(hall.filter.estimate().x_m, 10.0);
-}
-
-/// Beacons of two levels, and at (10, 10) what leads from one to the other.
-std::string two_levels() {
-  std::string text = "name: 'house'\n";
-  for (int level = 0; level < 2; ++level) {
-    for (int i = 0; i < 4; ++i) {
-      text += "beacons { id: '02:00:00:00:0" + std::to_string(level) + ":0" + std::to_string(i + 1) +
-              "' x: " + (i % 2 == 1 ? "20" : "0") + " y: " + (i >= 2 ? "20" : "0") +
-              " heard { level: " + std::to_string(level) + " power: -59 } exponent: 2 }\n";
-    }
-  }
-  return text;
-}
-
-/// Two beacons in a row: what is heard to their left is heard to their right.
-struct Row {
-  BeaconMap map = parse(
-      "name: 'row'\n"
-      "beacons { id: '02:00:00:00:00:01' x: 0 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n"
-      "beacons { id: '02:00:00:00:00:02' x: 20 y: 0 heard { level: 0 power: -59 } exponent: 2 }\n",
-      "row");
-  std::array<Extent, 1> hall{Extent{0, -10, -10, 30, 10}};
-  std::shared_ptr<const BeaconField> field = std::make_shared<const BeaconField>(map, hall);
-  BeaconFilter filter{field, std::make_shared<const FloorPlan>(navigation::CommLevelMap()), map.accuracy(),
-                      map.radio().offset()};
-  Time now{0};
-
-  void hear(double x, double y) {
-    for (std::uint32_t beacon = 0; beacon < 2; ++beacon) {
-      filter.heard(beacon, -59 - 10 * std::log10(std::pow(x - 20.0 * beacon, 2) + y * y + 1.0));
-    }
-    filter.advance(now += 1000ms);
-  }
-};
-
-TEST(BeaconFilter, StandingTellsNobodyApartWhomOneSecondDoesNot) {
-  Row row;
-  row.filter.expect_steps();
-  row.hear(4, 6);
-  row.hear(4, 6);
-  const double first_m2 = row.filter.estimate().spread(1, 1);
-  for (int i = 0; i < 40; ++i) row.hear(4, 6);
-  EXPECT_GT(first_m2, 15.0);
-  EXPECT_GT(row.filter.estimate().spread(1, 1), 0.7 * first_m2);
-}
-
-TEST(BeaconFilter, WhoHasStoodIsFollowedFromTheirFirstStepOn) {
-  Hall hall;
-  hall.filter.expect_steps();
-  for (int i = 0; i < 20; ++i) hall.hear(5, 10);
-  for (int i = 1; i <= 10; ++i) {
-    for (int step = 0; step < 2; ++step) hall.filter.step({0.5, 0.05, 0.0, 0.05});
-    hall.hear(5.0 + i, 10);
-  }
-  const Estimate at = hall.filter.estimate();
-  ASSERT_TRUE(at.is_valid());
-  EXPECT_NEAR(at.x_m, 15, 1.5);
-  EXPECT_NEAR(at.y_m, 10, 1.5);
-}
-
-/// Two halls of 20 m, one above the other, and a staircase that is as wide as its flight between the middles of their
-/// eastern and western walls.
-void add_staircase(navigation::CommLevelMap& plan, double length_m) {
-  const double end = 10 + length_m;
-  for (const int level : {0, 1}) {
-    const double west = level == 0 ? -10.0 : end, side = level == 0 ? 10.0 : end;
-    for (const auto& [x1, y1, x2, y2] : {std::array{west, 0.0, west + 20, 20.0}, std::array{10.0, 9.5, end, 10.5}}) {
-      auto& room = *plan.add_rooms();
-      room.set_level(level);
-      for (const double x : {x1, x2, x2, x1}) room.mutable_outline()->add_x(x);
-      for (const double y : {y1, y1, y2, y2}) room.mutable_outline()->add_y(y);
-    }
-    for (const auto& [x1, y1, x2, y2] : {std::array{side, 0.0, side, 9.5}, std::array{side, 10.5, side, 20.0},
-                                         std::array{10.0, 9.5, end, 9.5}, std::array{10.0, 10.5, end, 10.5}}) {
-      auto& wall = *plan.add_walls();
-      wall.set_level(level);
-      wall.set_x1(x1), wall.set_y1(y1), wall.set_x2(x2), wall.set_y2(y2);
-    }
-  }
-}
-
-struct House {
-  explicit House(navigation::MapEdge::Kind kind, double far_m)
-      : map(parse(two_levels(), "house")), field(std::make_shared<const BeaconField>(map)) {
-    navigation::CommLevelMap plan;
-    for (const double level : {0.0, 1.0}) {
-      auto& told = *plan.add_levels();
-      told.set_level(level), told.set_floor(3.5 * level);
-      add_wall(plan, -30, -30, -30, 50, level);
-      auto& node = *plan.add_nodes();
-      node.set_x(10 + level * far_m), node.set_y(10), node.set_level(level);
-    }
-    auto& edge = *plan.add_edges();
-    edge.set_from(0), edge.set_to(1), edge.set_kind(kind);
-    if (kind == navigation::MapEdge::STAIRS) add_staircase(plan, far_m);
-    filter.emplace(field, std::make_shared<const FloorPlan>(plan), map.accuracy(), map.radio().offset(),
-                   FilterOptions{});
-  }
-
-  /// A second in the place; what is on another level, and all where `loss_db` says so, is weaker.
-  void hear(double x, double y, int level, double loss_db = 0.0) {
-    for (int beacon = 0; beacon < 8; ++beacon) {
-      const bool same = beacon / 4 == level;
-      const double dbm = rssi_dbm(x, y, beacon % 4) - loss_db - (same ? 0.0 : map.radio().level_loss());
-      if (dbm > -95.0) filter->heard(static_cast<std::uint32_t>(beacon), dbm);
-    }
-    filter->advance(now += 1s);
-  }
-
-  /// Stands for 8 s at (6, 10) of level 0, then walks a metre a second.
-  void stand_and_walk_east_to(double to_x) {
-    for (int i = 0; i < 8; ++i) hear(6, 10, 0);
-    for (double x = 6; x < to_x; x += 1.0) {
-      filter->step({1.0, 0.05, 0.0, 0.05});
-      hear(x + 1, 10, 0);
-    }
-  }
-
-  BeaconMap map;
-  std::shared_ptr<const BeaconField> field;
-  std::optional<BeaconFilter> filter;
-  std::chrono::milliseconds now{0};
-};
-
-TEST(BeaconFilter, WhoTakesALiftIsInItAndThenOnTheOtherLevel) {
-  House house(navigation::MapEdge::LIFT, 0.0);
-  house.stand_and_walk_east_to(10);
-  for (int i = 0; i < 15; ++i) {
-    house.hear(10, 10, 0, 12.0);  // the cabin
-    EXPECT_TRUE(house.filter->estimate().is_valid());
-  }
-  Estimate at = house.filter->estimate();
-  EXPECT_EQ(at.level, 0);
-  EXPECT_NEAR(at.x_m, 10.0, 1.0);
-  EXPECT_NEAR(at.y_m, 10.0, 1.0);
-  for (int i = 0; i < 6; ++i) house.hear(10, 10, 1, 12.0);
-  at = house.filter->estimate();
-  EXPECT_EQ(at.level, 1);
-  EXPECT_NEAR(at.x_m, 10.0, 0.5);
-  EXPECT_NEAR(at.y_m, 10.0, 0.5);
-}
-
-TEST(BeaconFilter, WhoTakesStairsComesOutAtTheirEnd) {
-  House house(navigation::MapEdge::STAIRS, 6.0);
-  house.stand_and_walk_east_to(10);
-  for (double x = 10; x < 16; x += 0.6) {  // two steps a second, that seem to be of 0.6 m and are of half that
-    house.filter->step({0.6, 0.05, 0.0, 0.05});
-    house.filter->step({0.6, 0.05, 0.0, 0.05});
-    house.hear(x + 0.6, 10, x < 14 ? 0 : 1);
-  }
-  const Estimate at = house.filter->estimate();
-  EXPECT_EQ(at.level, 1);
-  EXPECT_NEAR(at.x_m, 16.0, 2.0);
-  EXPECT_NEAR(at.y_m, 10.0, 1.5);
-}
-
-TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {
-  House house(navigation::MapEdge::STAIRS, 6.0);
-  house.stand_and_walk_east_to(12);
-  for (int step = 0; step < 40; ++step) house.filter->step({0.6, 0.05, 0.0, 0.05});  // and nothing is heard
-  house.filter->advance(house.now += 1s);
-  EXPECT_EQ(house.filter->estimate().level, 1);
-  EXPECT_LT(house.filter->estimate().level_variance, 0.02);
-}
-
-/// Nothing is heard: the stairs alone tell.
-TEST(BeaconFilter, StairsTellHowMuchACompassErrs) {
-  House house(navigation::MapEdge::STAIRS, 6.0);
-  house.stand_and_walk_east_to(11);
-  for (int step = 0; step < 10; ++step) house.filter->step({0.6, 0.05, 0.25, 0.05});
-  house.filter->advance(house.now += 1s);
-  EXPECT_NEAR(house.filter->estimate().heading_bias_rad, -0.25, 0.17);
-}
-
-/// East, south over a landing, and west.
-struct StairsOverALanding : House {
-  StairsOverALanding() : House(navigation::MapEdge::STAIRS, 6.0) {
-    navigation::CommLevelMap plan;
-    for (const double level : {0.0, 1.0}) {
-      add_wall(plan, 9, -30, 9, 6.4, level);
-      add_wall(plan, 9, 6.4, 14.6, 6.4, level);
-      add_wall(plan, 14.6, 6.4, 14.6, 10.6, level);
-      add_wall(plan, 9, 10.6, 14.6, 10.6, level);
-      add_wall(plan, 9, 10.6, 9, 50, level);
-    }
-    for (const auto& [x, y, level] : {std::array{10.0, 10.0, 0.0}, std::array{14.0, 10.0, 0.5},
-                                      std::array{14.0, 7.0, 0.5}, std::array{10.0, 7.0, 1.0}}) {
-      auto& node = *plan.add_nodes();
-      node.set_x(x), node.set_y(y), node.set_level(level);
-    }
-    for (std::uint32_t i = 0; i < 3; ++i) {
-      auto& edge = *plan.add_edges();
-      edge.set_from(i), edge.set_to(i + 1), edge.set_kind(navigation::MapEdge::STAIRS);
-    }
-    filter->use(std::make_shared<const FloorPlan>(plan));
-  }
-
-  /// Steps that seem to be of 0.6 m; and nothing is heard.
-  void climb(int steps, double heading_rad) {
-    for (int step = 0; step < steps; ++step) filter->step({0.6, 0.05, heading_rad, 0.05});
-    filter->advance(now += 1s);
-  }
-};
-
-/// They are of 0.3 m.
-TEST(BeaconFilter, TurnsOnStairsTellHowLongTheirStepsAre) {
-  StairsOverALanding house;
-  house.stand_and_walk_east_to(10);
-  house.climb(13, 0.0);
-  house.climb(10, -std::numbers::pi / 2);
-  house.climb(7, std::numbers::pi);
-  const Estimate at = house.filter->estimate();
-  EXPECT_EQ(at.level, 1);
-  EXPECT_NEAR(at.x_m, 14.0 - 7 * 0.3, 0.6);
-}
-
 TEST(FloorPlan, WithoutHeightsOfItsFloorsNobodyIsToldHowFarTheyAreApart) {
   navigation::CommLevelMap map;
   for (const int level : {0, 1, 2}) add_wall(map, 0, 0, 10, 0, level);
@@ -610,41 +241,6 @@ TEST(FloorPlan, WithoutHeightsOfItsFloorsNobodyIsToldHowFarTheyAreApart) {
   }
   EXPECT_EQ(FloorPlan(map).rise_m(2, 0), -7.0);
   EXPECT_EQ(FloorPlan(map).rise_m(0, 5), std::nullopt);
-}
-
-/// What is heard in the cabin is that of the level below, all the way.
-TEST(BeaconFilter, WhoFeltALiftIsOnTheLevelThatItCarriedThemTo) {
-  const auto level_after = [](std::optional<double> rise_m) {
-    House house(navigation::MapEdge::LIFT, 0.0);
-    house.stand_and_walk_east_to(10);
-    for (int i = 0; i < 20; ++i) house.hear(10, 10, 0, 12.0);
-    house.filter->step({0.7, 0.05, 0.0, 0.05, rise_m});
-    house.filter->advance(house.now += 1s);
-    return house.filter->estimate().level;
-  };
-  EXPECT_EQ(level_after(std::nullopt), 0);
-  EXPECT_EQ(level_after(0.0), 0);
-  EXPECT_EQ(level_after(3.3), 1);
-  EXPECT_EQ(level_after(-3.3), 0) << "there is nothing below";
-}
-
-/// Most of the second in which they leave it is heard in the cabin.
-TEST(BeaconFilter, WhoWalksOutOfALiftIsNotHeldInIt) {
-  House house(navigation::MapEdge::LIFT, 0.0);
-  house.stand_and_walk_east_to(10);
-  for (int i = 0; i < 15; ++i) house.hear(10, 10, 0, 15.0);
-  for (int i = 0; i < 6; ++i) house.hear(10, 10, 1, 15.0);
-  house.filter->step({0.7, 0.05, 0.0, 0.05});
-  house.hear(10.4, 10, 1, 13.0);
-  house.filter->step({0.7, 0.05, 0.0, 0.05});
-  house.hear(11.1, 10, 1);
-  EXPECT_NEAR(house.filter->estimate().x_m, 11.1, 0.7);
-}
-
-TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {
-  Hall one, two;
-  for (int i = 0; i < 10; ++i) one.hear(3, 4), two.hear(3, 4);
-  EXPECT_EQ(one.filter.estimate().x_m, two.filter.estimate().x_m);
 }
 
 TEST(SurveyLearner, BeaconsAreFoundWhereTheyAreAndReceiversBesideEachOther) {
