@@ -187,8 +187,9 @@ void RemoteConsoles::begin(const std::string& id, const control::ConsoleHello& h
   answer.mutable_welcome()->set_host(name_);
   answer.mutable_welcome()->set_level(console.status.level());
   if (send(id, answer) != Sent::Yes) return;
-  on_console_(std::move(theirs), console.rights);
-  consoles_.emplace(id, std::move(console));
+  const Rights rights = consoles_.emplace(id, std::move(console)).first->second.rights;
+  tell(Steady::now());  // whoever asks who is connected is
+  on_console_(std::move(theirs), rights);
 }
 
 /// False when too much waits there.
@@ -237,6 +238,10 @@ void RemoteConsoles::tick(Steady::time_point now) {
   }
   for (const auto& [id, silent] : gone) end(id, "it has been silent for too long", silent);
   if (now - checked_ >= kCheckLevelsEvery) check_levels();
+  tell(now);
+}
+
+void RemoteConsoles::tell(Steady::time_point now) {
   std::vector<control::ConsoleStatus> told;
   for (auto& [id, console] : consoles_) {
     console.status.set_since_s(to_seconds(now - console.since));

@@ -55,6 +55,7 @@ class RemoteConsoles {
   bool hand_to_server(Console& console, const std::string& bytes);
   bool carry_from_server(const std::string& id, Console& console);
   void tick(std::chrono::steady_clock::time_point now);
+  void tell(std::chrono::steady_clock::time_point now);
   void check_levels();
   void end(const std::string& id, const std::string& reason, bool at_fault = false);
   void refuse(const std::string& id, const std::string& reason);
