@@ -47,10 +47,13 @@ control::Watch sampled(const std::string& name, const std::string& port) {
   return watch;
 }
 
+/// Of a version that does not do what the one before did.
+Error unfit(ErrorCode code, std::string why) { return {code, {.what = std::move(why), .next = "tell the publisher"}}; }
+
 std::optional<control::Reply> reply_of(Deliveries& check, const wire::GroupMessage& event) {
   std::optional<control::Reply> reply;
   const auto why = check.note(event);
-  if (why) *reply.emplace().mutable_failure() = failure_of(Error(ErrorCode::ComponentFailed, *why));
+  if (why) *reply.emplace().mutable_failure() = failure_of(unfit(ErrorCode::ComponentFailed, *why));
   return reply;
 }
 
@@ -195,7 +198,7 @@ void System::listen_to(const std::shared_ptr<Deliveries>& check, double within_m
   over.mutable_done();
   const auto ended = [check, answer = std::move(answer)](control::Reply reply) {
     const auto missing = reply.has_done() ? check->missing() : std::nullopt;
-    if (missing) *reply.mutable_failure() = failure_of(Error(ErrorCode::Failed, *missing));
+    if (missing) *reply.mutable_failure() = failure_of(unfit(ErrorCode::Failed, *missing));
     answer(std::move(reply));
   };
   if (within_ms == 0) return ended(over);
@@ -206,7 +209,7 @@ Group& System::candidate_group() {
   const auto at = groups_.find(candidate_->made.group);
   if (at != groups_.end() && at->second->alive()) return *at->second;
   const auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
-  throw Error(ErrorCode::ComponentFailed, "its process " + (child ? child->end() : std::string("has ended")));
+  throw unfit(ErrorCode::ComponentFailed, "its process " + (child ? child->end() : std::string("has ended")));
 }
 
 /// Its push ports that others hear.

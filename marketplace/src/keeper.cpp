@@ -73,7 +73,10 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
     publishers.push_back(publisher);
   }
   const Accepted accepted = accept(market, publishers, options);
-  if (!accepted.refused.empty()) throw Error(ErrorCode::Failed, accepted.refused.front());
+  if (!accepted.refused.empty())
+    throw Error(ErrorCode::Failed, {.what = accepted.refused.front(),
+                                    .where = (market / "incoming").string(),
+                                    .next = "mend it, and make the marketplace again"});
   const filesystem::path place = filesystem::absolute(market).lexically_normal();
   const std::string root = tuf::Repository{repository_options(market, options), options.keys}.root();
   DurableDirectory{os, place.parent_path(), 0755}.replace(place.filename().string() + ".root.json", root);

@@ -139,7 +139,9 @@ Marketplace open_marketplace(const std::string& location, const OpenOptions& opt
   const filesystem::path copy = copies_of(options) / trusted.filename();
   if (!options.ask_network && !tuf::is_directory_location(place)) {
     const auto fetch = [place](const IndexEntry&) -> filesystem::path {
-      throw Error(ErrorCode::Unreachable, ErrorText{.what = "the marketplace was not asked", .where = place});
+      throw Error(
+          ErrorCode::Unreachable,
+          ErrorText{.what = "the marketplace was not asked", .where = place, .next = "open it with ask_network"});
     };
     return Marketplace{copy, place, Marketplace::Behind{.fetch = fetch, .is_named = is_named}};
   }

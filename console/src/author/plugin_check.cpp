@@ -351,14 +351,16 @@ class PluginChecker {
 
   void check_symbols(const ElfLibrary& library, const std::set<std::string>& brought, const std::string& place) {
     const std::vector<NeededSymbol> missing = missing_symbols(library, brought);
+    const std::string next = "add the source or library that defines it; fiona_add_plugin links with --no-undefined";
     for (std::size_t i = 0; i < missing.size() && i < kMostSymbols; ++i) {
       const std::string version = missing[i].version.empty() ? "" : "@" + missing[i].version;
       find({.what = fmt::format("nobody defines the symbol {}{}", missing[i].name, version),
             .where = place,
-            .next = "add the source or library that defines it; fiona_add_plugin links with --no-undefined"});
+            .next = next});
     }
     if (missing.size() > kMostSymbols)
-      find({.what = fmt::format("and {} further symbols", missing.size() - kMostSymbols), .where = place});
+      find(
+          {.what = fmt::format("and {} further symbols", missing.size() - kMostSymbols), .where = place, .next = next});
   }
 
   /// What stands in the file itself, whatever its interface says.

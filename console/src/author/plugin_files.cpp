@@ -68,7 +68,9 @@ std::string file_text(const fs::path& file) {
   std::error_code problem;
   const auto size = fs::file_size(file, problem);
   if (problem || !fs::is_regular_file(file, problem))
-    throw Error(ErrorCode::NotFound, {.what = "there is no such file", .where = file.string()});
+    throw Error(ErrorCode::NotFound, {.what = "there is no such file",
+                                      .where = file.string(),
+                                      .next = "write it; plugin new writes one of each that a plugin needs"});
   if (size > kLargestText)
     throw Error(ErrorCode::Failed, {.what = fmt::format("the file has {} bytes", size),
                                     .where = file.string(),

@@ -13,7 +13,8 @@ Duration seconds(double value) { return std::chrono::duration_cast<Duration>(std
 Error too_soon(Duration wait) {
   return Error(ErrorCode::NotAllowed,
                {.what = "too many attempts: wait " + std::to_string(static_cast<long>(std::ceil(to_seconds(wait)))) +
-                        " s before the next one"});
+                        " s before the next one",
+                .next = "log in again after that"});
 }
 
 }  // namespace

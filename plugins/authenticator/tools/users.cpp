@@ -83,7 +83,8 @@ Secret new_password() {
   Secret once = read_line("password: ");
   const Secret again = read_line("again:    ");
   if (once.text() != again.text())
-    throw Error(ErrorCode::Usage, "the two passwords are not the same: nothing has changed");
+    throw Error(ErrorCode::Usage,
+                {.what = "the two passwords are not the same: nothing has changed", .next = "type both again"});
   return once;
 }
 

@@ -14,7 +14,8 @@ namespace {
 constexpr int kCompression = 3;
 
 [[noreturn]] void fail(png_structp, png_const_charp reason) {
-  throw Error(ErrorCode::Failed, std::string("cannot make the image of the map: ") + reason);
+  throw Error(ErrorCode::Failed, {.what = std::string("cannot make the image of the map: ") + reason,
+                                  .next = "a larger pixel_size makes a smaller image"});
 }
 
 void append(png_structp png, png_bytep bytes, std::size_t size) {

@@ -13,7 +13,9 @@ namespace fiona::records {
 namespace {
 
 [[noreturn]] void fail(const std::filesystem::path& file, const char* what) {
-  throw Error(ErrorCode::Failed, {.what = std::string(what) + ": " + std::strerror(errno), .where = file.string()});
+  throw Error(ErrorCode::Failed, {.what = std::string(what) + ": " + std::strerror(errno),
+                                  .where = file.string(),
+                                  .next = "make its folder one that this user may write to, and that has room"});
 }
 
 /// A descriptor that is closed.

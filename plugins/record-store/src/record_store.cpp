@@ -39,7 +39,8 @@ void make_private(const std::filesystem::path& file) {
   const int made = ::open(file.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
   if (made < 0) {
     throw Error(ErrorCode::Failed, {.what = std::string("the database cannot be opened: ") + std::strerror(errno),
-                                    .where = file.string()});
+                                    .where = file.string(),
+                                    .next = "make its folder one that this user may write to, and that has room"});
   }
   ::close(made);
 }
@@ -109,7 +110,8 @@ class RecordStore::Transaction {
 
 RecordStore::RecordStore(const std::filesystem::path& file, std::string_view kind)
     : file_(std::filesystem::absolute(file)), database_(std::make_unique<Database>()) {
-  if (sodium_init() < 0) throw Error(ErrorCode::Failed, "libsodium could not be initialised");
+  if (sodium_init() < 0)
+    throw Error(ErrorCode::Failed, {.what = "libsodium could not be initialised", .next = "doctor"});
   std::error_code ignored;
   if (std::filesystem::create_directories(file_.parent_path(), ignored)) {
     std::filesystem::permissions(file_.parent_path(), std::filesystem::perms::owner_all, ignored);

@@ -16,7 +16,9 @@ constexpr double kMostTime = 1e15, kFarthest_m = 10'000.0, kHighestLevel = 1000.
 
 std::ifstream open(const std::filesystem::path& file) {
   std::ifstream stream(file);
-  if (!stream) throw Error(ErrorCode::NotFound, {.what = "the file cannot be read", .where = file.string()});
+  if (!stream)
+    throw Error(ErrorCode::NotFound,
+                {.what = "the file cannot be read", .where = file.string(), .next = "check its path"});
   return stream;
 }
 

@@ -162,9 +162,15 @@ BeaconMap load(const std::filesystem::path& file) {
   const std::uintmax_t size = std::filesystem::file_size(file, none);
   std::ifstream stream(file, std::ios::binary);
   if (none || !stream) {
-    throw Error(ErrorCode::NotFound, {.what = "the beacon map cannot be read", .where = file.string()});
+    throw Error(ErrorCode::NotFound, {.what = "the beacon map cannot be read",
+                                      .where = file.string(),
+                                      .next = "fiona-beaconmap learn SURVEY -o FILE makes one"});
   }
-  if (size > kMostBytes) throw Error(ErrorCode::Usage, {.what = "the beacon map is too large", .where = file.string()});
+  if (size > kMostBytes)
+    throw Error(ErrorCode::Usage, {.what = "the beacon map is too large",
+                                   .where = file.string(),
+                                   .expected = std::to_string(kMostBytes >> 20) + " MiB at most",
+                                   .found = std::to_string(size >> 20) + " MiB"});
   return parse(std::string(std::istreambuf_iterator<char>(stream), {}), file.string());
 }
 
@@ -174,7 +180,10 @@ void save(const BeaconMap& map, const std::filesystem::path& file) {
   std::ofstream stream(file, std::ios::binary | std::ios::trunc);
   stream << text;
   stream.close();
-  if (!stream) throw Error(ErrorCode::Failed, {.what = "the beacon map cannot be written", .where = file.string()});
+  if (!stream)
+    throw Error(
+        ErrorCode::Failed,
+        {.what = "the beacon map cannot be written", .where = file.string(), .next = "-o FILE names one that can"});
 }
 
 std::string normalised_id(std::string_view id) {

@@ -110,7 +110,10 @@ int plan(const options::variables_map& given, const std::string& folder) {
   std::ofstream out(given["output"].as<std::string>());
   out << beacons::plan_of(survey_walks(dataset), {name, reference, 0.5 * width_m});
   out.close();
-  if (!out) throw Error(ErrorCode::Failed, {.what = "cannot write", .where = given["output"].as<std::string>()});
+  if (!out)
+    throw Error(ErrorCode::Failed, {.what = "the plan cannot be written",
+                                    .where = given["output"].as<std::string>(),
+                                    .next = "-o FILE names one that can"});
   return 0;
 }
 

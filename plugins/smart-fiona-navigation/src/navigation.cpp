@@ -323,7 +323,9 @@ std::string Navigation::goal_name() const {
 void Navigation::begin_guidance(std::shared_ptr<Map> map, building::Route route) {
   if (route.points.size() > static_cast<std::size_t>(kMostWaypoints)) {
     throw Error(ErrorCode::Failed,
-                "the way has " + std::to_string(route.points.size()) + " places, more than a path may");
+                {.what = "the way has " + std::to_string(route.points.size()) + " places, more than a path may",
+                 .expected = "at most " + std::to_string(kMostWaypoints),
+                 .next = "pick a place that is nearer, and go on from there"});
   }
   const bool first = !std::exchange(trip_->begun, true);
   guide_.reset();

@@ -53,7 +53,8 @@ double number(const std::string& cell, const std::string& where) {
     if (used == cell.size() && std::isfinite(value)) return value;
   } catch (const std::logic_error&) {  // told below
   }
-  throw Error(ErrorCode::Failed, {.what = "a number is no number", .where = where, .found = cell});
+  throw Error(ErrorCode::Failed,
+              {.what = "a number is no number", .where = where, .expected = "a finite number", .found = cell});
 }
 
 /// Truth files may have further columns, and their columns may stand in another order.
@@ -61,7 +62,9 @@ Tracks read(const std::string& path) {
   std::ifstream file(path);
   std::string line;
   if (!std::getline(file, line)) {
-    throw Error(ErrorCode::NotFound, {.what = "the file cannot be read, or is empty", .where = path});
+    throw Error(ErrorCode::NotFound, {.what = "the file cannot be read, or is empty",
+                                      .where = path,
+                                      .expected = "a header line, and a line for each place"});
   }
   const auto header = split(line);
   const auto place = [&](const char* name) {
@@ -83,7 +86,10 @@ Tracks read(const std::string& path) {
     const auto cells = split(line);
     const std::string where = path + ":" + std::to_string(row);
     if (cells.size() < header.size())
-      throw Error(ErrorCode::Failed, {.what = "the line is cut short", .where = where, .found = line});
+      throw Error(ErrorCode::Failed, {.what = "the line is cut short",
+                                      .where = where,
+                                      .expected = std::to_string(header.size()) + " cells",
+                                      .found = line});
     Point point{static_cast<std::int64_t>(number(cells[t], where)), number(cells[x], where), number(cells[y], where),
                 number(cells[floor], where)};
     if (has_covariance && !cells[covariance[0]].empty()) {
