@@ -1,8 +1,10 @@
 // Runs a fuzz target without a fuzzer: over each file of its corpus, then over mutations of them, the same ones each
-// time. A child does it, so that whatever ends it, the input that did is known, kept in a file and told.
+// time. A child does it, so that whatever ends it, the input that did is known, kept in a file and told. Where the code
+// is optimised and without sanitizers, so is one that takes more time or memory than is promised.
 //
 //     TARGET MUTATIONS CORPUS_DIR …
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -28,6 +30,9 @@ namespace {
 
 /// One input must not take longer than this, with a sanitizer on a loaded machine.
 constexpr unsigned kLongestInput_s = 30;
+/// What one may take where nothing is added to the code: of processor time, and of memory with all before it.
+constexpr double kMostProcessor_s = 1;
+constexpr double kMostMemory_MiB = 256;
 constexpr std::size_t kLargestInput = 1 << 16;
 
 struct Seed {
@@ -92,13 +97,39 @@ std::string input_number(const std::vector<Seed>& seeds, std::size_t number) {
   return number < seeds.size() ? seeds[number].bytes : Mutator(seeds, number).input();
 }
 
+struct Taken {
+  double processor_s = 0;
+  double memory_mib = 0;  ///< at most so far
+};
+
+Taken taken() {
+  rusage usage{};
+  ::getrusage(RUSAGE_SELF, &usage);
+  const auto seconds = [](const timeval& time) {
+    return static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_usec);
+  };
+  return {seconds(usage.ru_utime) + seconds(usage.ru_stime), static_cast<double>(usage.ru_maxrss) / 1024};
+}
+
+void require_modest(const Taken& before) {
+  const Taken now = taken();
+  const double processor_s = now.processor_s - before.processor_s;
+  if (processor_s <= kMostProcessor_s && now.memory_mib <= kMostMemory_MiB) return;
+  std::fprintf(stderr,
+               "it took %.2f s of processor time (%.0f at most), and there are %.0f MiB of memory (%.0f at most)\n",
+               processor_s, kMostProcessor_s, now.memory_mib, kMostMemory_MiB);
+  std::exit(1);
+}
+
 void run_all(const std::vector<Seed>& seeds, std::size_t mutations, std::atomic<std::size_t>& number) {
   for (; number < seeds.size() + mutations; ++number) {
     const std::string bytes = input_number(seeds, number);
     ::alarm(kLongestInput_s);
     // A copy of its exact size on the heap, so that AddressSanitizer sees a read beyond it.
     const std::vector<std::uint8_t> input(bytes.begin(), bytes.end());
+    const Taken before = taken();
     LLVMFuzzerTestOneInput(input.data(), input.size());
+    if (FIONA_MEASURED) require_modest(before);
   }
 }
 
