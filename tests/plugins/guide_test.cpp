@@ -284,15 +284,15 @@ TEST(Guide, NobodyIsThroughADoorThatTheyWereNotToldOfBecauseTheirPlaceLeaps) {
   using building::Passage;
   route.points = {{.at = {0, 0}, .level = 0},
                   {.at = {5, 0}, .level = 0},
-                  {.at = {5, 1}, .level = 0},
-                  {.at = {5, 2}, .level = 0, .passage = Passage::Door},
+                  {.at = {5, 3}, .level = 0},
+                  {.at = {5, 4}, .level = 0, .passage = Passage::Door},
                   {.at = {5, 20}, .level = 0}};
   Guide guide(plan, route, "Room 7", false, at(0));
   EXPECT_EQ(guide.follow({{{4, 0}, 0}, 90 * kDegree, 1.0}, at(0)).instruction.kind(), Instruction::TURN);
   for (const double t : {3.0, 3.2}) {
-    EXPECT_EQ(guide.follow({{{5, 1.9}, 0}, 0.0, 1.0}, at(t)).instruction.kind(), Instruction::DOOR) << t;
+    EXPECT_EQ(guide.follow({{{5, 3.9}, 0}, 0.0, 1.0}, at(t)).instruction.kind(), Instruction::DOOR) << t;
   }
-  EXPECT_EQ(guide.follow({{{5, 4}, 0}, 0.0, 1.0}, at(6)).instruction.kind(), Instruction::CONTINUE);
+  EXPECT_EQ(guide.follow({{{5, 6}, 0}, 0.0, 1.0}, at(6)).instruction.kind(), Instruction::CONTINUE);
 }
 
 /// East to stairs that lead north, east and back south to level 1, and on to the south.
@@ -440,8 +440,7 @@ TEST(Guide, WhoDoesNotGetOnBehindADoorIsToldOfTheDoorAgain) {
     const auto advice = guide.follow({{{0, y_m}, 0}, 0.0, 1.5}, at(t));
     if (advice.is_new) said.push_back(advice.instruction.text());
   }
-  EXPECT_THAT(said,
-              ::testing::ElementsAre("Go through the door.", "Go on for 10 m to Room 7.", "Go through the door."));
+  EXPECT_THAT(said, ::testing::ElementsAre("Go through the door.", "Go on for 8 m to Room 7.", "Go through the door."));
 }
 
 TEST(Guide, WhoStandsBehindADoorAndTurnsAboutIsToldOfTheDoorAgain) {
@@ -479,8 +478,18 @@ TEST(Guide, ATurnThatWasToldWithItsDoorIsNotToldBeforeADoubtfulPlaceIsClearOfThe
   const auto told_at = [&](double y_m) {
     return guide.follow({{{0, y_m}, 0}, 0.0, 1.5}, at(t += 1.0)).instruction.kind();
   };
-  for (const double y_m : {8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 10.9}) EXPECT_EQ(told_at(y_m), Instruction::DOOR) << y_m;
-  EXPECT_EQ(told_at(11.1), Instruction::TURN);
+  for (const double y_m : {8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 11.0, 11.4})
+    EXPECT_EQ(told_at(y_m), Instruction::DOOR) << y_m;
+  EXPECT_EQ(told_at(11.7), Instruction::TURN);
+}
+
+TEST(Guide, WhoWaitsBeforeADoorIsNotSentOnBehindItBecauseTheirPlaceIsALittleAhead) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0, 0.6}, at(0));
+  EXPECT_EQ(guide.follow({{{0, 10.4}, 0}, 0.0, 0.6}, at(2)).instruction.kind(), Instruction::DOOR);
+  EXPECT_EQ(guide.follow({{{0, 10.8}, 0}, 0.0, 0.6}, at(2.4)).instruction.kind(), Instruction::DOOR);
+  EXPECT_EQ(guide.follow({{{0, 11.3}, 0}, 0.0, 0.6}, at(2.8)).instruction.kind(), Instruction::CONTINUE);
 }
 
 TEST(Guide, WhoGoesStraightOnBehindADoorWhereThePathTurnsAtOnceIsThroughIt) {
@@ -553,6 +562,35 @@ TEST(Guide, WhoStandsBesideThePathIsLedBackToIt) {
   std::string last;
   for (double t = 0; t < 5; t += 0.2) last = guide.follow({{{0.9, 8}, 0}, 0.0, 0.7}, at(t)).instruction.text();
   EXPECT_EQ(last, "Turn left to the path.");
+}
+
+TEST(Guide, WhoComesBackToThePathAcrossIsToldInTimeToTurnAlongIt) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  double t = 0;
+  for (; t < 5; t += 0.2) guide.follow({{{1.6, 8}, 0}, 0.0, 0.7}, at(t));
+  const auto back = guide.follow({{{1.6, 8}, 0}, 0.0, 0.7}, at(t)).instruction;
+  ASSERT_EQ(back.text(), "Turn left to the path.");
+  std::vector<std::string> said;
+  for (double x_m = 1.6; x_m > 0.4; x_m -= 0.26) {
+    const auto advice = guide.follow({{{x_m, 8}, 0}, -80 * kDegree, 0.7}, at(t += 0.2));
+    if (!advice.is_new) continue;
+    said.push_back(advice.instruction.text());
+    EXPECT_EQ(advice.instruction.kind(), Instruction::TURN);
+    EXPECT_NEAR(advice.instruction.distance(), x_m, 0.01);
+    EXPECT_NEAR(advice.turn.distance_to_turn(), 1000 * x_m, 1);
+  }
+  EXPECT_THAT(said, ::testing::ElementsAre("Turn right now."));
+  EXPECT_EQ(guide.follow({{{0.1, 8.2}, 0}, 0.0, 0.7}, at(t += 1)).instruction.text(), "Go straight on for 12 m.");
+}
+
+TEST(Guide, WhoLooksAlongTheWayBackToThePathIsToldToGoStraightOnToIt) {
+  const LevelPlan plan;
+  Guide guide(plan, through_a_door(), "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0, 0.6}, at(0));
+  const auto said = guide.follow({{{5, 8}, 0}, -63 * kDegree, 0.6}, at(0.2)).instruction;
+  EXPECT_EQ(said.text(), "Go straight on to the path.");
+  EXPECT_EQ(said.hour(), NextTurn::HOUR_12);
 }
 
 TEST(Guide, NoiseOfAPlaceDoesNotTurnWhoWalksAlongThePath) {

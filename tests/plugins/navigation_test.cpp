@@ -217,6 +217,24 @@ TEST(Maneuvers, ADoorToTheStreetIsLeftByAndEnteredBy) {
   EXPECT_THAT(kind(way(plan, {{-10, 1.5}, 0}, kA)), ::testing::Contains(is(Instruction::ENTER)));
 }
 
+TEST(Maneuvers, ATurnTowardsADoorThatIsNearIsToldWithTheDoor) {
+  using building::Passage;
+  const auto kinds = [](double before_m) {
+    building::Route route;
+    route.points.push_back({.at = {0, 0}, .level = 0, .passage = Passage::Walk});
+    route.points.push_back({.at = {0, 10}, .level = 0, .passage = Passage::Walk});
+    route.points.push_back({.at = {before_m, 10}, .level = 0, .passage = Passage::Walk});
+    route.points.push_back({.at = {before_m + 0.5, 10}, .level = 0, .passage = Passage::Door});
+    route.points.push_back({.at = {20, 10}, .level = 0, .passage = Passage::Walk});
+    std::vector<int> all;
+    for (const Maneuver& one : maneuvers(Path(route))) all.push_back(one.kind);
+    return all;
+  };
+  EXPECT_THAT(kinds(1.6), ::testing::ElementsAre(int{Instruction::DOOR}, int{Instruction::ARRIVE}));
+  EXPECT_THAT(kinds(5.0),
+              ::testing::ElementsAre(int{Instruction::TURN}, int{Instruction::DOOR}, int{Instruction::ARRIVE}));
+}
+
 TEST(Words, LiftsAndStairsNameTheLevel) {
   building::Plan plan;
   plan.levels = {{0, 0, "Ground"}, {1, 3, ""}};

@@ -45,12 +45,16 @@ constexpr auto kAstrayFor = 1s;
 /// But by more than this no corner that the place is taken to be on the wrong side of does.
 constexpr double kAway_rad = 120.0 * kDegree;
 constexpr auto kThroughDoor = 2s;
+/// Who was led back to the path comes to it within so long. Nearer to it than this they are on it.
+constexpr auto kComesToPath = 6s;
+constexpr double kOnPath_m = 0.3;
 constexpr double kThen_m = 3.0;  ///< a turn that is nearer behind a door or stairs is told together with them
 constexpr auto kShutFor = 30s;
 constexpr double kMostBehind_m = 3.5;
 constexpr auto kTurnsBack = 4s;
 constexpr double kThrough_m = 1.0;  ///< on, from where it was told of again, and a door is behind
 constexpr double kClear_m = 0.5;    ///< of a door
+constexpr double kClearSigmas = 0.7;
 /// A place that is less sure than this may leap.
 constexpr double kSure_m = 0.3;
 constexpr double kForward_mps = 1.8;
@@ -142,6 +146,7 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   fill(advice, key, walker);
   const bool told_before = told_ && told_->maneuver == key.maneuver && said_ && said_->repeated == key.repeated;
   if (advice.is_new) {
+    if (key.phase == Phase::Align) led_back_at_ = now;
     new_since_ = now;
     looked_rad_ = walker.heading_rad;
   }
@@ -271,13 +276,21 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint
   const bool was_told = told_ && told_->maneuver == next_;
   if (walker.sigma_m >= kSure_m && !was_told) return at_m_ >= maneuver.end_m + walker.sigma_m;
   if (stands(walker, now)) return at_m_ >= maneuver.end_m + walker.sigma_m;
-  // There is no haste where the turn behind it was told with it; told too early, it is taken before the door.
-  if (walker.sigma_m >= kSure_m && then()) {
+  // There is no haste where what is right behind it was told with it; told too early, it is done before the door.
+  if (walker.sigma_m >= kSure_m && (then() || !is_close_behind())) {
     // Who goes straight on behind it gets no further along the path.
     const double beyond_m = dot(walker.place.at - path_.place(maneuver.end_m).at, maneuver.out);
-    return at_m_ >= maneuver.end_m + kClear_m || (at_m_ >= maneuver.end_m - 0.2 && beyond_m >= kClear_m);
+    const double clear_m = std::max(kClear_m, kClearSigmas * walker.sigma_m);
+    return at_m_ >= maneuver.end_m + clear_m || (at_m_ >= maneuver.end_m - 0.2 && beyond_m >= clear_m);
   }
   return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && is_before(maneuver, walker));
+}
+
+/// There is something to do right behind the next maneuver.
+bool Guide::is_close_behind() const {
+  if (next_ + 1 == maneuvers_.size()) return false;
+  const Maneuver& behind = maneuvers_[next_ + 1];
+  return behind.kind != Instruction::ARRIVE && behind.at_m - next().end_m < kNow_m;
 }
 
 bool Guide::is_before(const Maneuver& door, const Walker& walker) const {
@@ -402,9 +415,20 @@ Guide::Phase Guide::phase_of(const Walker& walker, TimePoint now) {
   }
   const bool is_there =
       ahead_m < 1.0 && off_m_ < std::max(kBeside_m, walker.sigma_m) && next().kind != Instruction::ARRIVE;
+  if (rest && !leaves && joins(walker, *rest, now)) return Phase::Join;
   if (!aligned_ && !is_there && !leaves) return Phase::Align;
   if (next().kind == Instruction::ARRIVE) return Phase::Ahead;
   return nearness(walker);
+}
+
+/// Who was led back to the path, and comes to it across, is told in time to turn along it; at the path they would walk
+/// past it.
+bool Guide::joins(const Walker& walker, double rest_rad, TimePoint now) const {
+  if (off_m_ >= kNow_m || to_next_m() <= 1.0 || path_.passage(at_m_) != Passage::Walk) return false;
+  const auto along = turn_to(path_.direction(at_m_), walker);
+  if (!along || std::abs(*along) <= kAstray_rad || std::abs(*along) >= kAway_rad) return false;
+  if (said_ && said_->phase == Phase::Join && now - new_since_ < kDoes) return true;
+  return led_back_at_ && now - *led_back_at_ < kComesToPath && std::abs(rest_rad) < kAlong_rad && off_m_ > kOnPath_m;
 }
 
 /// What has been announced, or said to be now, stays so: said again it would be taken for another one.
@@ -430,6 +454,7 @@ NextTurn::TypeOfTurn Guide::hour(Phase phase, const Walker& walker) const {
   if (phase == Phase::Back)
     return hour_of(
         std::remainder(back_->heading_rad - walker.heading_rad.value_or(back_->heading_rad), 2.0 * std::numbers::pi));
+  if (phase == Phase::Join) return hour_of(turn_to(path_.direction(at_m_), walker).value_or(0.0));
   const bool at_turn = (phase == Phase::Now && to_next_m() >= 1.0) || phase == Phase::Announced;
   const Point to = at_turn ? next().out : aim(walker);
   if (to == Point{}) return NextTurn::TYPE_OF_TURN_UNSPECIFIED;
@@ -458,27 +483,28 @@ bool Guide::is_as_told(Phase phase, double rest_rad, const Walker& walker) const
   return walker.sigma_m >= kSure_m && (phase == Phase::Ahead || turns) && std::abs(rest_rad) < kAsTold_rad;
 }
 
-/// The turn right behind the next maneuver, clockwise from how one arrives there.
+/// The turn right behind the next maneuver, or to the door there, clockwise from how one arrives.
 std::optional<double> Guide::then() const {
   const bool on_foot = next().kind == Instruction::DOOR || next().kind == Instruction::ENTER ||
                        next().kind == Instruction::LEAVE || next().kind == Instruction::STAIRS;
   if (!on_foot || next_ + 1 == maneuvers_.size()) return std::nullopt;
   const Maneuver& behind = maneuvers_[next_ + 1];
-  if (behind.kind != Instruction::TURN || behind.at_m - next().end_m > kThen_m) return std::nullopt;
   const Point along = path_.direction(next().end_m - 0.01);
-  return -std::atan2(cross(along, behind.out), dot(along, behind.out));
+  const double turn_rad = -std::atan2(cross(along, behind.out), dot(along, behind.out));
+  const bool turns = behind.kind == Instruction::TURN || (is_door(behind) && std::abs(turn_rad) > kAstray_rad);
+  return turns && behind.at_m - next().end_m <= kThen_m ? std::optional(turn_rad) : std::nullopt;
 }
 
 void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
   Instruction& made = advice.instruction;
-  const bool turns = key.phase == Phase::Align || key.phase == Phase::Back;
+  const bool turns = key.phase == Phase::Align || key.phase == Phase::Join || key.phase == Phase::Back;
   const bool now = key.phase == Phase::Start || turns || key.phase == Phase::Arrived;
   made.set_kind(key.phase == Phase::Arrived ? Instruction::ARRIVE
                 : key.phase == Phase::Start ? Instruction::START
                 : turns                     ? Instruction::TURN
                 : key.phase == Phase::Ahead ? Instruction::CONTINUE
                                             : next().kind);
-  made.set_distance(now ? 0.0 : to_next_m());
+  made.set_distance(key.phase == Phase::Join ? off_m_ : now ? 0.0 : to_next_m());
   made.set_hour(hour(key.phase, walker));
   made.set_level(path_.place(now ? at_m_ : next().at_m).level);
   if ((key.phase == Phase::Now || key.phase == Phase::Announced) && next().to_level)
@@ -492,7 +518,7 @@ void Guide::fill(Advice& advice, const Key& key, const Walker& walker) {
   made.set_text(words_);
   made.set_language("en");
   if (key.phase == Phase::Start || turns) {
-    advice.turn.set_distance_to_turn(0);
+    advice.turn.set_distance_to_turn(static_cast<std::uint32_t>(std::lround(1000.0 * made.distance())));
     advice.turn.set_type_of_turn(made.hour());
   } else if (key.phase != Phase::Arrived && next().out != Point{}) {
     advice.turn.set_distance_to_turn(static_cast<std::uint32_t>(std::lround(1000.0 * to_next_m())));
@@ -515,6 +541,7 @@ std::string Guide::words(const Key& key, const Instruction& instruction, const W
              : instruction.hour() == NextTurn::HOUR_12
                  ? "Go straight on to the path."
                  : "Turn " + direction_words(instruction.hour()) + " to the path.";
+    case Phase::Join: return "Turn " + direction_words(instruction.hour()) + " now.";
     case Phase::Ahead:
       return next().kind == Instruction::ARRIVE ? "Go on for " + metres(to_next_m()) + " to " + destination_ + "."
                                                 : "Go straight on for " + metres(to_next_m()) + ".";

@@ -45,7 +45,7 @@ class Guide {
   double at_m() const { return at_m_; }
 
  private:
-  enum class Phase { Start, Align, Back, Ahead, Announced, Now, Arrived };
+  enum class Phase { Start, Align, Join, Back, Ahead, Announced, Now, Arrived };
   struct Key {
     Phase phase = Phase::Ahead;
     std::size_t maneuver = 0;
@@ -66,6 +66,7 @@ class Guide {
   building::Point spot() const;
   bool has_missed(const Walker& walker, TimePoint now) const;
   bool has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint now) const;
+  bool is_close_behind() const;
   bool is_before(const Maneuver& door, const Walker& walker) const;
   bool is_at_door(const Walker& walker) const;
   bool turns(const Walker& walker) const;
@@ -73,6 +74,7 @@ class Guide {
   bool is_overdue(const Key& key, const Walker& walker, TimePoint now) const;
   bool arrived(const Walker& walker) const;
   Phase phase_of(const Walker& walker, TimePoint now);
+  bool joins(const Walker& walker, double rest_rad, TimePoint now) const;
   Phase nearness(const Walker& walker);
   building::Point aim(const Walker& walker) const;
   std::optional<double> turn_to(building::Point direction, const Walker& walker) const;
@@ -121,6 +123,7 @@ class Guide {
   TimePoint new_since_{};               ///< when the newest word was new
   std::optional<double> looked_rad_{};  ///< where the walker looked then
   std::optional<TimePoint> astray_since_{};
+  std::optional<TimePoint> led_back_at_{};                  ///< when they were told last how to come back to the path
   std::pair<std::size_t, Phase> nearest_{0, Phase::Ahead};  ///< of a maneuver, what has been said of how near it is
   std::optional<TimePoint> wrong_since_;
   std::optional<Key> said_;

@@ -19,6 +19,9 @@ using hmi::Instruction;
 constexpr double kShortest_m = 0.05;
 constexpr double kOneTurn_m = 1.5;
 constexpr double kTurn_rad = 40.0 * std::numbers::pi / 180.0;
+/// A turn that is so near before a door, and towards it, is told with the door: nobody gets on beyond it otherwise.
+constexpr double kTurnsToDoor_m = 2.0;
+constexpr double kTowards_rad = 20.0 * std::numbers::pi / 180.0;
 
 double length_of(const building::RoutePoint& a, const building::RoutePoint& b) {
   const double length = distance_m(a.at, b.at);
@@ -76,9 +79,16 @@ class RouteReader {
     for (std::size_t i = at_; i < end && made.out == Point{}; ++i) made.out = direction(i);
     if (passage != Passage::Door) made.to_level = points_[end].level;
     const bool stays = passage == Passage::Ramp && points_[at_].level == points_[end].level;
+    if (passage == Passage::Door && turns_to(made)) found_.pop_back();
     if (!stays) found_.push_back(made);
     before_ = passage == Passage::Lift ? Point{} : direction(end - 1);
     at_ = end;
+  }
+
+  bool turns_to(const Maneuver& door) const {
+    if (found_.empty() || found_.back().kind != Instruction::TURN) return false;
+    const Maneuver& turn = found_.back();
+    return door.at_m - turn.end_m <= kTurnsToDoor_m && angle(turn.out, door.out) < kTowards_rad;
   }
 
   Instruction::Kind kind_of(Passage passage, std::size_t end) const {
