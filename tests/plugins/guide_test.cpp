@@ -370,6 +370,25 @@ TEST(Guide, WhoLooksThroughADoorAndGoesOnBesideItIsToldOfItAtOnce) {
   EXPECT_EQ(beside.hour(), NextTurn::HOUR_9);
 }
 
+TEST(Guide, WhoWaitsInALiftIsNotToldOfItsDoorAgain) {
+  using building::Passage;
+  const LevelPlan plan;
+  building::Route route;
+  route.points = {{.at = {0, 0}, .level = 0},
+                  {.at = {0, 9.5}, .level = 0},
+                  {.at = {0, 10.5}, .level = 0, .passage = Passage::Door},
+                  {.at = {0, 11.8}, .level = 0},
+                  {.at = {0, 11.8}, .level = 1, .passage = Passage::Lift},
+                  {.at = {0, 0}, .level = 1}};
+  Guide guide(plan, route, "Room 7", false, at(0));
+  guide.follow({{{0, 8}, 0}, 0.0, 0.6}, at(0));
+  ASSERT_EQ(guide.follow({{{0, 11.2}, 0}, 0.0, 0.6}, at(3)).instruction.kind(), Instruction::LIFT);
+  for (double t = 3.2; t < 30; t += 0.2) {
+    const auto advice = guide.follow({{{0, 11.0}, 0}, 0.0, 0.6}, at(t));
+    EXPECT_FALSE(advice.is_new) << t << " s: " << advice.instruction.text();
+  }
+}
+
 TEST(Guide, AWrongLevelAtALiftPlansNoOtherPathWhileTheyStandUnlessThePlaceIsSure) {
   const LevelPlan plan;
   for (const auto& [sigma_m, off_s] : {std::pair{0.0, 2.0}, {1.0, 26.0}}) {

@@ -31,6 +31,8 @@ constexpr auto kOffFor = 2s;
 /// In a lift what is heard is like nothing on any level: on which one it has stopped is known once one has left it.
 constexpr auto kOffAtLift = 6s;
 constexpr double kAtLift_m = 3.0;
+/// So near to where a lift is taken one stands and waits, as in its cabin.
+constexpr double kInLift_m = 1.0;
 constexpr double kLookAhead_m = 2.5;
 constexpr double kHeldUp_m = 0.5;
 /// Who is further from a turn or a door has missed it.
@@ -127,7 +129,7 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
   advice.arrived = arrived(walker);
   if (!advice.arrived) pass(walker, now);
   Key key{advice.arrived ? Phase::Arrived : phase_of(walker, now), next_, said_ ? said_->repeated : 0};
-  const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - 0.5;
+  const bool waits = next().kind == Instruction::LIFT && at_m_ > next().at_m - kInLift_m;
   const bool stands =
       said_ == key && now - std::max(moved_at_, new_since_) > kRepeat && key.phase != Phase::Arrived && !waits;
   // Whatever they have been told meanwhile.
