@@ -511,6 +511,23 @@ TEST(Guide, WhoWaitsBeforeADoorIsNotSentOnBehindItBecauseTheirPlaceIsALittleAhea
   EXPECT_EQ(guide.follow({{{0, 11.3}, 0}, 0.0, 0.6}, at(2.8)).instruction.kind(), Instruction::CONTINUE);
 }
 
+TEST(Guide, OfTwoDoorsTheSecondIsToldOnceTheFirstIsBehind) {
+  using building::Passage;
+  const LevelPlan plan;
+  building::Route route = through_a_door();
+  route.points.back() = {.at = {0, 12.3}, .level = 0};
+  route.points.push_back({.at = {0, 13.3}, .level = 0, .passage = Passage::Door});
+  route.points.push_back({.at = {0, 20}, .level = 0});
+  Guide guide(plan, route, "Room 7", false, at(0));
+  EXPECT_TRUE(guide.follow({{{0, 8}, 0}, 0.0, 0.6}, at(0)).is_new);
+  for (const auto& [t, y_m] : {std::pair{2.0, 9.6}, std::pair{2.4, 10.4}, std::pair{2.8, 10.9}})
+    EXPECT_FALSE(guide.follow({{{0, y_m}, 0}, 0.0, 0.6}, at(t)).is_new) << y_m;
+  const auto second = guide.follow({{{0, 11.2}, 0}, 0.0, 0.6}, at(3.2));
+  EXPECT_TRUE(second.is_new);
+  EXPECT_EQ(second.instruction.kind(), Instruction::DOOR);
+  EXPECT_NEAR(second.instruction.distance(), 1.1, 0.3);
+}
+
 TEST(Guide, WhoGoesStraightOnBehindADoorWhereThePathTurnsAtOnceIsThroughIt) {
   const LevelPlan plan;
   Guide guide(plan, around_a_corner(0), "Room 7", false, at(0));

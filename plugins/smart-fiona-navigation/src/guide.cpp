@@ -278,8 +278,9 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint
   const bool was_told = told_ && told_->maneuver == next_;
   if (walker.sigma_m >= kSure_m && !was_told) return at_m_ >= maneuver.end_m + walker.sigma_m;
   if (stands(walker, now)) return at_m_ >= maneuver.end_m + walker.sigma_m;
-  // There is no haste where what is right behind it was told with it; told too early, it is done before the door.
-  if (walker.sigma_m >= kSure_m && (then() || !is_close_behind())) {
+  // There is no haste: a turn right behind it was told with it, and of two doors the word for the second would be taken
+  // for the first. But who hears late of stairs has walked past them.
+  if (walker.sigma_m >= kSure_m && !is_close_to_other_level()) {
     // Who goes straight on behind it gets no further along the path.
     const double beyond_m = dot(walker.place.at - path_.place(maneuver.end_m).at, maneuver.out);
     const double clear_m = std::max(kClear_m, kClearSigmas * walker.sigma_m);
@@ -288,11 +289,11 @@ bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint
   return at_m_ >= maneuver.end_m - 0.2 || (at_m_ > maneuver.at_m - 0.1 && looks_there && is_before(maneuver, walker));
 }
 
-/// There is something to do right behind the next maneuver.
-bool Guide::is_close_behind() const {
+/// Right behind the next maneuver there are stairs or a lift.
+bool Guide::is_close_to_other_level() const {
   if (next_ + 1 == maneuvers_.size()) return false;
   const Maneuver& behind = maneuvers_[next_ + 1];
-  return behind.kind != Instruction::ARRIVE && behind.at_m - next().end_m < kNow_m;
+  return changes_level(behind) && behind.at_m - next().end_m < kNow_m;
 }
 
 bool Guide::is_before(const Maneuver& door, const Walker& walker) const {

@@ -66,7 +66,7 @@ class Guide {
   building::Point spot() const;
   bool has_missed(const Walker& walker, TimePoint now) const;
   bool has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint now) const;
-  bool is_close_behind() const;
+  bool is_close_to_other_level() const;
   bool is_before(const Maneuver& door, const Walker& walker) const;
   bool is_at_door(const Walker& walker) const;
   bool turns(const Walker& walker) const;
