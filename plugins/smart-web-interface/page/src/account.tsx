@@ -1,4 +1,4 @@
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { BuildingMap, Location, Me, Point } from "./model";
 import { shownLevel } from "./plan";
 import { call } from "./server";
@@ -26,8 +26,8 @@ export function Account({ me, map, location, close, changed }: Props) {
   const [done, setDone] = useState(me.notice);
   const [busy, setBusy] = useState(false);
   useEffect(() => dialog.current?.showModal(), []);
-  // What was used is disabled meanwhile, and may be gone by now: the focus is not to be lost with it.
-  useEffect(() => {
+  // What was used is disabled meanwhile, and may be gone by now: the focus is not to be lost with it, not for one frame.
+  useLayoutEffect(() => {
     if (busy || !used.current || document.activeElement !== document.body) return;
     (used.current.isConnected ? (used.current as HTMLElement) : heading.current)?.focus();
   }, [busy]);
