@@ -19,7 +19,7 @@ using hmi::Instruction;
 constexpr double kShortest_m = 0.05;
 constexpr double kOneTurn_m = 1.5;
 constexpr double kTurn_rad = 40.0 * std::numbers::pi / 180.0;
-/// A turn that is so near before a door, and towards it, is told with the door: nobody gets on beyond it otherwise.
+/// A turn that is so near before a door, and towards it, is told with the door: there is no other way to turn into.
 constexpr double kTurnsToDoor_m = 2.0;
 constexpr double kTowards_rad = 20.0 * std::numbers::pi / 180.0;
 
