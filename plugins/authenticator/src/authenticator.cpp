@@ -10,11 +10,9 @@ namespace {
 
 Duration seconds(double value) { return std::chrono::duration_cast<Duration>(std::chrono::duration<double>(value)); }
 
-Error too_soon(Duration wait) {
-  return Error(ErrorCode::NotAllowed,
-               {.what = "too many attempts: wait " + std::to_string(static_cast<long>(std::ceil(to_seconds(wait)))) +
-                        " s before the next one",
-                .next = "log in again after that"});
+std::string too_soon(Duration wait) {
+  return "too many attempts: wait " + std::to_string(static_cast<long>(std::ceil(to_seconds(wait)))) +
+         " s before the next one";
 }
 
 }  // namespace
@@ -70,7 +68,7 @@ void Authenticator::on_login(const security::CommAuthenticationRequest& request,
     const std::lock_guard lock(throttle_mutex_);
     if (const auto wait = throttle_.take(request.source(), now(), rule)) {
       refused_.set(++refusals_);
-      reply.reject(too_soon(*wait).what());
+      reply.reject(too_soon(*wait));
       return;
     }
     used = throttle_.used(request.source(), rule);
