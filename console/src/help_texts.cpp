@@ -15,7 +15,7 @@ constexpr std::string_view kGrammar =
     "\"x y\" is one word; inside: \\\" \\\\ \\n \\t \\u{e9}\n"
     "name=value: a word, a quoted text, a number with an optional unit (200ms, 1.5m, 30deg),\n"
     "true or false, a list [a, b], or protobuf text {x: 1}.\n"
-    "Keywords: as in to else for with at every; as a name, a keyword is quoted.\n"
+    "Keywords: as in to else for with at every when; as a name, a keyword is quoted.\n"
     "In the shell one argument is a line (fiona 'set a name=\"x y\"'), several are ready words (fiona set a rate=5).";
 
 /// The nine ways in which components communicate, and the verb that goes with each.

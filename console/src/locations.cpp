@@ -24,7 +24,7 @@ std::string environment(const char* name) {
   return value == nullptr ? "" : value;
 }
 
-constexpr std::string_view kHostNameRule = "letters, digits and '-', at most 40";
+constexpr std::string_view kHostNameRule = "letters, digits, '-' and '_', at most 40";
 
 }  // namespace
 

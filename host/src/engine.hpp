@@ -15,9 +15,9 @@
 
 namespace fiona::host {
 
-/// Changes the system, by transactions: all of the changes or none (architecture 8). Each is tried on a copy of the
-/// model first; then its steps are made one after the other, and taken back when one fails. One is under way at a time,
-/// the others wait in their order. All functions [control thread].
+/// Changes the system, by transactions: all of the changes or none (docs/architecture.md, Changing a system). Each is
+/// tried on a copy of the model first; then its steps are made one after the other, and taken back when one fails. One
+/// is under way at a time, the others wait in their order. All functions [control thread].
 class Engine {
  public:
   /// Transactions that may wait; further ones are refused.

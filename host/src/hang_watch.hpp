@@ -32,7 +32,8 @@ class HangWatch {
  public:
   using Time = std::chrono::steady_clock::time_point;
   using milliseconds = std::chrono::milliseconds;
-  /// A piece of work that takes so long hangs (architecture 7, bounds), unless a manifest says that it may take longer.
+  /// A piece of work that takes so long hangs (docs/architecture.md, Supervision), unless a manifest says that it may
+  /// take longer.
   static constexpr milliseconds kWork{1000};
   /// What is known of an instance.
   struct Part {

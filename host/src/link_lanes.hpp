@@ -12,7 +12,8 @@
 
 namespace fiona::host {
 
-/// The bytes that may be on their way over one lane, and again that may wait for room (architecture 7.4).
+/// The bytes that may be on their way over one lane, and again that may wait for room (docs/architecture.md, The way of
+/// a message).
 inline constexpr std::size_t kLaneWindow = 4 * 1024 * 1024;
 /// A receiver gives credit back once it owes this much, so that less of a lane may stay without credit for ever.
 inline constexpr std::size_t kCreditPortion = kLaneWindow / 8;

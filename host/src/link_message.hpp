@@ -15,9 +15,9 @@
 
 namespace fiona::host {
 
-/// The most of an object that one ZeroMQ message carries between hosts (architecture 7.5): what a large message may put
-/// before a small one. Between processes of one host an image of 1 MiB takes less time than a chunk does over a
-/// network, and each chunk wakes a thread at both ends.
+/// The most of an object that one ZeroMQ message carries between hosts (docs/architecture.md, The way of a message):
+/// what a large message may put before a small one. Between processes of one host an image of 1 MiB takes less time
+/// than a chunk does over a network, and each chunk wakes a thread at both ends.
 inline constexpr std::size_t kChunkBytes = 512 * 1024;
 inline constexpr std::size_t kLocalChunkBytes = 1024 * 1024 + 16 * 1024;
 /// The largest object that goes over a link.

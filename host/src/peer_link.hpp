@@ -19,7 +19,7 @@
 
 namespace fiona::host {
 
-/// How the bounds of architecture 7 are kept over tcp: silence of a peer is noticed within 1.5 s.
+/// Silence of a peer is noticed within 1.5 s over tcp (docs/hosts.md, When something breaks).
 inline constexpr std::chrono::milliseconds kBeatEvery{200};
 inline constexpr std::chrono::milliseconds kSilence{1000};
 /// How long one that led, and went silent, keeps others from leading.

@@ -12,7 +12,8 @@
 namespace fiona::host {
 
 /// The plugin libraries of this process. A library stays until the process ends: what protobuf registered from it
-/// cannot be taken back (architecture 5), so another build of a loaded plugin needs a fresh process.
+/// cannot be taken back (docs/architecture.md, Loading a plugin), so another build of a loaded plugin needs a fresh
+/// process.
 class PluginLibraries {
  public:
   /// What a plugin's code is in: its library, which is the last, after those that it needs.

@@ -1,4 +1,5 @@
-// What goes next over a link (architecture, data plane): lanes in turn, chunks between small messages, bounds and loss.
+// What goes next over a link (docs/architecture.md, The way of a message): lanes in turn, chunks between small
+// messages, bounds and loss.
 #include <gmock/gmock.h>
 #include <google/protobuf/struct.pb.h>
 #include <google/protobuf/wrappers.pb.h>

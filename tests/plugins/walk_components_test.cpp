@@ -153,7 +153,7 @@ TEST(TracePlayerComponent, WithoutARecordingItRefusesToStart) {
   EXPECT_NE(error.find("load trace-player as walk dataset=FOLDER trace=NAME"), std::string::npos) << error;
 }
 
-/// One recorded walk of the developer's data, where it is on this machine.
+/// One recorded walk, where `$FIONA_DATA` has it.
 class RecordedWalk : public ::testing::Test {
  protected:
   void SetUp() override {

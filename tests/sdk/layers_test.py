@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Who may include whom (architecture 3), and which plugins have nothing in common: reads every #include of the tree,
-and what the plugins' CMakeLists.txt say is linked.
+"""Who may include whom (docs/architecture.md, Layers), and which plugins have nothing in common: reads every
+#include of the tree, and what the plugins' CMakeLists.txt say is linked.
 
     layers_test.py SOURCE_DIR
 

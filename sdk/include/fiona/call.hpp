@@ -11,7 +11,7 @@
 
 namespace fiona {
 
-/// The deadline of a call that names none (architecture 7).
+/// The deadline of a call that names none (docs/patterns.md, Shared rules).
 inline constexpr Duration kDefaultDeadline = std::chrono::seconds(2);
 
 namespace detail {

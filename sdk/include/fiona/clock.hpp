@@ -132,7 +132,7 @@ class OtherProcesses {
 
 /// Simulated time: it stands while anything runs, then jumps to the next timer. With the same inputs each instance
 /// sees the same messages and timers in the same order, however many threads there are, and however the instances are
-/// spread over processes (architecture 7).
+/// spread over processes (docs/architecture.md, Time).
 ///
 /// It starts at zero and held: nothing moves until `release`. Within an instant, work proceeds in rounds: all strands
 /// of all processes run until idle, then what they sent is delivered in the order (wire name, sequence) before any of
@@ -151,8 +151,7 @@ class VirtualClock : public Clock {
   void strand_idle(Strand& strand) override;
   void stop() override;
 
-  /// Lets time advance, once for each call, until `hold` was called as often. Starts at zero releases: held. What holds
-  /// may come first, where another thread sees to it that what it was released for has happened.
+  /// Counted: time runs while `release` has been called more often than `hold`. A `hold` may come before its `release`.
   void release();
   void hold();
   /// Runs `then`, which must not wait, when everything up to and at `at` has happened and before time goes on: the

@@ -33,8 +33,9 @@ enum class LogLevel { Debug, Info, Warning, Error };
 ///     };
 ///
 /// The constructor declares and does nothing else: tools create a component only to see what it declares. Everything
-/// it does runs on its instance's strand, one piece at a time, so members need no lock. An exception that leaves a
-/// handler or task fails the instance with the exception's text; the host lives on.
+/// it does runs on its instance's strand, one piece at a time, so members need no lock, except the work of a free
+/// running task, which reaches members through `OwnThread::post`. An exception that leaves a handler or task fails the
+/// instance with the exception's text; the host lives on.
 class Component {
  public:
   explicit Component(Hull& hull) : hull_(hull) {}

@@ -12,7 +12,7 @@ namespace fiona {
 ///
 /// They fit when the full names are equal, the major versions are equal and the provider's minor is not below the
 /// client's, and every object agrees field by field: number, declared type, cardinality, enumerators, units, frames
-/// and array lengths (architecture 5). The sentence names the first field that differs.
+/// and array lengths (docs/architecture.md, The way of a message). The sentence names the first field that differs.
 std::optional<std::string> contract_difference(const google::protobuf::ServiceDescriptor& required,
                                                const google::protobuf::ServiceDescriptor& provided);
 

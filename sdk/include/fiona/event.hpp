@@ -158,7 +158,7 @@ class Provides<S> : public detail::EventProvider {
                         return std::make_shared<const ResultType>(std::move(*event));
                       }) {}
 
-  /// [strand]
+  /// [strand] Puts the state to the test of each activation, the oldest first; those that fire tell their clients.
   void put(const StateType& state) { put_state(state); }
 };
 

@@ -25,8 +25,11 @@ namespace fiona {
 class HullEvents {
  public:
   virtual ~HullEvents() = default;
+  /// It is in `mode` now; `reason` says why it has failed, and is empty otherwise.
   virtual void mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) = 0;
+  /// The component has ended the run of the system (`Component::end_run`).
   virtual void run_ended(const std::string& instance, int exit_code, const std::string& reason) = 0;
+  /// A line for the log, of the component or of its hull.
   virtual void logged(const std::string& instance, LogLevel level, std::string_view text) = 0;
   /// The component asks the host for something; `Hull::answer` brings the answer.
   virtual void asked(const std::string& instance, std::uint64_t number, const control::Request& request) = 0;

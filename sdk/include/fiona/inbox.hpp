@@ -27,7 +27,7 @@ class Inbox {
   /// Ends a parcel on the strand. An Async that it returns keeps the next parcel waiting until it has ended.
   using Handler = std::function<std::optional<Async<>>(const Parcel&)>;
 
-  /// Bytes that may wait, unless a single message is larger (architecture 7.4).
+  /// Bytes that may wait, unless a single message is larger (docs/architecture.md, The way of a message).
   static constexpr std::size_t kMaxBytes = 4 * 1024 * 1024;
 
   Inbox(Port& port, Delivery delivery, Handler handler, Duration max_age = {});

@@ -33,12 +33,17 @@ struct WireChoice {
 ///     fiona::Changes().wire("nav.location", "wifi.location").set("wifi", "period", 200, "ms").state("gps", "neutral")
 class Changes {
  public:
+  /// Connects a required port to a provided one, in the place of the wire that it has.
   Changes& wire(std::string_view client, std::string_view provider, const WireChoice& choice = {});
+  /// Takes the wire of a required port away, with those to its alternatives.
   Changes& unwire(std::string_view client);
   /// All who use `old` use `next`.
   Changes& swap(std::string_view old, std::string_view next);
+  /// Brings an instance into a mode: `neutral`, `deactivated` or a main mode of its component.
   Changes& state(std::string_view instance, std::string_view mode);
+  /// Makes an instance of a plugin ("acme/lidar") in a group, with its default parameters, in its first main mode.
   Changes& load(std::string_view plugin, std::string_view instance, std::string_view group = "main");
+  /// Retires an instance; the wires of its clients wait for another of its name.
   Changes& unload(std::string_view instance);
   /// One parameter: a flag, a number with or without a unit, a text or the name of an enumerator.
   template <class T>
@@ -99,17 +104,22 @@ class Master {
   /// The instances with their ports, wires, modes and parameters.
   Async<Result<control::System>> system(Duration deadline = kDefaultDeadline);
 
-  // One change each.
+  // `make` with one change each.
+
+  /// Connects a required port to a provided one, in the place of the wire that it has.
   Async<Result<control::Done>> wire(std::string_view client, std::string_view provider,
                                     Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().wire(client, provider)), deadline);
   }
+  /// Takes the wire of a required port away.
   Async<Result<control::Done>> unwire(std::string_view client, Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().unwire(client)), deadline);
   }
+  /// All who use `old` use `next`.
   Async<Result<control::Done>> swap(std::string_view old, std::string_view next, Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().swap(old, next)), deadline);
   }
+  /// Brings an instance into a mode.
   Async<Result<control::Done>> state(std::string_view instance, std::string_view mode,
                                      Duration deadline = kDefaultDeadline) {
     return make(std::move(Changes().state(instance, mode)), deadline);

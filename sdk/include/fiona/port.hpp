@@ -58,6 +58,7 @@ class Port {
   /// [strand] While on, every call of this port that waits or is made ends with Cancelled. The same for all ports:
   /// `Component::cancel_calls`.
   void cancel_calls(bool on = true);
+  /// [strand] Whether they end so now: by this port's flag, by that of its pattern or component, or `deactivated`.
   bool calls_are_cancelled() const;
 
  protected:
@@ -105,8 +106,9 @@ class RequiredPort : public Port {
 
   void close() override { on_connection(Connection::Unwired); }
 
-  /// [any thread]
+  /// [any thread] Unwired, waiting, connected or lost.
   Connection connection() const { return connection_.load(); }
+  /// [any thread] Why, as `show INSTANCE.PORT` prints it.
   std::string connection_reason() const;
   /// [any thread] When it entered its connection state, on the instance's clock.
   TimePoint connection_since() const { return TimePoint(Duration(since_ns_.load())); }

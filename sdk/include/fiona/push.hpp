@@ -174,7 +174,8 @@ class Provides<S> : public detail::PushProvider {
   std::shared_ptr<ObjectType> make() { return pool_.acquire(); }
 
   /// [strand] Gives the message to every subscriber, in order, without copying it; it is immutable from here on.
-  /// `origin`: when what it says was true, where that is not now.
+  /// `origin`: when what it says was true, where that is not now. Ok, whoever is wired or not; Rejected when a field
+  /// breaks a rule that it declares (counted as refused); NotActive between `stop` and `start`.
   Outcome put(std::shared_ptr<const ObjectType> object) { return put_object(std::move(object), owner_now(*this)); }
   Outcome put(std::shared_ptr<const ObjectType> object, TimePoint origin) {
     return put_object(std::move(object), origin);
@@ -199,6 +200,7 @@ class Provides<S> : public detail::PushProvider {
   /// then puts are NotActive. A provider begins started.
   void stop() requires(S::kPattern == PUSH_TIMED) { set_started(false); }
   void start() requires(S::kPattern == PUSH_TIMED) { set_started(true); }
+  /// [strand] As above, of an object that was not made as a shared one.
   Outcome put(ObjectType object) { return put(std::make_shared<const ObjectType>(std::move(object))); }
   Outcome put(ObjectType object, TimePoint origin) {
     return put(std::make_shared<const ObjectType>(std::move(object)), origin);

@@ -49,7 +49,7 @@ class SendProvider : public ProvidedPort {
 }  // namespace detail
 
 /// Receives what clients send: `Provides<DestinationProvider> destination_{*this, "destination",
-/// &Self::on_destination};` The receiver is the provider (architecture 5). Handlers as for a push client.
+/// &Self::on_destination};` The receiver is the provider (docs/patterns.md, Send). Handlers as for a push client.
 template <SendService S>
 class Provides<S> : public detail::SendProvider {
  public:

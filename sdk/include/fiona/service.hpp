@@ -31,8 +31,8 @@ class ServiceInfo {
   /// What comes back: a query's answer, an event's result; null for other patterns.
   const google::protobuf::Descriptor* answer() const { return answer_; }
 
-  /// Silence longer than this means that a push provider is lost (architecture 7): `lease_ms`, else three periods,
-  /// at least 300 ms. Zero where the service has neither lease nor period: it may be silent for ever.
+  /// Silence longer than this means that a push provider is lost (docs/patterns.md, Push newest): `lease_ms`, else
+  /// three periods, at least 300 ms. Zero where the service has neither lease nor period: it may be silent for ever.
   Duration lease() const;
   Duration period() const { return std::chrono::milliseconds(contract_.period_ms()); }
 

@@ -31,7 +31,7 @@ class AnyBench : private HullEvents {
   }
   ~AnyBench() override { hull_.shut_down(kDefaultDeadline); }
 
-  /// Sets one parameter from its console spelling of kind text, number, integer or flag. Throws Error if refused.
+  /// Sets one parameter: a text or an enumerator's name, a number in the field's unit, a flag. Throws Error if refused.
   void set(std::string_view name, std::string_view text) {
     change(name, [&](control::Value& value) { value.set_text(std::string(text)); });
   }
