@@ -139,7 +139,7 @@ struct Row {
 
 TEST(BeaconFilter, StandingTellsNobodyApartWhomOneSecondDoesNot) {
   Row row;
-  row.filter.expect_steps();
+  row.filter.expect_steps(true);
   row.hear(4, 6);
   row.hear(4, 6);
   const double first_m2 = row.filter.estimate().spread(1, 1);
@@ -150,7 +150,7 @@ TEST(BeaconFilter, StandingTellsNobodyApartWhomOneSecondDoesNot) {
 
 TEST(BeaconFilter, WhoHasStoodIsFollowedFromTheirFirstStepOn) {
   Hall hall;
-  hall.filter.expect_steps();
+  hall.filter.expect_steps(true);
   for (int i = 0; i < 20; ++i) hall.hear(5, 10);
   for (int i = 1; i <= 10; ++i) {
     for (int step = 0; step < 2; ++step) hall.filter.step({0.5, 0.05, 0.0, 0.05});
@@ -160,6 +160,17 @@ TEST(BeaconFilter, WhoHasStoodIsFollowedFromTheirFirstStepOn) {
   ASSERT_TRUE(at.is_valid());
   EXPECT_NEAR(at.x_m, 15, 1.5);
   EXPECT_NEAR(at.y_m, 10, 1.5);
+}
+
+TEST(BeaconFilter, WhoseStepsEndIsFollowedByWhatIsHeard) {
+  Hall hall;
+  hall.filter.expect_steps(true);
+  for (int i = 0; i < 5; ++i) hall.hear(3, 10);
+  hall.filter.step({0.5, 0.05, 0.0, 0.05});
+  hall.hear(3.5, 10);
+  hall.filter.expect_steps(false);  // who tells them has died, and they walk on
+  for (double x = 4; x < 17; x += 1.0) hall.hear(x, 10);
+  EXPECT_NEAR(hall.filter.estimate().x_m, 16, 4.0);
 }
 
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {

@@ -305,13 +305,16 @@ class Component : public ::testing::Test {
     bench_.set("beacons", file_.c_str());
   }
   void hear(double x, double y) { hear(bench_, x, y); }
-  static void hear(Bench<SmartBluetoothLocalization>& bench, double x, double y) {
+  /// `told_ms`: when it was heard, by the scanner's clock.
+  static void hear(Bench<SmartBluetoothLocalization>& bench, double x, double y,
+                   std::optional<std::int64_t> told_ms = {}) {
     sensors::CommiBeaconList list;
     for (int b = 0; b < 4; ++b) {
       auto& beacon = *list.add_beacon_list();
       if (b < 3) beacon.set_address("02:00:00:00:00:0" + std::to_string(b + 1));
       beacon.set_uuid("c0de"), beacon.set_major(1), beacon.set_minor(static_cast<std::uint32_t>(b + 1));
       beacon.set_rssi(static_cast<int>(std::lround(rssi_dbm(x, y, b))));
+      if (told_ms) beacon.set_t(*told_ms);
     }
     bench.put<sensors::IbeaconlistProvider>("beacons", list);
     bench.advance(1s);
@@ -335,6 +338,36 @@ TEST_F(Component, BeaconsByAddressAndByTripletGiveAValidLocationFiveTimesASecond
   EXPECT_TRUE(all.back()->is_valid());
   EXPECT_NEAR(all.back()->position().x(), 6, 2.5);
   EXPECT_EQ(all.back()->position().confidence_size(), 9);
+}
+
+/// The tablet's clock is an hour behind the laptop's, and half a minute later set to be an hour ahead.
+TEST_F(Component, TheClockOfWhoListensIsNotItsOwn) {
+  bench_.start();
+  const std::int64_t hour_ms = 3'600'000;
+  for (const std::int64_t off_ms : {-hour_ms, hour_ms, -hour_ms}) {
+    for (int i = 0; i < 10; ++i) hear(bench_, 5, 10, to_milliseconds(bench_.now()) + off_ms);
+    const auto told = location();
+    ASSERT_TRUE(told.is_valid()) << off_ms;
+    EXPECT_NEAR(told.position().x(), 5, 4.0);
+  }
+  EXPECT_EQ(bench_.probe<std::uint64_t>("old_readings").value_or(0), 0u);
+}
+
+TEST_F(Component, AReadingThatIsToldAgainIsUsedOnceAndOneOfLongAgoNotAtAll) {
+  bench_.start();
+  const std::int64_t began_ms = to_milliseconds(bench_.now());
+  for (int i = 0; i < 3; ++i) hear(bench_, 5, 10, began_ms);
+  bench_.take<localisation::LocationProvider>("location");
+  sensors::CommiBeaconList list;
+  for (const int ago_ms : {0, 4000}) {
+    auto& beacon = *list.add_beacon_list();
+    beacon.set_address(ago_ms == 0 ? "02:00:00:00:00:01" : "02:00:00:00:00:02");
+    beacon.set_rssi(-60);
+    beacon.set_t(began_ms + 10'000 - ago_ms);
+  }
+  bench_.put<sensors::IbeaconlistProvider>("beacons", list);
+  bench_.advance(1s);
+  EXPECT_EQ(bench_.probe<std::uint64_t>("old_readings"), 1u);
 }
 
 TEST_F(Component, BeforeAnythingIsHeardTheLocationIsInvalid) {

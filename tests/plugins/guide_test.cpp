@@ -337,6 +337,18 @@ TEST(Guide, WhoSeemsToBeUpAlreadyIsNotToldToClimbDown) {
   EXPECT_EQ(guide.follow({{{8, 2}, 1}, {}, 0.0}, at(0)).instruction.text(), "Take the stairs up to level 1.");
 }
 
+/// As a barometer tells it.
+TEST(Guide, WhoIsAlmostOnTheLevelThatStairsLeadToIsOffThem) {
+  const LevelPlan plan;
+  Guide guide(plan, up_round_stairs(), "Room 7", false, at(0));
+  guide.follow({{{5, 3}, 0.4}, 0.0, 0.5}, at(0));
+  guide.follow({{{8, 2}, 0.8}, 180 * kDegree, 0.5}, at(4));
+  Guide::Advice advice;
+  for (double t = 5; t < 8; t += 0.2) advice = guide.follow({{{8, -2 - (t - 5)}, 1.07}, 180 * kDegree, 0.5}, at(t));
+  EXPECT_FALSE(advice.off_path);
+  EXPECT_THAT(advice.instruction.text(), ::testing::HasSubstr("Room 7"));
+}
+
 TEST(Guide, WhoWalksAboutAlongThePathTurnsByAsMuchAsItDoes) {
   const LevelPlan plan;
   for (const double compass_off : {-22.0, 22.0}) {

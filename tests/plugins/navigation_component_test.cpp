@@ -81,6 +81,8 @@ struct Led {
     });
     changes = replace("change", [](ReplySink& client) { client.event({}); });
     bench.start();
+    paths_at_start = paths();
+    said_at_start = said();
   }
   /// Wires a required port to another provider.
   std::shared_ptr<Provider> replace(const char* port, std::function<void(ReplySink&)> on_request = {}) {
@@ -138,12 +140,23 @@ struct Led {
   }
 
   testing::Bench<Navigation> bench{"nav"};
+  std::vector<navigation::CommPath> paths_at_start;
+  std::vector<Instruction> said_at_start;
   navigation::CommLevelMap map;
   std::shared_ptr<Provider> changes;
   std::uint64_t fired = 0;
   hmi::CommUserProfileReply profile;
   hmi::CommUserProfileRequest asked;
 };
+
+/// Another one may have led before, and whoever shows guidance still shows that.
+TEST(Navigation, WhoIsNotLedIsToldSoFromTheStart) {
+  Led led;
+  ASSERT_EQ(led.paths_at_start.size(), 1u);
+  EXPECT_FALSE(led.paths_at_start[0].is_valid());
+  ASSERT_EQ(led.said_at_start.size(), 1u);
+  EXPECT_EQ(led.said_at_start[0].kind(), Instruction::KIND_UNSPECIFIED);
+}
 
 TEST(Navigation, ADestinationGivesAPathAndAnInstruction) {
   Led led;
@@ -217,7 +230,8 @@ TEST(Navigation, AQuarterTurnRightIsHourThreeWhereTheCompassIsFifteenDegreesOff)
   Led led;
   led.map.mutable_reference()->set_reference_lat(47.6);
   led.map.mutable_reference()->set_reference_long(-122.3);  // Seattle
-  // In the hall before the door of C, which is in the north. By the compass alone, which says 245, the turn were hour 4.
+  // In the hall before the door of C, which is in the north. By the compass alone, which says 245, the turn were
+  // hour 4.
   const double looks_deg = 260;
   led.stand(location(25, 1, 0, looks_deg - 15));
   led.go_to(destination(25, 6, 0));
@@ -406,11 +420,13 @@ struct Arrived : Led {
     stand(location(7.2, 6, 0), 3s);
     EXPECT_EQ(last().kind(), Instruction::ARRIVE);
   }
-  void log_out(Duration ago = 8s) {
+  void log_out() {
     replace("profile", [](ReplySink& client) {
-      client.answer(Outcome::Rejected, "there is no such session, or it has ended", nullptr);
+      auto ended = std::make_shared<hmi::CommUserProfileReply>();
+      ended->set_session_ended(true);
+      client.answer(Outcome::Ok, {}, ended);
     });
-    stand(location(7.2, 6, 0), ago);
+    stand(location(7.2, 6, 0), 6s);
   }
   /// What they are told of when they walk along the hall.
   std::vector<std::string> told_in_the_hall() {
@@ -448,21 +464,37 @@ TEST(Navigation, WhoLogsOutOnTheWayIsToldSoAndOfNoPoint) {
   led.log_out();
   const Instruction last = led.last();
   EXPECT_EQ(last.kind(), Instruction::NO_PATH);
-  EXPECT_EQ(last.text(), "Your profile cannot be had: there is no such session, or it has ended.");
+  EXPECT_EQ(last.text(), "You are not led any more: you have been logged out. Log in again, or go on as a guest.");
   EXPECT_FALSE(led.last_path().is_valid());
   EXPECT_THAT(led.told_in_the_hall(), ::testing::IsEmpty());
 }
 
-TEST(Navigation, WhoseSessionCannotBeCheckedOnceIsLedOn) {
+TEST(Navigation, WhoseSessionCannotBeCheckedIsLedOnForAsLongAsThatLasts) {
   Arrived led;
   led.go_to(of_user(destination(25, 6, 0), "ada"));
   led.stand(location(7.2, 6, 0));
-  led.log_out(5s);  // asked once, and the authenticator was just being started again
-  led.replace("profile", [&](ReplySink& client) {
-    client.answer(Outcome::Ok, {}, std::make_shared<hmi::CommUserProfileReply>(led.profile));
+  const auto profiles = led.replace("profile", [](ReplySink& client) {
+    client.answer(Outcome::Rejected, "the session could not be checked: disconnected", nullptr);
   });
-  led.stand(location(7.2, 6, 0), 6s);
+  led.stand(location(7.2, 6, 0), 20s);
+  EXPECT_GT(profiles->asked.size(), 3u);
   EXPECT_NE(led.last().kind(), Instruction::NO_PATH);
+  EXPECT_TRUE(led.last_path().is_valid());
+  EXPECT_THAT(led.told_in_the_hall(), ::testing::ElementsAre("You are passing statue."));
+}
+
+TEST(Navigation, WhoseSessionCouldNotBeCheckedAtFirstIsLedOnceItIs) {
+  Led led;
+  led.replace("profile", [](ReplySink& client) {
+    client.answer(Outcome::Rejected, "the session could not be checked: timeout", nullptr);
+  });
+  led.stand(location(5, 6, 0));
+  led.go_to(of_user(destination(25, 6, 0), "ada"));
+  led.stand(location(5, 6, 0), 5s);
+  EXPECT_EQ(led.last().text(), "Your profile cannot be had: the session could not be checked: timeout.");
+  led.replace("profile",
+              [](ReplySink& client) { client.answer(Outcome::Ok, {}, std::make_shared<hmi::CommUserProfileReply>()); });
+  led.stand(location(5, 6, 0), 3s);
   EXPECT_TRUE(led.last_path().is_valid());
 }
 
@@ -582,6 +614,15 @@ TEST(Navigation, AMapOfTheSameVersionIsNotAskedForAgain) {
   EXPECT_THAT(led.bench.take_any("levels"), ::testing::IsEmpty());
 }
 
+/// A rewire asks the next provider what the first one was asked: that of then, while another map is led by.
+TEST(Navigation, WhoServesNextTellsItsVersionWhateverIsKnown) {
+  LedToC led;
+  ASSERT_FALSE(led.changes->asked.empty());
+  const auto& asked = static_cast<const navigation::LevelMapVersion&>(*led.changes->asked.back().envelope.object);
+  EXPECT_EQ(asked.version(), 0u);
+  EXPECT_NE(led.map.version(), 0u);
+}
+
 TEST(Navigation, ADestinationOnALevelThatHasVanishedIsToldSo) {
   Led led;
   led.stand(location(5, 6, 0));
@@ -668,6 +709,60 @@ TEST(Navigation, TheLocationShownIsBlendedAndTheInstructionSaysUncertain) {
   led.stand(location(2, 6, 0), 4s);
   EXPECT_EQ(led.bench.take<LocationProvider>("shown").back()->position().x(), 2);
   EXPECT_FALSE(led.last().uncertain());
+}
+
+TEST(Navigation, APlaceOfWhichNobodySaysHowSureItIsIsUncertain) {
+  Led led;
+  const auto unsure = [](double x, double y) {
+    CommLocation told = location(x, y, 0, 90);
+    told.mutable_position()->clear_confidence();
+    return told;
+  };
+  led.stand(unsure(5, 6));
+  led.go_to(destination(25, 6, 0));
+  led.stand(unsure(5, 6), 2s);
+  ASSERT_TRUE(led.last_path().is_valid());
+  EXPECT_TRUE(led.last().uncertain());
+  led.stand(location(5, 6, 0, 90), 2s);
+  EXPECT_FALSE(led.last().uncertain());
+}
+
+/// A radio map that was learnt before the building was drawn anew tells places in the frame of then.
+TEST(Navigation, APlaceInAnotherFrameIsMovedToTheMaps) {
+  Led led;
+  auto& reference = *led.map.mutable_reference();
+  reference.set_reference_lat(48.4);
+  reference.set_reference_long(9.99);
+  led.stand(location(5, 6, 0), 2s);
+  led.tell_of_change(7);
+  const auto told_in = [](double latitude, double heading_deg, double x, double y) {
+    CommLocation told = location(x, y, 0, 90);
+    auto& position = *told.mutable_position();
+    position.set_confidence(0, 0.04);
+    position.set_reference_lat(latitude);
+    position.set_reference_long(9.99);
+    position.set_reference_heading(heading_deg);
+    return told;
+  };
+  const auto shown = [&](const CommLocation& told) {
+    led.stand(told, 5s);
+    return led.bench.take<LocationProvider>("shown").back()->position();
+  };
+  const auto own = shown(told_in(48.4, 0, 5, 6));
+  EXPECT_EQ(own.x(), 5);
+  EXPECT_EQ(own.y(), 6);
+  const double metre_deg = 1.0 / 111206.0;  // of latitude, there
+  const auto north = shown(told_in(48.4 + 2 * metre_deg, 0, 5, 4));
+  EXPECT_NEAR(north.x(), 5, 0.01);
+  EXPECT_NEAR(north.y(), 6, 0.01);
+  EXPECT_NEAR(north.reference_lat(), 48.4, 1e-12);
+  // Its y axis points to the east, its x axis to the south.
+  const auto turned = shown(told_in(48.4, 90, -6, 5));
+  EXPECT_NEAR(turned.x(), 5, 0.01);
+  EXPECT_NEAR(turned.y(), 6, 0.01);
+  EXPECT_NEAR(turned.confidence(0), 0.01, 1e-6);
+  EXPECT_NEAR(turned.confidence(4), 0.04, 1e-6);
+  EXPECT_THAT(led.bench.log(), ::testing::Contains(HasSubstr("in a frame of their own")));
 }
 
 /// Only what is shown moves over.

@@ -235,6 +235,19 @@ TEST(Maneuvers, ATurnTowardsADoorThatIsNearIsToldWithTheDoor) {
               ::testing::ElementsAre(int{Instruction::TURN}, int{Instruction::DOOR}, int{Instruction::ARRIVE}));
 }
 
+TEST(Maneuvers, StepsOnOneLevelLeadToNoOther) {
+  building::Route route;
+  route.points.push_back({.at = {0, 0}, .level = 1});
+  route.points.push_back({.at = {0, 10}, .level = 1});
+  route.points.push_back({.at = {0, 14}, .level = 1, .passage = building::Passage::Stairs});
+  route.points.push_back({.at = {0, 20}, .level = 1});
+  const auto all = maneuvers(Path(route));
+  ASSERT_EQ(all.size(), 2u);
+  EXPECT_EQ(all[0].kind, Instruction::STAIRS);
+  EXPECT_FALSE(all[0].to_level);
+  EXPECT_EQ(maneuver_words({}, all[0], NextTurn::HOUR_12, 1, std::nullopt), "Take the stairs.");
+}
+
 TEST(Words, LiftsAndStairsNameTheLevel) {
   building::Plan plan;
   plan.levels = {{0, 0, "Ground"}, {1, 3, ""}};

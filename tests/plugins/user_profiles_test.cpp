@@ -97,12 +97,19 @@ TEST_F(UserProfilesTest, TheSessionsUserGetsTheProfileWithTheSessionsLevel) {
 
 TEST_F(UserProfilesTest, ANameWithoutItsSessionIsRejected) {
   EXPECT_THAT(ask("anna", "").reason(), HasSubstr("the request names a user and carries no session"));
-  EXPECT_THAT(ask("anna", std::string(16, 'x')).reason(), HasSubstr("there is no such session, or it has ended"));
   EXPECT_THAT(ask("bert", kSession).reason(), HasSubstr("the session is another user's"));
   EXPECT_THAT(ask("", kSession).reason(), HasSubstr("the session is another user's"));
   for (const auto& outcome : {ask("bert", kSession).outcome(), ask("anna", "").outcome()}) {
     EXPECT_EQ(outcome, Outcome::Rejected);
   }
+}
+
+TEST_F(UserProfilesTest, WhoseSessionHasEndedIsToldSoAndNothingElse) {
+  const auto answer = ask("anna", std::string(16, 'x'));
+  ASSERT_EQ(answer.outcome(), Outcome::Ok);
+  CommUserProfileReply ended;
+  ended.set_session_ended(true);
+  EXPECT_EQ((*answer)->SerializeAsString(), ended.SerializeAsString());
 }
 
 TEST_F(UserProfilesTest, WithoutAProviderOfSessionsNobodyIsBelieved) {

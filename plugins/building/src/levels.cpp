@@ -8,7 +8,7 @@
 namespace fiona::building {
 namespace {
 
-constexpr std::size_t kMostLevels = 200;
+constexpr std::size_t kMostLevelsOfTag = 200;
 constexpr double kHighestLevel = 1000.0;
 
 std::string_view trim(std::string_view text) {
@@ -56,10 +56,10 @@ std::optional<std::vector<double>> parse_levels(std::string_view text) {
   while (true) {
     const std::size_t end = text.find(';');
     const std::optional<Range> range = parse_range(text.substr(0, end));
-    if (!range || range->high - range->low >= kMostLevels) return std::nullopt;
+    if (!range || range->high - range->low >= kMostLevelsOfTag) return std::nullopt;
     for (double level = range->low; level < range->high; level += 1.0) add_once(levels, level);
     add_once(levels, range->high);
-    if (levels.size() > kMostLevels) return std::nullopt;
+    if (levels.size() > kMostLevelsOfTag) return std::nullopt;
     if (end == std::string_view::npos) return levels;
     text.remove_prefix(end + 1);
   }

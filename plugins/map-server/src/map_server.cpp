@@ -216,7 +216,12 @@ Async<int> MapServer::access_of(std::string user_name, std::string session) {
                 {.what = "the session could not be checked: " + std::string(to_string(profile.outcome())) +
                          (profile.reason().empty() ? "" : ", " + profile.reason()),
                  .where = name() + ".profile",
-                 .next = "log in again, or leave user_name and session out to be a guest"});
+                 .next = "try again, or leave user_name and session out to be a guest"});
+  }
+  if ((*profile)->session_ended()) {
+    throw Error(ErrorCode::NotAllowed, {.what = "there is no such session, or it has ended",
+                                        .where = name(),
+                                        .next = "log in again, or leave user_name and session out to be a guest"});
   }
   co_return (*profile)->authentication_level();
 }

@@ -79,7 +79,7 @@ std::vector<SurveySecond> seconds_of(const radio::Journey& journey, std::uint32_
 void replay(const radio::Journey& journey, const BeaconField& field, BeaconFilter& filter,
             const std::function<void(Time)>& show) {
   const auto is_step = [](const auto& told) { return std::holds_alternative<radio::StepInput>(told.what); };
-  if (std::any_of(journey.told.begin(), journey.told.end(), is_step)) filter.expect_steps();
+  if (std::any_of(journey.told.begin(), journey.told.end(), is_step)) filter.expect_steps(true);
   Time next = kOutput * (journey.begin / kOutput + 1);
   const auto show_until = [&](Time time) {
     for (; next < time; next += kOutput) {

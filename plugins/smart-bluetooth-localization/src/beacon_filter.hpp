@@ -87,8 +87,8 @@ class BeaconFilter {
   /// From now on with this plan; what the particles know stays.
   void use(std::shared_ptr<const FloorPlan> plan);
 
-  /// Steps are told from now on: who takes none stands.
-  void expect_steps() { steps_ = true; }
+  /// Whether steps are told from now on: then who takes none stands; else they may be anywhere that one can walk to.
+  void expect_steps(bool expected) { steps_ = expected; }
   void step(const StepInput& step);
   /// One reading. Those of a second are used as one.
   void heard(std::uint32_t beacon, double rssi_dbm);

@@ -1,9 +1,11 @@
 #include "smart_bluetooth_localization.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 #include <numbers>
+#include <utility>
 
 #include "fiona/objects/step.hpp"
 
@@ -68,9 +70,15 @@ void SmartBluetoothLocalization::make_filter() {
   has_walls_.set(options.walls && plan_->has_walls());
 }
 
-void SmartBluetoothLocalization::on_beacons(const sensors::CommiBeaconList& list) {
-  const std::int64_t now_ms = to_milliseconds(now());
-  for (const auto& beacon : list.beacon_list()) {
+/// The times of readings are the scanner's, whose clock may differ: they tell how much older one is than the newest of
+/// its list, and whether it has been used. How old the list is, its origin tells.
+void SmartBluetoothLocalization::on_beacons(const Received<sensors::CommiBeaconList>& list) {
+  std::int64_t newest_ms = std::numeric_limits<std::int64_t>::min();
+  for (const auto& beacon : list->beacon_list()) {
+    if (beacon.has_t()) newest_ms = std::max(newest_ms, std::int64_t{beacon.t()});
+  }
+  const beacons::Time age(to_milliseconds(now()) - to_milliseconds(list.origin));
+  for (const auto& beacon : list->beacon_list()) {
     if (!beacon.has_rssi()) continue;
     auto number = beacon.address().empty() ? std::nullopt : field_->find(beacon.address());
     if (!number) {
@@ -81,11 +89,14 @@ void SmartBluetoothLocalization::on_beacons(const sensors::CommiBeaconList& list
       unknown_.set(++unknown_readings_);
       continue;
     }
-    const std::int64_t heard_ms = beacon.has_t() ? beacon.t() : now_ms;
-    const auto [last, is_new] = last_heard_ms_.try_emplace(*number, heard_ms);
-    const bool told_before = !is_new && beacon.has_t() && last->second >= heard_ms;
-    if (told_before || beacons::Time(now_ms - heard_ms) > kOldestReading) continue;
-    last->second = heard_ms;
+    if (beacon.has_t()) {
+      const auto [last, is_first] = last_heard_ms_.try_emplace(*number, beacon.t());
+      if (!is_first && std::exchange(last->second, beacon.t()) == beacon.t()) continue;
+    }
+    if (age + beacons::Time(beacon.has_t() ? newest_ms - beacon.t() : 0) > kOldestReading) {
+      old_.set(++old_readings_);
+      continue;
+    }
     filter_->heard(*number, beacon.rssi());
   }
 }
@@ -104,9 +115,8 @@ void SmartBluetoothLocalization::on_map_change(const Fired<navigation::LevelMapV
 
 Async<> SmartBluetoothLocalization::look_for_map() {
   if (!change_told_ && map_change_.connection() == Connection::Connected) {
-    navigation::LevelMapVersion known;
-    known.set_version(level_map_ ? level_map_->version() : 0);
-    const auto activated = co_await map_change_.activate(EventMode::Continuous, std::move(known));
+    // With no version, which each provider's differs from: whoever serves next tells its own at once.
+    const auto activated = co_await map_change_.activate(EventMode::Continuous, {});
     change_told_ = activated.outcome() == Outcome::Ok;
   }
   if (!map_wanted_ || map_.connection() != Connection::Connected) co_return;
@@ -137,7 +147,7 @@ void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevel
 
 void SmartBluetoothLocalization::produce() {
   const TimePoint heard_until = now();
-  if (steps_.connection() == Connection::Connected) filter_->expect_steps();
+  filter_->expect_steps(steps_.connection() == Connection::Connected);
   filter_->advance(clock_ms());
   const beacons::Estimate estimate = filter_->estimate();
   note_validity(estimate.validity);

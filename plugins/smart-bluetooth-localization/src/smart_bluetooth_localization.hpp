@@ -22,7 +22,7 @@ class SmartBluetoothLocalization final : public Component {
   void on_start() override;
 
  private:
-  void on_beacons(const sensors::CommiBeaconList& beacons);
+  void on_beacons(const Received<sensors::CommiBeaconList>& beacons);
   void on_step(const localisation::CommStep& step);
   void on_orientation(const Received<localisation::CommOrientation>& orientation);
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
@@ -66,6 +66,7 @@ class SmartBluetoothLocalization final : public Component {
       *this, "rssi_offset", {.unit = "dB", .doc = "this receiver's readings above the survey's"}};
   Probe<double> heading_bias_{*this, "heading_bias", {.unit = "rad", .doc = "to be added to the steps' headings"}};
   Probe<std::uint64_t> unknown_{*this, "unknown_beacons", {.doc = "readings of beacons that are not in the map"}};
+  Probe<std::uint64_t> old_{*this, "old_readings", {.doc = "readings that came too late to be used"}};
   Probe<bool> has_walls_{*this, "has_walls", {.doc = "whether a level map is in use"}};
   Probe<std::string> validity_probe_{*this, "validity", {.doc = "whether there is a position, or why not"}};
   Task look_{*this, "look_for_map", std::chrono::milliseconds(1000), &SmartBluetoothLocalization::look_for_map};
@@ -79,7 +80,7 @@ class SmartBluetoothLocalization final : public Component {
   std::map<std::uint32_t, std::int64_t> last_heard_ms_;
   std::optional<Received<localisation::CommOrientation>> newest_orientation_;
   beacons::Validity validity_ = beacons::Validity::NoEvidence;
-  std::uint64_t unknown_readings_ = 0;
+  std::uint64_t unknown_readings_ = 0, old_readings_ = 0;
   bool map_wanted_ = true, change_told_ = false;
 };
 

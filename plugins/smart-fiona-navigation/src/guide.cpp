@@ -26,7 +26,8 @@ constexpr double kAhead_m = 10.0;
 constexpr double kOff_m = 2.5;
 constexpr double kMostOff_m = 8.0;
 constexpr double kOffLevels = 0.6;
-constexpr double kOnLevel = 0.05;
+/// A height that a barometer tells is hardly ever a whole level.
+constexpr double kOnLevel = 0.3;
 constexpr auto kOffFor = 2s;
 /// In a lift what is heard is like nothing on any level: on which one it has stopped is known once one has left it.
 constexpr auto kOffAtLift = 6s;
@@ -263,7 +264,7 @@ double Guide::steadied(double at_m, const Walker& walker, TimePoint now) {
 
 bool Guide::has_passed(const Maneuver& maneuver, const Walker& walker, TimePoint now) const {
   if (changes_level(maneuver)) {
-    return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < 0.05;
+    return at_m_ >= maneuver.end_m - 0.4 && std::abs(walker.place.level - *maneuver.to_level) < kOnLevel;
   }
   // Who looks through the door goes through it, and has to know by then where to turn behind it.
   const auto rest = turn_to(maneuver.out, walker);

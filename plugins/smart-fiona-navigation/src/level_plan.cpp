@@ -69,6 +69,7 @@ class Reader {
     made_.name = map_.title().empty() ? map_.name() : map_.title();
     made_.version = map_.version();
     made_.heading_rad = map_.reference().reference_heading() * std::numbers::pi / 180.0;
+    made_.reference = reference_of(map_.reference());
     add_levels();
     for (const MapRoom& room : map_.rooms()) add_room(room);
     for (const navigation::MapWall& wall : map_.walls()) {
@@ -189,6 +190,12 @@ class Reader {
 };
 
 }  // namespace
+
+std::optional<building::Reference> reference_of(const localisation::CommPosition& place) {
+  if (!place.has_reference_lat() || !place.has_reference_long()) return std::nullopt;
+  return building::Reference{
+      place.reference_lat(), place.reference_long(), place.reference_heading() * std::numbers::pi / 180.0, true};
+}
 
 std::optional<double> LevelPlan::level_near(double level, double reach) const {
   std::optional<double> nearest;

@@ -14,6 +14,8 @@ struct LevelPlan {
   std::string name{};
   std::uint64_t version = 0;
   double heading_rad = 0.0;  ///< where the y axis points: clockwise from true north
+  /// Of the frame of its places, where the map tells it.
+  std::optional<building::Reference> reference{};
   building::Plan plan{};
   building::Graph graph{};
 
@@ -26,6 +28,9 @@ struct LevelPlan {
   /// What people call the room at a place: its name, else its number; nothing outside of all rooms.
   std::optional<std::string> room_name(const building::PathPoint& place) const;
 };
+
+/// Of the frame that a place is told in, if it says so.
+std::optional<building::Reference> reference_of(const localisation::CommPosition& place);
 
 /// Throws fiona::Error that names the map and the first element of it that makes no sense: a map without levels, an
 /// edge to a node that is not there, an outline with more x than y. Edges of unknown kind are left out.

@@ -2,9 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
+#include <utility>
 #include <vector>
 
 #include <fiona/building/declination.hpp>
+#include <fiona/building/frames.hpp>
 #include <fiona/building/geometry.hpp>
 #include <fiona/building/levels.hpp>
 
@@ -45,8 +48,12 @@ bool is_same(const building::RouteOptions& a, const building::RouteOptions& b) {
   return a.stairs == b.stairs && a.lift == b.lift && a.outdoors == b.outdoors && a.access == b.access;
 }
 
-Covariance covariance_of(const localisation::CommPosition& position) {
-  if (position.confidence_size() != 9) return {};
+/// Unknown is no certainty: as wide as a region is in which the place is just not told to be uncertain.
+Covariance covariance_of(const localisation::CommPosition& position, double uncertain_radius_m) {
+  if (position.confidence_size() != 9) {
+    const double variance_m2 = std::pow(uncertain_radius_m / kRegionSigmas, 2);
+    return {variance_m2, 0.0, variance_m2};
+  }
   return {std::max(0.0, position.confidence(0)), position.confidence(1), std::max(0.0, position.confidence(4))};
 }
 
@@ -62,6 +69,13 @@ std::string reason_of(const Result<T>& result) {
 }
 
 }  // namespace
+
+/// Who is led by nobody is told so: what another guide has said, or this one before it was started anew, holds no more.
+void Navigation::on_mode(std::string_view) {
+  if (guide_) return;
+  put_path(nullptr);
+  instructions_.put(said_);
+}
 
 void Navigation::on_destination(const navigation::CommDestination& wish) {
   end_guidance();
@@ -80,7 +94,7 @@ void Navigation::ask_for(const std::string& user_name, const std::string& sessio
   user_.set_user_name(user_name);
   user_.set_session(session);
   options_ = {.access = 0};
-  has_profile_ = was_refused_ = false;
+  has_profile_ = false;
   profile_fault_.clear();
   profile_due_at_ = now();
 }
@@ -105,19 +119,49 @@ Async<> Navigation::work() {
   if (trip_ && is_due(plan_due_at_)) co_await plan();
 }
 
+/// With no version, which each provider's differs from: whoever serves next tells its own at once.
 Async<> Navigation::watch_map() {
   if (watches_ || change_.connection() != Connection::Connected) co_return;
-  navigation::LevelMapVersion known;
-  if (map_) known.set_version(map_->plan.version);
-  const auto activation = co_await change_.activate(EventMode::Continuous, known);
+  const auto activation = co_await change_.activate(EventMode::Continuous, {});
   watches_ = activation.ok();
 }
 
 /// 0 where the map tells no place.
-double Navigation::declination_of(const localisation::CommPosition& place) const {
-  if (!place.has_reference_lat() || !place.has_reference_long()) return 0.0;
-  return building::declination_rad(place.reference_lat(), place.reference_long(),
+double Navigation::declination() const {
+  const auto& at = map_->plan.reference;
+  if (!at) return 0.0;
+  return building::declination_rad(at->latitude_deg, at->longitude_deg,
                                    std::chrono::milliseconds(to_milliseconds(now())));
+}
+
+/// Where both say which frame theirs is: another supplier's, or a map that was learnt before the building was drawn
+/// anew, may have another one.
+void Navigation::move_to_map(localisation::CommPosition& position) {
+  const auto own = reference_of(position);
+  if (!own || !map_ || !map_->plan.reference) return;
+  const building::Reference& map = *map_->plan.reference;
+  const bool is_same = own->latitude_deg == map.latitude_deg && own->longitude_deg == map.longitude_deg &&
+                       own->heading_rad == map.heading_rad;
+  if (is_same) return;
+  const building::Placement placement = building::placement_of(*own, map);
+  if (!std::exchange(told_of_frame_, true)) {
+    log(LogLevel::Info, "places are told in a frame of their own, whose origin lies " +
+                            metres(building::length_m(placement.by)) + " from the map's: they are moved to the map's");
+  }
+  const Point at = placement.place(Point{position.x(), position.y()});
+  position.set_x(at.x_m);
+  position.set_y(at.y_m);
+  if (position.confidence_size() == 9) {
+    const auto turned = placement.place(
+        building::Placement::Covariance{position.confidence(0), position.confidence(1), position.confidence(4)});
+    position.set_confidence(0, turned.xx_m2);
+    position.set_confidence(1, turned.xy_m2);
+    position.set_confidence(3, turned.xy_m2);
+    position.set_confidence(4, turned.yy_m2);
+  }
+  position.set_reference_lat(map.latitude_deg);
+  position.set_reference_long(map.longitude_deg);
+  position.set_reference_heading(map.heading_rad * 180.0 / std::numbers::pi);
 }
 
 Async<> Navigation::fetch_map() {
@@ -127,7 +171,7 @@ Async<> Navigation::fetch_map() {
   try {
     if (answer) {
       map_ = std::make_shared<Map>(read_level_plan(**answer));
-      declination_rad_ = declination_of((*answer)->reference());
+      declination_rad_ = declination();
     } else {
       fault = "there is no map of the building: " + reason_of(answer);
     }
@@ -152,10 +196,7 @@ Async<> Navigation::ask_profile() {
   if (number != trips_) co_return;  // another user's, perhaps
   const bool has_answer = answer || (is_guest && answer.outcome() == Outcome::Unwired);
   profile_due_at_ = now() + (has_answer ? Duration(kProfilePeriod) : Duration(kAgain));
-  // Whoever checks sessions may have been late, or is just being started again: nobody is left without a way for that.
-  const bool is_refused = answer.outcome() == Outcome::Rejected;
-  if (is_refused && std::exchange(was_refused_, true)) co_return forget_user(answer.reason());
-  was_refused_ = is_refused;
+  if (answer && (*answer)->session_ended()) co_return forget_user();
   const building::RouteOptions before = options_;
   if (answer) take_profile(**answer);
   if (!has_answer) profile_fault_ = "Your profile cannot be had: " + reason_of(answer) + ".";
@@ -180,14 +221,14 @@ void Navigation::take_profile(const hmi::CommUserProfileReply& profile) {
 }
 
 /// Whoever has logged out is neither led nor told of their points.
-void Navigation::forget_user(const std::string& why) {
+void Navigation::forget_user() {
   user_.Clear();
   profile_due_at_.reset();
   passing_.watch({});
   if (!trip_) return;
   end_guidance();
   trip_.reset();
-  say(Instruction::NO_PATH, "Your profile cannot be had: " + why + ".");
+  say(Instruction::NO_PATH, "You are not led any more: you have been logged out. Log in again, or go on as a guest.");
 }
 
 /// Who may be in one of several rooms is found once they move.
@@ -344,23 +385,26 @@ void Navigation::end_guidance() {
   led_by_.reset();
 }
 
-void Navigation::on_location(const Received<localisation::CommLocation>& location) {
-  const localisation::CommPosition& position = location->position();
-  if (!location->is_valid() || !position.is_valid()) return;
+void Navigation::on_location(const Received<localisation::CommLocation>& told) {
+  if (!told->is_valid() || !told->position().is_valid()) return;
+  localisation::CommLocation location = *told;
+  move_to_map(*location.mutable_position());
+  const localisation::CommPosition& position = location.position();
   const building::Point at{position.x(), position.y()};
-  const Covariance covariance = covariance_of(position);
+  const Covariance covariance = covariance_of(position, params_->uncertain_radius());
   const ShownPosition::Shown shown = blender_.follow({at, position.z()}, covariance, now());
-  note_heading(*location);
+  note_heading(location);
   std::optional<double> heading = course_rad_;
-  if (location->orientation().is_valid()) {
+  if (location.orientation().is_valid()) {
     // Yaw goes counter-clockwise from magnetic north.
-    heading = declination_rad_ - location->orientation().yaw();
+    heading = declination_rad_ - location.orientation().yaw();
   }
   // What is shown moves over; guidance is to know at once.
   walker_ = Walker{{at, position.z()}, heading, covariance.sigma_m()};
-  uncertain_ = shown.blending || kRegionSigmas * shown.covariance.sigma_m() > params_->uncertain_radius();
+  uncertain_ = shown.blending || position.confidence().empty() ||
+               kRegionSigmas * shown.covariance.sigma_m() > params_->uncertain_radius();
   located_ = now();
-  put_shown(*location, shown, location.origin);
+  put_shown(std::move(location), shown, told.origin);
   lead();
   say_again();
   tell_passed_points();
@@ -456,9 +500,7 @@ void Navigation::say(Instruction instruction, bool is_new) {
   instructions_.put(std::move(instruction));
 }
 
-void Navigation::put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown,
-                           TimePoint origin) {
-  localisation::CommLocation told = location;
+void Navigation::put_shown(localisation::CommLocation told, const ShownPosition::Shown& shown, TimePoint origin) {
   localisation::CommPosition& position = *told.mutable_position();
   position.set_x(shown.at.x_m);
   position.set_y(shown.at.y_m);

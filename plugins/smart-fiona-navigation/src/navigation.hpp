@@ -49,6 +49,7 @@ class Navigation final : public Component {
     hmi::Instruction::Kind kind = hmi::Instruction::NO_PATH;
   };
 
+  void on_mode(std::string_view mode) override;
   void on_destination(const navigation::CommDestination& wish);
   void on_location(const Received<localisation::CommLocation>& location);
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
@@ -57,11 +58,12 @@ class Navigation final : public Component {
   Async<> work();
   Async<> watch_map();
   Async<> fetch_map();
-  double declination_of(const localisation::CommPosition& place) const;
+  double declination() const;
+  void move_to_map(localisation::CommPosition& position);
   void ask_for(const std::string& user_name, const std::string& session);
   Async<> ask_profile();
   void take_profile(const hmi::CommUserProfileReply& profile);
-  void forget_user(const std::string& why);
+  void forget_user();
   bool is_sought();
   Async<> plan();
   Async<std::optional<Refusal>> find_path(building::PathPoint from);
@@ -83,7 +85,7 @@ class Navigation final : public Component {
   void say(hmi::Instruction instruction, bool is_new);
   void say(hmi::Instruction::Kind kind, const std::string& text);
   void show_again();
-  void put_shown(const localisation::CommLocation& location, const ShownPosition::Shown& shown, TimePoint origin);
+  void put_shown(localisation::CommLocation told, const ShownPosition::Shown& shown, TimePoint origin);
   void put_path(const building::Route* route);
 
   Params<Parameters> params_{*this};
@@ -117,11 +119,11 @@ class Navigation final : public Component {
   double declination_rad_ = 0.0;  ///< at the map's place
   std::optional<TimePoint> map_due_at_{TimePoint{}};
   bool watches_ = false;
+  bool told_of_frame_ = false;  ///< that places are told in another one: once
   // who the person is
   hmi::CommUserProfileRequest user_;
   std::optional<TimePoint> profile_due_at_;  ///< none: there is nobody to ask for
   bool has_profile_ = false;
-  bool was_refused_ = false;  ///< when it was asked for last
   std::string profile_fault_;
   building::RouteOptions options_{};
   bool refused_point_ = false;  ///< of the profile: told once

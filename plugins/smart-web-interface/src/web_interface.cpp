@@ -25,6 +25,7 @@ constexpr auto kSystemKept = std::chrono::milliseconds(400);
 constexpr auto kLoginDeadline = std::chrono::seconds(10);
 /// Two periods and a little of a location that comes five times a second.
 constexpr auto kSilence = std::chrono::milliseconds(600);
+constexpr const char* kNothing = "null";  // as JSON
 constexpr std::string_view kAuthorityFile = "authority.crt";
 constexpr std::string_view kFiles[] = {"index.html", "page.js", "page.css", "icon.svg"};
 
@@ -162,13 +163,23 @@ void WebInterface::on_instruction(const Received<hmi::Instruction>& instruction)
     attentions_.add(*instruction, instruction.origin);
     board_.set("attention", attentions_.json(now()));
   } else {
-    board_.set("instruction", instruction_json(*instruction));
+    const bool guides = instruction->kind() != hmi::Instruction::KIND_UNSPECIFIED;
+    board_.set("instruction", guides ? instruction_json(*instruction) : kNothing);
   }
 }
 
-void WebInterface::on_map_change(const Fired<navigation::LevelMapVersion>&) { map_version_ = 0; }
+void WebInterface::on_map_change(const Fired<navigation::LevelMapVersion>& change) {
+  if (change->version() != map_version_) map_version_ = 0;
+}
+
+/// What a guide has said that is gone holds no more, not even once it is back.
+void WebInterface::forget_guidance() {
+  if (path_.connection() != Connection::Connected) board_.set("path", path_json({}));
+  if (instructions_.connection() != Connection::Connected) board_.set("instruction", kNothing);
+}
 
 void WebInterface::tell_status() {
+  forget_guidance();
   const bool silent = location_.connection() == Connection::Connected && now() - location_at_ > kSilence;
   board_.set("status", text_of({{"location", silent ? "silent" : state_of(location_)},
                                 {"path", state_of(path_)},
@@ -190,9 +201,8 @@ Async<> WebInterface::look() {
   board_.set("attention", attentions_.json(now()));
   tell_status();
   if (map_change_.connection() == Connection::Connected && !activation_) {
-    navigation::LevelMapVersion known;
-    known.set_version(map_version_);
-    const auto made = co_await map_change_.activate(EventMode::Continuous, std::move(known));
+    // With no version, which each provider's differs from: whoever serves next tells its own at once.
+    const auto made = co_await map_change_.activate(EventMode::Continuous, {});
     if (made) activation_ = *made;
   }
   // Who comes after a provider that was lost may have another building.
@@ -312,7 +322,13 @@ Async<> WebInterface::tell_me(std::string bearer, Answer answer, std::string not
     request.set_user_name(user->name());
     request.set_session(user->session());
   }
-  const auto profile = co_await profile_.query(std::move(request), kDeadline);
+  auto profile = co_await profile_.query(std::move(request), kDeadline);
+  if (user && profile && (*profile)->session_ended()) {
+    pages_->set_user(bearer, std::nullopt, now());
+    user.reset();
+    notice = "Your session has ended: log in again.";
+    profile = co_await profile_.query({}, kDeadline);
+  }
   answer->answer({200, text_of({{"user", user ? json(user->name()) : json(nullptr)},
                                 {"profile", profile ? profile_json(**profile) : json(nullptr)},
                                 {"notice", notice}})});

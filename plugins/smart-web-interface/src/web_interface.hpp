@@ -44,6 +44,7 @@ class WebInterface final : public Component {
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
   Async<> look();
   Async<> fetch_map();
+  void forget_guidance();
   void tell_status();
   std::string map_fault() const;
 

@@ -53,8 +53,8 @@ Profile UserProfiles::profile_of(const std::string& user) const {
   return profile;
 }
 
-/// Who the session says it is; the guest without name and session.
-Async<UserProfiles::User> UserProfiles::user_of(std::string user_name, std::string session) {
+/// Who the session says it is; the guest without name and session; nobody where the session has ended.
+Async<std::optional<UserProfiles::User>> UserProfiles::user_of(std::string user_name, std::string session) {
   if (user_name.empty() && session.empty()) co_return User{};
   if (session.empty()) {
     throw Error(ErrorCode::NotAllowed, {.what = "the request names a user and carries no session",
@@ -71,15 +71,27 @@ Async<UserProfiles::User> UserProfiles::user_of(std::string user_name, std::stri
                  .where = name() + ".sessions",
                  .next = "try again, or leave user_name and session out to be a guest"});
   }
-  if (!(*found)->is_valid()) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "there is no such session, or it has ended", .where = name(), .next = "log in again"});
-  }
+  if (!(*found)->is_valid()) co_return std::nullopt;
   if ((*found)->user_name() != user_name) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = "the session is another user's", .where = name(), .next = "name the user who logged in"});
   }
   co_return User{std::move(user_name), (*found)->authentication_level()};
+}
+
+/// Somebody in particular, for whom `what` can be kept.
+Async<UserProfiles::User> UserProfiles::known_user(std::string user_name, std::string session, const char* what) {
+  auto user = co_await user_of(std::move(user_name), std::move(session));
+  if (!user) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "there is no such session, or it has ended", .where = name(), .next = "log in again"});
+  }
+  if (user->name.empty()) {
+    throw Error(ErrorCode::NotAllowed, {.what = std::string("a guest has no ") + what + " that could be kept",
+                                        .where = name(),
+                                        .next = "log in first"});
+  }
+  co_return std::move(*user);
 }
 
 /// None where nobody knows them.
@@ -109,17 +121,18 @@ Async<hmi::CommUserProfileReply> UserProfiles::answer(User user) {
 
 Async<hmi::CommUserProfileReply> UserProfiles::on_profile(const hmi::CommUserProfileRequest& request) {
   auto user = co_await user_of(request.user_name(), request.session());
-  auto reply = co_await answer(std::move(user));
+  hmi::CommUserProfileReply reply;
+  if (user) {
+    reply = co_await answer(std::move(*user));
+  } else {
+    reply.set_session_ended(true);
+  }
   co_return reply;
 }
 
 Async<hmi::CommUserProfileReply> UserProfiles::on_update(const hmi::CommUserProfileUpdate& asked) {
   const hmi::CommUserProfileUpdate request = asked;  // it may be gone when the session has been checked
-  auto user = co_await user_of(request.user_name(), request.session());
-  if (user.name.empty()) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "a guest has no profile that could be kept", .where = name(), .next = "log in first"});
-  }
+  auto user = co_await known_user(request.user_name(), request.session(), "profile");
   Profile profile = profile_of(user.name);
   profile.clear_use_elevator();
   profile.clear_use_stairs();
@@ -134,12 +147,7 @@ Async<hmi::CommUserProfileReply> UserProfiles::on_update(const hmi::CommUserProf
 
 Async<hmi::PointsOfAttentionReply> UserProfiles::on_points(const hmi::RequestPointsOfAttention& asked) {
   const hmi::RequestPointsOfAttention request = asked;
-  const auto user = co_await user_of(request.user_name(), request.session());
-  if (user.name.empty()) {
-    throw Error(
-        ErrorCode::NotAllowed,
-        {.what = "a guest has no points of attention that could be kept", .where = name(), .next = "log in first"});
-  }
+  const auto user = co_await known_user(request.user_name(), request.session(), "points of attention");
   const auto all = co_await levels();
   Profile profile = profile_of(user.name);
   profile.clear_points();

@@ -37,7 +37,8 @@ class UserProfiles final : public Component {
     std::string name;
     int level = 0;
   };
-  Async<User> user_of(std::string name, std::string session);
+  Async<std::optional<User>> user_of(std::string name, std::string session);
+  Async<User> known_user(std::string name, std::string session, const char* what);
   Async<std::vector<navigation::MapLevel>> levels();
   Async<hmi::CommUserProfileReply> answer(User user);
   Profile profile_of(const std::string& user) const;

@@ -1,4 +1,4 @@
-import { useEffect, useMemo, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { Account } from "./account";
 import { Doubt, doubtOf, useSettled } from "./doubt";
 import type { BuildingMap, Destination, Instruction, Location, Me, Path, Status } from "./model";
@@ -8,7 +8,7 @@ import { goalOf, pathLength, progressOf, stepsOf } from "./route";
 import { WhatIsRunning } from "./running";
 import { Search } from "./search";
 import { call, follow, open } from "./server";
-import { NoGuidance, Now, Steps } from "./steps";
+import { Now, Steps } from "./steps";
 import { inert, levelName } from "./text";
 
 const kGuest: Me = { user: null, profile: null, notice: "" };
@@ -130,7 +130,11 @@ export function App() {
   const passing = usePassing(points, location, map, guide !== null);
   const uncertain = useSettled(doubtOf(connected, status, location, guide));
   const certain = connected && uncertain === "";
-  const progress = useMemo(() => (path ? progressOf(path, location) : null), [path, location]);
+  // Where nothing is known of the place, the steps stay where it was last.
+  const placed = useRef<Location | null>(null);
+  if (location?.valid) placed.current = location;
+  const place = placed.current;
+  const progress = useMemo(() => (path ? progressOf(path, place) : null), [path, place]);
   // Another page, or the console, may have chosen another room: where one is led is what the path says.
   const goal = useMemo(() => goalOf(path, map), [path, map]);
   const steps = useMemo(() => (path ? stepsOf(path, map, goal?.label ?? "") : []), [path, map, goal]);
@@ -211,11 +215,7 @@ export function App() {
               }
             />
             {!account && me.notice && <p role="status" class="notice">{me.notice}</p>}
-            {unguided ? (
-              <NoGuidance why={unguided} />
-            ) : (
-              <Now instruction={guide} next={next} ahead={next && progress ? next.at - along : null} />
-            )}
+            <Now unknown={unguided} instruction={guide} next={next} ahead={next && progress ? next.at - along : null} />
           </div>
           {map && !unmapped ? (
             <Plan map={map} location={location} certain={certain} path={path} progress={progress} destination={goal ?? wanted} chosen={wanted} points={points} />

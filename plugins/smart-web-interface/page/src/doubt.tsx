@@ -18,7 +18,8 @@ export function doubtOf(connected: boolean, status: Status | null, location: Loc
   if (reason) return reason;
   if (!location?.valid) return "Position uncertain";
   // Who guides knows more: that the place has just jumped, say.
-  return guide?.uncertain || (location.ellipse?.major ?? 0) > kUncertain_m ? "Position uncertain" : "";
+  const unsure = guide?.uncertain || !location.ellipse || location.ellipse.major > kUncertain_m;
+  return unsure ? "Position uncertain" : "";
 }
 
 /// A doubt is over once it has been gone for a while: at its edge it would come and go with each position.

@@ -30,32 +30,30 @@ const kKinds: Record<string, string> = {
   NO_PATH: "lost", LOST: "lost", REROUTE: "lost", KIND_UNSPECIFIED: "lost",
 };
 
-/// Nothing is known of what is to be done: said, and never shown as "straight on".
-export function NoGuidance({ why }: { why: string }) {
-  return (
-    <section class="now unknown" aria-label="Now">
-      <Icon kind="lost" />
-      <p class="text" role="status">{why}</p>
-    </section>
-  );
-}
+const wordsOf = (instruction: Instruction): string =>
+  inert(instruction.text) || (instruction.hour ? turnOf(instruction.hour) : "No direction is known");
 
-/// What is to be done now: what the guide says, else what the way itself says. The arrow is that of the words: who has turned
-/// as they say would else read "turn right" beside one that points ahead. The map shows which way one looks.
-export function Now({ instruction, next, ahead }: { instruction: Instruction | null; next: Step | null; ahead: number | null }) {
+/// What is to be done now: what the guide says, else what the way itself says; or why nothing is known of it (`unknown`), which
+/// is never shown as "straight on". The arrow is that of the words: who has turned as they say would else read "turn right"
+/// beside one that points ahead. The map shows which way one looks.
+///
+/// What is announced stays in the page, for a screen reader hears of what changes in it alone; and the guide repeats itself
+/// under another number, which puts the same words into it anew.
+export function Now({ unknown, instruction, next, ahead }: { unknown: string; instruction: Instruction | null; next: Step | null; ahead: number | null }) {
   const told = useRef<{ text?: string; hour?: number }>({});
-  const text = instruction
-    ? inert(instruction.text) || (instruction.hour ? turnOf(instruction.hour) : "No direction is known")
-    : next?.text;
-  if (!text) return null;
-  if (told.current.text !== text) told.current = { text, hour: instruction ? instruction.hour : next!.hour };
-  const kind = instruction ? (kKinds[instruction.kind] ?? "walk") : next!.kind;
-  const distance = instruction ? instruction.distance : (ahead ?? undefined);
+  const guide = unknown ? null : instruction;
+  const step = unknown || guide ? null : next;
+  const text = unknown || (guide ? wordsOf(guide) : (step?.text ?? ""));
+  if (told.current.text !== text) told.current = { text, hour: guide?.hour ?? step?.hour };
+  const kind = unknown ? "lost" : guide ? (kKinds[guide.kind] ?? "walk") : (step?.kind ?? "walk");
+  const distance = guide ? guide.distance : step ? (ahead ?? undefined) : undefined;
   return (
-    <section class="now" aria-label="Now">
-      <Icon kind={kind} hour={told.current.hour} />
+    <section class={unknown ? "now unknown" : text ? "now" : "hidden"} aria-label="Now">
+      {text ? <Icon kind={kind} hour={told.current.hour} /> : null}
       <div>
-        <p class="text" lang={instruction?.language || undefined} role="status">{text}</p>
+        <p class="text" lang={guide?.language || undefined} role="status">
+          <span key={guide ? guide.number : text}>{text}</span>
+        </p>
         {distance !== undefined && distance >= 1 && <p class="distance">in {metres(distance)}</p>}
       </div>
     </section>
