@@ -20,11 +20,12 @@ using fiona::marketplace::PackageSource;
 
 constexpr std::chrono::days kTenYears{3650};
 
+constexpr const char* kUsage =
+    "fiona-pack --manifest FILE --interface FILE --readme FILE [--library FILE]... [--share DIR] -o OUT.fpk\n"
+    "fiona-pack --publish FILE... --to DIR --keys DIR\n";
+
 options::options_description described() {
-  options::options_description flags{
-      "fiona-pack --manifest FILE --interface FILE --readme FILE [--library FILE]... [--share DIR] -o "
-      "OUT.fpk\n"
-      "fiona-pack --publish FILE... --to DIR --keys DIR\n"};
+  options::options_description flags;
   const auto text = [] { return options::value<std::string>(); };
   const auto texts = [] { return options::value<std::vector<std::string>>()->multitoken(); };
   flags.add_options()("manifest", text(), "the author's manifest.textproto")(
@@ -78,7 +79,7 @@ int run(int count, char** arguments) {
   options::variables_map flags;
   options::store(options::parse_command_line(count, arguments, described()), flags);
   if (flags.count("help")) {
-    std::cout << described();
+    std::cout << kUsage << described();
   } else if (flags.count("version")) {
     std::cout << "fiona-pack " FIONA_VERSION "\n";
   } else {

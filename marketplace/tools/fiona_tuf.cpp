@@ -12,12 +12,14 @@ namespace {
 
 namespace options = boost::program_options;
 
+constexpr const char* kUsage =
+    "fiona-tuf --metadata-dir DIR init TRUSTED_ROOT_FILE\n"
+    "fiona-tuf --metadata-dir DIR --metadata-url URL refresh\n"
+    "fiona-tuf --metadata-dir DIR --metadata-url URL --target-name NAME --target-base-url URL --target-dir DIR "
+    "download\n";
+
 options::options_description described() {
-  options::options_description flags{
-      "fiona-tuf --metadata-dir DIR init TRUSTED_ROOT_FILE\n"
-      "fiona-tuf --metadata-dir DIR --metadata-url URL refresh\n"
-      "fiona-tuf --metadata-dir DIR --metadata-url URL --target-name NAME --target-base-url URL --target-dir DIR "
-      "download\n"};
+  options::options_description flags;
   const auto text = [] { return options::value<std::string>(); };
   flags.add_options()("metadata-dir", text(), "where trusted metadata is kept")(
       "metadata-url", text(), "the repository's metadata: http, https, file or a directory")(
@@ -88,7 +90,7 @@ int main(int count, char** arguments) {
   try {
     const options::variables_map flags = parsed(count, arguments);
     if (flags.count("help")) {
-      std::cout << described();
+      std::cout << kUsage << described();
     } else if (flags.count("version")) {
       std::cout << "fiona-tuf " FIONA_VERSION "\n";
     } else {

@@ -364,6 +364,7 @@ try {
     await system.start();
     await page.getByText("Connected", { exact: true }).waitFor({ timeout: 30000 });
     await page.getByRole("button", { name: "Profile of anna" }).waitFor();
+    await page.locator(".now").waitFor({ state: "detached", timeout: 5000 }); // what the guide had said has gone with it
     assert.equal(new URL(system.link()).origin, origin, "another port");
   });
   await claim("a log-out makes a guest of the page, and of no one else", async () => {

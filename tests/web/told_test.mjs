@@ -79,6 +79,50 @@ await claim("a doubt is announced when it begins and when it is over, and not wi
   await page.locator(".doubt").waitFor({ state: "detached" });
   assert.deepEqual(await saidBy(page, ".lead > .hidden[role=status]"), ["The position is certain."]);
 });
+await claim("what the guide says again, under another number, is announced again, and a better distance is not", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await page.evaluate(() => {
+    const region = document.querySelector('[aria-label="Now"] [role=status]');
+    window.announced = [];
+    new MutationObserver(() => window.announced.push(region.textContent)).observe(region, { subtree: true, childList: true, characterData: true });
+  });
+  const announced = () => page.evaluate(() => window.announced);
+  server.tell("instruction", instruction(1, "DOOR", "Go through the door.", { distance: 4 }));
+  await page.locator(".now", { hasText: "in 4 m" }).waitFor();
+  server.tell("instruction", instruction(1, "DOOR", "Go through the door.", { distance: 2 }));
+  await page.locator(".now", { hasText: "in 2 m" }).waitFor();
+  assert.deepEqual(await announced(), ["Go through the door."]);
+  server.tell("instruction", instruction(2, "DOOR", "Go through the door.", { distance: 2 }));
+  await until("it is announced again", async () => (await announced()).length === 2, 5000);
+  assert.deepEqual(await announced(), ["Go through the door.", "Go through the door."]);
+});
+await claim("what a guide has said that is gone is neither shown nor led by once another one is there", async (server) => {
+  const page = (claims.shown = await opened(server));
+  server.tell("path", kToOffice);
+  server.tell("instruction", instruction(1, "CONTINUE", "Go straight on for 7 m."));
+  await page.locator(".now", { hasText: "Go straight on" }).waitFor();
+  await page.locator(".steps").waitFor();
+  server.tell("path", { valid: false, points: [] });
+  server.tell("instruction", null);
+  await page.locator(".now").waitFor({ state: "detached" });
+  await page.locator(".steps").waitFor({ state: "detached" });
+  await page.getByText("Choose a room").waitFor();
+});
+await claim("while the place is not known the steps stay where it was last, and a place of which nobody says how sure it is is in doubt", async (server) => {
+  server.tell("path", kToOffice);
+  const page = (claims.shown = await opened(server));
+  await walk(page, server, along(3, 9, 1.5).concat([[9, 3]]));
+  const current = () => page.locator(".steps [aria-current=step]").innerText();
+  await page.locator(".steps [aria-current=step]", { hasText: "Turn left" }).waitFor();
+  server.tell("location", { x: 0, y: 0, measured: Date.now(), valid: false });
+  await page.getByText("Position uncertain").waitFor();
+  assert.match(await current(), /Turn left/);
+  server.tell("location", at(9, 3));
+  await page.locator(".doubt").waitFor({ state: "detached" });
+  const { ellipse, ...unsure } = at(9, 3.5);
+  server.tell("location", unsure);
+  await page.getByText("Position uncertain").waitFor();
+});
 
 const kFountain = { x: 9, y: 1.5, level: 0, name: "the fountain" };
 const kBell = { x: 9, y: 1.5, level: 1, name: "the bell" };

@@ -222,7 +222,7 @@ void journal(Session& session, const Line& line) {
     if (lines.size() > 1) what += fmt::format(" (and {} more)", lines.size() - 1);
     if (!entry.reason().empty()) what += ": " + entry.reason();
     table.add({{fmt::format("{}", entry.number()), entry.number()},
-               {time_text(entry.time_ms()), entry.time_ms()},
+               {time_text(entry.time_ms()), entry.time_ms() / 1000},
                entry.author(),
                state_text(entry),
                {what, lines}});

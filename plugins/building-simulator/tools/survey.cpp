@@ -21,7 +21,7 @@ int run(int count, char** words) {
   std::string building_file, directory;
   std::uint64_t seed = 1;
   fiona::simulator::SurveyOptions survey;
-  options::options_description shown{"usage: fiona-survey BUILDING.osm --seed N -o DIRECTORY"};
+  options::options_description shown;
   shown.add_options()("help,h", "this text")                                                      //
       ("seed", options::value(&seed)->default_value(seed), "the same seed gives the same bytes")  //
       ("output,o", options::value(&directory)->required(),
@@ -36,7 +36,7 @@ int run(int count, char** words) {
   options::variables_map given;
   options::store(options::command_line_parser(count, words).options(all).positional(places).run(), given);
   if (given.contains("help")) {
-    std::cout << shown;
+    std::cout << "fiona-survey BUILDING.osm --seed N -o DIRECTORY\n" << shown;
     return 0;
   }
   options::notify(given);

@@ -24,9 +24,9 @@ using WalkVisitor = std::function<bool(const Walk&)>;
 
 /// A folder of recorded walks, read straight from its .tar.xz archives, one walk in memory at a time.
 ///
-/// Two layouts are recognised: one folder per floor (`B1/train.tar.xz`, `F1/train.tar.xz`, …: the layout of the
-/// Indoor Location Competition 2.0 sets; B1 is level -1, F1 level 0, F2 level 1) and one `train.tar.xz` at the top
-/// (the IPIN Track 3 sets, whose way-points carry their level). `test.tar.xz` at the top holds the test walks.
+/// Two layouts are recognised: one folder per floor (`B1/train.tar.xz`, `F1/train.tar.xz`, …; B1 is level -1, F1 level 0,
+/// F2 level 1) and one `train.tar.xz` at the top, whose way-points carry their level. `test.tar.xz` at the top holds the
+/// test walks. The README has the rows.
 ///
 /// Every function throws fiona::Error naming the archive, the walk and the line when something is missing,
 /// truncated or garbled.
