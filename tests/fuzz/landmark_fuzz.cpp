@@ -1,16 +1,19 @@
-// Points of attention as users' profiles have them: any text gives none, or one at a finite place.
+// Points of attention as users' profiles have them: any text gives none, or one at a finite place that is read again as
+// it is written.
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <string_view>
 
-#include "landmarks.hpp"
+#include "fiona/objects/landmark.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  const auto point = fiona::guidance::parse_landmark({reinterpret_cast<const char*>(data), size});
+  const auto point = fiona::hmi::parse_landmark({reinterpret_cast<const char*>(data), size});
   if (!point) return 0;
-  const auto& place = point->place;
-  if (!std::isfinite(place.at.x_m) || !std::isfinite(place.at.y_m) || !std::isfinite(place.level)) std::abort();
-  return point->name.size() > size ? (std::abort(), 0) : 0;
+  if (!std::isfinite(point->x()) || !std::isfinite(point->y()) || !std::isfinite(point->level())) std::abort();
+  const auto again = fiona::hmi::parse_landmark(fiona::hmi::landmark_text(*point));
+  if (!again || again->x() != point->x() || again->level() != point->level() || again->name() != point->name())
+    std::abort();
+  return 0;
 }

@@ -47,6 +47,73 @@ TEST(Tasks, AWayThroughDoorsAndByStairsIsWalkPassClimb) {
   EXPECT_TRUE(found.is_optimal());
 }
 
+/// A corridor with so many rooms on each side, each of which has two doors to it; and a pair of rooms with a door
+/// between them is quicker than around the corner.
+building::Osm ward(int rooms) {
+  building::Osm osm;
+  std::vector<int> south, north;
+  int node = 10;
+  for (int i = 0; i < rooms; ++i) {
+    const double west = 6.0 * i;
+    for (const bool is_north : {false, true}) {
+      const double wall = is_north ? 3.0 : 0.0, far = is_north ? 8.0 : -5.0;
+      const int a = node++, b = node++;
+      osm.node(a, west + 1.5, wall, "door=hinged level=0").node(b, west + 4.5, wall, "door=hinged level=0");
+      auto& side = is_north ? north : south;
+      side.push_back(a), side.push_back(b);
+      const int w1 = node++, w2 = node++, w3 = node++, w4 = node++;
+      osm.node(w1, west, wall).node(w2, west + 6, wall).node(w3, west + 6, far).node(w4, west, far);
+      osm.way(1000 + 2 * i + (is_north ? 1 : 0), {w1, a, b, w2, w3, w4, w1},
+              "indoor=room level=0 name=Room" + std::to_string(i) + (is_north ? "N" : "S"));
+    }
+  }
+  const int c1 = node++, c2 = node++, c3 = node++, c4 = node++;
+  osm.node(c1, 0, 0).node(c2, 6.0 * rooms, 0).node(c3, 6.0 * rooms, 3).node(c4, 0, 3);
+  std::vector<int> corridor{c1};
+  corridor.insert(corridor.end(), south.begin(), south.end());
+  corridor.push_back(c2), corridor.push_back(c3);
+  corridor.insert(corridor.end(), north.rbegin(), north.rend());
+  corridor.push_back(c4), corridor.push_back(c1);
+  osm.way(9999, corridor, "indoor=corridor level=0");
+  return osm;
+}
+
+TEST(Tasks, RoomsThatLeadNowhereElseAreNoTasksHoweverManyDoorsTheyHave) {
+  const LevelPlan plan = plan_of(ward(60).read());
+  ASSERT_EQ(plan.plan.rooms.size(), 121u);
+  const PathPoint from{{3, 6}, 0}, to{{6.0 * 59 + 3, -3}, 0};
+  TaskGraph tasks(plan, from, {});
+  const auto request = tasks.request(from, to);
+  EXPECT_LT(request.problem().size(), 4000u);  // 240 doors would be 2 MB
+  const auto found = solve(request);
+  const auto route = building::find_route(plan.plan, plan.graph, from, to, {});
+  ASSERT_TRUE(route);
+  EXPECT_NEAR(request.route(found).cost_s, route->cost_s, 1e-3);
+}
+
+TEST(Tasks, ARoomThatIsAShortCutIsOne) {
+  // A corridor round three sides of a hall, which has a door at each end.
+  building::Osm osm;
+  osm.node(2, 4, 9, "door=hinged level=0").node(3, 36, 9, "door=hinged level=0");
+  const LevelPlan plan = plan_of([&] {
+    for (int i = 0; i < 8; ++i) {
+      const double xs[] = {0, 4, 4, 36, 36, 40, 40, 0}, ys[] = {0, 0, 30, 30, 0, 0, 34, 34};
+      osm.node(20 + i, xs[i], ys[i]);
+    }
+    osm.way(100, {20, 21, 2, 22, 23, 3, 24, 25, 26, 27, 20}, "indoor=corridor level=0");
+    osm.node(30, 4, 5).node(31, 36, 5).node(32, 36, 12).node(33, 4, 12);
+    osm.way(101, {30, 31, 3, 32, 33, 2, 30}, "indoor=room level=0 name=Hall");
+    return osm.read();
+  }());
+  const PathPoint from{{2, 9}, 0}, to{{38, 9}, 0};
+  TaskGraph tasks(plan, from, {});
+  const auto request = tasks.request(from, to);
+  const auto route = building::find_route(plan.plan, plan.graph, from, to, {});
+  ASSERT_TRUE(route);
+  EXPECT_LT(route->length_m, 45);
+  EXPECT_NEAR(request.route(solve(request)).cost_s, route->cost_s, 1e-3);
+}
+
 TEST(Tasks, WithoutStairsTheLiftIsRidden) {
   const LevelPlan plan = plan_of(house().read());
   TaskGraph tasks(plan, kA, {.stairs = false});

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "fiona/objects/landmark.hpp"
 #include "landmarks.hpp"
 #include "navigation_world.hpp"
 #include "shown_position.hpp"
@@ -88,14 +89,18 @@ TEST(ShownPosition, AnotherLevelIsShownAtOnceAndIsAJump) {
 }
 
 TEST(Landmarks, ATextIsThreeNumbersAndAName) {
-  const auto lift = parse_landmark("12.5,-3,1 lift B");
+  const auto lift = hmi::parse_landmark("12.5,-3,1 lift B");
   ASSERT_TRUE(lift);
-  EXPECT_EQ(lift->place.at, (building::Point{12.5, -3}));
-  EXPECT_EQ(lift->place.level, 1);
-  EXPECT_EQ(lift->name, "lift B");
-  EXPECT_TRUE(parse_landmark("0,0,-0.5"));
+  EXPECT_EQ(lift->x(), 12.5);
+  EXPECT_EQ(lift->y(), -3);
+  EXPECT_EQ(lift->level(), 1);
+  EXPECT_EQ(lift->name(), "lift B");
+  EXPECT_EQ(hmi::landmark_text(*lift), "12.5,-3,1 lift B");
+  const auto nameless = hmi::parse_landmark("0,0,-0.5");
+  ASSERT_TRUE(nameless);
+  EXPECT_EQ(hmi::landmark_text(*nameless), "0,0,-0.5");
   for (const char* text : {"", "1,2", "1,2,", "a,b,c", "1;2;3", "1,2,3x", "nan,0,0", "1e999,0,0"}) {
-    EXPECT_FALSE(parse_landmark(text)) << text;
+    EXPECT_FALSE(hmi::parse_landmark(text)) << text;
   }
 }
 

@@ -184,15 +184,5 @@ TEST_F(UserProfilesTest, ADamagedDatabaseFailsTheInstanceAndSaysWhatToDo) {
   EXPECT_THAT(bench.reason(), HasSubstr("the database is damaged: file is not a database"));
 }
 
-TEST(Landmark, IsCoordinatesAndAName) {
-  hmi::PointOfAttention point;
-  point.set_x(12.5);
-  point.set_y(-3);
-  point.set_level(1);
-  EXPECT_EQ(landmark(point), "12.5,-3,1");
-  point.set_name("lift B");
-  EXPECT_EQ(landmark(point), "12.5,-3,1 lift B");
-}
-
 }  // namespace
 }  // namespace fiona::user_profiles

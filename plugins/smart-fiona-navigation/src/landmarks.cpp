@@ -1,38 +1,11 @@
 #include "landmarks.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 
 #include <fiona/building/geometry.hpp>
 
 namespace fiona::guidance {
-namespace {
-
-/// Reads a finite number and the character that must follow it; none: the end of the text, or a blank.
-std::optional<double> number(std::string_view& text, char follower) {
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || !std::isfinite(value)) return std::nullopt;
-  text.remove_prefix(static_cast<std::size_t>(end - text.data()));
-  if (!text.empty()) {
-    if (text.front() != follower) return std::nullopt;
-    text.remove_prefix(1);
-  } else if (follower == ',') {
-    return std::nullopt;
-  }
-  return value;
-}
-
-}  // namespace
-
-std::optional<Landmark> parse_landmark(std::string_view text) {
-  const auto x = number(text, ',');
-  const auto y = x ? number(text, ',') : std::nullopt;
-  const auto level = y ? number(text, ' ') : std::nullopt;
-  if (!level) return std::nullopt;
-  return Landmark{{{*x, *y}, *level}, std::string(text)};
-}
 
 void Passing::watch(std::vector<Landmark> landmarks) {
   std::vector<Watched> next;

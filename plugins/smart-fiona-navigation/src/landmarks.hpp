@@ -1,8 +1,6 @@
 #pragma once
 
-#include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "level_plan.hpp"
@@ -14,10 +12,6 @@ struct Landmark {
   building::PathPoint place{};
   std::string name{};
 };
-
-/// "12.5,-3,1 lift B": x, y in metres, level, and after one blank a name (hmi.proto, CommUserProfileReply). Nothing if
-/// it is not such a text.
-std::optional<Landmark> parse_landmark(std::string_view text);
 
 /// Tells of each point once in passing: near it, on its level, with no wall between; again after the user was away.
 class Passing {

@@ -11,6 +11,7 @@
 #include <fiona/building/geometry.hpp>
 #include <fiona/building/levels.hpp>
 
+#include "fiona/objects/landmark.hpp"
 #include "words.hpp"
 
 namespace fiona::guidance {
@@ -211,8 +212,8 @@ void Navigation::take_profile(const hmi::CommUserProfileReply& profile) {
               .access = profile.authentication_level()};
   std::vector<Landmark> points;
   for (const std::string& text : profile.landmark_list()) {
-    if (auto point = parse_landmark(text)) {
-      points.push_back(std::move(*point));
+    if (const auto point = hmi::parse_landmark(text)) {
+      points.push_back({{{point->x(), point->y()}, point->level()}, point->name()});
     } else if (!std::exchange(refused_point_, true)) {
       log(LogLevel::Warning, "a point of attention is no 'X,Y,Z NAME': " + text);
     }

@@ -33,6 +33,7 @@ constexpr std::array<Kind, 6> kKinds{{{Passage::Walk, "walk", "walkway", "walk-t
                                       {Passage::Ramp, "take-ramp", "ramp", "ramp-time"},
                                       {Passage::Lift, "ride", "lift", "ride-time"}}};
 
+constexpr std::size_t kWalk = 0, kDoor = 1;  // of kKinds
 constexpr std::uint32_t kNone = std::numeric_limits<std::uint32_t>::max();
 constexpr double kNever = std::numeric_limits<double>::infinity();
 
@@ -183,6 +184,7 @@ class TaskGraph::Draft {
     for (const building::Approach& end : building::approaches(of.plan_.plan, graph_, to)) add(goal_, end);
     made_.start_ = from_;
     find_living();
+    leave_out_detours();
   }
 
   Request make(const PathPoint& from, const PathPoint& to) {
@@ -265,6 +267,64 @@ class TaskGraph::Draft {
       for (const Index gate : of_.gates_[part]) {
         if (!dead_gate[gate]) gates_.insert(gate);
       }
+    }
+  }
+
+  double cost_s(std::size_t kind, Index from, Index to) {
+    for (const Way& way : of_.ways_from(kind, from)) {
+      if (way.to == to) return way.cost_s;
+    }
+    return kNever;
+  }
+
+  /// A door of a room, by its two sides.
+  struct Leaf {
+    Index inside = 0, outside = 0;
+  };
+  std::optional<Leaf> leaf_of(Index gate) const {
+    const Index door = of_.part_of_[kDoor][gate];
+    if (door == kNone || parts_of(gate).size() != 2 || of_.gates_[door].size() != 2) return std::nullopt;
+    const Index other = of_.gates_[door][of_.gates_[door].front() == gate ? 1 : 0];
+    if (of_.part_of_[kWalk][other] == kNone || parts_of(other).size() != 2) return std::nullopt;
+    return Leaf{gate, other};
+  }
+
+  /// Whether nobody gains by walking in by one of these doors and out by another: around it is as quick.
+  bool is_detour(const std::vector<Leaf>& doors) {
+    for (const Leaf& in : doors) {
+      for (const Leaf& out : doors) {
+        if (in.inside == out.inside) continue;
+        const double through_s = cost_s(kDoor, in.outside, in.inside) + cost_s(kWalk, in.inside, out.inside) +
+                                 cost_s(kDoor, out.inside, out.outside);
+        if (through_s < cost_s(kWalk, in.outside, out.outside)) return false;
+      }
+    }
+    return true;
+  }
+
+  /// What the quickest way never leads through is left out, too: a room with several doors to the same corridor, say,
+  /// which would each be a task to each other one.
+  void leave_out_detours() {
+    std::set<Index> ends;
+    for (const auto* of : {&start_, &goal_}) {
+      for (const Source& end : *of) ends.insert(of_.part_of_[kWalk][end.node]);
+    }
+    std::map<Index, std::vector<Index>> living;  // by part on foot
+    for (const Index gate : gates_) {
+      if (of_.part_of_[kWalk][gate] != kNone) living[of_.part_of_[kWalk][gate]].push_back(gate);
+    }
+    for (const auto& [part, gates] : living) {
+      if (ends.contains(part)) continue;
+      std::vector<Leaf> doors;
+      for (const Index gate : gates) {
+        if (const auto door = leaf_of(gate)) doors.push_back(*door);
+      }
+      const auto leads_to = [&](const Leaf& door) { return of_.part_of_[kWalk][door.outside]; };
+      const bool to_one = doors.size() == gates.size() && leads_to(doors.front()) != part &&
+                          std::all_of(doors.begin(), doors.end(),
+                                      [&](const Leaf& door) { return leads_to(door) == leads_to(doors.front()); });
+      if (!to_one || !is_detour(doors)) continue;
+      for (const Leaf& door : doors) gates_.erase(door.inside), gates_.erase(door.outside);
     }
   }
 

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "fiona/hull.hpp"
+#include "fiona/objects/landmark.hpp"
 #include "fiona/records/data_directory.hpp"
 #include "system_json.hpp"
 #include "to_json.hpp"
@@ -44,19 +45,12 @@ WebReply no_answer(const std::string& who, Outcome outcome, const std::string& r
 
 json choice(bool has, bool value) { return has ? json(value) : json(nullptr); }
 
-/// "12.5,-3,1 lift B", as CommUserProfileReply has it; null for what is none.
-json landmark(const std::string& text) {
-  double x = 0, y = 0, level = 0;
-  int end = 0;
-  if (std::sscanf(text.c_str(), "%lf,%lf,%lf%n", &x, &y, &level, &end) != 3) return nullptr;
-  const std::string name = text.substr(static_cast<std::size_t>(end));
-  return {{"x", x}, {"y", y}, {"level", level}, {"name", name.empty() ? name : name.substr(1)}};
-}
-
 json profile_json(const hmi::CommUserProfileReply& profile) {
   json points = json::array();
   for (const std::string& text : profile.landmark_list()) {
-    if (json point = landmark(text); !point.is_null()) points.push_back(std::move(point));
+    if (const auto point = hmi::parse_landmark(text)) {
+      points.push_back({{"x", point->x()}, {"y", point->y()}, {"level", point->level()}, {"name", point->name()}});
+    }
   }
   return {{"level", profile.authentication_level()},
           {"use_elevator", choice(profile.has_use_elevator(), profile.use_elevator())},

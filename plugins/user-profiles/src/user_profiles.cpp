@@ -4,6 +4,7 @@
 #include <charconv>
 #include <chrono>
 
+#include "fiona/objects/landmark.hpp"
 #include "fiona/records/data_directory.hpp"
 
 namespace fiona::user_profiles {
@@ -28,11 +29,6 @@ std::string fault_of(const hmi::PointOfAttention& point, const std::vector<navig
 }
 
 }  // namespace
-
-std::string landmark(const hmi::PointOfAttention& point) {
-  const std::string place = number(point.x()) + "," + number(point.y()) + "," + number(point.level());
-  return point.name().empty() ? place : place + " " + point.name();
-}
 
 void UserProfiles::check(const Parameters& draft) const {
   if (!store_ || draft.database() == params_->database()) return;
@@ -115,7 +111,7 @@ Async<hmi::CommUserProfileReply> UserProfiles::answer(User user) {
   if (profile.has_use_elevator()) reply.set_use_elevator(profile.use_elevator());
   if (profile.has_use_stairs()) reply.set_use_stairs(profile.use_stairs());
   if (profile.has_use_outdoor_navigation()) reply.set_use_outdoor_navigation(profile.use_outdoor_navigation());
-  for (const hmi::PointOfAttention& point : profile.points()) reply.add_landmark_list(landmark(point));
+  for (const hmi::PointOfAttention& point : profile.points()) reply.add_landmark_list(hmi::landmark_text(point));
   co_return reply;
 }
 

@@ -15,9 +15,6 @@
 
 namespace fiona::user_profiles {
 
-/// A point of attention as an entry of `landmark_list`: "12.5,-3,1 lift B".
-std::string landmark(const hmi::PointOfAttention& point);
-
 /// Keeps what each user can and wants on the way, and gives it to whoever carries the user's session.
 class UserProfiles final : public Component {
  public:
