@@ -308,11 +308,34 @@ TEST(Maneuvers, StepsOnOneLevelLeadToNoOther) {
   route.points.push_back({.at = {0, 10}, .level = 1});
   route.points.push_back({.at = {0, 14}, .level = 1, .passage = building::Passage::Stairs});
   route.points.push_back({.at = {0, 20}, .level = 1});
-  const auto all = maneuvers(Path(route));
-  ASSERT_EQ(all.size(), 2u);
-  EXPECT_EQ(all[0].kind, Instruction::STAIRS);
-  EXPECT_FALSE(all[0].to_level);
-  EXPECT_EQ(maneuver_words({}, all[0], NextTurn::HOUR_12, 1, std::nullopt), "Take the stairs.");
+  const auto words = [&](int rise) {
+    route.points[2].rise = rise;
+    const auto all = maneuvers(Path(route));
+    EXPECT_EQ(all[0].kind, Instruction::STAIRS);
+    EXPECT_FALSE(all[0].to_level);
+    return maneuver_words({}, all[0], NextTurn::HOUR_12, 1, std::nullopt);
+  };
+  EXPECT_EQ(words(0), "Take the stairs.");
+  EXPECT_EQ(words(1), "Take the stairs up.");
+  EXPECT_EQ(words(-1), "Take the stairs down.");
+}
+
+TEST(Maneuvers, StepsOnOneLevelLeadUpOrDownAsTheirInclineSays) {
+  building::Osm osm;
+  osm.node(2, 0, 1).node(3, 20, 1).node(4, 24, 1).node(5, 44, 1);
+  osm.way(10, {2, 3}, "highway=footway level=0").way(11, {4, 5}, "highway=footway level=0");
+  osm.way(12, {3, 4}, "highway=steps level=0 incline=up");
+  osm.rectangle(20, 0, 10, 5, 15, "indoor=room level=0 name=A");
+  const LevelPlan plan = plan_of(osm.read());
+  const PathPoint low{{1, 1}, 0}, high{{43, 1}, 0};
+  const auto rise = [&](const PathPoint& from, const PathPoint& to) {
+    for (const Maneuver& one : maneuvers(Path(way(plan, from, to)))) {
+      if (one.kind == Instruction::STAIRS) return one.rise;
+    }
+    return 0;
+  };
+  EXPECT_EQ(rise(low, high), 1);
+  EXPECT_EQ(rise(high, low), -1);
 }
 
 TEST(Words, LiftsAndStairsNameTheLevel) {

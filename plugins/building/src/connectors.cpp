@@ -31,13 +31,18 @@ std::optional<double> end_level(Draft& draft, std::int64_t node, double low, dou
   return at_low ? low : high;
 }
 
+/// By `incline`: 1 up along the way, -1 down; 0: it does not say.
+int rise_of(const Tags& tags) {
+  const std::string& incline = tag(tags, "incline");
+  if (incline.empty()) return 0;
+  return incline == "down" || incline.starts_with('-') ? -1 : 1;
+}
+
 /// Which end is up: by the levels that meet the ends, else by `incline`, else by the order in the level tag.
 bool starts_low(Draft& draft, const OsmWay& way, const std::vector<double>& levels, double low, double high) {
   if (const auto start = end_level(draft, way.nodes.front(), low, high)) return *start == low;
   if (const auto end = end_level(draft, way.nodes.back(), low, high)) return *end == high;
-  const std::string& incline = tag(way.tags, "incline");
-  if (incline == "down" || incline.starts_with('-')) return false;
-  if (incline == "up" || !incline.empty()) return true;
+  if (const int rise = rise_of(way.tags)) return rise > 0;
   return levels.front() == low;
 }
 
@@ -149,6 +154,7 @@ void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
     Path path{element, {}, tag(way.tags, "highway") == "steps"};
     path.indoors = is_indoors(way.tags);
     path.access = access_level(draft, element, way.tags);
+    path.rise = rise_of(way.tags);
     for (Point p : *points) path.points.push_back({p, level});
     draft.plan.paths.push_back(std::move(path));
   }
@@ -174,6 +180,7 @@ void add_line_around(Draft& draft, std::int64_t id, const OsmWay& way) {
   if (from != to) return add_climb(draft, id, way, {from, to}, *points);
   Path path{{'w', id}, {}, tag(way.tags, "highway") == "steps", true, is_indoors(way.tags)};
   path.access = access_level(draft, path.id, way.tags);
+  path.rise = rise_of(way.tags);
   for (Point p : *points) path.points.push_back({p, from});
   draft.plan.paths.push_back(std::move(path));
 }

@@ -76,6 +76,7 @@ class GraphBuilder {
     bool one_way = false;
     bool indoors = true;
     int access = kOpen;
+    int rise = 0;
   };
 
   bool outdoors(const GraphNode& a, const GraphNode& b) const {
@@ -99,7 +100,7 @@ class GraphBuilder {
     // Steps that are drawn as a point still have to be climbed.
     const double cost = climbs ? std::max(length, rise_m) / kStairsPace_mps : length / kWalkPace_mps;
     const bool out = !way.indoors && outdoors(a, b);
-    graph_.edges.push_back({from, to, way.passage, length, cost, way.one_way, out, way.access});
+    graph_.edges.push_back({from, to, way.passage, length, cost, way.one_way, out, way.access, way.rise});
   }
 
   /// Convex corners of obstacles are where shortest ways bend.
@@ -255,7 +256,8 @@ class GraphBuilder {
 
   void add_path(const Path& path) {
     at_ = path.id;
-    const Way way{path.steps ? Passage::Stairs : Passage::Walk, false, path.indoors, path.access};
+    const Way way{path.steps ? Passage::Stairs : Passage::Walk, false, path.indoors, path.access,
+                  path.steps ? path.rise : 0};
     for (std::size_t i = 1; i < path.points.size(); ++i) {
       add_edge(node_at(path.points[i - 1]), node_at(path.points[i]), way);
     }

@@ -118,11 +118,15 @@ std::optional<Route> find_route(const Plan& plan, const Graph& graph, const Path
     const GraphNode& at = graph.nodes[node];
     const std::size_t index = found.edge[node];
     const bool first = index == kStart;
-    backwards.push_back({at.at, at.level, first ? Passage::Walk : graph.edges[index].passage,
-                         !first && graph.edges[index].outdoors, at.room});
-    if (index == kStart) break;
-    length += graph.edges[index].length_m;
-    node = graph.edges[index].from == node ? graph.edges[index].to : graph.edges[index].from;
+    if (first) {
+      backwards.push_back({at.at, at.level, Passage::Walk, false, at.room});
+      break;
+    }
+    const GraphEdge& edge = graph.edges[index];
+    backwards.push_back(
+        {at.at, at.level, edge.passage, edge.outdoors, at.room, edge.to == node ? edge.rise : -edge.rise});
+    length += edge.length_m;
+    node = edge.from == node ? edge.to : edge.from;
   }
   length += distance_m(from.at, backwards.back().at);
   Route route{{}, length, best_s};

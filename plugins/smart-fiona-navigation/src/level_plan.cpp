@@ -154,7 +154,8 @@ class Reader {
                            .cost_s = edge.cost(),
                            .one_way = edge.one_way(),
                            .outdoors = edge.outdoors(),
-                           .own_access = own_access(edge)});
+                           .own_access = own_access(edge),
+                           .rise = edge.rise()});
   }
 
   /// The map tells the highest of the element and the rooms at its ends. A room's part counts only on the way in: who
@@ -193,8 +194,8 @@ class Reader {
 
 std::optional<building::Reference> reference_of(const localisation::CommPosition& place) {
   if (!place.has_reference_lat() || !place.has_reference_long()) return std::nullopt;
-  return building::Reference{
-      place.reference_lat(), place.reference_long(), place.reference_heading() * std::numbers::pi / 180.0, true};
+  return building::Reference{place.reference_lat(), place.reference_long(),
+                             place.reference_heading() * std::numbers::pi / 180.0, true};
 }
 
 std::optional<double> LevelPlan::level_near(double level, double reach) const {

@@ -77,8 +77,11 @@ class RouteReader {
     while (end + 1 < points_.size() && points_[end + 1].passage == passage) ++end;
     Maneuver made{kind_of(passage, end), path_.at_m(at_), path_.at_m(end), {}, std::nullopt};
     for (std::size_t i = at_; i < end && made.out == Point{}; ++i) made.out = direction(i);
-    // Steps may begin and end on one level.
-    if (points_[at_].level != points_[end].level) made.to_level = points_[end].level;
+    if (points_[at_].level != points_[end].level) {
+      made.to_level = points_[end].level;
+    } else {
+      made.rise = points_[at_ + 1].rise;
+    }
     const bool is_flat = passage == Passage::Ramp && !made.to_level;
     if (passage == Passage::Door && turns_to(made)) found_.pop_back();
     if (!is_flat) found_.push_back(made);

@@ -52,6 +52,7 @@ struct Maneuver {
   double end_m = 0.0;     ///< where it has been done
   building::Point out{};  ///< the direction to take there; (0, 0): none
   std::optional<double> to_level{};
+  int rise = 0;  ///< of steps on one level: 1 up, -1 down; 0: not told
 };
 
 /// What there is to do, in order; the last one is to arrive. Turns by less than 40 degrees are the way's own, and those

@@ -341,17 +341,18 @@ class TaskGraph::Draft {
     return found;
   }
 
-  RoutePoint point_of(Index node, Passage passage, bool outdoors) const {
-    return {graph_.nodes[node].at, graph_.nodes[node].level, passage, outdoors, graph_.nodes[node].room};
+  RoutePoint point_of(Index node, Passage passage, bool outdoors, int rise = 0) const {
+    return {graph_.nodes[node].at, graph_.nodes[node].level, passage, outdoors, graph_.nodes[node].room, rise};
   }
 
   /// Along the edges from a node; the node itself is not in it.
   void follow(Task& task, Index node, const std::vector<Index>& edges) const {
     for (const Index index : edges) {
       const GraphEdge& edge = graph_.edges[index];
-      node = static_cast<Index>(edge.from == node ? edge.to : edge.from);
+      const bool forwards = edge.from == node;
+      node = static_cast<Index>(forwards ? edge.to : edge.from);
       task.length_m += edge.length_m;
-      task.points.push_back(point_of(node, edge.passage, edge.outdoors));
+      task.points.push_back(point_of(node, edge.passage, edge.outdoors, forwards ? edge.rise : -edge.rise));
     }
   }
 

@@ -48,7 +48,8 @@ namespace {
 std::string act_words(const building::Plan& plan, const Maneuver& maneuver, NextTurn::TypeOfTurn hour, double level) {
   const bool straight = hour == NextTurn::HOUR_12 || hour == NextTurn::TYPE_OF_TURN_UNSPECIFIED;
   const std::string to = maneuver.to_level ? " to " + level_words(plan, *maneuver.to_level) : "";
-  const std::string up = !maneuver.to_level ? "" : *maneuver.to_level > level ? " up" : " down";
+  const double rise = maneuver.to_level ? *maneuver.to_level - level : maneuver.rise;
+  const std::string up = rise > 0 ? " up" : rise < 0 ? " down" : "";
   const std::string aside = straight ? "" : "turn " + direction_words(hour) + " and ";
   switch (maneuver.kind) {
     case Instruction::TURN: return straight ? "go straight on" : "turn " + direction_words(hour);

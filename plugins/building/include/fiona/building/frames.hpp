@@ -5,8 +5,8 @@
 
 namespace fiona::building {
 
-/// How the places of one local frame lie in another: turned, then moved. Both are planes that touch the earth, which as far
-/// as a building reaches are the same one to within millimetres.
+/// How the places of one local frame lie in another: turned, then moved. Both are planes that touch the earth, which as
+/// far as a building reaches are the same one to within millimetres.
 struct Placement {
   Point by{};             ///< in metres
   double turn_rad = 0.0;  ///< counter-clockwise

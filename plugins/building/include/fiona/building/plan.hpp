@@ -107,6 +107,7 @@ struct Path {
   bool around = false;   ///< without a level tag: no part of the building
   bool indoors = false;  ///< by its tags; where they do not say, the outline and the rooms do
   int access = 0;
+  int rise = 0;  ///< of steps: 1 up along the points, -1 down; 0: not told
 };
 
 /// A node with tags of the platform's own (`fiona:...`): transmitters, markers.

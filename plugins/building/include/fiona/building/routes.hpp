@@ -33,6 +33,7 @@ struct GraphEdge {
   bool one_way = false;  ///< from `from` to `to` only
   bool outdoors = false;
   int own_access = 0;  ///< of the door, path, stairs or lift itself; a room has its own
+  int rise = 0;        ///< of steps on one level: 1 up from `from` to `to`, -1 down; 0: not told
 };
 
 /// Where one can walk. Inside a room, nodes that see each other are joined; rooms are joined by doors and by
@@ -59,6 +60,7 @@ struct RoutePoint {
   Passage passage = Passage::Walk;    ///< by which this point is reached from the one before
   bool outdoors = false;              ///< whether that was out of the building
   std::optional<std::size_t> room{};  ///< index into Plan::rooms
+  int rise = 0;                       ///< of steps on one level: 1 up to this point, -1 down; 0: not told
 };
 
 struct Route {
