@@ -72,8 +72,8 @@ std::string reason_of(const Result<T>& result) {
 }  // namespace
 
 /// Who is led by nobody is told so: what another guide has said, or this one before it was started anew, holds no more.
-void Navigation::on_mode(std::string_view) {
-  if (guide_) return;
+void Navigation::on_mode(std::string_view mode) {
+  if (mode == kModeNeutral || guide_) return;
   put_path(nullptr);
   instructions_.put(said_);
 }
