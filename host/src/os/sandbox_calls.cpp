@@ -4,6 +4,7 @@
 #include <seccomp.h>
 #include <sys/ioctl.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -22,7 +23,7 @@ constexpr const char* kForbidden[] = {
     // other processes
     "ptrace", "process_vm_readv", "process_vm_writev", "process_madvise", "process_mrelease", "kcmp", "pidfd_open",
     "pidfd_getfd", "pidfd_send_signal", "tkill", "rt_sigqueueinfo", "rt_tgsigqueueinfo", "migrate_pages", "move_pages",
-    "get_robust_list",
+    "get_robust_list", "sched_setattr",
     // programs and processes
     "execve", "execveat", "fork", "vfork", "setns", "unshare", "personality", "setsid", "setpgid",
     // file systems
@@ -83,15 +84,11 @@ void forbid_others(Filter& filter) {
   filter.forbid(SCMP_SYS(tgkill), {arg(0, SCMP_CMP_NE, self)});
   filter.forbid(SCMP_SYS(prlimit64), {arg(0, SCMP_CMP_NE, 0)});
   filter.forbid(SCMP_SYS(sched_setaffinity), {arg(0, SCMP_CMP_NE, 0)});
-  // ZeroMQ gives its threads, by their numbers, the policy that they have.
-  filter.forbid(SCMP_SYS(sched_setscheduler), {arg(0, SCMP_CMP_NE, 0), bits(1, 0xffffffff, SCHED_BATCH)});
-  filter.forbid(SCMP_SYS(sched_setscheduler), {arg(0, SCMP_CMP_NE, 0), bits(1, 0xffffffff, SCHED_IDLE)});
-  for (const std::uint64_t real_time : {SCHED_FIFO, SCHED_RR, 6 /* SCHED_DEADLINE */}) {
-    filter.forbid(SCMP_SYS(sched_setscheduler), {bits(1, 0xffffffff, real_time)});
-  }
   filter.forbid(SCMP_SYS(sched_setparam), {arg(0, SCMP_CMP_NE, 0)});
-  filter.forbid(SCMP_SYS(sched_setattr), {arg(0, SCMP_CMP_NE, 0)});
+  // 0 is the thread that asks, but the whole process group or user where `which` says so.
+  filter.forbid(SCMP_SYS(setpriority), {arg(0, SCMP_CMP_NE, PRIO_PROCESS)});
   filter.forbid(SCMP_SYS(setpriority), {arg(1, SCMP_CMP_NE, 0)});
+  filter.forbid(SCMP_SYS(ioprio_set), {arg(0, SCMP_CMP_NE, 1 /* IOPRIO_WHO_PROCESS */)});
   filter.forbid(SCMP_SYS(ioprio_set), {arg(1, SCMP_CMP_NE, 0)});
   for (const int owner : {F_SETOWN, F_SETOWN_EX}) {
     filter.forbid(SCMP_SYS(fcntl), {bits(1, 0xffffffff, static_cast<std::uint64_t>(owner))});
@@ -103,6 +100,21 @@ void forbid_others(Filter& filter) {
   filter.forbid(SCMP_SYS(prctl), {bits(0, 0xffffffff, PR_SET_DUMPABLE)});
 }
 
+/// A thread may put itself behind others (SCHED_BATCH, SCHED_IDLE), and not before them.
+void forbid_policies(Filter& filter) {
+  for (const std::uint64_t real_time : {SCHED_FIFO, SCHED_RR}) {
+    filter.forbid(SCMP_SYS(sched_setscheduler), {arg(0, SCMP_CMP_EQ, 0), arg(1, SCMP_CMP_EQ, real_time)});
+  }
+  // Later ones, and flags that come with any.
+  filter.forbid(SCMP_SYS(sched_setscheduler), {arg(0, SCMP_CMP_EQ, 0), arg(1, SCMP_CMP_GT, SCHED_IDLE)});
+  // ZeroMQ gives its threads, by their numbers, the policy that they have, and ends the process if it may not. That is
+  // done already; whether the number is a thread's of its own cannot be told here.
+  const auto own = static_cast<std::uint64_t>(::sched_getscheduler(0));
+  constexpr int kAsIfDone = 0;
+  filter.forbid(SCMP_SYS(sched_setscheduler), {arg(0, SCMP_CMP_NE, 0), arg(1, SCMP_CMP_EQ, own)}, kAsIfDone);
+  filter.forbid(SCMP_SYS(sched_setscheduler), {arg(0, SCMP_CMP_NE, 0), arg(1, SCMP_CMP_NE, own)});
+}
+
 /// Of the families of sockets: those of files, and by right those of the internet.
 void forbid_sockets(Filter& filter, bool network) {
   constexpr std::uint64_t kFamilies = 64;
@@ -111,6 +123,7 @@ void forbid_sockets(Filter& filter, bool network) {
     if (!allowed) filter.forbid(SCMP_SYS(socket), {bits(0, 0xffffffff, family)}, EAFNOSUPPORT);
   }
   filter.forbid(SCMP_SYS(socket), {arg(0, SCMP_CMP_GE, kFamilies)}, EAFNOSUPPORT);
+  filter.forbid(SCMP_SYS(socketpair), {arg(0, SCMP_CMP_NE, AF_UNIX)}, EAFNOSUPPORT);
 }
 
 }  // namespace
@@ -120,6 +133,7 @@ std::string filter_system_calls(const Reach& reach) {
   for (const char* call : kForbidden) filter.forbid(call);
   forbid_processes(filter);
   forbid_others(filter);
+  forbid_policies(filter);
   forbid_sockets(filter, reach.network);
   filter.load();
   return "threads only, " + std::to_string(std::size(kForbidden)) + " calls forbidden";

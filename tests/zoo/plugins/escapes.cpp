@@ -194,6 +194,23 @@ std::vector<Escape> others() {
           {"the host's environment variables", [] { return ::getenv("ZOO_SECRET") != nullptr; }}};
 }
 
+/// Whose turn it is, on a CPU and at the disk.
+std::vector<Escape> turns() {
+  constexpr int kOfUser = 3;  // IOPRIO_WHO_USER
+  constexpr int kNoSuchClass = 0xffff;
+  // Without parameters the kernel tells who may try that they are missing.
+  const auto policy = [](pid_t of, int wanted) { return ::syscall(SYS_sched_setscheduler, of, wanted, nullptr); };
+  return {{"the priority of its process group",
+           [] { return ::setpriority(PRIO_PGRP, 0, ::getpriority(PRIO_PGRP, 0)) == 0; }},
+          {"the priority of its user at the disk",
+           [] { return is_let_try(::syscall(SYS_ioprio_set, kOfUser, 0, kNoSuchClass)); }},
+          {"the host's policy", [policy] { return policy(kHost, SCHED_OTHER) != 0 && errno == EINVAL; }},
+          {"the host's policy and a flag",
+           [policy] { return is_let_try(policy(kHost, SCHED_IDLE | SCHED_RESET_ON_FORK)); }},
+          {"real time and a flag", [policy] { return is_let_try(policy(0, SCHED_FIFO | SCHED_RESET_ON_FORK)); }},
+          {"sched_setattr", [] { return is_let_try(::syscall(SYS_sched_setattr, 0, nullptr, 0)); }}};
+}
+
 std::vector<Escape> sockets() {
   return {{"inet", [] { return socket_of(AF_INET, SOCK_STREAM); }},
           {"inet datagrams", [] { return socket_of(AF_INET, SOCK_DGRAM); }},
@@ -201,6 +218,12 @@ std::vector<Escape> sockets() {
           {"netlink", [] { return socket_of(AF_NETLINK, SOCK_RAW); }},
           {"packets", [] { return socket_of(AF_PACKET, SOCK_RAW); }},
           {"vsock", [] { return socket_of(AF_VSOCK, SOCK_STREAM); }},
+          {"a pair of sockets of another family",
+           [] {
+             int ends[2];
+             return ::socketpair(AF_TIPC, SOCK_STREAM, 0, ends) == 0 ||
+                    (::socketpair(AF_INET, SOCK_STREAM, 0, ends) != 0 && errno != EAFNOSUPPORT);
+           }},
           {"a unix socket", [] { return connects(of_host(".sock"), false); }},
           {"an abstract socket", [] { return connects("fiona-zoo-" + std::to_string(kHost), true); }}};
 }
@@ -279,7 +302,7 @@ void zoo::act() {
   std::string found;
   std::size_t works = 0;
   std::size_t tried = 0;
-  for (const auto& part : {files(), others(), sockets(), programs(), kernel()}) {
+  for (const auto& part : {files(), others(), turns(), sockets(), programs(), kernel()}) {
     for (const Escape& escape : part) {
       ++tried;
       errno = 0;
