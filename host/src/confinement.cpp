@@ -56,7 +56,7 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
   }
   if (!package.share.empty()) confinement.add_readable(package.share);
   confinement.add_readable(links);
-  confinement.add_writable(own);
+  confinement.add_socket_folders(own);
   for (const std::string& right : openings(first)) {
     const std::string what = right.substr(right.find(':') + 1);
     if (right == "network") confinement.set_network(true);

@@ -175,6 +175,7 @@ void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& re
   fiona::os::Reach reach;
   reach.readable.assign(confinement.readable().begin(), confinement.readable().end());
   reach.writable.assign(confinement.writable().begin(), confinement.writable().end());
+  reach.socket_folders.assign(confinement.socket_folders().begin(), confinement.socket_folders().end());
   reach.devices.assign(confinement.devices().begin(), confinement.devices().end());
   reach.network = confinement.network();
   if (!confinement.buses().empty()) reach.readable.emplace_back(confinement.buses());

@@ -18,10 +18,11 @@ struct PrivateCopy {
 
 /// What a process may still reach once it is confined.
 struct Reach {
-  std::vector<std::filesystem::path> readable{};  ///< files and folders
-  std::vector<std::filesystem::path> writable{};  ///< folders
-  std::vector<std::filesystem::path> devices{};   ///< files, sockets included, that are opened to read and write
-  std::vector<PrivateCopy> copies{};              ///< in folders of their own, which have nothing else
+  std::vector<std::filesystem::path> readable{};        ///< files and folders
+  std::vector<std::filesystem::path> writable{};        ///< folders
+  std::vector<std::filesystem::path> socket_folders{};  ///< in which it makes sockets, and no files
+  std::vector<std::filesystem::path> devices{};         ///< files, sockets included, that are opened to read and write
+  std::vector<PrivateCopy> copies{};                    ///< in folders of their own, which have nothing else
   bool network = false;
 };
 
@@ -36,7 +37,7 @@ struct SandboxLayer {
 /// its reach, its own threads and what it has open; each layer that the kernel has. Which those are.
 ///
 /// - mounts: a file system of its own that holds the reach and the system's libraries, nothing else
-/// (mount_namespaces(7))
+/// (mount_namespaces(7)); where nothing is writable, no file longer than its own room (RLIMIT_FSIZE)
 /// - network: no interface but by right; no other process's abstract sockets (network_namespaces(7))
 /// - landlock: the same for files, TCP and signals, by another part of the kernel (landlock(7))
 /// - seccomp: no process, no program, no signal to others, no part of the kernel that no component needs (seccomp(2))

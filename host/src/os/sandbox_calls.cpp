@@ -3,6 +3,7 @@
 #include <sched.h>
 #include <seccomp.h>
 #include <sys/ioctl.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
@@ -35,6 +36,8 @@ constexpr const char* kForbidden[] = {
     "acct", "syslog", "iopl", "ioperm", "lookup_dcookie", "userfaultfd", "io_uring_setup", "io_uring_enter",
     "io_uring_register", "vhangup", "sethostname", "setdomainname", "settimeofday", "clock_settime", "clock_adjtime",
     "adjtimex", "memfd_secret",
+    // memory that lies there when the process has let go of it, and that no count of what it has tells
+    "memfd_create", "shmget", "semget", "msgget",
     // keys
     "add_key", "request_key", "keyctl"};
 
@@ -69,6 +72,12 @@ class Filter {
 scmp_arg_cmp arg(unsigned number, scmp_compare is, std::uint64_t value) { return {number, is, value, 0}; }
 scmp_arg_cmp bits(unsigned number, std::uint64_t mask, std::uint64_t value) {
   return {number, SCMP_CMP_MASKED_EQ, mask, value};
+}
+
+/// As the calls of the list make it; a file's own is mapped as ever.
+void forbid_shared_memory(Filter& filter) {
+  constexpr std::uint64_t kShared = MAP_SHARED | MAP_ANONYMOUS;
+  filter.forbid(SCMP_SYS(mmap), {bits(3, kShared, kShared)});
 }
 
 /// Threads, and nothing else; of clone3, whose flags are in memory, glibc does without.
@@ -131,6 +140,7 @@ void forbid_sockets(Filter& filter, bool network) {
 std::string filter_system_calls(const Reach& reach) {
   Filter filter;
   for (const char* call : kForbidden) filter.forbid(call);
+  forbid_shared_memory(filter);
   forbid_processes(filter);
   forbid_others(filter);
   forbid_policies(filter);

@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <linux/landlock.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
@@ -32,6 +33,9 @@ constexpr std::uint64_t kRead = LANDLOCK_ACCESS_FS_READ_FILE | LANDLOCK_ACCESS_F
 constexpr std::uint64_t kWrite = kRead | LANDLOCK_ACCESS_FS_WRITE_FILE | LANDLOCK_ACCESS_FS_REMOVE_FILE |
                                  LANDLOCK_ACCESS_FS_REMOVE_DIR | LANDLOCK_ACCESS_FS_MAKE_DIR |
                                  LANDLOCK_ACCESS_FS_MAKE_REG | LANDLOCK_ACCESS_FS_MAKE_SOCK | kTruncate;
+/// Its folder is on the disk of the user, who has no bound for files there.
+constexpr std::uint64_t kListen =
+    LANDLOCK_ACCESS_FS_READ_DIR | LANDLOCK_ACCESS_FS_MAKE_SOCK | LANDLOCK_ACCESS_FS_REMOVE_FILE;
 constexpr std::uint64_t kDevice = LANDLOCK_ACCESS_FS_READ_FILE | LANDLOCK_ACCESS_FS_WRITE_FILE | kIoctl;
 /// What a rule for a file, and not for a folder, may name.
 constexpr std::uint64_t kOfFiles =
@@ -65,14 +69,18 @@ std::string restrict_by_landlock(const Reach& reach) {
   const std::size_t size = abi >= 6 ? sizeof rules : abi >= 4 ? 2 * sizeof(std::uint64_t) : sizeof(std::uint64_t);
   const Descriptor ruleset(static_cast<int>(::syscall(SYS_landlock_create_ruleset, &rules, size, 0)));
   require_ruled(static_cast<bool>(ruleset), "landlock");
-  for (const char* path : {"/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime", "/dev/random",
-                           "/dev/urandom", "/dev/zero", "/dev/full"}) {
+  for (const char* path :
+       {"/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime", "/dev/random", "/dev/urandom", "/dev/full"}) {
     allow(ruleset, path, kRead & rules.files);
   }
   allow(ruleset, "/dev/null", kDevice & rules.files);
-  allow(ruleset, "/tmp", kWrite & rules.files);
+  // Where the reach has parts below it, it has none of its own, and what is not granted there stays so.
+  struct statvfs temporary {};
+  const bool is_its_own = ::statvfs("/tmp", &temporary) == 0 && (temporary.f_flag & ST_RDONLY) == 0;
+  if (is_its_own) allow(ruleset, "/tmp", kWrite & rules.files);
   for (const auto& path : reach.readable) allow(ruleset, path, kRead & rules.files);
   for (const auto& path : reach.writable) allow(ruleset, path, kWrite & rules.files);
+  for (const auto& path : reach.socket_folders) allow(ruleset, path, kListen & rules.files);
   for (const auto& path : reach.devices) allow(ruleset, path, kDevice & rules.files);
   require_ruled(::syscall(SYS_landlock_restrict_self, ruleset.get(), 0) == 0, "landlock");
   return "ABI " + std::to_string(abi);

@@ -1,7 +1,9 @@
 // A file system of its own: what is in reach, and the system's libraries.
 #include <fcntl.h>
 #include <sched.h>
+#include <signal.h>
 #include <sys/mount.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <sys/syscall.h>
@@ -23,13 +25,14 @@ namespace fs = std::filesystem;
 
 /// Any directory that every system has: the new root is mounted over it, and then becomes the root.
 constexpr const char* kNewRoot = "/tmp";
-constexpr const char* kTemporarySize = "size=16m,mode=0700";
+constexpr std::uint64_t kTemporaryBytes = 16U << 20U;
 
 /// What the loader and the C library read.
 constexpr const char* kSystemFiles[] = {"/usr/lib", "/usr/lib64", "/usr/share/zoneinfo", "/etc/ld.so.cache",
                                         "/etc/localtime"};
 constexpr const char* kSystemLinks[] = {"/lib", "/lib64"};  // to folders below /usr; where they are folders: those
-constexpr const char* kSystemDevices[] = {"/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom"};
+/// Not zero, of which mappings are memory that is not counted when they are gone.
+constexpr const char* kSystemDevices[] = {"/dev/null", "/dev/full", "/dev/random", "/dev/urandom"};
 
 void require_mounted(bool holds, const std::string& what) {
   if (!holds) throw std::system_error(errno, std::generic_category(), what);
@@ -56,6 +59,7 @@ std::vector<Part> parts_of(const Reach& reach) {
   for (const char* device : kSystemDevices) add(parts, device, 0);
   for (const auto& path : reach.readable) add(parts, path, MS_RDONLY | MS_NODEV);
   for (const auto& path : reach.writable) add(parts, path, MS_NODEV | MS_NOEXEC);
+  for (const auto& path : reach.socket_folders) add(parts, path, MS_NODEV | MS_NOEXEC);
   for (const auto& path : reach.devices) add(parts, path, 0);
   // What lies in another comes after it.
   std::stable_sort(parts.begin(), parts.end(),
@@ -126,6 +130,14 @@ void put_copies(const std::vector<PrivateCopy>& copies) {
   }
 }
 
+/// Who was granted no folder needs no more than the temporary one has. A write beyond fails, and does not end the
+/// process.
+void limit_files() {
+  const rlimit most{kTemporaryBytes, kTemporaryBytes};
+  require_mounted(::setrlimit(RLIMIT_FSIZE, &most) == 0, "a limit for files");
+  ::signal(SIGXFSZ, SIG_IGN);
+}
+
 }  // namespace
 
 std::string enter_namespaces(const Reach& reach) {
@@ -144,8 +156,9 @@ std::string enter_namespaces(const Reach& reach) {
   const bool is_used =
       std::any_of(parts.begin(), parts.end(), [](const Part& part) { return part.path.native().starts_with("/tmp/"); });
   if (!is_used) {
-    require_mounted(::mount("fiona", temporary.c_str(), "tmpfs", MS_NOSUID | MS_NODEV | MS_NOEXEC, kTemporarySize) == 0,
-                    "/tmp");
+    const std::string options = "mode=0700,size=" + std::to_string(kTemporaryBytes);
+    require_mounted(
+        ::mount("fiona", temporary.c_str(), "tmpfs", MS_NOSUID | MS_NODEV | MS_NOEXEC, options.c_str()) == 0, "/tmp");
   }
   require_mounted(::chdir(kNewRoot) == 0, kNewRoot);
   require_mounted(::syscall(SYS_pivot_root, ".", ".") == 0, "pivot_root");
@@ -153,6 +166,7 @@ std::string enter_namespaces(const Reach& reach) {
   require_mounted(::mount(nullptr, "/", nullptr, MS_BIND | MS_REMOUNT | MS_RDONLY | MS_NOSUID | MS_NODEV, nullptr) == 0,
                   "a root that is only read");
   require_mounted(::chdir("/") == 0, "/");
+  if (reach.writable.empty()) limit_files();
   return made_of;
 }
 

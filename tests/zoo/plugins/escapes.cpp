@@ -10,12 +10,16 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
+#include <sys/ipc.h>
 #include <sys/mman.h>
 #include <sys/mount.h>
+#include <sys/msg.h>
 #include <sys/prctl.h>
 #include <sys/ptrace.h>
 #include <sys/reboot.h>
 #include <sys/resource.h>
+#include <sys/sem.h>
+#include <sys/shm.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/swap.h>
@@ -211,6 +215,52 @@ std::vector<Escape> turns() {
           {"sched_setattr", [] { return is_let_try(::syscall(SYS_sched_setattr, 0, nullptr, 0)); }}};
 }
 
+/// What it has bound a socket in, as all processes of a system have; empty: none.
+std::string link_folder() {
+  for (int descriptor = 3; descriptor < 64; ++descriptor) {
+    sockaddr_un address{};
+    socklen_t length = sizeof address;
+    if (::getsockname(descriptor, reinterpret_cast<sockaddr*>(&address), &length) != 0) continue;
+    const std::string path = address.sun_path;
+    if (address.sun_family == AF_UNIX && path.ends_with("/link")) return path.substr(0, path.rfind('/'));
+  }
+  return {};
+}
+
+bool makes_folder(const std::string& path) {
+  const bool made = ::mkdir(path.c_str(), 0700) == 0;
+  if (made) ::rmdir(path.c_str());
+  return made;
+}
+
+bool shares(int object, int (*end)(int)) {
+  if (object >= 0) end(object);
+  return object >= 0;
+}
+
+/// Memory, and room on the disk, that no count of what it has tells.
+std::vector<Escape> hoards() {
+  return {
+      {"a file in memory", [] { return shares(::memfd_create("zoo", MFD_CLOEXEC), &::close); }},
+      {"shared memory",
+       [] {
+         return shares(::shmget(IPC_PRIVATE, 4096, 0600), [](int made) { return ::shmctl(made, IPC_RMID, nullptr); });
+       }},
+      {"semaphores",
+       [] { return shares(::semget(IPC_PRIVATE, 1, 0600), [](int made) { return ::semctl(made, 0, IPC_RMID); }); }},
+      {"a queue of messages",
+       [] { return shares(::msgget(IPC_PRIVATE, 0600), [](int made) { return ::msgctl(made, IPC_RMID, nullptr); }); }},
+      {"memory to share",
+       [] {
+         void* const made = ::mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+         if (made != MAP_FAILED) ::munmap(made, 4096);
+         return made != MAP_FAILED;
+       }},
+      {"memory to share, by a device", [] { return opens("/dev/zero"); }},
+      {"a file where it listens", [] { return creates(link_folder() + "/made-by-zoo"); }},
+      {"a folder where it listens", [] { return makes_folder(link_folder() + "/made-by-zoo"); }}};
+}
+
 std::vector<Escape> sockets() {
   return {{"inet", [] { return socket_of(AF_INET, SOCK_STREAM); }},
           {"inet datagrams", [] { return socket_of(AF_INET, SOCK_DGRAM); }},
@@ -302,7 +352,7 @@ void zoo::act() {
   std::string found;
   std::size_t works = 0;
   std::size_t tried = 0;
-  for (const auto& part : {files(), others(), turns(), sockets(), programs(), kernel()}) {
+  for (const auto& part : {files(), others(), turns(), hoards(), sockets(), programs(), kernel()}) {
     for (const Escape& escape : part) {
       ++tried;
       errno = 0;
