@@ -4,6 +4,13 @@
 #include <gtest/gtest.h>
 
 #include <fcntl.h>
+#include <sched.h>
+#include <sys/mount.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <sys/sysmacros.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -70,6 +77,69 @@ TEST(Sandbox, MakesLongFilesWhereItIsGrantedAFolder) {
   const tests::TemporaryDirectory granted;
   const auto long_file = [&granted] { return makes_long_file(granted.path / "long"); };
   EXPECT_EQ(told_by_confined({.writable = {granted.path}}, long_file), "done");
+}
+
+/// Who is root owns the machine's own nodes, and may change their rights where they can be written to as files.
+TEST(Sandbox, WritesToADeviceAndDoesNotChangeItsNode) {
+  const tests::TemporaryDirectory place;
+  const auto node = place.path / "null";
+  if (::mknod(node.c_str(), S_IFCHR | 0600, makedev(1, 3)) != 0) GTEST_SKIP() << "no device node can be made here";
+  const auto change = [&node] {
+    const Descriptor device(::open(node.c_str(), O_WRONLY | O_CLOEXEC));
+    std::string said = outcome_of(::write(device.get(), "x", 1));
+    said += "; " + outcome_of(::chmod(node.c_str(), 0));
+    return said + "; " + outcome_of(::utimensat(AT_FDCWD, node.c_str(), nullptr, 0));
+  };
+  EXPECT_EQ(told_by_confined({.devices = {node}}, change), "done; Read-only file system; Read-only file system");
+}
+
+TEST(Sandbox, OnlyReadsTheNodesOfTheSystemsDevices) {
+  const auto look = [] {
+    std::string written;
+    for (const std::string node : {"/dev/null", "/dev/full", "/dev/random", "/dev/urandom"}) {
+      struct statvfs there {};
+      if (::statvfs(node.c_str(), &there) != 0 || (there.f_flag & ST_RDONLY) == 0) written += node + " ";
+    }
+    return written;
+  };
+  EXPECT_EQ(told_by_confined({}, look), "");
+}
+
+TEST(Sandbox, ConnectsToASocketThatItIsGranted) {
+  const tests::TemporaryDirectory place;
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  (place.path / "socket").string().copy(address.sun_path, sizeof address.sun_path - 1);
+  const Descriptor listener(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  ASSERT_EQ(::bind(listener.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  ASSERT_EQ(::listen(listener.get(), 1), 0);
+  const auto connect = [&address] {
+    const Descriptor client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    return outcome_of(::connect(client.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address));
+  };
+  EXPECT_EQ(told_by_confined({.devices = {address.sun_path}}, connect), "done");
+}
+
+/// The mounts alone: where there is no Landlock they are all that keeps it from writing.
+TEST(Sandbox, OnlyReadsWhatIsMountedBelowAFolderThatItReads) {
+  if (::geteuid() != 0) GTEST_SKIP() << "only root mounts";
+  const tests::TemporaryDirectory place;
+  const auto below = place.path / "below";
+  std::filesystem::create_directory(below);
+  const auto write_below = [&]() -> std::string {
+    if (::unshare(CLONE_NEWNS) != 0 || ::mount(nullptr, "/", nullptr, MS_REC | MS_PRIVATE, nullptr) != 0 ||
+        ::mount("test", below.c_str(), "tmpfs", 0, nullptr) != 0) {
+      return "no mount";
+    }
+    const auto file = below / "file";
+    const Descriptor made(::open(file.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600));
+    detail::enter_namespaces({.readable = {place.path}});
+    const Descriptor read(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
+    const std::string said = outcome_of(read.get());
+    const Descriptor written(::open(file.c_str(), O_WRONLY | O_CLOEXEC));
+    return said + "; " + outcome_of(written.get());
+  };
+  EXPECT_EQ(told_by_child(write_below), "done; Read-only file system");
 }
 
 }  // namespace

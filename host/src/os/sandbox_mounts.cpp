@@ -56,11 +56,12 @@ std::vector<Part> parts_of(const Reach& reach) {
   for (const char* link : kSystemLinks) {
     if (!fs::is_symlink(link)) add(parts, link, MS_RDONLY | MS_NODEV);
   }
-  for (const char* device : kSystemDevices) add(parts, device, 0);
+  // The device is written to all the same, and nobody changes its node's rights, which are everybody's.
+  for (const char* device : kSystemDevices) add(parts, device, MS_RDONLY);
   for (const auto& path : reach.readable) add(parts, path, MS_RDONLY | MS_NODEV);
   for (const auto& path : reach.writable) add(parts, path, MS_NODEV | MS_NOEXEC);
   for (const auto& path : reach.socket_folders) add(parts, path, MS_NODEV | MS_NOEXEC);
-  for (const auto& path : reach.devices) add(parts, path, 0);
+  for (const auto& path : reach.devices) add(parts, path, MS_RDONLY);
   // What lies in another comes after it.
   std::stable_sort(parts.begin(), parts.end(),
                    [](const Part& a, const Part& b) { return a.path.native().size() < b.path.native().size(); });
@@ -99,6 +100,24 @@ unsigned long flags_at(const std::string& target, unsigned long wanted) {
   return flags;
 }
 
+/// mount_setattr(2), of Linux 5.12.
+bool sets_flags_of_all_below() { return ::mount_setattr(-1, "", 0, nullptr, 0) != 0 && errno != ENOSYS; }
+
+/// With what is mounted below it, and has the same flags then. Older kernels change the flags of one mount at a time:
+/// there it comes without, which they refuse to a normal user who would see what was hidden.
+void mount_part(const std::string& source, const std::string& target, unsigned long flags) {
+  const bool all = sets_flags_of_all_below();
+  require_mounted(::mount(source.c_str(), target.c_str(), nullptr, MS_BIND | (all ? MS_REC : 0), nullptr) == 0, target);
+  if (!all) {
+    const unsigned long changed = MS_BIND | MS_REMOUNT | flags_at(target, flags);
+    return require_mounted(::mount(nullptr, target.c_str(), nullptr, changed, nullptr) == 0, target);
+  }
+  mount_attr attributes{};
+  attributes.attr_set = MOUNT_ATTR_NOSUID | (flags & MS_RDONLY ? MOUNT_ATTR_RDONLY : 0) |
+                        (flags & MS_NODEV ? MOUNT_ATTR_NODEV : 0) | (flags & MS_NOEXEC ? MOUNT_ATTR_NOEXEC : 0);
+  require_mounted(::mount_setattr(AT_FDCWD, target.c_str(), AT_RECURSIVE, &attributes, sizeof attributes) == 0, target);
+}
+
 void bind(const Part& part) {
   const std::string source = "/proc/self/fd/" + std::to_string(part.descriptor.get());
   const fs::path target = fs::path(kNewRoot) / part.path.relative_path();
@@ -106,10 +125,7 @@ void bind(const Part& part) {
   require_mounted(::fstat(part.descriptor.get(), &kind) == 0, part.path);
   fs::create_directories(S_ISDIR(kind.st_mode) ? target : target.parent_path());
   if (!S_ISDIR(kind.st_mode) && !fs::exists(target)) require_mounted(static_cast<bool>(std::ofstream(target)), target);
-  require_mounted(::mount(source.c_str(), target.c_str(), nullptr, MS_BIND | MS_REC, nullptr) == 0, part.path);
-  require_mounted(
-      ::mount(nullptr, target.c_str(), nullptr, MS_BIND | MS_REMOUNT | flags_at(target, part.flags), nullptr) == 0,
-      part.path);
+  mount_part(source, target, part.flags);
 }
 
 /// Folders with nothing but the copies, over what may be there.
