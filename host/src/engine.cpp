@@ -319,9 +319,10 @@ void Engine::finish(const TransactionPtr& transaction) {
   using Entry = control::JournalEntry;
   if (transaction->entry != 0) {
     const std::string reason = transaction->failure ? transaction->failure->what() : transaction->reason;
+    const bool is_half_made = current_ && current_ != transaction;  // what is aside has made nothing until it ends
     try {
       journal_.end(transaction->entry, transaction->failure ? Entry::ROLLED_BACK : Entry::DONE, reason,
-                   system_.model());
+                   is_half_made ? nullptr : &system_.model());
     } catch (const Error& error) {
       transaction->done.add_warnings(error.text().what + ": after a restart of the host this has not happened");
     }

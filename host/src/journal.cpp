@@ -94,8 +94,9 @@ Journal::Journal(std::filesystem::path file, std::optional<Told> before) : file_
     }
     records += record_of(entry);
     entries_.push_back(std::move(entry));
-    if (entries_.size() > kMaxEntries) entries_.pop_front();
   }
+  std::ranges::sort(entries_, {}, &control::JournalEntry::number);
+  while (entries_.size() > kMaxEntries) entries_.pop_front();
   if (file_.empty()) return;
   const bool whole = before && before->damaged == 0 && !before->older;
   replace(records, !before ? ".old" : whole ? nullptr : ".damaged");
@@ -145,6 +146,12 @@ void Journal::sync_until_closed() {
 void Journal::write(const control::JournalEntry& entry) {
   if (file_.empty()) return;
   const std::string record = record_of(entry);
+  if (record.size() > kHeadBytes + kMaxRecord) {
+    throw Error(ErrorCode::NotAllowed, {.what = "the change is too large for the journal",
+                                        .expected = fmt::format("{} bytes, with what takes it back", kMaxRecord),
+                                        .found = fmt::format("{} bytes", record.size() - kHeadBytes),
+                                        .next = "make it in parts"});
+  }
   try {
     write_all(descriptor_.get(), record, file_);
   } catch (...) {
@@ -167,7 +174,12 @@ std::uint64_t Journal::begin(control::JournalEntry entry) {
   entry.set_state(control::JournalEntry::UNDER_WAY);
   write(entry);
   entries_.push_back(std::move(entry));
-  if (entries_.size() > kMaxEntries) entries_.pop_front();
+  if (entries_.size() > kMaxEntries) {
+    // Not one that is under way: its end would not be told.
+    const auto oldest =
+        std::ranges::find_if(entries_, [](const auto& one) { return one.state() != control::JournalEntry::UNDER_WAY; });
+    if (oldest != entries_.end()) entries_.erase(oldest);
+  }
   return next_number_++;
 }
 
@@ -178,7 +190,7 @@ control::JournalEntry* Journal::find(std::uint64_t number) {
 }
 
 void Journal::end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason,
-                  const Model& now) {
+                  const Model* whole) {
   control::JournalEntry* entry = find(number);
   if (!entry) return;
   entry->set_state(state);
@@ -187,7 +199,7 @@ void Journal::end(std::uint64_t number, control::JournalEntry::State state, cons
     undone->set_state(control::JournalEntry::UNDONE);
   }
   write(*entry);
-  if (written_bytes_ > kFoldBytes) fold(now);
+  if (whole && written_bytes_ > kFoldBytes) fold(*whole);
 }
 
 const control::JournalEntry* Journal::last_done() const {
@@ -198,13 +210,18 @@ const control::JournalEntry* Journal::last_done() const {
 }
 
 /// What is folded is set aside: it ends with the same system, for when this one is damaged.
-void Journal::fold(const Model& now) {
-  control::JournalEntry whole;
-  whole.set_number(next_number_++);
-  whole.set_state(control::JournalEntry::DONE);
-  whole.set_time_ms(now_ms());
-  for (auto& step : Model::difference(Model(), now)) *whole.add_steps() = std::move(step);
-  replace(record_of({}) + record_of(whole), ".old");
+void Journal::fold(const Model& whole) {
+  control::JournalEntry all;
+  all.set_number(next_number_++);
+  all.set_state(control::JournalEntry::DONE);
+  all.set_time_ms(now_ms());
+  for (auto& step : Model::difference(Model(), whole)) *all.add_steps() = std::move(step);
+  std::string records = record_of({}) + record_of(all);
+  if (all.ByteSizeLong() > kMaxRecord) return;  // it would not be read
+  for (const auto& entry : entries_) {
+    if (entry.state() == control::JournalEntry::UNDER_WAY) records += record_of(entry);
+  }
+  replace(records, ".old");
 }
 
 Journal::Told Journal::read(const std::filesystem::path& file) {
@@ -227,7 +244,8 @@ Journal::Told Journal::read(const std::filesystem::path& file) {
 
 Journal::Told Journal::told_by(std::string_view text) {
   Told told;
-  std::map<std::uint64_t, control::JournalEntry> entries;
+  std::vector<control::JournalEntry> records;
+  std::map<std::uint64_t, std::size_t> last;  // of each number
   while (told.bytes + kHeadBytes <= text.size()) {
     const std::size_t size = number_at(text, told.bytes);
     if (size > kMaxRecord || size > text.size() - told.bytes - kHeadBytes) break;
@@ -236,18 +254,23 @@ Journal::Told Journal::told_by(std::string_view text) {
     if (checksum(body) != number_at(text, told.bytes + 4) || !entry.ParseFromArray(body.data(), static_cast<int>(size)))
       break;
     told.last_ms = std::max(told.last_ms, entry.time_ms());
-    entries[entry.number()] = std::move(entry);
+    last[entry.number()] = records.size();
+    records.push_back(std::move(entry));
     told.bytes += kHeadBytes + size;
   }
   told.damaged = text.size() - told.bytes;
   using Entry = control::JournalEntry;
-  for (auto& [number, entry] : entries) {
+  for (std::size_t at = 0; at < records.size(); ++at) {
+    Entry& entry = records[at];
+    if (last[entry.number()] != at) continue;
     const bool happened = entry.state() == Entry::DONE || entry.state() == Entry::UNDONE;
     if (happened) told.changes.insert(told.changes.end(), entry.steps().begin(), entry.steps().end());
-    if (const auto undone = entries.find(entry.undoes()); happened && entry.undoes() != 0 && undone != entries.end())
-      undone->second.set_state(Entry::UNDONE);
+    if (const auto undone = last.find(entry.undoes()); happened && entry.undoes() != 0 && undone != last.end())
+      records[undone->second].set_state(Entry::UNDONE);
   }
-  for (auto& [number, entry] : entries) told.entries.push_back(std::move(entry));
+  for (std::size_t at = 0; at < records.size(); ++at) {
+    if (last[records[at].number()] == at) told.entries.push_back(std::move(records[at]));
+  }
   return told;
 }
 

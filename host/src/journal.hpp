@@ -30,7 +30,7 @@ class Journal {
 
   /// What a journal tells.
   struct Told {
-    std::vector<control::JournalEntry> entries{};  ///< by number, each as it was written last
+    std::vector<control::JournalEntry> entries{};  ///< each as it was written last, in the order of these records
     std::vector<control::Change> changes{};        ///< give the system back; what was under way counts as not begun
     std::size_t bytes = 0;                         ///< of whole records
     std::size_t damaged = 0;                       ///< behind them, which cannot be read
@@ -46,11 +46,12 @@ class Journal {
   Journal(const Journal&) = delete;
   Journal& operator=(const Journal&) = delete;
 
-  /// Numbers the entry and writes it as under way. Throws Error Failed when it cannot be written: then nothing is
-  /// begun.
+  /// Numbers the entry and writes it as under way. Throws Error: Failed when it cannot be written, NotAllowed when it
+  /// would be too large to be read again. Then nothing is begun.
   std::uint64_t begin(control::JournalEntry entry);
-  /// Writes how the entry of this number ended. `now` is the system as it is meant to be from here on.
-  void end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model& now);
+  /// Writes how the entry of this number ended. `whole`: the system as it is meant to be from here on, which takes the
+  /// place of a file that has grown; null: it has in it what another entry has made so far.
+  void end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model* whole);
   /// What `undo` takes back: the newest that is done, changed something and has not been taken back.
   const control::JournalEntry* last_done() const;
   const std::deque<control::JournalEntry>& entries() const { return entries_; }
@@ -66,7 +67,7 @@ class Journal {
   control::JournalEntry* find(std::uint64_t number);
   void write(const control::JournalEntry& entry);
   void replace(const std::string& records, const char* set_aside);
-  void fold(const Model& now);
+  void fold(const Model& whole);
   void sync_until_closed();
 
   const std::filesystem::path file_;

@@ -62,6 +62,12 @@ control::Change set(const std::string& name, const std::string& parameter, std::
   return change;
 }
 
+control::Change set_text(const std::string& name, const std::string& parameter, std::string value) {
+  control::Change change = set(name, parameter, 0);
+  change.mutable_set()->mutable_parameters(0)->mutable_value()->set_text(std::move(value));
+  return change;
+}
+
 control::Change state(const std::string& name, const std::string& mode) {
   control::Change change;
   change.mutable_state()->set_instance(name);
@@ -123,6 +129,37 @@ class Transactions : public testing::TestWithParam<conformance::Transport> {
   void make(const std::vector<control::Change>& changes) {
     const auto reply = transact(changes);
     ASSERT_TRUE(reply.has_done()) << reply.failure().what();
+  }
+  /// Begins what is answered later.
+  std::shared_ptr<std::optional<control::Reply>> begin(const std::vector<control::Change>& changes) {
+    auto answered = std::make_shared<std::optional<control::Reply>>();
+    control::Transact request;
+    request.mutable_changes()->Add(changes.begin(), changes.end());
+    engine.transact("test", request, [answered](const control::Reply& reply) { *answered = reply; });
+    return answered;
+  }
+  void eventually(const std::string& what, const std::function<bool()>& holds) {
+    system.eventually(what, [&] {
+      for (const auto& job : work.take()) job();
+      return holds();
+    });
+  }
+  void await_done(const std::shared_ptr<std::optional<control::Reply>>& answered) {
+    eventually("the answer", [&] { return answered->has_value(); });
+    EXPECT_TRUE((*answered)->has_done()) << (*answered)->failure().what();
+  }
+  /// A component that comes to rest when it is let.
+  void load_stubborn(const std::string& name) {
+    make({load("toiler", name, group())});
+    system.set(name, "stubborn=true");
+  }
+  void let_rest(const std::string& name) { system.set(name, "stubborn=false"); }
+  /// What a host that is started after this one was killed would begin with.
+  Model restored() {
+    Model model;
+    for (const auto& change : Journal::read(directory.path / "journal").changes)
+      model.make(change, system.system().packages());
+    return model;
   }
   /// The steps that would make the running system out of nothing: what it is.
   std::vector<std::string> whole() { return texts(Model::difference(Model(), system.system().model())); }
@@ -369,6 +406,59 @@ TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
 }
 
+constexpr std::size_t kLargeValue = 1'300'000;  ///< four in a journal, and it is folded
+
+TEST_P(Transactions, JournalThatIsFoldedHasNothingOfAChangeThatIsHalfMade) {
+  for (const std::string name : {"aside", "last"}) load_stubborn(name);
+  make({load("gauge", "gauge"), set_text("gauge", "word", std::string(kLargeValue, 'a'))});
+  const auto aside = begin({state("aside", "rest")});
+  const auto half = begin({load("source", "half", group()), set_text("gauge", "word", std::string(kLargeValue, 'b')),
+                           state("last", "rest")});
+  eventually("half of it is made", [&] {
+    const auto* last = system.system().model().find("half");
+    return last != nullptr && system.instance("last").has_pending();
+  });
+  let_rest("aside");
+  await_done(aside);
+  const Model before = restored();
+  EXPECT_EQ(before.find("half"), nullptr);
+  EXPECT_EQ(before.instance("aside").mode, "rest");
+  EXPECT_NE(before.instance("last").mode, "rest");
+  EXPECT_EQ(before.instance("gauge").parameters->ShortDebugString().substr(0, 8), "word: \"a");
+  let_rest("last");
+  await_done(half);
+  EXPECT_LT(std::filesystem::file_size(directory.path / "journal"), 2 * kLargeValue) << "it is folded then";
+  const Model after = restored();
+  EXPECT_NE(after.find("half"), nullptr);
+  EXPECT_EQ(after.instance("last").mode, "rest");
+  EXPECT_EQ(after.instance("gauge").parameters->ShortDebugString().substr(0, 8), "word: \"b");
+}
+
+TEST_P(Transactions, JournalTellsChangesInTheOrderInWhichTheyWereDone) {
+  load_stubborn("aside");
+  make({load("gauge", "gauge")});
+  const auto aside = begin({state("aside", "rest")});
+  for (const char value : {'a', 'b', 'c'}) make({set_text("gauge", "word", std::string(kLargeValue, value))});
+  EXPECT_LT(std::filesystem::file_size(directory.path / "journal"), 6 * kLargeValue) << "it is folded";
+  let_rest("aside");
+  await_done(aside);
+  EXPECT_EQ(restored().instance("aside").mode, "rest");
+  const auto file = directory.path / "journal";
+  const Journal next(file, Journal::read(file));
+  EXPECT_EQ(restored().instance("aside").mode, "rest") << "for the host after the next, too";
+}
+
+TEST_P(Transactions, WhatTheJournalCouldNotTellIsNotBegun) {
+  constexpr std::size_t kHalf = 9'000'000;
+  make({load("gauge", "gauge"), set_text("gauge", "word", std::string(kHalf, 'a'))});
+  const auto reply = transact({set_text("gauge", "word", std::string(kHalf, 'b'))});
+  EXPECT_EQ(reply.failure().what(), "the change is too large for the journal");
+  EXPECT_EQ(reply.failure().expected(), "16777216 bytes, with what takes it back");
+  EXPECT_EQ(restored().instance("gauge").parameters->ShortDebugString().substr(0, 8), "word: \"a");
+  make({load("source", "source")});
+  EXPECT_NE(restored().find("source"), nullptr);
+}
+
 TEST_P(Transactions, JournalThatWasCutOrDamagedAtAnyByteGivesAStateThatWasOnceTrueOrIsRefused) {
   make({load("source", "source")});
   make({load("source", "spare")});
@@ -448,6 +538,23 @@ TEST_P(Transactions, JournalThatWasDamagedIsKeptBesideTheOneThatGoesOn) {
 INSTANTIATE_TEST_SUITE_P(Over, Transactions,
                          testing::Values(conformance::Transport::Process, conformance::Transport::Ipc),
                          [](const auto& tested) { return to_string(tested.param); });
+
+TEST(Engine, AChangeThatEndsAfterManyOthersIsInTheJournal) {
+  const TemporaryDirectory directory;
+  const auto file = directory.path / "journal";
+  Journal journal(file);
+  const auto begin = [&journal](const control::Change& step) {
+    control::JournalEntry entry;
+    *entry.add_steps() = step;
+    return journal.begin(std::move(entry));
+  };
+  const auto slow = begin(state("source", "rest"));
+  for (std::size_t i = 0; i <= Journal::kMaxEntries; ++i)
+    journal.end(begin(set("source", "payload", 1)), control::JournalEntry::DONE, "", nullptr);
+  journal.end(slow, control::JournalEntry::DONE, "", nullptr);
+  EXPECT_EQ(journal.entries().size(), Journal::kMaxEntries);
+  EXPECT_EQ(text(Journal::read(file).changes.back()), "state source rest");
+}
 
 TEST(Engine, ChangesThatWaitAreBounded) {
   TemporaryDirectory directory;
