@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <tuple>
 
 #include "fiona/error.hpp"
 #include "fiona/time.hpp"
@@ -176,7 +177,13 @@ void RemoteConsoles::begin(const std::string& id, const control::ConsoleHello& h
     console.rights = {};
   }
   if (!console.rights.is_remote()) return refuse(id, "its key is no longer in the list of consoles that may connect");
-  auto [ours, theirs] = os::socket_pair();
+  os::Descriptor ours, theirs;
+  try {
+    std::tie(ours, theirs) = os::socket_pair();
+  } catch (const Error& error) {
+    ++turned_away_;
+    return refuse(id, "host '" + name_ + "' cannot serve one more: " + error.text().what + ": " + error.text().found);
+  }
   ::fcntl(ours.get(), F_SETFL, ::fcntl(ours.get(), F_GETFL) | O_NONBLOCK);
   console.socket = std::move(ours);
   console.status.set_name(console.rights.name);

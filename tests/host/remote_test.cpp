@@ -2,7 +2,9 @@
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <cstdlib>
 #include <memory>
@@ -46,6 +48,9 @@ class RawConsole {
     socket_.set(zmq::sockopt::rcvtimeo, 20'000);
     socket_.set(zmq::sockopt::linger, 0);
     socket_.connect(host.serves());
+    hello();
+  }
+  void hello() {
     control::Carried hello;
     hello.mutable_hello()->set_version(1);
     hello.mutable_hello()->set_control(true);
@@ -317,6 +322,31 @@ TEST_F(Remote, OneTooManyIsTurnedAwayWithTheNumberThatMayBe) {
   EXPECT_EQ(error.text().what, "the host refuses this console: host 'served' has 32 consoles over tcp already");
   EXPECT_EQ(here.snapshot().consoles_size(), static_cast<int>(RemoteConsoles::kMost))
       << "one on the host's machine is served still";
+}
+
+TEST_F(Remote, WhereNoDescriptorsAreLeftOneIsTurnedAwayAndTheHostGoesOn) {
+  if (!os::kLimitsMemory) GTEST_SKIP() << "a sanitizer asks by a pipe whether memory may be read";
+  RawConsole console(host, allowed(Access::Observe));
+  EXPECT_TRUE(console.receive().has_welcome());
+  const std::size_t connected_with = os::open_descriptors();
+  control::Carried leaves;
+  leaves.mutable_ended();
+  console.send(leaves.SerializeAsString());
+  here.eventually("both ends are closed", [&] { return os::open_descriptors() + 2 <= connected_with; });
+  rlimit before{};
+  ::getrlimit(RLIMIT_NOFILE, &before);
+  const rlimit few{connected_with + 64, before.rlim_max};
+  ::setrlimit(RLIMIT_NOFILE, &few);
+  std::vector<os::Descriptor> taken;
+  while (taken.empty() || taken.back()) taken.emplace_back(::dup(STDIN_FILENO));
+  taken.resize(taken.size() - 2);  // the one that there was not, and one of the two that it needs
+  console.hello();
+  const std::string last_words = console.last_words();
+  taken.clear();
+  ::setrlimit(RLIMIT_NOFILE, &before);
+  EXPECT_THAT(last_words, HasSubstr("Too many open files"));
+  console.hello();
+  EXPECT_TRUE(console.receive().has_welcome());
 }
 
 TEST_F(Remote, AConsoleWaitsForSoManyAnswersAndNoMoreUntilItStopsSome) {

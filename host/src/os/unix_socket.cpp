@@ -129,7 +129,12 @@ Descriptor UnixListener::accept() const {
 
 std::pair<Descriptor, Descriptor> socket_pair() {
   int ends[2];
-  if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends) != 0) fail("no socket pair can be made", "");
+  if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends) != 0) {
+    throw Error(ErrorCode::Failed,
+                {.what = "no socket pair can be made",
+                 .found = std::strerror(errno),
+                 .next = "fiona doctor; end what holds many descriptors, or raise the limit: ulimit -n"});
+  }
   return {Descriptor(ends[0]), Descriptor(ends[1])};
 }
 
