@@ -184,17 +184,20 @@ void Inbox::empty_slot() {
 }
 
 void Inbox::leave_mode() {
-  const std::lock_guard lock(strand_.mutex_);
-  std::size_t left = queue_.size() + batch_.size();
-  for (const auto* waiting : {&queue_, &batch_}) {
-    for (const Parcel& parcel : *waiting) bytes_.fetch_sub(cost(parcel), std::memory_order_relaxed);
+  {
+    const std::lock_guard lock(strand_.mutex_);
+    const std::size_t left = queue_.size() + batch_.size();
+    for (const auto* waiting : {&queue_, &batch_}) {
+      for (const Parcel& parcel : *waiting) bytes_.fetch_sub(cost(parcel));
+    }
+    queue_.clear();
+    batch_.clear();
+    batched_.store(0, std::memory_order_relaxed);
+    port_.counters().not_active.fetch_add(left, std::memory_order_relaxed);
+    slot_.reset();
+    slot_read_ = true;
   }
-  queue_.clear();
-  batch_.clear();
-  batched_.store(0, std::memory_order_relaxed);
-  port_.counters().not_active.fetch_add(left, std::memory_order_relaxed);
-  slot_.reset();
-  slot_read_ = true;
+  tell_room();
 }
 
 void Inbox::clear(Outcome outcome) {
@@ -310,20 +313,21 @@ std::optional<std::size_t> Inbox::room(std::size_t cost, std::weak_ptr<const voi
   return room;
 }
 
+/// Who has wished is told the room that his wish was taken from the list for, though others may have used it since: he
+/// takes what he sent himself off it, and asks again.
 void Inbox::tell_room() {
   if (!room_wished_) return;
-  std::vector<RoomWish> fulfilled;
+  std::vector<std::pair<RoomWish, std::size_t>> fulfilled;
   {
     const std::lock_guard lock(strand_.mutex_);
-    const auto waits = [this](const RoomWish& wish) { return !room_for(wish.cost); };
-    const auto first = std::stable_partition(room_wishes_.begin(), room_wishes_.end(), waits);
-    fulfilled.assign(std::make_move_iterator(first), std::make_move_iterator(room_wishes_.end()));
-    room_wishes_.erase(first, room_wishes_.end());
+    std::erase_if(room_wishes_, [&](RoomWish& wish) {
+      const auto room = room_for(wish.cost);
+      if (room) fulfilled.emplace_back(std::move(wish), *room);
+      return room.has_value();
+    });
     room_wished_ = !room_wishes_.empty();
   }
-  for (const RoomWish& wish : fulfilled) {
-    if (const auto room = room_for(wish.cost)) wish.then(*room);
-  }
+  for (const auto& [wish, room] : fulfilled) wish.then(room);
 }
 
 }  // namespace fiona

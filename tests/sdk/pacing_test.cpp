@@ -193,6 +193,37 @@ TEST_F(Pacing, AMessageLargerThanAllRoomIsPutWhenNothingElseIsThere) {
   EXPECT_EQ(dropped(), 0U);
 }
 
+TEST_F(Pacing, PutThatWaitsGoesOnWhenWhatWaitedBeforeItIsOfAModeThatIsLeft) {
+  connect(pourer, sipper, "each");
+  sipper->sip = 1h;
+  pour(1, 60);
+  advance(5ms);
+  EXPECT_LT(pourer->outcomes.size(), 60U);
+  sipper.hull.fail("for the test");
+  advance(5ms);
+  EXPECT_THAT(pourer->outcomes, SizeIs(60));
+  EXPECT_THAT(pourer->outcomes, Each(Outcome::Ok));
+}
+
+TEST_F(Pacing, WhoWishesForRoomIsToldThoughAnotherHasTakenItInBetween) {
+  Inbox& inbox = *sipper.hull.find_port("each")->inbox();
+  const auto fill = [&] {
+    const auto large = std::make_shared<const Number>(number(1, Inbox::kMaxBytes));
+    inbox.push(Parcel{Envelope{large, 1, {}, large->ByteSizeLong()}, nullptr});
+  };
+  fill();
+  const auto who = std::make_shared<int>();
+  std::vector<std::size_t> told;
+  const auto takes_it = [&](std::size_t room) {
+    told.push_back(room);
+    fill();
+  };
+  ASSERT_FALSE(inbox.room(1, who, takes_it));
+  ASSERT_FALSE(inbox.room(1, who, [&](std::size_t room) { told.push_back(room); }));
+  inbox.clear(Outcome::Disconnected);
+  EXPECT_THAT(told, ElementsAre(Inbox::kMaxBytes, Inbox::kMaxBytes));
+}
+
 TEST(PacingOnThreads, NothingIsLostAndNobodyWaitsForEver) {
   SystemClock clock;
   Pool pool(3);
