@@ -134,7 +134,9 @@ void Inbox::wake(std::unique_lock<std::mutex>& lock) {
 /// Called with the strand's mutex held: the waiters run as jobs of the strand.
 void Inbox::notify_waiters(const Envelope& envelope) {
   for (auto& waiter : std::exchange(waiters_, {})) {
-    post_locked([waiter = std::move(waiter), envelope] { waiter(envelope); });
+    post_locked([waiter = std::move(waiter), envelope] {
+      if (const auto who = waiter.who.lock()) waiter.then(envelope);
+    });
   }
 }
 
@@ -167,9 +169,10 @@ std::optional<Inbox::Newest> Inbox::newest() {
   return slot_ && is_too_old(slot_->envelope) ? std::nullopt : slot_;
 }
 
-void Inbox::on_next(std::function<void(const Envelope&)> waiter) {
+void Inbox::on_next(std::weak_ptr<const void> who, std::function<void(const Envelope&)> waiter) {
   const std::lock_guard lock(strand_.mutex_);
-  waiters_.push_back(std::move(waiter));
+  std::erase_if(waiters_, [](const Waiter& waiting) { return waiting.who.expired(); });
+  waiters_.push_back({std::move(who), std::move(waiter)});
 }
 
 void Inbox::mark_stale() {

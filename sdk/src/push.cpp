@@ -239,9 +239,11 @@ Async<Result<Envelope>> PushClient::next(Duration within) {
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, connection_reason());
   } else {
-    inbox_.on_next([this, call](const Envelope& envelope) {
-      call->envelope = envelope;
-      calls().finish(call, Outcome::Ok);
+    // The call is kept by who waits, and by nobody else: one that has ended leaves nothing behind.
+    inbox_.on_next(call, [this, waiting = std::weak_ptr(call)](const Envelope& envelope) {
+      const auto next = waiting.lock();
+      next->envelope = envelope;
+      calls().finish(next, Outcome::Ok);
     });
   }
   CallAwaiter ended(calls(), call, within);

@@ -504,6 +504,36 @@ TEST(CoroutineLife, CoroutineThatNeverEndsIsDestroyedWithItsInstance) {
   EXPECT_EQ(gone, 1);
 }
 
+/// Waits again and again for what does not come.
+class Patient final : public Component {
+ public:
+  using Component::Component;
+  std::vector<Outcome> outcomes;
+  Async<> wait(int times, Duration within) {
+    for (int i = 0; i < times; ++i) outcomes.push_back((co_await numbers.wait_update(within)).outcome());
+  }
+  Requires<Numbers> numbers{*this, "numbers"};
+};
+
+TEST(CoroutineLife, WaitsThatHaveEndedLeaveNothingBehind) {
+  VirtualClock clock;
+  testing::InlineExecutor executor;
+  KeptEvents events;
+  Made<Patient> made("patient", executor, clock, events);
+  made->numbers.end_for("silent.port")->set_connection(Connection::Connected, "for the test");
+  made.hull.set_mode(kModeActive, kLimit);
+  made.hull.strand().call([&] { made.hull.spawn(made->wait(10'000, 1ms), [] {}); }, kLimit);
+  clock.stop_at(clock.now() + 10'000ms, [&clock] { clock.hold(); });
+  clock.release();
+  executor.help();
+  ASSERT_EQ(std::count(made->outcomes.begin(), made->outcomes.end(), Outcome::Timeout), 10'000);
+  made.hull.strand().call([&] { made.hull.spawn(made->wait(1, 1h), [] {}); }, kLimit);
+  made->numbers.inbox()->push(Parcel{Envelope{std::make_shared<const Number>(), 1, clock.now(), 0}, nullptr});
+  EXPECT_EQ(made.hull.strand().waiting_jobs(), 1U) << "for the one that waits";
+  executor.help();
+  EXPECT_EQ(made->outcomes.back(), Outcome::Ok);
+}
+
 // ---- life -----------------------------------------------------------------------------------------------------
 
 TEST(Hull, ShutDownGivesUpOnAHandlerThatHangsAndSaysSo) {

@@ -46,8 +46,9 @@ class Inbox {
   };
   /// [any thread] The slot of a *newest* inbox without handler, unless it is too old; the value stays.
   std::optional<Newest> newest();
-  /// [any thread] Calls `waiter` once, with the envelope, on the strand, when the next message has come.
-  void on_next(std::function<void(const Envelope&)> waiter);
+  /// [any thread] Calls `waiter` once, with the envelope, on the strand, when the next message has come, as long as
+  /// `who` lives.
+  void on_next(std::weak_ptr<const void> who, std::function<void(const Envelope&)> waiter);
   /// [any thread] What is in the slot is from a provider that has been replaced.
   void mark_stale();
   /// [any thread] Empties the slot. What waits for a handler has arrived, and still reaches it.
@@ -80,6 +81,10 @@ class Inbox {
   friend class Strand;
   /// What a message costs in memory beside its serialised size: object, queue entry, shared count.
   static constexpr std::size_t kMessageOverhead = 256;
+  struct Waiter {
+    std::weak_ptr<const void> who;
+    std::function<void(const Envelope&)> then;
+  };
   struct RoomWish {
     std::size_t cost;
     std::weak_ptr<const void> who;
@@ -114,7 +119,7 @@ class Inbox {
   std::optional<Newest> slot_;
   bool slot_read_ = true;
   bool ready_ = false;
-  std::vector<std::function<void(const Envelope&)>> waiters_;
+  std::vector<Waiter> waiters_;
   std::vector<RoomWish> room_wishes_;
 
   std::atomic<bool> room_wished_{false};  ///< written under the mutex
