@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "fiona/component.hpp"
 #include "fiona/error.hpp"
@@ -150,17 +151,29 @@ void ParamsBase::apply(std::span<const control::Argument> changes) {
   try {
     set_fields(*draft, changes);
     if (check_) check_(*draft);
+    take(std::move(draft));
   } catch (const Error& error) {
     ErrorText text = error.text();
     if (text.where.empty()) text.where = hull_.name();
     if (text.next.empty()) text.next = "get " + hull_.name();
     throw Error(error.code(), std::move(text));
   }
-  {
+}
+
+/// What `changed` throws at is taken back, and is a refusal too.
+void ParamsBase::take(std::shared_ptr<const Object> values) {
+  const auto switch_to = [this](std::shared_ptr<const Object> next) {
     const std::lock_guard lock(mutex_);
-    current_ = std::move(draft);
+    return std::exchange(current_, std::move(next));
+  };
+  auto former = switch_to(std::move(values));
+  if (!changed_ || hull_.mode() == kModeInit) return;
+  try {
+    changed_();
+  } catch (...) {
+    switch_to(std::move(former));
+    throw;
   }
-  if (changed_ && hull_.mode() != kModeInit) changed_();
 }
 
 std::shared_ptr<const Object> ParamsBase::snapshot() const {

@@ -236,7 +236,10 @@ class Adjustable final : public Component {
     if (draft.label() == "forbidden")
       throw Error(ErrorCode::Usage, {.what = "this label is taken", .found = draft.label()});
   }
-  void changed() { ++changes_; }
+  void changed() {
+    if (params_->label() == "too late") throw Error(ErrorCode::Failed, {.what = "the device does not take this label"});
+    ++changes_;
+  }
 
   int changes_ = 0;
   Params<Settings> params_{*this, &Adjustable::check, &Adjustable::changed};
@@ -312,6 +315,15 @@ TEST_F(Parameters, ComponentsOwnCheckSeesTheWholeDraftAndMayRefuse) {
   EXPECT_EQ(text.next, "get knob");
   EXPECT_EQ(made->settings().gain(), 0.5);
   EXPECT_EQ(made->settings().label(), "");
+}
+
+TEST_F(Parameters, WhatIsRefusedAfterTheSwitchIsTakenBack) {
+  const auto text = refusal_of({number("gain", 0.7), word("label", "too late")});
+  EXPECT_EQ(text.what, "the device does not take this label");
+  EXPECT_EQ(text.where, "knob");
+  EXPECT_EQ(made->settings().gain(), 0.5);
+  EXPECT_EQ(made->settings().label(), "");
+  EXPECT_THAT(made.hull.parameters()->differences(), IsEmpty());
 }
 
 TEST_F(Parameters, TextTakesANumberAsItWasTyped) {

@@ -27,7 +27,8 @@ class ParamsBase {
   ParamsBase& operator=(const ParamsBase&) = delete;
 
   /// [strand] All or nothing: fields typed and converted to their units, declared rules, the component's check on
-  /// the whole draft, then the switch. Throws Error naming field, value and rule; nothing has changed then.
+  /// the whole draft, then the switch. Throws Error naming field, value and rule, or what `changed` throws; the values
+  /// are then as before.
   void apply(std::span<const control::Argument> changes);
 
   /// [any thread] The values of this moment.
@@ -41,6 +42,8 @@ class ParamsBase {
   const Object& current() const { return *current_; }
 
  private:
+  void take(std::shared_ptr<const Object> values);
+
   Hull& hull_;
   const std::shared_ptr<const Object> defaults_;
   const Check check_;
