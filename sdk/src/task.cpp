@@ -181,12 +181,13 @@ void Task::has_ended() {
 void Task::launch() {
   auto hold = hull_.acquire(activity_, "task '" + name_ + "'");
   if (!hold) return;
-  own_ = std::make_shared<OwnThread::Shared>(hull_, hull_.shared_strand());
+  auto own = std::make_shared<OwnThread::Shared>(hull_, hull_.shared_strand());
   try {
-    thread_ = std::thread([this, own = OwnThread(own_), since = hull_.clock().now()] { turn(own, since); });
+    thread_ = std::thread([this, own = OwnThread(own), since = hull_.clock().now()] { turn(own, since); });
   } catch (const std::system_error& error) {
     return hull_.fail("task '" + name_ + "' gets no thread: " + error.code().message());
   }
+  own_ = std::move(own);  // only of one that runs: a shutdown waits for its end
   hold_ = std::make_shared<ActivityHold>(std::move(*hold));
 }
 

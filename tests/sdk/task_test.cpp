@@ -2,6 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <pthread.h>
+
 #include <condition_variable>
 #include <functional>
 #include <future>
@@ -429,6 +431,38 @@ TEST_F(FreeRunningTask, ThatDoesNotReturnIsLeftBehindByTheShutDown) {
   release.set_value();
   ended.get_future().wait();
   delete reader;  // which the hull has left to its thread
+}
+
+/// While it lives no thread has room for its stack.
+class NoThreads {
+ public:
+  NoThreads() {
+    ::pthread_getattr_default_np(&usual_);
+    pthread_attr_t huge;
+    ::pthread_attr_init(&huge);
+    ::pthread_attr_setstacksize(&huge, std::size_t{1} << 47U);
+    ::pthread_setattr_default_np(&huge);
+    ::pthread_attr_destroy(&huge);
+  }
+  ~NoThreads() {
+    ::pthread_setattr_default_np(&usual_);
+    ::pthread_attr_destroy(&usual_);
+  }
+  NoThreads(const NoThreads&) = delete;
+  NoThreads& operator=(const NoThreads&) = delete;
+
+ private:
+  pthread_attr_t usual_{};
+};
+
+TEST_F(FreeRunningTask, ThatGetsNoThreadIsNotWaitedForByTheShutDown) {
+  const auto life = make([](const OwnThread&) {});
+  {
+    const NoThreads none;
+    EXPECT_THROW(hull->set_mode("reads", kLimit), Error);
+  }
+  EXPECT_EQ(hull->reason(), "task 'read' gets no thread: Resource temporarily unavailable");
+  EXPECT_EQ(hull->shut_down(100ms), std::nullopt);
 }
 
 TEST(FreeRunning, IsRefusedOnAVirtualClockWithTheReason) {
