@@ -303,12 +303,11 @@ Async<> Hull::watched(Async<> work, std::list<Async<>>::iterator* self, Job then
   });
 }
 
-bool Hull::spawn(Async<> work, Job then) {
+void Hull::spawn(Async<> work, Job then) {
   auto place = spawned_.begin();
   spawned_.push_front(watched(std::move(work), &place, std::move(then)));
   place = spawned_.begin();
   place->start();
-  return false;
 }
 
 }  // namespace fiona

@@ -168,9 +168,9 @@ class Hull {
   /// After it returned the watcher is not called any more.
   void untap(const std::shared_ptr<Tap>& tap);
 
-  /// [strand] Starts `work`. True if it has ended at once; else `then` runs on the strand when it has. The hull owns
-  /// it, and destroys it with the instance if it never ends. What it throws fails the instance.
-  bool spawn(Async<> work, Job then);
+  /// [strand] Starts `work`; `then` runs on the strand when it has ended, as a job of its own. The hull owns it, and
+  /// destroys it with the instance if it never ends. What it throws fails the instance.
+  void spawn(Async<> work, Job then);
   /// [strand] While on, the calls of all ports, or of those of a pattern, end with Cancelled.
   void cancel_calls(bool on, std::optional<Pattern> pattern = std::nullopt);
   bool calls_are_cancelled(Pattern pattern) const { return deactivated_ || cancelled_.contains(pattern); }
