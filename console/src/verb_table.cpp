@@ -30,7 +30,8 @@ std::vector<Verb> composing_verbs() {
        "as "
        "far as its manifest asks; `with confined` makes a sandbox for a "
        "package that needs none, and `with unconfined` none for one that does. A path names a file on the host's "
-       "machine: that takes administer, as do devices, files, services on D-Bus and `unconfined`.",
+       "machine: that takes administer, as do parameters that are paths there, devices, files, services on D-Bus and "
+       "`unconfined`.",
        Access::Compose, verbs::load},
       {"unload", forms({"unload INSTANCE"}), "retires an instance and says who depended on it", "", Access::Compose,
        verbs::unload},
@@ -102,7 +103,7 @@ std::vector<Verb> operating_verbs() {
        "A number may carry a unit, which is converted: 200ms, 1.5m, 30deg.\n"
        "The instance `host` is the host itself: set host clock=virtual speed=0 deliveries=FILE; deliveries names a "
        "file there, which "
-       "takes administer.",
+       "takes administer, as does any parameter that is a path there.",
        Access::Operate, verbs::set},
       {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe,
        verbs::get},

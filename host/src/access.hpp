@@ -1,11 +1,14 @@
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "fiona/control.pb.h"
 #include "fiona/trust/access.hpp"
 
 namespace fiona::host {
+
+class Model;
 
 /// What a client may do, and who it is.
 struct Rights {
@@ -26,7 +29,12 @@ struct Need {
 /// all else that changes nothing, is for those who look. What this host does not know is for nobody.
 Need need_of(const control::Request& request);
 
+/// What a change takes beyond that: a parameter that names a file of this machine (`fiona.host_path`) and has another
+/// value after it. Only the package knows which those are.
+std::optional<Need> need_of(const Model& before, const Model& after);
+
 /// Throws Error NotAllowed, with the level that is needed, the one that is there, and how to get more.
 void require(const Rights& rights, const control::Request& request);
+void require(const Rights& rights, const Need& need);
 
 }  // namespace fiona::host

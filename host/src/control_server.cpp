@@ -298,7 +298,8 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
   };
   switch (request.what_case()) {
     case Request::kTransact:
-      engine_.transact(request.author(), request.transact(), answer_to(client, request.id()));
+      engine_.transact(request.author(), request.transact(), answer_to(client, request.id()), std::nullopt,
+                       clients_.at(client)->rights);
       return false;
     case Request::kUndo: engine_.undo(request.author(), request.undo(), answer_to(client, request.id())); return false;
     case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;

@@ -73,9 +73,10 @@ Engine::Engine(System& system, std::filesystem::path journal, Later later, std::
 Engine::~Engine() { *self_ = nullptr; }
 
 void Engine::transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
-                      std::optional<std::chrono::milliseconds> within) {
+                      std::optional<std::chrono::milliseconds> within, Rights rights) {
   auto transaction = std::make_shared<Transaction>();
   transaction->author = author;
+  transaction->rights = std::move(rights);
   transaction->request = request;
   transaction->answer = std::move(answer);
   if (within) transaction->expires = std::chrono::steady_clock::now() + *within;
@@ -185,6 +186,15 @@ void Engine::plan(Transaction& transaction) const {
       transaction.failure->set_change(static_cast<std::uint32_t>(i) + 1);
       return;
     }
+  }
+  try {
+    // The host's own user names what he likes; and what is undone was there before.
+    const bool may_all = transaction.rights.level >= trust::Access::Administer || transaction.is_undo;
+    if (const auto need = may_all ? std::nullopt : need_of(transaction.before, after))
+      require(transaction.rights, *need);
+  } catch (...) {
+    transaction.failure = failure_of_exception();
+    return;
   }
   if (request.whole()) transaction.steps = Model::difference(transaction.before, after);
   transaction.reverse = Model::difference(after, transaction.before);

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "access.hpp"
 #include "journal.hpp"
 #include "system.hpp"
 
@@ -33,9 +34,10 @@ class Engine {
   ~Engine();
 
   /// Answered with Done or Planned, or with why nothing has changed. A swap that is to be watched is compared first,
-  /// which holds up nobody. One that has not begun `within` is refused; none: it waits for its turn.
+  /// which holds up nobody. One that has not begun `within` is refused; none: it waits for its turn. `rights`: of who
+  /// has asked, who has what the changes take by their kind; what they take beyond that is seen once they are tried.
   void transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
-                std::optional<std::chrono::milliseconds> within = std::nullopt);
+                std::optional<std::chrono::milliseconds> within = std::nullopt, Rights rights = {});
   void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);
   control::JournalEntries journal(std::uint32_t last) const;
   /// No transaction is under way.

@@ -12,8 +12,9 @@ void Masters::serve(const wire::Asked& asked) {
   if (!system_.has_asked(asked)) return;  // somebody speaks in another's name, or has gone, or asks another host
   try {
     require_right(asked.instance());
-    require({trust::Access::Compose, trust::Access::Compose, asked.instance()}, asked.request());
-    perform(asked);
+    const Rights rights{trust::Access::Compose, trust::Access::Compose, asked.instance()};
+    require(rights, asked.request());
+    perform(asked, rights);
   } catch (...) {
     control::Reply reply;
     *reply.mutable_failure() = failure_of_exception();
@@ -30,7 +31,7 @@ void Masters::require_right(const std::string& name) const {
                .next = "unload " + name + ", then: load " + one.plugin + " as " + name + " with master"});
 }
 
-void Masters::perform(const wire::Asked& asked) {
+void Masters::perform(const wire::Asked& asked, const Rights& rights) {
   const control::Request& request = asked.request();
   if (request.has_snapshot()) {
     control::Reply reply;
@@ -52,7 +53,7 @@ void Masters::perform(const wire::Asked& asked) {
       if (self && *self) (*self)->answer(asked, reply);
     });
   };
-  engine_.transact("component " + asked.instance(), request.transact(), ended, within);
+  engine_.transact("component " + asked.instance(), request.transact(), ended, within, rights);
 }
 
 void Masters::answer(const wire::Asked& asked, control::Reply reply) { system_.answer(asked, reply); }

@@ -19,7 +19,7 @@ class Masters {
 
  private:
   void require_right(const std::string& instance) const;
-  void perform(const wire::Asked& asked);
+  void perform(const wire::Asked& asked, const Rights& rights);
   void answer(const wire::Asked& asked, control::Reply reply);
 
   System& system_;

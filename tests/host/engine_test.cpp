@@ -406,6 +406,32 @@ TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
 }
 
+TEST_P(Transactions, AFileOfTheHostsMachineIsNamedByWhoMayAndMayBeTakenBackByOthers) {
+  const Rights rights{trust::Access::Compose, trust::Access::Compose, "boss"};
+  const auto told = [&](const std::vector<control::Change>& changes, bool whole = false) {
+    control::Transact request;
+    request.mutable_changes()->Add(changes.begin(), changes.end());
+    request.set_whole(whole);
+    return answer_of(
+        [&](Waits::Answer answer) { engine.transact("test", request, std::move(answer), std::nullopt, rights); });
+  };
+  const auto notes = set_text("sink", "notes", "/home/me/notes");
+  control::Change names = load("sink", "sink", group());
+  *names.mutable_load()->mutable_parameters() = notes.set().parameters();
+  for (const bool whole : {false, true}) {
+    EXPECT_EQ(told({names}, whole).failure().what(),
+              "load with notes needs the level administer (9), and 'boss' has compose (6)");
+  }
+  make({load("sink", "sink", group())});
+  EXPECT_EQ(told({set("sink", "work_ms", 1), notes}).failure().what(),
+            "set sink notes needs the level administer (9), and 'boss' has compose (6)");
+  EXPECT_EQ(told({unload("sink"), names}).failure().code(), static_cast<std::uint32_t>(ErrorCode::NotAllowed));
+  make({notes});
+  EXPECT_TRUE(told({set("sink", "work_ms", 1), notes}).has_done()) << "it is that already";
+  EXPECT_TRUE(told({set_text("sink", "notes", "")}).has_done()) << "none";
+  EXPECT_TRUE(undo().has_done()) << "what was there before";
+}
+
 constexpr std::size_t kLargeValue = 1'300'000;  ///< four in a journal, and it is folded
 
 TEST_P(Transactions, JournalThatIsFoldedHasNothingOfAChangeThatIsHalfMade) {

@@ -171,6 +171,33 @@ std::vector<control::Request> each_request() {
   return all;
 }
 
+TEST_F(Remote, AParameterThatNamesAFileOfTheHostsMachineTakesAdminister) {
+  here.load("sink", "main", "sink");
+  const auto set = [](const std::string& parameters) {
+    control::Request request;
+    *request.mutable_transact()->add_changes() = TestConsole::set_of("sink", parameters);
+    return request;
+  };
+  const std::string named = "notes=" + (directory.path / "notes").string();
+  allowed(Access::Compose);
+  {
+    const auto composes = connect(true);
+    const Error error = error_of([&] { composes->call(set("work_ms=1 " + named)); });
+    EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
+    EXPECT_EQ(error.text().what, "set sink notes needs the level administer (9), and this console has compose (6)");
+    control::Request plan = set(named);
+    plan.mutable_transact()->set_dry_run(true);
+    EXPECT_EQ(error_of([&] { composes->call(plan); }).code(), ErrorCode::NotAllowed);
+    EXPECT_TRUE(composes->call(set("work_ms=1")).has_done());
+    here.change(TestConsole::set_of("sink", named));
+    EXPECT_TRUE(composes->call(set("work_ms=2 " + named)).has_done()) << "it is that already";
+    EXPECT_TRUE(composes->call(set("notes=")).has_done()) << "none";
+    EXPECT_EQ(error_of([&] { composes->call(set(named)); }).code(), ErrorCode::NotAllowed);
+  }
+  allowed(Access::Administer);
+  EXPECT_TRUE(connect(true)->call(set(named)).has_done());
+}
+
 // There are four levels that a key may have; whose key has none is not connected at all.
 TEST_F(Remote, EveryKindOfRequestAndOfChangeIsRefusedBelowItsLevelAndAtNoOther) {
   for (const Access level : {Access::Observe, Access::Operate, Access::Compose, Access::Administer}) {
