@@ -41,6 +41,10 @@ milliseconds patience_with(const wire::GroupRequest& request) {
   }
 }
 
+/// What a process may say that nobody has asked for, in bytes, while it does not answer; each message counts 256 more.
+constexpr std::size_t kMostUnasked = 64U << 20U;
+constexpr std::size_t kPerMessage = 256;
+
 /// Where a group finds its socket.
 constexpr int kGroupSocket = 3;
 constexpr int kClockSocket = 4;
@@ -341,9 +345,11 @@ void ChildGroup::peer_lost(const wire::PeerLost& gone) {
 bool ChildGroup::wait_readable(Time deadline) const {
   while (true) {
     const auto left = std::chrono::ceil<milliseconds>(deadline - Steady::now()).count();
-    pollfd wait{wake_.get(), POLLIN, 0};
-    const int ready = ::poll(&wait, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 60'000)));
-    if (ready > 0) return true;
+    const bool has_more = stream_->unsent() > 0 && !stream_->closed();
+    pollfd waits[] = {{wake_.get(), POLLIN, 0}, {has_more ? stream_->descriptor() : -1, POLLOUT, 0}};
+    ::poll(waits, std::size(waits), static_cast<int>(std::clamp<std::int64_t>(left, 0, 60'000)));
+    if (waits[1].revents != 0) stream_->flush();
+    if (waits[0].revents != 0) return true;
     if (left <= 0) return false;
   }
 }
@@ -368,11 +374,13 @@ void ChildGroup::note_end(const std::string& why) {
   if (const std::string said = output_.last_lines(); !said.empty()) end_ += "; it wrote: " + said;
 }
 
-/// The message with this id, passing on events meanwhile; none when the deadline passes or the process ends.
+/// The message with this id, passing on events meanwhile; none when the deadline passes, however much is said
+/// meanwhile, or the process ends.
 std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time deadline) {
   wire::GroupMessage message;
   std::optional<wire::GroupMessage> found;
-  bool ended = false;
+  std::size_t said = 0;
+  bool ended = false, late = false;
   while (true) {
     if (supervisor_) supervisor_->beat();
     // To the end of what has been read, though the answer be found: nobody polls for bytes that are here already.
@@ -380,16 +388,17 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time de
       if (message.id() == id && (id != 0 || message.has_ready())) {
         found = message;
       }
+      if (!message.has_tapped() && !message.has_call_ended()) said += message.ByteSizeLong() + kPerMessage;
       take(message);
     }
     if (found) return found;
-    if (ended) {
-      note_end();
-      return std::nullopt;
-    }
+    if (said > kMostUnasked)
+      end_now(fmt::format("was ended: it said more than {} MiB and did not answer", kMostUnasked >> 20U));
+    if (ended) note_end();
+    if (ended || late || !alive()) return std::nullopt;
     const Time now = Steady::now();
+    late = now >= deadline;  // what has come by then is still looked at, once
     const bool readable = wait_readable(hangs_ ? std::min(deadline, now + kWatchWaiting) : deadline);
-    if (!readable && now >= deadline) return std::nullopt;
     watch(now);
     ended = !alive() || (readable && !receive());
   }
@@ -438,6 +447,7 @@ void ChildGroup::hold_cpu() {
 
 /// A process that says much is waited for again and again: it is looked at as often as any other.
 void ChildGroup::watch(Time now) {
+  if (alive()) stream_->flush();  // of what nobody waits for
   if (now - watched_ < kWatchWaiting) return;
   watched_ = now;
   if (alive()) std::cerr << output_.take(now);

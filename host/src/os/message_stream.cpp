@@ -16,10 +16,11 @@ MessageStream::MessageStream(Descriptor socket) : socket_(std::move(socket)) {
 
 bool MessageStream::receive() {
   char buffer[65536];
-  while (!closed()) {
+  for (std::size_t received = 0; !closed() && received < kMaxReceived;) {
     const auto size = ::recv(socket_.get(), buffer, sizeof buffer, 0);
     if (size > 0) {
       in_.append(buffer, static_cast<std::size_t>(size));
+      received += static_cast<std::size_t>(size);
       if (in_.size() - in_begin_ > kMaxMessage + sizeof buffer) return true;  // let the reader catch up
       continue;
     }
@@ -27,7 +28,7 @@ bool MessageStream::receive() {
     if (size < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) return true;
     closed_ = true;
   }
-  return false;
+  return !closed();
 }
 
 bool MessageStream::next(google::protobuf::MessageLite& message) {

@@ -17,11 +17,13 @@ class MessageStream {
  public:
   static constexpr std::size_t kMaxMessage = 16 * 1024 * 1024;  ///< bytes; a longer one ends the stream
   static constexpr std::size_t kMaxUnsent = 32 * 1024 * 1024;   ///< bytes; a reader this slow is cut off
+  static constexpr std::size_t kMaxReceived = 1024 * 1024;      ///< bytes at once
 
   explicit MessageStream(Descriptor socket);
 
   int descriptor() const { return socket_.get(); }
-  /// Reads what there is. False when the peer has closed, broken the framing, or the stream failed.
+  /// Reads what there is, up to a bound: who never stops to speak does not keep the reader from what else there is to
+  /// do. False when the peer has closed, broken the framing, or the stream failed.
   bool receive();
   /// Parses the next complete message; false when there is none. After a malformed one nothing more is read, and
   /// `fault` says what it was.

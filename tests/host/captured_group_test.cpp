@@ -1,0 +1,60 @@
+// A group whose process a component has taken over: it speaks to the host as it likes.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <thread>
+
+#include "served_host.hpp"
+
+namespace fiona::host {
+namespace {
+
+using conformance::ServedHost;
+using conformance::TestConsole;
+using testing::HasSubstr;
+using namespace std::chrono_literals;
+
+class CapturedGroup : public testing::Test {
+ protected:
+  CapturedGroup() { console.load("source", "far", "source", "period_ms=5"); }
+  void load(const std::string& captor) {
+    control::Change change;
+    control::Load& request = *change.mutable_load();
+    request.set_plugin(std::string(ZOO_DIRECTORY) + "/lib" + captor + ".so");
+    request.set_instance("captor");
+    request.set_group("cage");
+    request.add_rights("confined");
+    console.change(std::move(change));
+  }
+  double seconds_of(const std::function<void()>& what) {
+    const auto begun = std::chrono::steady_clock::now();
+    what();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count();
+  }
+
+  ServedHost host;
+  TestConsole console{host};
+};
+
+TEST_F(CapturedGroup, ThatDribblesIsSilentAndHoldsUpNobody) {
+  load("dribbles");
+  std::this_thread::sleep_for(50ms);  // it begins 20 ms after it was loaded
+  for (int i = 0; i < 3; ++i) EXPECT_LT(seconds_of([&] { console.snapshot(); }), 2.5) << "300 ms, on an idle machine";
+  console.eventually("it is silent", [&] { return console.instance("captor").silent_s() > 0; });
+  EXPECT_EQ(console.instance("source").silent_s(), 0);
+  EXPECT_THROW(console.set("captor", "x=1"), Error);
+}
+
+TEST_F(CapturedGroup, ThatFloodsItsHostIsEndedOnceItIsAskedAndHoldsUpNobody) {
+  load("floods-its-host");
+  console.eventually("it is ended", [&] {
+    EXPECT_LT(seconds_of([&] { console.snapshot(); }), 2.5) << "300 ms, on an idle machine";
+    return console.instance("captor").mode() == "failed";
+  });
+  EXPECT_THAT(console.instance("captor").reason(),
+              HasSubstr("group 'cage' was ended: it said more than 64 MiB and did not answer"));
+  EXPECT_EQ(console.instance("source").mode(), "active");
+}
+
+}  // namespace
+}  // namespace fiona::host
