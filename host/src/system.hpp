@@ -249,7 +249,7 @@ class System {
   void give_up(const Hang& hang);
   void lose_if_gone(const std::string& group);
   void lose(ChildGroup& gone);
-  void tell_others(const ChildGroup& gone, const std::string& reason);
+  void tell_others(const std::string& endpoint, const std::string& reason);
   void tell_failed(const std::string& instance, const std::string& reason);
 
   // ---- system_supervision.cpp
@@ -268,6 +268,7 @@ class System {
   void make_missing();
   std::vector<std::string> finish_making();
   void correct_ports();
+  static void correct(ChildGroup& group, const std::function<void()>& correction);
   void open_missing();
 
   // ---- system_instances.cpp

@@ -187,7 +187,7 @@ void System::lose(ChildGroup& gone) {
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   lose_what_is_made(gone.name(), gone.end());
   std::erase_if(standbys_, [&](const auto& one) { return one.second.made.group == gone.name(); });
-  tell_others(gone, reason);
+  tell_others(gone.endpoint(), reason);
   for (const std::string& name : model_.names_in(gone.name())) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
   }
@@ -203,14 +203,14 @@ void System::lose(ChildGroup& gone) {
   start_again_later(gone.name(), reason);
 }
 
-/// What they have on their way to it is lost.
-void System::tell_others(const ChildGroup& gone, const std::string& reason) {
+/// What they have on their way to the group that was there is lost.
+void System::tell_others(const std::string& endpoint, const std::string& reason) {
   wire::PeerLost lost;
-  lost.set_endpoint(gone.endpoint());
-  lost.set_name(gone.link_name());
+  lost.set_endpoint(endpoint);
+  lost.set_name(endpoint);
   lost.set_reason(reason);
   for (auto& [name, one] : groups_) {
-    if (one.get() != &gone && one->alive()) one->peer_lost(lost);
+    if (one->endpoint() != endpoint && one->alive()) one->peer_lost(lost);
   }
 }
 

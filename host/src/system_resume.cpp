@@ -123,15 +123,25 @@ std::string System::difference_from(const ChildGroup& group) const {
   return names.empty() ? "nothing is meant to be there" : same ? "" : "it is meant to have other rights";
 }
 
-/// The wires of the others to one that is gone end before any are opened.
+/// One that cannot be adopted ends alone. The wires of the others to one that is gone end before any are opened.
 std::vector<std::string> System::adopt_groups() {
   std::vector<std::string> lines;
-  std::vector<std::unique_ptr<ChildGroup>> asked, gone;
+  std::vector<std::unique_ptr<ChildGroup>> asked;
+  std::map<std::string, std::string> gone;  // how, by endpoint
   for (KeptGroup& kept : std::exchange(kept_, {})) {
-    const std::string name = kept.told.name();
-    const ChildGroup::Start start = start_of_group(nullptr, kept.told.folder());
-    asked.push_back(std::make_unique<ChildGroup>(
-        std::move(kept), start, [this, name](wire::GroupMessage event) { deliver_from(name, std::move(event)); }));
+    const wire::KeptGroup told = kept.told;
+    const std::string name = told.name();
+    const pid_t process = kept.process;
+    try {
+      const ChildGroup::Start start = start_of_group(nullptr, told.folder());
+      asked.push_back(std::make_unique<ChildGroup>(
+          std::move(kept), start, [this, name](wire::GroupMessage event) { deliver_from(name, std::move(event)); }));
+    } catch (const Error& error) {
+      options_.supervisor->drop(process);  // who ends what is not kept
+      std::error_code ignored;
+      std::filesystem::remove_all(told.folder(), ignored);
+      lines.push_back(gone[told.endpoint()] = fmt::format("group '{}' was ended: {}", name, error.text().what));
+    }
   }
   const auto deadline = std::chrono::steady_clock::now() + kAdoptionDeadline;
   for (auto& group : asked) {
@@ -145,12 +155,20 @@ std::vector<std::string> System::adopt_groups() {
       lines.push_back(fmt::format("group '{}' goes on", name));
       groups_[name] = std::move(group);
     } else {
-      lines.push_back(fmt::format("group '{}' {}", name, group->end()));
-      gone.push_back(std::move(group));
+      lines.push_back(gone[group->endpoint()] = fmt::format("group '{}' {}", name, group->end()));
     }
   }
-  for (const auto& one : gone) tell_others(*one, "group '" + one->name() + "' " + one->end());
+  for (const auto& [endpoint, reason] : gone) tell_others(endpoint, reason);
   return lines;
+}
+
+/// One that refuses to be what it is meant to be ends alone, and is made again as one that has ended by itself.
+void System::correct(ChildGroup& group, const std::function<void()>& correction) {
+  try {
+    correction();
+  } catch (const Error& error) {
+    group.end_now("was ended: after the host's end " + error.text().what);
+  }
 }
 
 /// What groups that go on hold beside what they are meant to: the version before an upgrade, or the one after it that
@@ -196,7 +214,8 @@ void System::note_wires() {
   for (auto* child : child_groups()) {
     for (const auto& one : child->adopted()->wires()) {
       next_wire_ = std::max(next_wire_, one.wire() + 1);
-      if (!kept.contains(one.wire()) && !one.retired()) cut_at(child->name(), one.wire(), kHostEnded);
+      if (kept.contains(one.wire()) || one.retired()) continue;
+      correct(*child, [&] { cut_at(child->name(), one.wire(), kHostEnded); });
     }
   }
 }
@@ -250,14 +269,16 @@ void System::correct_ports() {
   for (auto* child : child_groups()) {
     if (!child->adopted()) continue;
     for (const auto& instance : child->adopted()->status().instances()) {
+      const auto* meant = model_.find(instance.name());
+      if (!meant || meant->group != child->name()) continue;  // it is on its way out
       for (const auto& port : instance.ports()) {
         if (port.direction() != REQUIRES) continue;
         const control::PortName client = port_of({instance.name(), port.name()});
         const Model::Wire* wanted = model_.wire_of(client);
         const bool has_several = port.providers_size() > 0 && (!wanted || wanted->providers.size() == 1);
         if (!has_several && (wanted || port.connection() == control::UNWIRED)) continue;
-        arrange(client, wanted ? wanted->providers : std::vector<control::PortName>(), Model::Wire::kHold_ms, {},
-                model_, nullptr);
+        const auto providers = wanted ? wanted->providers : std::vector<control::PortName>();
+        correct(*child, [&] { arrange(client, providers, Model::Wire::kHold_ms, {}, model_, nullptr); });
       }
     }
   }

@@ -437,7 +437,7 @@ void System::end_group(const std::string& name) {
   const auto at = groups_.find(name);
   auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
   if (used || !child) return;
-  if (child->alive()) tell_others(*child, "group '" + name + "' has ended");
+  if (child->alive()) tell_others(child->endpoint(), "group '" + name + "' has ended");
   if (virtual_time_) virtual_time_->forget(child->endpoint());
   supervision_.forget(name);
   retired_groups_.push_back(std::move(at->second));

@@ -324,5 +324,49 @@ TEST_F(SupervisedBus, IsReachedAgainByAGroupThatTheNextHostAdopts) {
   EXPECT_EQ(proxy_of(host).first, 0);
 }
 
+/// The program of the proxy, where this process and those that it starts find it.
+class ProxyInPath {
+ public:
+  ProxyInPath() {
+    put();
+    ::setenv("PATH", directory_.path.c_str(), 1);
+  }
+  ~ProxyInPath() { ::setenv("PATH", before_.c_str(), 1); }
+  ProxyInPath(const ProxyInPath&) = delete;
+  ProxyInPath& operator=(const ProxyInPath&) = delete;
+  void put() const { std::filesystem::create_symlink(program_, directory_.path / os::kBusProxy); }
+  void take_away() const { std::filesystem::remove(directory_.path / os::kBusProxy); }
+
+ private:
+  const TemporaryDirectory directory_;
+  const std::string before_ = std::getenv("PATH");
+  const std::filesystem::path program_ = os::program_in_path(os::kBusProxy);
+};
+
+TEST_F(SupervisedBus, ThatCannotBeReachedAgainEndsItsGroupAloneWhichIsMadeAgain) {
+  const ProxyInPath program;
+  conformance::SupervisedHost host;
+  auto console = host.console();
+  console->load("source", "far", "source");
+  auto change = conformance::TestConsole::load_of("source", "cage", "patient");
+  for (const char* right : {"confined", "system-bus:org.fiona.zoo.Open"}) change.mutable_load()->add_rights(right);
+  change.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/libknocks-on-the-bus.so");
+  console->change(change);
+  const pid_t cage = console->process_of("cage"), far = console->process_of("far");
+  program.take_away();
+  console = host.kill_host();
+  EXPECT_EQ(console->snapshot().restarts(), 1U) << host.said();
+  EXPECT_EQ(console->process_of("far"), far);
+  EXPECT_THAT(host.said(), HasSubstr("group 'cage' was ended: group 'cage' cannot reach the services on D-Bus that it "
+                                     "is granted: there is no xdg-dbus-proxy"));
+  EXPECT_NE(::kill(cage, 0), 0);
+  program.put();
+  console->eventually("it is made again", [&] {
+    const auto system = console->snapshot();
+    return std::any_of(system.groups().begin(), system.groups().end(),
+                       [](const auto& one) { return one.name() == "cage" && one.process() != 0; });
+  });
+}
+
 }  // namespace
 }  // namespace fiona::host

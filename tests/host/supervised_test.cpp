@@ -169,6 +169,33 @@ TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
   EXPECT_EQ(port(*console, "listener.samples").connection(), control::CONNECTED);
 }
 
+TEST_F(Supervised, WhatWasLoadedAndWiredByAChangeThatWasUnderWayIsEndedAndItsGroupGoesOn) {
+  auto console = host.console();
+  load_pair(*console, 0);
+  console->load("mover", "moves", "mover", "work_ms=8000");  // holds the activity that a change of mode waits for
+  console->load("source", "moves", "silent", "period_ms=10000");
+  wire(*console, "mover.orders", "silent.newest");
+  const pid_t far = console->process_of("far");
+  TestConsole other(host.socket());
+  auto half = other.request();
+  *half.mutable_transact()->add_changes() = TestConsole::load_of("sink", "far", "surplus");
+  *half.mutable_transact()->add_changes() = TestConsole::wire_of("surplus.each", "source.newest");
+  *half.mutable_transact()->add_changes() = state_of("mover", "rest");
+  other.send(half);
+  console->eventually("half of it is done", [&] {
+    const auto system = console->snapshot();
+    return std::any_of(system.instances().begin(), system.instances().end(),
+                       [](const auto& one) { return one.name() == "surplus"; }) &&
+           port(*console, "surplus.each").connection() == control::CONNECTED;
+  });
+  console = host.kill_host();
+  EXPECT_EQ(console->snapshot().restarts(), 1U);
+  EXPECT_EQ(console->process_of("far"), far);
+  EXPECT_EQ(port(*console, "listener.samples").connection(), control::CONNECTED);
+  EXPECT_THROW(console->instance("surplus"), std::runtime_error);
+  EXPECT_THAT(host.said(), HasSubstr("is ended in group 'far', where it is not meant to be"));
+}
+
 TEST_F(Supervised, AGroupThatEndsWhileThereIsNoHostIsMadeAgainAndItsReasonTold) {
   auto console = host.console();
   load_pair(*console, 0);
