@@ -162,7 +162,8 @@ void MainGroup::peer_lost(const wire::PeerLost& gone) {
 
 pid_t MainGroup::process() const { return ::getpid(); }
 
-ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event)
+/// With what a process of it needs, and without one.
+ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event, Unstarted)
     : Group(std::move(name)),
       endpoint_(start.endpoint),
       folder_(start.folder),
@@ -173,7 +174,12 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       copied_(start.copied),
       on_event_(std::move(on_event)),
       cpu_(start.cores),
-      liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {
+      liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {}
+
+/// Where it throws, the destructor takes back what has been made so far.
+ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event)
+    : ChildGroup(std::move(name), start, std::move(on_event), Unstarted()) {
+  if (!folder_.empty()) std::filesystem::create_directories(folder_);
   // Virtual time has a watchdog of its own.
   const auto& page = *static_cast<const Liveness::Page*>(liveness_->data());
   if (start.parts && !start.master) hangs_ = std::make_unique<HangWatch>(page, start.parts);
@@ -211,16 +217,11 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   stream_->send(welcome);
   // An exit with code 0 before it says ready is a failure too.
   const auto ready = wait_for(0, Steady::now() + kReadyDeadline);
-  try {
-    if (!ready || !ready->has_ready()) throw not_started();
-    ready_ = ready->ready();
-    if (ready_.protocol() != kGroupProtocol) throw not_of_this_build();
-    require_sandbox(this->name(), ready_);
-    if (bus_) bus_->require_ready(Steady::now() + kReadyDeadline);
-  } catch (const Error&) {
-    leave_nothing();
-    throw;
-  }
+  if (!ready || !ready->has_ready()) throw not_started();
+  ready_ = ready->ready();
+  if (ready_.protocol() != kGroupProtocol) throw not_of_this_build();
+  require_sandbox(this->name(), ready_);
+  if (bus_) bus_->require_ready(Steady::now() + kReadyDeadline);
   if (supervisor_) hand_to_supervisor(std::move(adoption.first));
 }
 
@@ -310,17 +311,14 @@ Error ChildGroup::not_of_this_build() const {
 }
 
 ChildGroup::~ChildGroup() {
-  leave_nothing();
-  const pid_t ended = process();
-  child_.reset();
-  if (cpu_.most() > 0) os::remove_cpu_limit(ended);
-}
-
-void ChildGroup::leave_nothing() {
   if (supervisor_ && child_) supervisor_->drop(child_->id());
   if (master_) master_->remove(endpoint_);
   std::error_code ignored;
   if (!folder_.empty()) std::filesystem::remove_all(folder_, ignored);
+  if (!child_) return;
+  const pid_t ended = process();
+  child_.reset();
+  if (cpu_.most() > 0) os::remove_cpu_limit(ended);
 }
 
 void ChildGroup::pass_on(const wire::GroupMessage& event) {

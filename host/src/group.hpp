@@ -118,7 +118,7 @@ class ChildGroup final : public Group {
     std::size_t threads = 0;               ///< of its pool; 0: one per core
     HangWatch::Parts parts;                ///< what its instances may be doing; none: it is not ended when it hangs
     wire::Confinement confinement{};       ///< what it may take and reach
-    std::filesystem::path folder{};        ///< in which it listens; removed at its end
+    std::filesystem::path folder{};        ///< in which it listens: made with it, and removed at its end
     double cores = 0;                      ///< that it may take in the long run; 0: as many as there are
     std::string host{};                    ///< where `main` listens
     SupervisorLink* supervisor = nullptr;  ///< keeps it for a host after this one; none: it ends with this one
@@ -168,6 +168,8 @@ class ChildGroup final : public Group {
   const std::string& end() const { return end_; }
 
  private:
+  struct Unstarted {};
+  ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event, Unstarted);
   /// A request whose answer has not come: until it comes nothing more is asked for.
   struct Unanswered {
     std::uint64_t id = 0;
@@ -189,7 +191,6 @@ class ChildGroup final : public Group {
   void end_if_greedy();
   void watch_bus(Time now);
   void hold_cpu();
-  void leave_nothing();
   void hand_to_supervisor(os::PacketSocket adoption);
 
   const std::string endpoint_;

@@ -68,7 +68,6 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   end_leaving(wanted);
   require_descriptors_for("another group", child_groups().size() + attached_names(), options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
-  std::filesystem::create_directories(folder);
   auto start = start_of_group(first ? first : first_in(wanted), folder);
   start.copied = template_for(start.confinement);
   auto made = std::make_unique<ChildGroup>(

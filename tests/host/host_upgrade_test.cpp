@@ -305,6 +305,25 @@ TEST(NewGroup, OfAnotherBuildIsRefusedWithASentence) {
   EXPECT_EQ(console->snapshot().instances_size(), 0);
 }
 
+TEST(NewGroup, ThatCannotBeStartedLeavesNothingBehind) {
+  const Installation installed;
+  SupervisedHost host{{}, installed.programs()};
+  const auto console = host.console();
+  console->change(TestConsole::set_of("host", "clock=virtual"));
+  auto confined = TestConsole::load_of("sink", "far", "sink");
+  confined.mutable_load()->add_rights("confined");
+  std::filesystem::permissions(installed.programs() / "fiona-group", std::filesystem::perms::owner_read);
+  EXPECT_THROW(console->change(confined), Error);
+  auto sleep = console->request();
+  sleep.mutable_sleep()->set_duration_ms(1000);
+  EXPECT_EQ(console->ask(sleep).met().after_ms(), 1000) << "no group is waited for";
+  for (const auto& one : std::filesystem::recursive_directory_iterator(host.socket().parent_path()))
+    EXPECT_THAT(one.path().filename(), Not(testing::StartsWith("kept.far.")));
+  std::filesystem::permissions(installed.programs() / "fiona-group", std::filesystem::perms::owner_all);
+  console->change(confined);
+  EXPECT_EQ(console->instance("sink").mode(), "active");
+}
+
 /// A group that a host which has ended has left: its process does nothing, what it says is up to the test.
 struct LeftGroup {
   os::ChildProcess process{"/bin/sleep", {"60"}, {}};
