@@ -311,7 +311,7 @@ Error ChildGroup::not_of_this_build() const {
 }
 
 ChildGroup::~ChildGroup() {
-  if (supervisor_ && child_) supervisor_->drop(child_->id());
+  if (supervisor_ && child_ && alive()) supervisor_->drop(child_->id());
   if (master_) master_->remove(endpoint_);
   std::error_code ignored;
   if (!folder_.empty()) std::filesystem::remove_all(folder_, ignored);
@@ -368,6 +368,7 @@ void ChildGroup::note_end(const std::string& why) {
   }
   if (end_.empty()) end_ = "closed its connection to the host";
   if (!why.empty()) end_ = why;
+  if (supervisor_) supervisor_->drop(child_->id());  // whose number may be another's soon
   std::cerr << output_.take(Steady::now());
   if (const std::string said = output_.last_lines(); !said.empty()) end_ += "; it wrote: " + said;
 }

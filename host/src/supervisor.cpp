@@ -312,9 +312,10 @@ void Supervisor::take_back(const std::string& end) {
 /// Who has lost its host and is not kept has nobody left; how the others end, the next host is told.
 void Supervisor::reap_orphans() {
   for (auto& [process, kept] : kept_) {
-    const auto status = kept.orphan && kept.end.empty() ? os::reap(process) : std::nullopt;
-    if (!status) continue;
-    kept.end = os::text_of_end(*status);
+    if (!kept.orphan || !kept.end.empty()) continue;
+    const auto status = os::reap(process);
+    if (!status && os::is_child(process)) continue;
+    kept.end = status ? os::text_of_end(*status) : "ended before its host";
     if (host_)
       outgoing_.push_back({std::string(SupervisorLink::kEnded) + " " + std::to_string(process) + "\n" + kept.end});
   }

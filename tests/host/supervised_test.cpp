@@ -350,6 +350,16 @@ class FewDescriptors {
   rlimit before_{};
 };
 
+/// Of a process, so far.
+std::chrono::duration<double> processor_time_of(pid_t process) {
+  std::ifstream file("/proc/" + std::to_string(process) + "/stat");
+  const std::string line{std::istreambuf_iterator<char>(file), {}};
+  std::istringstream numbers(line.substr(line.rfind(')') + 2));
+  std::vector<std::string> fields{std::istream_iterator<std::string>(numbers), {}};
+  return std::chrono::duration<double>((std::stod(fields.at(11)) + std::stod(fields.at(12))) /
+                                       static_cast<double>(::sysconf(_SC_CLK_TCK)));
+}
+
 class SupervisedWithoutDescriptors : public Supervised {
  protected:
   void SetUp() override {
@@ -373,6 +383,38 @@ TEST_F(SupervisedWithoutDescriptors, AHostThatCannotBeStartedIsTriedAgain) {
   EXPECT_EQ(console->process_of("there"), there);
   EXPECT_THAT(host.said(), HasSubstr("supervisor: the host could not be started: no pipe can be made: Too many open "
                                      "files; it is started again"));
+}
+
+/// One that has been left is not started again, and so stays what it is.
+TEST_F(SupervisedWithoutDescriptors, AGroupThatHadEndedBeforeTheHostKeepsTheSupervisorFromNothing) {
+  auto console = host.console();
+  load_pair(*console, 0);
+  for (int deaths = 0; console->instance("source").reason().find("; left, after") == std::string::npos; ++deaths) {
+    ::kill(console->process_of("there"), SIGKILL);
+    console->eventually("it is again, or left", [&] {
+      const auto source = console->instance("source");
+      return source.restarts() > static_cast<std::uint64_t>(deaths)
+                 ? source.mode() == "active" || source.mode() == "neutral"
+                 : source.reason().find("; left") != std::string::npos;
+    });
+  }
+  const pid_t before = host.host();
+  const auto busy = processor_time_of(host.supervisor());
+  const auto begun = Steady::now();
+  {
+    const auto open = std::filesystem::directory_iterator("/proc/" + std::to_string(host.supervisor()) + "/fd");
+    const FewDescriptors no_more(host.supervisor(), static_cast<rlim_t>(std::distance(begin(open), end(open))));
+    ::kill(before, SIGKILL);
+    console->eventually("it has been tried twice", [&] {
+      const std::string said = host.said();
+      return said.find("could not be started") != said.rfind("could not be started");
+    });
+  }
+  const std::chrono::duration<double> took = Steady::now() - begun;
+  EXPECT_LT((processor_time_of(host.supervisor()) - busy).count(), 0.2 * took.count()) << "in " << took.count() << " s";
+  console = host.console(before);
+  EXPECT_THAT(host.said(), Not(HasSubstr("group 'there' was ended")));
+  console->eventually("it is made again", [&] { return console->instance("source").mode() == "neutral"; });
 }
 
 TEST_F(SupervisedWithoutDescriptors, AHostThatCanNeverBeStartedIsLeftWithTheReason) {

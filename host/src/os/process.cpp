@@ -119,6 +119,11 @@ std::optional<int> reap(pid_t child) {
   return status;
 }
 
+bool is_child(pid_t process) {
+  siginfo_t ignored{};
+  return ::waitid(P_PID, static_cast<id_t>(process), &ignored, WEXITED | WNOHANG | WNOWAIT) == 0;
+}
+
 /// One by one: a signal to all of a group would reach this process too, and who is killed so does not end in order.
 void end_own_programs() {
   if (::getpgrp() != ::getpid()) return;

@@ -52,6 +52,8 @@ class ChildProcess {
 
 /// Reaps a child that has ended, and ends what is left of its process group. What waitpid tells of it; none: it lives.
 std::optional<int> reap(pid_t child);
+/// Whether it is a child of this process that nobody has reaped.
+bool is_child(pid_t process);
 
 /// Ends the programs that this process has started and left, if it leads a process group: the others in that.
 void end_own_programs();
