@@ -54,6 +54,11 @@ std::string record_of(const std::string& instance, const std::string& text) {
 
 struct ControlServer::Client {
   Client(os::Descriptor socket, Rights given) : stream(std::move(socket)), rights(std::move(given)) {}
+  /// One that does not read is cut off.
+  void tell(control::Reply reply) {
+    if (!os::MessageStream::fits(reply)) *reply.mutable_failure() = failure_of(too_large(reply));
+    if (!stream.send(reply)) stream.shut_down();
+  }
   os::MessageStream stream;
   const Rights rights;
   std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
@@ -247,7 +252,7 @@ void ControlServer::send(std::uint64_t id, const control::Reply& reply) {
     expect_taps_.erase(tap);
   }
   const auto client = clients_.find(id);
-  if (client != clients_.end()) client->second->stream.send(reply);
+  if (client != clients_.end()) client->second->tell(reply);
 }
 
 /// What was answered at once has never been among those that are open.
@@ -481,7 +486,7 @@ void ControlServer::send_sample(Watched& watch, Client& client, const wire::Tapp
   watch.skipped = tapped.skipped();
   watch.number = tapped.number();
   watch.held.reset();
-  client.stream.send(reply);
+  client.tell(reply);
 }
 
 control::Sample ControlServer::sample_of(const wire::Tapped& tapped, bool described) {

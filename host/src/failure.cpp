@@ -1,5 +1,7 @@
 #include "failure.hpp"
 
+#include "os/message_stream.hpp"
+
 namespace fiona::host {
 
 control::Failure failure_of(const Error& error) {
@@ -40,6 +42,13 @@ Error error_of(const control::Failure& failure) {
 }
 
 void throw_failure(const control::Failure& failure) { throw error_of(failure); }
+
+Error too_large(const google::protobuf::MessageLite& message) {
+  return Error(ErrorCode::Failed, {.what = "what there is to tell is too large",
+                                   .expected = std::to_string(os::MessageStream::kMaxMessage) + " bytes at most",
+                                   .found = std::to_string(message.ByteSizeLong()) + " bytes",
+                                   .next = "ask for a part of it"});
+}
 
 ErrorText without_instance(ErrorText text, const std::string& instance) {
   if (text.where.empty()) text.where = instance;

@@ -12,6 +12,8 @@ control::Failure failure_of_exception();
 /// The other way round.
 Error error_of(const control::Failure& failure);
 [[noreturn]] void throw_failure(const control::Failure& failure);
+/// Of what does not go as one message between host, group and console.
+Error too_large(const google::protobuf::MessageLite& message);
 /// The text of what went wrong at a load: there is no instance afterwards that one could look at.
 ErrorText without_instance(ErrorText text, const std::string& instance);
 

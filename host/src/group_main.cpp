@@ -72,6 +72,20 @@ fiona::wire::GroupMessage handle(Runtime& runtime, GroupClock* clock, const fion
   return reply;
 }
 
+/// To a host that reads slowly, slowly: it goes on, or ends. Instead of an answer that is too large goes a refusal,
+/// instead of an event that is nothing, for it has been counted. False: the host has gone.
+bool tell(fiona::os::MessageStream& stream, fiona::wire::GroupMessage message) {
+  if (!fiona::os::MessageStream::fits(message)) {
+    const auto error = fiona::host::too_large(message);
+    const auto id = message.id();
+    message.Clear();
+    if (id == 0) std::cerr << error.text().what << ": " << error.text().found << "\n";
+    if (id != 0) *message.mutable_failure() = fiona::host::failure_of(error);
+    message.set_id(id);
+  }
+  return (stream.unsent() <= kSlowHost || stream.flush_all()) && stream.send(message);
+}
+
 int serve(Runtime& runtime, const fiona::host::PluginLibraries& libraries, GroupClock* clock,
           fiona::os::MessageStream& stream, Mailbox<fiona::wire::GroupMessage>& events) {
   fiona::os::ReadPages read_pages;
@@ -82,16 +96,16 @@ int serve(Runtime& runtime, const fiona::host::PluginLibraries& libraries, Group
     ::poll(waits, is_slow ? 1 : 2, read_pages.look(libraries.size()));
     if (!is_slow) {
       for (auto& event : events.take()) {
-        if (!stream.send(event)) return 1;
+        if (!tell(stream, std::move(event))) return 1;
       }
     }
     if (!stream.flush() || !stream.receive()) return 0;
     fiona::wire::GroupRequest request;
     while (stream.next(request)) {
-      const auto reply = handle(runtime, clock, request);
+      auto reply = handle(runtime, clock, request);
       // What the request caused is told before its answer.
-      for (auto& event : events.take()) stream.send(event);
-      if (!stream.send(reply)) return 1;
+      for (auto& event : events.take()) tell(stream, std::move(event));
+      if (!tell(stream, std::move(reply))) return 1;
     }
   }
 }

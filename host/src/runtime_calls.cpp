@@ -1,4 +1,6 @@
 // Calls of ports and triggers by hand; and answers to what an instance has asked for.
+#include <fmt/format.h>
+
 #include "fiona/error.hpp"
 #include "runtime.hpp"
 
@@ -21,6 +23,11 @@ class Runtime::CallReply final : public ReplySink {
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
     if (ended_.exchange(true)) return;
+    if (const std::size_t bytes = object ? object->ByteSizeLong() : 0; bytes > kMostCopied) {
+      outcome = Outcome::Rejected;
+      reason = fmt::format("the answer is too large: {} bytes, of at most {} that can be shown", bytes, kMostCopied);
+      object.reset();
+    }
     wire::GroupMessage message;
     auto& ended = *message.mutable_call_ended();
     ended.set_run(run_);

@@ -2,10 +2,13 @@
 
 #include <fmt/format.h>
 
+#include <atomic>
+
 #include "failure.hpp"
 #include "field_compare.hpp"
 #include "fiona/error.hpp"
 #include "fiona/secrets.hpp"
+#include "names.hpp"
 
 namespace fiona::host {
 namespace {
@@ -66,13 +69,21 @@ std::string value_text(const Object& object) {
 
 }  // namespace
 
-/// Passes values on to the host, as bytes.
+/// Passes values on to the host, as bytes, until one is too large for that.
 class Taps::Teller final : public Watcher {
  public:
-  Teller(std::uint64_t id, std::string unit, const OnEvent& on_event)
-      : id_(id), unit_(std::move(unit)), on_event_(on_event) {}
+  Teller(std::uint64_t id, std::string name, std::string unit, const OnEvent& on_event)
+      : id_(id), name_(std::move(name)), unit_(std::move(unit)), on_event_(on_event) {}
 
   void value(const Tapped& value) override {
+    if (ended_) return;
+    if (const std::size_t bytes = bytes_of(value.envelope); bytes > kMostCopied) {
+      return ended(Error(ErrorCode::Failed, {.what = "what " + name_ + " says is too large to be watched",
+                                             .where = name_,
+                                             .expected = fmt::format("at most {} bytes", kMostCopied),
+                                             .found = std::to_string(bytes),
+                                             .next = "watch a probe of it, or wire it to who says less"}));
+    }
     wire::GroupMessage message;
     auto& tapped = *message.mutable_tapped();
     tapped = tapped_of(value.envelope, unit_);
@@ -82,6 +93,7 @@ class Taps::Teller final : public Watcher {
     on_event_(std::move(message));
   }
   void ended(const Error& why) override {
+    if (ended_.exchange(true)) return;
     wire::GroupMessage message;
     message.mutable_tap_ended()->set_tap(id_);
     *message.mutable_tap_ended()->mutable_failure() = failure_of(why);
@@ -89,15 +101,21 @@ class Taps::Teller final : public Watcher {
   }
 
  private:
+  static std::size_t bytes_of(const Envelope& envelope) {
+    return envelope.object ? envelope.object->ByteSizeLong() : 0;
+  }
+
   const std::uint64_t id_;
+  const std::string name_;
   const std::string unit_;
   const OnEvent& on_event_;
+  std::atomic<bool> ended_{false};
 };
 
 void Taps::tap(const wire::Tap& request, Hull& hull) {
   const std::string& name = request.watch().port().port();
   const std::string unit = hull.unit_of(name);
-  auto teller = std::make_shared<Teller>(request.tap(), unit, on_event_);
+  auto teller = std::make_shared<Teller>(request.tap(), text_of(request.watch().port()), unit, on_event_);
   taps_[request.tap()] = {&hull, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
 }
 

@@ -9,8 +9,12 @@
 
 #include "fiona/hull.hpp"
 #include "fiona/wire.pb.h"
+#include "os/message_stream.hpp"
 
 namespace fiona::host {
+
+/// Bytes of an object that goes to the host and to a console: what a message may have, but for what comes along.
+inline constexpr std::size_t kMostCopied = os::MessageStream::kMaxMessage - (1U << 20U);
 
 /// What is watched of the instances of one process: each value goes to the host as an event.
 class Taps {

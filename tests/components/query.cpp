@@ -25,6 +25,7 @@ class Answerer final : public Component {
     Reply answer;
     answer.set_number(question.number());
     answer.set_payload(question.payload());
+    if (question.manner() == "large") answer.mutable_payload()->resize(20U << 20U);
     if (question.manner() == "later") {
       if (waiting_.empty()) later_.at(now() + 50ms);
       waiting_.emplace_back(std::move(answer), std::move(reply));

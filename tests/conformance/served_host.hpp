@@ -87,7 +87,7 @@ class TestConsole {
     return next;
   }
   void send(const control::Request& request) {
-    if (!stream_.send(request)) throw std::runtime_error("the host has gone");
+    if (!stream_.send(request) || !stream_.flush_all()) throw std::runtime_error("the host has gone");
   }
   /// Without waiting.
   bool has_answer() { return stream_.wait_readable(std::chrono::steady_clock::now()); }

@@ -28,7 +28,9 @@ class MessageStream {
   /// Parses the next complete message; false when there is none. After a malformed one nothing more is read, and
   /// `fault` says what it was.
   bool next(google::protobuf::MessageLite& message);
-  /// Queues and sends as much as goes now. False when the stream is closed or too much is unsent.
+  /// Whether a message is not too large to be sent at all.
+  static bool fits(const google::protobuf::MessageLite& message) { return message.ByteSizeLong() <= kMaxMessage; }
+  /// Queues and sends as much as goes now. False when the stream is closed, too much is unsent, or it does not fit.
   bool send(const google::protobuf::MessageLite& message);
   /// Sends more of what is queued. False when the stream has failed.
   bool flush();
