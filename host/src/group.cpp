@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <bit>
 #include <iostream>
 #include <thread>
 
@@ -44,6 +45,9 @@ milliseconds patience_with(const wire::GroupRequest& request) {
 /// What a process may say that nobody has asked for, in bytes, while it does not answer; each message counts 256 more.
 constexpr std::size_t kMostUnasked = 64U << 20U;
 constexpr std::size_t kPerMessage = 256;
+
+/// Of which there is no more than the host has asked for, or no more is kept.
+bool is_bounded(const wire::GroupMessage& event) { return event.has_tapped() || event.has_call_ended(); }
 
 /// Where a group finds its socket.
 constexpr int kGroupSocket = 3;
@@ -263,7 +267,9 @@ void ChildGroup::finish_adoption(Time deadline) {
   if (!alive()) return;
   const auto reply = adoption_ != 0 ? wait_for(adoption_, deadline) : std::nullopt;
   if (reply && reply->has_adopted()) adopted_ = reply->adopted();
-  if (!adopted_) end_now("was ended: it did not answer the new host");
+  if (!adopted_) return end_now("was ended: it did not answer the new host");
+  subjects_.hold(*adopted_);
+  for (const auto& event : std::exchange(early_, {})) pass_on(event);
 }
 
 /// One that is not kept ends with this host; that is no reason not to have it.
@@ -321,8 +327,17 @@ ChildGroup::~ChildGroup() {
   if (cpu_.most() > 0) os::remove_cpu_limit(ended);
 }
 
+/// What it says of others is dropped, and told at the first, second, fourth, … time.
 void ChildGroup::pass_on(const wire::GroupMessage& event) {
-  on_event_(event);
+  const bool believed = subjects_.take(event);
+  if (believed) on_event_(event);
+  if (!believed && std::has_single_bit(++disbelieved_)) {
+    const auto* what = wire::GroupMessage::descriptor()->FindFieldByNumber(event.what_case());
+    std::cerr << fmt::format(
+        "group '{}' has spoken of what it does not have, and was not asked for ({}): that is not "
+        "believed; so far: {}\n",
+        name(), what ? what->name() : "nothing", disbelieved_);
+  }
   if (master_) master_->event_seen(endpoint_);
 }
 
@@ -331,6 +346,7 @@ bool ChildGroup::send(wire::GroupRequest& request) {
   request.set_id(next_id_++);
   request.set_now_ns(clock_.now().time_since_epoch().count());
   if (master_) master_->request_sent(endpoint_, request.id());
+  subjects_.ask(request);
   return alive() && stream_->send(request);
 }
 
@@ -387,7 +403,7 @@ std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time de
       if (message.id() == id && (id != 0 || message.has_ready())) {
         found = message;
       }
-      if (!message.has_tapped() && !message.has_call_ended()) said += message.ByteSizeLong() + kPerMessage;
+      if (!is_bounded(message)) said += message.ByteSizeLong() + kPerMessage;
       take(message);
     }
     if (found) return found;
@@ -461,7 +477,11 @@ void ChildGroup::watch(Time now) {
 
 /// An event, or a late answer: whoever asked waits no more, but the process answers again.
 void ChildGroup::take(const wire::GroupMessage& message) {
-  if (message.id() == 0 && !message.has_ready()) pass_on(message);
+  if (message.id() != 0) subjects_.answered(message);
+  const bool is_event = message.id() == 0 && !message.has_ready();
+  const bool is_early = adoption_ != 0 && !adopted_;
+  if (is_event && !is_early) pass_on(message);
+  if (is_event && is_early && !is_bounded(message)) early_.push_back(message);
   if (unanswered_ && message.id() == unanswered_->id) unanswered_.reset();
 }
 

@@ -6,12 +6,14 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "bus_proxy.hpp"
 #include "clock_master.hpp"
 #include "cpu_share.hpp"
 #include "fiona/error.hpp"
 #include "group_output.hpp"
+#include "group_subjects.hpp"
 #include "hang_watch.hpp"
 #include "os/limits.hpp"
 #include "os/message_stream.hpp"
@@ -203,6 +205,7 @@ class ChildGroup final : public Group {
   const std::shared_ptr<os::ProcessTemplate> copied_;
   std::uint64_t adoption_ = 0;  ///< the request of it; 0: it could not be asked
   std::optional<wire::Adopted> adopted_;
+  std::vector<wire::GroupMessage> early_;  ///< what it says before it has told what it holds
   const Runtime::OnEvent on_event_;
   CpuShare cpu_;
   std::string cpu_held_by_;
@@ -216,6 +219,8 @@ class ChildGroup final : public Group {
   os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
   std::optional<Unanswered> unanswered_;
+  GroupSubjects subjects_;
+  std::uint64_t disbelieved_ = 0;  ///< events, of what is not its own
   std::string end_;
 };
 

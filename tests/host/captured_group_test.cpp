@@ -56,5 +56,42 @@ TEST_F(CapturedGroup, ThatFloodsItsHostIsEndedOnceItIsAskedAndHoldsUpNobody) {
   EXPECT_EQ(console.instance("source").mode(), "active");
 }
 
+TEST_F(CapturedGroup, IsNotBelievedWhatItSaysOfOthers) {
+  console.load("sink", "main", "sink");
+  console.change(TestConsole::wire_of("sink.each", "source.newest"));
+  console.load("mover", "far", "mover", "work_ms=5000");  // holds the activity that a change of mode waits for
+  console.load("source", "far", "silent", "period_ms=10000");
+  console.change(TestConsole::wire_of("mover.orders", "silent.newest"));
+  TestConsole watcher(host), runner(host), mover(host);
+  auto watch = watcher.request();
+  *watch.mutable_watch()->mutable_port() = conformance::port_name("source.newest");
+  watcher.send(watch);
+  ASSERT_TRUE(watcher.receive().has_sample());
+  auto run = runner.request();
+  run.mutable_run();
+  runner.send(run);
+  control::Change rest;
+  rest.mutable_state()->set_instance("mover");
+  rest.mutable_state()->set_mode("rest");
+  mover.begin(rest);
+  testing::internal::CaptureStderr();
+  load("forges");
+  console.eventually("it has ended", [&] { return console.instance("captor").mode() == "failed"; });
+  EXPECT_THAT(console.instance("captor").reason(), HasSubstr("exited with code 0"));
+  EXPECT_EQ(console.instance("source").mode(), "active");
+  const std::string said = testing::internal::GetCapturedStderr();
+  EXPECT_THAT(said, HasSubstr("group 'cage' has spoken of what it does not have, and was not asked for (tapped)"));
+  EXPECT_THAT(said, testing::Not(HasSubstr("forged")));
+  const control::InstanceStatus sink = console.instance("sink");
+  for (const auto& port : sink.ports()) {
+    if (port.name() != "each") continue;
+    EXPECT_EQ(port.connection(), control::CONNECTED) << port.reason();
+  }
+  EXPECT_FALSE(runner.has_answer());
+  EXPECT_FALSE(mover.has_answer());
+  while (watcher.has_answer()) EXPECT_NE(watcher.receive().sample().sequence(), 123'456'789U);
+  ASSERT_TRUE(watcher.receive().has_sample()) << "it goes on";
+}
+
 }  // namespace
 }  // namespace fiona::host

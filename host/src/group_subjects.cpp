@@ -1,0 +1,81 @@
+#include "group_subjects.hpp"
+
+namespace fiona::host {
+
+void GroupSubjects::ask(const wire::GroupRequest& request) {
+  if (Then then = following(request)) open_[request.id()] = std::move(then);
+}
+
+GroupSubjects::Then GroupSubjects::unless_refused(Numbers& numbers, std::uint64_t number) {
+  if (number != 0) numbers.insert(number);
+  return [&numbers, number](bool done) {
+    if (!done) numbers.erase(number);
+  };
+}
+
+GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) {
+  using Request = wire::GroupRequest;
+  const auto leaves = [this](const std::string& name, bool when) {
+    return [this, name, when](bool done) {
+      if (const auto one = instances_.find(name); done == when && one != instances_.end()) instances_.erase(one);
+    };
+  };
+  switch (request.what_case()) {
+    case Request::kCreate:
+      instances_.insert(request.create().instance());
+      return [left = leaves(request.create().instance(), false),
+              changed = unless_refused(changes_, request.create().change())](bool done) {
+        left(done);
+        changed(done);
+      };
+    case Request::kDestroy: return leaves(request.destroy().instance(), true);
+    case Request::kWireLocal:
+      return [this, old = request.wire_local().replaces()](bool done) {
+        if (done) wires_.erase(old);
+      };
+    case Request::kWireRequire:
+      wires_.insert(request.wire_require().wire());
+      return [this, now = request.wire_require().wire(), old = request.wire_require().replaces()](bool done) {
+        wires_.erase(done ? old : now);
+      };
+    case Request::kWireProvide:
+      if (!request.wire_provide().attached()) return nullptr;
+      return unless_refused(wires_, request.wire_provide().wire());
+    case Request::kCut: return [this, wire = request.cut().wire()](bool) { wires_.erase(wire); };
+    case Request::kTap: return unless_refused(taps_, request.tap().tap());
+    case Request::kUntap: return [this, tap = request.untap().tap()](bool) { taps_.erase(tap); };
+    case Request::kSetMode: return unless_refused(changes_, request.set_mode().change());
+    case Request::kCall: return unless_refused(calls_, request.call().run());
+    default: return nullptr;
+  }
+}
+
+void GroupSubjects::answered(const wire::GroupMessage& reply) {
+  const auto then = open_.extract(reply.id());
+  if (!then.empty()) then.mapped()(!reply.has_failure());
+}
+
+void GroupSubjects::hold(const wire::Adopted& adopted) {
+  for (const auto& one : adopted.status().instances()) instances_.insert(one.name());
+  for (const auto& one : adopted.wires()) {
+    if (one.client_end()) wires_.insert(one.wire());
+  }
+}
+
+bool GroupSubjects::take(const wire::GroupMessage& event) {
+  using Event = wire::GroupMessage;
+  switch (event.what_case()) {
+    case Event::kModeChanged: return instances_.contains(event.mode_changed().instance());
+    case Event::kRunEnded: return instances_.contains(event.run_ended().instance());
+    case Event::kLogged: return instances_.contains(event.logged().instance());
+    case Event::kAsked: return instances_.contains(event.asked().instance());
+    case Event::kTapped: return taps_.contains(event.tapped().tap());
+    case Event::kTapEnded: return taps_.contains(event.tap_ended().tap());
+    case Event::kWireLost: return wires_.contains(event.wire_lost().wire());
+    case Event::kModeSet: return changes_.erase(event.mode_set().change()) > 0;
+    case Event::kCallEnded: return calls_.erase(event.call_ended().run()) > 0;
+    default: return false;
+  }
+}
+
+}  // namespace fiona::host

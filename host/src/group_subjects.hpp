@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <set>
+#include <string>
+
+#include "fiona/wire.pb.h"
+
+namespace fiona::host {
+
+/// What a group has to tell of: the instances and wires that it holds, and what it was asked for. What it says of
+/// anything else is not believed: a component may have taken its process over. All functions [control thread].
+class GroupSubjects {
+ public:
+  GroupSubjects() = default;
+  GroupSubjects(const GroupSubjects&) = delete;
+  GroupSubjects& operator=(const GroupSubjects&) = delete;
+
+  /// It is asked for this, under a number of its own.
+  void ask(const wire::GroupRequest& request);
+  /// This is its answer: what it has been rid of it tells of no more.
+  void answered(const wire::GroupMessage& reply);
+  /// Of a group that a host before this one has started.
+  void hold(const wire::Adopted& adopted);
+  /// Whether the event is about one of these. What ends once has ended with it.
+  bool take(const wire::GroupMessage& event);
+
+ private:
+  using Numbers = std::set<std::uint64_t>;
+  using Then = std::function<void(bool done)>;
+
+  Then following(const wire::GroupRequest& request);
+  static Then unless_refused(Numbers& numbers, std::uint64_t number);
+
+  std::multiset<std::string> instances_;  ///< of a name the next may be made before the end of the last is told
+  Numbers wires_;  ///< whose end it tells of: those that it is the client of, and of processes outside
+  Numbers taps_;
+  Numbers changes_;
+  Numbers calls_;
+  std::map<std::uint64_t, Then> open_;  ///< what follows from the answer, by request
+};
+
+}  // namespace fiona::host
