@@ -102,7 +102,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
       });
       return Outcome::Ok;
     }
-    Parcel parcel{std::move(event), shared_from_this(), false, static_cast<std::uint64_t>(id_)};
+    Parcel parcel{std::move(event), nullptr, false, static_cast<std::uint64_t>(id_)};
     if (!strand_->clock().staging()) return deliver(std::move(parcel));
     const Object* object = parcel.envelope.object.get();
     staged(object, object ? std::string_view() : to_string(Outcome::Rejected),
@@ -274,10 +274,11 @@ void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, 
   if (const auto wait = std::exchange(found->second.wait, nullptr)) calls().finish(wait, outcome, reason);
 }
 
+/// Whichever provider it is of: it had arrived before the activation moved to another.
 std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
   const ActivationId id{parcel.activation};
   const auto found = activations_.find(id);
-  if (found == activations_.end() || found->second.channel != parcel.reply || found->second.fired) return std::nullopt;
+  if (found == activations_.end() || found->second.fired) return std::nullopt;
   Activation& activation = found->second;
   const Envelope& event = parcel.envelope;
   const bool over = !activation.continuous;

@@ -1,6 +1,7 @@
 // Every call that waits.
 #include <map>
 #include <string>
+#include <thread>
 #include <utility>
 
 #include "components.hpp"
@@ -132,6 +133,7 @@ class Caller final : public Component {
     return std::to_string(sample->number()) + (sample.stale ? " stale " : " ") + std::to_string(age.count());
   }
   void on_ring(const Fired<Crossing>& crossing) {
+    std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->ring_ms()));
     ++rings_;
     Sample one;
     one.set_number(rings_);

@@ -521,6 +521,45 @@ TEST_P(Event, ActivationMovesToTheNewProvider) {
   system.eventually("events of the new provider", [&] { return system.port("caller.rings").messages() > so_far + 5; });
 }
 
+/// Events that have arrived, and wait for a handler that is busy.
+class ArrivedEvents : public Calls {
+ protected:
+  static constexpr std::uint64_t kFired = 20;
+  ArrivedEvents() {
+    system.set("source", "period_ms=1 count=" + std::to_string(kFired));
+    system.set("caller", "ring_ms=25");
+    system.wire("caller.handled_bell", "source.bell");
+  }
+  /// By a state put to each, after which there are no more.
+  void fire() {
+    system.state("source", "active");
+    EXPECT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
+    system.eventually("all are put", [&] { return system.port("source.newest").messages() == kFired; });
+    fired = static_cast<std::uint64_t>(system.read("source.tested").value());
+    // Its answer is sent behind them, and overtakes them only where they wait.
+    EXPECT_EQ(outcome_of("activate_handled", "every=0"), Outcome::Ok);
+  }
+  void expect_all_handled() {
+    system.eventually("all are handled", [&] { return system.port("caller.rings").messages() >= fired; });
+    EXPECT_EQ(system.port("caller.rings").messages(), fired);
+  }
+  std::uint64_t fired = 0;
+};
+
+TEST_P(ArrivedEvents, AreHandledThoughTheirPortIsRewired) {
+  system.load_provider("source", "second", "count=1");
+  system.eventually("its only put", [&] { return system.port("second.newest").messages() == 1; });
+  fire();
+  system.wire("caller.handled_bell", "second.bell");
+  expect_all_handled();
+}
+
+TEST_P(ArrivedEvents, AreHandledThoughTheirPortIsUnwired) {
+  fire();
+  system.unwire("caller.handled_bell");
+  expect_all_handled();
+}
+
 TEST_P(Event, ActivationAtAProviderThatIsNotActiveIsNotMade) {
   wire_all();
   EXPECT_EQ(outcome_of("activate"), Outcome::NotActive);
@@ -530,6 +569,7 @@ FIONA_OVER_EVERY_TRANSPORT(Calls);
 FIONA_OVER_EVERY_TRANSPORT(QueryCalls);
 FIONA_OVER_EVERY_TRANSPORT(SendCalls);
 FIONA_OVER_EVERY_TRANSPORT(Event);
+FIONA_OVER_EVERY_TRANSPORT(ArrivedEvents);
 
 }  // namespace
 }  // namespace fiona::conformance
