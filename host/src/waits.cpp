@@ -121,9 +121,12 @@ void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect&
     throw;
   }
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : 1e3 * to_seconds(kDefaultDeadline);
-  time_out_after(wait, within_ms, [request, within_ms, weak = std::weak_ptr(wait)] {
-    const auto expired = weak.lock();
-    const std::string seen = expired ? expired->seen : "";
+  time_out_after(wait, within_ms, [this, request, within_ms, weak = std::weak_ptr(wait)] {
+    std::string seen;
+    if (const auto expired = weak.lock()) {
+      const std::lock_guard lock(mutex_);  // another thread may just be looking at a value
+      seen = expired->seen;
+    }
     const std::string port = text_of(request.port());
     return failure_reply(ErrorCode::Failed,
                          {.what = fmt::format("{} was not as expected within {} ms",
