@@ -278,7 +278,7 @@ void Engine::begin_step(const TransactionPtr& transaction, const control::Change
       if (!self || !*self) return;
       Engine& engine = **self;
       if (reply.has_done()) {
-        add(transaction->done, engine.end_step(step, reply.done()), transaction->steps.size());
+        add(transaction->done, engine.end_step(*transaction, step, reply.done()), transaction->steps.size());
         ++transaction->at;
       } else {
         control::Failure failure = reply.failure();
@@ -300,9 +300,12 @@ void Engine::begin_step(const TransactionPtr& transaction, const control::Change
   }
 }
 
-control::Done Engine::end_step(const control::Change& step, const control::Done& done) {
+control::Done Engine::end_step(const Transaction& transaction, const control::Change& step, const control::Done& done) {
   if (step.has_load()) return system_.end_load(step.load());
   system_.note_state(step.state());
+  // Made beside the one that is under way: what takes that back is not to take back this.
+  const bool beside = current_ && current_.get() != &transaction;
+  if (beside && current_->before.find(step.state().instance())) current_->before.make(step, system_.packages());
   return done;
 }
 

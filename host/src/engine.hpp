@@ -57,9 +57,8 @@ class Engine {
   void plan(Transaction& transaction) const;
   void plan_upgrade(Transaction& transaction) const;
   void go_on(const TransactionPtr& transaction);
-  bool make_step(const TransactionPtr& transaction, const control::Change& step);
   void begin_step(const TransactionPtr& transaction, const control::Change& step);
-  control::Done end_step(const control::Change& step, const control::Done& done);
+  control::Done end_step(const Transaction& transaction, const control::Change& step, const control::Done& done);
   void step_failed(const TransactionPtr& transaction, const control::Failure& failure);
   void finish(const TransactionPtr& transaction);
 

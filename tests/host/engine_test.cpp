@@ -260,6 +260,23 @@ TEST_P(Transactions, ModeThatIsNotReachedTakesNothingBackThatOthersMadeMeanwhile
   EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
 }
 
+TEST_P(Transactions, ModeThatIsReachedMeanwhileIsNotTakenBackWithWhatFails) {
+  make({load("source", "one"), load("source", "two"), load("source", "three", group())});
+  std::optional<control::Reply> reached;
+  control::Transact aside;
+  *aside.add_changes() = state("one", "neutral");
+  engine.transact("test", aside, [&reached](const control::Reply& reply) { reached = reply; });
+  // Each of these steps is waited for, so that the other has ended long before the last of them.
+  std::vector<control::Change> changes{set("two", "payload", 9)};
+  for (int i = 0; i < 10; ++i) changes.push_back(state("three", i % 2 == 0 ? "neutral" : "active"));
+  changes.push_back(state("two", "no-such-mode"));
+  const auto reply = transact(changes);
+  EXPECT_TRUE(reply.has_failure());
+  ASSERT_TRUE(reached && reached->has_done());
+  EXPECT_EQ(system.instance("one").mode(), "neutral");
+  EXPECT_EQ(system.instance("two").set_parameters_size(), 0);
+}
+
 TEST_P(Transactions, UndoOfAnUnloadGivesTheInstanceBackWithItsWiresParametersAndMode) {
   make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
         set("source", "payload", 9), state("source", "neutral")});
