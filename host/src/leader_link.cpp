@@ -126,12 +126,12 @@ void LeaderLink::tick(Steady::time_point now) {
   if (silence > kSilence) end(reason);
 }
 
-bool LeaderLink::accepts(const std::string& peer, const wire::Frame& frame) {
+std::optional<std::uint64_t> LeaderLink::accepts(const std::string& peer, const wire::Frame& frame) {
   {
     const std::lock_guard lock(mutex_);
-    if (!session_ || session_->over || session_->peer != peer) return false;
+    if (!session_ || session_->over || session_->peer != peer) return std::nullopt;
   }
-  return frame.has_host() || around_.links.accepts({link_, peer}, frame);
+  return frame.has_host() ? kHostsOwn : around_.links.accepts({link_, peer}, frame);
 }
 
 void LeaderLink::on_frame(const std::string& peer, const wire::Frame& given, const ObjectBytes& object) {

@@ -54,7 +54,7 @@ class LeaderLink final : public LinkSocket::Receiver {
     std::string reason;
   };
 
-  bool accepts(const std::string& peer, const wire::Frame& frame) override;
+  std::optional<std::uint64_t> accepts(const std::string& peer, const wire::Frame& frame) override;
   void on_frame(const std::string& peer, const wire::Frame& given, const ObjectBytes& object) override;
   void on_refused(const std::string&) override {}
   void on_host_frame(std::uint64_t session, wire::HostFrame host);

@@ -331,9 +331,13 @@ bool FrameReader::take(const wire::Frame& frame, std::string_view inside, zmq::m
 bool FrameReader::begin(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver) {
   // A wire's objects come one after the other: a second one before the first has ended is nobody's.
   if (frame.size() > kMaxObject || assemblies_.erase(frame.wire()) > 0) return false;
-  if (!receiver.accepts(frame)) return true;
+  const auto wire = receiver.accepts(frame);
+  if (!wire) return true;
+  // Nor does it help to name another's wire first.
+  if (std::erase_if(assemblies_, [&](const auto& one) { return one.second.accepted_for == *wire; }) > 0) return false;
   Assembly assembly;
   assembly.frame = frame;
+  assembly.accepted_for = *wire;
   if (!add(assembly, inside, beside)) return false;
   assemblies_.emplace(frame.wire(), std::move(assembly));
   return true;

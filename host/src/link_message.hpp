@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -115,14 +116,14 @@ constexpr std::size_t most_chunks(std::size_t object, std::size_t chunk = kChunk
 }
 
 /// Puts together what one peer sends: records out of messages, and objects out of chunks. What it holds is bounded: one
-/// object for each wire that is accepted, of at most `kMaxObject`, and never more of it than has come.
+/// object for each wire that is the peer's, of at most `kMaxObject`, and never more of it than has come.
 class FrameReader {
  public:
   class Receiver {
    public:
     virtual ~Receiver() = default;
-    /// Whether an object that comes in several chunks is to be put together: it is for a wire of this peer.
-    virtual bool accepts(const wire::Frame& frame) = 0;
+    /// The wire of this peer's that an object in several chunks is for; none: it is not to be put together.
+    virtual std::optional<std::uint64_t> accepts(const wire::Frame& frame) = 0;
     virtual void on_frame(const wire::Frame& frame, const ObjectBytes& object) = 0;
   };
 
@@ -137,6 +138,7 @@ class FrameReader {
  private:
   struct Assembly {
     wire::Frame frame;
+    std::uint64_t accepted_for = 0;  ///< whatever wire the frame names first
     std::size_t received = 0;
     std::size_t messages = 0;
     std::vector<zmq::message_t> pieces;

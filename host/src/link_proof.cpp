@@ -7,7 +7,7 @@ namespace fiona::host {
 /// Of somebody who has proved nothing yet: only the proof itself is looked at.
 void LinkSocket::shake_hands(const std::string& peer) {
   struct Single final : FrameReader::Receiver {
-    bool accepts(const wire::Frame&) override { return false; }
+    std::optional<std::uint64_t> accepts(const wire::Frame&) override { return std::nullopt; }
     void on_frame(const wire::Frame& one, const ObjectBytes& object) override {
       if (object.size() == 0) frame = one;
     }

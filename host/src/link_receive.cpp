@@ -75,11 +75,11 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
   Incoming(const Incoming&) = delete;
   Incoming& operator=(const Incoming&) = delete;
 
-  bool accepts(const wire::Frame& frame) override {
-    if (link_.receiver_.accepts(peer_.identity, frame)) return true;
+  std::optional<std::uint64_t> accepts(const wire::Frame& frame) override {
+    if (const auto wire = link_.receiver_.accepts(peer_.identity, frame)) return wire;
     link_.count_received(peer_);
     arrived(frame, frame.size());
-    return false;
+    return std::nullopt;
   }
   void on_frame(const wire::Frame& frame, const ObjectBytes& object) override {
     if (frame.has_credit()) {

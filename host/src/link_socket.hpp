@@ -51,8 +51,8 @@ class LinkSocket {
   class Receiver {
    public:
     virtual ~Receiver() = default;
-    /// Whether an object that comes in chunks is for a wire of this peer's. Of a connected link the peer is empty.
-    virtual bool accepts(const std::string& peer, const wire::Frame& frame) = 0;
+    /// As FrameReader::Receiver. Of a connected link the peer is empty.
+    virtual std::optional<std::uint64_t> accepts(const std::string& peer, const wire::Frame& frame) = 0;
     virtual void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) = 0;
     /// After the frames that have come together: what is kept of them is to be passed on.
     virtual void settle() {}

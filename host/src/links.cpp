@@ -21,7 +21,9 @@ class Links::Receiver final : public LinkSocket::Receiver {
  public:
   explicit Receiver(Links& links) : links_(links) {}
   void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
-  bool accepts(const std::string& peer, const wire::Frame& frame) override { return links_.accepts(hop(peer), frame); }
+  std::optional<std::uint64_t> accepts(const std::string& peer, const wire::Frame& frame) override {
+    return links_.accepts(hop(peer), frame);
+  }
   void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes& object) override {
     if (together_.take(frame, object)) return;
     together_.settle();
@@ -256,7 +258,7 @@ Links::End Links::end_of_locked(const Hop& from, std::uint64_t wire) {
   return {};
 }
 
-bool Links::accepts(const Hop& from, const wire::Frame& frame) {
+std::optional<std::uint64_t> Links::accepts(const Hop& from, const wire::Frame& frame) {
   const auto is_ours = [&](std::uint64_t wire) {
     {
       const std::lock_guard lock(mutex_);
@@ -266,7 +268,9 @@ bool Links::accepts(const Hop& from, const wire::Frame& frame) {
     }
     return end_of(from, wire).wire != nullptr;
   };
-  return is_ours(frame.wire()) || std::any_of(frame.also().begin(), frame.also().end(), is_ours);
+  if (is_ours(frame.wire())) return frame.wire();
+  const auto other = std::find_if(frame.also().begin(), frame.also().end(), is_ours);
+  return other == frame.also().end() ? std::nullopt : std::optional<std::uint64_t>(*other);
 }
 
 void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, ArrivingObjects* together) {

@@ -82,7 +82,7 @@ class Links {
   /// [any thread] The host behind `endpoint` is gone: the wires that go there are lost.
   void part(const std::string& endpoint, const std::string& reason);
   /// [any thread] What has come from there, or from a peer of a socket of ours.
-  bool accepts(const Hop& from, const wire::Frame& frame);
+  std::optional<std::uint64_t> accepts(const Hop& from, const wire::Frame& frame);
   void on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object,
                 ArrivingObjects* together = nullptr);
 

@@ -65,7 +65,7 @@ class PeerLink::Incoming final : public LinkSocket::Receiver {
  public:
   explicit Incoming(PeerLink& peer) : peer_(peer) {}
   void use(const std::shared_ptr<LinkSocket>& link) { link_ = link; }
-  bool accepts(const std::string&, const wire::Frame& frame) override {
+  std::optional<std::uint64_t> accepts(const std::string&, const wire::Frame& frame) override {
     return peer_.accepts({link_.lock(), ""}, frame);
   }
   void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
@@ -270,8 +270,9 @@ void PeerLink::beat() {
   send(frame);
 }
 
-bool PeerLink::accepts(const Hop& hop, const wire::Frame& frame) {
-  return joined() && (frame.has_host() || around_.links.accepts(hop, frame));
+std::optional<std::uint64_t> PeerLink::accepts(const Hop& hop, const wire::Frame& frame) {
+  if (!joined()) return std::nullopt;
+  return frame.has_host() ? kHostsOwn : around_.links.accepts(hop, frame);
 }
 
 void PeerLink::on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object) {

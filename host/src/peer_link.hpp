@@ -25,6 +25,8 @@ inline constexpr std::chrono::milliseconds kSilence{1000};
 /// How long one that led, and went silent, keeps others from leading.
 inline constexpr std::chrono::milliseconds kLeadLease{1500};
 
+/// No wire: what hosts say to each other.
+inline constexpr std::uint64_t kHostsOwn = 0;
 /// How long the proof of the keys may take.
 inline constexpr int kHandshake_ms = 3000;
 
@@ -110,7 +112,7 @@ class PeerLink {
   void say_hello();
   void beat();
   void send(const wire::HostFrame& frame);
-  bool accepts(const Hop& hop, const wire::Frame& frame);
+  std::optional<std::uint64_t> accepts(const Hop& hop, const wire::Frame& frame);
   void on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object);
   void on_host_frame(const Hop& hop, const wire::HostFrame& host);
   void on_welcome(const Hop& hop, const wire::HostWelcome& welcome);

@@ -4,6 +4,7 @@
 #include <google/protobuf/stubs/logging.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <condition_variable>
 #include <cstdint>
 #include <cstdlib>
@@ -43,6 +44,14 @@ constexpr const char* kPeer = "peer";
 constexpr std::uint64_t kLastFrame = UINT64_MAX;  // names no wire: it says that all before it has been read
 constexpr std::size_t kMostMessages = 64;
 const std::string kKey(fiona::host::kKeyBytes, 'k');
+
+/// As Links accepts an object in chunks: for the first of its wires that is the peer's.
+template <class IsOwn>
+std::optional<std::uint64_t> accepted_for(const Frame& frame, IsOwn is_own) {
+  if (is_own(frame.wire())) return frame.wire();
+  const auto other = std::find_if(frame.also().begin(), frame.also().end(), is_own);
+  return other == frame.also().end() ? std::nullopt : std::optional<std::uint64_t>(*other);
+}
 
 using fiona::host::RawPeer;
 /// A message of one part or of two.
@@ -128,7 +137,9 @@ class EndsAndPeer final : public LinkSocket::Receiver {
     replies_.clear();
   }
 
-  bool accepts(const std::string&, const Frame& frame) override { return frame.wire() >= 1 && frame.wire() <= 3; }
+  std::optional<std::uint64_t> accepts(const std::string&, const Frame& frame) override {
+    return accepted_for(frame, [](std::uint64_t wire) { return wire >= 1 && wire <= 3; });
+  }
   void on_frame(const std::string&, const Frame& frame, const ObjectBytes& object) override {
     const std::lock_guard lock(mutex_);
     if (frame.wire() == kLastFrame) {
@@ -230,7 +241,7 @@ class ClientAndProvider final : public LinkSocket::Receiver {
  private:
   std::string hello_nonce() {
     struct First final : fiona::host::FrameReader::Receiver {
-      bool accepts(const Frame&) override { return false; }
+      std::optional<std::uint64_t> accepts(const Frame&) override { return std::nullopt; }
       void on_frame(const Frame& one, const ObjectBytes&) override { frame = one; }
       Frame frame;
     } first;
@@ -260,11 +271,16 @@ class ClientAndProvider final : public LinkSocket::Receiver {
     ++expected_;
   }
 
-  bool accepts(const std::string&, const Frame& frame) override { return accepts_or_aborts(frame.wire() < 3); }
-  void on_frame(const std::string&, const Frame&, const ObjectBytes&) override { accepts_or_aborts(true); }
+  std::optional<std::uint64_t> accepts(const std::string&, const Frame& frame) override {
+    require_key();
+    return accepted_for(frame, [](std::uint64_t wire) { return wire < 3; });
+  }
+  void on_frame(const std::string&, const Frame&, const ObjectBytes&) override { require_key(); }
   void on_refused(const std::string&) override {}
   /// Nothing comes from who has not proved the key.
-  bool accepts_or_aborts(bool accepted) const { return knows_key_ ? accepted : (std::abort(), false); }
+  void require_key() const {
+    if (!knows_key_) std::abort();
+  }
 
   const bool knows_key_;
   std::uint64_t expected_ = 0;
@@ -294,7 +310,9 @@ class SmallChunks final : public fiona::host::FrameReader::Receiver {
   static constexpr std::size_t kSmallChunk = 16;
   static constexpr std::uint64_t kWires = 3;
 
-  bool accepts(const Frame& frame) override { return frame.wire() < kWires; }
+  std::optional<std::uint64_t> accepts(const Frame& frame) override {
+    return accepted_for(frame, [](std::uint64_t wire) { return wire < kWires; });
+  }
   void on_frame(const Frame& frame, const ObjectBytes& object) override {
     if (frame.size() != 0 && frame.size() != object.size()) std::abort();
     if (object.size() > kSmallChunk && frame.size() > kSmallChunk && object.to_string().size() != object.size())

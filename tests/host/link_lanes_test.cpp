@@ -62,7 +62,7 @@ class Reader final : public FrameReader::Receiver {
     if (seen_.empty()) seen_.push_back("chunk");
     return seen_;
   }
-  bool accepts(const wire::Frame&) override { return true; }
+  std::optional<std::uint64_t> accepts(const wire::Frame& frame) override { return frame.wire(); }
   void on_frame(const wire::Frame& frame, const ObjectBytes& object) override {
     seen_.push_back(std::to_string(frame.wire()) +
                     (frame.has_lost() ? " lost " + std::to_string(frame.lost().messages()) : ""));
@@ -296,7 +296,10 @@ TEST(LinkLanes, ObjectsOfEverySizeArriveAsTheyWere) {
 // ---- what is refused ------------------------------------------------------------------------------------------
 
 struct Nobody final : FrameReader::Receiver {
-  bool accepts(const wire::Frame& frame) override { return frame.wire() == 1; }
+  std::optional<std::uint64_t> accepts(const wire::Frame& frame) override {
+    const bool its = frame.wire() == 1 || std::find(frame.also().begin(), frame.also().end(), 1) != frame.also().end();
+    return its ? std::optional<std::uint64_t>(1) : std::nullopt;
+  }
   void on_frame(const wire::Frame&, const ObjectBytes&) override { ++frames; }
   int frames = 0;
 };
@@ -386,7 +389,7 @@ class Assembled final : public FrameReader::Receiver {
   int frames = 0;
 
  private:
-  bool accepts(const wire::Frame&) override { return true; }
+  std::optional<std::uint64_t> accepts(const wire::Frame& frame) override { return frame.wire(); }
   void on_frame(const wire::Frame&, const ObjectBytes& object) override {
     ++frames;
     EXPECT_TRUE(object.parse_into(object_));
@@ -436,6 +439,19 @@ TEST(LinkChunks, SecondObjectOfAWireBeforeTheFirstHasEndedIsRefused) {
   EXPECT_TRUE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), kChunkBytes));
   EXPECT_FALSE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), kChunkBytes));
   EXPECT_EQ(reader.unfinished(), 0U);
+}
+
+TEST(LinkChunks, SecondObjectOfAWireIsRefusedThoughItNamesAnotherFirst) {
+  FrameReader reader;
+  Nobody nobody;
+  int refused = 0;
+  for (std::uint64_t other = 1000; other < 1100; ++other) {
+    wire::Frame first = first_of(other, 2 * kChunkBytes);
+    first.add_also(1);
+    refused += read_chunk(reader, nobody, first, kChunkBytes) ? 0 : 1;
+    EXPECT_LE(reader.unfinished(), 1U);
+  }
+  EXPECT_EQ(refused, 50) << "each that meets an unfinished one, which it ends";
 }
 
 }  // namespace

@@ -10,6 +10,7 @@
 #include <atomic>
 #include <chrono>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -38,7 +39,7 @@ bool eventually(F fits) {
 }
 
 struct Noted final : LinkSocket::Receiver {
-  bool accepts(const std::string&, const wire::Frame&) override { return true; }
+  std::optional<std::uint64_t> accepts(const std::string&, const wire::Frame& frame) override { return frame.wire(); }
   void on_frame(const std::string&, const wire::Frame& frame, const ObjectBytes& object) override {
     const std::lock_guard lock(mutex);
     wires.push_back(frame.wire());

@@ -1,0 +1,103 @@
+// The links of one process, whatever a peer does on the way.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <array>
+#include <chrono>
+#include <fstream>
+#include <functional>
+#include <future>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include <unistd.h>
+
+#include "../temporary_directory.hpp"
+#include "fiona/component.hpp"
+#include "fiona/hull.hpp"
+#include "fiona/localisation.fiona.hpp"
+#include "leader_link.hpp"
+#include "link_keys.hpp"
+#include "links.hpp"
+#include "raw_peer.hpp"
+#include "zap.hpp"
+
+namespace fiona::host {
+namespace {
+
+using namespace std::chrono_literals;
+using tests::TemporaryDirectory;
+
+const std::string kLinksKey(kKeyBytes, 'k');
+const std::string kLinksToken = "0123456789abcdef";
+
+class BothEnds final : public Component {
+ public:
+  using Component::Component;
+  Provides<localisation::LocationProvider> told{*this, "told"};
+  Requires<localisation::LocationProvider> heard{*this, "heard"};
+};
+
+struct NoEvents final : HullEvents {
+  void mode_changed(const std::string&, const std::string&, const std::string&) override {}
+  void run_ended(const std::string&, int, const std::string&) override {}
+  void logged(const std::string&, LogLevel, std::string_view) override {}
+  void asked(const std::string&, std::uint64_t, const control::Request&) override {}
+};
+
+template <class F>
+bool becomes_true(F fits) {
+  const auto end = std::chrono::steady_clock::now() + 20s;
+  while (!fits() && std::chrono::steady_clock::now() < end) std::this_thread::yield();
+  return fits();
+}
+
+class LinksOfAProcess : public testing::Test {
+ protected:
+  LinksOfAProcess() {
+    hull.create([this](Hull& owner) {
+      auto made = std::make_unique<BothEnds>(owner);
+      ends = made.get();
+      return made;
+    });
+    hull.set_mode(kModeActive, 20s);
+  }
+  ~LinksOfAProcess() override {
+    links.stop();
+    hull.shut_down(20s);
+    clock.stop();
+  }
+  std::string at(const std::string& name) const { return "ipc://" + (directory.path / name).string(); }
+
+  TemporaryDirectory directory;
+  SystemClock clock;
+  Pool pool{2};
+  NoEvents events;
+  Hull hull{"both", {pool, clock, events, {}}};
+  BothEnds* ends = nullptr;
+  zmq::context_t context;
+  Links links{pool, clock, at("links"), kLinksKey, [](std::uint64_t, const std::string&) {}};
+};
+
+TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCallsThem) {
+  links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  wire::Frame open = frame_for(1);
+  open.mutable_open()->set_version(wire::VERSION_1);
+  open.mutable_open()->set_token(kLinksToken);
+  peer.send(open);
+  EXPECT_TRUE(peer.receive().has_opened());
+  for (std::uint64_t i = 0; i < 100; ++i) {
+    wire::Frame first = frame_for(1000 + i);
+    first.add_also(1);
+    first.set_size(2 * kLocalChunkBytes);
+    first.mutable_object()->set_sequence(1);
+    peer.send(first, "x");
+  }
+  EXPECT_TRUE(becomes_true([&] { return links.status().garbled() == 50; })) << "each that meets an unfinished one";
+}
+
+}  // namespace
+}  // namespace fiona::host
