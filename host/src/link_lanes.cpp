@@ -75,6 +75,7 @@ PeerLanes::Taken PeerLanes::offer(Lane& lane, Item item) {
     taken.lost += lost;
   }
   lane.waiting_ += item.cost;
+  if (item.cost == 0) control_bytes_ += item.record.size() + kFrameCost;
   if (lane.joins_last(item)) {
     Item& last = lane.queue_.back();
     last.record.append(item.record, kTogetherBytes);
@@ -145,6 +146,7 @@ void PeerLanes::begin(Lane& lane) {
   Item& item = lane.queue_.front();
   lane.waiting_ -= item.cost;
   lane.in_flight_ += item.cost;
+  if (item.cost == 0) control_bytes_ -= item.record.size() + kFrameCost;
   records_.push_back(std::move(item.record));
 }
 

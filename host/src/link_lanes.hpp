@@ -21,6 +21,8 @@ inline constexpr std::size_t kCreditPortion = kLaneWindow / 8;
 inline constexpr std::size_t kTogetherBytes = 4096;
 /// What an object counts beside its bytes.
 inline constexpr std::size_t kFrameCost = 64;
+/// What may wait for a peer without costing credit: all that a client of two query wires may have asked, taken back.
+inline constexpr std::size_t kMostControl = 4 * kLaneWindow;
 
 /// What is to be sent to one peer, in lanes that take turns: each a queue in order, bounded, with its own credit. A
 /// wire has a lane of its own; those of one push port to one process share one, as they share each message. Not
@@ -68,6 +70,8 @@ class PeerLanes {
   /// What is to go next; false when nothing may.
   bool next(Outgoing& out);
   std::size_t lanes() const { return lanes_.size(); }
+  /// What waits without costing credit: it grows with what its sender does, and shrinks only as the peer reads.
+  std::size_t control_bytes() const { return control_bytes_; }
 
  private:
   using Turns = std::deque<Lane*>;
@@ -82,12 +86,15 @@ class PeerLanes {
   std::vector<Block> records_;  ///< used again for each message
   bool small_is_next_ = true;
   std::uint64_t next_lane_ = 1;
+  std::size_t control_bytes_ = 0;
 };
 
 class PeerLanes::Lane {
  public:
   explicit Lane(std::uint64_t id) : id_(id) {}
   std::uint64_t id() const { return id_; }
+  /// Cost of what has not begun.
+  std::size_t waiting() const { return waiting_; }
 
  private:
   friend class PeerLanes;
@@ -99,9 +106,9 @@ class PeerLanes::Lane {
   const std::uint64_t id_;
   std::deque<Item> queue_;
   std::map<std::uint64_t, std::uint64_t> lost_;  ///< by wire, not yet told to its client
-  std::size_t waiting_ = 0;                      ///< cost of what has not begun
-  std::size_t in_flight_ = 0;                    ///< cost of what has begun and has not been credited
-  Turns* turns_ = nullptr;                       ///< in which it stands
+  std::size_t waiting_ = 0;
+  std::size_t in_flight_ = 0;  ///< cost of what has begun and has not been credited
+  Turns* turns_ = nullptr;     ///< in which it stands
   bool closed_ = false;
 };
 

@@ -141,7 +141,7 @@ class LinkSocket::Peer {
   const std::shared_ptr<Gate> gate;
   const std::shared_ptr<Debts> debts;
   bool proven;
-  bool gone = false;
+  std::atomic<bool> gone{false};  ///< written under the link's mutex
   FrameCounts counts;
   PeerLanes lanes;
   std::optional<Crossing> held;  ///< ahead of the lanes: ZeroMQ has had no room for it

@@ -125,8 +125,9 @@ void LinkSocket::dispatch(const std::string& identity) {
     const std::lock_guard lock(mutex_);
     if (user && *user) peer = add_peer(identity, user, true);
   }
-  if (!peer && curve_) return void(++counters_.unproven);
-  if (!peer || !peer->proven) return shake_hands(identity);
+  const bool heard = peer && peer->proven && !peer->gone;
+  if (!heard && curve_) return void(++counters_.unproven);
+  if (!heard) return shake_hands(identity);
   Incoming incoming(*this, *peer);
   if (!peer->reader.read(parts_, incoming)) ++counters_.garbled;
 }

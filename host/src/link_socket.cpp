@@ -26,6 +26,7 @@ control::LinkStatus LinkCounters::status() const {
   status.set_unproven(unproven);
   status.set_not_granted(not_granted);
   status.set_too_large(too_large);
+  status.set_overrun(overrun);
   return status;
 }
 
@@ -143,8 +144,8 @@ std::string LinkSocket::process_of(const std::string& peer) {
 
 std::size_t LinkSocket::peers() {
   const std::lock_guard lock(mutex_);
-  return static_cast<std::size_t>(
-      std::count_if(peers_.begin(), peers_.end(), [](const auto& entry) { return entry.second->proven; }));
+  return static_cast<std::size_t>(std::count_if(
+      peers_.begin(), peers_.end(), [](const auto& entry) { return entry.second->proven && !entry.second->gone; }));
 }
 
 std::map<std::string, FrameCounts> LinkSocket::frame_counts() {
@@ -245,8 +246,7 @@ LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const st
   const std::lock_guard lock(mutex_);
   if (lane.peer->gone) return {};
   ++lane.peer->counts.sent;
-  const auto taken = lane.peer->lanes.offer(*lane.lane, std::move(item));
-  pump(*lane.peer);
+  const auto taken = offer(*lane.peer, *lane.lane, std::move(item));
   return {taken.ok ? Sent::What::Ok : Sent::What::Full, taken.lost};
 }
 
@@ -265,8 +265,19 @@ void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame 
   const std::lock_guard lock(mutex_);
   const auto known = lane.peer ? lane.peer : peers_.contains(peer) ? peers_[peer] : nullptr;
   if (!known || known->gone) return;
-  known->lanes.offer(lane.lane ? *lane.lane : *known->control, std::move(item));
-  pump(*known);
+  // A window is what its sender has credit for, and a queue behind it what he keeps himself.
+  const bool credited = has_lane ? lane.lane->waiting() <= 2 * kLaneWindow : object.size() == 0;
+  if (!credited && !on_dealt_with_) return void(++counters_.overrun);
+  offer(*known, lane.lane ? *lane.lane : *known->control, std::move(item));
+}
+
+/// A peer that leaves unread more than may wait for it is let go: as one that has gone, it is sent nothing more and not
+/// heard.
+PeerLanes::Taken LinkSocket::offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item) {
+  const auto taken = peer.lanes.offer(lane, std::move(item));
+  pump(peer);
+  if (peer.lanes.control_bytes() > kMostControl && !on_dealt_with_ && !peer.gone.exchange(true)) ++counters_.overrun;
+  return taken;
 }
 
 void LinkSocket::tell(const std::string& peer, wire::Frame& frame) {
@@ -278,10 +289,10 @@ void LinkSocket::tell(const std::string& peer, wire::Frame& frame) {
 }
 
 void LinkSocket::tell_locked(Peer& peer, wire::Frame& frame) {
+  if (peer.gone) return;
   PeerLanes::Item item;
   item.record = make_record(frame, nullptr, 0);
-  peer.lanes.offer(*peer.control, std::move(item));
-  pump(peer);
+  offer(peer, *peer.control, std::move(item));
 }
 
 /// Called with the mutex held, as is what follows.

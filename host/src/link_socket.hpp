@@ -30,6 +30,7 @@ struct LinkCounters {
   std::atomic<std::uint64_t> unproven{0};
   std::atomic<std::uint64_t> not_granted{0};
   std::atomic<std::uint64_t> too_large{0};
+  std::atomic<std::uint64_t> overrun{0};
 
   control::LinkStatus status() const;
 };
@@ -106,8 +107,8 @@ class LinkSocket {
             Rule rule = Rule::Control, Wires also = nullptr);
   /// [in on_frame] What has come counts as arrived, for its sender's credit, once the last copy of this goes.
   std::shared_ptr<const void> receipt();
-  /// [any thread] Sends on what has come over another link, behind `receipt`: it is always taken, for the sender's
-  /// credit bounds it. Without a lane: as `tell`.
+  /// [any thread] Sends on what has come over another link, behind `receipt`: the sender's credit bounds it, and what
+  /// exceeds that is dropped, counted. Without an object and a lane: as `tell`.
   void forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
                const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt);
   /// [any thread] Handles what waits, on this thread: for whoever must not depend on the pool's threads being free.
@@ -152,6 +153,7 @@ class LinkSocket {
   std::shared_ptr<Peer> find(const std::string& peer);
   std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
   void forget_locked(const std::string& process);
+  PeerLanes::Taken offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item);
   void pump(Peer& peer);
   void pump_held();
   bool fill(Peer& peer);

@@ -241,6 +241,20 @@ TEST(LinkLanes, MessagesOfOtherWiresAreNotKeptWithThoseBeforeThem) {
   EXPECT_THAT(next_of(lanes, reader), ElementsAre("1", "1", "2", "2", "1"));
 }
 
+TEST(LinkLanes, WhatCostsNoCreditIsCountedWhileItWaits) {
+  PeerLanes lanes;
+  Reader reader;
+  const auto lane = lanes.open();
+  for (int i = 0; i < 10; ++i) {
+    PeerLanes::Item item = item_of(1, 0, Rule::Control);
+    item.cost = 0;
+    lanes.offer(*lane, std::move(item));
+  }
+  EXPECT_GE(lanes.control_bytes(), 10 * kFrameCost);
+  while (!next_of(lanes, reader).empty()) continue;
+  EXPECT_EQ(lanes.control_bytes(), 0U);
+}
+
 TEST(LinkLanes, FullLaneOfRequestsTakesNoMore) {
   PeerLanes lanes;
   const auto lane = lanes.open();

@@ -333,6 +333,42 @@ TEST_F(ProvingLink, CountsWhatIsGarbledAndGoesOn) {
   EXPECT_EQ(counters.garbled, 3U);
 }
 
+TEST_F(ProvingLink, LetsGoOfAPeerThatLeavesUnreadWhatNoCreditBounds) {
+  RawPeer peer(context, "inproc://link", "peer", "peer", 1);
+  peer.prove(kKey);
+  ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
+  const auto lane = link.open_lane("peer");
+  wire::Frame frame = frame_of(7);
+  std::size_t told = 0;
+  for (; link.peers() == 1 && told < 1'000'000; ++told) link.tell("peer", frame);
+  EXPECT_EQ(counters.overrun, 1U);
+  EXPECT_LT(told * kFrameCost, 2 * kMostControl);
+  EXPECT_EQ(put(lane, 7, 10).what, LinkSocket::Sent::What::Ok) << "as to one that has gone";
+  peer.send(frame);
+  EXPECT_TRUE(eventually([&] { return counters.unproven == 1; })) << "it is not heard any more";
+  EXPECT_THAT(noted.seen(), ElementsAre());
+}
+
+TEST_F(ProvingLink, PassesOnWhatItsSenderHasCreditForAndNoMore) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
+  const auto lane = link.open_lane("peer");
+  const std::string bytes(kChunkBytes / 2, 'x');
+  const auto payload = std::make_shared<const Payload>(ObjectBytes(bytes));
+  wire::Frame frame = frame_of(7);
+  const auto forward = [&] { link.forward(lane, "peer", frame, ObjectBytes(bytes), payload, nullptr); };
+  forward();
+  EXPECT_EQ(counters.overrun, 1U) << "an object without a lane";
+  frame.set_lane(1);
+  const std::size_t window = kLaneWindow / bytes.size();
+  for (std::size_t i = 0; i < 2 * window; ++i) forward();
+  EXPECT_EQ(counters.overrun, 1U) << "as much as it has credit for, and as it may keep itself";
+  for (std::size_t i = 0; i < 3 * window; ++i) forward();
+  EXPECT_GT(counters.overrun, window);
+  EXPECT_EQ(link.peers(), 1U);
+}
+
 TEST_F(ProvingLink, RefusesAnObjectAboveTheCapAtTheSender) {
   RawPeer peer(context, "inproc://link", "peer");
   peer.prove(kKey);

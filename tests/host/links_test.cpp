@@ -99,5 +99,32 @@ TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCa
   EXPECT_TRUE(becomes_true([&] { return links.status().garbled() == 50; })) << "each that meets an unfinished one";
 }
 
+std::size_t resident_bytes() {
+  std::ifstream file("/proc/self/statm");
+  std::size_t pages = 0;
+  file >> pages >> pages;
+  return pages * static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+}
+
+TEST_F(LinksOfAProcess, WhoAsksWithoutReadingTheAnswersTakesNoMemory) {
+  constexpr std::size_t kMessages = 2000;
+  constexpr std::size_t kTogether = 500;
+  RawPeer peer(context, at("links"), "peer", "peer", 1);
+  peer.prove(kLinksKey);
+  wire::Frame open = frame_for(7);
+  open.mutable_open()->set_version(wire::VERSION_1);
+  const Block record = make_record(open, nullptr, 0);
+  std::string message;
+  for (std::size_t i = 0; i < kTogether; ++i)
+    message.append(reinterpret_cast<const char*>(record.data()), record.size());
+  const std::size_t before = resident_bytes();
+  for (std::size_t i = 0; i < kMessages; ++i) peer.send(RawPeer::Message{message});
+  EXPECT_TRUE(becomes_true([&] { return links.status().received_messages() >= kMessages; }));
+  EXPECT_EQ(links.status().overrun(), 1U);
+  EXPECT_EQ(links.status().peers(), 0U);
+  if (FIONA_SANITIZED) return;  // which keep what was freed
+  EXPECT_LT(resident_bytes(), before + 64 * 1024 * 1024);
+}
+
 }  // namespace
 }  // namespace fiona::host

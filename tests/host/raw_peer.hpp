@@ -20,11 +20,13 @@ class RawPeer {
 
   RawPeer(zmq::context_t& context, const std::string& endpoint, const std::string& name)
       : RawPeer(context, endpoint, name, name) {}
-  RawPeer(zmq::context_t& context, const std::string& endpoint, std::string name, const std::string& routing_id)
+  /// `reads_ahead`: so many messages at most wait here to be received; 0: as many as come.
+  RawPeer(zmq::context_t& context, const std::string& endpoint, std::string name, const std::string& routing_id,
+          int reads_ahead = 0)
       : name_(std::move(name)), socket_(context, zmq::socket_type::dealer) {
     socket_.set(zmq::sockopt::routing_id, routing_id);
     socket_.set(zmq::sockopt::rcvtimeo, 5000);
-    socket_.set(zmq::sockopt::rcvhwm, 0);
+    socket_.set(zmq::sockopt::rcvhwm, reads_ahead);
     socket_.set(zmq::sockopt::linger, 0);
     socket_.connect(endpoint);
   }
