@@ -185,10 +185,14 @@ void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello)
   if (frame.has_refused()) return turn_away(peer, frame);
   if (!again) {
     end("host '" + name + "' has connected anew");
-    const std::lock_guard lock(mutex_);
-    session_ =
-        Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(), false, ""};
-    if (!resumes) offset_ = std::make_unique<ClockOffset>();
+    const std::lock_guard delivering(delivering_);
+    {
+      const std::lock_guard lock(mutex_);
+      session_ = Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(),
+                         false,       ""};
+      if (!resumes) offset_ = std::make_unique<ClockOffset>();
+    }
+    // Without the lock: links have locks of their own, under which ports tell the leader what is tapped.
     around_.links.join(std::string(Links::kHost), {link_, peer});
     around_.on_change({.what = HostChange::What::Joined,
                        .host = name,

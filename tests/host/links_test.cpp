@@ -126,5 +126,49 @@ TEST_F(LinksOfAProcess, WhoAsksWithoutReadingTheAnswersTakesNoMemory) {
   EXPECT_LT(resident_bytes(), before + 64 * 1024 * 1024);
 }
 
+TEST_F(LinksOfAProcess, AHostHoldsNothingWhileItTellsWhoLeads) {
+  const trust::KeyDirectory ours(directory.path / "ours");
+  const trust::KeyDirectory leaders(directory.path / "leaders");
+  ours.make();
+  leaders.make();
+  ours.allow("leader", leaders.pair().open.text());
+  Zap zap(context, Zap::hosts(ours), [](const std::string&) {});
+  std::unique_ptr<LeaderLink> leader;
+  std::future<std::string> asked;
+  std::promise<bool> answered;
+  const auto on_change = [&](const HostChange& change) {
+    if (change.what != HostChange::What::Joined) return;
+    asked = std::async(std::launch::async, [&] { return leader->leader(); });
+    answered.set_value(asked.wait_for(5s) == std::future_status::ready);
+  };
+  const HostSurroundings around{"led", 1, ours.pair(), pool, clock, links, context, {}, on_change};
+  leader = std::make_unique<LeaderLink>(around, "tcp://127.0.0.1:0");
+  std::atomic<bool> ends_now{false};
+  std::thread serving([&] {
+    std::array<zmq::pollitem_t, 1> waits{{{zap.socket().handle(), 0, ZMQ_POLLIN, 0}}};
+    while (!ends_now) {
+      if (zmq::poll(waits, 10ms) > 0) zap.serve();
+    }
+  });
+  zmq::socket_t socket(context, zmq::socket_type::dealer);
+  socket.set(zmq::sockopt::linger, 0);
+  socket.set(zmq::sockopt::curve_serverkey, ours.pair().open.bytes());
+  socket.set(zmq::sockopt::curve_publickey, leaders.pair().open.bytes());
+  socket.set(zmq::sockopt::curve_secretkey, leaders.pair().secret.bytes());
+  socket.connect(leader->address());
+  wire::Frame hello;
+  hello.mutable_host()->mutable_hello()->set_version(wire::VERSION_1);
+  hello.mutable_host()->mutable_hello()->set_run(1);
+  const Block record = make_record(hello, nullptr, 0);
+  sent(socket, zmq::buffer(record.data(), record.size()));
+  auto whether = answered.get_future();
+  ASSERT_EQ(whether.wait_for(20s), std::future_status::ready);
+  EXPECT_TRUE(whether.get());
+  EXPECT_EQ(asked.get(), "leader");
+  leader->stop();
+  ends_now = true;
+  serving.join();
+}
+
 }  // namespace
 }  // namespace fiona::host
