@@ -13,7 +13,6 @@ namespace {
 
 /// Wires that have ended are remembered, so that what was under way is not taken for a stranger's.
 constexpr std::size_t kEndedKept = 256;
-/// Endpoints of other hosts begin so.
 
 }  // namespace
 
@@ -135,7 +134,7 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
   const std::string name = port.full_name() + "<" + provider_name;
   const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name,
                                                  port.service().is_push() ? client : nullptr);
-  requirements_[wire_id] = Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, false};
+  requirements_[wire_id] = Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, {}};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
   const Connection before = client->connection();
   const bool first = before != Connection::Connected;
@@ -158,6 +157,10 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
     if (!port.service().is_push()) client->set_target(wire);
     if (switch_over) switch_over();
     client->set_connection(Connection::Connected, provider_name);
+    if (const auto loss = loss_of(wire_id)) {  // and this may have come behind what said so
+      client->set_target(nullptr);
+      client->set_connection(Connection::Lost, *loss);
+    }
     return wire->admit();
   }
   if (found != requirements_.end()) requirements_.erase(found);
@@ -168,6 +171,13 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
   throw Error(ErrorCode::Unreachable, {.what = "the wire to " + provider_name + " did not open: " + refusal,
                                        .where = port.full_name(),
                                        .next = "ls hosts"});
+}
+
+/// Why the link of a wire that is required here is lost; none: it is not.
+std::optional<std::string> Links::loss_of(std::uint64_t wire) {
+  const std::lock_guard lock(mutex_);
+  const auto found = requirements_.find(wire);
+  return found == requirements_.end() ? std::nullopt : found->second.lost;
 }
 
 /// What the provider has put between the last message over the wire that was lost and the first over this one.
@@ -327,7 +337,7 @@ void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
     const std::lock_guard lock(mutex_);
     const auto found = requirements_.find(wire_id);
     if (found == requirements_.end()) return;
-    found->second.lost = true;
+    found->second.lost = reason;
     wire = found->second.wire;
     if (!found->second.retired && found->second.refusal == "") client = found->second.client;
   }
@@ -476,8 +486,9 @@ void Links::lose(const std::string& endpoint, const std::string& name, const std
   {
     const std::lock_guard lock(mutex_);
     for (auto& [id, requirement] : requirements_) {
-      if (requirement.endpoint == endpoint && !std::exchange(requirement.lost, true))
-        lost.emplace_back(id, requirement);
+      if (requirement.endpoint != endpoint || requirement.lost) continue;
+      requirement.lost = reason;
+      lost.emplace_back(id, requirement);
     }
     std::erase_if(requirements_, [](const auto& entry) { return entry.second.lost && entry.second.retired; });
     for (auto it = grants_.begin(); it != grants_.end();) {

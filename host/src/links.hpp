@@ -105,7 +105,7 @@ class Links {
     std::optional<std::string> refusal;  ///< once the peer has answered; empty: open
     std::uint64_t from_sequence = 0;     ///< once open: what was put after this comes
     bool retired = false;
-    bool lost = false;  ///< its link is; kept until another wire takes its place, or it is cut
+    std::optional<std::string> lost{};  ///< why its link is; kept until another wire takes its place, or it is cut
   };
   /// What comes from one side in one lane leaves in one, so that its order stays.
   class RelayLane;
@@ -148,6 +148,7 @@ class Links {
   const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
   void forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
                const std::shared_ptr<const Payload>& payload);
+  std::optional<std::string> loss_of(std::uint64_t wire);
   void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
   void lose(const std::string& endpoint, const std::string& name, const std::string& reason);
   void lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason);

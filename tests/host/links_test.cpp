@@ -80,6 +80,17 @@ class LinksOfAProcess : public testing::Test {
   Links links{pool, clock, at("links"), kLinksKey, [](std::uint64_t, const std::string&) {}};
 };
 
+TEST_F(LinksOfAProcess, AWireThatIsLostWhileItIsBeingOpenedIsNotShownAsConnected) {
+  Links other{pool, clock, at("other"), kLinksKey, [](std::uint64_t, const std::string&) {}};
+  other.provide(1, kLinksToken, "both", ends->told, 1, "both.heard");
+  const auto end = ends->heard.end_for("both.told");
+  const auto is_lost = [&] { links.peer_lost(at("other"), "other", "its process has ended"); };
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, is_lost);
+  EXPECT_EQ(ends->heard.connection(), Connection::Lost);
+  EXPECT_EQ(ends->heard.connection_reason(), "its process has ended");
+  other.stop();
+}
+
 TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCallsThem) {
   links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
   RawPeer peer(context, at("links"), "peer");
