@@ -20,7 +20,7 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kRows{
     {"query", {"Query", "QueryCalls"}},
     {"push newest", {"PushNewest", "Pacing"}},
     {"push timed", {"PushTimed"}},
-    {"event", {"Event"}},
+    {"event", {"Event", "ArrivedEvents"}},
     {"parameter", {"Parameter", "Triggers"}},
     {"state", {"State", "Inputs"}},
     {"tasks", {"Tasks"}},
