@@ -403,7 +403,7 @@ TEST_F(ZooGroupsProgram, EndsWithTheGroup) {
   ASSERT_EQ(load("starts-a-program.so", "cage"), std::nullopt);
   const pid_t program = started();
   ASSERT_GT(program, 1) << system.instance("patient").reason();
-  EXPECT_TRUE(runs(program));
+  system.eventually("the program runs", [&] { return runs(program); });
   system.unload("patient");
   expect_gone(program);
 }

@@ -94,7 +94,7 @@ void add_graph(navigation::CommLevelMap& to, const Building& building) {
     added.set_cost(edge.cost_s);
     added.set_one_way(edge.one_way);
     added.set_outdoors(edge.outdoors);
-    added.set_rise(edge.rise);
+    added.set_rise(edge.rise > 0 ? MapEdge::UP : edge.rise < 0 ? MapEdge::DOWN : MapEdge::RISE_UNSPECIFIED);
     added.set_access(building::access_of(building.plan(), graph, edge));
   }
 }

@@ -155,7 +155,9 @@ class Reader {
                            .one_way = edge.one_way(),
                            .outdoors = edge.outdoors(),
                            .own_access = own_access(edge),
-                           .rise = edge.rise()});
+                           .rise = edge.rise() == MapEdge::UP     ? 1
+                                   : edge.rise() == MapEdge::DOWN ? -1
+                                                                  : 0});
   }
 
   /// The map tells the highest of the element and the rooms at its ends. A room's part counts only on the way in: who
