@@ -91,6 +91,25 @@ TEST(Tasks, RoomsThatLeadNowhereElseAreNoTasksHoweverManyDoorsTheyHave) {
   EXPECT_NEAR(request.route(found).cost_s, route->cost_s, 1e-3);
 }
 
+TEST(Tasks, WhoStandsInADoorwayIsLedAsAnybodyElse) {
+  const LevelPlan plan = plan_of(ward(3).read());
+  const PathPoint room{{15, -3}, 0};
+  for (const building::GraphNode& node : plan.graph.nodes) {
+    // On the sill, where no room is, one stands at the door's own node.
+    const PathPoint at{node.at, node.level};
+    for (const auto& [from, to] : {std::pair(at, room), std::pair(room, at)}) {
+      const auto route = building::find_route(plan.plan, plan.graph, from, to, {});
+      TaskGraph tasks(plan, from, {});
+      const auto request = tasks.request(from, to);
+      const auto found = solve(request);
+      ASSERT_EQ(found.outcome() == navigation::CommPlan::SOLVED, route.has_value())
+          << from.at.x_m << ' ' << from.at.y_m;
+      if (!route) continue;
+      EXPECT_NEAR(request.route(found).cost_s, route->cost_s, 1e-3) << from.at.x_m << ' ' << from.at.y_m;
+    }
+  }
+}
+
 TEST(Tasks, ARoomThatIsAShortCutIsOne) {
   // A corridor round three sides of a hall, which has a door at each end.
   building::Osm osm;

@@ -305,9 +305,11 @@ class TaskGraph::Draft {
   /// What the quickest way never leads through is left out, too: a room with several doors to the same corridor, say,
   /// which would each be a task to each other one.
   void leave_out_detours() {
-    std::set<Index> ends;
+    std::set<Index> ends;  // the parts that one begins or ends in: a room, or a doorway
     for (const auto* of : {&start_, &goal_}) {
-      for (const Source& end : *of) ends.insert(of_.part_of_[kWalk][end.node]);
+      for (const Source& end : *of) {
+        for (const Index part : parts_of(end.node)) ends.insert(part);
+      }
     }
     std::map<Index, std::vector<Index>> living;  // by part on foot
     for (const Index gate : gates_) {
@@ -317,7 +319,8 @@ class TaskGraph::Draft {
       if (ends.contains(part)) continue;
       std::vector<Leaf> doors;
       for (const Index gate : gates) {
-        if (const auto door = leaf_of(gate)) doors.push_back(*door);
+        const auto door = leaf_of(gate);
+        if (door && !ends.contains(of_.part_of_[kDoor][gate])) doors.push_back(*door);
       }
       const auto leads_to = [&](const Leaf& door) { return of_.part_of_[kWalk][door.outside]; };
       const bool to_one = doors.size() == gates.size() && leads_to(doors.front()) != part &&

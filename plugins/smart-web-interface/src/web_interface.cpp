@@ -301,15 +301,16 @@ Async<> WebInterface::log_out(std::string bearer, Answer answer) {
 /// Who uses the page: {user, profile, notice}. A user whose session has ended is a guest, and is told.
 Async<> WebInterface::tell_me(std::string bearer, Answer answer, std::string notice) {
   auto user = user_of(bearer);
+  const auto forget_user = [&] {
+    pages_->set_user(bearer, std::nullopt, now());
+    user.reset();
+    notice = "Your session has ended: log in again.";
+  };
   if (user && sessions_.connection() == Connection::Connected) {
     security::CommSessionRequest request;
     request.set_session(user->session());
     const auto session = co_await sessions_.query(std::move(request), kDeadline);
-    if (session && !(*session)->is_valid()) {
-      pages_->set_user(bearer, std::nullopt, now());
-      user.reset();
-      notice = "Your session has ended: log in again.";
-    }
+    if (session && !(*session)->is_valid()) forget_user();
   }
   hmi::CommUserProfileRequest request;
   if (user) {
@@ -318,9 +319,7 @@ Async<> WebInterface::tell_me(std::string bearer, Answer answer, std::string not
   }
   auto profile = co_await profile_.query(std::move(request), kDeadline);
   if (user && profile && (*profile)->session_ended()) {
-    pages_->set_user(bearer, std::nullopt, now());
-    user.reset();
-    notice = "Your session has ended: log in again.";
+    forget_user();
     profile = co_await profile_.query({}, kDeadline);
   }
   answer->answer({200, text_of({{"user", user ? json(user->name()) : json(nullptr)},

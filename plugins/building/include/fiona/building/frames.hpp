@@ -11,6 +11,7 @@ struct Placement {
   Point by{};             ///< in metres
   double turn_rad = 0.0;  ///< counter-clockwise
 
+  /// In metres. [any thread]
   Point place(Point p) const;
   /// The covariance of a place: symmetric, in square metres.
   struct Covariance {
@@ -19,6 +20,7 @@ struct Placement {
   Covariance place(const Covariance& covariance) const;
 };
 
+/// Where the places of `frame` lie in the other one; levels are the building's, and the same in both. [any thread]
 Placement placement_of(const Reference& frame, const Reference& in);
 
 }  // namespace fiona::building
