@@ -83,6 +83,8 @@ Osm far_house() {
   return osm.rectangle(20, 1600, 1200, 1620, 1210, "indoor=room level=0 name=Far");
 }
 
+constexpr const char* kAdasSession = "0123456789abcdef";
+
 struct Served {
   explicit Served(const Osm& osm = house()) : Served(osm.text()) {}
   explicit Served(const std::string& text) : file(written(folder, text)) {
@@ -120,6 +122,17 @@ struct Served {
     const CommRasterMapInfo extent = info(name);
     const auto columns = static_cast<double>(extent.grid_x_size()), rows = static_cast<double>(extent.grid_y_size());
     return {{0, 0}, {columns, 0}, {0, rows}, {columns, rows}};
+  }
+  /// Of level 5.
+  void know_ada() {
+    bench.answer_with<security::SessionProvider>("sessions", [](const security::CommSessionRequest& request) {
+      security::CommSession whose;
+      if (request.session() != kAdasSession) return whose;
+      whose.set_is_valid(true);
+      whose.set_user_name("ada");
+      whose.set_authentication_level(5);
+      return whose;
+    });
   }
   navigation::CommLevelMap levels(std::initializer_list<double> wanted = {}) {
     navigation::CommLevelMapRequest request;
@@ -200,16 +213,22 @@ TEST(MapServer, RowsOfTheGridRunFromSouthToNorthAndThoseOfTheImageDown) {
 TEST(MapServer, ARoomForStaffIsOccupiedForGuestsAndFreeForStaff) {
   Served served;
   EXPECT_EQ(cell(served.map("house@0"), 15, 5), 100);
-  hmi::CommUserProfileRequest asked;
-  served.bench.answer_with<hmi::ProfileProvider>("profile", [&](const hmi::CommUserProfileRequest& request) {
-    asked = request;
-    hmi::CommUserProfileReply reply;
-    reply.set_authentication_level(5);
-    return reply;
-  });
-  EXPECT_EQ(cell(served.map("house@0", "ada", "0123456789abcdef"), 15, 5), 0);
-  EXPECT_EQ(asked.user_name(), "ada");
-  EXPECT_EQ(asked.session(), "0123456789abcdef");
+  served.know_ada();
+  EXPECT_EQ(cell(served.map("house@0", "ada", kAdasSession), 15, 5), 0);
+}
+
+TEST(MapServer, AnotherUsersSessionIsRejectedAndSoIsOneThatHasEnded) {
+  Served served;
+  served.know_ada();
+  navigation::CommLevelMapRequest request;
+  request.set_user_name("bert");
+  request.set_session(kAdasSession);
+  EXPECT_THAT(served.ask<navigation::LevelMap>("levels", request).reason(), HasSubstr("the session is another user's"));
+  request.set_user_name("ada");
+  EXPECT_TRUE(served.ask<navigation::LevelMap>("levels", request));
+  request.set_session(std::string(16, 'x'));
+  EXPECT_THAT(served.ask<navigation::LevelMap>("levels", request).reason(),
+              HasSubstr("there is no such session, or it has ended"));
 }
 
 TEST(MapServer, ANameWithoutASessionIsRejected) {

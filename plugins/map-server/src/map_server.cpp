@@ -8,6 +8,7 @@
 #include <system_error>
 
 #include "fiona/hull.hpp"
+#include "fiona/objects/session_user.hpp"
 #include "level_map.hpp"
 #include "map_name.hpp"
 
@@ -19,7 +20,6 @@ using building::Point;
 using building::Wgs84;
 using navigation::CommCoordConvRequest;
 
-constexpr auto kProfileDeadline = std::chrono::milliseconds(500);
 constexpr std::size_t kMostWarnings = 5;
 
 /// FNV-1a of all that the map says. Source: RFC draft-eastlake-fnv. Not against forgery: whoever may write the file may
@@ -135,7 +135,7 @@ std::shared_ptr<const MapServer::Map> MapServer::read() const {
                                    .found = map_name,
                                    .next = "set map_name"});
   }
-  // Shared with requests that wait for a profile while the file changes.
+  // Shared with requests that wait for a session to be checked while the file changes.
   return std::make_shared<const Map>(Building::read(path), std::move(map_name), params_->pixel_size());
 }
 
@@ -200,34 +200,13 @@ double MapServer::level_of(const Map& map, const std::string& map_name) const {
 }
 
 Async<int> MapServer::access_of(std::string user_name, std::string session) {
-  if (user_name.empty() && session.empty()) co_return 0;
-  hmi::CommUserProfileRequest request;
-  request.set_user_name(user_name);
-  request.set_session(session);
-  // A name alone is a claim; whether a session is its user's only the provider of profiles can tell.
-  if (session.empty()) {
-    throw Error(ErrorCode::NotAllowed, {.what = "the request names a user and carries no session",
-                                        .where = name(),
-                                        .next = "log in, or leave user_name out to be a guest"});
-  }
-  const auto profile = co_await profile_.query(std::move(request), kProfileDeadline);
-  if (!profile) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "the session could not be checked: " + std::string(to_string(profile.outcome())) +
-                         (profile.reason().empty() ? "" : ", " + profile.reason()),
-                 .where = name() + ".profile",
-                 .next = "try again, or leave user_name and session out to be a guest"});
-  }
-  if ((*profile)->session_ended()) {
-    throw Error(ErrorCode::NotAllowed, {.what = "there is no such session, or it has ended",
-                                        .where = name(),
-                                        .next = "log in again, or leave user_name and session out to be a guest"});
-  }
-  co_return (*profile)->authentication_level();
+  const auto user = co_await security::session_user(sessions_, std::move(user_name), std::move(session));
+  if (!user) throw security::session_ended(name());
+  co_return user->level;
 }
 
 Async<navigation::CommRasterMap> MapServer::on_map(const navigation::CommRasterMapRequest& asked) {
-  const navigation::CommRasterMapRequest request = asked;  // the request may be gone when the profile is there
+  const navigation::CommRasterMapRequest request = asked;  // the request may be gone when the session has been checked
   const auto map = map_;
   const double level = level_of(*map, request.map_name());
   const Window window = window_of(map->building, map->frame, request);

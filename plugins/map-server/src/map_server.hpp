@@ -9,9 +9,9 @@
 
 #include "fiona/building/building.hpp"
 #include "fiona/component.hpp"
-#include "fiona/hmi.fiona.hpp"
 #include "fiona/map_server/params.pb.h"
 #include "fiona/navigation.fiona.hpp"
+#include "fiona/security.fiona.hpp"
 #include "raster.hpp"
 
 namespace fiona::map_server {
@@ -24,7 +24,7 @@ class MapServer final : public Component {
  private:
   using Parameters = map_server::Parameters;
 
-  /// One reading of the file. Shared with the requests that wait for a profile meanwhile; never changed.
+  /// One reading of the file. Shared with the requests whose session is being checked meanwhile; never changed.
   struct Map {
     Map(building::Building building_, std::string name_, double pixel_m);
 
@@ -60,10 +60,8 @@ class MapServer final : public Component {
                                                      const navigation::LevelMapVersion& now);
 
   Params<Parameters> params_{*this, &MapServer::check, &MapServer::changed};
-  Requires<hmi::ProfileProvider> profile_{
-      *this,
-      "profile",
-      {.optional = true, .doc = "whose session it is, and what that user may see; without it: guests only"}};
+  Requires<security::SessionProvider> sessions_{
+      *this, "sessions", {.optional = true, .doc = "whose a session is; without it there are guests only"}};
   Provides<navigation::RasterMapProvider> raster_{*this, "raster", &MapServer::on_map};
   Provides<navigation::RasterMapInfoProvider> info_{*this, "info", &MapServer::on_info};
   Provides<navigation::CoordinateConversion> coordinates_{*this, "coordinates", &MapServer::on_coordinates};

@@ -49,39 +49,10 @@ Profile UserProfiles::profile_of(const std::string& user) const {
   return profile;
 }
 
-/// Who the session says it is; the guest without name and session; nobody where the session has ended.
-Async<std::optional<UserProfiles::User>> UserProfiles::user_of(std::string user_name, std::string session) {
-  if (user_name.empty() && session.empty()) co_return User{};
-  if (session.empty()) {
-    throw Error(ErrorCode::NotAllowed, {.what = "the request names a user and carries no session",
-                                        .where = name(),
-                                        .next = "log in, or leave user_name out to be a guest"});
-  }
-  security::CommSessionRequest request;
-  request.set_session(session);
-  const auto found = co_await sessions_.query(std::move(request), kDeadline);
-  if (!found) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "the session could not be checked: " + std::string(to_string(found.outcome())) +
-                         (found.reason().empty() ? "" : ", " + found.reason()),
-                 .where = name() + ".sessions",
-                 .next = "try again, or leave user_name and session out to be a guest"});
-  }
-  if (!(*found)->is_valid()) co_return std::nullopt;
-  if ((*found)->user_name() != user_name) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "the session is another user's", .where = name(), .next = "name the user who logged in"});
-  }
-  co_return User{std::move(user_name), (*found)->authentication_level()};
-}
-
 /// Somebody in particular, for whom `what` can be kept.
-Async<UserProfiles::User> UserProfiles::known_user(std::string user_name, std::string session, const char* what) {
-  auto user = co_await user_of(std::move(user_name), std::move(session));
-  if (!user) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "there is no such session, or it has ended", .where = name(), .next = "log in again"});
-  }
+Async<security::SessionUser> UserProfiles::known_user(std::string user_name, std::string session, const char* what) {
+  auto user = co_await security::session_user(sessions_, std::move(user_name), std::move(session));
+  if (!user) throw security::session_ended(name());
   if (user->name.empty()) {
     throw Error(ErrorCode::NotAllowed, {.what = std::string("a guest has no ") + what + " that could be kept",
                                         .where = name(),
@@ -101,7 +72,7 @@ Async<std::vector<navigation::MapLevel>> UserProfiles::levels() {
   co_return known_levels_;
 }
 
-Async<hmi::CommUserProfileReply> UserProfiles::answer(User user) {
+Async<hmi::CommUserProfileReply> UserProfiles::answer(security::SessionUser user) {
   hmi::CommUserProfileReply reply;
   reply.set_authentication_level(user.level);
   const auto all = co_await levels();
@@ -116,7 +87,7 @@ Async<hmi::CommUserProfileReply> UserProfiles::answer(User user) {
 }
 
 Async<hmi::CommUserProfileReply> UserProfiles::on_profile(const hmi::CommUserProfileRequest& request) {
-  auto user = co_await user_of(request.user_name(), request.session());
+  auto user = co_await security::session_user(sessions_, request.user_name(), request.session());
   hmi::CommUserProfileReply reply;
   if (user) {
     reply = co_await answer(std::move(*user));

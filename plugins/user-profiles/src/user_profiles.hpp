@@ -8,6 +8,7 @@
 #include "fiona/component.hpp"
 #include "fiona/hmi.fiona.hpp"
 #include "fiona/navigation.fiona.hpp"
+#include "fiona/objects/session_user.hpp"
 #include "fiona/records/record_store.hpp"
 #include "fiona/security.fiona.hpp"
 #include "fiona/user_profiles/params.pb.h"
@@ -30,14 +31,9 @@ class UserProfiles final : public Component {
   Async<hmi::CommUserProfileReply> on_update(const hmi::CommUserProfileUpdate& request);
   Async<hmi::PointsOfAttentionReply> on_points(const hmi::RequestPointsOfAttention& request);
 
-  struct User {
-    std::string name;
-    int level = 0;
-  };
-  Async<std::optional<User>> user_of(std::string name, std::string session);
-  Async<User> known_user(std::string name, std::string session, const char* what);
+  Async<security::SessionUser> known_user(std::string name, std::string session, const char* what);
   Async<std::vector<navigation::MapLevel>> levels();
-  Async<hmi::CommUserProfileReply> answer(User user);
+  Async<hmi::CommUserProfileReply> answer(security::SessionUser user);
   Profile profile_of(const std::string& user) const;
 
   Params<Parameters> params_{*this, &UserProfiles::check};
