@@ -63,6 +63,9 @@ class Waiting final : public ReplySink {
   /// After `wait`.
   std::string reason() const { return reason_; }
   bool granted() const { return object_ && static_cast<const CommAuthenticationResponse&>(*object_).access_granted(); }
+  std::string user_name() const {
+    return object_ ? static_cast<const CommAuthenticationResponse&>(*object_).user_name() : std::string();
+  }
   std::string session() const {
     return object_ ? static_cast<const CommAuthenticationResponse&>(*object_).session() : std::string();
   }
@@ -138,7 +141,9 @@ TEST_F(AuthenticatorTest, TheRightPasswordGetsASessionOf128Bits) {
 
 TEST_F(AuthenticatorTest, APhonesLargeFirstLetterIsTheSameName) {
   const auto bench = started();
-  EXPECT_TRUE(login(*bench, "Anna", kPassword)->granted());
+  const auto reply = login(*bench, "Anna", kPassword);
+  EXPECT_TRUE(reply->granted());
+  EXPECT_EQ(reply->user_name(), "anna") << "as the session has it";
 }
 
 TEST_F(AuthenticatorTest, AWrongPasswordAnUnknownNameAndADisabledUserAreOneAnswer) {
@@ -248,6 +253,16 @@ TEST_F(AuthenticatorTest, AUserWhoIsDisabledRemovedOrHasAnotherPasswordIsLoggedO
   }
 }
 
+TEST_F(AuthenticatorTest, WhoGetsANameThatSomebodyHadBeforeGetsNoneOfTheirSessions) {
+  const auto bench = started();
+  const std::string bytes = login(*bench, "anna", kPassword)->session();
+  administer([](Accounts& accounts) {
+    accounts.remove("anna");
+    accounts.add("anna", Secret("another long one"), 9);
+  });
+  EXPECT_FALSE(whose(*bench, bytes).is_valid());
+}
+
 TEST_F(AuthenticatorTest, AnotherLevelHoldsForSessionsThatAreOpen) {
   const auto bench = started();
   const std::string bytes = login(*bench, "anna", kPassword)->session();
@@ -272,13 +287,22 @@ TEST_F(AuthenticatorTest, ASourceThatFailsHasToWaitAndOthersDoNot) {
   EXPECT_EQ(bench->probe<std::uint64_t>("refused_logins"), 1U);
 }
 
-TEST_F(AuthenticatorTest, ASuccessGivesASourceItsAttemptsBack) {
+TEST_F(AuthenticatorTest, ASuccessTakesNoAttemptOfItsSource) {
   const auto bench = started();
   bench->set("attempts", 2);
+  for (int i = 0; i < 5; ++i) EXPECT_TRUE(login(*bench, "anna", kPassword, "10.0.0.1")->granted());
+}
+
+TEST_F(AuthenticatorTest, WhoLogsInBetweenCannotGuessAtOthersForEver) {
+  administer([](Accounts& accounts) { accounts.add("mallory", Secret(kPassword), 1); });
+  const auto bench = started();
+  bench->set("attempts", 3);
   for (int i = 0; i < 3; ++i) {
+    EXPECT_TRUE(login(*bench, "mallory", kPassword, "10.0.0.1")->granted());
     EXPECT_FALSE(login(*bench, "anna", "wrong horse", "10.0.0.1")->granted());
-    EXPECT_TRUE(login(*bench, "anna", kPassword, "10.0.0.1")->granted());
   }
+  EXPECT_EQ(login(*bench, "mallory", kPassword, "10.0.0.1")->reason(),
+            "too many attempts: wait 6 s before the next one");
 }
 
 TEST_F(AuthenticatorTest, InAStormEachSourceHasTwoPlacesAndAValidLoginGetsIn) {

@@ -1,6 +1,9 @@
 #include "accounts.hpp"
 
+#include <sodium.h>
+
 #include <algorithm>
+#include <cstdint>
 #include <vector>
 
 #include "fiona/error.hpp"
@@ -84,6 +87,10 @@ void Accounts::add(std::string_view typed, const Secret& password, int level) {
   Account account;
   account.set_hash(hash_of(password));
   account.set_level(level);
+  // Not 0: who had the name before may have sessions yet.
+  std::uint64_t generation = 0;
+  randombytes_buf(&generation, sizeof(generation));
+  account.set_generation(generation);
   if (!store_.exchange(kAccounts, name, std::nullopt, account.SerializeAsString())) {
     throw Error(ErrorCode::Failed, {.what = "there is a user '" + name + "' already",
                                     .where = store_.file().string(),

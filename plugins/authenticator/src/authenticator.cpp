@@ -43,7 +43,8 @@ void Authenticator::on_stop() { desk_.reset(); }
 /// What is wrong with an attempt is told to who makes it only as far as it helps no one else: an unknown name, a wrong
 /// password and a disabled account are one answer, after one time.
 security::CommAuthenticationResponse Authenticator::checked(const LoginDesk::Attempt& attempt,
-                                                            const Sessions::Bounds& bounds) {
+                                                            const Sessions::Bounds& bounds,
+                                                            const Throttle::Rule& rule) {
   const auto name = account_name(attempt.user);
   const auto account = name ? accounts_->find(*name) : std::nullopt;
   const bool fits = verifies(account ? account->hash() : hash_of_nobody(), attempt.password);
@@ -53,10 +54,11 @@ security::CommAuthenticationResponse Authenticator::checked(const LoginDesk::Att
     return response;
   }
   response.set_session(sessions_->begin(*name, account->generation(), now(), bounds));
+  response.set_user_name(*name);
   response.set_access_granted(true);
   session_count_.set(sessions_->size());
   const std::lock_guard lock(throttle_mutex_);
-  throttle_.succeeded(attempt.source);
+  throttle_.give_back(attempt.source, rule);
   return response;
 }
 
@@ -76,10 +78,10 @@ void Authenticator::on_login(const security::CommAuthenticationRequest& request,
   const Sessions::Bounds bounds{seconds(params_->session_time()), params_->max_sessions(), params_->user_sessions()};
   // Shared by the two ways in which an attempt ends.
   const auto answer = std::make_shared<LoginReply>(std::move(reply));
-  const auto check_it = [this, answer, bounds](const LoginDesk::Attempt& attempt) {
+  const auto check_it = [this, answer, bounds, rule](const LoginDesk::Attempt& attempt) {
     if (answer->abandoned()) return;
     try {
-      answer->answer(checked(attempt, bounds));
+      answer->answer(checked(attempt, bounds, rule));
     } catch (const Error& error) {
       log(LogLevel::Error, error.what());
       answer->reject("nobody can log in now: the database of users cannot be used");

@@ -36,7 +36,8 @@ class Authenticator final : public Component {
   security::CommLogoutResponse on_logout(const security::CommSessionRequest& request);
   void look();
 
-  security::CommAuthenticationResponse checked(const LoginDesk::Attempt& attempt, const Sessions::Bounds& bounds);
+  security::CommAuthenticationResponse checked(const LoginDesk::Attempt& attempt, const Sessions::Bounds& bounds,
+                                               const Throttle::Rule& rule);
   const Account* account_of(const Session& session);
   void read_accounts();
   void read_changes();

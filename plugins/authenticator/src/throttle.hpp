@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <map>
 #include <optional>
@@ -9,8 +10,9 @@
 
 namespace fiona::authenticator {
 
-/// How many attempts a source still has: each failure takes one, time gives them back, and a success all of them. By
-/// source and not by user, so that nobody can lock another one out.
+/// How many attempts a source still has: each failure takes one, and time gives them back. A success takes none,
+/// and gives none back: who has an account of their own could guess at others' for ever. By source and not by user, so
+/// that nobody can lock another one out.
 class Throttle {
  public:
   /// Sources that are remembered; one more forgets the one that was silent the longest.
@@ -28,7 +30,11 @@ class Throttle {
     const auto found = sources_.find(source);
     return found == sources_.end() ? 0.0 : rule.attempts - found->second.left;
   }
-  void succeeded(const std::string& source) { sources_.erase(source); }
+  /// What `take` took: it was no failure.
+  void give_back(const std::string& source, const Rule& rule) {
+    const auto found = sources_.find(source);
+    if (found != sources_.end()) found->second.left = std::min(rule.attempts, found->second.left + 1.0);
+  }
 
   std::size_t sources() const { return sources_.size(); }
 
