@@ -127,12 +127,21 @@ TEST_F(TrackRecorderTest, OutdoorsTheFloorIsEmpty) {
   EXPECT_THAT(content(path("track.csv")), HasSubstr("\nwalk,0,1.000,2.000,,,,\n"));
 }
 
-TEST_F(TrackRecorderTest, AnOlderCsvIsOverwritten) {
-  std::ofstream(path("track.csv")) << "a line of yesterday\nand one more, to be longer\n";
-  Recorder recorder("rec");
-  recorder.set("csv", path("track.csv"));
-  recorder.start();
-  EXPECT_EQ(content(path("track.csv")), "trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy\n");
+TEST_F(TrackRecorderTest, WhatWasRecordedBeforeIsKeptAside) {
+  const std::string header = "trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy\n";
+  std::ofstream(path("track.svg")) << "the drawing of yesterday";
+  for (int start = 0; start < 3; ++start) {
+    Recorder recorder("rec");
+    recorder.set("csv", path("track.csv"));
+    recorder.set("svg", path("track.svg"));
+    recorder.start();
+    EXPECT_EQ(content(path("track.csv")), header);
+    put(recorder, at(start, 2, 0));
+  }
+  EXPECT_EQ(content(path("track.csv.1")), header + "walk,0,0.000,2.000,0,,,\n");
+  EXPECT_EQ(content(path("track.csv.2")), header + "walk,0,1.000,2.000,0,,,\n");
+  EXPECT_EQ(content(path("track.csv")), header + "walk,0,2.000,2.000,0,,,\n");
+  EXPECT_EQ(content(path("track.svg.1")), "the drawing of yesterday");
 }
 
 TEST_F(TrackRecorderTest, ACsvInNoDirectoryFailsTheStart) {

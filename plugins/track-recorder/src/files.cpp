@@ -35,6 +35,21 @@ void LineFile::add(std::string_view line) {
   if (!written) refuse(path_, cause_of(errno));
 }
 
+std::optional<fs::path> keep_aside(const fs::path& path) {
+  constexpr int kMostKept = 9999;
+  std::error_code error;
+  if (!fs::is_regular_file(path, error) || fs::file_size(path, error) == 0 || error) return std::nullopt;
+  for (int number = 1; number <= kMostKept; ++number) {
+    fs::path kept = path;
+    kept += "." + std::to_string(number);
+    if (fs::exists(fs::symlink_status(kept, error))) continue;
+    fs::rename(path, kept, error);
+    if (error) refuse(kept, error.message());
+    return kept;
+  }
+  refuse(path, std::to_string(kMostKept) + " recordings of before lie beside it");
+}
+
 void write_atomically(const fs::path& path, std::string_view text) {
   fs::path beside = path;
   beside += ".part-" + std::to_string(::getpid());

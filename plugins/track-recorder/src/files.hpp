@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -12,7 +13,8 @@ namespace fiona::recorder {
 /// whatever ends the process leaves whole lines behind.
 class LineFile {
  public:
-  /// Creates the file, or empties one that exists. Throws Error Failed with the system's reason.
+  /// Creates the file, or empties one that exists (`keep_aside` keeps it). Throws Error Failed with the system's
+  /// reason.
   explicit LineFile(std::filesystem::path path);
 
   /// Adds `line` and a line feed. Throws Error Failed with the system's reason.
@@ -28,6 +30,12 @@ class LineFile {
   std::filesystem::path path_;
   std::unique_ptr<std::FILE, Closer> file_;
 };
+
+/// Renames a file that has something in it to the first free one of path.1, path.2 and so on, for what starts anew must
+/// not lose what was recorded before: a group that is started again does so too. Gives that name; nothing where there
+/// is no such file, or where it is no regular one. Throws Error Failed with the system's reason, and where 9999 are
+/// taken.
+std::optional<std::filesystem::path> keep_aside(const std::filesystem::path& path);
 
 /// Replaces the file by `text` in one step: readers see the old content or the new, never a part. Throws
 /// Error Failed with the system's reason; the old file is untouched then, and nothing is left beside it.

@@ -60,8 +60,12 @@ void TrackRecorder::changed() {
 }
 
 void TrackRecorder::on_start() {
-  // The building first: where it cannot be read, no file has been overwritten.
+  // The building first: where it cannot be read, no file has been touched.
   if (!params_->building().empty()) plan_ = plan_of(params_->building());
+  for (const std::string& file : {params_->csv(), params_->svg()}) {
+    if (file.empty()) continue;
+    if (const auto kept = keep_aside(file)) log(LogLevel::Info, "what was in " + file + " is in " + kept->string());
+  }
   if (!params_->csv().empty()) {
     csv_.emplace(params_->csv());
     csv_->add("trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy");
