@@ -78,8 +78,10 @@ std::string TopView::headline() const {
     if (health_text(instance) != "ok") ++not_ok;
     for (const auto& port : instance.ports()) wires += port.connection() == control::CONNECTED ? 1 : 0;
   }
-  return fmt::format("{}  {} clock  {} instances{}  {} wires", system_.host(), system_.clock(),
-                     system_.instances_size(), not_ok == 0 ? "" : fmt::format(", {} not ok", not_ok), wires);
+  const int instances = system_.instances_size();
+  return fmt::format("{}  {} clock  {} instance{}{}  {} wire{}", system_.host(), system_.clock(), instances,
+                     instances == 1 ? "" : "s", not_ok == 0 ? "" : fmt::format(", {} not ok", not_ok), wires,
+                     wires == 1 ? "" : "s");
 }
 
 std::vector<TopView::Row> TopView::rows(Order order) const {
