@@ -173,6 +173,36 @@ TEST(BeaconFilter, WhoseStepsEndIsFollowedByWhatIsHeard) {
   EXPECT_NEAR(hall.filter.estimate().x_m, 16, 4.0);
 }
 
+/// Up and down a corridor, with walls that steps run into, and nothing to hear: what they say is all that is left.
+TEST(BeaconFilter, WhoseBeaconsFallSilentIsLessCertainAndAfterFifteenSecondsNotPlaced) {
+  navigation::CommLevelMap plan;
+  add_wall(plan, -3, 8, 23, 8);
+  add_wall(plan, -3, 12, 23, 12);
+  Hall hall({}, plan);
+  for (int i = 0; i < 10; ++i) hall.hear(4, 10);
+  const double before_m2 = hall.filter.estimate().spread.trace();
+  double x = 4.0;
+  for (int second = 1; second <= 300; ++second) {
+    const bool east = second / 12 % 2 == 0;
+    x += east ? 1.0 : -1.0;
+    hall.filter.step({1.0, 0.1, (east ? 0.0 : std::numbers::pi) + 0.3, 0.1});
+    hall.filter.advance(hall.now += 1s);
+    const Estimate at = hall.filter.estimate();
+    EXPECT_EQ(at.validity, second <= 15 ? Validity::Valid : Validity::Unheard) << second;
+    if (second == 15) {
+      EXPECT_GT(at.spread.trace(), before_m2);
+    }
+    EXPECT_GT(at.spread.trace(), 0.1) << second << ": few particles stand for all";
+  }
+  for (int i = 0; i < 20; ++i) {
+    hall.filter.step({0.5, 0.1, i % 2 == 0 ? 0.0 : std::numbers::pi, 0.1});
+    hall.hear(x, 10);
+  }
+  const Estimate again = hall.filter.estimate();
+  EXPECT_TRUE(again.is_valid());
+  EXPECT_NEAR(again.x_m, x, 3.0);
+}
+
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {
   Hall one, two;
   for (int i = 0; i < 10; ++i) one.hear(3, 4), two.hear(3, 4);

@@ -112,6 +112,20 @@ TEST(BeaconField, TurnsACompassWhereTheSurveySaysSo) {
   EXPECT_FALSE(BeaconField(parse(kFourBeacons, "hall")).knows_compass());
 }
 
+TEST(BeaconField, OfMoreBeaconsAndLevelsThanItCanHoldIsRefused) {
+  BeaconMap map;
+  map.set_name("airport");
+  for (int i = 0; i < 65'536; ++i) {
+    auto& on = *map.add_beacons()->add_heard();
+    on.set_level(i % 300);
+    on.set_power(-59);
+  }
+  EXPECT_EQ(
+      error_of([&] { BeaconField field(map); }),
+      "airport: the beacon map is too large\n  expected: 16777216 values, a beacon on a level each\n  found: 65536 "
+      "beacons, 300 levels\n  next: a map for each building");
+}
+
 TEST(BeaconMap, AMapByHandTakesTheUsualRadio) {
   const BeaconMap map = parse(kFourBeacons, "hall");
   EXPECT_EQ(map.beacons_size(), 4);
@@ -375,6 +389,36 @@ TEST_F(Component, BeforeAnythingIsHeardTheLocationIsInvalid) {
   bench_.advance(1s);
   EXPECT_FALSE(location().is_valid());
   EXPECT_EQ(bench_.probe<std::string>("validity"), "no known beacon heard yet");
+}
+
+TEST_F(Component, WhenNoBeaconIsHeardForFifteenSecondsThereIsNoPositionUntilOneIs) {
+  bench_.start();
+  for (int i = 0; i < 10; ++i) hear(6, 13);
+  bench_.advance(14s);
+  EXPECT_TRUE(location().is_valid());
+  bench_.advance(3s);
+  EXPECT_FALSE(location().is_valid());
+  EXPECT_EQ(bench_.probe<std::string>("validity"), "no known beacon heard for 15 s");
+  hear(6, 13);
+  bench_.advance(1s);
+  EXPECT_TRUE(location().is_valid());
+}
+
+TEST_F(Component, AnotherMapOfTheSameBuildingLosesNobody) {
+  navigation::CommLevelMap map;
+  map.set_version(7);
+  add_wall(map, 12, -10, 12, 40);
+  bench_.answer_with<navigation::LevelMap>("map", [&](const navigation::CommLevelMapRequest&) { return map; });
+  bench_.start();
+  bench_.advance(3s);
+  for (int i = 0; i < 10; ++i) hear(6, 13);
+  map.set_version(8);
+  add_wall(map, 4, 0, 4, 5);
+  navigation::LevelMapVersion changed;
+  changed.set_version(8);
+  ASSERT_EQ(bench_.fire<navigation::LevelMapChange>("map_change", changed), 1u);
+  bench_.advance(1s);
+  EXPECT_TRUE(location().is_valid()) << "at once, and not once it has been heard for a while";
 }
 
 TEST_F(Component, WallsComeFromTheLevelMap) {

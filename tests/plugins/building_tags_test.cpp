@@ -297,6 +297,70 @@ TEST(Tags, AnEscalatorLeadsWhereItRuns) {
   }
 }
 
+TEST(Tags, AnEscalatorOnOneLevelLeadsWhereItRuns) {
+  for (const auto& [conveying, there, back] :
+       {std::tuple("forward", true, false), {"backward", false, true}, {"yes", true, true}}) {
+    Osm osm;
+    osm.rectangle(10, 0, 0, 10, 10, "indoor=area name=West level=0");
+    osm.rectangle(20, 20, 0, 30, 10, "indoor=area name=East level=0");
+    osm.node(30, 5, 5).node(31, 25, 5);
+    const std::string tags = std::string("highway=steps level=0 incline=up conveying=") + conveying;
+    const Building house = osm.way(30, {30, 31}, tags).read();
+    EXPECT_EQ(uses(house.route(house.room("West"), house.room("East")), Passage::Escalator), there) << conveying;
+    EXPECT_EQ(uses(house.route(house.room("East"), house.room("West")), Passage::Escalator), back) << conveying;
+  }
+}
+
+/// Drawn on top of each other, without a hole, as Simple Indoor Tagging allows.
+TEST(Tags, ARoomInAHallIsWalkedAroundAndNobodyIsLedIntoItInstead) {
+  for (const std::string hall : {"room", "area", "corridor"}) {
+    Osm osm;
+    osm.node(42, 20, 15, "door=yes level=0");
+    osm.rectangle(10, 0, 0, 40, 40, "indoor=" + hall + " name=Hall level=0");
+    osm.rectangle(20, 15, 15, 25, 25, "indoor=room name=Kiosk level=0", {42});
+    const Building house = osm.read();
+    const PathPoint west{{1, 20}, 0}, east{{39, 20}, 0};
+    const auto across = house.route(west, east);
+    ASSERT_TRUE(across) << hall;
+    EXPECT_LT(across->length_m, 45.0) << hall;
+    EXPECT_TRUE(house.route(west, {house.room("Kiosk").centre, 0})) << hall;
+    EXPECT_EQ(house.room_at(house.room("Hall").centre, 0)->name, "Hall") << hall;
+    EXPECT_TRUE(house.route(west, {house.room("Hall").centre, 0})) << hall;
+  }
+}
+
+TEST(Tags, ShaftsThatAreDrawnLevelByLevelJoinThem) {
+  for (const std::string kind : {"elevator", "stairs"}) {
+    Osm osm = floors();
+    osm.rectangle(40, 3, 3, 6, 6, "indoor=room room=" + kind + " level=0");
+    osm.rectangle(50, 3, 3.2, 6, 6.2, "indoor=room room=" + kind + " level=1");
+    EXPECT_EQ(joined(osm.read()), (std::vector<std::vector<double>>{{0, 1}})) << kind;
+    Osm alone = floors();
+    const Building house = alone.rectangle(40, 3, 3, 6, 6, "indoor=room room=" + kind + " level=0").read();
+    ASSERT_EQ(house.warnings().size(), 1u) << kind;
+    EXPECT_NE(house.warnings().front().find("no two levels; left out"), std::string::npos) << house.warnings().front();
+  }
+}
+
+TEST(Tags, AMultipolygonOfWhichAWayIsMissingIsNamed) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 10, "").rectangle(20, 4, 4, 6, 6, "");
+  Osm torn = osm;
+  const Building whole = osm.multipolygon(1, {10}, {20}, "indoor=area level=0").read();
+  EXPECT_TRUE(whole.warnings().empty());
+  const Building house = torn.multipolygon(1, {10}, {99}, "indoor=area level=0").read();
+  ASSERT_EQ(house.warnings().size(), 1u);
+  EXPECT_EQ(house.warnings().front(),
+            "relation 1: some of its ways are not in the file, or do not close to a ring: only the others are used");
+}
+
+TEST(Tags, ARoofIsNoBuilding) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 10, 10, "indoor=area name=Platform level=0");
+  osm.rectangle(20, -5, 2, 15, 8, "building=roof");
+  EXPECT_TRUE(osm.read().plan().walls.empty());
+}
+
 TEST(Tags, AWayFromOneLevelToAnotherIsARampForWhoTakesNoStairs) {
   for (const std::string kind : kLines) {
     const Building house = floors().way(30, {30, 31}, "level=0;1 incline=up highway=" + kind).read();

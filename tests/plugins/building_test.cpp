@@ -168,6 +168,21 @@ TEST(BuildingFile, LiftsThatWouldMakeTooManyEdgesAreRefusedByNumber) {
   EXPECT_NE(error.find("node 1052"), std::string::npos) << error;
 }
 
+TEST(BuildingFile, ATownWhoseBuildingsTakeTooLongToTellApartIsRefused) {
+  Osm osm;
+  std::vector<int> ring;
+  for (int i = 0; i < 2000; ++i) {
+    osm.node(10'000 + i, 50 * std::cos(i * 3.1e-3), 50 * std::sin(i * 3.1e-3));
+    ring.push_back(10'000 + i);
+  }
+  ring.push_back(10'000);
+  for (int i = 0; i < 200; ++i) osm.way(100 + i, ring, "building=yes");
+  for (int i = 0; i < 3000; ++i) osm.node(20'000 + i, 0.01 * i, 0, "level=0");
+  const std::string error = error_of(osm.text());
+  EXPECT_NE(error.find("house.osm takes too long to make sense of"), std::string::npos) << error;
+  EXPECT_NE(error.find("osmium extract -b"), std::string::npos) << error;
+}
+
 TEST(BuildingFile, MoreElementsThanAnyBuildingHasAreRefusedWithTheStepThatHelps) {
   std::string xml = "<osm version='0.6'>";
   std::string members;

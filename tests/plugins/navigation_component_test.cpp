@@ -79,7 +79,6 @@ struct Led {
       asked = request;
       return profile;
     });
-    changes = replace("change", [](ReplySink& client) { client.event({}); });
     bench.start();
     paths_at_start = paths();
     said_at_start = said();
@@ -106,10 +105,9 @@ struct Led {
     tell_of_change(version);
   }
   void tell_of_change(std::uint64_t version) {
-    auto changed = std::make_shared<navigation::LevelMapVersion>();
-    changed->set_version(version);
-    ASSERT_FALSE(changes->asked.empty()) << "nobody watches the map";
-    changes->asked.back().reply->event({changed, ++fired, bench.now(), 0});
+    navigation::LevelMapVersion changed;
+    changed.set_version(version);
+    ASSERT_GT(bench.fire<navigation::LevelMapChange>("change", changed), 0u) << "nobody watches the map";
   }
   void stand(const CommLocation& at, Duration time = 600ms) {
     for (Duration passed{}; passed < time; passed += 200ms) {
@@ -143,8 +141,6 @@ struct Led {
   std::vector<navigation::CommPath> paths_at_start;
   std::vector<Instruction> said_at_start;
   navigation::CommLevelMap map;
-  std::shared_ptr<Provider> changes;
-  std::uint64_t fired = 0;
   hmi::CommUserProfileReply profile;
   hmi::CommUserProfileRequest asked;
 };
@@ -617,8 +613,9 @@ TEST(Navigation, AMapOfTheSameVersionIsNotAskedForAgain) {
 /// A rewire asks the next provider what the first one was asked: that of then, while another map is led by.
 TEST(Navigation, WhoServesNextTellsItsVersionWhateverIsKnown) {
   LedToC led;
-  ASSERT_FALSE(led.changes->asked.empty());
-  const auto& asked = static_cast<const navigation::LevelMapVersion&>(*led.changes->asked.back().envelope.object);
+  const auto activations = led.bench.take_any("change");
+  ASSERT_FALSE(activations.empty());
+  const auto& asked = static_cast<const navigation::LevelMapVersion&>(*activations.back().object);
   EXPECT_EQ(asked.version(), 0u);
   EXPECT_NE(led.map.version(), 0u);
 }

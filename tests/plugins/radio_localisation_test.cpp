@@ -18,8 +18,10 @@
 
 #include "../temporary_directory.hpp"
 #include "accuracy.hpp"
+#include "fiona/testing/bench.hpp"
 #include "level_tracker.hpp"
 #include "radio_filter.hpp"
+#include "radio_localisation.hpp"
 #include "radio_map_file.hpp"
 #include "radio_map_learner.hpp"
 
@@ -625,6 +627,69 @@ TEST(RadioFilter, TheTruthLiesInTheRegionItClaims) {
     ++all;
   }
   EXPECT_GE(inside, 0.9 * all);
+}
+
+/// The component over the learnt map, with Wi-Fi heard in one place.
+class RadioLocalisationComponent : public ::testing::Test {
+ protected:
+  RadioLocalisationComponent() {
+    save(*learnt_map(), folder_.path / "hall.radiomap");
+    bench_.set("map", (folder_.path / "hall.radiomap").string());
+    bench_.start();
+  }
+  /// A second in which a sweep is heard, by a scanner whose clock is so far off.
+  void hear(milliseconds off = {}) {
+    building_.sweep(0, 30.0, 14.0, random_, [&](const std::string& id, double rssi_dbm) {
+      sensors::RFSignalRSSI signal;
+      signal.set_transmitter_id(id), signal.set_rf_type("WiFi"), signal.set_rss(static_cast<float>(rssi_dbm));
+      signal.set_t(to_milliseconds(bench_.now()) + off.count());
+      bench_.put<sensors::RFSignalRSSIService>("wifi", signal);
+    });
+    bench_.advance(milliseconds(1000));
+  }
+  void step(milliseconds off = {}) {
+    localisation::CommStep step;
+    step.set_is_valid(true), step.set_length(0.05);
+    step.set_t_end(to_milliseconds(bench_.now()) + off.count());
+    bench_.put<localisation::StepProvider>("steps", step);
+  }
+  localisation::CommLocation location() {
+    const auto all = bench_.take<localisation::LocationProvider>("location");
+    return all.empty() ? localisation::CommLocation() : *all.back();
+  }
+
+  tests::TemporaryDirectory folder_;
+  Building building_;
+  Random random_{5};
+  fiona::testing::Bench<radio_localisation::RadioLocalisation> bench_{"radio"};
+};
+
+TEST_F(RadioLocalisationComponent, TheClockOfWhoListensIsNotItsOwn) {
+  const milliseconds hour(3'600'000);
+  for (const milliseconds off : {-hour, hour, -hour}) {
+    for (int i = 0; i < 10; ++i) {
+      step(off), step(off + milliseconds(1));
+      hear(off);
+    }
+    const auto told = location();
+    ASSERT_TRUE(told.is_valid()) << off.count();
+    EXPECT_NEAR(told.position().x(), 30, 6.0);
+    EXPECT_NEAR(told.position().y(), 14, 6.0);
+  }
+  EXPECT_EQ(bench_.probe<std::uint64_t>("old_rows").value_or(0), 0u);
+}
+
+TEST_F(RadioLocalisationComponent, WithoutStepsThePositionIsLostSooner) {
+  const auto grown_m2 = [&](bool steps) {
+    const auto end = dynamic_cast<RequiredPort&>(*bench_.hull().find_port("steps")).end_for("bench");
+    end->set_connection(steps ? Connection::Connected : Connection::Unwired, "on the bench");
+    for (int i = 0; i < 10; ++i) hear();
+    const double before_m2 = location().position().confidence(0);
+    for (int i = 0; i < 20; ++i) bench_.advance(milliseconds(1000));
+    return location().position().confidence(0) - before_m2;
+  };
+  const double with_steps_m2 = grown_m2(true), without_m2 = grown_m2(false);
+  EXPECT_GT(without_m2, 2.0 * with_steps_m2);
 }
 
 /// Fixes whose errors have the covariance factor * spread + floor^2, with spreads of 1 to 25 m^2.

@@ -125,6 +125,22 @@ TEST(StepHeadingComponent, ASampleWithoutMagnetometerIsLeftOut) {
   EXPECT_EQ(bench.mode(), "active");
 }
 
+TEST(StepHeadingComponent, WhoseMagnetometerReadsNothingIsSilentAndSaysSoOnce) {
+  Bench<StepHeading> bench;
+  bench.start();
+  for (int i = 0; i < 500; ++i) {
+    auto imu = gait(0.02 * i);
+    imu.set_out_x_m(0), imu.set_out_y_m(0), imu.set_out_z_m(0);
+    bench.put<sensors::GetIMUService>("imu", imu);
+    bench.advance(20ms);
+  }
+  EXPECT_TRUE(bench.take<localisation::StepProvider>("steps").empty());
+  EXPECT_TRUE(bench.take_silence("steps")) << "nobody may take the person for one who stands";
+  EXPECT_EQ(std::count_if(bench.log().begin(), bench.log().end(),
+                          [](const auto& line) { return line.find("no steps can be told") != std::string::npos; }),
+            1);
+}
+
 TEST(RadioLocalisationComponent, WithoutAMapItRefusesToStartAndSaysHowToMakeOne) {
   Bench<RadioLocalisation> bench("radio");
   const std::string error = error_of([&] { bench.start(); });

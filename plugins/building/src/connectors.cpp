@@ -143,6 +143,23 @@ std::vector<double> levels_in(const Draft& draft, const std::string& value) {
   return levels;
 }
 
+/// Along the way, or where it runs one way along that.
+Path path_of(Draft& draft, std::int64_t id, const OsmWay& way, const std::vector<Point>& points, double level) {
+  const std::string& conveying = tag(way.tags, "conveying");
+  Path path{{'w', id}, {}, tag(way.tags, "highway") == "steps"};
+  path.conveys = !conveying.empty() && conveying != "no";
+  path.one_way = conveying == "forward" || conveying == "backward";
+  path.indoors = is_indoors(way.tags);
+  path.access = access_level(draft, path.id, way.tags);
+  path.rise = rise_of(way.tags);
+  for (Point p : points) path.points.push_back({p, level});
+  if (conveying == "backward") {
+    std::reverse(path.points.begin(), path.points.end());
+    path.rise = -path.rise;
+  }
+  return path;
+}
+
 void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
   const ElementId element{'w', id};
   const std::vector<double> levels = draft.levels_of(element, way.tags);
@@ -150,14 +167,7 @@ void add_line(Draft& draft, std::int64_t id, const OsmWay& way) {
   if (!points || points->size() < 2) return;
   const std::vector<double> own = levels_in(draft, tag(way.tags, "level"));
   if (own.size() > 1) return add_climb(draft, id, way, own, *points, levels_in(draft, tag(way.tags, "repeat_on")));
-  for (double level : levels) {
-    Path path{element, {}, tag(way.tags, "highway") == "steps"};
-    path.indoors = is_indoors(way.tags);
-    path.access = access_level(draft, element, way.tags);
-    path.rise = rise_of(way.tags);
-    for (Point p : *points) path.points.push_back({p, level});
-    draft.plan.paths.push_back(std::move(path));
-  }
+  for (double level : levels) draft.plan.paths.push_back(path_of(draft, id, way, *points, level));
 }
 
 bool is_walkable_line(const Tags& tags) {
@@ -178,11 +188,8 @@ void add_line_around(Draft& draft, std::int64_t id, const OsmWay& way) {
   const double from = meeting_level(draft, way.nodes.front());
   const double to = meeting_level(draft, way.nodes.back());
   if (from != to) return add_climb(draft, id, way, {from, to}, *points);
-  Path path{{'w', id}, {}, tag(way.tags, "highway") == "steps", true, is_indoors(way.tags)};
-  path.access = access_level(draft, path.id, way.tags);
-  path.rise = rise_of(way.tags);
-  for (Point p : *points) path.points.push_back({p, from});
-  draft.plan.paths.push_back(std::move(path));
+  draft.plan.paths.push_back(path_of(draft, id, way, *points, from));
+  draft.plan.paths.back().around = true;
 }
 
 void add_lift(Draft& draft, ElementId id, const Tags& tags, Point at, std::vector<double> levels) {
@@ -228,30 +235,53 @@ bool serves(const Connector& connector, const Room& room, ConnectorKind kind) {
                      [&](const PathPoint& p) { return p.level == room.level && contains(room.polygon, p.at); });
 }
 
+/// A shaft is one area on several levels, or one on each, above each other.
+bool above_each_other(const Room& a, const Room& b) {
+  if (a.id == b.id) return true;
+  return a.kind == b.kind && (contains(a.polygon, b.centre) || contains(b.polygon, a.centre));
+}
+
 /// Stairs rooms and lift shafts in which nothing is drawn join their levels all the same.
 void add_shafts(Draft& draft) {
-  std::map<ElementId, std::vector<const Room*>> shafts;
+  std::vector<std::vector<const Room*>> shafts;
   for (const Room& room : draft.plan.rooms) {
     if (room.kind != RoomKind::Stairs && room.kind != RoomKind::Lift) continue;
     const ConnectorKind kind = room.kind == RoomKind::Lift ? ConnectorKind::Lift : ConnectorKind::Stairs;
     const auto& drawn = draft.plan.connectors;
     if (std::any_of(drawn.begin(), drawn.end(), [&](const Connector& c) { return serves(c, room, kind); })) continue;
-    shafts[room.id].push_back(&room);
+    draft.work.spend(shafts.size() * 20 * room.polygon.outer.size(), room.id);
+    const auto same = std::find_if(shafts.begin(), shafts.end(), [&](const auto& shaft) {
+      return shaft.back()->level != room.level && above_each_other(*shaft.back(), room);
+    });
+    same == shafts.end() ? shafts.push_back({&room}) : same->push_back(&room);
   }
-  for (auto& [id, rooms] : shafts) {
+  for (auto& rooms : shafts) {
     std::sort(rooms.begin(), rooms.end(), [](const Room* a, const Room* b) { return a->level < b->level; });
-    if (rooms.size() < 2) continue;
     const Room& first = *rooms.front();
-    if (first.kind == RoomKind::Lift) {
+    const bool is_lift = first.kind == RoomKind::Lift;
+    if (rooms.size() < 2) {
+      draft.warn(first.id, std::string(is_lift ? "the lift joins" : "the stairs join") + " no two levels; left out");
+      continue;
+    }
+    if (is_lift) {
       std::vector<double> levels;
       for (const Room* room : rooms) levels.push_back(room->level);
-      add_lift(draft, id, {{"name", first.name}}, first.centre, std::move(levels));
+      add_lift(draft, first.id, {{"name", first.name}}, first.centre, std::move(levels));
+      for (std::size_t i = 0; i < rooms.size(); ++i) draft.plan.connectors.back().path[i].at = rooms[i]->centre;
       continue;
     }
     for (std::size_t i = 1; i < rooms.size(); ++i) {
-      const double low = rooms[i - 1]->level, high = rooms[i]->level;
-      draft.plan.connectors.push_back(
-          {id, ConnectorKind::Stairs, first.name, {low, high}, climb_in(first, low, high), false, first.access, true});
+      const Room &below = *rooms[i - 1], &above = *rooms[i];
+      std::vector<PathPoint> climb = climb_in(below, below.level, above.level);
+      if (!contains(above.polygon, climb.back().at)) climb.back().at = above.centre;
+      draft.plan.connectors.push_back({first.id,
+                                       ConnectorKind::Stairs,
+                                       first.name,
+                                       {below.level, above.level},
+                                       std::move(climb),
+                                       false,
+                                       first.access,
+                                       true});
     }
   }
 }

@@ -8,8 +8,8 @@ namespace {
 
 using NodeRing = std::vector<std::int64_t>;
 
-/// Joins open ways end to end into rings; what stays open is dropped.
-std::vector<NodeRing> join(std::vector<NodeRing> pieces) {
+/// Joins open ways end to end into rings; what stays open is dropped, and noted.
+std::vector<NodeRing> join(std::vector<NodeRing> pieces, bool& is_whole) {
   std::multimap<std::int64_t, std::size_t> at_end;
   for (std::size_t i = 0; i < pieces.size(); ++i) {
     at_end.emplace(pieces[i].front(), i);
@@ -35,7 +35,10 @@ std::vector<NodeRing> join(std::vector<NodeRing> pieces) {
       if (piece.front() != ring.back()) std::reverse(piece.begin(), piece.end());
       ring.insert(ring.end(), piece.begin() + 1, piece.end());
     }
-    if (ring.size() < 4 || ring.front() != ring.back()) continue;
+    if (ring.size() < 4 || ring.front() != ring.back()) {
+      is_whole = false;
+      continue;
+    }
     ring.pop_back();
     rings.push_back(std::move(ring));
   }
@@ -46,13 +49,17 @@ Area area_of(const OsmFile& file, std::int64_t id, const OsmRelation& relation) 
   Area area{{'r', id}, &relation.tags, {}, {}, {}};
   std::vector<NodeRing> outer_pieces, inner_pieces;
   for (const OsmMember& member : relation.members) {
-    const auto way = member.id.kind == 'w' ? file.ways.find(member.id.number) : file.ways.end();
-    if (way == file.ways.end() || way->second.nodes.size() < 2) continue;
+    if (member.id.kind != 'w') continue;
+    const auto way = file.ways.find(member.id.number);
+    if (way == file.ways.end() || way->second.nodes.size() < 2) {
+      area.is_whole = false;
+      continue;
+    }
     (member.role == "inner" ? inner_pieces : outer_pieces).push_back(way->second.nodes);
     area.ways.push_back(way->first);
   }
-  area.outers = join(std::move(outer_pieces));
-  area.inners = join(std::move(inner_pieces));
+  area.outers = join(std::move(outer_pieces), area.is_whole);
+  area.inners = join(std::move(inner_pieces), area.is_whole);
   return area;
 }
 

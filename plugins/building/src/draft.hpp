@@ -21,6 +21,7 @@ struct Area {
   std::vector<std::vector<std::int64_t>> outers{};  ///< node ids, first not repeated
   std::vector<std::vector<std::int64_t>> inners{};
   std::vector<std::int64_t> ways{};
+  bool is_whole = true;  ///< all its members are in the file, and close to rings
 };
 
 /// A plan while it is made, step by step, from the elements of a file.
@@ -63,6 +64,7 @@ std::vector<Area> areas_of(const OsmFile& file);
 
 /// The steps, in this order: each uses what the ones before have put into the plan.
 Reference find_reference(const OsmFile& file, const Area* outline);
+/// The one in which most of what lies on a level is. Throws Error Failed where that takes too long to tell.
 const Area* find_outline(const OsmFile& file, const std::vector<Area>& areas);
 void add_rooms(Draft& draft, const std::vector<Area>& areas);
 void add_connectors(Draft& draft);

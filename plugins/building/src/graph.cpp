@@ -40,8 +40,9 @@ class GraphBuilder {
   Graph build() {
     graph_.nodes_of_room.resize(plan_.rooms.size());
     for (std::size_t room = 0; room < plan_.rooms.size(); ++room) {
-      graph_.centre_of_room.push_back(add_node(plan_.rooms[room].centre, plan_.rooms[room].level, room));
+      add_node(plan_.rooms[room].centre, plan_.rooms[room].level, room);
       add_corners(room);
+      if (has_walls(plan_.rooms[room].kind)) add_corners_around(plan_.rooms[room]);
     }
     for (const Wall& wall : plan_.walls) {
       if (wall.drawn) add_ends(wall);
@@ -123,6 +124,30 @@ class GraphBuilder {
         const Point p = corner + inwards * reach;
         if (!contains(room.polygon, p) || !in_sight(room, corner + inwards * 0.05, p)) continue;
         add_node(p, room.level, index);
+        break;
+      }
+    }
+  }
+
+  /// A room that stands in another one, which need not have a hole there, is walked around.
+  void add_corners_around(const Room& room) {
+    constexpr double kBeside_m = 0.05;
+    const Ring& ring = room.polygon.outer;
+    at_ = room.id;
+    for (std::size_t i = 0; i < ring.size(); ++i) {
+      const Point corner = ring[i];
+      const Point arriving = unit(corner - ring[(i + ring.size() - 1) % ring.size()]);
+      const Point leaving = unit(ring[(i + 1) % ring.size()] - corner);
+      if (cross(arriving, leaving) < kFlatCorner) continue;
+      const Point outwards = unit(left_of(arriving) + left_of(leaving)) * -1.0;
+      const auto around = room_at(corner + outwards * kBeside_m, room.level);
+      if (!around || !contains(plan_.rooms[*around].polygon, corner - outwards * kBeside_m)) continue;
+      for (double reach : {kClearance_m * 1.4, kClearance_m, kClearance_m / 3}) {
+        const Point p = corner + outwards * reach;
+        if (room_at(p, room.level) != around || !in_sight(plan_.rooms[*around], corner + outwards * kBeside_m, p)) {
+          continue;
+        }
+        add_node(p, room.level, around);
         break;
       }
     }
@@ -256,7 +281,8 @@ class GraphBuilder {
 
   void add_path(const Path& path) {
     at_ = path.id;
-    const Way way{path.steps ? Passage::Stairs : Passage::Walk, false, path.indoors, path.access,
+    const Passage steps = path.conveys ? Passage::Escalator : Passage::Stairs;
+    const Way way{path.steps ? steps : Passage::Walk, path.one_way, path.indoors, path.access,
                   path.steps ? path.rise : 0};
     for (std::size_t i = 1; i < path.points.size(); ++i) {
       add_edge(node_at(path.points[i - 1]), node_at(path.points[i]), way);

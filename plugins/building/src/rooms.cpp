@@ -46,7 +46,8 @@ double median(std::vector<Point> points, double Point::*coordinate) {
 
 bool is_outline(const Area& area) {
   const std::string& building = tag(*area.tags, "building");
-  return !building.empty() && building != "no" && !area.outers.empty();
+  const bool has_walls = building != "roof" && building != "carport" && tag(*area.tags, "wall") != "no";
+  return !building.empty() && building != "no" && has_walls && !area.outers.empty();
 }
 
 double heading_rad(const OsmFile& file, std::int64_t id, const OsmNode& node) {
@@ -110,7 +111,11 @@ std::vector<Polygon> polygons_of(Draft& draft, const Area& area) {
   }
   draft.work.limit(corners, kMostCorners, "corners", area.id);
   draft.work.spend(corners * (2000 + area.outers.size() * area.inners.size()), area.id);  // where its middle is
-  if (area.outers.empty()) draft.warn(area.id, "its ways do not close to a ring; left out");
+  if (area.outers.empty()) {
+    draft.warn(area.id, "its ways do not close to a ring; left out");
+  } else if (!area.is_whole) {
+    draft.warn(area.id, "some of its ways are not in the file, or do not close to a ring: only the others are used");
+  }
   for (const auto& nodes : area.outers) {
     if (auto ring = ring_of(draft, area.id, nodes)) polygons.push_back({std::move(*ring), {}});
   }
@@ -153,6 +158,37 @@ void add_room(Draft& draft, const Area& area) {
   if (const auto loss = draft.attenuation_db(area.id, tags)) draft.attenuation_of_room[area.id] = *loss;
 }
 
+/// Who is led to a hall is not led into the kiosk in its middle.
+void keep_centres_free(Draft& draft) {
+  std::map<double, std::vector<const Room*>> walled;
+  for (const Room& room : draft.plan.rooms) {
+    if (has_walls(room.kind)) walled[room.level].push_back(&room);
+  }
+  for (Room& room : draft.plan.rooms) {
+    const std::vector<const Room*>& others = walled[room.level];
+    draft.work.spend(2 * others.size(), room.id);
+    const double size_m2 = area_m2(room.polygon);
+    const Box box = bounds(room.polygon.outer);
+    Polygon free = room.polygon;
+    bool is_taken = false;
+    for (const Room* other : others) {
+      const Point corner = other->polygon.outer.front();
+      if (corner.x_m < box.low.x_m || corner.x_m > box.high.x_m || corner.y_m < box.low.y_m ||
+          corner.y_m > box.high.y_m || area_m2(other->polygon) >= size_m2) {
+        continue;
+      }
+      draft.work.spend(8 * other->polygon.outer.size(), room.id);
+      free.holes.push_back(other->polygon.outer);
+      is_taken = is_taken || contains(other->polygon, room.centre);
+    }
+    if (!is_taken) continue;
+    std::size_t corners = free.outer.size();
+    for (const Ring& hole : free.holes) corners += hole.size();
+    draft.work.spend(2000 * corners, room.id);
+    room.centre = inner_point(free);
+  }
+}
+
 /// Storey heights by indoor=level, and names of levels.
 void read_level_elements(Draft& draft, std::map<int, double>& storeys, std::map<double, std::string>& names) {
   const auto read = [&](ElementId id, const Tags& tags) {
@@ -192,7 +228,9 @@ std::set<double> used_levels(const Plan& plan) {
 }  // namespace
 
 const Area* find_outline(const OsmFile& file, const std::vector<Area>& areas) {
-  const std::vector<Point> places = indoor_places(file);
+  std::vector<Point> places = indoor_places(file);
+  std::sort(places.begin(), places.end(), [](Point a, Point b) { return a.x_m < b.x_m; });
+  Work work(file.name);
   const Area* best = nullptr;
   std::ptrdiff_t most = -1;
   for (const Area& area : areas) {
@@ -201,7 +239,17 @@ const Area* find_outline(const OsmFile& file, const std::vector<Area>& areas) {
     for (const auto& nodes : area.outers) {
       const auto ring = degrees_of(file, nodes);
       if (!ring) continue;
-      inside += std::count_if(places.begin(), places.end(), [&](Point p) { return contains(*ring, p); });
+      const Box box = bounds(*ring);
+      const auto first = std::lower_bound(places.begin(), places.end(), box.low.x_m,
+                                          [](Point p, double west) { return p.x_m < west; });
+      const auto last =
+          std::upper_bound(first, places.end(), box.high.x_m, [](double east, Point p) { return east < p.x_m; });
+      work.spend(static_cast<std::size_t>(last - first), area.id);
+      inside += std::count_if(first, last, [&](Point p) {
+        if (p.y_m < box.low.y_m || p.y_m > box.high.y_m) return false;
+        work.spend(4 * ring->size(), area.id);
+        return contains(*ring, p);
+      });
     }
     if (inside > most) best = &area, most = inside;
   }
@@ -233,6 +281,7 @@ void add_rooms(Draft& draft, const std::vector<Area>& areas) {
   for (const Area& area : areas) {
     if (is_indoor_area(*area.tags) && !is_outline(area)) add_room(draft, area);
   }
+  keep_centres_free(draft);
 }
 
 void add_levels(Draft& draft) {

@@ -171,7 +171,7 @@ std::optional<double> material_attenuation_db(const std::string& material) {
 void add_walls(Draft& draft) {
   WallSet walls{draft};
   for (const Room& room : draft.plan.rooms) {
-    if (room.kind == RoomKind::Corridor || room.kind == RoomKind::Area) continue;
+    if (!has_walls(room.kind)) continue;
     const auto told = draft.attenuation_of_room.find(room.id);
     const double loss = told == draft.attenuation_of_room.end() ? kInteriorWall_db : told->second;
     for (const Segment& side : edges(room.polygon)) walls.add(room.id, side, room.level, loss, false);

@@ -73,9 +73,8 @@ void replay_left_out(const RadioMapLearner& learner, const SurveyedJourney& surv
                      const std::shared_ptr<const RadioMap>& map, const AccuracyOptions& options,
                      std::vector<LeftOutFix>& fixes) {
   const Journey& journey = surveyed.journey;
-  FilterOptions filter_options;
-  filter_options.steps_expected = journey.has_steps;
-  RadioFilter filter(map, filter_options);
+  RadioFilter filter(map);
+  filter.expect_steps(journey.has_steps);
   replay(journey, filter, options.every, [&](Time time) {
     if (time.count() < journey.way_points.front().first || time.count() > journey.way_points.back().first) return;
     const auto truth = walk::position_at(journey.way_points, time.count());

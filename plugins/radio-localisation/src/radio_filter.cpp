@@ -7,7 +7,6 @@
 namespace fiona::radio {
 namespace {
 
-constexpr Time kOldestRow{10'000};
 constexpr Time kSweepSettles{60};     // rows of one sweep are told within this time
 constexpr Time kBeaconsGather{1000};  // beacons send all the time: a second of them is used at once
 constexpr Time kSlice{1000};          // rows heard within it are judged at one place
@@ -76,8 +75,7 @@ void RadioFilter::advance(Time now) {
 }
 
 void RadioFilter::diffuse(double dt_s) {
-  const double sd =
-      (options_.steps_expected ? options_.still_diffusion_m : options_.free_diffusion_m) * std::sqrt(dt_s);
+  const double sd = (steps_expected_ ? options_.still_diffusion_m : options_.free_diffusion_m) * std::sqrt(dt_s);
   if (sd == 0.0) return;
   for (Particle& p : particles_) {
     p.x_m += sd * random_.normal();

@@ -23,7 +23,6 @@ using Time = std::chrono::milliseconds;  ///< since any fixed epoch
 struct FilterOptions {
   std::size_t particles = 1500;
   std::uint64_t seed = 1;
-  bool steps_expected = true;  ///< a step source is wired; without one, walking is a random walk
   double temper = 0.5;  ///< log-likelihood of a sweep of n rows counts temper / sqrt(n): rows are not independent
   LikelihoodOptions likelihood = {};
   double heading_bias_sd_rad = 0.12;  ///< of a walk, at its start
@@ -80,7 +79,7 @@ struct Estimate {
 
 /// Position from radio and steps: a particle filter over position, level, heading bias and step gain, with a receiver
 /// offset beside it. Causal and deterministic: same inputs and seed, same answers. Inputs must come in the order of
-/// time; rows may have been heard up to ten seconds before they are told, and are judged where the particles were
+/// time; rows may have been heard up to `kOldestRow` before they are told, and are judged where the particles were
 /// then. After Thrun, Burgard, Fox, "Probabilistic Robotics" (2005), chapter 8 (mixture proposal from the radio map for
 /// the first fix and for kidnapping), and Murata et al., "Smartphone-based localization for blind navigation in
 /// building-scale indoor environments" (doi 10.1016/j.pmcj.2019.04.003).
@@ -88,6 +87,11 @@ class RadioFilter {
  public:
   RadioFilter(std::shared_ptr<const RadioMap> map, const FilterOptions& options = {});
 
+  /// A row that is told later than that after it was heard is no evidence.
+  static constexpr Time kOldestRow{10'000};
+
+  /// Whether steps are told from now on, which they are at first; else walking is a random walk.
+  void expect_steps(bool expected) { steps_expected_ = expected; }
   void step(const StepInput& step);
   /// Tells one row now, at `time`. Rows of one sweep come at one time, or nearly so.
   void signal(Time time, const SignalInput& signal);
@@ -138,6 +142,7 @@ class RadioFilter {
   std::shared_ptr<const RadioMap> map_;
   FilterOptions options_;
   RadioLikelihood likelihood_;
+  bool steps_expected_ = true;
   LevelTracker levels_;
   Random random_;
   std::vector<Particle> particles_;

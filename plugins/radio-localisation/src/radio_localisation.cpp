@@ -1,6 +1,8 @@
 #include "radio_localisation.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <filesystem>
 #include <limits>
 #include <string>
@@ -71,27 +73,39 @@ void RadioLocalisation::on_start() {
 
 void RadioLocalisation::on_wifi(const Received<sensors::RFSignalRSSI>& signal) {
   if (!signal->has_rss() || signal->rf_type() != "WiFi") return;
-  const radio::Time heard(signal->has_t() ? signal->t() : to_milliseconds(signal.origin));
-  filter_->signal(clock_ms(), {signal->transmitter_id(), radio::Radio::WiFi, signal->rss(), heard});
+  use_row(signal->transmitter_id(), radio::Radio::WiFi, signal->rss(), signal.origin);
 }
 
-void RadioLocalisation::on_beacons(const sensors::CommiBeaconList& beacons) {
-  for (const auto& beacon : beacons.beacon_list()) {
+void RadioLocalisation::on_beacons(const Received<sensors::CommiBeaconList>& beacons) {
+  std::int64_t newest_ms = std::numeric_limits<std::int64_t>::min();
+  for (const auto& beacon : beacons->beacon_list()) {
+    if (beacon.has_t()) newest_ms = std::max(newest_ms, std::int64_t{beacon.t()});
+  }
+  for (const auto& beacon : beacons->beacon_list()) {
     if (!beacon.has_rssi()) continue;
-    const std::string id = beacon_id(beacon);
-    const radio::Time heard = beacon.has_t() ? radio::Time(beacon.t()) : clock_ms();
-    filter_->signal(clock_ms(), {id, radio::Radio::Bluetooth, static_cast<double>(beacon.rssi()), heard});
+    const radio::Time before_newest(beacon.has_t() ? newest_ms - beacon.t() : 0);
+    use_row(beacon_id(beacon), radio::Radio::Bluetooth, beacon.rssi(), beacons.origin - before_newest);
   }
 }
 
-void RadioLocalisation::on_step(const localisation::CommStep& step) {
-  if (!step.is_valid()) return;
-  filter_->step({radio::Time(step.t_end()), step.length(), localisation::length_sd_m(step), step.heading(),
-                 localisation::heading_sd_rad(step)});
+/// When it was heard is told by a message's origin, which is of this instance's clock wherever it comes from; times in
+/// messages are of their sender's, and tell nothing but how far apart they are.
+void RadioLocalisation::use_row(const std::string& id, radio::Radio radio, double rssi_dbm, TimePoint heard) {
+  const radio::Time heard_ms(to_milliseconds(heard));
+  if (clock_ms() - heard_ms > radio::RadioFilter::kOldestRow) return old_.set(++old_rows_);
+  filter_->signal(clock_ms(), {id, radio, rssi_dbm, heard_ms});
+}
+
+void RadioLocalisation::on_step(const Received<localisation::CommStep>& step) {
+  if (!step->is_valid()) return;
+  const radio::Time ended = std::min(clock_ms(), radio::Time(to_milliseconds(step.origin)));
+  filter_->step(
+      {ended, step->length(), localisation::length_sd_m(*step), step->heading(), localisation::heading_sd_rad(*step)});
 }
 
 void RadioLocalisation::produce() {
   const TimePoint heard_until = now();
+  filter_->expect_steps(steps_.connection() == Connection::Connected);
   filter_->advance(clock_ms());
   const radio::Estimate estimate = filter_->estimate();
   note_validity(estimate.validity);

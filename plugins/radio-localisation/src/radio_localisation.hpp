@@ -20,8 +20,9 @@ class RadioLocalisation final : public Component {
 
  private:
   void on_wifi(const Received<sensors::RFSignalRSSI>& signal);
-  void on_beacons(const sensors::CommiBeaconList& beacons);
-  void on_step(const localisation::CommStep& step);
+  void on_beacons(const Received<sensors::CommiBeaconList>& beacons);
+  void use_row(const std::string& id, radio::Radio radio, double rssi_dbm, TimePoint heard);
+  void on_step(const Received<localisation::CommStep>& step);
   void produce();
   void note_validity(radio::Validity validity);
   void show(const radio::Estimate& estimate);
@@ -40,11 +41,13 @@ class RadioLocalisation final : public Component {
       *this, "spread", {.unit = "m", .doc = "standard deviation of the position; infinite while there is none"}};
   Probe<double> known_share_{
       *this, "known_share", {.doc = "of the transmitters heard lately, those that the radio map knows"}};
+  Probe<std::uint64_t> old_{*this, "old_rows", {.doc = "rows that were told too long after they had been heard"}};
   Probe<std::string> validity_probe_{*this, "validity", {.doc = "whether there is a position, or why not"}};
 
   std::shared_ptr<const radio::RadioMap> map_;
   std::optional<radio::RadioFilter> filter_;
   radio::Validity validity_ = radio::Validity::NoEvidence;
+  std::uint64_t old_rows_ = 0;
 };
 
 }  // namespace fiona::radio_localisation

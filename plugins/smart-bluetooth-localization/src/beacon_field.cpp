@@ -8,6 +8,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 
+#include "fiona/error.hpp"
+
 namespace fiona::beacons {
 namespace {
 
@@ -200,6 +202,14 @@ void BeaconField::lay_out(const BeaconMap& map, std::span<const Extent> more) {
       cells_ += std::size_t{columns} * rows;
     }
     if (cells_ * beacons_ <= kMostValues) return;
+    if (cells_ == levels_.size()) {
+      throw Error(ErrorCode::Usage,
+                  {.what = "the beacon map is too large",
+                   .where = map.name(),
+                   .expected = std::to_string(kMostValues) + " values, a beacon on a level each",
+                   .found = std::to_string(beacons_) + " beacons, " + std::to_string(cells_) + " levels",
+                   .next = "a map for each building"});
+    }
   }
 }
 

@@ -28,6 +28,8 @@ struct Heard {
 struct Extent {
   int level;
   double low_x_m, low_y_m, high_x_m, high_y_m;
+
+  bool operator==(const Extent&) const = default;
 };
 
 /// How strongly each beacon is heard in each place of each level: a Gaussian process over the mean of a log-distance
@@ -36,6 +38,8 @@ struct Extent {
 class BeaconField {
  public:
   /// Extents beyond what beacons and survey span, those of a plan, may be added; one level once.
+  /// Cells of 0.5 m, and larger ones where that were more than 16 Mi values. Throws Error Usage for a map of more
+  /// beacons and levels than that.
   explicit BeaconField(const BeaconMap& map, std::span<const Extent> more = {});
 
   struct Level {

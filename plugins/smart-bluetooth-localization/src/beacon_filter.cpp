@@ -20,8 +20,9 @@ constexpr double kLeastOfMode = 0.3;     // of the weight; with less, and a wide
 constexpr std::size_t kJumpDraws = 500;  // each second, to see whether elsewhere fits better
 constexpr double kWidestSpread_m = 25.0;
 constexpr double kLongestGap_s = 10.0;
-constexpr double kNewFor_s = 5.0;  // of standing
-constexpr int kFirstSeconds = 16;  // of standing
+constexpr Time kLongestUnheard{15'000};  // after which steps alone, and what they do not tell, guide nobody
+constexpr double kNewFor_s = 5.0;        // of standing
+constexpr int kFirstSeconds = 16;        // of standing
 
 }  // namespace
 
@@ -204,8 +205,10 @@ void BeaconFilter::use_second(double dt_s) {
   }
   readings_.clear();
   if (places_.empty()) return;
-  // A second in which nothing was heard may be one in which nobody listened.
-  if (second.empty()) return;
+  // A second in which nothing was heard may be one in which nobody listened; but walls tell particles apart all the
+  // time.
+  if (second.empty()) return keep_all_alike();
+  heard_ = now_;
   if (steps_ && !has_stepped_ && first_seconds_ < kFirstSeconds) return start_again(second);
   if (particles_.empty()) return start(second);
   const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
@@ -219,6 +222,16 @@ void BeaconFilter::use_second(double dt_s) {
   if (still_s_ <= kNewFor_s && !is_in_lift()) past_.push_back({std::move(second), weight, log_evidence, since});
   if (past_.size() > kPastSeconds) past_.pop_front();
   jump_or_resample(dt_s * moved);
+}
+
+/// With weights that differ too much few particles stand for the doubt, and in the end one.
+void BeaconFilter::keep_all_alike() {
+  double sum = 0.0, squares = 0.0;
+  for (const Particle& p : particles_) sum += p.weight, squares += p.weight * p.weight;
+  if (sum * sum > 0.5 * static_cast<double>(options_.particles) * squares) return;
+  scratch_.clear();
+  resample(options_.particles, scratch_);
+  particles_.swap(scratch_);
 }
 
 double BeaconFilter::log_likelihood_of_past(const Particle& p) const {
@@ -380,6 +393,7 @@ Estimate BeaconFilter::estimate() const {
   result.y_m = mean.y();
   const bool wide = result.spread.trace() > kWidestSpread_m * kWidestSpread_m && of_mode < kLeastOfMode * all;
   result.validity = wide ? Validity::Ambiguous : Validity::Valid;
+  if (*now_ - *heard_ > kLongestUnheard) result.validity = Validity::Unheard;
   return result;
 }
 

@@ -59,6 +59,7 @@ enum class Validity : std::uint8_t {
   Valid,
   NoEvidence,  ///< too little was heard yet
   Ambiguous,   ///< the evidence fits too many places
+  Unheard,     ///< nothing was heard for 15 s
 };
 
 struct Estimate {
@@ -157,6 +158,7 @@ class BeaconFilter {
   Particle anywhere();
   double normalise();
   void resample(std::size_t count, std::vector<Particle>& into);
+  void keep_all_alike();
   double log_likelihood_of_past(const Particle& p) const;
   void jump_or_resample(double moved_s);
   std::size_t best_level(double& weight) const;
@@ -187,6 +189,7 @@ class BeaconFilter {
   Walked heard_at_;                                           ///< the sum of that at the readings
   std::deque<Past> past_;
   std::optional<Time> now_, used_;
+  std::optional<Time> heard_;  ///< the end of the last second in which anything was
   bool steps_ = false;
   double walked_m_ = 0.0;  ///< since the last second was used
   double still_s_ = 0.0;   ///< seconds used since the walker last moved on

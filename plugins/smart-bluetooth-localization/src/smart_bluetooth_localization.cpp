@@ -14,12 +14,14 @@ namespace {
 
 constexpr std::chrono::seconds kOldestReading{3};
 constexpr std::chrono::seconds kOldestOrientation{1};
+constexpr double kCoarse_m = 1.0;
 
 std::string text_of(beacons::Validity validity) {
   switch (validity) {
     case beacons::Validity::Valid: return "valid";
     case beacons::Validity::NoEvidence: return "no known beacon heard yet";
     case beacons::Validity::Ambiguous: return "ambiguous";
+    case beacons::Validity::Unheard: return "no known beacon heard for 15 s";
   }
   return "unknown";
 }
@@ -52,10 +54,12 @@ void SmartBluetoothLocalization::check(const SmartBluetoothLocalizationParams& d
 
 /// A map with a survey covers what was surveyed; one written by hand covers what the plan does.
 void SmartBluetoothLocalization::make_field() {
-  const auto extents = plan_->extents();
-  const bool by_hand = beacon_map_.survey().empty();
-  field_ = std::make_shared<const beacons::BeaconField>(
-      beacon_map_, by_hand ? std::span<const beacons::Extent>(extents) : std::span<const beacons::Extent>{});
+  if (beacon_map_.survey().empty()) extents_ = plan_->extents();
+  field_ = std::make_shared<const beacons::BeaconField>(beacon_map_, extents_);
+  if (field_->cell_m() > kCoarse_m) {
+    log(LogLevel::Warning, "the beacon map is so large that places nearer than " +
+                               std::to_string(std::lround(field_->cell_m())) + " m are not told apart");
+  }
   make_filter();
 }
 
@@ -140,7 +144,7 @@ void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevel
     plan_ = std::make_shared<const beacons::FloorPlan>();
   }
   log(LogLevel::Info, "walls of '" + level_map_->name() + "' in use: " + std::to_string(level_map_->walls_size()));
-  if (beacon_map_.survey().empty()) return make_field();
+  if (beacon_map_.survey().empty() && plan_->extents() != extents_) return make_field();
   filter_->use(plan_);
   has_walls_.set(params_->walls() && plan_->has_walls());
 }
@@ -193,6 +197,9 @@ void SmartBluetoothLocalization::note_validity(beacons::Validity validity) {
   validity_probe_.set(text_of(validity));
   if (validity == validity_) return;
   validity_ = validity;
+  if (validity == beacons::Validity::Unheard) {
+    log(LogLevel::Warning, "no beacon of the map was heard for 15 s: there is no position until one is");
+  }
   if (validity == beacons::Validity::Ambiguous) log(LogLevel::Info, "what is heard fits too many places");
 }
 

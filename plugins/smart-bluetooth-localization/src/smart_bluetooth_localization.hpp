@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "beacon_filter.hpp"
 #include "fiona/component.hpp"
@@ -73,6 +74,7 @@ class SmartBluetoothLocalization final : public Component {
 
   beacons::BeaconMap beacon_map_;
   std::shared_ptr<const beacons::BeaconField> field_;
+  std::vector<beacons::Extent> extents_;  ///< of the plan, as far as the field reaches by it
   std::shared_ptr<const beacons::FloorPlan> plan_ = std::make_shared<const beacons::FloorPlan>();
   std::shared_ptr<const navigation::CommLevelMap> level_map_;
   double frame_turn_rad_ = 0.0;  ///< of the map's y axis, clockwise from true north, which steps are told against

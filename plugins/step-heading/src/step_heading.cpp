@@ -13,6 +13,7 @@ namespace {
 /// A pause this long and the next step begins anew, not where the last one ended.
 constexpr std::chrono::milliseconds kLongestStep{1500};
 constexpr std::chrono::milliseconds kOldestSample{500};
+constexpr std::chrono::milliseconds kAlignsWithin{3000};
 constexpr double kTiltSd_rad = 0.05;  // of gravity's direction in the hand of one who walks
 
 Eigen::Vector3d vector(const sensors::PhoneAxes::Vector& v) { return {v[0], v[1], v[2]}; }
@@ -54,6 +55,7 @@ void StepHeading::rebuild() {
   tracker_.emplace(detector, steps::HeadingFilterOptions());
   last_step_.reset();
   last_sample_.reset();
+  unaligned_since_.reset();
 }
 
 double StepHeading::declination_rad() const {
@@ -78,7 +80,9 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   last_sample_ = time;
   const auto step = tracker_->feed(
       {time, vector(*phone.acceleration_g), vector(*phone.rotation_deg_s), vector(*phone.magnetic_gauss)});
-  if (!step) return steps_.still_valid();  // who stands still is not lost
+  if (!step)
+    return tracker_->heading().is_aligned() ? steps_.still_valid()  // who stands still is not lost
+                                            : note_no_heading(time);
   const bool follows = last_step_ && step->time - *last_step_ <= kLongestStep;
   localisation::CommStep message;
   message.set_t_begin(follows ? last_step_->count() : step->time.count());
@@ -91,6 +95,16 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   message.set_is_valid(true);
   last_step_ = step->time;
   steps_.put(std::move(message), TimePoint(step->time));
+}
+
+/// No step can be told then, though somebody may walk. Says so once.
+void StepHeading::note_no_heading(std::chrono::milliseconds time) {
+  if (!unaligned_since_) unaligned_since_ = time;
+  if (no_heading_told_ || time - *unaligned_since_ < kAlignsWithin) return;
+  no_heading_told_ = true;
+  log(LogLevel::Warning,
+      "no steps can be told: what accelerometer and magnetometer measure is no gravity and no magnetic field of the "
+      "earth");
 }
 
 /// While nothing is measured it is told to be not valid.

@@ -19,6 +19,7 @@ class StepHeading final : public Component {
 
  private:
   void on_imu(const Received<sensors::GetIMU>& imu);
+  void note_no_heading(std::chrono::milliseconds time);
   void produce_orientation();
   Async<> look_for_map();
   double declination_rad() const;
@@ -40,13 +41,16 @@ class StepHeading final : public Component {
       std::chrono::milliseconds(20),
       {.doc = "how the device is turned; not valid while nothing is measured"}};
 
-  Probe<double> declination_{
-      *this, "magnetic_north", {.unit = "deg", .doc = "the bearing of magnetic north in use, clockwise from true north"}};
+  Probe<double> declination_{*this,
+                             "magnetic_north",
+                             {.unit = "deg", .doc = "the bearing of magnetic north in use, clockwise from true north"}};
   Task look_{*this, "look_for_map", std::chrono::milliseconds(1000), &StepHeading::look_for_map};
 
   std::optional<steps::StepTracker> tracker_;
   std::optional<double> declination_of_map_rad_;
   std::optional<std::chrono::milliseconds> last_step_, last_sample_;
+  std::optional<std::chrono::milliseconds> unaligned_since_;
+  bool no_heading_told_ = false;
 };
 
 }  // namespace fiona::step_heading

@@ -104,7 +104,10 @@ void TracePlayer::put_beacons() {
   if (heard_.beacon_list().empty()) return;
   std::stable_sort(heard_.mutable_beacon_list()->begin(), heard_.mutable_beacon_list()->end(),
                    [](const auto& a, const auto& b) { return a.rssi() > b.rssi(); });
-  beacons_.put(std::exchange(heard_, {}));
+  // Where it is as old as its newest reading, the ages of all of them are what the recording says.
+  std::int64_t newest_ms = 0;
+  for (const auto& beacon : heard_.beacon_list()) newest_ms = std::max(newest_ms, std::int64_t{beacon.t()});
+  beacons_.put(std::exchange(heard_, {}), TimePoint(std::chrono::milliseconds(newest_ms)));
 }
 
 }  // namespace fiona::trace_player

@@ -122,6 +122,19 @@ class AnyBench : private HullEvents {
     };
   }
 
+  /// Fires an event for each activation of a required event port. Gives how many there are.
+  template <class S>
+  std::size_t fire(std::string_view port, typename S::ResultType event) {
+    auto& activations = collector(port).activations;
+    std::erase_if(activations, [](const auto& activation) { return activation->abandoned(); });
+    const auto object = std::make_shared<const typename S::ResultType>(std::move(event));
+    for (const auto& activation : activations) {
+      activation->event({object, ++sequence_, clock_.now(), object->ByteSizeLong()});
+    }
+    executor_.help();
+    return activations.size();
+  }
+
   /// The value of a probe that the component declares, or of one of the hull's own ("mode", "steps.rate"); none if it
   /// has none yet. T as declared; the name of an enumerator is a std::string.
   template <class T>
@@ -151,6 +164,10 @@ class AnyBench : private HullEvents {
   struct Collector final : Sink {
     Outcome deliver(Parcel parcel) override {
       if (answer) answer(parcel);
+      if (takes_activations) {
+        parcel.reply->event({});  // taken
+        activations.push_back(parcel.reply);
+      }
       parcels.push_back(std::move(parcel));
       return Outcome::Ok;
     }
@@ -160,6 +177,8 @@ class AnyBench : private HullEvents {
     std::vector<Parcel> parcels;
     std::optional<std::string> silence;
     std::function<void(const Parcel&)> answer;
+    bool takes_activations = false;
+    std::vector<std::shared_ptr<ReplySink>> activations;
   };
   struct Collected final : ReplySink {
     void answer(Outcome result, std::string why, std::shared_ptr<const Object> what) override {
@@ -180,6 +199,7 @@ class AnyBench : private HullEvents {
 
   void wire(Port& port) {
     auto sink = std::make_shared<Collector>();
+    sink->takes_activations = dynamic_cast<detail::EventClient*>(&port) != nullptr;
     if (auto* provider = dynamic_cast<detail::PushProvider*>(&port)) provider->attach(sink);
     if (auto* client = dynamic_cast<RequiredPort*>(&port)) {
       const auto end = client->end_for("bench");
@@ -250,7 +270,8 @@ class AnyBench : private HullEvents {
 ///     EXPECT_EQ(bench.take<StepProvider>("steps").size(), 1);
 ///
 /// Every port is wired to the bench: what the component puts is kept until taken, what it asks is answered by
-/// `answer_with`. An outcome or exception that fails the instance is seen by `mode()` and `reason()`.
+/// `answer_with`, what it activates is fired by `fire`. An outcome or exception that fails the instance is seen by
+/// `mode()` and `reason()`.
 template <class C>
 class Bench : public AnyBench {
  public:

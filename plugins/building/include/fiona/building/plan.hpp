@@ -98,16 +98,21 @@ struct Connector {
   bool indoors = false;  ///< as of a Path
 };
 
+/// Corridors and areas are open to what is beside them.
+inline bool has_walls(RoomKind kind) { return kind != RoomKind::Corridor && kind != RoomKind::Area; }
+
 /// A walkable line on one level (highway=footway, corridor, ...). A street or a footway around the building has no
 /// level tag: it lies on the level of the elements at its ends, else on the ground.
 struct Path {
   ElementId id{};
   std::vector<PathPoint> points{};
   bool steps = false;
+  bool conveys = false;  ///< steps: an escalator; else a moving walk
+  bool one_way = false;  ///< along the points
   bool around = false;   ///< without a level tag: no part of the building
   bool indoors = false;  ///< by its tags; where they do not say, the outline and the rooms do
   int access = 0;
-  int rise = 0;  ///< of steps: 1 up along the points, -1 down; 0: not told
+  int rise = 0;  ///< of steps and escalators: 1 up along the points, -1 down; 0: not told
 };
 
 /// A node with tags of the platform's own (`fiona:...`): transmitters, markers.

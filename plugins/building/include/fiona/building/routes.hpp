@@ -43,7 +43,6 @@ struct Graph {
   std::vector<GraphEdge> edges{};
   std::vector<std::vector<std::size_t>> edges_of_node{};
   std::vector<std::vector<std::size_t>> nodes_of_room{};
-  std::vector<std::size_t> centre_of_room{};
 };
 
 struct RouteOptions {
