@@ -24,6 +24,9 @@ constexpr double kOffsetPrior_db = 6.0;
 constexpr double kLeastOffset_db = 5.0;  // the next phone is none of the surveyors'
 constexpr std::size_t kLeastRows = 10;
 constexpr std::size_t kMostPointsToFit = 150;
+constexpr std::array kShadowing_db{1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0};  // tried, each with each reach
+constexpr std::array kReach_m{1.5, 2.0, 2.5, 3.5, 5.0, 7.0};
+using Evidence = std::array<double, kShadowing_db.size() * kReach_m.size()>;
 
 struct Row {
   std::uint32_t walk;
@@ -49,10 +52,13 @@ Fit fit_at(double x_m, double y_m, const std::vector<Row>& rows, const std::vect
     double n = 0, loss = 0, rssi = 0, loss2 = 0, cross = 0, rssi2 = 0;
   };
   std::map<int, Sums> levels;
-  for (const Row& row : rows) {
+  Sums* of_level = nullptr;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const Row& row = rows[i];
     const double dx = row.x_m - x_m, dy = row.y_m - y_m;
     const double loss = 5.0 * std::log10(dx * dx + dy * dy + 1.0), rssi = row.rssi_dbm - offsets[row.walk];
-    Sums& s = levels[row.level];
+    if (i == 0 || row.level != rows[i - 1].level) of_level = &levels[row.level];
+    Sums& s = *of_level;
     s.n += 1, s.loss += loss, s.rssi += rssi, s.loss2 += loss * loss, s.cross += loss * rssi, s.rssi2 += rssi * rssi;
   }
   double within_loss2 = 0.0, within_cross = 0.0, within_rssi2 = 0.0;
@@ -200,41 +206,48 @@ class Learner {
   }
 
   void fit_shadowing() {
-    double best = -std::numeric_limits<double>::max();
-    for (const double sd : {1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0}) {
-      for (const double reach : {1.5, 2.0, 2.5, 3.5, 5.0, 7.0}) {
-        double log = 0.0;
-        for (const auto& [id, rows] : rows_) log += log_evidence(id, rows, sd, reach);
-        if (log <= best) continue;
-        best = log;
-        map_.mutable_radio()->set_shadowing(sd);
-        map_.mutable_radio()->set_shadowing_reach(reach);
-      }
+    Evidence log{};
+    for (const auto& [id, rows] : rows_) {
+      const Evidence of_beacon = log_evidence(id, rows);
+      for (std::size_t i = 0; i < log.size(); ++i) log[i] += of_beacon[i];
     }
+    const auto best = static_cast<std::size_t>(std::max_element(log.begin(), log.end()) - log.begin());
+    map_.mutable_radio()->set_shadowing(kShadowing_db[best / kReach_m.size()]);
+    map_.mutable_radio()->set_shadowing_reach(kReach_m[best % kReach_m.size()]);
   }
 
-  double log_evidence(const std::string& id, const std::vector<Row>& rows, double sd, double reach) {
+  /// Of each standard deviation with each reach.
+  Evidence log_evidence(const std::string& id, const std::vector<Row>& rows) {
     std::map<int, std::vector<Bin>> levels;
     for (const auto& [key, bin] : bins_of(rows, offsets_, fits_[id])) levels[bin.level].push_back(bin);
-    double log = 0.0;
+    Evidence log{};
     for (const auto& [level, all] : levels) {
       std::vector<Bin> bins;
       const std::size_t n = std::min(all.size(), kMostPointsToFit);
       for (std::size_t i = 0; i < n; ++i) bins.push_back(all[i * all.size() / n]);
       const auto size = static_cast<Eigen::Index>(n);
-      Eigen::MatrixXd covariance(size, size);
-      Eigen::VectorXd residual(size);
+      Eigen::VectorXd residual(size), noise(size);
       for (Eigen::Index i = 0; i < size; ++i) {
         residual[i] = bins[i].residual_db;
-        for (Eigen::Index j = 0; j < size; ++j) {
-          const double dx = bins[i].x_m - bins[j].x_m, dy = bins[i].y_m - bins[j].y_m;
-          covariance(i, j) = sd * sd * std::exp(-0.5 * (dx * dx + dy * dy) / (reach * reach));
-        }
-        covariance(i, i) += map_.radio().reading() * map_.radio().reading() / std::min(4.0, bins[i].count);
+        noise[i] = map_.radio().reading() * map_.radio().reading() / std::min(4.0, bins[i].count);
       }
-      const Eigen::LLT<Eigen::MatrixXd> factor(covariance);
-      log -= 0.5 * residual.dot(factor.solve(residual));
-      for (Eigen::Index i = 0; i < size; ++i) log -= std::log(factor.matrixL()(i, i));
+      Eigen::MatrixXd alike(size, size), covariance(size, size);  // lower halves
+      for (std::size_t r = 0; r < kReach_m.size(); ++r) {
+        for (Eigen::Index j = 0; j < size; ++j) {
+          for (Eigen::Index i = j; i < size; ++i) {
+            const double dx = bins[i].x_m - bins[j].x_m, dy = bins[i].y_m - bins[j].y_m;
+            alike(i, j) = std::exp(-0.5 * (dx * dx + dy * dy) / (kReach_m[r] * kReach_m[r]));
+          }
+        }
+        for (std::size_t s = 0; s < kShadowing_db.size(); ++s) {
+          covariance.triangularView<Eigen::Lower>() = kShadowing_db[s] * kShadowing_db[s] * alike;
+          covariance.diagonal() += noise;
+          const Eigen::LLT<Eigen::MatrixXd> factor(covariance);
+          double& sum = log[s * kReach_m.size() + r];
+          sum -= 0.5 * residual.dot(factor.solve(residual));
+          for (Eigen::Index i = 0; i < size; ++i) sum -= std::log(factor.matrixL()(i, i));
+        }
+      }
     }
     return log;
   }
