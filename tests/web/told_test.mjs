@@ -53,6 +53,25 @@ await claim("where one is led is what the path says: a room that another page or
     assert.doesNotMatch(await one.locator(".panel").innerText(), /Office/);
   }
 });
+await claim("a direction is told where one is known: not at the start, nor out of a lift, and behind stairs from their last steps", async (server) => {
+  const stairwells = kBuilding.rooms.map((room) => (room.kind === "LIFT_SHAFT" ? { ...room, kind: "STAIRWELL" } : room));
+  server.answer("map", 200, { ...kBuilding, rooms: stairwells });
+  const upstairs = (...then) => ({ valid: true, points: [[2, 1.5, 0], [19, 1.5, 0], [19, 3.1, 0], [19, 4.9, 1], ...then.map(([x, y]) => [x, y, 1])] });
+  const page = (claims.shown = await opened(server));
+  for (const [to, told] of [[[24, 4.9], "Turn right, then 5 m"], [[13, 4.9], "Turn left, then 6 m"], [[19, 0.9], "Turn around, then 4 m"], [[19, 7.9], "Straight on for 3 m"]]) {
+    server.tell("path", upstairs(to));
+    await page.locator(".steps li", { hasText: told }).waitFor();
+    const steps = await page.locator(".steps li").allInnerTexts();
+    assert.deepEqual(steps.slice(0, 4), ["Walk 15 m", "Turn left, then 2 m", "Take the stairs to First floor", told]);
+  }
+  const ahead = page.locator(".steps li", { hasText: "Walk 15 m" });
+  assert.deepEqual([await ahead.locator("svg circle").count(), await ahead.locator("svg path").count()], [1, 0], "an arrow though nobody knows where one looks");
+  server.answer("map", 200, kBuilding);
+  server.tell("map", { version: "2" });
+  server.tell("path", kToLibrary);
+  await page.locator(".steps li", { hasText: "Take the lift to First floor" }).waitFor();
+  assert.deepEqual((await page.locator(".steps li").allInnerTexts()).slice(2, 5), ["Take the lift to First floor", "Walk 3 m", "Turn right, then 15 m"]);
+});
 await claim("a room that cannot be reached is asked for no longer", async (server) => {
   const page = (claims.shown = await opened(server));
   await page.getByLabel("Where to?").fill("Library");

@@ -10,12 +10,12 @@ export interface Step {
 
 export interface Progress {
   along: number; // metres of the path behind the walker
-  segment: number;
   heading: number | null; // radians counter-clockwise from east: where the path goes from here
   off: number; // metres from the path
 }
 
 const kShortest_m = 2.2;
+const kShortestStretch_m = 0.1; // that has a direction
 
 const length = (a: Waypoint, b: Waypoint): number => Math.hypot(b[0] - a[0], b[1] - a[1]);
 const sameLevel = (a?: number, b?: number): boolean => (a ?? 0) === (b ?? 0);
@@ -35,7 +35,7 @@ export function progressOf(path: Path, location: Location | null): Progress | nu
       const t = Math.min(1, Math.max(0, share));
       const off = Math.hypot(from[0] + t * (to[0] - from[0]) - location.x, from[1] + t * (to[1] - from[1]) - location.y);
       if (!best || off < best.off) {
-        best = { along: behind + t * long, segment: i, heading: Math.atan2(to[1] - from[1], to[0] - from[0]), off };
+        best = { along: behind + t * long, heading: Math.atan2(to[1] - from[1], to[0] - from[0]), off };
       }
     }
     behind += long;
@@ -104,16 +104,22 @@ export function goalOf(path: Path | null, map: BuildingMap | null): Destination 
   return { x: end[0], y: end[1], level: end[2] ?? 0, label: room ? roomName(room) : "" };
 }
 
-/// The pieces of a path between changes of level, and where along the path each begins.
-function pieces(path: Path): { points: Waypoint[]; begin: number }[] {
-  const all: { points: Waypoint[]; begin: number }[] = [];
+interface Piece {
+  points: Waypoint[];
+  begin: number; // metres along the path
+  before?: Waypoint; // where the path comes from
+}
+
+/// The pieces of a path between changes of level.
+function pieces(path: Path): Piece[] {
+  const all: Piece[] = [];
   let behind = 0;
   path.points.forEach((point, i) => {
     const before = path.points[i - 1];
     if (before) behind += length(before, point);
     const piece = all[all.length - 1];
     if (before && piece && sameLevel(before[2], point[2])) piece.points.push(point);
-    else all.push({ points: [point], begin: behind });
+    else all.push({ points: [point], begin: behind, before });
   });
   return all;
 }
@@ -131,6 +137,7 @@ export function stepsOf(path: Path, map: BuildingMap | null, destination: string
   let end = 0;
   stays.forEach((piece, i) => {
     const before = stays[i - 1];
+    let cameFrom: Waypoint | undefined;
     if (before) {
       const from = before.points[before.points.length - 1]!;
       const to = piece.points[0]!;
@@ -138,16 +145,19 @@ export function stepsOf(path: Path, map: BuildingMap | null, destination: string
       const name = levelName(to[2] ?? 0, map?.levels ?? []);
       const how = kind === "lift" ? "Take the lift" : kind === "stairs" ? "Take the stairs" : "Go";
       steps.push({ text: `${how} to ${name}`, kind, at: end });
+      // In a lift one turns around as one likes.
+      if (kind !== "lift" && piece.before && length(piece.before, to) > kShortestStretch_m) cameFrom = piece.before;
     }
     const points = withoutJogs(simplified(piece.points));
     let at = piece.begin;
     points.slice(1).forEach((to, k) => {
       const from = points[k]!;
       const ahead = length(from, to);
-      const last = points[k - 1];
-      const turn = last ? hourBetween(last, from, to) : 12;
-      const walk = `${metres(ahead)}`;
-      if (turn !== 12) steps.push({ text: `${turnOf(turn)}, then ${walk}`, hour: turn, kind: "turn", at });
+      const last = points[k - 1] ?? cameFrom;
+      const turn = last && hourBetween(last, from, to);
+      const walk = metres(ahead);
+      if (!turn) steps.push({ text: `Walk ${walk}`, kind: "walk", at });
+      else if (turn !== 12) steps.push({ text: `${turnOf(turn)}, then ${walk}`, hour: turn, kind: "turn", at });
       else steps.push({ text: `Straight on for ${walk}`, hour: 12, kind: "walk", at });
       at += ahead;
     });
