@@ -94,9 +94,13 @@ await claim("a doubt is announced when it begins and when it is over, and not wi
     await pause(200);
   }
   assert.deepEqual(await saidBy(page, "[role=alert]"), ["Position uncertain"]);
-  server.tell("location", at(2, 1.5));
+  server.tell("location", at(2, 1.5, 0, 6.4));
   await page.locator(".doubt").waitFor({ state: "detached" });
-  assert.deepEqual(await saidBy(page, ".lead > .hidden[role=status]"), ["The position is certain."]);
+  for (const major of [7, 5, 3]) {
+    server.tell("location", at(2, 1.5, 0, major));
+    await page.locator(`.walker .region[rx="${major}"]`).waitFor({ state: "attached" });
+  }
+  assert.deepEqual(await saidBy(page, ".lead > .hidden[role=status]"), ["Position known again, within 6 m."]);
 });
 await claim("what the guide says again, under another number, is announced again, and a better distance is not", async (server) => {
   const page = (claims.shown = await opened(server));

@@ -1,5 +1,5 @@
 import { useEffect, useRef, useState } from "preact/hooks";
-import type { Instruction, Location, Status } from "./model";
+import type { Ellipse, Instruction, Location, Status } from "./model";
 
 const kUncertain_m = 8; // semi-axis of the 95 % region above which doors are guesses
 const kSettled_ms = 1500;
@@ -33,19 +33,28 @@ export function useSettled(doubt: string): string {
   return doubt || settled;
 }
 
-/// The doubt is announced when it begins, and that it is over. How far the place may be off changes with each position, and is
-/// therefore beside what is announced.
+const within = (region: Ellipse): string => `within ${Math.max(1, Math.round(region.major))} m`;
+
+/// The doubt is announced when it begins, and that it is over, with how far the place may be off then. How far it may be off
+/// changes with each position, and is therefore beside what is announced.
 export function Doubt({ told, connected, location }: { told: string; connected: boolean; location: Location | null }) {
   const doubted = useRef(false);
+  const over = useRef("");
   if (told) doubted.current = true;
+  if (told || !connected) {
+    over.current = "";
+  } else if (doubted.current && location?.ellipse) {
+    doubted.current = false;
+    over.current = `Position known again, ${within(location.ellipse)}.`;
+  }
   const region = told === "Position uncertain" && location?.valid ? location.ellipse : undefined;
   return (
     <>
       <div class={told ? "doubt" : "hidden"}>
         <p role="alert" class="uncertain">{told}</p>
-        {region && <p class="within">within {Math.max(1, Math.round(region.major))} m</p>}
+        {region && <p class="within">{within(region)}</p>}
       </div>
-      <p role="status" class="hidden">{!told && connected && doubted.current ? "The position is certain." : ""}</p>
+      <p role="status" class="hidden">{over.current}</p>
     </>
   );
 }
