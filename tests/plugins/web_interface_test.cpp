@@ -4,11 +4,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <boost/asio/ip/tcp.hpp>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <thread>
 
 #include "../temporary_directory.hpp"
 #include "attentions.hpp"
@@ -400,6 +402,98 @@ TEST_F(WebInterfaceTest, ThePortOfTheLastStartIsTakenAgainAndAnotherWhereItIsTak
   EXPECT_EQ(beside->mode(), "active");
   EXPECT_NE(port(beside->log()), at);
   EXPECT_THAT(beside->log().front(), HasSubstr("another port than last time, pages that are open do not find it"));
+}
+
+/// A call of a page over the network, whose answer comes while the bench goes on.
+class CallOfPage {
+ public:
+  CallOfPage(const std::string& origin, const std::string& name, const std::string& bearer,
+             const json& body = json::object()) {
+    const std::string host = origin.substr(std::string("http://").size());
+    stream_.expires_after(20s);
+    stream_.connect(host.substr(0, host.find(':')), host.substr(host.find(':') + 1));
+    const std::string text = body.dump();
+    stream_ << "POST /api/" << name << " HTTP/1.1\r\nHost: " << host << "\r\nOrigin: " << origin
+            << "\r\nContent-Type: application/json\r\nAuthorization: Bearer " << bearer
+            << "\r\nContent-Length: " << text.size() << "\r\nConnection: close\r\n\r\n"
+            << text << std::flush;
+  }
+  bool is_answered() { return !stream_ || stream_.socket().available() > 0; }
+  json answer() {
+    skip_head();
+    return json::parse(stream_);
+  }
+  /// The newest of a topic, of a stream that has just begun.
+  json news(const std::string& topic) {
+    skip_head();
+    for (std::string line; std::getline(stream_, line);) {
+      if (line != "event: " + topic) continue;
+      std::getline(stream_, line);
+      return json::parse(line.substr(std::string("data: ").size()));
+    }
+    return nullptr;
+  }
+
+ private:
+  void skip_head() {
+    for (std::string line; std::getline(stream_, line) && line != "\r";) continue;
+  }
+
+  boost::asio::ip::tcp::iostream stream_;
+};
+
+/// With a page that is open.
+class OpenPageTest : public WebInterfaceTest {
+ protected:
+  OpenPageTest() {
+    {
+      records::RecordStore store(folder_.path / "bench.db", "pages");
+      PageSessions pages(store, bench_->now(), 24h);
+      bearer_ = pages.open(pages.make_token(bench_->now()), bench_->now(), 24h).value();
+    }
+    bench_->start();
+    const std::string& told = bench_->log().back();  // "the page is at http://127.0.0.1:4711; …"
+    const auto begin = told.find("http://");
+    origin_ = told.substr(begin, told.find(';') - begin);
+  }
+  CallOfPage call(const std::string& name, const json& body = json::object()) {
+    return CallOfPage(origin_, name, bearer_, body);
+  }
+  json answer_to(CallOfPage& call) {
+    for (int i = 0; i < 4000 && !call.is_answered(); ++i) {
+      bench_->advance(0s);
+      std::this_thread::sleep_for(5ms);
+    }
+    return call.answer();
+  }
+  json status() { return call("events").news("status"); }
+  WireEnd& wire(const char* port) {
+    return *dynamic_cast<RequiredPort&>(*bench_->hull().find_port(port)).end_for("bench");
+  }
+
+  std::unique_ptr<testing::Bench<WebInterface>> bench_ = bench();
+  std::string bearer_;
+  std::string origin_;
+};
+
+TEST_F(OpenPageTest, APlaceThatComesSeldomIsNoneThatIsLost) {
+  for (int second = 0; second < 3; ++second) {  // as over a wire `every 5`
+    bench_->put<localisation::LocationProvider>("location", {});
+    for (int quarter = 0; quarter < 4; ++quarter) {
+      bench_->advance(250ms);
+      EXPECT_EQ(status()["location"], "connected") << second << " s and " << quarter << " quarters";
+    }
+  }
+}
+
+TEST_F(OpenPageTest, AProviderOfThePlaceThatIsSilentIsToldThoughTheMapServerDoesNotAnswer) {
+  bench_->put<localisation::LocationProvider>("location", {});
+  wire("location").set_lease(false, "has been silent for 600 ms");
+  bench_->advance(250ms);
+  EXPECT_EQ(status()["location"], "lost");
+  wire("location").set_lease(true, {});
+  bench_->advance(250ms);
+  EXPECT_EQ(status()["location"], "connected");
 }
 
 }  // namespace

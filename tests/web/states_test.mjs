@@ -58,7 +58,7 @@ const kStates = [
   { name: "a map that cannot be had", given: both(port({ map: "waiting", mapFault: "there is no instance 'map' yet" }), told("map", { version: "" })), shows: "There is no map of the building: there is no instance 'map' yet.", picture: "state-no-map" },
   { name: "a map without levels", given: answers("map", 200, { ...kBuilding, levels: [], rooms: [], walls: [], doors: [] }), shows: "The map of the building has no levels with rooms: there is nothing to be shown, and nowhere to be led." },
   { name: "position uncertain", given: told("location", at(2, 1.5, 0, 12)), shows: "within 12 m", picture: "state-uncertain" },
-  { name: "localisation silent", given: port({ location: "silent" }), shows: "Position uncertain: nothing is heard of localisation" },
+  { name: "localisation lost", given: port({ location: "lost" }), shows: "Position uncertain: localisation was lost" },
   { name: "no localisation", given: port({ location: "unwired" }), shows: "No localisation in this system" },
   { name: "passing a point of attention", given: both(told("path", kToOffice), says("CONTINUE", "Go straight on.", { hour: 12 }), told("attention", [instruction(2, "ATTENTION", `You are passing ${kPlant.name}.`)])), shows: `You are passing ${kPlant.name}.`, picture: "state-passing" },
   { name: "search", then: search(""), shows: "4 rooms" },

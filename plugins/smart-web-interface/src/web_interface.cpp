@@ -24,8 +24,6 @@ constexpr auto kRewireDeadline = std::chrono::seconds(5);
 /// Many pages that look at the system ask the host once.
 constexpr auto kSystemKept = std::chrono::milliseconds(400);
 constexpr auto kLoginDeadline = std::chrono::seconds(10);
-/// Two periods and a little of a location that comes five times a second.
-constexpr auto kSilence = std::chrono::milliseconds(600);
 constexpr const char* kNothing = "null";  // as JSON
 constexpr std::string_view kAuthorityFile = "authority.crt";
 constexpr std::string_view kFiles[] = {"index.html", "page.js", "page.css", "icon.svg"};
@@ -144,7 +142,6 @@ Link WebInterface::make_link(const None&) {
 }
 
 void WebInterface::on_location(const Received<localisation::CommLocation>& location) {
-  location_at_ = now();
   board_.set("location", location_json(*location, location.origin));
   tell_status();
 }
@@ -174,8 +171,7 @@ void WebInterface::forget_guidance() {
 
 void WebInterface::tell_status() {
   forget_guidance();
-  const bool silent = location_.connection() == Connection::Connected && now() - location_at_ > kSilence;
-  board_.set("status", text_of({{"location", silent ? "silent" : state_of(location_)},
+  board_.set("status", text_of({{"location", state_of(location_)},
                                 {"path", state_of(path_)},
                                 {"instructions", state_of(instructions_)},
                                 {"destination", state_of(destination_)},
@@ -190,10 +186,13 @@ std::string WebInterface::map_fault() const {
   return levels_.connection() == Connection::Connected ? map_fault_ : levels_.connection_reason();
 }
 
-Async<> WebInterface::look() {
+void WebInterface::look() {
   connections_.set(server_->connections());
   board_.set("attention", attentions_.json(now()));
   tell_status();
+}
+
+Async<> WebInterface::look_for_map() {
   if (map_change_.connection() == Connection::Connected && !activation_) {
     // With no version, which each provider's differs from: whoever serves next tells its own at once.
     const auto made = co_await map_change_.activate(EventMode::Continuous, {});

@@ -42,7 +42,8 @@ class WebInterface final : public Component {
   void on_path(const navigation::CommPath& path);
   void on_instruction(const Received<hmi::Instruction>& instruction);
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
-  Async<> look();
+  void look();
+  Async<> look_for_map();
   Async<> fetch_map();
   void forget_guidance();
   void tell_status();
@@ -98,6 +99,8 @@ class WebInterface final : public Component {
       *this, "link", &WebInterface::make_link, {.doc = "an address that opens the page, once, within ten minutes"}};
   Probe<std::uint64_t> connections_{*this, "connections", {.doc = "open connections of pages"}};
   Task look_{*this, "look", std::chrono::milliseconds(250), &WebInterface::look};
+  /// Its own: a map server that does not answer is to hold up nothing else.
+  Task map_task_{*this, "map", std::chrono::milliseconds(250), &WebInterface::look_for_map};
 
   Board board_;
   Attentions attentions_;
@@ -109,7 +112,6 @@ class WebInterface final : public Component {
   std::uint64_t map_version_ = 0;           ///< 0: it is to be asked for
   std::string map_fault_;                   ///< why the newest request for it gave none
   std::optional<ActivationId> activation_;
-  TimePoint location_at_{};
   std::optional<std::pair<TimePoint, control::System>> system_;  ///< as it was a moment ago
 };
 

@@ -10,7 +10,6 @@ export function doubtOf(connected: boolean, status: Status | null, location: Loc
   if (!status) return "Position not known yet";
   const reasons: Record<string, string> = {
     lost: "Position uncertain: localisation was lost",
-    silent: "Position uncertain: nothing is heard of localisation",
     waiting: "Position uncertain: localisation is not there yet",
     unwired: "No localisation in this system",
   };

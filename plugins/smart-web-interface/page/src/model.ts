@@ -34,7 +34,7 @@ export interface Instruction {
   toLevel?: number;
 }
 
-export type PortState = "connected" | "waiting" | "lost" | "unwired" | "silent";
+export type PortState = "connected" | "waiting" | "lost" | "unwired";
 
 export interface Status {
   location: PortState;
