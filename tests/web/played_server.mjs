@@ -31,7 +31,7 @@ export class PlayedServer {
     this.#news.set(topic, text);
     this.#toAll(text);
   }
-  /// What a call is answered from now on; a function gets what the page sent.
+  /// What a call is answered from now on; a function gets what the page sent, and may be asynchronous.
   answer(name, status, value) {
     this.#answers.set(name, { status, value });
   }
@@ -62,11 +62,12 @@ export class PlayedServer {
       response.writeHead(404).end();
     }
   }
-  #call(name, body, response) {
+  async #call(name, body, response) {
     this.asked.push({ name, body });
     const { status, value } = this.#answers.get(name) ?? { status: name === "events" ? 200 : 503, value: { error: "nothing is played" } };
     if (name === "events" && status === 200) return this.#follow(response);
-    response.writeHead(status, { "content-type": "application/json" }).end(JSON.stringify(typeof value === "function" ? value(body) : value));
+    const text = JSON.stringify(typeof value === "function" ? await value(body) : value);
+    response.writeHead(status, { "content-type": "application/json" }).end(text);
   }
   #follow(response) {
     response.writeHead(200, { "content-type": "text/event-stream; charset=utf-8" });

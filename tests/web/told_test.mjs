@@ -147,6 +147,31 @@ await claim("while the place is not known the steps stay where it was last, and 
   await page.getByText("Position uncertain").waitFor();
 });
 
+await claim("a map that could not be had is asked for again, while the connection holds", async (server) => {
+  server.answer("map", 503, { error: "played" });
+  const page = (claims.shown = await context.newPage());
+  await page.goto(`${server.url}/#played`);
+  await until("it was asked for twice", () => server.asked.filter(({ name }) => name === "map").length > 1, 5000);
+  server.answer("map", 200, kBuilding);
+  await page.getByRole("heading", { name: "Played House" }).waitFor({ timeout: 10000 });
+  assert.equal(server.asked.filter(({ name }) => name === "events").length, 1);
+});
+await claim("a map that comes late does not take the place of a newer one", async (server) => {
+  let answer;
+  server.answer("map", 200, () => new Promise((done) => (answer = done)));
+  const page = (claims.shown = await context.newPage());
+  await page.goto(`${server.url}/#played`);
+  await until("the old one was asked for", () => answer);
+  server.answer("map", 200, { ...kBuilding, title: "Rebuilt House" });
+  server.tell("map", { version: "2" });
+  await page.getByRole("heading", { name: "Rebuilt House" }).waitFor();
+  const late = page.waitForResponse("**/api/map");
+  answer(kBuilding);
+  await (await late).finished();
+  await pause(200);
+  await page.getByRole("heading", { name: "Rebuilt House" }).waitFor({ timeout: 1000 });
+});
+
 const kFountain = { x: 9, y: 1.5, level: 0, name: "the fountain" };
 const kBell = { x: 9, y: 1.5, level: 1, name: "the bell" };
 const kStatue = { x: 14, y: 3.5, level: 0, name: "the statue" };

@@ -7,7 +7,7 @@ import { Plan } from "./plan";
 import { goalOf, pathLength, progressOf, stepsOf } from "./route";
 import { WhatIsRunning } from "./running";
 import { Search } from "./search";
-import { call, follow, open } from "./server";
+import { call, follow, open, pause_ms } from "./server";
 import { Now, Steps } from "./steps";
 import { inert, levelName } from "./text";
 
@@ -118,7 +118,20 @@ export function App() {
     return () => clearInterval(timer);
   }, [connected]);
   useEffect(() => {
-    if (connected && version) call<BuildingMap>("map").then(setMap, () => undefined);
+    if (!connected || !version) return;
+    let over = false; // another version is there, whose answer counts
+    let timer: ReturnType<typeof setTimeout>;
+    const ask = async (tries: number): Promise<void> => {
+      const asked = await call<BuildingMap>("map").catch(() => null);
+      if (over) return;
+      if (asked) setMap(asked);
+      else timer = setTimeout(() => void ask(tries + 1), pause_ms(tries));
+    };
+    void ask(0);
+    return () => {
+      over = true;
+      clearTimeout(timer);
+    };
   }, [connected, version]);
   useEffect(() => {
     if (map) document.title = `${inert(map.title)} · FIONA`;

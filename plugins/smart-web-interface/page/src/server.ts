@@ -15,6 +15,9 @@ export class Refused extends Error {
 
 const session = (): string | null => sessionStorage.getItem(kSession);
 
+/// Before it is tried again: many pages that lose one server come back one after the other.
+export const pause_ms = (tries: number): number => Math.min(5000, 250 * 2 ** Math.min(tries, 5)) * (0.5 + Math.random());
+
 async function post(name: string, body: unknown, signal: AbortSignal): Promise<Response> {
   const headers: Record<string, string> = { "Content-Type": "application/json" };
   const bearer = session();
@@ -114,9 +117,7 @@ export function follow(news: News, told: (connected: boolean) => void, ended: (w
       await once();
       if (stopped) return;
       told(false);
-      // Many pages that lose one server come back one after the other.
-      const pause = Math.min(5000, 250 * 2 ** Math.min(tries++, 5)) * (0.5 + Math.random());
-      await new Promise((resolve) => setTimeout(resolve, pause));
+      await new Promise((resolve) => setTimeout(resolve, pause_ms(tries++)));
     }
   };
   void run();
