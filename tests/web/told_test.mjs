@@ -147,6 +147,17 @@ await claim("while the place is not known the steps stay where it was last, and 
   await page.getByText("Position uncertain").waitFor();
 });
 
+await claim("a link whose exchange was cut off is told, and opens the page all the same; then its token leaves the address", async (server) => {
+  const page = (claims.shown = await context.newPage());
+  let attempts = 0;
+  await page.route("**/api/session", (route) => (++attempts > 3 ? route.continue() : route.abort()));
+  await page.goto(`${server.url}/#played`);
+  await page.getByText("The system cannot be reached. Trying again…").waitFor();
+  assert.equal(page.url(), `${server.url}/#played`, "who reloads now has lost the link");
+  await page.getByText("Connected", { exact: true }).waitFor({ timeout: 10000 });
+  assert.deepEqual(server.asked.filter(({ name }) => name === "session").map(({ body }) => body), [{ token: "played" }]);
+  assert.equal(page.url(), `${server.url}/`);
+});
 await claim("a map that could not be had is asked for again, while the connection holds", async (server) => {
   server.answer("map", 503, { error: "played" });
   const page = (claims.shown = await context.newPage());

@@ -64,6 +64,7 @@ function Whither({ said, to, map }: { said: string; to: Destination; map: Buildi
 export function App() {
   const [closed, setClosed] = useState<string | null>(null);
   const [opened, setOpened] = useState(false);
+  const [held, setHeld] = useState("");
   const [connected, setConnected] = useState(false);
   const [everConnected, setEverConnected] = useState(false);
   const [status, setStatus] = useState<Status | null>(null);
@@ -82,7 +83,7 @@ export function App() {
 
   useEffect(() => {
     let link: { stop(): void } | null = null;
-    void open().then((why) => {
+    void open(setHeld).then((why) => {
       setClosed(why);
       setOpened(true);
       if (why) return;
@@ -178,7 +179,7 @@ export function App() {
     }
   };
 
-  if (!opened) return <main class="closed"><h1>FIONA</h1><p role="status">Opening…</p></main>;
+  if (!opened) return <main class="closed"><h1>FIONA</h1><p role="status">{held ? `${held} Trying again…` : "Opening…"}</p></main>;
   if (closed) {
     return (
       <main class="closed">

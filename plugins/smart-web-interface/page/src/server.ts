@@ -47,20 +47,26 @@ export const sentence = (text: string): string => {
   return /[.!?]$/.test(whole) ? whole : `${whole}.`;
 };
 
-/// Exchanges the token behind '#' for a session, and takes it out of the address and the history. Why the page cannot
-/// be used, or nothing.
-export async function open(): Promise<string | null> {
+/// Exchanges the token behind '#' for a session, and takes it out of the address and the history once the server has said
+/// whether it opens: who reloads a page that was not answered still has the link. `held`: why it is not open yet, and is
+/// tried again. Why the page cannot be used, or nothing.
+export async function open(held: (why: string) => void): Promise<string | null> {
   const token = location.hash.slice(1);
-  if (token) {
-    history.replaceState(null, "", "/");
+  let refusal = "This page is opened with a link.";
+  for (let tries = 0; token; ++tries) {
     try {
       const opened = await call<{ session: string }>("session", { token });
       sessionStorage.setItem(kSession, opened.session);
+      break;
     } catch (error) {
-      if (!session()) return (error as Error).message;
+      refusal = (error as Error).message;
+      if ((error as Refused).status !== 0) break;
+      held(refusal);
+      await new Promise((resolve) => setTimeout(resolve, pause_ms(tries)));
     }
   }
-  return session() ? null : "This page is opened with a link.";
+  history.replaceState(null, "", "/");
+  return session() ? null : refusal;
 }
 
 export type News = (topic: string, value: unknown) => void;
