@@ -496,5 +496,81 @@ TEST_F(OpenPageTest, AProviderOfThePlaceThatIsSilentIsToldThoughTheMapServerDoes
   EXPECT_EQ(status()["location"], "connected");
 }
 
+/// An authenticator whose answer about one session can be held back.
+struct HeldSessions final : Sink {
+  Outcome deliver(Parcel parcel) override {
+    const auto& request = static_cast<const security::CommSessionRequest&>(*parcel.envelope.object);
+    if (request.session() != held) return answer(parcel, "anna");
+    asked.push_back(std::move(parcel));
+    return Outcome::Ok;
+  }
+  /// Empty: the session has ended.
+  static Outcome answer(const Parcel& parcel, const std::string& user) {
+    auto session = std::make_shared<security::CommSession>();
+    session->set_is_valid(!user.empty());
+    session->set_user_name(user);
+    parcel.reply->answer(Outcome::Ok, {}, std::move(session));
+    return Outcome::Ok;
+  }
+  std::string held;
+  std::vector<Parcel> asked;
+};
+
+class LoggedInTest : public OpenPageTest {
+ protected:
+  LoggedInTest() {
+    bench_->answer_with<security::AuthenticationProvider>("login", [this](const auto&) {
+      security::CommAuthenticationResponse response;
+      response.set_access_granted(true);
+      response.set_session(std::string(16, ++sessions_begun_));
+      return response;
+    });
+    bench_->answer_with<hmi::ProfileProvider>("profile", [](const auto&) { return hmi::CommUserProfileReply(); });
+    wire("sessions").set_target(sessions_);
+    EXPECT_EQ(log_in()["user"], "anna");
+  }
+  json log_in() {
+    CallOfPage login = call("login", {{"name", "anna"}, {"password", "secret"}});
+    return answer_to(login);
+  }
+  json me() {
+    CallOfPage asked = call("me");
+    return answer_to(asked);
+  }
+  /// Asks who uses the page; the authenticator has not answered yet.
+  CallOfPage asked_about_the_first_session() {
+    sessions_->held = std::string(16, '\1');
+    CallOfPage asked = call("me");
+    for (int i = 0; i < 4000 && sessions_->asked.empty(); ++i) {
+      bench_->advance(0s);
+      std::this_thread::sleep_for(5ms);
+    }
+    EXPECT_EQ(sessions_->asked.size(), 1U);
+    return asked;
+  }
+
+  char sessions_begun_ = 0;
+  const std::shared_ptr<HeldSessions> sessions_ = std::make_shared<HeldSessions>();
+};
+
+TEST_F(LoggedInTest, AUserWhoseSessionHasEndedIsAGuestAndIsTold) {
+  CallOfPage asked = asked_about_the_first_session();
+  HeldSessions::answer(sessions_->asked.at(0), "");
+  const json told = answer_to(asked);
+  EXPECT_TRUE(told["user"].is_null());
+  EXPECT_EQ(told["notice"], "Your session has ended: log in again.");
+  EXPECT_TRUE(me()["user"].is_null());
+}
+
+TEST_F(LoggedInTest, ASessionThatHasEndedLogsOutNobodyWhoHasLoggedInMeanwhile) {
+  CallOfPage asked = asked_about_the_first_session();
+  EXPECT_EQ(log_in()["user"], "anna");
+  HeldSessions::answer(sessions_->asked.at(0), "");
+  const json told = answer_to(asked);
+  EXPECT_EQ(told["user"], "anna");
+  EXPECT_EQ(told["notice"], "");
+  EXPECT_EQ(me()["user"], "anna");
+}
+
 }  // namespace
 }  // namespace fiona::smart_web_interface

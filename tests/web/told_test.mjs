@@ -4,7 +4,7 @@
 import assert from "node:assert/strict";
 import { join, resolve } from "node:path";
 import { Claims, browserProgram, browserTools, listenTo, saidBy, skip, until } from "./navigator.mjs";
-import { anna, at, instruction, kBuilding, kStatus, kToLibrary, kToOffice, play } from "./played_server.mjs";
+import { anna, at, instruction, kBuilding, kGuest, kStatus, kToLibrary, kToOffice, play } from "./played_server.mjs";
 
 const modules = resolve(process.argv[4]);
 if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
@@ -181,6 +181,24 @@ await claim("a map that comes late does not take the place of a newer one", asyn
   await (await late).finished();
   await pause(200);
   await page.getByRole("heading", { name: "Rebuilt House" }).waitFor({ timeout: 1000 });
+});
+
+await claim("who has logged in stays so though what was asked before is answered after it", async (server) => {
+  let answer;
+  server.answer("me", 200, () => new Promise((done) => (answer = done)));
+  server.answer("login", 200, anna());
+  const page = (claims.shown = await opened(server));
+  await until("it was asked who uses the page", () => answer);
+  await page.getByRole("button", { name: "Log in" }).click();
+  await page.getByLabel("Name").fill("anna");
+  await page.getByLabel("Password").fill("secret");
+  await page.locator(".login").getByRole("button", { name: "Log in" }).click();
+  await page.getByText("You are logged in.").waitFor();
+  await listenTo(page, ".who");
+  server.answer("me", 200, anna());
+  answer(kGuest);
+  await until("it is asked anew", () => server.asked.filter(({ name }) => name === "me").length > 1, 5000);
+  assert.deepEqual(await saidBy(page, ".who"), ["Profile of anna"]);
 });
 
 const kFountain = { x: 9, y: 1.5, level: 0, name: "the fountain" };

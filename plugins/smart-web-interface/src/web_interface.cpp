@@ -297,33 +297,41 @@ Async<> WebInterface::log_out(std::string bearer, Answer answer) {
   co_await tell_me(std::move(bearer), std::move(answer), std::move(notice));
 }
 
+/// Whether it was this user's page still: somebody may have logged in, or out, since the session was asked about.
+bool WebInterface::forget_user(const std::string& bearer, const PageUser& ended) {
+  const auto user = user_of(bearer);
+  if (!user || user->session() != ended.session()) return false;
+  return pages_->set_user(bearer, std::nullopt, now());
+}
+
 /// Who uses the page: {user, profile, notice}. A user whose session has ended is a guest, and is told.
 Async<> WebInterface::tell_me(std::string bearer, Answer answer, std::string notice) {
-  auto user = user_of(bearer);
-  const auto forget_user = [&] {
-    pages_->set_user(bearer, std::nullopt, now());
-    user.reset();
-    notice = "Your session has ended: log in again.";
-  };
-  if (user && sessions_.connection() == Connection::Connected) {
-    security::CommSessionRequest request;
-    request.set_session(user->session());
-    const auto session = co_await sessions_.query(std::move(request), kDeadline);
-    if (session && !(*session)->is_valid()) forget_user();
+  for (;;) {
+    const auto user = user_of(bearer);
+    bool has_ended = false;
+    hmi::CommUserProfileRequest request;
+    if (user) {
+      request.set_user_name(user->name());
+      request.set_session(user->session());
+    }
+    if (user && sessions_.connection() == Connection::Connected) {
+      security::CommSessionRequest whose;
+      whose.set_session(user->session());
+      const auto session = co_await sessions_.query(std::move(whose), kDeadline);
+      has_ended = session && !(*session)->is_valid();
+    }
+    if (!has_ended) {
+      const auto profile = co_await profile_.query(std::move(request), kDeadline);
+      has_ended = user && profile && (*profile)->session_ended();
+      if (!has_ended) {
+        answer->answer({200, text_of({{"user", user ? json(user->name()) : json(nullptr)},
+                                      {"profile", profile ? profile_json(**profile) : json(nullptr)},
+                                      {"notice", notice}})});
+        co_return;
+      }
+    }
+    if (forget_user(bearer, *user)) notice = "Your session has ended: log in again.";
   }
-  hmi::CommUserProfileRequest request;
-  if (user) {
-    request.set_user_name(user->name());
-    request.set_session(user->session());
-  }
-  auto profile = co_await profile_.query(std::move(request), kDeadline);
-  if (user && profile && (*profile)->session_ended()) {
-    forget_user();
-    profile = co_await profile_.query({}, kDeadline);
-  }
-  answer->answer({200, text_of({{"user", user ? json(user->name()) : json(nullptr)},
-                                {"profile", profile ? profile_json(**profile) : json(nullptr)},
-                                {"notice", notice}})});
 }
 
 Async<> WebInterface::set_profile(std::string bearer, SetProfile profile, Answer answer) {

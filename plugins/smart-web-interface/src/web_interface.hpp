@@ -57,6 +57,7 @@ class WebInterface final : public Component {
   Async<> set_profile(std::string bearer, SetProfile profile, Answer answer);
   Async<> set_points(std::string bearer, SetPoints points, Answer answer);
   Async<> set_destination(std::string bearer, SetDestination destination, Answer answer);
+  bool forget_user(const std::string& bearer, const PageUser& ended);
   Async<> tell_me(std::string bearer, Answer answer, std::string notice = {});
   Async<> tell_system(int level, Answer answer);
   Async<> rewire(Rewire wanted, Answer answer);

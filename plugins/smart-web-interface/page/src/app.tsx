@@ -110,13 +110,29 @@ export function App() {
     return () => link?.stop();
   }, []);
 
-  // Asked again after each loss: another server, or another login, may be behind the same address.
+  // Asked again after each loss: another server, or another login, may be behind the same address. What was asked before a
+  // log-in, or another change, was answered tells how it was: it is asked anew.
+  const changes = useRef(0);
+  const changed = (now: Me) => {
+    changes.current += 1;
+    setMe(now);
+  };
   useEffect(() => {
     if (!connected) return;
-    const ask = () => call<Me>("me").then(setMe, () => undefined);
+    let over = false;
+    const ask = async (): Promise<void> => {
+      const before = changes.current;
+      const now = await call<Me>("me").catch(() => null);
+      if (over || !now) return;
+      if (changes.current === before) setMe(now);
+      else void ask();
+    };
     void ask();
     const timer = setInterval(ask, 30000);
-    return () => clearInterval(timer);
+    return () => {
+      over = true;
+      clearInterval(timer);
+    };
   }, [connected]);
   useEffect(() => {
     if (!connected || !version) return;
@@ -244,7 +260,7 @@ export function App() {
           </div>
         </div>
       </main>
-      {account && <Account me={me} map={map} location={location} close={() => setAccount(false)} changed={setMe} />}
+      {account && <Account me={me} map={map} location={location} close={() => setAccount(false)} changed={changed} />}
     </div>
   );
 }
