@@ -381,6 +381,39 @@ TEST_F(WebInterfaceTest, AnAddressThatIsNotThisMachinesIsRefused) {
   EXPECT_THAT(one->reason(), HasSubstr("cannot listen at port 0: Cannot assign requested address"));
 }
 
+// Where nothing can be served the authority has been looked at before.
+TEST_F(WebInterfaceTest, DevicesThatHaveToBePairedAgainAreTold) {
+  for (const auto& [age, told] : std::map<std::chrono::hours, bool>{{24h, false}, {24h * 3000, true}}) {
+    const auto file = folder_.path / (told ? "old.db" : "young.db");
+    {
+      records::RecordStore store(file, "pages");
+      LocalAuthority(store, std::chrono::system_clock::now() - age);
+    }
+    const auto one = bench();
+    one->set("database", file.string());
+    one->set("address", "192.0.2.7");
+    EXPECT_THROW(one->start(), Error);
+    EXPECT_EQ(::testing::Value(one->log(), ::testing::Contains(HasSubstr("devices have to be paired again"))), told);
+  }
+}
+
+TEST_F(WebInterfaceTest, AClockThatIsBehindEndsNoSession) {
+  std::string bearer;
+  const auto ahead = std::chrono::system_clock::now() + 24h * 365;
+  {
+    records::RecordStore store(folder_.path / "bench.db", "pages");
+    LocalAuthority(store, ahead);
+    PageSessions pages(store, TimePoint(24h * 7300), 24h);
+    bearer = pages.open(pages.make_token(TimePoint(24h * 7300)), TimePoint(24h * 7300), 24h).value();
+  }
+  const auto one = bench();
+  one->set("address", "192.0.2.7");
+  EXPECT_THROW(one->start(), Error);
+  EXPECT_THAT(one->reason(), HasSubstr("the clock is wrong"));
+  records::RecordStore store(folder_.path / "bench.db", "pages");
+  EXPECT_TRUE(PageSessions(store, TimePoint(24h * 7300), 24h).is_open(bearer, TimePoint(24h * 7300)));
+}
+
 TEST_F(WebInterfaceTest, ThePortOfTheLastStartIsTakenAgainAndAnotherWhereItIsTaken) {
   const auto port = [](const std::vector<std::string>& log) {
     for (const std::string& line : log) {

@@ -105,9 +105,28 @@ TEST_F(LocalAuthorityTest, IsTheSameAfterARestartUntilItNearsItsEnd) {
   EXPECT_NE(LocalAuthority(*store_, now_ + 24h * 3000).fingerprint(), first);
 }
 
-TEST_F(LocalAuthorityTest, IsMadeAnewWhereItWasMadeByAClockThatWasAhead) {
-  const std::string ahead = LocalAuthority(*store_, now_ + 24h * 365).fingerprint();
-  EXPECT_NE(LocalAuthority(*store_, now_).fingerprint(), ahead);
+TEST_F(LocalAuthorityTest, IsLeftAsItIsByAClockThatIsBehindAndTheClockIsTold) {
+  const std::string first = LocalAuthority(*store_, now_).fingerprint();
+  try {
+    LocalAuthority(*store_, LocalAuthority::Time(1h));
+    FAIL() << "it was used, or made anew";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what,
+              "the page's authority begins later than now: the clock is wrong, or was when it was made");
+    EXPECT_EQ(error.text().where, (folder_.path / "web.db").string());
+    EXPECT_EQ(error.text().found, "1970-01-01 01:00 UTC");
+    EXPECT_THAT(error.text().next, HasSubstr("set the clock"));
+  }
+  begin();
+  const LocalAuthority again(*store_, now_);
+  EXPECT_EQ(again.fingerprint(), first);
+  EXPECT_FALSE(again.is_replaced());
+}
+
+TEST_F(LocalAuthorityTest, SaysWhetherDevicesHaveToBePairedAgain) {
+  EXPECT_FALSE(LocalAuthority(*store_, now_).is_replaced());
+  EXPECT_FALSE(LocalAuthority(*store_, now_).is_replaced());
+  EXPECT_TRUE(LocalAuthority(*store_, now_ + 24h * 3000).is_replaced());
 }
 
 TEST_F(LocalAuthorityTest, AServersCertificateEndsAfterTheTimeThatBrowsersTake) {

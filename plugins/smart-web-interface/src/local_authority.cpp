@@ -12,6 +12,7 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <ctime>
 
 #include "fiona/error.hpp"
 
@@ -116,6 +117,12 @@ std::string hex(const unsigned char* bytes, std::size_t size) {
   return text;
 }
 
+std::string in_words(const std::tm& time) {
+  std::array<char, 32> text{};
+  std::strftime(text.data(), text.size(), "%Y-%m-%d %H:%M UTC", &time);
+  return text.data();
+}
+
 }  // namespace
 
 struct LocalAuthority::Parts {
@@ -124,7 +131,8 @@ struct LocalAuthority::Parts {
 
   void make(Time now);
   bool read(const std::string& pem);
-  bool is_valid(Time from, Time to) const;
+  void check_begun(Time now, const records::RecordStore& store) const;
+  bool lasts_until(Time time) const;
 };
 
 /// Each has a name of its own, for a device may have been told to trust several.
@@ -151,11 +159,26 @@ bool LocalAuthority::Parts::read(const std::string& pem) {
   return is_whole;
 }
 
-bool LocalAuthority::Parts::is_valid(Time from, Time to) const {
-  std::time_t first = Clock::to_time_t(from);
-  std::time_t last = Clock::to_time_t(to);
-  return X509_cmp_time(X509_get0_notBefore(certificate.get()), &first) < 0 &&
-         X509_cmp_time(X509_get0_notAfter(certificate.get()), &last) > 0;
+/// One start before the clock was set is not to part it from each device that trusts it.
+void LocalAuthority::Parts::check_begun(Time now, const records::RecordStore& store) const {
+  std::time_t seconds = Clock::to_time_t(now);
+  const ASN1_TIME* const begin = X509_get0_notBefore(certificate.get());
+  if (X509_cmp_time(begin, &seconds) < 0) return;
+  std::tm says{}, begins{};
+  ::gmtime_r(&seconds, &says);
+  ASN1_TIME_to_tm(begin, &begins);
+  throw Error(ErrorCode::Failed,
+              {.what = "the page's authority begins later than now: the clock is wrong, or was when it was made",
+               .where = store.file().string(),
+               .expected = "a time after " + in_words(begins),
+               .found = in_words(says),
+               .next = "set the clock, and load it again; where the clock is right, name another database: devices "
+                       "have to be paired again then"});
+}
+
+bool LocalAuthority::Parts::lasts_until(Time time) const {
+  std::time_t last = Clock::to_time_t(time);
+  return X509_cmp_time(X509_get0_notAfter(certificate.get()), &last) > 0;
 }
 
 LocalAuthority::LocalAuthority(records::RecordStore& store, Time now) : parts_(std::make_unique<Parts>()) {
@@ -165,7 +188,9 @@ LocalAuthority::LocalAuthority(records::RecordStore& store, Time now) : parts_(s
                                     .where = store.file().string(),
                                     .next = "name another database; devices have to be paired again then"});
   }
-  if (kept && parts_->is_valid(now, now + kServerTime)) return;
+  if (kept) parts_->check_begun(now, store);
+  if (kept && parts_->lasts_until(now + kServerTime)) return;
+  replaced_ = kept.has_value();
   parts_->make(now);
   store.put(kAuthorityTable, "pem", pem_of(parts_->certificate.get()) + pem_of(parts_->key.get()));
 }

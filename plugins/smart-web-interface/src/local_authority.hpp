@@ -27,13 +27,15 @@ class LocalAuthority {
   /// Of a server: the most that browsers take from an authority that their user has added.
   static constexpr auto kServerTime = std::chrono::hours(24 * 825);
 
-  /// Reads it from `store`, or makes it; one that ends before a server's certificate would, or has not begun, is made
-  /// anew. Throws Error (Failed) where what is kept is no authority.
+  /// Reads it from `store`, or makes it; one that ends before a server's certificate would is replaced. Throws Error
+  /// (Failed) where what is kept is no authority, or begins later than now.
   LocalAuthority(records::RecordStore& store, Time now);
   ~LocalAuthority();
   LocalAuthority(const LocalAuthority&) = delete;
   LocalAuthority& operator=(const LocalAuthority&) = delete;
 
+  /// It is another one than was kept: devices have to be paired again.
+  bool is_replaced() const { return replaced_; }
   /// What devices are to trust, in PEM.
   std::string certificate() const;
   /// SHA-256 of it, as browsers show it: "3F:0A:…".
@@ -44,6 +46,7 @@ class LocalAuthority {
  private:
   struct Parts;
   std::unique_ptr<Parts> parts_;
+  bool replaced_ = false;
 };
 
 }  // namespace fiona::smart_web_interface

@@ -88,11 +88,15 @@ void WebInterface::on_start() {
   const std::string& given = params_->database();
   store_ = std::make_unique<records::RecordStore>(
       given.empty() ? records::data_file("web.db") : std::filesystem::path(given), "pages");
-  pages_ = std::make_unique<PageSessions>(*store_, now(), seconds(params_->session_time()));
   authority_.reset();
   if (!WebServer::is_loopback(params_->address())) {
     authority_ = std::make_unique<LocalAuthority>(*store_, std::chrono::system_clock::now());
+    if (authority_->is_replaced()) {
+      log(LogLevel::Warning, "the page's authority neared its end, and is a new one: devices have to be paired again");
+    }
   }
+  // After the authority, which refuses a clock that is behind: sessions of later are forgotten.
+  pages_ = std::make_unique<PageSessions>(*store_, now(), seconds(params_->session_time()));
   const auto last = store_->get("setting", "port");
   if (params_->port() != 0 || !last) {
     serve_at(static_cast<std::uint16_t>(params_->port()));
