@@ -230,6 +230,16 @@ TEST(LocationJson, IsValidOnlyWhereBothSayItAndNumbersAreFinite) {
   EXPECT_FALSE(json::parse(location_json(location, TimePoint{}))["valid"]);
 }
 
+TEST(MapJson, HasTheEntrancesAndNoOtherDoors) {
+  navigation::CommLevelMap map;
+  map.add_doors()->set_name("to the cellar");
+  navigation::MapDoor& entrance = *map.add_doors();
+  entrance.set_entrance(true);
+  entrance.set_x(1.234);
+  entrance.set_level(1);
+  EXPECT_EQ(json::parse(map_json(map))["entrances"], json::array({{{"x", 1.23}, {"y", 0.0}, {"level", 1.0}}}));
+}
+
 TEST(Board, ASlowReaderSkipsWhatWasReplaced) {
   Board board;
   std::uint64_t seen = 0;

@@ -98,7 +98,7 @@ export const kBuilding = {
     room("8", "LIFT_SHAFT", 1, "", "", [18, 3, 20, 5]),
   ],
   walls: [...sides(0, 0, 20, 8, 0), [0, 3, 8.5, 3, 0, 0], [9.5, 3, 18, 3, 0, 0], [6, 3, 6, 8, 0, 0], [12, 3, 12, 8, 0, 0], ...sides(0, 0, 20, 8, 1)],
-  doors: [{ x: 0, y: 1.5, level: 0, width: 1, entrance: true, name: "" }],
+  entrances: [{ x: 0, y: 1.5, level: 0 }],
 };
 export const kStatus = {
   location: "connected", path: "connected", instructions: "connected", destination: "connected", map: "connected", mapFault: "",

@@ -56,7 +56,7 @@ const kStates = [
   { name: "no map in the system", given: both(port({ map: "unwired", mapFault: "not wired" }), refused("map", 503, "there is no map yet"), told("map", { version: "" })), shows: "This system has no map." },
   { name: "a map that is waited for", given: told("map", { version: "" }), shows: "Waiting for the map…" },
   { name: "a map that cannot be had", given: both(port({ map: "waiting", mapFault: "there is no instance 'map' yet" }), told("map", { version: "" })), shows: "There is no map of the building: there is no instance 'map' yet.", picture: "state-no-map" },
-  { name: "a map without levels", given: answers("map", 200, { ...kBuilding, levels: [], rooms: [], walls: [], doors: [] }), shows: "The map of the building has no levels with rooms: there is nothing to be shown, and nowhere to be led." },
+  { name: "a map without levels", given: answers("map", 200, { ...kBuilding, levels: [], rooms: [], walls: [], entrances: [] }), shows: "The map of the building has no levels with rooms: there is nothing to be shown, and nowhere to be led." },
   { name: "position uncertain", given: told("location", at(2, 1.5, 0, 12)), shows: "within 12 m", picture: "state-uncertain" },
   { name: "localisation lost", given: port({ location: "lost" }), shows: "Position uncertain: localisation was lost" },
   { name: "no localisation", given: port({ location: "unwired" }), shows: "No localisation in this system" },

@@ -85,8 +85,6 @@ std::string instruction_json(const hmi::Instruction& instruction) {
              {"uncertain", instruction.uncertain()}};
   if (instruction.has_distance()) value["distance"] = instruction.distance();
   if (instruction.hour() != 0) value["hour"] = static_cast<int>(instruction.hour());
-  if (instruction.has_level()) value["level"] = instruction.level();
-  if (instruction.has_to_level()) value["toLevel"] = instruction.to_level();
   return text_of(value);
 }
 
@@ -101,20 +99,16 @@ std::string map_json(const navigation::CommLevelMap& map) {
     walls.push_back({centimetres(wall.x1()), centimetres(wall.y1()), centimetres(wall.x2()), centimetres(wall.y2()),
                      wall.level(), wall.exterior() ? 1 : 0});
   }
-  json doors = json::array();
+  json entrances = json::array();
   for (const navigation::MapDoor& door : map.doors()) {
-    doors.push_back({{"x", centimetres(door.x())},
-                     {"y", centimetres(door.y())},
-                     {"level", door.level()},
-                     {"width", door.width()},
-                     {"entrance", door.entrance()},
-                     {"name", door.name()}});
+    if (!door.entrance()) continue;
+    entrances.push_back({{"x", centimetres(door.x())}, {"y", centimetres(door.y())}, {"level", door.level()}});
   }
   return text_of({{"title", map.title().empty() ? map.name() : map.title()},
                   {"levels", levels},
                   {"rooms", rooms},
                   {"walls", walls},
-                  {"doors", doors}});
+                  {"entrances", entrances}});
 }
 
 }  // namespace fiona::smart_web_interface

@@ -22,10 +22,10 @@ std::string location_json(const localisation::CommLocation& location, TimePoint 
 /// {valid, points: [[x, y, level?]]}
 std::string path_json(const navigation::CommPath& path);
 
-/// {number, kind, text, language, uncertain, distance?, hour?, level?, toLevel?}
+/// {number, kind, text, language, uncertain, distance?, hour?}
 std::string instruction_json(const hmi::Instruction& instruction);
 
-/// {title, levels, rooms, walls, doors}
+/// {title, levels, rooms, walls, entrances}
 std::string map_json(const navigation::CommLevelMap& map);
 
 }  // namespace fiona::smart_web_interface

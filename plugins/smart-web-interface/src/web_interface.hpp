@@ -81,7 +81,7 @@ class WebInterface final : public Component {
   Requires<navigation::DestinationProvider> destination_{
       *this, "destination", {.optional = true, .doc = "takes the destination that was picked"}};
   Requires<navigation::LevelMap> levels_{
-      *this, "levels", {.optional = true, .doc = "rooms, walls and doors of the building"}};
+      *this, "levels", {.optional = true, .doc = "rooms, walls and entrances of the building"}};
   Requires<navigation::LevelMapChange> map_change_{*this,
                                                    "map_change",
                                                    &WebInterface::on_map_change,

@@ -30,8 +30,6 @@ export interface Instruction {
   uncertain: boolean; // the place that it was made from is a guess
   distance?: number;
   hour?: number; // of a clock face; 12 is straight on
-  level?: number;
-  toLevel?: number;
 }
 
 export type PortState = "connected" | "waiting" | "lost" | "unwired";
@@ -67,13 +65,10 @@ export interface Room {
   holes: [number, number][][];
 }
 
-export interface Door {
+export interface Entrance {
   x: number;
   y: number;
   level: number;
-  width: number;
-  entrance: boolean;
-  name: string;
 }
 
 export type Wall = [x1: number, y1: number, x2: number, y2: number, level: number, exterior: number];
@@ -83,7 +78,7 @@ export interface BuildingMap {
   levels: Level[];
   rooms: Room[];
   walls: Wall[];
-  doors: Door[];
+  entrances: Entrance[];
 }
 
 export interface Point {

@@ -86,10 +86,10 @@ function Rooms({ map, level, pixel }: { map: BuildingMap; level: number; pixel: 
         .map((wall, i) => (
           <path key={i} class={wall[5] ? "wall exterior" : "wall"} d={`M${at(wall[0], wall[1])}L${at(wall[2], wall[3])}`} />
         ))}
-      {map.doors
-        .filter((door) => door.level === level && door.entrance)
-        .map((door, i) => (
-          <circle key={i} class="entrance" cx={door.x} cy={-door.y} r={5 * pixel} />
+      {map.entrances
+        .filter((entrance) => entrance.level === level)
+        .map((entrance, i) => (
+          <circle key={i} class="entrance" cx={entrance.x} cy={-entrance.y} r={5 * pixel} />
         ))}
       {rooms.map(label)}
     </>
