@@ -7,7 +7,7 @@ import { mkdirSync, readFileSync, readdirSync } from "node:fs";
 import { createServer } from "node:http";
 import { join, resolve } from "node:path";
 import { hostile } from "./hostile_page.mjs";
-import { Claims, Navigator, accessible as accessibleBy, api, browserProgram, browserTools, skip, until } from "./navigator.mjs";
+import { Claims, Navigator, accessible as accessibleBy, api, browserProgram, browserTools, listenTo, saidBy, skip, until } from "./navigator.mjs";
 
 const [bin, marketplace, modules, screenshots] = process.argv.slice(2).map((path) => resolve(path));
 if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
@@ -302,6 +302,17 @@ try {
     await page.getByText("No localisation in this system").waitFor({ state: "detached", timeout: 5000 });
   });
 
+  await claim("a wire that passes each fifth place leaves the page sure of it", async () => {
+    const doubt = page.locator(".uncertain");
+    const sure = async () => (await doubt.allInnerTexts()).join("") === "";
+    fiona("wire", "web.location", "to", "phone.truth", "every", "5");
+    await until("the place is sure", sure);
+    await listenTo(page, ".uncertain");
+    await page.waitForTimeout(3000);
+    assert.deepEqual(await saidBy(page, ".uncertain"), []);
+    fiona("wire", "web.location", "to", "nav.shown");
+    await until("the place is sure", sure);
+  });
   await claim("a provider of the place that dies, or hangs, is told within half a second of when that is known", async () => {
     const kBuilding = "plugins/building-simulator/institute.osm";
     fiona("load", "guided-walk-simulator", "as", "spare", "in", "spare", `building=${kBuilding}`, "start_room=0.12");
