@@ -20,9 +20,13 @@ constexpr double kLeastOfMode = 0.3;     // of the weight; with less, and a wide
 constexpr std::size_t kJumpDraws = 500;  // each second, to see whether elsewhere fits better
 constexpr double kWidestSpread_m = 25.0;
 constexpr double kLongestGap_s = 10.0;
-constexpr Time kLongestUnheard{15'000};  // after which steps alone, and what they do not tell, guide nobody
-constexpr double kNewFor_s = 5.0;        // of standing
-constexpr int kFirstSeconds = 16;        // of standing
+/// Nothing heard: steps and walls tell where one is for so long, and then less and less than the particles believe (a
+/// lift, a door that is none); in the end they guide nobody. A building with few beacons is silent for a minute at
+/// times.
+constexpr Time kTrustsSteps{15'000}, kLongestUnheard{120'000};
+constexpr double kLost_mps = 0.1;
+constexpr double kNewFor_s = 5.0;  // of standing
+constexpr int kFirstSeconds = 16;  // of standing
 
 }  // namespace
 
@@ -389,11 +393,14 @@ Estimate BeaconFilter::estimate() const {
   }
   result.covariance =
       accuracy_.factor() * result.spread + accuracy_.floor() * accuracy_.floor() * Eigen::Matrix2d::Identity();
+  const Time unheard = *now_ - *heard_;
+  const double lost_m = kLost_mps * std::chrono::duration<double>(std::max(Time{}, unheard - kTrustsSteps)).count();
+  result.covariance += lost_m * lost_m * Eigen::Matrix2d::Identity();
   result.x_m = mean.x();
   result.y_m = mean.y();
   const bool wide = result.spread.trace() > kWidestSpread_m * kWidestSpread_m && of_mode < kLeastOfMode * all;
   result.validity = wide ? Validity::Ambiguous : Validity::Valid;
-  if (*now_ - *heard_ > kLongestUnheard) result.validity = Validity::Unheard;
+  if (unheard > kLongestUnheard) result.validity = Validity::Unheard;
   return result;
 }
 

@@ -59,7 +59,7 @@ enum class Validity : std::uint8_t {
   Valid,
   NoEvidence,  ///< too little was heard yet
   Ambiguous,   ///< the evidence fits too many places
-  Unheard,     ///< nothing was heard for 15 s
+  Unheard,     ///< nothing was heard for two minutes
 };
 
 struct Estimate {

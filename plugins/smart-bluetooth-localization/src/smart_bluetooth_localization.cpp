@@ -21,7 +21,7 @@ std::string text_of(beacons::Validity validity) {
     case beacons::Validity::Valid: return "valid";
     case beacons::Validity::NoEvidence: return "no known beacon heard yet";
     case beacons::Validity::Ambiguous: return "ambiguous";
-    case beacons::Validity::Unheard: return "no known beacon heard for 15 s";
+    case beacons::Validity::Unheard: return "no known beacon heard for two minutes";
   }
   return "unknown";
 }
@@ -198,7 +198,7 @@ void SmartBluetoothLocalization::note_validity(beacons::Validity validity) {
   if (validity == validity_) return;
   validity_ = validity;
   if (validity == beacons::Validity::Unheard) {
-    log(LogLevel::Warning, "no beacon of the map was heard for 15 s: there is no position until one is");
+    log(LogLevel::Warning, "no beacon of the map was heard for two minutes: there is no position until one is");
   }
   if (validity == beacons::Validity::Ambiguous) log(LogLevel::Info, "what is heard fits too many places");
 }
