@@ -1,0 +1,28 @@
+# fiona_catalogue_hash(OUT FILE…): of all of the protos that generated code depends on: their text without comments,
+# documentation and blanks. As a script: cmake -P CatalogueHash.cmake FILE… prints it.
+function(fiona_catalogue_hash out)
+  set(all "")
+  foreach(file ${ARGN})
+    file(READ ${file} text)
+    string(REGEX REPLACE "\\(fiona\\.(doc|service_doc|document|document_type|document_service)\\) = (\"[^\"]*\"[ \n]*)+,?"
+                         "" text "${text}")
+    string(REGEX REPLACE "//[^\n]*" "" text "${text}")
+    string(REGEX REPLACE "[ \t\r\n]+" "" text "${text}")
+    get_filename_component(name ${file} NAME)
+    string(APPEND all "${name}{${text}}")
+  endforeach()
+  string(SHA256 hash "${all}")
+  string(SUBSTRING ${hash} 0 16 hash)
+  set(${out} ${hash} PARENT_SCOPE)
+endfunction()
+
+if(CMAKE_SCRIPT_MODE_FILE)
+  set(files "")
+  foreach(i RANGE 3 ${CMAKE_ARGC})
+    if(i LESS CMAKE_ARGC)
+      list(APPEND files ${CMAKE_ARGV${i}})
+    endif()
+  endforeach()
+  fiona_catalogue_hash(hash ${files})
+  message(${hash})
+endif()
