@@ -176,13 +176,17 @@ filesystem::path Marketplace::package(const IndexEntry& entry) const {
                                              .next = "publish it again, or choose another marketplace with --from"});
 }
 
+std::array<filesystem::path, 2> Marketplace::shipped_directories() {
+  std::error_code failure;
+  const filesystem::path prefix = filesystem::read_symlink("/proc/self/exe", failure).parent_path().parent_path();
+  return {prefix / "marketplace", prefix / "share/fiona/marketplace"};
+}
+
 filesystem::path Marketplace::default_directory() {
   if (const char* chosen = std::getenv("FIONA_MARKET"); chosen && *chosen) return chosen;
   std::error_code failure;
-  const filesystem::path binary = filesystem::read_symlink("/proc/self/exe", failure);
-  const filesystem::path beside = binary.parent_path().parent_path() / "marketplace";
-  if (!failure && filesystem::exists(beside / "metadata/timestamp.json", failure)) return beside;
-  return "/usr/share/fiona/marketplace";
+  const auto [built, installed] = shipped_directories();
+  return filesystem::exists(built / "metadata/timestamp.json", failure) ? built : installed;
 }
 
 std::vector<IndexEntry> Marketplace::search(const std::vector<std::string>& words) const {

@@ -55,10 +55,7 @@ std::string content_of_root(const filesystem::path& path) {
 /// The root that came with this program for the marketplace that came with it: MARKETPLACE.root.json beside it. Who can
 /// change that file can change the program.
 std::string shipped_root(const std::string& place) {
-  std::error_code failure;
-  const filesystem::path binary = filesystem::read_symlink("/proc/self/exe", failure);
-  for (const filesystem::path& own :
-       {binary.parent_path().parent_path() / "marketplace", filesystem::path("/usr/share/fiona/marketplace")}) {
+  for (const filesystem::path& own : Marketplace::shipped_directories()) {
     if (place == canonical_place(own.string())) return content_of_root(own.string() + ".root.json");
   }
   return {};

@@ -23,6 +23,11 @@ foreach(product libbeeper.so beeper.interface.textproto beeper.fpk)
   endif()
 endforeach()
 
+# The programs bring a marketplace, and whoever installs them has said that they trust it.
+run(${CMAKE_COMMAND} --install ${BUILD} --prefix ${WORK}/whole)
+run(${CMAKE_COMMAND} -E env --unset=FIONA_MARKET --unset=XDG_DATA_HOME --unset=XDG_CACHE_HOME --unset=XDG_CONFIG_HOME
+    HOME=${WORK}/home FIONA_STORE=${WORK}/store-of-whole ${WORK}/whole/bin/fiona market install building-simulator -q)
+
 # Sockets have short names, and their folder is the user's alone.
 execute_process(COMMAND mktemp -d OUTPUT_VARIABLE runtime OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
 file(WRITE ${WORK}/beeper.fiona "load \"${WORK}/build/libbeeper.so\" as beeper beeps=3 pause=2ms\n")

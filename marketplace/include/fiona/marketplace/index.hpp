@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <filesystem>
 #include <fiona/marketplace/version.hpp>
 #include <functional>
@@ -42,8 +43,10 @@ class Marketplace {
   /// The same of a copy whose packages come when they are asked for; `source` is what it is a copy of.
   Marketplace(const std::filesystem::path& copy, std::string source, Behind behind);
 
-  /// $FIONA_MARKET, else ../marketplace beside the running binary's directory, else
-  /// /usr/share/fiona/marketplace.
+  /// Where a marketplace lies that came with this program: ../marketplace beside the binary's directory in a build,
+  /// ../share/fiona/marketplace where it is installed.
+  static std::array<std::filesystem::path, 2> shipped_directories();
+  /// $FIONA_MARKET, else the one of these that is there.
   static std::filesystem::path default_directory();
 
   const std::filesystem::path& directory() const noexcept { return directory_; }
