@@ -16,6 +16,7 @@
 #include "control_server.hpp"
 #include "fiona/error.hpp"
 #include "group.hpp"
+#include "last_words.hpp"
 #include "os/process.hpp"
 #include "os/spare_descriptor.hpp"
 #include "os/unix_socket.hpp"
@@ -193,6 +194,10 @@ int serve(Flags& flags) {
                                        .restart_reason = flags.restart_reason,
                                        .taken_back = flags.taken_back};
   const Place journal = place_of_journal(flags, socket);
+  const std::filesystem::path last_words = journal.file.string() + ".last-words";
+  if (!flags.restore) std::filesystem::remove(last_words);
+  options.last_words = fiona::host::LastWords::told_in(last_words);
+  fiona::host::LastWords::leave_in(last_words);
   fiona::host::ControlServer server(socket, std::move(options), flags.restore, journal.file);
   if (!server.listens().empty()) std::cerr << "listens at " << server.listens() << "\n";
   if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";

@@ -16,6 +16,7 @@
 #include "fiona/pool.hpp"
 #include "group.hpp"
 #include "host_links.hpp"
+#include "last_words.hpp"
 #include "mailbox.hpp"
 #include "model.hpp"
 #include "package.hpp"
@@ -53,6 +54,7 @@ class System {
     std::uint64_t restarts = 0;            ///< how often it has done so
     std::string restart_reason{};          ///< how the last one has ended
     bool taken_back = false;               ///< it was of a build that has not come up, or not gone on
+    std::vector<LastWords> last_words{};   ///< of hosts before whose system is resumed
   };
   /// [any thread] What happened in a group; watched values included.
   using OnEvent = std::function<void(const wire::GroupMessage&)>;
@@ -65,9 +67,10 @@ class System {
 
   /// Of a system that is empty: from now on it is what these changes lead to. Groups of the host before that are as
   /// they are meant to be go on, with the wires between them; all else is made again. What refuses to be made is lost,
-  /// and what cannot even be asked for any more, as its package has gone, is left out: both with the reason. What there
-  /// is to tell people, line by line.
-  std::vector<std::string> resume(const std::vector<control::Change>& changes);
+  /// and what cannot even be asked for any more, as its package has gone, is left out: both with the reason. An
+  /// instance of `main` that has ended a host before is in a group of its own. What there is to tell people, line by
+  /// line.
+  std::vector<std::string> resume(std::vector<control::Change> changes);
   /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
   control::Done perform(const control::Change& change);
   /// Whether a load may be made so that nobody waits for the component meanwhile.

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <set>
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
@@ -68,6 +69,28 @@ std::pair<Model, std::map<std::string, std::string>> replayed(const std::vector<
   return {std::move(model), std::move(missing)};
 }
 
+/// What has ended a host before would end this one too: from now on it ends a group that nobody else is in. What there
+/// is to say of it.
+std::vector<std::string> set_apart(const std::vector<LastWords>& last_words, std::vector<control::Change>& changes) {
+  std::set<std::string> groups;
+  for (const auto& change : changes) groups.insert(change.load().group());
+  std::vector<std::string> lines;
+  for (const LastWords& words : last_words) {
+    std::string group = words.instance;
+    while (groups.contains(group)) group += "-apart";
+    bool is_in_main = false;
+    for (auto& change : changes) {
+      if (!change.has_load() || subject_of(change) != words.instance) continue;
+      is_in_main = change.load().group().empty() || change.load().group() == kMainGroup;
+      if (is_in_main) change.mutable_load()->set_group(group);
+    }
+    if (!is_in_main) continue;
+    groups.insert(group);
+    lines.push_back(fmt::format("a host before {}: it is in a group of its own now, '{}'", words.text(), group));
+  }
+  return lines;
+}
+
 std::string difference_of(const control::InstanceStatus& is, const Model::Instance& wanted, const control::Load& load) {
   if (is.plugin() != wanted.package->name || is.version() != wanted.package->version ||
       is.component() != wanted.component)
@@ -83,7 +106,8 @@ std::string difference_of(const control::InstanceStatus& is, const Model::Instan
 
 }  // namespace
 
-std::vector<std::string> System::resume(const std::vector<control::Change>& changes) {
+std::vector<std::string> System::resume(std::vector<control::Change> changes) {
+  auto apart = set_apart(options_.last_words, changes);
   auto [next, missing] = replayed(changes, packages_);
   if (next.clock().is_virtual && options_.restarts > 0) {
     options_.supervisor->quits();
@@ -102,6 +126,7 @@ std::vector<std::string> System::resume(const std::vector<control::Change>& chan
   open_missing();
   for (const auto& [name, lost] : lost_) missing[name] = fmt::format("'{}' is not brought back: {}", name, lost.reason);
   for (auto& [subject, line] : missing) lines.push_back(std::move(line));
+  std::ranges::move(apart, std::back_inserter(lines));
   return lines;
 }
 

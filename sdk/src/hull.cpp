@@ -45,7 +45,7 @@ std::exception_ptr detail::exception_of_coroutine() {
   try {  // one of another language has no pointer, and the end of a thread is none
     throw;
   } catch (const abi::__forced_unwind&) {
-    keep_thread(Strand::current_name());
+    keep_thread(std::string(Strand::current_name()));
   } catch (...) {
     return std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception"));
   }

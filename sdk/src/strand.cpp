@@ -48,7 +48,9 @@ Strand::~Strand() = default;
 
 bool Strand::is_current() const { return current_strand == this; }
 
-std::string Strand::current_name() { return current_strand ? current_strand->name_ : ""; }
+std::string_view Strand::current_name() {
+  return current_strand ? std::string_view(current_strand->name_) : std::string_view();
+}
 
 bool Strand::post(Job job) {
   std::unique_lock lock(mutex_);

@@ -110,6 +110,31 @@ TEST_F(Supervised, WhatIsInMainIsMadeAgainWithItsWiresParametersAndModes) {
   });
 }
 
+TEST_F(Supervised, WhatHasEndedTheHostIsInAGroupOfItsOwnFromThenOn) {
+  auto console = host.console();
+  console->load("source", "main", "source", "period_ms=1");
+  control::Change bad;
+  bad.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/reads-nowhere.so");
+  bad.mutable_load()->set_instance("bad");
+  bad.mutable_load()->set_mode("neutral");
+  console->change(std::move(bad));
+  const pid_t first = host.host();
+  auto act = console->request();
+  *act.mutable_transact()->add_changes() = state_of("bad", "active");
+  console->send(act);
+  console = host.console(first);
+  EXPECT_EQ(console->instance("bad").group(), "bad");
+  EXPECT_EQ(console->instance("source").group(), "main");
+  EXPECT_EQ(console->instance("source").mode(), "active");
+  EXPECT_THAT(host.said(),
+              HasSubstr("a host before was ended by signal 11 (Segmentation fault) while 'bad' ran: it is in a "
+                        "group of its own now, 'bad'"));
+  const pid_t second = host.host();
+  console = host.kill_host();
+  EXPECT_NE(host.host(), second);
+  EXPECT_EQ(console->instance("bad").group(), "bad") << "at the one after that, too";
+}
+
 TEST_F(Supervised, ChangesGoOnAfterwardsAndUndoKnowsThoseFromBefore) {
   auto console = host.console();
   load_pair(*console, 0);

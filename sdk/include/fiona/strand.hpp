@@ -82,8 +82,8 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
 
   /// [any thread] Whether the calling thread is running this strand now.
   bool is_current() const;
-  /// [any thread] The name of the one that this thread works for; empty: none.
-  static std::string current_name();
+  /// [any thread, a handler of a signal] The name of the one that this thread works for, as long as it does; empty: none.
+  static std::string_view current_name();
 
   /// [any thread, not this strand] Runs `work` on the strand and waits for its end, at most `deadline` of the
   /// machine's own time. False if it did not end by then (it is then skipped, or runs to its end unattended) or the
