@@ -15,12 +15,12 @@ constexpr double kUsualHold_ms = 3000;  // of a wire that says nothing else
 control::Change load_of(const control::InstanceStatus& instance) {
   control::Change change;
   control::Load& load = *change.mutable_load();
-  load.set_plugin(instance.plugin());
+  load.set_plugin(instance.library().empty() ? instance.plugin() : instance.library());
   // A plugin with several components is loaded by publisher/name/component; its own name is enough otherwise, and
   // both are understood.
   const std::string own = instance.plugin().substr(instance.plugin().rfind('/') + 1);
   if (!instance.component().empty() && instance.component() != own)
-    load.set_plugin(instance.plugin() + "/" + instance.component());
+    load.set_plugin(load.plugin() + "/" + instance.component());
   load.set_instance(instance.name());
   load.set_group(instance.group());
   load.set_mode(instance.mode_at_load());

@@ -144,6 +144,7 @@ void System::complete_status(control::InstanceStatus& status) const {
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
   status.set_mode_at_load(known.mode_at_load);
   status.set_comment(known.comment);
+  if (known.package->origin == Package::Origin::Path) status.set_library(known.package->library.string());
   for (auto& p : *status.mutable_ports()) {
     for (const auto& [client, wanted] : model_.wires()) {
       if (client.first == status.name() && client.second == p.name()) complete_port(client, wanted, p);
