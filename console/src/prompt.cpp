@@ -135,7 +135,6 @@ class Prompt {
 
   void attach() {
     ControlClient& host = session_.host();
-    endpoint_ = host.endpoint();
     host.set_author("console");
     if (const RemoteLink* remote = host.remote())
       session_.out.remark(fmt::format("this console may {} at host '{}'", remote->level(), remote->host()));
@@ -154,12 +153,7 @@ class Prompt {
 
   void retry() {
     retry_.reset();
-    if (!session_.connected() && !endpoint_.remote && !answers(endpoint_.socket)) return retry_later();
     try {
-      if (!session_.connected()) {
-        session_.connect(endpoint_);
-        session_.watches().resume();
-      }
       attach();
     } catch (const Error&) {
       return retry_later();
@@ -179,7 +173,6 @@ class Prompt {
   const Setting setting_;
   std::function<std::optional<bool>(const std::string&)> ask_before_;
   std::string typed_;
-  Endpoint endpoint_;
   std::optional<std::uint64_t> retry_;
   std::optional<std::uint64_t> run_;
   bool asking_ = false;

@@ -90,15 +90,26 @@ Session::Session(Reactor& reactor_in, Output& output, Options options_in)
 
 Session::~Session() = default;
 
+Endpoint Session::endpoint() const { return endpoint_ ? *endpoint_ : chosen_endpoint(options.at, options.host); }
+
 ControlClient& Session::host() {
-  if (!connected()) connect(chosen_endpoint(options.at, options.host));
+  if (endpoint_ && !connected() && !endpoint_->remote && !answers(endpoint_->socket)) {
+    const std::string name = endpoint_->socket.stem().string();
+    throw Error(ErrorCode::Unreachable,
+                ErrorText{.what = fmt::format("host {} has gone", name),
+                          .where = endpoint_->text(),
+                          .next = fmt::format(
+                              "start it again: fiona run FILE --host {}; another one: fiona --host NAME", name)});
+  }
+  if (!connected()) connect(endpoint());
   client_->set_timeout(options.timeout);  // of this line
   return *client_;
 }
 
 ControlClient* Session::host_if_running() {
   if (connected()) return client_.get();
-  if (options.at.empty() && options.host.empty() && running_hosts().empty()) return nullptr;
+  if (!endpoint_ && options.at.empty() && options.host.empty() && running_hosts().empty()) return nullptr;
+  if (endpoint_ && !endpoint_->remote && !answers(endpoint_->socket)) return nullptr;
   return &host();
 }
 
@@ -106,7 +117,7 @@ Catalogue Session::catalogue() { return Catalogue(options.store, unsigned_packag
 
 std::filesystem::path Session::unsigned_packages() {
   try {
-    const auto socket = (connected() ? client_->endpoint() : chosen_endpoint(options.at, options.host)).socket;
+    const auto socket = endpoint().socket;
     std::error_code failure;
     const auto store = unsigned_packages_of(socket);
     if (!socket.empty() && std::filesystem::exists(store, failure)) return store;
@@ -118,6 +129,8 @@ std::filesystem::path Session::unsigned_packages() {
 
 void Session::connect(const Endpoint& endpoint) {
   client_ = std::make_unique<ControlClient>(reactor, endpoint, options.timeout, options.control);
+  endpoint_ = endpoint;
+  watches_->resume();
 }
 
 void Session::disconnect() {

@@ -56,7 +56,8 @@ class Session {
   std::function<std::optional<bool>(const std::string& question)> ask;
   std::optional<int> finished;  ///< the exit code once `quit` was typed
 
-  /// The connection. Throws fiona::Error (Unreachable) with the next step where no host runs.
+  /// The connection; one that has ended is made again, to the same host and no other. Throws fiona::Error (Unreachable)
+  /// with the next step where that does not run.
   ControlClient& host();
 
   /// The connection if a host can be found, for verbs that know more with one.
@@ -67,6 +68,7 @@ class Session {
   /// The store of those, of the host that this console speaks to or would; empty: there is none.
   std::filesystem::path unsigned_packages();
 
+  /// What is watched goes on there.
   void connect(const Endpoint& endpoint);
   void disconnect();
   /// "the host has gone", and why, if that is known.
@@ -83,6 +85,9 @@ class Session {
   void run(const Line& line);
 
  private:
+  Endpoint endpoint() const;
+
+  std::optional<Endpoint> endpoint_;  ///< of the first connection
   std::unique_ptr<ControlClient> client_;
   std::unique_ptr<WatchList> watches_;
 };

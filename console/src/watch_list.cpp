@@ -14,6 +14,7 @@ constexpr std::chrono::milliseconds kLooksSoon{100}, kLooksAgain{500};
 }  // namespace
 
 std::uint64_t WatchList::start(const WatchRequest& request) {
+  session_.host();  // a connection that is made again asks for those that are in the list
   const std::uint64_t number = ++last_;
   Running& watch = running_[number];
   watch.request = request;
