@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -10,16 +11,26 @@
 #include "output.hpp"
 #include "reactor.hpp"
 
+struct editline;
+struct history;
+
 namespace fiona::console {
 
-/// The line that a person types in a terminal: libedit behind its readline calls, served by the reactor. One at a time,
-/// since that library has one state per process.
+/// The line that a person types in a terminal: libedit, served by the reactor. Not behind its readline calls, which
+/// lose the buffer of a long line that is not ASCII.
 class LineEditor {
  public:
   /// Called with what is typed up to the cursor.
   using Completer = std::function<Completion(std::string_view)>;
 
-  LineEditor(Reactor& reactor, std::filesystem::path history, Completer completer);
+  /// What is left of a terminal's lines in the library.
+  struct End {
+    void operator()(::editline* editor) const;
+    void operator()(struct ::history* lines) const;
+  };
+  using Remembered = std::unique_ptr<struct ::history, End>;
+
+  LineEditor(Reactor& reactor, std::filesystem::path history_file, Completer completer);
   LineEditor(const LineEditor&) = delete;
   LineEditor& operator=(const LineEditor&) = delete;
   ~LineEditor();
@@ -28,28 +39,30 @@ class LineEditor {
   /// Ctrl-C; the line is dropped then.
   std::optional<std::string> read(const std::string& prompt, const std::function<bool()>& ended);
 
-  /// Puts a line into the history, unless it is the one before again.
+  /// Puts a line into the history and its file, where other prompts have theirs, unless it is the one before again.
   void remember(const std::string& line);
 
   /// Prints above the line being typed, which is shown again below, unharmed.
   void print(Stream stream, std::string_view lines);
 
-  /// Whether something is typed already.
-  bool has_text() const;
-
  private:
-  static void on_line(char* line);
-  static char** on_complete(const char* text, int start, int end);
-  static LineEditor*& current();
+  static LineEditor& of(::editline* editor);
+  static char* prompt_of(::editline* editor);
+  static unsigned char on_complete(::editline* editor, int key);
+  static unsigned char on_suspend(::editline* editor, int key);
 
   void begin_editing();
   void end_editing();
   void read_character();
+  /// Up to the cursor.
+  std::string typed() const;
   std::size_t cursor_row() const;
 
   Reactor& reactor_;
-  const std::filesystem::path history_;
+  const std::filesystem::path file_;
   const Completer completer_;
+  const Remembered lines_;
+  std::unique_ptr<::editline, End> editor_;  ///< looks at the lines
   std::string prompt_;
   std::string last_remembered_;
   bool editing_ = false;
