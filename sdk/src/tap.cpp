@@ -74,7 +74,7 @@ void Tap::take(const Envelope& envelope) {
   if (taken_++ % terms_.every != 0) return;
   if (sample_ || terms_.period <= Duration::zero()) return judge(envelope);
   const TimePoint now = clock_.now();
-  if (pending_) ++skipped_;
+  if (pending_ && !terms_.holds && !terms_.changes) ++skipped_;
   if (now < next_) {
     pending_ = envelope;
     return wake_at(next_);

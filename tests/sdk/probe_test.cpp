@@ -209,6 +209,17 @@ TEST_F(Probes, PrescaleCountsValues) {
   EXPECT_THAT(kept->numbers(), ElementsAre(1, 4));
 }
 
+TEST_F(Probes, PeriodOfAConditionLeavesOutWhatNobodyHasLost) {
+  TapTerms terms = above(2);
+  terms.period = 100ms;
+  tap("level", std::move(terms));
+  for (const double value : {1, 3, 1, 3}) meter->level.set(value);
+  advance(100ms);
+  const auto late = kept->take();
+  ASSERT_EQ(late.size(), 1U);
+  EXPECT_EQ(late[0].skipped, 0U);
+}
+
 TEST_F(Probes, PeriodSkipsWhatComesBetweenAndGivesTheNewestInTheEnd) {
   tap("level", {.period = 100ms});
   for (const double value : {1, 2, 3, 4}) meter->level.set(value);
