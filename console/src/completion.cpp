@@ -26,6 +26,30 @@ Candidates instances(const Asked& asked) {
   return names;
 }
 
+const control::PortStatus* named_port(const control::System& system, std::string_view name) {
+  const std::size_t dot = std::min(name.find('.'), name.size());
+  const auto* instance = find_instance(system, name.substr(0, dot));
+  return instance == nullptr || dot == name.size() ? nullptr : find_port(*instance, name.substr(dot + 1));
+}
+
+/// Of what a port says, or a probe that is an object.
+Candidates fields_of(std::string_view name, const Asked& asked) {
+  const auto* system = asked.names.system();
+  if (system == nullptr) return {};
+  if (const auto* port = named_port(*system, name)) return asked.names.fields(port->service());
+  const std::size_t dot = std::min(name.find('.'), name.size());
+  const auto* instance = find_instance(*system, name.substr(0, dot));
+  if (instance == nullptr || dot == name.size()) return {};
+  for (const ProbeInfo& probe : probes_of(*instance)) {
+    if (probe.name == name.substr(dot + 1)) return asked.names.fields(probe.type);
+  }
+  return {};
+}
+
+Candidates fields(const Asked& asked) {
+  return asked.line.positional.empty() ? Candidates{} : fields_of(asked.line.positional[0].text, asked);
+}
+
 /// Those that the component declares and those of the hull; of its ports and tasks, once one of them is named.
 Candidates probes(const Asked& asked) {
   Candidates found;
@@ -44,17 +68,30 @@ Candidates ports(const Asked& asked) {
   Candidates found;
   const auto* system = asked.names.system();
   if (system == nullptr) return found;
-  // `wire` and `unwire` begin with a required port; after `to` stands a provided one.
+  // `wire` and `unwire` begin with a required port; after `to` stands one that provides what it requires.
   const bool wiring = asked.line.verb.text == "wire" || asked.line.verb.text == "unwire";
   const auto wanted = asked.line.positional.empty() ? fiona::REQUIRES : fiona::PROVIDES;
+  const auto* client = asked.line.positional.empty() ? nullptr : named_port(*system, asked.line.positional[0].text);
   for (const auto& instance : system->instances()) {
     for (const auto& port : instance.ports()) {
-      if (!wiring || port.direction() == wanted) found.push_back(instance.name() + "." + port.name());
+      const bool fits = port.direction() == wanted && (client == nullptr || port.service() == client->service());
+      if (!wiring || fits) found.push_back(instance.name() + "." + port.name());
     }
   }
   if (wiring) return found;
   const Candidates more = probes(asked);
   found.insert(found.end(), more.begin(), more.end());
+  return found;
+}
+
+/// A port, and once one is typed its fields; probes among both.
+Candidates ports_and_fields(const Asked& asked) {
+  Candidates found = ports(asked);
+  const std::size_t first = asked.word.find('.');
+  const std::size_t second = first == std::string_view::npos ? first : asked.word.find('.', first + 1);
+  if (second == std::string_view::npos) return found;
+  const std::string port(asked.word.substr(0, second));
+  for (const std::string& field : fields_of(port, asked)) found.push_back(port + "." + field);
   return found;
 }
 
@@ -93,7 +130,9 @@ Candidates modes(const Asked& asked) {
 
 Candidates parameters(const Asked& asked) {
   Candidates found;
-  if (const auto* instance = named_instance(asked)) {
+  if (asked.line.verb.text == "load") {
+    if (!asked.line.positional.empty()) found = asked.names.parameters(asked.line.positional[0].text);
+  } else if (const auto* instance = named_instance(asked)) {
     for (const auto& parameter : instance->parameters()) found.push_back(parameter.name());
   } else if (!asked.line.positional.empty() && asked.line.positional[0].text == "host") {
     found = {"clock", "deliveries", "speed"};
@@ -161,7 +200,8 @@ const std::map<std::string, Source, std::less<>>& sources() {
   static const std::map<std::string, Source, std::less<>> kSources{
       {"INSTANCE", instances},
       {"INSTANCE.PORT", ports},
-      {"INSTANCE.PORT.FIELD", ports},
+      {"INSTANCE.PORT.FIELD", ports_and_fields},
+      {"FIELD", fields},
       {"INSTANCE.NAME", callees},
       {"MODE", modes},
       {"PARAM", parameters},
@@ -261,6 +301,20 @@ void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, 
   for (const GlobalOption& option : global_options()) found.push_back(option.slot.name);
 }
 
+/// What stands before the verb: `--host main ls`. Whether the word that follows is the value of the last of them.
+bool take_global_options(WordLine& words) {
+  while (!words.empty() && !words.items.front().name && words.items.front().word.text.starts_with('-')) {
+    const std::string name = words.items.front().word.text;
+    words.items.erase(words.items.begin());
+    const auto option = std::find_if(global_options().begin(), global_options().end(),
+                                     [&name](const GlobalOption& one) { return one.slot.name == name; });
+    if (option == global_options().end() || !option->slot.takes_value()) continue;
+    if (words.empty()) return true;
+    words.items.erase(words.items.begin());
+  }
+  return false;
+}
+
 }  // namespace
 
 std::vector<std::string> completed_placeholders() {
@@ -281,12 +335,15 @@ Completion complete(std::string_view typed, Names& names) {
     return completion;  // inside a quote: nothing is known
   }
   Candidates found;
+  if (take_global_options(before)) return completion;
   if (const Verb* outer = before.empty() ? nullptr : find_verb(before.items.front().word.text);
       outer && outer->takes_line) {
     before.items.erase(before.items.begin());
   }
   if (before.empty()) {
     for (const Verb& verb : verb_rows()) found.push_back(verb.name);
+    if (word.starts_with('-'))
+      for (const GlobalOption& option : global_options()) found.push_back(option.slot.name);
   } else if (const Verb* verb = find_verb(before.items.front().word.text)) {
     for (const Shape& shape : verb->forms) add_by_shape(found, before, shape, word, names);
   }

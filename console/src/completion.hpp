@@ -18,6 +18,10 @@ class Names {
   virtual std::vector<std::string> packages() = 0;
   /// That packages, installed or of the marketplace, provide or require.
   virtual std::vector<std::string> services() = 0;
+  /// Of the component that a `load` of this plugin makes.
+  virtual std::vector<std::string> parameters(const std::string& plugin) = 0;
+  /// Of what a push service says, or of an object, by full name; nested ones by path.
+  virtual std::vector<std::string> fields(const std::string& type) = 0;
   /// Paths that begin with the text, directories with a `/` at the end.
   virtual std::vector<std::string> files(std::string_view begin) = 0;
 };

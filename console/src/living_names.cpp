@@ -4,6 +4,7 @@
 
 #include "catalogue.hpp"
 #include "system_view.hpp"
+#include "types.hpp"
 
 namespace fiona::console {
 namespace {
@@ -50,6 +51,48 @@ std::vector<std::string> LivingNames::services() {
       for (const auto& port : component.ports()) names.push_back(short_name(port.service()));
     }
   }
+  return names;
+}
+
+namespace {
+
+/// A part that may repeat is named as a whole.
+void add_fields(const google::protobuf::Descriptor& type, const std::string& before, std::vector<std::string>& names) {
+  constexpr std::size_t kLongest = 100;  // of a path: a type may hold itself
+  for (int i = 0; i < type.field_count(); ++i) {
+    const auto& field = *type.field(i);
+    const std::string path = before + field.name();
+    const auto* inner = field.is_repeated() ? nullptr : field.message_type();
+    if (inner != nullptr && path.size() < kLongest)
+      add_fields(*inner, path + ".", names);
+    else
+      names.push_back(path);
+  }
+}
+
+}  // namespace
+
+std::vector<std::string> LivingNames::parameters(const std::string& plugin) {
+  std::vector<std::string> names;
+  const Catalogue catalogue = session_.catalogue();
+  const auto found = catalogue.find(plugin);
+  if (found.empty() || !found.front().plugin->installed) return names;
+  const auto* type = catalogue.types_of(*found.front().plugin).object(found.front().component->parameters());
+  for (int i = 0; type != nullptr && i < type->field_count(); ++i) names.push_back(type->field(i)->name());
+  return names;
+}
+
+std::vector<std::string> LivingNames::fields(const std::string& type) {
+  std::vector<std::string> names;
+  if (!session_.connected() || type.empty()) return names;
+  control::Request request;
+  request.mutable_describe()->set_name(type);
+  const control::Reply reply = session_.host().call(std::move(request), kCompletionLimit);
+  const TypeSet types(reply.description().files());
+  const auto* object = types.object(reply.description().name());
+  const auto* service = reply.description().is_service() ? types.service(reply.description().name()) : nullptr;
+  if (service != nullptr && service->method_count() > 0) object = service->method(0)->output_type();
+  if (object != nullptr) add_fields(*object, "", names);
   return names;
 }
 

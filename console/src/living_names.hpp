@@ -20,6 +20,8 @@ class LivingNames final : public Names {
   std::vector<std::string> plugins() override;
   std::vector<std::string> packages() override;
   std::vector<std::string> services() override;
+  std::vector<std::string> parameters(const std::string& plugin) override;
+  std::vector<std::string> fields(const std::string& type) override;
   std::vector<std::string> files(std::string_view begin) override;
 
  private:

@@ -45,6 +45,11 @@ class FixedNames final : public Names {
   std::vector<std::string> plugins() override { return {"trace-player", "fiona/trace-player"}; }
   std::vector<std::string> packages() override { return {"fiona/step-heading"}; }
   std::vector<std::string> services() override { return {"GetIMUService", "LidarScan"}; }
+  std::vector<std::string> parameters(const std::string&) override { return {"trace", "rate"}; }
+  std::vector<std::string> fields(const std::string& type) override {
+    return type == "fiona.sensors.GetIMUService" ? std::vector<std::string>{"out_x_acc", "position.x"}
+                                                 : std::vector<std::string>{};
+  }
   std::vector<std::string> files(std::string_view) override { return {"demo.fiona", "systems/", "with blank"}; }
 
   bool silent = false;
@@ -420,6 +425,21 @@ TEST(Completion, OffersProvidersAfterElseAndElseAgain) {
 TEST(Completion, KnowsParametersAndTheirValues) {
   EXPECT_EQ(candidates("set walk t"), Texts{"trace="});
   EXPECT_EQ(candidates("set walk direction="), (Texts{"direction=down", "direction=up"}));
+}
+
+TEST(Completion, KnowsWhatAPluginTakes) {
+  EXPECT_EQ(candidates("load trace-player as x t"), Texts{"trace="});
+}
+
+TEST(Completion, KnowsTheFieldsOfWhatAPortSays) {
+  EXPECT_EQ(candidates("watch walk.imu out"), Texts{"out_x_acc"});
+  EXPECT_EQ(candidates("expect walk.imu.p"), Texts{"walk.imu.position.x"});
+}
+
+TEST(Completion, PassesOverTheOptionsBeforeTheVerb) {
+  EXPECT_EQ(candidates("--host main --json unload w"), Texts{"walk"});
+  EXPECT_EQ(candidates("--hos"), Texts{"--host"});
+  EXPECT_TRUE(candidates("--host ").empty());
 }
 
 TEST(Completion, KnowsModes) {

@@ -15,6 +15,18 @@ std::string typed_text(const Line& line) {
   return typed;
 }
 
+/// `--host main unload `: of that one.
+void take_host(Session& session, const std::string& typed) {
+  try {
+    const WordLine words = split_line(typed);
+    for (std::size_t i = 0; i + 1 < words.items.size() && words.items[i].word.text.starts_with("--"); i += 2) {
+      if (words.items[i].word.text == "--host") session.options.host = words.items[i + 1].word.text;
+      if (words.items[i].word.text == "--at") session.options.at = words.items[i + 1].word.text;
+    }
+  } catch (const Error&) {  // inside a quote
+  }
+}
+
 /// A host that cannot be found or does not answer knows no names; what the grammar knows is still told.
 void connect(Session& session) {
   try {
@@ -27,9 +39,11 @@ void connect(Session& session) {
 }  // namespace
 
 void complete(Session& session, const Line& line) {
+  const std::string typed = typed_text(line);
+  take_host(session, typed);
   connect(session);
   LivingNames names(session);
-  for (const std::string& candidate : console::complete(typed_text(line), names).candidates) {
+  for (const std::string& candidate : console::complete(typed, names).candidates) {
     session.out.object({{"candidate", candidate}});
     session.out.text(candidate);
   }
