@@ -10,8 +10,6 @@
 namespace fiona::console {
 namespace {
 
-constexpr double kUsualHold_ms = 3000;  // of a wire that says nothing else
-
 control::Change load_of(const control::InstanceStatus& instance) {
   control::Change change;
   control::Load& load = *change.mutable_load();
@@ -33,7 +31,7 @@ void add_alternatives(const control::PortStatus& port, control::Wire& wire) {
   if (port.providers().empty()) return;
   *wire.mutable_provider() = port.providers(0).provider();
   for (int i = 1; i < port.providers_size(); ++i) *wire.add_alternatives() = port.providers(i).provider();
-  if (port.hold_ms() != kUsualHold_ms) wire.set_hold_ms(port.hold_ms());
+  wire.set_hold_ms(port.hold_ms());
 }
 
 std::string wire_lines(const control::InstanceStatus& instance) {
