@@ -1,5 +1,6 @@
 #include "watch_list.hpp"
 
+#include <algorithm>
 #include <utility>
 
 #include <fmt/format.h>
@@ -20,12 +21,21 @@ std::uint64_t WatchList::start(const WatchRequest& request) {
   watch.request = request;
   watch.name = request.port.instance() + "." + request.port.port();
   watch.manner_json = session_.out.manner.json;
+  starting_ = number;
   try {
     ask(number, watch);
+    // The host answers in order: what it refuses it has refused before it answers this.
+    control::Request nothing;
+    nothing.mutable_unwatch();
+    session_.host().call(std::move(nothing));
   } catch (...) {
-    running_.erase(number);
+    starting_.reset();
+    refused_.reset();
+    end(number, true);
     throw;
   }
+  starting_.reset();
+  if (refused_) throw Error(*std::exchange(refused_, std::nullopt));
   if (request.for_ms) {
     const auto end_at =
         std::chrono::steady_clock::now() + std::chrono::microseconds(static_cast<std::int64_t>(*request.for_ms * 1000));
@@ -56,6 +66,10 @@ void WatchList::arrived(std::uint64_t number, const control::Reply& reply) {
   } catch (const Error& problem) {
     if (reply.has_failure() && goes_on(number, found->second, problem)) return;
     end(number, !reply.has_failure());
+    if (number == starting_) {
+      refused_ = problem;
+      return;
+    }
     // In a shell the watch is the command, and its failure the command's; elsewhere it is news beside other lines.
     if (session_.setting == Setting::Shell) throw;
     session_.out.error(problem);
@@ -202,6 +216,20 @@ std::size_t WatchList::stop(const std::string& port) {
   }
   for (const std::uint64_t number : ended) end(number, true);
   return ended.size();
+}
+
+void WatchList::wait(Which which) {
+  const auto over = [this, which] {
+    return std::none_of(running_.begin(), running_.end(), [which](const auto& one) {
+      return which == Which::All || one.second.request.for_ms.has_value();
+    });
+  };
+  session_.reactor.run_until([this, &over] { return over() || !session_.connected(); });
+  if (!over())
+    throw Error(ErrorCode::Unreachable,
+                ErrorText{.what = "the host has gone",
+                          .where = running_.begin()->second.name,
+                          .next = "start it again; one that comes back by itself: fiona run --supervised"});
 }
 
 void WatchList::clear() {

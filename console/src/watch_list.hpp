@@ -32,6 +32,7 @@ class WatchList {
   explicit WatchList(Session& session) : session_(session) {}
   ~WatchList() { clear(); }
 
+  /// Returns once the host watches. Throws its refusal.
   std::uint64_t start(const WatchRequest& request);
   /// Stops those of the port, "instance.port"; all with an empty name. Returns how many.
   std::size_t stop(const std::string& port);
@@ -40,6 +41,9 @@ class WatchList {
   /// Forgets all without telling the host, as when it has gone.
   void clear();
   bool empty() const { return running_.empty(); }
+  enum class Which { All, Timed };
+  /// Until they have ended. Throws fiona::Error (Unreachable) if the host goes meanwhile.
+  void wait(Which which);
   std::vector<std::string> ports() const;
 
  private:
@@ -71,6 +75,8 @@ class WatchList {
   Session& session_;
   std::uint64_t last_ = 0;
   std::map<std::uint64_t, Running> running_;
+  std::optional<std::uint64_t> starting_;  ///< the one that the host has not said yet that it watches
+  std::optional<Error> refused_;           ///< and why it does not
 };
 
 }  // namespace fiona::console

@@ -87,12 +87,7 @@ void watch(Session& session, const Line& line) {
   if (line.positional[0].is_plain("stop")) return stop(session, line);
   session.watches().start(watch_request(line));
   if (session.setting != Setting::Shell) return;
-  session.reactor.run_until([&session] { return session.watches().empty() || !session.connected(); });
-  if (!session.watches().empty())
-    throw Error(ErrorCode::Unreachable,
-                ErrorText{.what = "the host has gone",
-                          .where = line.positional[0].text,
-                          .next = "start it again; one that comes back by itself: fiona run --supervised"});
+  session.watches().wait(WatchList::Which::All);
 }
 
 }  // namespace fiona::console::verbs
