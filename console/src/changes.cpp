@@ -148,13 +148,10 @@ void make(Session& session, const Line& line, control::Change change, const std:
     return;
   }
   control::Request request;
-  // A component may need its time.
-  const bool waits = change.has_state() || change.has_load() || change.has_unload() || change.has_upgrade() ||
-                     change.replace().watch_ms() > 0;
   *request.mutable_transact()->add_changes() = std::move(change);
   const std::string place = line.words.origin.empty() ? "" : place_text(line.words, line.verb.place);
-  tell(session, waits ? session.host().call_waiting(std::move(request)) : session.call(std::move(request)), otherwise,
-       place);
+  // A component may need its time, and what others change comes first: given up half way it would be made all the same.
+  tell(session, session.host().call_waiting(std::move(request)), otherwise, place);
 }
 
 void make(Session& session, const Batch& batch, bool whole) {

@@ -19,6 +19,7 @@ namespace fiona::console {
 namespace {
 
 constexpr std::size_t kHeader = 4;
+constexpr std::chrono::milliseconds kGivesUpWithin{500};
 
 std::uint32_t length_at(std::string_view bytes) {
   std::uint32_t length = 0;
@@ -147,7 +148,9 @@ void ControlClient::send(const control::Request& request) {
     const ssize_t sent = closed() ? -1 : ::send(socket_, rest.data(), rest.size(), MSG_NOSIGNAL);
     if (sent > 0) {
       rest.remove_prefix(static_cast<std::size_t>(sent));
-    } else if (closed() || (errno != EAGAIN && errno != EINTR) || !Reactor::wait_writable(socket_, deadline)) {
+    } else if (closed() || (errno != EAGAIN && errno != EINTR) || !reactor_.wait_writable(socket_, deadline)) {
+      if (!closed()) receive();  // why it has closed, if it has
+      if (refusal_) throw_failure(*refusal_);
       throw Error(ErrorCode::Unreachable,
                   ErrorText{.what = closed() ? farewell() : "the host does not take the request",
                             .where = endpoint_.text(),
@@ -172,6 +175,7 @@ void ControlClient::receive() {
 }
 
 void ControlClient::arrived(const control::Reply& reply) {
+  if (reply.id() == 0 && reply.has_failure()) refusal_ = reply.failure();
   const auto found = answers_.find(reply.id());
   if (found == answers_.end()) return;  // of a call that was given up, or of a watch that was stopped
   const Answer answer = found->second;
@@ -234,6 +238,7 @@ control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& r
     throw;
   }
   forget(id);
+  if (!here && refusal_) throw_failure(*refusal_);
   if (!here) {
     throw Error(ErrorCode::Unreachable, ErrorText{.what = in_time ? farewell() : "the host does not answer in time",
                                                   .where = endpoint_.text(),
@@ -243,8 +248,22 @@ control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& r
   return reply;
 }
 
+/// Throws Interrupted, with the news, where the host cannot let go of it.
+void ControlClient::give_up(std::uint64_t id) {
+  forget(id);
+  control::Request request;
+  request.mutable_unwatch()->set_watch(id);
+  try {
+    if (!closed()) call(std::move(request), kGivesUpWithin);
+  } catch (const Error&) {
+    throw Interrupted(true);
+  }
+}
+
 control::Reply ControlClient::call_waiting(control::Request request) {
   constexpr std::chrono::seconds kQuiet{5};
+  const bool changes =
+      (request.has_transact() && !request.transact().dry_run()) || (request.has_undo() && !request.undo().dry_run());
   control::Reply reply;
   bool here = false;
   const std::uint64_t id = begin(std::move(request), [&reply, &here](const control::Reply& got) {
@@ -257,6 +276,15 @@ control::Reply ControlClient::call_waiting(control::Request request) {
       sign_of_life.mutable_snapshot();
       call(std::move(sign_of_life), std::max<std::chrono::milliseconds>(timeout_, kQuiet));
     }
+  } catch (const Interrupted&) {
+    give_up(id);
+    throw;
+  } catch (const Error& error) {
+    forget(id);
+    if (!changes || closed()) throw;
+    throw Error(error.code(), {.what = "the host does not answer; the change may still be made",
+                               .where = endpoint_.text(),
+                               .next = "see what became of it: journal"});
   } catch (...) {
     forget(id);
     throw;

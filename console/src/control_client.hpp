@@ -50,7 +50,8 @@ class ControlClient {
   control::Reply call(control::Request request, std::chrono::milliseconds timeout);
 
   /// For requests that wait on the system's clock, which may stand or run slowly: no deadline of its own, but while
-  /// nothing comes the host is asked for a sign of life, and Unreachable is thrown when it gives none.
+  /// nothing comes the host is asked for a sign of life, and Unreachable is thrown when it gives none. At Interrupted
+  /// the request is given up.
   control::Reply call_waiting(control::Request request);
 
   /// Sends; `answer` gets every reply to it until forget(). Returns the request's id.
@@ -79,6 +80,7 @@ class ControlClient {
   void receive();
   void close();
   void arrived(const control::Reply& reply);
+  void give_up(std::uint64_t id);
   control::Reply wait_for(std::uint64_t id, const control::Reply& reply, const bool& here, SteadyTime deadline);
 
   Reactor& reactor_;
@@ -90,6 +92,7 @@ class ControlClient {
   std::uint64_t last_id_ = 0;
   FrameReader frames_;
   std::map<std::uint64_t, Answer> answers_;
+  std::optional<control::Failure> refusal_;  ///< of the connection itself
   std::function<void()> on_closed_;
 };
 

@@ -1,7 +1,9 @@
 #include "reactor.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
+#include <climits>
 #include <csignal>
 #include <system_error>
 #include <vector>
@@ -33,12 +35,12 @@ void Reactor::take_signals() {
   ::signal(SIGPIPE, SIG_IGN);
   signals_ = ::signalfd(-1, &taken, SFD_CLOEXEC | SFD_NONBLOCK);
   if (signals_ < 0) throw std::system_error(errno, std::generic_category(), "signalfd");
-  add(signals_, [this] { read_signal(); });
+  add(signals_, [this] { take_signal(); });
 }
 
-void Reactor::read_signal() {
+void Reactor::take_signal() {
   signalfd_siginfo info{};
-  if (::read(signals_, &info, sizeof info) <= 0) return;
+  if (signals_ < 0 || ::read(signals_, &info, sizeof info) <= 0) return;
   if (info.ssi_signo == SIGINT) throw Interrupted();
   throw Terminated();
 }
@@ -101,13 +103,44 @@ void Reactor::expire_timers() {
   }
 }
 
-bool Reactor::wait_writable(int descriptor, SteadyTime deadline) {
+bool Reactor::wait_writable(int descriptor, std::optional<SteadyTime> deadline) {
   while (true) {
-    pollfd waiting{descriptor, POLLOUT, 0};
-    const int count = ::poll(&waiting, 1, poll_timeout_ms(deadline));
-    if (count > 0) return true;
-    if (count == 0 || errno != EINTR) return false;
+    std::array<pollfd, 2> waiting{{{descriptor, POLLOUT, 0}, {signals_, POLLIN, 0}}};
+    const int count = ::poll(waiting.data(), waiting.size(), poll_timeout_ms(deadline));
+    if (count > 0 && waiting[1].revents != 0) take_signal();
+    if (count > 0 && waiting[0].revents != 0) return true;
+    if (count == 0 || (count < 0 && errno != EINTR)) return false;
   }
+}
+
+bool Reactor::write_all(int descriptor, std::string_view bytes) {
+  while (!bytes.empty()) {
+    if (!wait_writable(descriptor)) return false;
+    // No more than what a pipe that can be written takes at once.
+    const ssize_t count = ::write(descriptor, bytes.data(), std::min<std::size_t>(bytes.size(), PIPE_BUF));
+    if (count < 0 && errno != EINTR && errno != EAGAIN) return false;
+    if (count > 0) bytes.remove_prefix(static_cast<std::size_t>(count));
+  }
+  return true;
+}
+
+bool Reactor::read_all(int descriptor, std::size_t most, std::string& bytes) {
+  std::optional<int> ended;
+  add(descriptor, [&] {
+    std::array<char, 1U << 16U> block;
+    const ssize_t count = ::read(descriptor, block.data(), block.size());
+    if (count > 0) bytes.append(block.data(), static_cast<std::size_t>(count));
+    if (count == 0 || (count < 0 && errno != EINTR && errno != EAGAIN)) ended = count == 0 ? 0 : errno;
+  });
+  try {
+    run_until([&] { return ended || bytes.size() >= most; });
+  } catch (...) {
+    remove(descriptor);
+    throw;
+  }
+  remove(descriptor);
+  errno = ended.value_or(0);
+  return errno == 0;
 }
 
 }  // namespace fiona::console

@@ -6,6 +6,8 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <string>
+#include <string_view>
 
 namespace fiona::console {
 
@@ -14,7 +16,15 @@ using SteadyTime = std::chrono::steady_clock::time_point;
 /// Ctrl-C: what goes on now is to end. Exit code 130, where that is all.
 class Interrupted : public std::exception {
  public:
-  const char* what() const noexcept override { return "interrupted"; }
+  /// `goes_on`: the host cannot let go of what it has begun.
+  explicit Interrupted(bool goes_on = false) : goes_on_(goes_on) {}
+  bool goes_on() const { return goes_on_; }
+  const char* what() const noexcept override {
+    return goes_on_ ? "interrupted; the host goes on with it: journal" : "interrupted";
+  }
+
+ private:
+  bool goes_on_;
 };
 
 /// SIGTERM, or a terminal that has been closed: the program is to end, whatever goes on. Exit code 130.
@@ -49,13 +59,18 @@ class Reactor {
   /// callbacks throw.
   bool run_until(const std::function<bool()>& done, std::optional<SteadyTime> deadline = std::nullopt);
 
-  /// Waits until the descriptor can be written; false at the deadline. Serves nothing else meanwhile.
-  static bool wait_writable(int descriptor, SteadyTime deadline);
+  /// Waits until the descriptor can be written; false at the deadline. Serves nothing but signals meanwhile.
+  bool wait_writable(int descriptor, std::optional<SteadyTime> deadline = std::nullopt);
+  /// Writes all, however slow the reader, unless a signal comes; false with errno.
+  bool write_all(int descriptor, std::string_view bytes);
+  /// All that a descriptor has until its end, at most so many bytes; less with errno.
+  bool read_all(int descriptor, std::size_t most, std::string& bytes);
+  /// Throws Interrupted or Terminated where a signal has come and nobody has waited since.
+  void take_signal();
 
  private:
   void serve_once(std::optional<SteadyTime> deadline);
   void expire_timers();
-  void read_signal();
 
   struct Timer {
     SteadyTime when;

@@ -28,6 +28,12 @@ constexpr std::size_t kMaxOpen = 1000;
 constexpr std::size_t kMaxAuthor = 100;
 std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
 
+/// Of a change whose turn has not come by then; none: it waits for it.
+std::optional<std::chrono::milliseconds> deadline_of(const control::Request& request) {
+  if (request.deadline_ms() == 0) return std::nullopt;
+  return std::chrono::milliseconds(request.deadline_ms());
+}
+
 /// "2026-05-17 14:03:12", by the machine's clock.
 std::string text_of_time(std::int64_t ms) {
   const std::time_t seconds = ms / 1000;
@@ -198,9 +204,22 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
 
 void ControlServer::accept_clients() {
   while (auto socket = listener_.accept()) {
-    if (clients_.size() >= kMaxClients) continue;
+    if (clients_.size() >= kMaxClients) {
+      turn_away(std::move(socket));
+      continue;
+    }
     add_client(std::move(socket), {});
   }
+}
+
+/// Told why, as the answer to no request.
+void ControlServer::turn_away(os::Descriptor socket) {
+  control::Reply reply;
+  *reply.mutable_failure() =
+      failure_of(Error(ErrorCode::Failed,
+                       {.what = fmt::format("{} consoles are connected to this host, and no more may be", kMaxClients),
+                        .next = "end some of them, or what has started them"}));
+  os::MessageStream(std::move(socket)).send(reply);
 }
 
 void ControlServer::serve_client(std::uint64_t id) {
@@ -232,7 +251,8 @@ void ControlServer::refuse_garbled(std::uint64_t client, const std::string& foun
 }
 
 void ControlServer::drop_client(std::uint64_t id) {
-  system_.waits().drop_owner(id);
+  system_.waits().drop(id);
+  engine_.give_up(id);
   for (auto it = watches_.begin(); it != watches_.end();) {
     if (it->second.client == id) system_.untap(it->first);
     it = it->second.client == id ? watches_.erase(it) : std::next(it);
@@ -303,10 +323,12 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
   };
   switch (request.what_case()) {
     case Request::kTransact:
-      engine_.transact(request.author(), request.transact(), answer_to(client, request.id()), std::nullopt,
-                       clients_.at(client)->rights);
+      engine_.transact(request.author(), request.transact(), answer_to(client, request.id()), deadline_of(request),
+                       clients_.at(client)->rights, {client, request.id()});
       return false;
-    case Request::kUndo: engine_.undo(request.author(), request.undo(), answer_to(client, request.id())); return false;
+    case Request::kUndo:
+      engine_.undo(request.author(), request.undo(), answer_to(client, request.id()), {client, request.id()});
+      return false;
     case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
     case Request::kSnapshot:
       *reply.mutable_system() = system_.snapshot();
@@ -317,7 +339,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
       return true;
     case Request::kWatch: start_watch(client, request); return false;
     case Request::kRead: *reply.mutable_sample() = sample_of(system_.read(request.read().probe()), false); return true;
-    case Request::kUnwatch: stop_watch(client, request.unwatch().watch()); return done("");
+    case Request::kUnwatch: give_up(client, request.unwatch().watch()); return done("");
     case Request::kWaitMode: return start_wait_mode(client, request, reply);
     case Request::kExpect: start_expect(client, request); return false;
     case Request::kSleep:
@@ -393,14 +415,27 @@ void ControlServer::start_watch(std::uint64_t client, const control::Request& re
   watches_[tap] = Watched{client, request.id(), 0, 0, false, {}};
 }
 
-void ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
+/// A watch ends, what is waited for is let go of, and what has not begun is not made: that is answered.
+void ControlServer::give_up(std::uint64_t client, std::uint64_t request) {
+  if (!clients_.at(client)->open.contains(request)) return;
+  const bool let_go = stop_watch(client, request) || system_.waits().drop(client, request);
+  if (let_go) return forget_open(client, request);
+  if (engine_.give_up(client, request)) return;
+  throw Error(ErrorCode::NotAllowed, {.what = "what was asked for has begun, and goes on", .next = "journal"});
+}
+
+bool ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
+  if (const auto expected = expect_taps_.find({client, request}); expected != expect_taps_.end()) {
+    system_.untap(expected->second);
+    expect_taps_.erase(expected);
+  }
   for (auto it = watches_.begin(); it != watches_.end(); ++it) {
     if (it->second.client != client || it->second.request != request) continue;
     system_.untap(it->first);
     watches_.erase(it);
-    forget_open(client, request);
-    return;
+    return true;
   }
+  return false;
 }
 
 void ControlServer::start_expect(std::uint64_t client, const control::Request& request) {

@@ -62,6 +62,7 @@ class ControlServer {
 
   std::unique_ptr<RemoteConsoles> serve_remote(const System::Options& options);
   void accept_clients();
+  void turn_away(os::Descriptor socket);
   void add_client(os::Descriptor socket, Rights rights);
   void serve_client(std::uint64_t id);
   void drop_client(std::uint64_t id);
@@ -70,7 +71,8 @@ class ControlServer {
   /// False when the answer comes later.
   bool dispatch(std::uint64_t client, const control::Request& request, control::Reply& reply);
   void start_watch(std::uint64_t client, const control::Request& request);
-  void stop_watch(std::uint64_t client, std::uint64_t request);
+  void give_up(std::uint64_t client, std::uint64_t request);
+  bool stop_watch(std::uint64_t client, std::uint64_t request);
   void start_expect(std::uint64_t client, const control::Request& request);
   bool start_wait_mode(std::uint64_t client, const control::Request& request, control::Reply& reply);
   Waits::Answer answer_to(std::uint64_t client, std::uint64_t request);

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <tuple>
 
 #include "engine_transaction.hpp"
 #include "failure.hpp"
@@ -73,9 +74,10 @@ Engine::Engine(System& system, std::filesystem::path journal, Later later, std::
 Engine::~Engine() { *self_ = nullptr; }
 
 void Engine::transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
-                      std::optional<std::chrono::milliseconds> within, Rights rights) {
+                      std::optional<std::chrono::milliseconds> within, Rights rights, Asker asker) {
   auto transaction = std::make_shared<Transaction>();
   transaction->author = author;
+  transaction->asker = asker;
   transaction->rights = std::move(rights);
   transaction->request = request;
   transaction->answer = std::move(answer);
@@ -97,26 +99,25 @@ bool Engine::compare_first(const TransactionPtr& transaction) {
   Transaction trial = *transaction;
   plan(trial);
   if (trial.failure) throw_failure(*trial.failure);
-  if (comparing_ >= kMaxComparing) {
-    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} comparisons are under way already", comparing_),
+  if (comparing_.size() >= kMaxComparing) {
+    throw Error(ErrorCode::NotAllowed, {.what = fmt::format("{} comparisons are under way already", comparing_.size()),
                                         .next = "swap without watch"});
   }
   const auto taps = std::make_shared<std::vector<std::uint64_t>>();
-  *taps = system_.compare(swaps, longest_ms,
-                          [later = later_, alive = std::weak_ptr(self_), transaction, taps](control::Reply reply) {
-                            later([alive, transaction, taps, reply = std::move(reply)] {
-                              const auto self = alive.lock();
-                              if (!self || !*self) return;
-                              for (const std::uint64_t tap : *taps) (*self)->system_.untap(tap);
-                              (*self)->compared(transaction, reply);
-                            });
-                          });
-  ++comparing_;
+  const auto ended = [later = later_, alive = std::weak_ptr(self_), transaction, taps](control::Reply reply) {
+    later([alive, transaction, taps, reply = std::move(reply)] {
+      const auto self = alive.lock();
+      if (!self || !*self) return;
+      for (const std::uint64_t tap : *taps) (*self)->system_.untap(tap);
+      (*self)->compared(transaction, reply);
+    });
+  };
+  std::tie(comparing_[transaction], *taps) = system_.compare(swaps, longest_ms, ended);
   return true;
 }
 
 void Engine::compared(const TransactionPtr& transaction, const control::Reply& reply) {
-  --comparing_;
+  comparing_.erase(transaction);
   if (reply.has_failure()) transaction->failure = reply.failure();
   if (reply.has_ended())
     transaction->failure = failure_of(Error(
@@ -131,9 +132,30 @@ void Engine::compared(const TransactionPtr& transaction, const control::Reply& r
   }
 }
 
-void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer) {
+bool Engine::give_up(std::uint64_t client, std::optional<std::uint64_t> request) {
+  const auto failure = failure_of(Error(
+      ErrorCode::Failed, {.what = "who asked for this change has given it up: it was not made", .next = "journal"}));
+  bool found = false;
+  const auto is_meant = [&](const TransactionPtr& one) {
+    const bool meant = one->asker.client == client && (!request || one->asker.request == *request);
+    found = found || meant;
+    return meant;
+  };
+  for (const auto& [transaction, comparison] : comparing_) {
+    if (!is_meant(transaction)) continue;
+    transaction->failure = failure;
+    system_.end_comparison(comparison, reply_of(failure));
+  }
+  for (const auto& transaction : waiting_) {
+    if (is_meant(transaction)) transaction->failure = failure;
+  }
+  return found;
+}
+
+void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer, Asker asker) {
   auto transaction = std::make_shared<Transaction>();
   transaction->author = author;
+  transaction->asker = asker;
   transaction->is_undo = true;
   transaction->request.set_dry_run(request.dry_run());
   transaction->answer = std::move(answer);
@@ -223,7 +245,7 @@ void Engine::begin(const TransactionPtr& transaction) {
     transaction->failure = failure_of(Error(
         ErrorCode::Unreachable, {.what = "the changes before it took too long: it was not begun", .next = "journal"}));
   }
-  if (transaction->is_undo) choose_what_to_undo(*transaction);
+  if (transaction->is_undo && !transaction->failure) choose_what_to_undo(*transaction);
   if (!transaction->failure) plan(*transaction);
   if (transaction->failure) return finish(transaction);
   if (transaction->request.dry_run()) {

@@ -16,6 +16,12 @@
 
 namespace fiona::host {
 
+/// Whose request a change is; 0: nobody's who could give it up.
+struct Asker {
+  std::uint64_t client = 0;
+  std::uint64_t request = 0;
+};
+
 /// Changes the system, by transactions: all of the changes or none (docs/architecture.md, Changing a system). Each is
 /// tried on a copy of the model first; then its steps are made one after the other, and taken back when one fails. One
 /// is under way at a time, the others wait in their order. All functions [control thread].
@@ -37,8 +43,11 @@ class Engine {
   /// which holds up nobody. One that has not begun `within` is refused; none: it waits for its turn. `rights`: of who
   /// has asked, who has what the changes take by their kind; what they take beyond that is seen once they are tried.
   void transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
-                std::optional<std::chrono::milliseconds> within = std::nullopt, Rights rights = {});
-  void undo(const std::string& author, const control::Undo& request, Waits::Answer answer);
+                std::optional<std::chrono::milliseconds> within = std::nullopt, Rights rights = {}, Asker asker = {});
+  void undo(const std::string& author, const control::Undo& request, Waits::Answer answer, Asker asker = {});
+  /// What the client has asked for and has not begun is not made, and its answer says so; with a number only that
+  /// request. False: there is none that can be given up.
+  bool give_up(std::uint64_t client, std::optional<std::uint64_t> request = std::nullopt);
   control::JournalEntries journal(std::uint32_t last) const;
   /// No transaction is under way.
   bool is_idle() const { return !current_; }
@@ -84,8 +93,8 @@ class Engine {
   const std::shared_ptr<Engine*> self_;  ///< null once it is gone: what comes later finds nobody
   std::deque<TransactionPtr> waiting_;
   TransactionPtr current_;
-  std::size_t comparing_ = 0;
-  std::map<std::string, WatchedPtr> watched_;  ///< by instance: upgrades that may be taken back
+  std::map<TransactionPtr, std::uint64_t> comparing_;  ///< with the number of the comparison
+  std::map<std::string, WatchedPtr> watched_;          ///< by instance: upgrades that may be taken back
 };
 
 }  // namespace fiona::host

@@ -7,6 +7,7 @@ namespace fiona::host {
 /// Steps that are made in their order; after a failure, those that take back what has been made.
 struct Engine::Transaction {
   std::string author;
+  Asker asker{};
   Rights rights{};
   control::Transact request;
   bool is_undo = false;

@@ -105,9 +105,11 @@ class System {
 
   /// What both say of the ports that the swaps would move is compared for so long on the system's clock. Answered with
   /// Done, its agreements in it, or with why none of them should be made: what would take over says nothing valid. What
-  /// is returned is to be untapped then.
-  std::vector<std::uint64_t> compare(const std::vector<control::Replace>& swaps, double within_ms,
-                                     Waits::Answer answer);
+  /// is returned is its number, and what is to be untapped then.
+  std::pair<std::uint64_t, std::vector<std::uint64_t>> compare(const std::vector<control::Replace>& swaps,
+                                                               double within_ms, Waits::Answer answer);
+  /// The comparison of that number is answered with this.
+  void end_comparison(std::uint64_t number, const control::Reply& reply) { waits_->end(kNobody, number, reply); }
 
   /// [control thread] Answers what a component has asked for; nobody is told if it has gone meanwhile.
   void answer(const wire::Asked& asked, const control::Reply& reply);

@@ -39,8 +39,8 @@ control::Watch all_of(const control::PortName& name) {
 
 }  // namespace
 
-std::vector<std::uint64_t> System::compare(const std::vector<control::Replace>& swaps, double within_ms,
-                                           Waits::Answer answer) {
+std::pair<std::uint64_t, std::vector<std::uint64_t>> System::compare(const std::vector<control::Replace>& swaps,
+                                                                     double within_ms, Waits::Answer answer) {
   const auto comparison = std::make_shared<Comparison>(types_);
   const std::vector<Pair> pairs = comparable(model_, swaps);
   std::vector<std::pair<std::uint64_t, std::uint64_t>> taps;
@@ -72,13 +72,14 @@ std::vector<std::uint64_t> System::compare(const std::vector<control::Replace>& 
     }
     answer(std::move(reply));
   };
+  const std::uint64_t number = next_work_++;
   try {
-    waits_->work(kNobody, next_work_++, within_ms, begin, end_of, over, ended);
+    waits_->work(kNobody, number, within_ms, begin, end_of, over, ended);
   } catch (...) {
     for (const std::uint64_t one : comparison->taps()) untap(one);
     throw;
   }
-  return comparison->taps();
+  return {number, comparison->taps()};
 }
 
 }  // namespace fiona::host

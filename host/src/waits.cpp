@@ -251,15 +251,23 @@ void Waits::on_event(const wire::GroupMessage& event, const Types& types) {
   for (auto& [wait, reply] : ended) finish(wait, std::move(reply));
 }
 
-void Waits::drop_owner(std::uint64_t owner) {
-  std::vector<WaitPtr> dropped;
-  {
-    const std::lock_guard lock(mutex_);
-    for (const auto& wait : waits_) {
-      if (wait->owner == owner) dropped.push_back(wait);
-    }
+std::vector<Waits::WaitPtr> Waits::of(std::uint64_t owner, std::optional<std::uint64_t> id) {
+  std::vector<WaitPtr> found;
+  const std::lock_guard lock(mutex_);
+  for (const auto& wait : waits_) {
+    if (wait->owner == owner && (!id || wait->id == *id)) found.push_back(wait);
   }
+  return found;
+}
+
+bool Waits::drop(std::uint64_t owner, std::optional<std::uint64_t> id) {
+  const std::vector<WaitPtr> dropped = of(owner, id);
   for (const auto& wait : dropped) finish(wait, std::nullopt);
+  return !dropped.empty();
+}
+
+void Waits::end(std::uint64_t owner, std::uint64_t id, const control::Reply& reply) {
+  for (const auto& wait : of(owner, id)) finish(wait, reply);
 }
 
 void Waits::fail_all(const Error& error) {

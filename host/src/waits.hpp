@@ -6,6 +6,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "fiona/clock.hpp"
 #include "fiona/control.pb.h"
@@ -40,8 +41,10 @@ class Waits {
 
   /// [any thread] Something has happened.
   void on_event(const wire::GroupMessage& event, const Types& types);
-  /// The owner has gone: its waits end without an answer.
-  void drop_owner(std::uint64_t owner);
+  /// The owner has gone: its waits end without an answer; with an id only that one. False: there was none.
+  bool drop(std::uint64_t owner, std::optional<std::uint64_t> id = std::nullopt);
+  /// One ends now, with this reply.
+  void end(std::uint64_t owner, std::uint64_t id, const control::Reply& reply);
   /// Nothing can be waited for: every wait ends with this error.
   void fail_all(const Error& error);
   /// The run has ended: every wait is answered.
@@ -55,6 +58,7 @@ class Waits {
   void time_out_after(const WaitPtr& wait, double within_ms, std::function<control::Reply()> reply);
   void finish(const WaitPtr& wait, std::optional<control::Reply> reply);
   void end_all(const control::Reply& reply);
+  std::vector<WaitPtr> of(std::uint64_t owner, std::optional<std::uint64_t> id);
   double elapsed_ms(const Wait& wait) const;
   std::optional<control::Reply> reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const;
   std::optional<control::Reply> reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const;

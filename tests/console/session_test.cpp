@@ -93,6 +93,8 @@ class ConsoleTest : public ::testing::Test {
   }
 
   std::vector<control::Reply> answer(const control::Request& request) {
+    // By which a watch knows that it has not been refused.
+    if (request.has_unwatch() && request.unwatch().watch() == 0) return {done()};
     const std::lock_guard lock(mutex_);
     seen_.push_back(request);
     return script ? script(request) : std::vector<control::Reply>{done()};
@@ -280,7 +282,14 @@ TEST_F(ConsoleTest, ARefusalThatQuotesAnotherErrorKeepsItsLines) {
 
 TEST_F(ConsoleTest, ASilentHostIsUnreachableAfterTheTimeout) {
   script = [](const auto&) { return std::vector<control::Reply>{}; };
-  EXPECT_NE(error_of("unload a --timeout 100ms").find("the host does not answer in time"), std::string::npos);
+  EXPECT_NE(error_of("ls --timeout 100ms").find("the host does not answer in time"), std::string::npos);
+  EXPECT_EQ(code, ErrorCode::Unreachable);
+}
+
+TEST_F(ConsoleTest, AChangeThatASilentHostWasAskedForMayStillBeMade) {
+  script = [](const auto&) { return std::vector<control::Reply>{}; };
+  EXPECT_THAT(error_of("unload a --timeout 100ms"),
+              AllOf(HasSubstr("the change may still be made"), HasSubstr("journal")));
   EXPECT_EQ(code, ErrorCode::Unreachable);
 }
 

@@ -1,0 +1,133 @@
+// What a console asks for, and does not wait for any more.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <optional>
+
+#include "served_host.hpp"
+
+namespace fiona::host {
+namespace {
+
+using conformance::ServedHost;
+using conformance::TestConsole;
+using testing::HasSubstr;
+
+/// A source, and a sink whose handler takes its time: a change of its mode holds up the changes after it.
+class ControlServerTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    console->load("source", host.place(), "source", "period_ms=10");
+    console->load("sink", host.place(), "sink", "work_ms=500");
+    console->change(TestConsole::wire_of("sink.newest", "source.newest"));
+    console->eventually("the handler runs", [this] {
+      const auto system = console->snapshot();
+      for (const auto& instance : system.instances()) {
+        for (const auto& port : instance.ports()) {
+          if (instance.name() == "sink" && port.name() == "newest") return port.messages() > 0;
+        }
+      }
+      return false;
+    });
+  }
+  /// Returns at once.
+  void hold_up() {
+    auto request = console->request();
+    for (const char* mode : {"neutral", "active"}) {
+      auto& state = *request.mutable_transact()->add_changes()->mutable_state();
+      state.set_instance("sink");
+      state.set_mode(mode);
+    }
+    console->send(request);
+  }
+  static control::Request set_period(TestConsole& by, int period_ms) {
+    auto request = by.request();
+    *request.mutable_transact()->add_changes() =
+        TestConsole::set_of("source", "period_ms=" + std::to_string(period_ms));
+    return request;
+  }
+  std::string period() {
+    const auto system = console->snapshot();
+    for (const auto& instance : system.instances()) {
+      for (const auto& parameter : instance.parameters()) {
+        if (instance.name() == "source" && parameter.name() == "period_ms") return parameter.value();
+      }
+    }
+    return "";
+  }
+  std::string refusal(TestConsole& of) {
+    try {
+      of.receive();
+    } catch (const Error& error) {
+      return error.what();
+    }
+    return "";
+  }
+
+  ServedHost host;
+  std::optional<TestConsole> console{std::in_place, host};
+  TestConsole other{host};
+};
+
+TEST_F(ControlServerTest, AChangeThatHasNotBegunByItsDeadlineIsNotMade) {
+  hold_up();
+  auto late = set_period(other, 20);
+  late.set_deadline_ms(1);
+  other.send(late);
+  EXPECT_THAT(refusal(other), HasSubstr("the changes before it took too long"));
+  console->receive();
+  EXPECT_EQ(period(), "10");
+}
+
+TEST_F(ControlServerTest, AChangeThatIsGivenUpBeforeItsTurnIsNotMade) {
+  hold_up();
+  const auto change = set_period(other, 20);
+  other.send(change);
+  auto stop = other.request();
+  stop.mutable_unwatch()->set_watch(change.id());
+  EXPECT_TRUE(other.ask(stop).has_done());
+  EXPECT_THAT(refusal(other), HasSubstr("has given it up"));
+  console->receive();
+  EXPECT_EQ(period(), "10");
+}
+
+TEST_F(ControlServerTest, AChangeOfAConsoleThatHasGoneBeforeItsTurnIsNotMade) {
+  hold_up();
+  {
+    TestConsole goes(host);
+    goes.send(set_period(goes, 20));
+    auto look = goes.request();
+    look.mutable_journal();
+    goes.ask(look);  // in order: the change waits by now
+  }
+  console->receive();
+  EXPECT_TRUE(other.ask(set_period(other, 30)).has_done());
+  EXPECT_EQ(period(), "30");
+  EXPECT_EQ(console->snapshot().instances_size(), 2);
+  auto look = other.request();
+  look.mutable_journal();
+  const auto journal = other.ask(look);
+  for (const auto& entry : journal.journal().entries()) EXPECT_THAT(entry.DebugString(), Not(HasSubstr("integer: 20")));
+}
+
+TEST_F(ControlServerTest, AChangeThatHasBegunGoesOnAndThatIsTold) {
+  hold_up();
+  auto stop = console->request();
+  stop.mutable_unwatch()->set_watch(stop.id() - 1);
+  console->send(stop);
+  EXPECT_THAT(refusal(*console), HasSubstr("has begun, and goes on"));
+  EXPECT_TRUE(console->receive().has_done());
+}
+
+TEST_F(ControlServerTest, WhatIsWaitedForIsLetGoOf) {
+  auto wait = console->request();
+  wait.mutable_sleep()->set_duration_ms(3'600'000);
+  console->send(wait);
+  auto stop = console->request();
+  stop.mutable_unwatch()->set_watch(wait.id());
+  EXPECT_TRUE(console->ask(stop).has_done());
+  EXPECT_TRUE(console->ask(stop).has_done());  // there is nothing any more
+}
+
+}  // namespace
+}  // namespace fiona::host
