@@ -12,8 +12,7 @@
 namespace fiona::console {
 namespace {
 
-constexpr std::size_t kMostBytes = 16U << 20U;  // of a script: as much as one control message may be
-constexpr std::size_t kMostComment = 4096;      // of one line, bytes; what is longer loses its end
+constexpr std::size_t kMostComment = 4096;  // of one line, bytes; what is longer loses its end
 constexpr std::array<std::string_view, 9> kKeywords{"as", "in", "to", "else", "for", "with", "at", "every", "when"};
 
 std::shared_ptr<const std::vector<std::string>> physical_lines(std::string_view text) {
@@ -144,7 +143,7 @@ bool is_keyword(std::string_view word) {
 }
 
 std::vector<WordLine> split_script(std::string_view text, const std::string& origin) {
-  if (text.size() > kMostBytes) {
+  if (text.size() > kLongestScript) {
     throw Error(ErrorCode::Usage, ErrorText{.what = "the script is too long",
                                             .where = origin,
                                             .expected = "at most 16 MiB",

@@ -59,6 +59,9 @@ struct WordLine {
 /// The file that a line names: relative to the file in which the line stands, or to where it is typed.
 std::filesystem::path named_file(const WordLine& line, const std::filesystem::path& name);
 
+/// Bytes of a script.
+constexpr std::size_t kLongestScript = 16U << 20U;
+
 /// The command lines of a whole file; blank and comment lines leave nothing. `origin` names the file in errors.
 /// Throws fiona::Error (Usage) with line, column and a caret at the first thing that cannot be read.
 std::vector<WordLine> split_script(std::string_view text, const std::string& origin);

@@ -7,7 +7,8 @@ constexpr std::string_view kExitCodes =
     "0  done\n1  failed\n2  not understood\n3  something named does not exist\n"
     "4  ports do not fit, or white spots remain with --strict\n5  a signature or hash does not match\n"
     "6  versions or requirements cannot be met together\n7  nobody answered in time\n8  not allowed\n"
-    "9  a component failed\n130  interrupted";
+    "9  a component failed\n130  interrupted\n"
+    "141  whoever read the output has gone";
 
 constexpr std::string_view kGrammar =
     "One command a line; the same at the prompt, in a system file and in the shell.\n"

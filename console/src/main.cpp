@@ -1,10 +1,12 @@
 // The `fiona` command: everything a person types.
 #include <algorithm>
-#include <cstdio>
-#include <iostream>
+#include <cerrno>
+#include <cstring>
 #include <string>
 #include <vector>
 
+#include <fcntl.h>
+#include <fmt/format.h>
 #include <unistd.h>
 
 #include "command_line.hpp"
@@ -13,19 +15,26 @@
 #include "script.hpp"
 #include "session.hpp"
 #include "verb_table.hpp"
+#include "watch_list.hpp"
 
 namespace {
 
 using namespace fiona::console;
 
 constexpr int kInterrupted = 130;
+constexpr int kReaderGone = 141;
 
-/// Lines from a pipe or a file: a script without a name.
+/// Lines from a pipe or a file: a script without a name. What watches for a time is waited for.
 void run_standard_input(Session& session) {
-  std::string text{std::istreambuf_iterator<char>(std::cin), std::istreambuf_iterator<char>()};
+  std::string text;
+  if (!session.reactor.read_all(STDIN_FILENO, kLongestScript + 1, text))
+    throw fiona::Error(fiona::ErrorCode::Failed,
+                       {.what = fmt::format("standard input cannot be read: {}", std::strerror(errno)),
+                        .next = "lines come from a pipe or a file: fiona < FILE"});
   std::vector<Line> lines;
   for (const WordLine& words : split_script(text, "stdin")) lines.push_back(read_line(words));
   run_script(session, lines);
+  if (!session.finished) session.watches().wait(WatchList::Which::Timed);
 }
 
 /// At a terminal; nobody answers a question that a pipe or a script asks.
@@ -46,12 +55,19 @@ void hide_secrets(char** words, const SecretNames& secrets) {
   }
 }
 
-int serve(Output& out, const std::vector<std::string>& arguments) {
+/// What is opened later must not be taken for standard output.
+void open_standard_streams() {
+  int opened = 0;
+  do opened = ::open("/dev/null", O_RDWR);
+  while (opened >= 0 && opened <= STDERR_FILENO);
+  if (opened >= 0) ::close(opened);
+}
+
+int serve(Reactor& reactor, Output& out, const std::vector<std::string>& arguments) {
   CommandLine command = read_command_line(arguments);
   out.manner = command.manner;
   if (command.help) command.line = split_line("help");
   if (command.version) command.line = split_line("version");
-  Reactor reactor;
   reactor.take_signals();
   Session session(reactor, out, command.options);
   session.ask = [&reactor](const std::string& question) { return ask(reactor, question); };
@@ -70,21 +86,31 @@ int serve(Output& out, const std::vector<std::string>& arguments) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  Output out(Output::standard_sink());
+  open_standard_streams();
+  Reactor reactor;
+  Output out(Output::standard_sink(reactor));
   out.columns = Output::terminal_columns;
   const std::vector<std::string> arguments(argv + 1, argv + argc);
   hide_secrets(argv, out.secrets);
   try {
-    return serve(out, arguments);
-  } catch (const Interrupted&) {
+    try {
+      return serve(reactor, out, arguments);
+    } catch (const Interrupted& interrupted) {
+      if (interrupted.goes_on()) out.remark(interrupted.what());
+      return kInterrupted;
+    } catch (const fiona::Error& error) {
+      out.error(error);
+      return static_cast<int>(error.code());
+    }
+  } catch (const Interrupted&) {  // also while an error waits to be read
     return kInterrupted;
   } catch (const Terminated&) {
     return kInterrupted;
-  } catch (const fiona::Error& error) {
-    out.error(error);
-    return static_cast<int>(error.code());
+  } catch (const ReaderGone&) {
+    return kReaderGone;
   } catch (const std::exception& error) {
-    out.error(fiona::Error(fiona::ErrorCode::Failed, error.what()));
+    const std::string text = fmt::format("error: {}\n", error.what());
+    static_cast<void>(::write(STDERR_FILENO, text.data(), text.size()));
     return static_cast<int>(fiona::ErrorCode::Failed);
   }
 }

@@ -1,6 +1,7 @@
 #include "output.hpp"
 
-#include <cstdio>
+#include <cerrno>
+#include <cstring>
 
 #include <sys/ioctl.h>
 #include <unistd.h>
@@ -41,11 +42,16 @@ std::size_t Output::terminal_columns() {
   return ::isatty(STDOUT_FILENO) == 1 && ::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0 ? size.ws_col : 0;
 }
 
-Output::Sink Output::standard_sink() {
-  return [](Stream stream, std::string_view lines) {
-    std::FILE* file = stream == Stream::Out ? stdout : stderr;
-    std::fwrite(lines.data(), 1, lines.size(), file);
-    std::fflush(file);
+Output::Sink Output::standard_sink(Reactor& reactor) {
+  return [&reactor](Stream stream, std::string_view lines) {
+    // Of standard error that cannot be written nobody could be told.
+    if (stream == Stream::Err) return static_cast<void>(reactor.write_all(STDERR_FILENO, lines));
+    if (reactor.write_all(STDOUT_FILENO, lines)) return;
+    if (errno == EPIPE) throw ReaderGone();
+    throw Error(ErrorCode::Failed,
+                ErrorText{.what = fmt::format("the output cannot be written: {}", std::strerror(errno)),
+                          .where = "standard output",
+                          .next = "see where it goes, and whether the disk is full: df -h"});
   };
 }
 

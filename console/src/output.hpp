@@ -1,5 +1,6 @@
 #pragma once
 
+#include <exception>
 #include <functional>
 #include <string>
 #include <string_view>
@@ -7,12 +8,20 @@
 #include <fiona/error.hpp>
 #include <nlohmann/json.hpp>
 
+#include "reactor.hpp"
 #include "secret_names.hpp"
 #include "table.hpp"
 
 namespace fiona::console {
 
 enum class Stream { Out, Err };
+
+/// Whoever read the output has gone, which is the end, and nobody's failure. Exit code 141, as of a program that
+/// SIGPIPE ends.
+class ReaderGone : public std::exception {
+ public:
+  const char* what() const noexcept override { return "whoever read the output has gone"; }
+};
 
 /// How much is said and in which form.
 struct Manner {
@@ -32,8 +41,9 @@ class Output {
   /// Of the terminal that standard output is; 0: it is none.
   static std::size_t terminal_columns();
 
-  /// To the process's standard output and error.
-  static Sink standard_sink();
+  /// To the process's standard output and error; a signal ends what waits for their readers. Throws ReaderGone, and
+  /// fiona::Error (Failed) where the output cannot be written.
+  static Sink standard_sink(Reactor& reactor);
 
   /// Replaces the sink, as a prompt does that keeps the line being typed; returns the old one.
   Sink exchange_sink(Sink sink) { return std::exchange(sink_, std::move(sink)); }

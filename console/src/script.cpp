@@ -115,7 +115,7 @@ std::string read_text(const std::filesystem::path& file) {
                                             .near = std::move(inside)});
   }
   std::ifstream in(file, std::ios::binary);
-  constexpr std::size_t kMost = (16U << 20U) + 1;  // one more than a script may have: it says that it is too long
+  constexpr std::size_t kMost = kLongestScript + 1;  // one more than it may have: a script says that it is too long
   std::string text;
   for (std::array<char, 1U << 16U> block{}; in && text.size() < kMost;) {
     in.read(block.data(), block.size());

@@ -155,8 +155,10 @@ void Session::run(const Line& line) {
   try {
     verb.handler(*this, line);
   } catch (const LineError&) {
+    reactor.take_signal();
     throw;
   } catch (const Error& error) {
+    reactor.take_signal();  // what it has cut short is no failure
     rethrow_at(line, error);
   }
 }

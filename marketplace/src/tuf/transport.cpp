@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <csignal>
 #include <cstdlib>
 #include <exception>
 #include <optional>
@@ -80,6 +81,14 @@ std::size_t receive(char* bytes, std::size_t one, std::size_t count, void* user)
   }
 }
 
+/// A signal that a program has put off until it listens again ends a transfer: it may last.
+int ends(void*, curl_off_t, curl_off_t, curl_off_t, curl_off_t) {
+  sigset_t waiting;
+  if (::sigpending(&waiting) != 0) return 0;
+  return sigismember(&waiting, SIGINT) == 1 || sigismember(&waiting, SIGTERM) == 1 ||
+         sigismember(&waiting, SIGHUP) == 1;
+}
+
 class CurlTransport final : public Transport {
  public:
   explicit CurlTransport(const Limits& limits) : limits_(limits), curl_(curl_easy_init(), curl_easy_cleanup) {
@@ -125,6 +134,8 @@ class CurlTransport final : public Transport {
     for (const char* name : {"SSL_CERT_FILE", "CURL_CA_BUNDLE"}) {
       if (const char* file = std::getenv(name); file && *file) set(CURLOPT_CAINFO, file);
     }
+    set(CURLOPT_NOPROGRESS, 0L);
+    set(CURLOPT_XFERINFOFUNCTION, &ends);
     set(CURLOPT_ERRORBUFFER, error_.data());
     set(CURLOPT_CONNECTTIMEOUT_MS, static_cast<long>(limits_.connect.count()));
     set(CURLOPT_TIMEOUT_MS, static_cast<long>((limits_.connect + limits_.patience + time_for_bytes).count()));
