@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdlib>
 #include <utility>
 
 #include <fmt/format.h>
@@ -318,8 +319,40 @@ std::vector<control::Argument> Line::control_arguments() const {
   return out;
 }
 
+namespace {
+
+/// `~/x`, as a shell reads it, which does not see what is typed at a prompt or stands in a file.
+void expand_home(Word& word, const Slot& slot) {
+  const std::string kind = slot.placeholder();
+  if (kind != "FILE" && kind != "DIR" && kind != "LIBRARY") return;
+  const char* home = std::getenv("HOME");
+  if (word.kind == WordKind::Plain && word.text.starts_with("~/") && home != nullptr) word.text.replace(0, 1, home);
+}
+
+void expand_home(Line& line, const Shape& shape, const std::vector<OptionSlot>& global_options) {
+  const auto& slots = shape.positional();
+  for (std::size_t i = 0; i < line.positional.size() && !slots.empty(); ++i)
+    expand_home(line.positional[i], slots[std::min(i, slots.size() - 1)]);
+  for (auto& [keyword, words] : line.clauses) {
+    for (Word& word : words) expand_home(word, shape.find_clause(keyword)->slot);
+  }
+  for (TypedArgument& argument : line.arguments) {
+    if (const ArgumentSlot* known = shape.find_argument(argument.name.text)) expand_home(argument.value, known->slot);
+  }
+  const auto expand_option = [&line](const OptionSlot& option) {
+    const auto [first, last] = line.options.equal_range(option.name);
+    for (auto one = first; one != last; ++one) expand_home(one->second.value, option.slot);
+  };
+  std::for_each(shape.options().begin(), shape.options().end(), expand_option);
+  std::for_each(global_options.begin(), global_options.end(), expand_option);
+}
+
+}  // namespace
+
 Line bind(const WordLine& words, const Shape& shape, const std::vector<OptionSlot>& global_options) {
-  return Binder(words, shape, global_options).bind();
+  Line line = Binder(words, shape, global_options).bind();
+  expand_home(line, shape, global_options);
+  return line;
 }
 
 }  // namespace fiona::console
