@@ -30,6 +30,7 @@ class Prompt {
             session.out.exchange_sink([this](Stream stream, std::string_view lines) { editor_.print(stream, lines); })),
         setting_(session.setting) {
     session.setting = Setting::Prompt;
+    session.is_guest = !options.started_host;
     ask_before_ = std::exchange(session.ask, [this](const std::string& question) -> std::optional<bool> {
       const auto answer = editor_.read(question, [this] { return has_ended(); });
       return answer && (answer->starts_with('y') || answer->starts_with('Y'));
@@ -42,6 +43,7 @@ class Prompt {
     if (run_ && session_.connected()) session_.host().forget(*run_);
     if (retry_) session_.reactor.cancel_timer(*retry_);
     session_.setting = setting_;
+    session_.is_guest = false;
     session_.ask = std::move(ask_before_);
     session_.out.exchange_sink(std::move(before_));
   }
@@ -88,8 +90,8 @@ class Prompt {
       if (words.empty()) return;
       ending_ = words.items.front().word.is_plain("quit");
       session_.run(words);
-    } catch (const Interrupted&) {
-      session_.out.remark("interrupted");
+    } catch (const Interrupted& interrupted) {
+      session_.out.remark(interrupted.what());
     } catch (const Error& error) {
       session_.out.error(error);
     }

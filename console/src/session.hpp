@@ -52,6 +52,7 @@ class Session {
   Setting setting = Setting::Shell;
   std::optional<Batch> batch;  ///< collects changes instead of making them, from `begin` to `commit`
   bool planning = false;       ///< transactions are tried only
+  bool is_guest = false;       ///< a person types to a host that somebody else has started
   /// Puts a question to whoever types; nothing: nobody is there.
   std::function<std::optional<bool>(const std::string& question)> ask;
   std::optional<int> finished;  ///< the exit code once `quit` was typed

@@ -221,7 +221,8 @@ std::vector<Verb> file_verbs() {
        "lets consoles on other machines connect. Each needs keys: keys make.",
        Access::Administer, verbs::run, false},
       {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
-       "Replaces the file in one step; a saved system that is run and saved again is the same text.", Access::Observe,
+       "Replaces the file in one step, the one that a link leads to, and keeps its mode; - is standard output. A saved "
+       "system that is run and saved again is the same text.", Access::Observe,
        verbs::save},
       {"source", forms({"source FILE"}), "runs the lines of a file, up to the first that fails",
        "Each line takes its own level.", Access::Compose, verbs::source},
@@ -238,8 +239,10 @@ std::vector<Verb> waiting_verbs() {
        verbs::expect, false},
       {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe,
        verbs::sleep, false},
-      {"quit", forms({"quit [CODE]"}), "ends the host; its exit code is CODE",
-       "It returns once another host can have its name. To leave the prompt and let the host run: Ctrl-D.",
+      {"quit", forms({"quit [CODE] [-y]"}), "ends the host; its exit code is CODE",
+       "It returns once another host can have its name. At the prompt of a host that something else has started it "
+       "asks "
+       "first; -y answers. To leave the prompt and let the host run: Ctrl-D.",
        Access::Administer, verbs::quit, false},
   };
 }
@@ -390,7 +393,7 @@ Line read_line(const WordLine& words) {
     for (const Verb& row : verb_rows()) known.push_back(row.name);
     throw LineError(words, name.place,
                     {.what = fmt::format("there is no verb '{}'", name.text),
-                     .next = "help",
+                     .next = name.text == "exit" ? "Ctrl-D leaves the prompt; quit ends the host" : "help",
                      .near = nearest_names(name.text, known)});
   }
   if (verb->takes_line) {

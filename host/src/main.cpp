@@ -216,6 +216,7 @@ int serve(Flags& flags) {
 int main(int argc, char** argv) {
   options::options_description description("fiona-host: holds a running system");
   Flags flags;
+  fiona::os::open_standard_streams();
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
   ::prctl(PR_SET_NAME, "fiona-host");  // started from a descriptor, it would have that one's number for its name

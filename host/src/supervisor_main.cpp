@@ -46,6 +46,7 @@ Supervisor::Options options_from(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  fiona::os::open_standard_streams();
   // Whoever reads what it says may go first. A handler, unlike SIG_IGN, is not handed down to the host.
   ::signal(SIGPIPE, [](int) {});
   fiona::os::wait_for_no_reader();

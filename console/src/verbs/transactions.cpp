@@ -178,8 +178,14 @@ void plan(Session& session, const Line& line) {
     if (inner.verb.text == "apply" || inner.verb.text == "undo" || inner.verb.text == "market") {
       find_verb(inner.verb.text)->handler(session, inner);
     } else {
-      const bool looks = find_verb(inner.verb.text)->access == Access::Observe;
+      const Verb& verb = *find_verb(inner.verb.text);
+      const bool looks = verb.access == Access::Observe;
       const bool alone = inner.verb.text == "upgrade";  // no part of a transaction, but its change can be planned
+      if (!looks && !alone && !verb.in_transaction)
+        throw line.error(inner.verb, {.what = fmt::format("'{}' is no change of the system: there is nothing to plan",
+                                                          inner.verb.text),
+                                      .expected = "a line that load, wire, set, apply, undo, market … begins",
+                                      .next = "help plan"});
       const Batch batch = looks ? Batch{} : collected(session, [&] {
         alone ? find_verb(inner.verb.text)->handler(session, inner) : session.run(inner);
       });

@@ -100,6 +100,11 @@ void quit(Session& session, const Line& line) {
       throw line.error(word, {.what = fmt::format("'{}' is no exit code", word.text), .expected = "0 .. 255"});
     code = static_cast<int>(value.integer());
   }
+  if (session.is_guest && session.setting == Setting::Prompt && !line.has("-y")) {
+    const auto yes =
+        session.ask ? session.ask("end the host and its system, for all who use it? (yes/no) ") : std::nullopt;
+    if (!yes.value_or(false)) return session.out.remark("nothing was ended; Ctrl-D leaves the prompt");
+  }
   control::Request request;
   request.mutable_quit()->set_exit_code(code);
   ControlClient& host = session.host();
