@@ -254,9 +254,9 @@ std::vector<Verb> remaining_verbs() {
               "market info PACKAGE [--from DIR]", "market install [PACKAGE …] [--locked FILE] [--from DIR] [-y]",
               "market update [PACKAGE …] [--from DIR] [-y]", "market remove PACKAGE … [-y]", "market rollback [N] [-y]",
               "market history", "market list", "market verify", "market lock [FILE]", "market init DIR",
-              "market publish FILE … [--to DIR]", "market accept DIR [NAME …]", "market revoke DIR NAME [because=TEXT]",
-              "market keys DIR", "market rotate DIR root|targets|online [KEY …] [threshold=N]",
-              "market sign DIR [-y]"}),
+              "market publish FILE … [--to DIR]", "market accept DIR [NAME [KEY] …]",
+              "market revoke DIR NAME [because=TEXT]", "market keys DIR",
+              "market rotate DIR root|targets|online [KEY …] [threshold=N]", "market sign DIR [-y]"}),
        "finds packages, installs them with what they require, goes back; keeps a marketplace",
        "PACKAGE is [publisher/]name[@version]. --from names a marketplace: a directory or an http(s) address, trusted "
        "by "
@@ -270,7 +270,9 @@ std::vector<Verb> remaining_verbs() {
        "fiona.lock, what is installed or what FILE loads, to the byte; `install --locked` installs that.\n"
        "`init` makes a marketplace and its keys. `publish` hands in packages that `plugin sign` has signed; `accept`, "
        "by "
-       "who has the keys, takes them in, those of new publishers where NAME names them. `revoke` takes back "
+       "who has the keys, takes them in, those of a new publisher where NAME names him and KEY, or an answer, says "
+       "that "
+       "this key is his. `revoke` takes back "
        "publisher/name@version, all of publisher/name, or a publisher with his key: users who have it are told, and "
        "cannot "
        "start it.\n"

@@ -66,7 +66,7 @@ class Acceptance {
     return revoked;
   }
 
-  Accepted run(const std::vector<std::string>& welcome) {
+  Accepted run(const std::vector<Welcome>& welcome) {
     for (const auto& name : incoming_.names()) read_incoming(name);
     for (const auto& name : incoming_.names()) {
       if (!name.ends_with(".json")) continue;
@@ -158,7 +158,7 @@ class Acceptance {
     }
   }
 
-  void take_publisher(const std::string& file_name, const std::vector<std::string>& welcome) {
+  void take_publisher(const std::string& file_name, const std::vector<Welcome>& welcome) {
     const std::string publisher = file_name.substr(0, file_name.size() - 5);
     const std::string role_file = content_if_there(incoming_.path() / file_name).value_or("");
     const auto key = tuf::claimed_key(role_file, file_name);
@@ -169,7 +169,8 @@ class Acceptance {
     const tuf::RoleContent role = tuf::read_role(role_file, *key, file_name);
     const auto known = repository_.key_ids_of(publisher);
     const bool is_known = known == std::vector<std::string>{tuf::key_id_of(*key)};
-    if (!is_known && std::ranges::find(welcome, publisher) == welcome.end()) {
+    const auto is_welcome = [&](const Welcome& one) { return one.name == publisher && one.key == *key; };
+    if (!is_known && std::ranges::none_of(welcome, is_welcome)) {
       result_.unknown.push_back({publisher, *key, !known.empty()});
       return;
     }
@@ -299,7 +300,7 @@ void require_keys(const filesystem::path& market, const KeeperOptions& options) 
 
 }  // namespace
 
-Accepted accept(const filesystem::path& market, const std::vector<std::string>& welcome, const KeeperOptions& options) {
+Accepted accept(const filesystem::path& market, const std::vector<Welcome>& welcome, const KeeperOptions& options) {
   require_keys(market, options);
   return Acceptance{market, options}.run(welcome);
 }

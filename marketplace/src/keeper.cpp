@@ -65,12 +65,12 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
     copy_checked(package, read.sha256, incoming, read.entry.file());
     by_publisher[read.entry.manifest().publisher()].push_back(read);
   }
-  std::vector<std::string> publishers;
+  std::vector<Welcome> publishers;
   for (const auto& [publisher, read] : by_publisher) {
     const auto names = options.keys.names();
     if (std::ranges::find(names, publisher) == names.end()) options.keys.make(publisher);
     incoming.replace(publisher + ".json", signed_role(publisher, read, true, options));
-    publishers.push_back(publisher);
+    publishers.push_back({publisher, options.keys.get(publisher).open()});
   }
   const Accepted accepted = accept(market, publishers, options);
   if (!accepted.refused.empty())

@@ -47,8 +47,7 @@ const std::vector<std::string>& top_level_of(const std::string& role) {
 
 // A key of this user by its name, or of somebody else as he gives it.
 tuf::OpenKey key_named(const std::string& text, const KeeperOptions& options) {
-  const bool is_key = text.size() == 64 && text.find_first_not_of("0123456789abcdef") == std::string::npos;
-  return is_key ? text : options.keys.get(text).open();
+  return tuf::is_open_key(text) ? text : options.keys.get(text).open();
 }
 
 std::string new_key_name(const std::string& market, const std::string& role, const KeeperOptions& options) {

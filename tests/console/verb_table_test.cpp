@@ -335,6 +335,7 @@ TEST(Lines, OfEveryVerbAndFormAreRead) {
         "market init DIR",
         "market publish a.fpk b.fpk --to DIR",
         "market accept DIR acme",
+        "market accept DIR acme 0000000000000000000000000000000000000000000000000000000000000000",
         "plugin new lidar --provides LocationProvider --requires GetIMUService --requires StepProvider",
         "plugin describe liblidar.so -o lidar.interface.textproto",
         "plugin test",

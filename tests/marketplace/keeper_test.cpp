@@ -75,7 +75,33 @@ TEST_F(KeptMarket, ANewPublisherWaitsForTheKeepersWord) {
   EXPECT_EQ(accepted.unknown[0].name, "acme");
   EXPECT_EQ(accepted.unknown[0].key, author().keys.get("acme").open());
   EXPECT_THAT(install_fault("nav"), HasSubstr("the marketplace has no package nav"));
-  EXPECT_FALSE(accept(market_, {"acme"}, keeper()).packages.empty());
+  EXPECT_FALSE(accept(market_, {acme()}, keeper()).packages.empty());
+}
+
+TEST_F(KeptMarket, ANewPublisherIsWelcomeWithTheKeyThatTheKeeperMeansAndNoOther) {
+  keeper().keys.make("acme");
+  const auto file = packed("nav", "1.0.0");
+  sign_package(file, author());
+  submit(file, market_, keeper());
+  const Accepted accepted = accept(market_, {{"acme", keeper().keys.get("acme").open()}}, keeper());
+  EXPECT_THAT(accepted.packages, IsEmpty());
+  ASSERT_EQ(accepted.unknown.size(), 1U);
+  EXPECT_EQ(accepted.unknown[0].key, acme().key);
+  EXPECT_EQ(market_roles(market_, keeper()).size(), 3U) << "it delegates to nobody";
+}
+
+TEST_F(KeptMarket, AKnownPublisherKeepsHisKeyThoughTheKeeperHasOneOfThatName) {
+  hand_in(packed("nav", "1.0.0"));
+  keeper().keys.make("acme");
+  const KeeperOptions impostor = options("impostor", 0);
+  impostor.keys.make("acme");
+  const auto file = packed("nav", "6.6.6", "evil");
+  sign_package(file, impostor);
+  submit(file, market_, impostor);
+  const Accepted accepted = accept(market_, {{"acme", keeper().keys.get("acme").open()}}, keeper());
+  ASSERT_EQ(accepted.unknown.size(), 1U);
+  EXPECT_TRUE(accepted.unknown[0].other_key);
+  EXPECT_EQ(market_roles(market_, keeper()).back().keys.keys, std::vector{acme().key});
 }
 
 TEST_F(KeptMarket, AKnownPublisherNeedsNoWord) {
@@ -129,7 +155,7 @@ TEST_F(KeptMarket, APackageThatWasSwappedInIncomingIsRefused) {
     if (entry.path().extension() == ".fpk")
       std::filesystem::copy_file(evil, entry.path(), std::filesystem::copy_options::overwrite_existing);
   }
-  EXPECT_THAT(accept(market_, {"acme"}, keeper()).refused, ElementsAre(HasSubstr("which has not come with it")));
+  EXPECT_THAT(accept(market_, {acme()}, keeper()).refused, ElementsAre(HasSubstr("which has not come with it")));
 }
 
 TEST_F(KeptMarket, ATamperedPackageIsNotInstalled) {
@@ -183,7 +209,7 @@ TEST_F(KeptMarket, NobodyElseAccepts) {
   KeeperOptions stranger = options("stranger", 0);
   stranger.trusted = scratch_ / "stranger-trusted";
   tuf::Client::trust(stranger.trusted, root_);
-  EXPECT_THAT(error_of([&] { accept(market_, {"acme"}, stranger); }).what(),
+  EXPECT_THAT(error_of([&] { accept(market_, {acme()}, stranger); }).what(),
               HasSubstr("this user has not the keys of this marketplace"));
   EXPECT_FALSE(keeps(market_, author()));
   EXPECT_TRUE(keeps(market_, keeper()));

@@ -47,8 +47,9 @@ class KeptMarket : public ::testing::Test {
   Accepted hand_in(const std::filesystem::path& file) {
     sign_package(file, author());
     submit(file, market_, author());
-    return accept(market_, {publisher_}, keeper());
+    return accept(market_, {acme()}, keeper());
   }
+  Welcome acme() const { return {publisher_, author().keys.get(publisher_).open()}; }
   std::string install_fault(const std::string& name, int on_day = 0) {
     try {
       install(name, open_marketplace(market_.string(), user(on_day)), scratch_ / "store");

@@ -35,7 +35,7 @@ TEST_F(MarketplaceAttack, PublisherUnderTheNameOfTheFirstPartyInAnotherMarketpla
   pack_to(file, source);
   sign_package(file, options("mallory", 0));
   submit(file, market_, options("mallory", 0));
-  accept(market_, {"fiona"}, keeper());
+  accept(market_, {{"fiona", options("mallory", 0).keys.get("fiona").open()}}, keeper());
   const Marketplace market = open_marketplace(market_.string(), user());
   EXPECT_TRUE(plan_install({"fiona/steps"}, market, store()).needs_consent());
   install("fiona/steps", market, scratch_ / "store");
@@ -51,7 +51,7 @@ TEST_F(MarketplaceAttack, PublisherUnderTheNameOfAKnownOneInAnotherMarketplace) 
   const auto file = packed("steps", "9.0.0");
   sign_package(file, options("mallory", 0));
   submit(file, other, options("mallory", 0));
-  accept(other, {"acme"}, options("mallory", 0));
+  accept(other, {{"acme", options("mallory", 0).keys.get("acme").open()}}, options("mallory", 0));
   const Plan plan = plan_install({"steps"}, open_marketplace(other.string(), user()), store());
   EXPECT_THAT(plan.steps[0].new_keys, SizeIs(1));
   EXPECT_TRUE(plan.needs_consent());
@@ -68,7 +68,7 @@ TEST_F(MarketplaceAttack, PublisherNamedAsARoleOfTheMarketplace) {
                 HasSubstr("has a meaning of its own"));
     testing::write_file(market_ / "incoming" / (name + ".json"),
                         tuf::next_role(std::nullopt, author().keys.get("acme"), {}, true, day(100)));
-    EXPECT_THAT(accept(market_, {name}, keeper()).refused, SizeIs(1)) << name;
+    EXPECT_THAT(accept(market_, {{name, acme().key}}, keeper()).refused, SizeIs(1)) << name;
     std::filesystem::remove(market_ / "incoming" / (name + ".json"));
   }
 }
@@ -80,7 +80,7 @@ TEST_F(MarketplaceAttack, MarketplaceThatRevokesWhatAnotherHasBrought) {
   const auto file = scratch_ / "out/steps-1.0.0.fpk";
   sign_package(file, author());
   submit(file, other, author());
-  accept(other, {"acme"}, options("mallory", 0));
+  accept(other, {acme()}, options("mallory", 0));
   revoke(other, "acme/steps", "we do not like it", options("mallory", 0));
   EXPECT_THAT(note_revocations(open_marketplace(other.string(), user()), scratch_ / "store"), IsEmpty());
   EXPECT_NO_THROW(store().require_not_revoked(store().find("steps")));

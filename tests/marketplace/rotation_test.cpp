@@ -40,7 +40,7 @@ class Rotation : public KeptMarket {
   }
   Accepted submit_again(const std::string& name) {
     submit(scratch_ / ("out/" + name + ".fpk"), market_, author());
-    return accept(market_, {"acme"}, keeper());
+    return accept(market_, {acme()}, keeper());
   }
   std::string next_version() { return "1.0." + std::to_string(++patch_); }
   void forget_key(const std::string& name) { std::filesystem::remove(keeper().keys.path() / (name + ".key")); }
@@ -203,7 +203,7 @@ TEST_F(LostKey, WhoHandsInNothingOfWhatHeSignsForIsNotTrustedYet) {
   for (const auto& entry : std::filesystem::directory_iterator(market_ / "incoming")) {
     if (entry.path().extension() == ".fpk") std::filesystem::remove(entry.path());
   }
-  EXPECT_THAT(accept(market_, {"acme"}, keeper()).refused, ::testing::ElementsAre(HasSubstr("has not come with it")));
+  EXPECT_THAT(accept(market_, {acme()}, keeper()).refused, ::testing::ElementsAre(HasSubstr("has not come with it")));
   EXPECT_THAT(keys_of("acme").keys, ::testing::ElementsAre(before));
   EXPECT_EQ(install_fault("steps@1.1.0"), "");
 }

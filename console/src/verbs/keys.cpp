@@ -88,7 +88,7 @@ void keys(Session& session, const Line& line) {
     session.out.done(fmt::format("{} signs with another key from now on: {}", line.positional[1].text, key));
     return session.out.remark(
         "next: tell it to the keeper of each marketplace, who is to welcome you again: plugin sign, "
-        "market publish; then market accept DIR NAME");
+        "market publish; then market accept DIR NAME KEY");
   }
   if (what == "trust") return trust_root(session, line);
   if (what == "forget") {

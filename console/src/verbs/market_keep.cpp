@@ -20,9 +20,10 @@ void tell_accepted(Session& session, const marketplace::Accepted& accepted, cons
   }
   for (const std::string& reason : accepted.refused) session.out.remark("refused " + reason);
   for (const auto& publisher : accepted.unknown) {
-    session.out.remark(fmt::format(
-        "{} is {}; his key is {}\n  next: make sure that it is his, then: fiona market accept {} {}", publisher.name,
-        publisher.other_key ? "known by another key" : "a new publisher", publisher.key, market, publisher.name));
+    session.out.remark(
+        fmt::format("{} is {}; his key is {}\n  next: make sure that it is his, then: fiona market accept {} {} {}",
+                    publisher.name, publisher.other_key ? "known by another key" : "a new publisher", publisher.key,
+                    market, publisher.name, publisher.key));
   }
   if (accepted.packages.empty()) session.out.done("nothing new was accepted; index and time are signed anew");
 }
@@ -43,21 +44,74 @@ void market_init(Session& session, const Line& line) {
 void market_publish(Session& session, const Line& line) {
   const Word* to = line.option("--to");
   const std::string market = to == nullptr ? marketplace::Marketplace::default_directory().string() : to->text;
-  const std::vector<std::string> own = tuf::SigningKeys().names();
-  std::vector<std::string> welcome;  // whose key is this user's, if he is the keeper too
+  const tuf::SigningKeys keys;
+  const std::vector<std::string> own = keys.names();
+  std::vector<marketplace::Welcome> welcome;  // whose key is this user's, if he is the keeper too
   for (std::size_t i = 1; i < line.positional.size(); ++i) {
     const std::string publisher = marketplace::submit(line.positional[i].text, market);
-    if (std::find(own.begin(), own.end(), publisher) != own.end()) welcome.push_back(publisher);
+    if (std::find(own.begin(), own.end(), publisher) != own.end())
+      welcome.push_back({publisher, keys.get(publisher).open()});
     session.out.done(fmt::format("handed in {}", line.positional[i].text), {{"file", line.positional[i].text}});
   }
   if (!marketplace::keeps(market)) return session.out.remark("it will be there once its keeper accepts it");
   tell_accepted(session, marketplace::accept(market, welcome), market);
 }
 
+namespace {
+
+struct NamedPublisher {
+  Word name;
+  tuf::OpenKey key;  ///< empty: it was not typed
+};
+
+/// Of "NAME [KEY] …".
+std::vector<NamedPublisher> named_publishers(const Line& line) {
+  std::vector<NamedPublisher> named;
+  for (std::size_t i = 2; i < line.positional.size(); ++i) {
+    const Word& word = line.positional[i];
+    const bool is_key = tuf::is_open_key(word.text) && !named.empty() && named.back().key.empty();
+    is_key ? void(named.back().key = word.text) : void(named.push_back({word, ""}));
+  }
+  return named;
+}
+
+/// A name alone says nothing: whoever can hand in may have made a key of that name.
+bool is_his_key(Session& session, const Line& line, const NamedPublisher& named,
+                const marketplace::NewPublisher& publisher) {
+  if (!named.key.empty())
+    throw line.error(named.name,
+                     {.what = fmt::format("{} has signed with another key than this", publisher.name),
+                      .expected = named.key,
+                      .found = publisher.key,
+                      .next = "ask the publisher for his: fiona keys shows it to him"},
+                     ErrorCode::BadSignature);
+  const std::string question = fmt::format("Is {} the key of {}? (yes/no) ", publisher.key, publisher.name);
+  const std::optional<bool> answer = session.ask ? session.ask(question) : std::nullopt;
+  if (answer) return *answer;
+  throw line.error(named.name,
+                   {.what = "whoever has that key is this publisher from now on, and nobody is here to agree",
+                    .next = fmt::format("make sure that it is his, then: fiona market accept {} {} {}",
+                                        line.positional[1].text, publisher.name, publisher.key)},
+                   ErrorCode::NotAllowed);
+}
+
+}  // namespace
+
 void market_accept(Session& session, const Line& line) {
-  std::vector<std::string> welcome;
-  for (std::size_t i = 2; i < line.positional.size(); ++i) welcome.push_back(line.positional[i].text);
-  tell_accepted(session, marketplace::accept(line.positional[1].text, welcome), line.positional[1].text);
+  const std::string& market = line.positional[1].text;
+  const auto named = named_publishers(line);
+  std::vector<marketplace::Welcome> welcome;
+  for (const auto& one : named) welcome.push_back({one.name.text, one.key});
+  const marketplace::Accepted accepted = marketplace::accept(market, welcome);
+  tell_accepted(session, accepted, market);
+  welcome.clear();
+  for (const auto& publisher : accepted.unknown) {
+    const auto is_he = [&](const NamedPublisher& one) { return one.name.text == publisher.name; };
+    const auto found = std::find_if(named.begin(), named.end(), is_he);
+    if (found != named.end() && is_his_key(session, line, *found, publisher))
+      welcome.push_back({publisher.name, publisher.key});
+  }
+  if (!welcome.empty()) tell_accepted(session, marketplace::accept(market, welcome), market);
 }
 
 void market_revoke(Session& session, const Line& line) {

@@ -74,6 +74,10 @@ std::string SigningKey::sign(std::string_view message) const {
   return signature;
 }
 
+bool is_open_key(std::string_view text) {
+  return text.size() == 64 && text.find_first_not_of("0123456789abcdef") == std::string_view::npos;
+}
+
 std::string key_id_of(const OpenKey& key) { return key_id(key_json(key)); }
 
 SigningKeys::SigningKeys(filesystem::path directory)

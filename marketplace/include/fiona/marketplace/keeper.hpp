@@ -50,6 +50,12 @@ struct NewPublisher {
   bool other_key = false;  ///< known by another key
 };
 
+/// A publisher who is let in, and the key that he was asked for.
+struct Welcome {
+  std::string name;
+  tuf::OpenKey key;
+};
+
 struct Accepted {
   std::vector<std::string> packages;  ///< target paths that are new
   std::vector<NewPublisher> unknown;  ///< left in `incoming`
@@ -57,9 +63,9 @@ struct Accepted {
 };
 
 /// Takes what was handed in by the publishers that the marketplace knows, and by those in `welcome`, to whom it
-/// delegates "PUBLISHER/*" with the key that they sign with. Signs index, snapshot and timestamp anew in any case.
-/// Throws fiona::Error (NotAllowed) where the keys for that are missing.
-Accepted accept(const std::filesystem::path& market, const std::vector<std::string>& welcome,
+/// delegates "PUBLISHER/*" if it is that key that they have signed with. Signs index, snapshot and timestamp anew in
+/// any case. Throws fiona::Error (NotAllowed) where the keys for that are missing.
+Accepted accept(const std::filesystem::path& market, const std::vector<Welcome>& welcome,
                 const KeeperOptions& options = {});
 
 /// Who signs what in a marketplace.

@@ -12,6 +12,9 @@ namespace fiona::tuf {
 /// The open half of an Ed25519 key as others are given it: 64 hexadecimal digits.
 using OpenKey = std::string;
 
+/// Whether it is one: 64 digits, lower-case.
+bool is_open_key(std::string_view text);
+
 /// The id by which metadata names an Ed25519 key: SHA-256 of its canonical form.
 std::string key_id_of(const OpenKey& key);
 
