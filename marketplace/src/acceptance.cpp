@@ -24,6 +24,7 @@ namespace {
 namespace filesystem = std::filesystem;
 
 constexpr std::string_view kPackageEnding = ".fpk";
+constexpr std::int64_t kMostSignatures = 1'000'000;  // of a publisher between two acceptances
 
 // One acceptance: the marketplace as it is, and what it is to become.
 class Acceptance {
@@ -74,6 +75,8 @@ class Acceptance {
         take_publisher(name, welcome);
       } catch (const Error& error) {
         result_.refused.push_back(name + ": " + error.text().what);
+      } catch (const std::exception& error) {  // one publisher's file holds up nobody else
+        result_.refused.push_back(name + ": " + error.what());
       }
     }
     write_market_index();
@@ -200,8 +203,14 @@ class Acceptance {
   std::string role_fault(const std::string& file_name, const std::string& publisher,
                          const tuf::RoleContent& role) const {
     if (role.expires <= now_of(options_)) return "it has expired; its publisher is to sign again: fiona plugin sign";
+    for (const auto& target : role.targets) {
+      if (!target.path.starts_with(publisher + "/"))
+        return "it signs for " + target.path + ", and may for " + publisher + "/… only";
+    }
     const std::int64_t here = repository_.version_of(publisher);
-    if (role.version > here) return {};
+    if (role.version > here && role.version - here <= kMostSignatures) return {};
+    if (role.version > here)
+      return fmt::format("it is version {}, and version {} is here: nobody has signed so often", role.version, here);
     return fmt::format(
         "it is version {}, and version {} is here already; its publisher is to sign after that: fiona plugin sign FILE "
         "after={}",

@@ -5,6 +5,7 @@
 
 #include "keeper_packages.hpp"
 #include "keeper_parts.hpp"
+#include "tuf/role_file.hpp"
 
 namespace fiona::marketplace {
 namespace {
@@ -35,7 +36,8 @@ void sign_after(const std::string& publisher, const filesystem::path& published,
   if (kept && tuf::read_role(*kept, key.open(), publisher + ".json").version >= role.version) return;
   // What another key has signed for is that key's: of it the number counts, and nothing else.
   const auto own = [&] {
-    return tuf::next_role(kept, key, {}, false, now_of(options) + options.lifetimes.targets, role.version + 1);
+    return tuf::next_role(kept, key, {}, false, now_of(options) + options.lifetimes.targets,
+                          tuf::version_after(role.version));
   };
   options.keys.keep_signed_role(publisher, *claimed == key.open() ? *file : own());
 }

@@ -4,6 +4,7 @@
 #include "fiona/trust/tuf_repository.hpp"
 #include "json.hpp"
 #include "metadata.hpp"
+#include "refuse.hpp"
 #include "role_file.hpp"
 #include "trusted_metadata.hpp"
 
@@ -19,7 +20,12 @@ RoleContent read_role(std::string_view file, const OpenKey& key, const std::stri
   const std::string id = key_id_of(key);
   require_signatures(role, {{id}, 1}, Keys{{id, PublicKey(key_json(key), shown)}}, "the key " + key);
   RoleContent content{role.version, role.expires, {}};
-  for (const auto& [path, target] : role.targets) content.targets.push_back(target);
+  for (const auto& [path, target] : role.targets) {
+    if (!target.hashes.contains("sha256"))
+      refuse(ErrorCode::BadSignature, ErrorText{.what = shown + " signs for " + path + " without its sha256",
+                                                .next = "its publisher is to sign with fiona plugin sign"});
+    content.targets.push_back(target);
+  }
   return content;
 }
 

@@ -1,7 +1,10 @@
 #include "role_file.hpp"
 
+#include <limits>
+
 #include "digest.hpp"
 #include "metadata.hpp"
+#include "refuse.hpp"
 
 namespace fiona::tuf {
 
@@ -13,8 +16,15 @@ Json new_role(std::string_view type, Time expires) {
   return {{"_type", type}, {"spec_version", "1.0.31"}, {"version", 1}, {"expires", time_text(expires)}};
 }
 
+std::int64_t version_after(std::int64_t version) {
+  if (version < std::numeric_limits<std::int64_t>::max()) return version + 1;
+  refuse(ErrorCode::Failed,
+         ErrorText{.what = "no version follows the one that was signed last: it is the last that there is",
+                   .next = "go on under another name: fiona keys new NAME"});
+}
+
 void raise_version(Json& role, Time expires) {
-  role["version"] = role.at("version").get<std::int64_t>() + 1;
+  role["version"] = version_after(role.at("version").get<std::int64_t>());
   role["expires"] = time_text(expires);
 }
 

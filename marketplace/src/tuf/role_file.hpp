@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -16,6 +17,9 @@ Json key_json(const OpenKey& key);
 
 /// {"_type", "spec_version", "version": 1, "expires"}.
 Json new_role(std::string_view type, Time expires);
+
+/// The version that follows. Throws fiona::Error (Failed) for the last that there is.
+std::int64_t version_after(std::int64_t version);
 
 /// The next version of a role, valid until then.
 void raise_version(Json& role, Time expires);

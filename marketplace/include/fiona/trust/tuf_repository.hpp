@@ -101,7 +101,7 @@ class Repository {
 struct RoleContent {
   std::int64_t version = 0;
   Time expires{};
-  std::vector<TargetInfo> targets;
+  std::vector<TargetInfo> targets;  ///< each with its sha256
 };
 RoleContent read_role(std::string_view file, const OpenKey& key, const std::string& shown);
 
