@@ -26,6 +26,20 @@ namespace filesystem = std::filesystem;
 constexpr std::string_view kPackageEnding = ".fpk";
 constexpr std::int64_t kMostSignatures = 1'000'000;  // of a publisher between two acceptances
 
+Withdrawal withdrawal_of(const IndexEntry& entry) {
+  Withdrawal withdrawn;
+  withdrawn.set_package(full_name(entry.manifest()));
+  withdrawn.set_version(entry.manifest().version());
+  withdrawn.set_architecture(entry.manifest().architecture());
+  withdrawn.set_blake2b(entry.blake2b());
+  return withdrawn;
+}
+
+template <class Entries, class Predicate>
+void erase_if(Entries& entries, const Predicate& is_meant) {
+  entries.erase(std::remove_if(entries.begin(), entries.end(), is_meant), entries.end());
+}
+
 // One acceptance: the marketplace as it is, and what it is to become.
 class Acceptance {
  public:
@@ -44,19 +58,26 @@ class Acceptance {
     const std::size_t at = what.find('@');
     const std::string name = what.substr(0, at), version = at == std::string::npos ? "" : what.substr(at + 1);
     const bool is_publisher = name.find('/') == std::string::npos;
-    auto& entries = *index_.mutable_entries();
     std::vector<Revocation> revoked;
-    const auto is_meant = [&](const IndexEntry& entry) {
-      const Manifest& manifest = entry.manifest();
-      return (is_publisher ? manifest.publisher() : full_name(manifest)) == name &&
-             (version.empty() || manifest.version() == version);
+    const auto is_meant = [&](const std::string& package, const std::string& its_version) {
+      return (is_publisher ? package.substr(0, package.find('/')) : package) == name &&
+             (version.empty() || its_version == version);
     };
-    for (const IndexEntry& entry : entries) {
-      if (is_meant(entry)) revoked.push_back(revocation_of(entry, reason));
+    const auto is_meant_entry = [&](const IndexEntry& entry) {
+      return is_meant(full_name(entry.manifest()), entry.manifest().version());
+    };
+    const auto is_meant_withdrawal = [&](const Withdrawal& one) { return is_meant(one.package(), one.version()); };
+    for (const IndexEntry& entry : index_.entries()) {
+      if (is_meant_entry(entry)) revoked.push_back(revocation_of(withdrawal_of(entry), reason));
+    }
+    // Who has what was withdrawn has it still.
+    for (const Withdrawal& one : index_.withdrawn()) {
+      if (is_meant_withdrawal(one)) revoked.push_back(revocation_of(one, reason));
     }
     const bool known = !revoked.empty() || (is_publisher && !repository_.key_ids_of(name).empty());
     if (!known || (is_publisher && !version.empty())) refuse_unknown(what);
-    entries.erase(std::remove_if(entries.begin(), entries.end(), is_meant), entries.end());
+    erase_if(*index_.mutable_entries(), is_meant_entry);
+    erase_if(*index_.mutable_withdrawn(), is_meant_withdrawal);
     for (const Revocation& one : revoked) *index_.add_revoked() = one;
     index_.set_generation(index_.generation() + 1);
     if (is_publisher && !repository_.key_ids_of(name).empty()) repository_.undelegate(name);
@@ -88,11 +109,11 @@ class Acceptance {
   }
 
  private:
-  Revocation revocation_of(const IndexEntry& entry, const std::string& reason) const {
+  Revocation revocation_of(const Withdrawal& package, const std::string& reason) const {
     Revocation revoked;
-    revoked.set_package(full_name(entry.manifest()));
-    revoked.set_version(entry.manifest().version());
-    revoked.set_blake2b(entry.blake2b());
+    revoked.set_package(package.package());
+    revoked.set_version(package.version());
+    revoked.set_blake2b(package.blake2b());
     revoked.set_reason(reason);
     revoked.set_time_s(now_of(options_).time_since_epoch().count());
     return revoked;
@@ -104,6 +125,7 @@ class Acceptance {
       known.insert({entry.manifest().publisher(), full_name(entry.manifest()),
                     full_name(entry.manifest()) + "@" + entry.manifest().version()});
     }
+    for (const auto& one : index_.withdrawn()) known.insert({one.package(), one.package() + "@" + one.version()});
     throw Error(ErrorCode::NotFound,
                 ErrorText{.what = "the marketplace offers nothing that is called " + what,
                           .where = how_.directory.string(),
@@ -220,11 +242,13 @@ class Acceptance {
   // All that the role signs for must be there or have come; what it signs for no longer is withdrawn.
   void take_packages(const std::string& publisher, const tuf::RoleContent& role) {
     Index next = index_;
-    auto& entries = *next.mutable_entries();
     const auto withdrawn = [&](const IndexEntry& entry) {
       return entry.manifest().publisher() == publisher && !find_target(role.targets, target_path(entry.manifest()));
     };
-    entries.erase(std::remove_if(entries.begin(), entries.end(), withdrawn), entries.end());
+    for (const auto& entry : index_.entries()) {
+      if (withdrawn(entry) && !options_.replace) *next.add_withdrawn() = withdrawal_of(entry);
+    }
+    erase_if(*next.mutable_entries(), withdrawn);
     const DurableDirectory home = targets_.child(publisher, 0755);
     std::vector<std::string> paths, done;
     for (const auto& target : role.targets) {

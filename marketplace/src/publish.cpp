@@ -57,15 +57,29 @@ void copy_in(const filesystem::path& from, const IndexEntry& entry, const Durabl
   }
 }
 
-[[noreturn]] void refuse_other_content(const IndexEntry& published, const IndexEntry& entry,
+[[noreturn]] void refuse_other_content(const char* published, const std::string& blake2b, const IndexEntry& entry,
                                        const filesystem::path& marketplace) {
-  throw Error(ErrorCode::NotAllowed,
-              ErrorText{.what = full_name(entry.manifest()) + " " + published.manifest().version() +
-                                " is published already, with other content",
-                        .where = marketplace.string(),
-                        .expected = published.blake2b(),
-                        .found = entry.blake2b(),
-                        .next = "raise the version in the manifest, pack and publish again"});
+  throw Error(ErrorCode::NotAllowed, ErrorText{.what = full_name(entry.manifest()) + " " + entry.manifest().version() +
+                                                       published + ", with other content",
+                                               .where = marketplace.string(),
+                                               .expected = blake2b,
+                                               .found = entry.blake2b(),
+                                               .next = "raise the version in the manifest, pack and publish again"});
+}
+
+// What comes back is what was withdrawn, to the byte.
+void take_back_withdrawal(Index& index, const IndexEntry& entry, const filesystem::path& marketplace) {
+  const Manifest& manifest = entry.manifest();
+  auto& all = *index.mutable_withdrawn();
+  const auto found = std::ranges::find_if(all, [&](const Withdrawal& one) {
+    const auto version = Version::parse(one.version());
+    return one.package() == full_name(manifest) && one.architecture() == manifest.architecture() && version &&
+           *version == *Version::parse(manifest.version());
+  });
+  if (found == all.end()) return;
+  if (found->blake2b() != entry.blake2b())
+    refuse_other_content(" was published and withdrawn", found->blake2b(), entry, marketplace);
+  all.erase(found);
 }
 
 }  // namespace
@@ -84,7 +98,8 @@ IndexEntry entry_for(const PackageContents& contents) {
 bool add_entry(Index& index, const IndexEntry& entry, bool replace, const filesystem::path& marketplace) {
   IndexEntry* published = find_version(index, entry.manifest());
   if (published && published->blake2b() == entry.blake2b()) return false;
-  if (published && !replace) refuse_other_content(*published, entry, marketplace);
+  if (published && !replace) refuse_other_content(" is published already", published->blake2b(), entry, marketplace);
+  if (!replace) take_back_withdrawal(index, entry, marketplace);
   *(published ? published : index.add_entries()) = entry;
   index.set_generation(index.generation() + 1);
   std::ranges::sort(*index.mutable_entries(), {}, &IndexEntry::file);
@@ -100,7 +115,8 @@ PublishOutcome publish(const filesystem::path& package, const filesystem::path& 
   IndexEntry* published = find_version(index, entry.manifest());
   const bool same = published && published->blake2b() == entry.blake2b();
   if (same && directory.has(entry.file())) return PublishOutcome::AlreadyPublished;
-  if (published && !same && !options.replace) refuse_other_content(*published, entry, directory.path());
+  if (published && !same && !options.replace)
+    refuse_other_content(" is published already", published->blake2b(), entry, directory.path());
   const std::string replaced = published && !same ? published->file() : "";
   copy_in(package, entry, directory);
   if (!add_entry(index, entry, options.replace, directory.path())) index.set_generation(index.generation() + 1);

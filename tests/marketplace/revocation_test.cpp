@@ -146,6 +146,36 @@ TEST_F(RevokedPackage, AReasonCannotDriveATerminal) {
   EXPECT_THAT(error.text().what, HasSubstr("the reason"));
 }
 
+/// The publisher signs for steps no longer.
+class WithdrawnPackage : public RevokedPackage {
+ protected:
+  void SetUp() override {
+    RevokedPackage::SetUp();
+    ASSERT_EQ(install_fault("steps"), "");
+    std::filesystem::remove(author().keys.path() / "acme.json");
+    for (int i = 0; i < 3; ++i) hand_in(packed("other", "1." + std::to_string(i) + ".0"));  // version 3 again
+    ASSERT_EQ(target("steps-1.0.0-x86_64.fpk"), "");
+  }
+};
+
+TEST_F(WithdrawnPackage, IsRevokedForWhoHasIt) {
+  EXPECT_THAT(revoke(market_, "acme/steps@1.0.0", "it counts backwards", keeper()), SizeIs(1));
+  EXPECT_THAT(refresh(), SizeIs(1));
+  EXPECT_THAT(start_fault("steps"), HasSubstr("has been revoked: it counts backwards"));
+}
+
+TEST_F(WithdrawnPackage, GoesWithAllOfItsPublisher) {
+  EXPECT_THAT(revoke(market_, "acme", "the key was stolen", keeper()), SizeIs(4));
+  EXPECT_THAT(refresh(), SizeIs(1));
+}
+
+TEST_F(WithdrawnPackage, ComesBackToTheByteAndNotOtherwise) {
+  EXPECT_THAT(hand_in(packed("steps", "1.0.0", "other code")).refused,
+              ::testing::ElementsAre(HasSubstr("acme/steps 1.0.0 was published and withdrawn, with other content")));
+  EXPECT_THAT(hand_in(packed("steps", "1.0.0")).packages, SizeIs(1));
+  EXPECT_THAT(revoke(market_, "acme/steps", "", keeper()), SizeIs(1)) << "it is listed once";
+}
+
 // ---- whom a name stands for ----
 
 TEST_F(KeptMarket, TheKeyOfANewPublisherIsShown) {
