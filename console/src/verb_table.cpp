@@ -286,7 +286,7 @@ std::vector<Verb> remaining_verbs() {
               "plugin describe LIBRARY [-o FILE] [with unconfined]", "plugin test [DIR] [for T] [with unconfined]",
               "plugin check [DIR|LIBRARY|FILE] [with unconfined]",
               "plugin pack [DIR] [-o FILE] [for T] [with unconfined]", "plugin sign FILE … [after=FILE]",
-              "plugin messages [PACKAGE]"}),
+              "plugin unsign PACKAGE@VERSION …", "plugin messages [PACKAGE]"}),
        "the author's side: makes a plugin, tests it, checks it, packs it and signs the package",
        "`new` writes a folder that builds and passes its tests at once: a component with these ports, its parameters, "
        "a "
@@ -299,9 +299,10 @@ std::vector<Verb> remaining_verbs() {
        "`check` says what would keep it from being published, with the place and what to do; of DIR, a library or a "
        "package. -v lists what is well.\n"
        "`pack` builds, checks and writes NAME-VERSION-MACHINE.fpk: the same files give the same bytes. `sign` writes "
-       "PUBLISHER.json beside it: what the publisher's key (keys new PUBLISHER) has signed. Who has lost that, or the "
-       "key, signs "
-       "`after` what the marketplace has: metadata/NUMBER.PUBLISHER.json.\n"
+       "PUBLISHER.json beside it: all that the publisher's key (keys new PUBLISHER) signs for. Who has lost that, or "
+       "the "
+       "key, or has signed what was never published, signs `after` what the marketplace has: "
+       "metadata/NUMBER.PUBLISHER.json. `unsign` takes a version off the list.\n"
        "`describe` shows what a library declares, or writes it to FILE, as its interface. `messages` lists the "
        "installed "
        "packages whose objects a plugin can be compiled with: fiona_add_plugin(… MESSAGES PACKAGE).\n"

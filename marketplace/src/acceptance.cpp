@@ -6,6 +6,7 @@
 #include <fiona/error.hpp>
 #include <fiona/marketplace/keeper.hpp>
 #include <map>
+#include <optional>
 #include <set>
 
 #include "durable.hpp"
@@ -95,9 +96,9 @@ class Acceptance {
       try {
         take_publisher(name, welcome);
       } catch (const Error& error) {
-        result_.refused.push_back(name + ": " + error.text().what);
+        refuse(name, error.text().what, error.text().next);
       } catch (const std::exception& error) {  // one publisher's file holds up nobody else
-        result_.refused.push_back(name + ": " + error.what());
+        refuse(name, error.what(), "its publisher is to sign with fiona plugin sign");
       }
     }
     write_market_index();
@@ -140,8 +141,8 @@ class Acceptance {
       const bool same_version =
           one.package() == full_name(entry.manifest()) && one.version() == entry.manifest().version();
       if (!same_version && one.blake2b() != entry.blake2b()) continue;
-      return fmt::format("{} {} has been revoked{}; its publisher is to raise the version", one.package(),
-                         one.version(), one.reason().empty() ? "" : ": " + one.reason());
+      return fmt::format("{} {} has been revoked{}", one.package(), one.version(),
+                         one.reason().empty() ? "" : ": " + one.reason());
     }
     return {};
   }
@@ -179,7 +180,7 @@ class Acceptance {
     try {
       packages_.emplace(name, read_for_keeping(incoming_.path() / name, options_));
     } catch (const Error& error) {
-      result_.refused.push_back(name + ": " + error.text().what);
+      refuse(name, error.text().what, error.text().next);
     }
   }
 
@@ -188,8 +189,8 @@ class Acceptance {
     const std::string role_file = content_if_there(incoming_.path() / file_name).value_or("");
     const auto key = tuf::claimed_key(role_file, file_name);
     if (!is_publisher(publisher) || !key) {
-      result_.refused.push_back(file_name + ": it does not say which key has signed it");
-      return;
+      return refuse(file_name, "it does not say which key has signed it",
+                    "its publisher is to sign with fiona plugin sign");
     }
     const tuf::RoleContent role = tuf::read_role(role_file, *key, file_name);
     const auto known = repository_.key_ids_of(publisher);
@@ -200,10 +201,7 @@ class Acceptance {
       return;
     }
     if (is_known && says_what_is_here(publisher, role)) return done_.push_back(file_name);
-    if (const std::string fault = role_fault(file_name, publisher, role); !fault.empty()) {
-      result_.refused.push_back(file_name + ": " + fault);
-      return;
-    }
+    if (const auto fault = role_fault(publisher, role)) return refuse(file_name, fault->what, fault->next);
     take_packages(publisher, role);
     // Not before: a publisher whose file is not taken keeps the key that his file here is signed with.
     if (!is_known) repository_.delegate(publisher, {*key}, {publisher + "/*"});
@@ -221,22 +219,39 @@ class Acceptance {
     return role.targets.size() == here.size() && std::ranges::all_of(role.targets, is_here);
   }
 
-  // Why a publisher's file cannot take the place of the one that is here. Empty: it can.
-  std::string role_fault(const std::string& file_name, const std::string& publisher,
-                         const tuf::RoleContent& role) const {
-    if (role.expires <= now_of(options_)) return "it has expired; its publisher is to sign again: fiona plugin sign";
+  void refuse(const std::string& file, const std::string& what, const std::string& next) {
+    result_.refused.push_back({file, what, next});
+  }
+
+  /// "fiona plugin sign FILE after=…": with that a publisher goes on from what is here.
+  std::string sign_after(const std::string& publisher) const {
+    const auto here =
+        how_.directory / "metadata" / fmt::format("{}.{}.json", repository_.version_of(publisher), publisher);
+    return "fiona plugin sign FILE after=" + here.string();
+  }
+
+  // Why a publisher's file cannot take the place of the one that is here. Nothing: it can.
+  std::optional<ErrorText> role_fault(const std::string& publisher, const tuf::RoleContent& role) const {
+    if (role.expires <= now_of(options_))
+      return ErrorText{.what = "it has expired", .next = "its publisher is to sign again: fiona plugin sign FILE"};
     for (const auto& target : role.targets) {
       if (!target.path.starts_with(publisher + "/"))
-        return "it signs for " + target.path + ", and may for " + publisher + "/… only";
+        return ErrorText{.what = "it signs for " + target.path + ", and may for " + publisher + "/… only",
+                         .next = "its publisher is to sign with fiona plugin sign"};
     }
     const std::int64_t here = repository_.version_of(publisher);
-    if (role.version > here && role.version - here <= kMostSignatures) return {};
-    if (role.version > here)
-      return fmt::format("it is version {}, and version {} is here: nobody has signed so often", role.version, here);
-    return fmt::format(
-        "it is version {}, and version {} is here already; its publisher is to sign after that: fiona plugin sign FILE "
-        "after={}",
-        role.version, here, (how_.directory / "metadata" / fmt::format("{}.{}", here, file_name)).string());
+    if (role.version > here && role.version - here <= kMostSignatures) return std::nullopt;
+    const char* fault = role.version > here ? "it is version {}, and version {} is here: nobody has signed so often"
+                                            : "it is version {}, and version {} is here already";
+    return ErrorText{.what = fmt::format(fmt::runtime(fault), role.version, here),
+                     .next = "its publisher is to sign after that: " + sign_after(publisher)};
+  }
+
+  // How a publisher gets on who signs for what he does not hand in.
+  std::string next_without(const std::string& publisher, const std::string& path) const {
+    const std::string next = "its publisher is to hand in that too, or sign without it: ";
+    if (repository_.version_of(publisher) > 0) return next + sign_after(publisher);
+    return next + "fiona plugin unsign " + package_named(path) + ", then fiona plugin sign FILE";
   }
 
   // All that the role signs for must be there or have come; what it signs for no longer is withdrawn.
@@ -257,16 +272,17 @@ class Acceptance {
           packages_, [&](const auto& one) { return one.second.path == target.path && one.second.sha256 == sha256; });
       const std::string fault = came == packages_.end() ? "" : revocation_fault(came->second.entry);
       if (!fault.empty()) {
-        result_.refused.push_back(came->first + ": " + fault);
+        refuse(came->first, fault, "fiona plugin unsign " + package_named(target.path) + ", and another version");
         done.push_back(came->first);
       } else if (came != packages_.end()) {
-        if (add_entry(next, came->second.entry, options_.replace, how_.directory)) paths.push_back(target.path);
+        const std::string raise = "raise its version, pack it, and: " + sign_after(publisher);
+        if (add_entry(next, came->second.entry, options_.replace, how_.directory, raise)) paths.push_back(target.path);
         copy_checked(incoming_.path() / came->first, sha256, home, consistent_name(target.path, sha256));
         done.push_back(came->first);
       } else if (!home.has(consistent_name(target.path, sha256))) {
         throw Error(ErrorCode::NotFound,
                     ErrorText{.what = "it signs for " + target.path + ", which has not come with it",
-                              .next = "publish package and role together: market publish"});
+                              .next = next_without(publisher, target.path)});
       }
     }
     index_ = std::move(next);

@@ -26,8 +26,9 @@ Index parse_index(std::string_view bytes, const std::string& where);
 IndexEntry entry_for(const PackageContents& contents);
 
 /// Adds an entry; false if it is there already. Throws fiona::Error (NotAllowed) if this version is there with other
-/// content, unless that is to be replaced. `marketplace` is named in the error.
-bool add_entry(Index& index, const IndexEntry& entry, bool replace, const std::filesystem::path& marketplace);
+/// content, unless that is to be replaced. `marketplace` and `next` are in the error.
+bool add_entry(Index& index, const IndexEntry& entry, bool replace, const std::filesystem::path& marketplace,
+               const std::string& next);
 
 /// The path of a package among the targets of a signed marketplace: "PUBLISHER/NAME-VERSION-ARCHITECTURE.fpk".
 std::string target_path(const Manifest& manifest);

@@ -74,8 +74,8 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
   }
   const Accepted accepted = accept(market, publishers, options);
   if (!accepted.refused.empty())
-    throw Error(ErrorCode::Failed, {.what = accepted.refused.front(),
-                                    .where = (market / "incoming").string(),
+    throw Error(ErrorCode::Failed, {.what = accepted.refused.front().what,
+                                    .where = (market / "incoming" / accepted.refused.front().file).string(),
                                     .next = "mend it, and make the marketplace again"});
   const filesystem::path place = filesystem::absolute(market).lexically_normal();
   const std::string root = tuf::Repository{repository_options(market, options), options.keys}.root();

@@ -78,6 +78,12 @@ bool signs_for(const tuf::RoleContent& role, const ReadPackage& package) {
          target->hashes.at("sha256") == package.sha256;
 }
 
+std::string package_named(const std::string& path) {
+  const std::size_t dot = path.find('.'), version = path.rfind('-', dot) + 1,
+                    end = path.rfind('-');  // no name has a '.'
+  return path.substr(0, version - 1) + "@" + path.substr(version, end - version);
+}
+
 std::string consistent_name(const std::string& path, const std::string& sha256) {
   return sha256 + "." + path.substr(path.find('/') + 1);
 }

@@ -29,6 +29,9 @@ const tuf::TargetInfo* find_target(const std::vector<tuf::TargetInfo>& targets, 
 
 bool signs_for(const tuf::RoleContent& role, const ReadPackage& package);
 
+/// "publisher/name@version" of a target's path.
+std::string package_named(const std::string& path);
+
 /// The name of a target's file in the directory of its publisher.
 std::string consistent_name(const std::string& path, const std::string& sha256);
 

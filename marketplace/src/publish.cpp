@@ -58,17 +58,18 @@ void copy_in(const filesystem::path& from, const IndexEntry& entry, const Durabl
 }
 
 [[noreturn]] void refuse_other_content(const char* published, const std::string& blake2b, const IndexEntry& entry,
-                                       const filesystem::path& marketplace) {
+                                       const filesystem::path& marketplace, const std::string& next) {
   throw Error(ErrorCode::NotAllowed, ErrorText{.what = full_name(entry.manifest()) + " " + entry.manifest().version() +
                                                        published + ", with other content",
                                                .where = marketplace.string(),
                                                .expected = blake2b,
                                                .found = entry.blake2b(),
-                                               .next = "raise the version in the manifest, pack and publish again"});
+                                               .next = next});
 }
 
 // What comes back is what was withdrawn, to the byte.
-void take_back_withdrawal(Index& index, const IndexEntry& entry, const filesystem::path& marketplace) {
+void take_back_withdrawal(Index& index, const IndexEntry& entry, const filesystem::path& marketplace,
+                          const std::string& next) {
   const Manifest& manifest = entry.manifest();
   auto& all = *index.mutable_withdrawn();
   const auto found = std::ranges::find_if(all, [&](const Withdrawal& one) {
@@ -78,7 +79,7 @@ void take_back_withdrawal(Index& index, const IndexEntry& entry, const filesyste
   });
   if (found == all.end()) return;
   if (found->blake2b() != entry.blake2b())
-    refuse_other_content(" was published and withdrawn", found->blake2b(), entry, marketplace);
+    refuse_other_content(" was published and withdrawn", found->blake2b(), entry, marketplace, next);
   all.erase(found);
 }
 
@@ -95,11 +96,13 @@ IndexEntry entry_for(const PackageContents& contents) {
   return entry;
 }
 
-bool add_entry(Index& index, const IndexEntry& entry, bool replace, const filesystem::path& marketplace) {
+bool add_entry(Index& index, const IndexEntry& entry, bool replace, const filesystem::path& marketplace,
+               const std::string& next) {
   IndexEntry* published = find_version(index, entry.manifest());
   if (published && published->blake2b() == entry.blake2b()) return false;
-  if (published && !replace) refuse_other_content(" is published already", published->blake2b(), entry, marketplace);
-  if (!replace) take_back_withdrawal(index, entry, marketplace);
+  if (published && !replace)
+    refuse_other_content(" is published already", published->blake2b(), entry, marketplace, next);
+  if (!replace) take_back_withdrawal(index, entry, marketplace, next);
   *(published ? published : index.add_entries()) = entry;
   index.set_generation(index.generation() + 1);
   std::ranges::sort(*index.mutable_entries(), {}, &IndexEntry::file);
@@ -108,6 +111,7 @@ bool add_entry(Index& index, const IndexEntry& entry, bool replace, const filesy
 
 PublishOutcome publish(const filesystem::path& package, const filesystem::path& marketplace,
                        const PublishOptions& options) {
+  const char* kNext = "raise the version in the manifest, pack and publish again";
   const IndexEntry entry = entry_for(inspect_package(package, options.limits));
   DurableDirectory directory{options.os, marketplace, 0755};
   directory.lock(options.lock_wait);
@@ -116,10 +120,10 @@ PublishOutcome publish(const filesystem::path& package, const filesystem::path& 
   const bool same = published && published->blake2b() == entry.blake2b();
   if (same && directory.has(entry.file())) return PublishOutcome::AlreadyPublished;
   if (published && !same && !options.replace)
-    refuse_other_content(" is published already", published->blake2b(), entry, directory.path());
+    refuse_other_content(" is published already", published->blake2b(), entry, directory.path(), kNext);
   const std::string replaced = published && !same ? published->file() : "";
   copy_in(package, entry, directory);
-  if (!add_entry(index, entry, options.replace, directory.path())) index.set_generation(index.generation() + 1);
+  if (!add_entry(index, entry, options.replace, directory.path(), kNext)) index.set_generation(index.generation() + 1);
   directory.replace(std::string(kIndexFile), index.SerializeAsString());
   if (!replaced.empty()) directory.remove_file(replaced);
   return replaced.empty() ? PublishOutcome::Published : PublishOutcome::Replaced;

@@ -1,7 +1,11 @@
 // What a publisher does: he signs packages, and hands them in.
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 #include <algorithm>
 #include <fiona/error.hpp>
 #include <fiona/marketplace/keeper.hpp>
+#include <set>
 
 #include "keeper_packages.hpp"
 #include "keeper_parts.hpp"
@@ -33,13 +37,14 @@ void sign_after(const std::string& publisher, const filesystem::path& published,
   const tuf::SigningKey key = options.keys.get(publisher);
   const tuf::RoleContent role = tuf::read_role(*file, *claimed, published.string());
   const auto kept = options.keys.signed_role(publisher);
-  if (kept && tuf::read_role(*kept, key.open(), publisher + ".json").version >= role.version) return;
+  const std::int64_t last = kept ? tuf::read_role(*kept, key.open(), publisher + ".json").version : 0;
+  const bool is_own = *claimed == key.open();
+  if (is_own && last < role.version) return options.keys.keep_signed_role(publisher, *file);
   // What another key has signed for is that key's: of it the number counts, and nothing else.
-  const auto own = [&] {
-    return tuf::next_role(kept, key, {}, false, now_of(options) + options.lifetimes.targets,
-                          tuf::version_after(role.version));
-  };
-  options.keys.keep_signed_role(publisher, *claimed == key.open() ? *file : own());
+  if (!is_own && last >= role.version) return;
+  const std::int64_t next = tuf::version_after(std::max(last, role.version));
+  const tuf::Time until = now_of(options) + options.lifetimes.targets;
+  options.keys.keep_signed_role(publisher, tuf::next_role(is_own ? file : kept, key, {}, false, until, next));
 }
 
 }  // namespace
@@ -79,7 +84,33 @@ filesystem::path sign_package(const filesystem::path& package, const KeeperOptio
   return beside / (publisher + ".json");
 }
 
-std::string submit(const filesystem::path& package, const filesystem::path& market, const KeeperOptions& options) {
+void unsign_package(const std::string& package, const KeeperOptions& options) {
+  const std::size_t slash = package.find('/');
+  if (slash == std::string::npos || package.find('@') == std::string::npos)
+    throw Error(ErrorCode::Usage,
+                ErrorText{.what = "this names no version of a package", .expected = "publisher/name@version"});
+  const std::string publisher = package.substr(0, slash);
+  const tuf::SigningKey key = options.keys.get(publisher);
+  const auto before = options.keys.signed_role(publisher);
+  std::vector<tuf::TargetInfo> stay;
+  std::set<std::string> known;
+  std::size_t all = 0;
+  for (const auto& target : before ? tuf::read_role(*before, key.open(), publisher + ".json").targets : stay) {
+    ++all;
+    known.insert(package_named(target.path));
+    if (package_named(target.path) != package) stay.push_back(target);
+  }
+  if (stay.size() == all)
+    throw Error(ErrorCode::NotFound,
+                ErrorText{.what = "the key of " + publisher + " has not signed for " + package,
+                          .where = options.keys.path().string(),
+                          .expected = fmt::format("one of {}", fmt::join(known, ", ")),
+                          .near = nearest_names(package, std::vector<std::string>{known.begin(), known.end()})});
+  const tuf::Time until = now_of(options) + options.lifetimes.targets;
+  options.keys.keep_signed_role(publisher, tuf::next_role(before, key, stay, true, until));
+}
+
+Submitted submit(const filesystem::path& package, const filesystem::path& market, const KeeperOptions& options) {
   const ReadPackage read = read_for_keeping(package, options);
   const std::string publisher = read.entry.manifest().publisher(), name = publisher + ".json";
   const auto role_file = content_if_there(filesystem::absolute(package).parent_path() / name);
@@ -93,7 +124,7 @@ std::string submit(const filesystem::path& package, const filesystem::path& mark
   incoming.lock(std::chrono::seconds{10});
   copy_checked(package, read.sha256, incoming, read.entry.file());
   incoming.replace(name, *role_file);
-  return publisher;
+  return {publisher, read.entry.file()};
 }
 
 }  // namespace fiona::marketplace

@@ -112,6 +112,7 @@ TEST(VerbTable, EveryPlaceOfEveryFormIsCompletedOrFreeText) {
                                    "MIB",
                                    "CORES",
                                    "VERSION",
+                                   "PACKAGE@VERSION",
                                    "TEXT"};
   const std::vector<std::string> known = completed_placeholders();
   const auto check = [&](const Slot& slot, const std::string& form) {
@@ -343,6 +344,7 @@ TEST(Lines, OfEveryVerbAndFormAreRead) {
         "plugin check lidar.fpk",
         "plugin pack lidar -o lidar.fpk",
         "plugin sign lidar.fpk",
+        "plugin unsign acme/lidar@1.1.0",
         "keys",
         "keys list",
         "keys new acme",

@@ -144,7 +144,7 @@ TEST_F(KeptMarket, ASignatureForAnotherContentIsNoSignature) {
 TEST_F(KeptMarket, APublishedVersionKeepsItsContent) {
   hand_in(packed("nav", "1.0.0"));
   const Accepted accepted = hand_in(packed("nav", "1.0.0", "other code"));
-  EXPECT_THAT(accepted.refused, ElementsAre(HasSubstr("is published already, with other content")));
+  EXPECT_THAT(texts(accepted.refused), ElementsAre(HasSubstr("is published already, with other content")));
   EXPECT_EQ(install_fault("nav"), "");
 }
 
@@ -160,7 +160,7 @@ TEST_F(KeptMarket, APublishersFileThatCannotBeTakenHoldsUpNobodyElse) {
   submit(file, market_, author());
   const Accepted accepted = accept(market_, {{"globex", key.open()}}, keeper());
   EXPECT_THAT(accepted.packages, ElementsAre(HasSubstr("acme/nav-1.1.0")));
-  EXPECT_THAT(accepted.refused,
+  EXPECT_THAT(texts(accepted.refused),
               ElementsAre(HasSubstr("globex.json signs for globex/map-1.0.0-any.fpk without its sha256")));
 }
 
@@ -168,7 +168,7 @@ TEST_F(KeptMarket, APublisherBringsNothingUnderTheNameOfAnother) {
   const tuf::SigningKey key = options("globex", 0).keys.make("globex");
   const tuf::TargetInfo taken{"acme/nav-1.0.0-any.fpk", 1, {{"sha256", std::string(64, 'a')}}, ""};
   write_file(market_ / "incoming/globex.json", tuf::next_role(std::nullopt, key, {taken}, true, day(100)));
-  EXPECT_THAT(accept(market_, {{"globex", key.open()}}, keeper()).refused,
+  EXPECT_THAT(texts(accept(market_, {{"globex", key.open()}}, keeper()).refused),
               ElementsAre(HasSubstr("it signs for acme/nav-1.0.0-any.fpk, and may for globex/… only")));
 }
 
@@ -178,10 +178,47 @@ TEST_F(KeptMarket, AVersionThatNobodyCouldFollowIsRefused) {
   const tuf::SigningKey key = author().keys.get("acme");
   const std::string role = tuf::next_role(author().keys.signed_role("acme"), key, {}, false, day(100), kLast);
   write_file(market_ / "incoming/acme.json", role);
-  EXPECT_THAT(accept(market_, {}, keeper()).refused,
+  EXPECT_THAT(texts(accept(market_, {}, keeper()).refused),
               ElementsAre(HasSubstr("version 1 is here: nobody has signed so often")));
   EXPECT_THAT(error_of([&] { tuf::next_role(role, key, {}, false, day(100)); }).what(),
               HasSubstr("it is the last that there is"));
+}
+
+TEST_F(KeptMarket, WhatWasSignedAndNeverPublishedIsTakenOff) {
+  sign_package(packed("nav", "1.1.0"), author());
+  EXPECT_THAT(texts(hand_in(packed("nav", "1.1.1")).refused),
+              ElementsAre(AllOf(HasSubstr("acme.json: it signs for acme/nav-1.1.0-"), HasSubstr("has not come with it"),
+                                HasSubstr("fiona plugin unsign acme/nav@1.1.0, then fiona plugin sign FILE"))));
+  unsign_package("acme/nav@1.1.0", author());
+  EXPECT_THAT(hand_in(packed("nav", "1.1.1")).packages, ElementsAre(HasSubstr("acme/nav-1.1.1-")));
+  sign_package(packed("nav", "1.2.0"), author());  // and now that something is published
+  EXPECT_THAT(texts(hand_in(packed("nav", "1.2.1")).refused),
+              ElementsAre(HasSubstr("or sign without it: fiona plugin sign FILE after=" +
+                                    (market_ / "metadata/3.acme.json").string())));
+  sign_package(packed("nav", "1.2.1"), author(), market_ / "metadata/3.acme.json");
+  submit(scratch_ / "out/nav-1.2.1.fpk", market_, author());
+  EXPECT_THAT(accept(market_, {}, keeper()).packages, ElementsAre(HasSubstr("acme/nav-1.2.1-")));
+  EXPECT_EQ(install_fault("nav@1.1.1"), "") << "nothing was withdrawn";
+}
+
+TEST_F(KeptMarket, WhoHasPackedAPublishedVersionAgainRaisesItAndSignsAfterWhatIsThere) {
+  hand_in(packed("nav", "1.0.0"));
+  EXPECT_THAT(
+      texts(hand_in(packed("nav", "1.0.0", "other code")).refused),
+      ElementsAre(AllOf(HasSubstr("is published already, with other content"),
+                        HasSubstr("fiona plugin sign FILE after=" + (market_ / "metadata/1.acme.json").string()))));
+  sign_package(packed("nav", "1.0.1", "other code"), author(), market_ / "metadata/1.acme.json");
+  submit(scratch_ / "out/nav-1.0.1.fpk", market_, author());
+  EXPECT_THAT(accept(market_, {}, keeper()).packages, ElementsAre(HasSubstr("acme/nav-1.0.1-")));
+  EXPECT_EQ(install_fault("nav@1.0.0"), "");
+}
+
+TEST_F(KeptMarket, WhatIsNotSignedForIsNotTakenOffAndNamedWithWhatIs) {
+  sign_package(packed("nav-2", "1.1.0-rc.1"), author());
+  const Error error = error_of([&] { unsign_package("acme/nav-2@1.1.0", author()); });
+  EXPECT_EQ(error.text().what, "the key of acme has not signed for acme/nav-2@1.1.0");
+  EXPECT_EQ(error.text().expected, "one of acme/nav-2@1.1.0-rc.1");
+  EXPECT_EQ(error_of([&] { unsign_package("acme/nav-2", author()); }).code(), ErrorCode::Usage);
 }
 
 TEST_F(KeptMarket, APackageThatWasSwappedInIncomingIsRefused) {
@@ -193,7 +230,7 @@ TEST_F(KeptMarket, APackageThatWasSwappedInIncomingIsRefused) {
     if (entry.path().extension() == ".fpk")
       std::filesystem::copy_file(evil, entry.path(), std::filesystem::copy_options::overwrite_existing);
   }
-  EXPECT_THAT(accept(market_, {acme()}, keeper()).refused, ElementsAre(HasSubstr("which has not come with it")));
+  EXPECT_THAT(texts(accept(market_, {acme()}, keeper()).refused), ElementsAre(HasSubstr("which has not come with it")));
 }
 
 TEST_F(KeptMarket, ATamperedPackageIsNotInstalled) {

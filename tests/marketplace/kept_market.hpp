@@ -15,6 +15,13 @@ inline tuf::Time day(int number) {
   return std::chrono::sys_days{std::chrono::year{2030} / 1 / 1} + std::chrono::days{number};
 }
 
+/// As they are told.
+inline std::vector<std::string> texts(const std::vector<Refusal>& refused) {
+  std::vector<std::string> texts;
+  for (const auto& one : refused) texts.push_back(one.file + ": " + one.what + "\n  next: " + one.next);
+  return texts;
+}
+
 class KeptMarket : public ::testing::Test {
  protected:
   // A keeper with a marketplace, a publisher "acme" with a key of his own, and a user who trusts the marketplace.

@@ -95,7 +95,7 @@ TEST_F(MarketplaceAttack, RevokedVersionPublishedAgain) {
     submit(steps, market_, author());
     submit(file, market_, author());
     const Accepted accepted = accept(market_, {}, keeper());
-    EXPECT_THAT(accepted.refused,
+    EXPECT_THAT(texts(accepted.refused),
                 ::testing::ElementsAre(HasSubstr("acme/steps 1.0.0 has been revoked: it counts backwards")));
     EXPECT_THAT(accepted.packages, ::testing::ElementsAre(HasSubstr(other)));
     EXPECT_EQ(install_fault(other), "");

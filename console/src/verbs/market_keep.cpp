@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -18,7 +19,8 @@ void tell_accepted(Session& session, const marketplace::Accepted& accepted, cons
   for (const std::string& package : accepted.packages) {
     session.out.done(fmt::format("accepted {}", package), {{"package", package}});
   }
-  for (const std::string& reason : accepted.refused) session.out.remark("refused " + reason);
+  for (const auto& one : accepted.refused)
+    session.out.remark(fmt::format("refused {}: {}\n  next: {}", one.file, one.what, one.next));
   for (const auto& publisher : accepted.unknown) {
     session.out.remark(
         fmt::format("{} is {}; his key is {}\n  next: make sure that it is his, then: fiona market accept {} {} {}",
@@ -46,15 +48,26 @@ void market_publish(Session& session, const Line& line) {
   const std::string market = to == nullptr ? marketplace::Marketplace::default_directory().string() : to->text;
   const tuf::SigningKeys keys;
   const std::vector<std::string> own = keys.names();
+  std::set<std::string> handed_in;
   std::vector<marketplace::Welcome> welcome;  // whose key is this user's, if he is the keeper too
   for (std::size_t i = 1; i < line.positional.size(); ++i) {
-    const std::string publisher = marketplace::submit(line.positional[i].text, market);
+    const auto [publisher, file] = marketplace::submit(line.positional[i].text, market);
+    handed_in.insert({publisher + ".json", file});
     if (std::find(own.begin(), own.end(), publisher) != own.end())
       welcome.push_back({publisher, keys.get(publisher).open()});
     session.out.done(fmt::format("handed in {}", line.positional[i].text), {{"file", line.positional[i].text}});
   }
   if (!marketplace::keeps(market)) return session.out.remark("it will be there once its keeper accepts it");
-  tell_accepted(session, marketplace::accept(market, welcome), market);
+  marketplace::Accepted accepted = marketplace::accept(market, welcome);
+  const auto is_own = [&handed_in](const marketplace::Refusal& one) { return handed_in.contains(one.file); };
+  const auto refused = std::find_if(accepted.refused.begin(), accepted.refused.end(), is_own);
+  if (refused == accepted.refused.end()) return tell_accepted(session, accepted, market);
+  const marketplace::Refusal told = *refused;
+  accepted.refused.erase(refused);
+  tell_accepted(session, accepted, market);
+  throw Error(ErrorCode::NotAllowed, {.what = "it was refused: " + told.what,
+                                      .where = (filesystem::path(market) / "incoming" / told.file).string(),
+                                      .next = told.next});
 }
 
 namespace {

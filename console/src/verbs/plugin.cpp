@@ -315,6 +315,16 @@ void plugin_sign(Session& session, const Line& line) {
   }
 }
 
+void plugin_unsign(Session& session, const Line& line) {
+  for (std::size_t i = 1; i < line.positional.size(); ++i) {
+    const std::string& package = line.positional[i].text;
+    marketplace::unsign_package(package);
+    session.out.done(fmt::format("{} is not signed for any more", package), {{"package", package}});
+  }
+  session.out.remark(
+      "  next: plugin sign FILE, of a package that is; where it was published, publishing that withdraws it");
+}
+
 }  // namespace
 
 fs::path typed_folder(const Line& line, std::size_t at) {
@@ -339,8 +349,8 @@ Confinement confinement_of(const Line& line) {
 
 void plugin(Session& session, const Line& line) {
   static const std::map<std::string, void (*)(Session&, const Line&)> kActions{
-      {"new", plugin_new},   {"describe", plugin_describe}, {"test", plugin_test},        {"check", plugin_check},
-      {"pack", plugin_pack}, {"sign", plugin_sign},         {"messages", plugin_messages}};
+      {"new", plugin_new},   {"describe", plugin_describe}, {"test", plugin_test},     {"check", plugin_check},
+      {"pack", plugin_pack}, {"sign", plugin_sign},         {"unsign", plugin_unsign}, {"messages", plugin_messages}};
   kActions.at(line.positional[0].text)(session, line);
 }
 

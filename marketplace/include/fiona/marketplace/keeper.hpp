@@ -33,15 +33,24 @@ std::string init_market(const std::filesystem::path& market, const KeeperOptions
 /// Signs for a package with its publisher's key, which has the publisher's name: the next version of what that
 /// publisher has signed, kept beside the key and written beside the package as PUBLISHER.json. A package that is signed
 /// for already is so again only where half of the time is over. `after`: what a marketplace has of this publisher,
-/// where that was lost here, or the key; the version follows it, and of what this key has signed there nothing is
-/// withdrawn. Returns that file.
+/// where that was lost here, or the key, or where something else was signed meanwhile; the version follows both, and
+/// what this key has signed there is signed for, and nothing besides. Returns that file.
 std::filesystem::path sign_package(const std::filesystem::path& package, const KeeperOptions& options = {},
                                    const std::filesystem::path& after = {});
 
+/// Takes "publisher/name@version" off what its publisher's key has signed last: what was signed and never published.
+/// Published, it is withdrawn with the next one. Throws fiona::Error: Usage, NotFound with what it has signed for.
+void unsign_package(const std::string& package, const KeeperOptions& options = {});
+
+struct Submitted {
+  std::string publisher;
+  std::string file;  ///< of the package, in `incoming`
+};
+
 /// Puts a package, and PUBLISHER.json from beside it, into the marketplace's `incoming`. Throws fiona::Error: NotFound
-/// where it is not signed, BadSignature where that is not for this package. Returns the publisher.
-std::string submit(const std::filesystem::path& package, const std::filesystem::path& market,
-                   const KeeperOptions& options = {});
+/// where it is not signed, BadSignature where that is not for this package.
+Submitted submit(const std::filesystem::path& package, const std::filesystem::path& market,
+                 const KeeperOptions& options = {});
 
 /// Somebody who has handed in something and whom the marketplace does not know, or not with this key.
 struct NewPublisher {
@@ -56,10 +65,17 @@ struct Welcome {
   tuf::OpenKey key;
 };
 
+/// Something that was left in `incoming`.
+struct Refusal {
+  std::string file;
+  std::string what;
+  std::string next;
+};
+
 struct Accepted {
   std::vector<std::string> packages;  ///< target paths that are new
   std::vector<NewPublisher> unknown;  ///< left in `incoming`
-  std::vector<std::string> refused;   ///< what else was left there, and why
+  std::vector<Refusal> refused;       ///< what else was left there, and why
 };
 
 /// Takes what was handed in by the publishers that the marketplace knows, and by those in `welcome`, to whom it
