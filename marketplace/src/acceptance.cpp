@@ -101,6 +101,7 @@ class Acceptance {
         refuse(name, error.what(), "its publisher is to sign with fiona plugin sign");
       }
     }
+    look_at_packages_left();
     write_market_index();
     follow_online_keys();
     repository_.commit();
@@ -228,6 +229,23 @@ class Acceptance {
     const auto here =
         how_.directory / "metadata" / fmt::format("{}.{}.json", repository_.version_of(publisher), publisher);
     return "fiona plugin sign FILE after=" + here.string();
+  }
+
+  // Those that wait with their publisher's file have been told of with that.
+  void look_at_packages_left() {
+    const std::set<std::string> done{done_.begin(), done_.end()};
+    for (const auto& [name, package] : packages_) {
+      const std::string publisher = package.entry.manifest().publisher(), role_file = publisher + ".json";
+      if (done.contains(name) || (incoming_.has(role_file) && !done.contains(role_file))) continue;
+      const auto here = repository_.targets_of(publisher);
+      const auto* target = find_target(here, package.path);
+      if (target != nullptr && target->hashes.at("sha256") == package.sha256) {
+        done_.push_back(name);  // it is there already
+      } else {
+        refuse(name, "its publisher does not sign for it",
+               "he is to sign for it and hand it in again; or remove it: " + (incoming_.path() / name).string());
+      }
+    }
   }
 
   // Why a publisher's file cannot take the place of the one that is here. Nothing: it can.

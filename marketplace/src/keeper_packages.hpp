@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/trust/tuf_repository.hpp>
@@ -10,6 +11,18 @@
 #include "durable.hpp"
 
 namespace fiona::marketplace {
+
+/// What a key signs follows what it has signed last: one at a time.
+class SigningLock {
+ public:
+  explicit SigningLock(const KeeperOptions& options) : directory_(os_, options.keys.path(), 0700) {
+    directory_.lock(std::chrono::seconds{10});
+  }
+
+ private:
+  const OsCalls os_ = system_calls();
+  DurableDirectory directory_;
+};
 
 /// A package that was read, and how metadata speaks of it.
 struct ReadPackage {

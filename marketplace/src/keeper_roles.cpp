@@ -7,6 +7,7 @@
 #include <map>
 
 #include "files.hpp"
+#include "keeper_packages.hpp"
 #include "keeper_parts.hpp"
 #include "signed_market.hpp"
 
@@ -151,6 +152,7 @@ RootChange sign_root(const filesystem::path& market, const std::vector<MarketRol
 
 tuf::OpenKey renew_key(const std::string& publisher, const KeeperOptions& options) {
   const tuf::SigningKey former = options.keys.get(publisher);
+  const SigningLock lock{options};
   const auto before = options.keys.signed_role(publisher);
   if (before) tuf::read_role(*before, former.open(), publisher + ".json");
   const tuf::SigningKey key = options.keys.renew(publisher);

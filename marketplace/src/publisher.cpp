@@ -76,6 +76,8 @@ filesystem::path sign_package(const filesystem::path& package, const KeeperOptio
                               const filesystem::path& after) {
   const ReadPackage read = read_for_keeping(package, options);
   const std::string publisher = read.entry.manifest().publisher();
+  options.keys.get(publisher);
+  const SigningLock lock{options};
   if (!after.empty()) sign_after(publisher, after, options);
   const std::string role = signed_role(publisher, {read}, false, options);
   const OsCalls os = system_calls();
@@ -91,6 +93,7 @@ void unsign_package(const std::string& package, const KeeperOptions& options) {
                 ErrorText{.what = "this names no version of a package", .expected = "publisher/name@version"});
   const std::string publisher = package.substr(0, slash);
   const tuf::SigningKey key = options.keys.get(publisher);
+  const SigningLock lock{options};
   const auto before = options.keys.signed_role(publisher);
   std::vector<tuf::TargetInfo> stay;
   std::set<std::string> known;
@@ -110,6 +113,35 @@ void unsign_package(const std::string& package, const KeeperOptions& options) {
   options.keys.keep_signed_role(publisher, tuf::next_role(before, key, stay, true, until));
 }
 
+namespace {
+
+std::optional<tuf::RoleContent> waiting_role(const filesystem::path& file, const tuf::OpenKey& key) {
+  const auto content = content_if_there(file);
+  if (!content) return std::nullopt;
+  try {
+    return tuf::read_role(*content, key, file.string());
+  } catch (const Error&) {
+    return std::nullopt;  // damaged, or somebody else's: it gives way
+  }
+}
+
+/// Whether a publisher's file that waits already, as new as this one, signs for the package: it stays then.
+bool signed_by_what_waits(const filesystem::path& file, const tuf::OpenKey& key, const std::string& role_file,
+                          const ReadPackage& package) {
+  const auto waiting = waiting_role(file, key);
+  const std::int64_t version = tuf::read_role(role_file, key, file.string()).version;
+  if (!waiting || waiting->version < version || content_if_there(file) == role_file) return false;
+  if (signs_for(*waiting, package)) return true;
+  throw Error(ErrorCode::NotAllowed,
+              ErrorText{.what = "what was signed later waits there already, and does not sign for this package",
+                        .where = file.string(),
+                        .expected = fmt::format("a version after {}", waiting->version),
+                        .found = fmt::format("version {}", version),
+                        .next = "fiona plugin sign FILE after=" + file.string()});
+}
+
+}  // namespace
+
 Submitted submit(const filesystem::path& package, const filesystem::path& market, const KeeperOptions& options) {
   const ReadPackage read = read_for_keeping(package, options);
   const std::string publisher = read.entry.manifest().publisher(), name = publisher + ".json";
@@ -122,8 +154,9 @@ Submitted submit(const filesystem::path& package, const filesystem::path& market
   const OsCalls os = system_calls();
   DurableDirectory incoming{os, filesystem::absolute(market) / "incoming", 0755};
   incoming.lock(std::chrono::seconds{10});
+  const bool waits = signed_by_what_waits(incoming.path() / name, *key, *role_file, read);
   copy_checked(package, read.sha256, incoming, read.entry.file());
-  incoming.replace(name, *role_file);
+  if (!waits) incoming.replace(name, *role_file);
   return {publisher, read.entry.file()};
 }
 

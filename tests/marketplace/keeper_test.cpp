@@ -13,6 +13,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <random>
+#include <thread>
 
 #include "durable.hpp"
 #include "kept_market.hpp"
@@ -219,6 +220,54 @@ TEST_F(KeptMarket, WhatIsNotSignedForIsNotTakenOffAndNamedWithWhatIs) {
   EXPECT_EQ(error.text().what, "the key of acme has not signed for acme/nav-2@1.1.0");
   EXPECT_EQ(error.text().expected, "one of acme/nav-2@1.1.0-rc.1");
   EXPECT_EQ(error_of([&] { unsign_package("acme/nav-2", author()); }).code(), ErrorCode::Usage);
+}
+
+TEST_F(KeptMarket, WhoSignsSeveralAtOnceSignsForAll) {
+  std::vector<std::filesystem::path> files;
+  for (int i = 0; i < 8; ++i) {
+    const auto file = packed("nav", "1." + std::to_string(i) + ".0"),
+               own = scratch_ / std::to_string(i) / file.filename();
+    std::filesystem::create_directories(own.parent_path());
+    std::filesystem::rename(file, own);
+    files.push_back(own);
+  }
+  {
+    std::vector<std::jthread> threads;
+    for (const auto& file : files) threads.emplace_back([&] { sign_package(file, author()); });
+  }
+  const auto role = tuf::read_role(*author().keys.signed_role("acme"), acme().key, "acme.json");
+  EXPECT_EQ(role.version, 8);
+  EXPECT_EQ(role.targets.size(), 8U);
+  for (const auto& file : files) EXPECT_NO_THROW(submit(file, market_, author())) << "in whatever order";
+  EXPECT_EQ(accept(market_, {acme()}, keeper()).packages.size(), 8U);
+}
+
+TEST_F(KeptMarket, WhatWasSignedEarlierDoesNotTakeThePlaceOfWhatWasSignedLater) {
+  sign_package(packed("nav", "1.0.0"), author());
+  std::filesystem::copy(author().keys.path() / "acme.json", scratch_ / "old.json");
+  const auto old = packed("map", "1.0.0");
+  sign_package(packed("nav", "1.1.0"), author());
+  submit(scratch_ / "out/nav-1.1.0.fpk", market_, author());
+  std::filesystem::copy(scratch_ / "old.json", author().keys.path() / "acme.json",
+                        std::filesystem::copy_options::overwrite_existing);  // as on another machine
+  sign_package(old, author());
+  const Error error = error_of([&] { submit(old, market_, author()); });
+  EXPECT_EQ(error.text().what, "what was signed later waits there already, and does not sign for this package");
+  EXPECT_EQ(error.text().next, "fiona plugin sign FILE after=" + (market_ / "incoming/acme.json").string());
+  sign_package(old, author(), market_ / "incoming/acme.json");
+  submit(old, market_, author());
+  submit(scratch_ / "out/nav-1.0.0.fpk", market_, author());
+  EXPECT_EQ(accept(market_, {acme()}, keeper()).packages.size(), 3U);
+}
+
+TEST_F(KeptMarket, APackageThatNobodySignsForIsToldOfAndOneThatIsThereIsNot) {
+  hand_in(packed("nav", "1.0.0"));
+  submit(packed("nav", "1.0.0"), market_, author());  // once more
+  std::filesystem::copy(packed("map", "1.0.0"), market_ / "incoming/map.fpk");
+  EXPECT_THAT(texts(accept(market_, {}, keeper()).refused),
+              ElementsAre(HasSubstr("map.fpk: its publisher does not sign for it")));
+  EXPECT_FALSE(std::filesystem::exists(market_ / "incoming/acme.json"));
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(market_ / "incoming"), {}), 1);
 }
 
 TEST_F(KeptMarket, APackageThatWasSwappedInIncomingIsRefused) {
