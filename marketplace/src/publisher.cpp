@@ -125,6 +125,19 @@ std::optional<tuf::RoleContent> waiting_role(const filesystem::path& file, const
   }
 }
 
+void require_directory_of_market(const filesystem::path& market) {
+  if (market.string().find("://") != std::string::npos)
+    throw Error(ErrorCode::NotAllowed,
+                ErrorText{.what = "a marketplace at an address is read there, and nothing can be handed in",
+                          .where = market.string(),
+                          .next = "give package and PUBLISHER.json to its keeper: fiona market publish FILE --to DIR"});
+  std::error_code failure;
+  if (filesystem::exists(market / "metadata", failure)) return;
+  throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no marketplace here: it has no metadata",
+                                             .where = market.string(),
+                                             .next = "name another with --to DIR; fiona market init DIR makes one"});
+}
+
 /// Whether a publisher's file that waits already, as new as this one, signs for the package: it stays then.
 bool signed_by_what_waits(const filesystem::path& file, const tuf::OpenKey& key, const std::string& role_file,
                           const ReadPackage& package) {
@@ -143,6 +156,7 @@ bool signed_by_what_waits(const filesystem::path& file, const tuf::OpenKey& key,
 }  // namespace
 
 Submitted submit(const filesystem::path& package, const filesystem::path& market, const KeeperOptions& options) {
+  require_directory_of_market(market);
   const ReadPackage read = read_for_keeping(package, options);
   const std::string publisher = read.entry.manifest().publisher(), name = publisher + ".json";
   const auto role_file = content_if_there(filesystem::absolute(package).parent_path() / name);

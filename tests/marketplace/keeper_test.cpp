@@ -135,6 +135,17 @@ TEST_F(KeptMarket, AnUnsignedPackageIsNotHandedIn) {
   EXPECT_THAT(error.what(), HasSubstr("fiona plugin sign"));
 }
 
+TEST_F(KeptMarket, WhereThereIsNoMarketplaceNothingIsHandedIn) {
+  const auto file = packed("nav", "1.0.0");
+  sign_package(file, author());
+  const Error typo = error_of([&] { submit(file, scratch_ / "markte", author()); });
+  EXPECT_EQ(typo.text().what, "there is no marketplace here: it has no metadata");
+  EXPECT_FALSE(std::filesystem::exists(scratch_ / "markte"));
+  const Error address = error_of([&] { submit(file, "https://example.org/market", author()); });
+  EXPECT_EQ(address.code(), ErrorCode::NotAllowed);
+  EXPECT_FALSE(std::filesystem::exists("https:"));
+}
+
 TEST_F(KeptMarket, ASignatureForAnotherContentIsNoSignature) {
   sign_package(packed("nav", "1.0.0"), author());
   const auto file = packed("nav", "1.0.0", "other code");

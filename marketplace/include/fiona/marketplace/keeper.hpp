@@ -48,7 +48,8 @@ struct Submitted {
 };
 
 /// Puts a package, and PUBLISHER.json from beside it, into the marketplace's `incoming`. Throws fiona::Error: NotFound
-/// where it is not signed, BadSignature where that is not for this package.
+/// where there is no marketplace, BadSignature where nothing beside it signs for it, NotAllowed at an address, and
+/// where what was signed later waits already.
 Submitted submit(const std::filesystem::path& package, const std::filesystem::path& market,
                  const KeeperOptions& options = {});
 
