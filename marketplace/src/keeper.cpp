@@ -15,9 +15,26 @@ namespace {
 
 namespace filesystem = std::filesystem;
 
+bool has_key(const std::string& name, const KeeperOptions& options) {
+  const auto names = options.keys.names();
+  return std::ranges::find(names, name) != names.end();
+}
+
+// Another marketplace of the same last name has its keys already: these get a number. A build goes on with its own.
+std::string keys_name(const filesystem::path& place, const KeeperOptions& options) {
+  const std::string base = key_name_of(place);
+  std::string name = base;
+  const auto is_taken = [&] {
+    return has_key(name + ".root", options) || has_key(name + ".targets", options) ||
+           has_key(name + ".online", options);
+  };
+  for (int number = 2; !options.replace && is_taken(); ++number) name = base + "-" + std::to_string(number);
+  return name;
+}
+
 }  // namespace
 
-std::string init_market(const filesystem::path& market, const KeeperOptions& options) {
+NewMarket init_market(const filesystem::path& market, const KeeperOptions& options) {
   const tuf::RepositoryOptions how = repository_options(market, options);
   std::error_code failure;
   if (filesystem::exists(how.directory / "metadata", failure)) {
@@ -25,23 +42,23 @@ std::string init_market(const filesystem::path& market, const KeeperOptions& opt
                                                  .where = how.directory.string(),
                                                  .next = "choose another directory"});
   }
-  const std::string name = how.directory.filename().string();
-  const auto key = [&](const std::string& of) {
-    const auto names = options.keys.names();
-    const bool again = options.replace && std::ranges::find(names, name + of) != names.end();
-    return again ? options.keys.get(name + of) : options.keys.make(name + of);
-  };
-  const tuf::SigningKey root = key(".root"), targets = key(".targets"), online = key(".online");
-  tuf::Repository::create(how, root, targets, online);
+  // Before the keys: where no directory can be made, none are left.
   const OsCalls os = system_calls();
   const DurableDirectory directory{os, how.directory, 0755};
   directory.child("incoming", 0755);
+  const DurableDirectory target_files = directory.child("targets", 0755);
+  const std::string name = keys_name(how.directory, options);
+  const auto key = [&](const std::string& of) {
+    return has_key(name + of, options) ? options.keys.get(name + of) : options.keys.make(name + of);
+  };
+  const tuf::SigningKey root = key(".root"), targets = key(".targets"), online = key(".online");
+  tuf::Repository::create(how, root, targets, online);
   tuf::Repository repository{how, options.keys};
   repository.delegate(std::string(kIndexRole), {online.open()}, {std::string(kIndexFile)});
-  directory.child("targets", 0755).replace(tuf::sha256_hex("") + "." + std::string(kIndexFile), "");
+  target_files.replace(tuf::sha256_hex("") + "." + std::string(kIndexFile), "");
   repository.set_target(std::string(kIndexRole), std::string(kIndexFile), 0, tuf::sha256_hex(""));
   repository.commit();
-  return repository.root();
+  return {repository.root(), name};
 }
 
 void make_market(const std::vector<filesystem::path>& packages, const filesystem::path& market, KeeperOptions options) {
@@ -67,8 +84,7 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
   }
   std::vector<Welcome> publishers;
   for (const auto& [publisher, read] : by_publisher) {
-    const auto names = options.keys.names();
-    if (std::ranges::find(names, publisher) == names.end()) options.keys.make(publisher);
+    if (!has_key(publisher, options)) options.keys.make(publisher);
     incoming.replace(publisher + ".json", signed_role(publisher, read, true, options));
     publishers.push_back({publisher, options.keys.get(publisher).open()});
   }
@@ -77,7 +93,7 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
     throw Error(ErrorCode::Failed, {.what = accepted.refused.front().what,
                                     .where = (market / "incoming" / accepted.refused.front().file).string(),
                                     .next = "mend it, and make the marketplace again"});
-  const filesystem::path place = filesystem::absolute(market).lexically_normal();
+  const filesystem::path place = place_of(market);
   const std::string root = tuf::Repository{repository_options(market, options), options.keys}.root();
   DurableDirectory{os, place.parent_path(), 0755}.replace(place.filename().string() + ".root.json", root);
 }

@@ -19,8 +19,24 @@ tuf::Time now_of(const KeeperOptions& options) {
   return options.now ? options.now() : std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
 }
 
-tuf::RepositoryOptions repository_options(const filesystem::path& market, const KeeperOptions& options) {
+filesystem::path place_of(const filesystem::path& market) {
   const filesystem::path place = filesystem::absolute(market).lexically_normal();
+  return place.has_filename() ? place : place.parent_path();
+}
+
+std::string key_name_of(const filesystem::path& place) {
+  constexpr std::size_t kLongest = 60;  // of a key's name 80, with role and number
+  std::string name;
+  for (char c : place.filename().string().substr(0, kLongest)) {
+    c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+    const bool fits = (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '.';
+    name += fits ? c : '-';
+  }
+  return !name.empty() && name[0] >= 'a' && name[0] <= 'z' ? name : "market" + name;
+}
+
+tuf::RepositoryOptions repository_options(const filesystem::path& market, const KeeperOptions& options) {
+  const filesystem::path place = place_of(market);
   const filesystem::path trusted =
       options.trusted.empty() ? options.keys.path() / "kept" / tuf::percent_encoded(place.string()) : options.trusted;
   return {.directory = place, .trusted = trusted, .lifetimes = options.lifetimes, .now = options.now};
@@ -122,8 +138,7 @@ RootChange rotate(const filesystem::path& market, const std::string& role, const
   {
     tuf::Repository repository{repository_options(market, options), options.keys};
     if (keys.empty()) {
-      const std::string name = filesystem::absolute(market).lexically_normal().filename().string();
-      change.made.push_back(new_key_name(name, role, options));
+      change.made.push_back(new_key_name(key_name_of(place_of(market)), role, options));
       wanted.keys.push_back(options.keys.make(change.made.back()).open());
     }
     repository.propose(roles, wanted);

@@ -337,6 +337,30 @@ TEST_F(KeptMarket, AChangedRoleOfAPublisherIsNotSignedByTheKeeper) {
   EXPECT_THAT(error_of([&] { accept(market_, {}, keeper()); }).what(), HasSubstr("mix and match: "));
 }
 
+TEST_F(KeptMarket, IsTheSameWithASlashAtItsEnd) {
+  const auto file = packed("nav", "1.0.0");
+  sign_package(file, author());
+  submit(file, market_ / "", author());
+  EXPECT_TRUE(keeps(market_ / "", keeper()));
+  EXPECT_EQ(accept(market_ / "", {acme()}, keeper()).packages.size(), 1U);
+  rotate(market_ / "", "online", {}, 1, keeper());
+  EXPECT_EQ(install_fault("nav"), "");
+}
+
+TEST_F(KeptMarket, ASecondOneOfTheSameNameHasKeysOfItsOwn) {
+  EXPECT_EQ(init_market(scratch_ / "other/market/", keeper()).keys, "market-2");
+  EXPECT_NO_THROW(accept(market_, {}, keeper()));
+  EXPECT_NO_THROW(accept(scratch_ / "other/market", {}, keeper()));
+}
+
+TEST_F(KeptMarket, WhatCannotBeMadeLeavesNoKeys) {
+  const KeeperOptions other = options("other", 0);
+  write_file(scratch_ / "file", "");
+  error_of([&] { init_market(scratch_ / "file/market", other); });
+  EXPECT_THAT(other.keys.names(), IsEmpty());
+  EXPECT_EQ(init_market(scratch_ / "2 Markets", other).keys, "market2-markets");
+}
+
 TEST_F(KeptMarket, NobodyElseAccepts) {
   const auto file = packed("nav", "1.0.0");
   sign_package(file, author());

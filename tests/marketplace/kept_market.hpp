@@ -26,7 +26,7 @@ class KeptMarket : public ::testing::Test {
  protected:
   // A keeper with a marketplace, a publisher "acme" with a key of his own, and a user who trusts the marketplace.
   void SetUp() override {
-    root_ = init_market(market_, keeper());
+    root_ = init_market(market_, keeper()).root;
     author().keys.make("acme");
     trust_marketplace(root_, market_.string(), user());
   }

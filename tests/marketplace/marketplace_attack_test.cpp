@@ -46,7 +46,7 @@ TEST_F(MarketplaceAttack, PublisherUnderTheNameOfAKnownOneInAnotherMarketplace) 
   hand_in(packed("steps", "1.0.0"));
   ASSERT_EQ(install_fault("steps"), "");
   const auto other = scratch_ / "other-market";
-  trust_marketplace(init_market(other, options("mallory", 0)), other.string(), user());
+  trust_marketplace(init_market(other, options("mallory", 0)).root, other.string(), user());
   options("mallory", 0).keys.make("acme");
   const auto file = packed("steps", "9.0.0");
   sign_package(file, options("mallory", 0));
@@ -76,7 +76,7 @@ TEST_F(MarketplaceAttack, PublisherNamedAsARoleOfTheMarketplace) {
 TEST_F(MarketplaceAttack, MarketplaceThatRevokesWhatAnotherHasBrought) {
   ASSERT_EQ(install_fault("steps"), "");
   const auto other = scratch_ / "other-market";
-  trust_marketplace(init_market(other, options("mallory", 0)), other.string(), user());
+  trust_marketplace(init_market(other, options("mallory", 0)).root, other.string(), user());
   const auto file = scratch_ / "out/steps-1.0.0.fpk";
   sign_package(file, author());
   submit(file, other, author());

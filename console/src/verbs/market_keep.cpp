@@ -33,14 +33,15 @@ void tell_accepted(Session& session, const marketplace::Accepted& accepted, cons
 }  // namespace
 
 void market_init(Session& session, const Line& line) {
-  const filesystem::path market = filesystem::absolute(line.positional[1].text).lexically_normal();
-  const std::string root = marketplace::init_market(market);
-  marketplace::trust_marketplace(root, market.string());
+  filesystem::path market = filesystem::absolute(line.positional[1].text).lexically_normal();
+  if (!market.has_filename()) market = market.parent_path();
+  const marketplace::NewMarket made = marketplace::init_market(market);
+  marketplace::trust_marketplace(made.root, market.string());
   session.out.done(fmt::format("made the marketplace {}", market.string()), {{"marketplace", market.string()}});
   session.out.remark(fmt::format("its users trust it by {}: fiona keys trust 1.root.json --from PLACE",
                                  (market / "metadata/1.root.json").string()));
-  session.out.remark(fmt::format("its keys are in {}; keep copies of NAME.root and NAME.targets elsewhere",
-                                 tuf::SigningKeys().path().string()));
+  session.out.remark(fmt::format("its keys are in {}; keep copies of {}.root and {}.targets elsewhere",
+                                 tuf::SigningKeys().path().string(), made.keys, made.keys));
 }
 
 void market_publish(Session& session, const Line& line) {

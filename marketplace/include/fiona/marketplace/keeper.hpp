@@ -26,9 +26,14 @@ struct KeeperOptions {
   bool replace = false;  ///< other content of a published version takes its place: for a build's own marketplace only
 };
 
-/// Makes an empty marketplace and its keys, "NAME.root", "NAME.targets" and "NAME.online", where NAME is the
-/// directory's. Returns the root.json that its users are to trust. Throws fiona::Error (NotAllowed) if there is one.
-std::string init_market(const std::filesystem::path& market, const KeeperOptions& options = {});
+struct NewMarket {
+  std::string root;  ///< the root.json that its users are to trust
+  std::string keys;  ///< NAME of its keys: "NAME.root", "NAME.targets" and "NAME.online"
+};
+
+/// Makes an empty marketplace and its keys, named as the directory, with a number where there are such keys already.
+/// Throws fiona::Error (NotAllowed) if there is one.
+NewMarket init_market(const std::filesystem::path& market, const KeeperOptions& options = {});
 
 /// Signs for a package with its publisher's key, which has the publisher's name: the next version of what that
 /// publisher has signed, kept beside the key and written beside the package as PUBLISHER.json. A package that is signed
