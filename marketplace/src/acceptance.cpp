@@ -1,6 +1,7 @@
 // What a keeper does with what has come, and with what should not have.
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <fiona/error.hpp>
@@ -25,6 +26,7 @@ namespace {
 namespace filesystem = std::filesystem;
 
 constexpr std::string_view kPackageEnding = ".fpk";
+constexpr std::chrono::days kWarnedBefore{30};
 constexpr std::int64_t kMostSignatures = 1'000'000;  // of a publisher between two acceptances
 
 Withdrawal withdrawal_of(const IndexEntry& entry) {
@@ -107,6 +109,7 @@ class Acceptance {
     repository_.commit();
     for (const auto& name : done_) incoming_.remove_file(name);
     remove_unlisted_targets();
+    look_at_ends();
     return std::move(result_);
   }
 
@@ -231,20 +234,54 @@ class Acceptance {
     return "fiona plugin sign FILE after=" + here.string();
   }
 
+  // What has keys here was signed anew; the rest is for others to sign.
+  void look_at_ends() {
+    std::vector<std::string> roles = repository_.delegated_roles();
+    std::erase(roles, kIndexRole);
+    roles.insert(roles.begin(), {std::string(tuf::kRoot), std::string(tuf::kTargets)});
+    for (const auto& role : roles) {
+      try {
+        const std::string until = repository_.expires(role);
+        if (until.empty() || tuf::parse_time(until, role) > now_of(options_) + kWarnedBefore) continue;
+        result_.ending.push_back({role, until, tuf::parse_time(until, role) <= now_of(options_), next_signature(role)});
+      } catch (const Error& error) {  // damaged in the marketplace
+        refuse(role, error.text().what, error.text().next);
+      }
+    }
+  }
+
+  std::string next_signature(const std::string& role) const {
+    const std::string market = how_.directory.string();
+    if (role != tuf::kRoot && role != tuf::kTargets)
+      return role + " is to sign again: fiona plugin sign FILE, then fiona market publish FILE";
+    const auto keys = repository_.keys_of(role);
+    if (keys.threshold == 1) return "who has its key: fiona market accept " + market;
+    return fmt::format("fiona market rotate {} {} {} threshold={}, then each of them: fiona market sign {}", market,
+                       role, fmt::join(keys.keys, " "), keys.threshold, market);
+  }
+
   // Those that wait with their publisher's file have been told of with that.
   void look_at_packages_left() {
     const std::set<std::string> done{done_.begin(), done_.end()};
     for (const auto& [name, package] : packages_) {
       const std::string publisher = package.entry.manifest().publisher(), role_file = publisher + ".json";
       if (done.contains(name) || (incoming_.has(role_file) && !done.contains(role_file))) continue;
-      const auto here = repository_.targets_of(publisher);
-      const auto* target = find_target(here, package.path);
-      if (target != nullptr && target->hashes.at("sha256") == package.sha256) {
-        done_.push_back(name);  // it is there already
+      if (is_here(publisher, package)) {
+        done_.push_back(name);
       } else {
         refuse(name, "its publisher does not sign for it",
                "he is to sign for it and hand it in again; or remove it: " + (incoming_.path() / name).string());
       }
+    }
+  }
+
+  bool is_here(const std::string& publisher, const ReadPackage& package) const {
+    try {
+      const auto here = repository_.targets_of(publisher);
+      const auto* target = find_target(here, package.path);
+      return target != nullptr && target->hashes.at("sha256") == package.sha256;
+    } catch (const Error&) {
+      return false;  // damaged in the marketplace
     }
   }
 

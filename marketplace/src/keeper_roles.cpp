@@ -119,7 +119,8 @@ std::vector<MarketRole> market_roles(const filesystem::path& market, const Keepe
     added.proposed = proposed;
   }
   for (const auto& publisher : repository.delegated_roles()) {
-    if (publisher != kIndexRole) roles.push_back({publisher, repository.keys_of(publisher)});
+    if (publisher != kIndexRole)
+      roles.push_back({publisher, repository.keys_of(publisher), {}, repository.expires(publisher)});
   }
   return roles;
 }

@@ -403,6 +403,21 @@ TEST_F(KeptMarket, AKeeperWhoWasAwayTooLongCanSignAgain) {
   EXPECT_EQ(install_fault("nav", 100), "");
 }
 
+TEST_F(KeptMarket, WhatOthersHaveToSignAgainIsToldBeforeItEnds) {
+  hand_in(packed("nav", "1.0.0"));
+  const auto ending = [&](int on_day) {
+    std::string text;
+    for (const auto& one : accept(market_, {}, keeper(on_day)).ending)
+      text += one.name + " " + one.until.substr(0, 10) + (one.has_ended ? " ended " : " ");
+    return text;
+  };
+  EXPECT_EQ(ending(300), "");
+  EXPECT_EQ(ending(340), "acme 2031-01-01 ");
+  EXPECT_EQ(ending(366), "acme 2031-01-01 ended ");
+  for (const char* key : {"market.root.key", "market.targets.key"}) std::filesystem::remove(keeper().keys.path() / key);
+  EXPECT_EQ(ending(1070), "root 2033-01-01 targets 2031-10-28 ended acme 2031-01-01 ended ");
+}
+
 TEST_F(KeptMarket, AClockSetBackRevivesNothing) {
   hand_in(packed("nav", "1.0.0"));
   const auto old_market = scratch_ / "old";

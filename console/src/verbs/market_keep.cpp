@@ -27,6 +27,9 @@ void tell_accepted(Session& session, const marketplace::Accepted& accepted, cons
                     publisher.name, publisher.other_key ? "known by another key" : "a new publisher", publisher.key,
                     market, publisher.name, publisher.key));
   }
+  for (const auto& role : accepted.ending)
+    session.out.remark(fmt::format("what {} has signed {} on {}\n  next: {}", role.name,
+                                   role.has_ended ? "ended" : "ends", role.until, role.next));
   if (accepted.packages.empty()) session.out.done("nothing new was accepted; index and time are signed anew");
 }
 
@@ -83,8 +86,14 @@ std::vector<NamedPublisher> named_publishers(const Line& line) {
   std::vector<NamedPublisher> named;
   for (std::size_t i = 2; i < line.positional.size(); ++i) {
     const Word& word = line.positional[i];
-    const bool is_key = tuf::is_open_key(word.text) && !named.empty() && named.back().key.empty();
-    is_key ? void(named.back().key = word.text) : void(named.push_back({word, ""}));
+    if (tuf::is_open_key(word.text) && !named.empty() && named.back().key.empty()) {
+      named.back().key = word.text;
+    } else if (marketplace::is_publisher(word.text)) {
+      named.push_back({word, ""});
+    } else {
+      throw line.error(word, {.what = fmt::format("'{}' is neither a publisher nor a key", word.text),
+                              .expected = "a key of 64 digits behind its publisher's name"});
+    }
   }
   return named;
 }
@@ -116,7 +125,7 @@ void market_accept(Session& session, const Line& line) {
   const auto named = named_publishers(line);
   std::vector<marketplace::Welcome> welcome;
   for (const auto& one : named) welcome.push_back({one.name.text, one.key});
-  const marketplace::Accepted accepted = marketplace::accept(market, welcome);
+  marketplace::Accepted accepted = marketplace::accept(market, welcome);
   tell_accepted(session, accepted, market);
   welcome.clear();
   for (const auto& publisher : accepted.unknown) {
@@ -125,7 +134,18 @@ void market_accept(Session& session, const Line& line) {
     if (found != named.end() && is_his_key(session, line, *found, publisher))
       welcome.push_back({publisher.name, publisher.key});
   }
-  if (!welcome.empty()) tell_accepted(session, marketplace::accept(market, welcome), market);
+  if (!welcome.empty()) {
+    accepted = marketplace::accept(market, welcome);
+    tell_accepted(session, accepted, market);
+  }
+  for (const auto& role : accepted.ending) {
+    if (role.has_ended)
+      throw Error(ErrorCode::Failed,
+                  {.what = fmt::format("what {} has signed has ended, and nobody installs by it", role.name),
+                   .where = market,
+                   .found = "until " + role.until,
+                   .next = role.next});
+  }
 }
 
 void market_revoke(Session& session, const Line& line) {

@@ -147,6 +147,7 @@ Repository::RoleKeys Repository::keys_of(const std::string& role) const {
 
 std::string Repository::expires(const std::string& role) const {
   const State& state = *state_;
+  if (!is_top_level(role)) return state.version(role) == 0 ? "" : time_text(state.delegated(role).expires);
   const Json& body = role == kRoot        ? state.root
                      : role == kTimestamp ? state.timestamp
                      : role == kSnapshot  ? state.snapshot

@@ -78,10 +78,19 @@ struct Refusal {
   std::string next;
 };
 
+/// What somebody else has to sign again.
+struct EndingRole {
+  std::string name;   ///< "root", "targets" or a publisher
+  std::string until;  ///< "2030-01-31T00:00:00Z"
+  bool has_ended = false;
+  std::string next;
+};
+
 struct Accepted {
   std::vector<std::string> packages;  ///< target paths that are new
   std::vector<NewPublisher> unknown;  ///< left in `incoming`
   std::vector<Refusal> refused;       ///< what else was left there, and why
+  std::vector<EndingRole> ending;     ///< within 30 days: what could not be signed anew here
 };
 
 /// Takes what was handed in by the publishers that the marketplace knows, and by those in `welcome`, to whom it
@@ -95,7 +104,7 @@ struct MarketRole {
   std::string name;  ///< "root", "targets", "online" (index, snapshot, timestamp), or a publisher
   tuf::Repository::RoleKeys keys{};
   std::optional<tuf::Repository::RoleKeys> proposed{};  ///< by a next root that lacks signatures still
-  std::string expires{};                                ///< of what it signed last; empty for publishers
+  std::string expires{};                                ///< of what it signed last; empty: nothing
 };
 std::vector<MarketRole> market_roles(const std::filesystem::path& market, const KeeperOptions& options = {});
 

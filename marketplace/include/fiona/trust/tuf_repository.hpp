@@ -65,7 +65,7 @@ class Repository {
   };
   /// Of one of the four top-level roles, or of one that is delegated to; no keys: there is no such role.
   RoleKeys keys_of(const std::string& role) const;
-  /// When what a top-level role signed last is over: "2030-01-31T00:00:00Z".
+  /// When what a role signed last is over: "2030-01-31T00:00:00Z"; empty: it has signed nothing.
   std::string expires(const std::string& role) const;
 
   /// Proposes a next root in which top-level roles have these keys, in place of what is proposed already. It becomes
