@@ -105,6 +105,21 @@ void check_revocation(const Revocation& revoked, const std::string& where) {
         ErrorText{.what = "a revocation is wrong: " + fault, .where = where, .next = "tell the marketplace's keeper"});
 }
 
+template <class Parts>
+void check_all(Parts& parts, void (*check)(const typename Parts::value_type&, const std::string&),
+               const std::string& where, std::size_t* left_out) {
+  for (auto part = parts.begin(); part != parts.end();) {
+    try {
+      check(*part, where);
+      ++part;
+    } catch (const Error&) {
+      if (left_out == nullptr) throw;
+      ++*left_out;
+      part = parts.erase(part);
+    }
+  }
+}
+
 }  // namespace
 
 std::string package_file_name(const Manifest& manifest, std::string_view blake2b) {
@@ -118,14 +133,14 @@ std::string target_path(const Manifest& manifest) {
   return manifest.publisher() + "/" + manifest.name() + "-" + manifest.version() + "-" + architecture + ".fpk";
 }
 
-std::optional<Index> read_index(const filesystem::path& directory) {
+std::optional<Index> read_index(const filesystem::path& directory, std::size_t* left_out) {
   const filesystem::path path = directory / kIndexFile;
   const FileDescriptor file = open_regular(AT_FDCWD, path, path);
   if (!file) return std::nullopt;
-  return parse_index(read_all(file, kMostIndexFileBytes, path), path.string());
+  return parse_index(read_all(file, kMostIndexFileBytes, path), path.string(), left_out);
 }
 
-Index parse_index(std::string_view bytes, const std::string& where) {
+Index parse_index(std::string_view bytes, const std::string& where, std::size_t* left_out) {
   Index index;
   try {
     if (!index.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
@@ -133,8 +148,8 @@ Index parse_index(std::string_view bytes, const std::string& where) {
                                                .where = where,
                                                .next = "name the folder or address that market init has made"});
     }
-    for (const auto& entry : index.entries()) check_entry(entry, where);
-    for (const auto& revoked : index.revoked()) check_revocation(revoked, where);
+    check_all(*index.mutable_entries(), check_entry, where, left_out);
+    check_all(*index.mutable_revoked(), check_revocation, where, left_out);
   } catch (const Error& error) {
     ErrorText text = error.text();
     text.what = "the marketplace's index is damaged: " + text.what;
@@ -146,7 +161,7 @@ Index parse_index(std::string_view bytes, const std::string& where) {
 
 Marketplace::Marketplace(filesystem::path directory)
     : directory_(filesystem::absolute(directory).lexically_normal()), source_(directory_.string()) {
-  auto index = read_index(directory_);
+  auto index = read_index(directory_, &left_out_);
   if (!index) {
     throw Error(ErrorCode::NotFound, ErrorText{.what = "there is no marketplace here: it has no index.binpb",
                                                .where = directory_.string(),

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -13,14 +14,15 @@ namespace fiona::marketplace {
 inline constexpr std::string_view kIndexFile = "index.binpb";
 
 /// Reads and checks an index; nothing if there is none. Throws fiona::Error (Failed) if it is damaged.
-std::optional<Index> read_index(const std::filesystem::path& directory);
+std::optional<Index> read_index(const std::filesystem::path& directory, std::size_t* left_out = nullptr);
 
 /// The name of a package's file in a marketplace. It holds a part of the hash, so that other content of the
 /// same version never takes the place of a file that the index still speaks of.
 std::string package_file_name(const Manifest& manifest, std::string_view blake2b);
 
-/// The same of bytes that came from `where`.
-Index parse_index(std::string_view bytes, const std::string& where);
+/// The same of bytes that came from `where`. With `left_out`, what does not pass is no damage, but left out and
+/// counted: a later FIONA may know it.
+Index parse_index(std::string_view bytes, const std::string& where, std::size_t* left_out = nullptr);
 
 /// What an index says of a package.
 IndexEntry entry_for(const PackageContents& contents);

@@ -317,6 +317,24 @@ TEST_F(StoreTest, ADamagedIndexIsTold) {
             "the marketplace's index is damaged: it is not an index");
 }
 
+TEST_F(StoreTest, WhatAnOlderFionaDoesNotUnderstandHidesNothingElse) {
+  publish_one("steps", "1.0.0");
+  publish_one("maps", "1.0.0");
+  Index index = Marketplace{market_}.index();
+  index.mutable_entries(0)->mutable_manifest()->set_kind(static_cast<PackageKind>(9));
+  const std::string other = full_name(index.entries(1).manifest());
+  Revocation& revoked = *index.add_revoked();
+  revoked.set_package("acme/nav");
+  revoked.set_blake2b(index.entries(1).blake2b());
+  index.add_revoked()->set_blake2b("of another kind");
+  write_file(market_ / "index.binpb", index.SerializeAsString());
+  const Marketplace market{market_};
+  ASSERT_EQ(market.search({}).size(), 1u);
+  EXPECT_EQ(full_name(market.search({})[0].manifest()), other);
+  EXPECT_EQ(market.index().revoked_size(), 1);
+  EXPECT_EQ(market.left_out(), 2u);
+}
+
 TEST_F(StoreTest, SearchFindsByAllWordsAndInfoTellsAllVersions) {
   publish_one("steps", "1.0.0");
   publish_one("steps", "1.10.0");

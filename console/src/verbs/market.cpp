@@ -410,6 +410,9 @@ marketplace::Marketplace chosen_market(Session& session, const Line& line) {
 
 marketplace::Marketplace opened_market(Session& session, const std::string& place) {
   marketplace::Marketplace market = marketplace::open_marketplace(place);
+  if (market.left_out() > 0)
+    session.out.remark(fmt::format("the index of {} has {} part{} that this version of FIONA does not understand",
+                                   market.source(), market.left_out(), market.left_out() == 1 ? "" : "s"));
   const Store store = chosen_store(session);
   for (const auto& revoked : marketplace::note_revocations(market, store.directory())) {
     session.out.warning(

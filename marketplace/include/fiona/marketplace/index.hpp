@@ -55,6 +55,8 @@ class Marketplace {
   /// What a line has to end with to mean this one: " --from PLACE"; empty for the one that is asked without.
   std::string option() const { return behind_.is_named ? " --from " + source_ : ""; }
   const Index& index() const noexcept { return index_; }
+  /// How many parts of the index are left out, for this FIONA does not understand them.
+  std::size_t left_out() const noexcept { return left_out_; }
   /// The keys that a publisher signs with: 64 digits each of Ed25519, else "id " and the id that metadata has for it.
   /// None where nobody signs.
   std::vector<std::string> keys_of(const std::string& publisher) const;
@@ -86,6 +88,7 @@ class Marketplace {
   std::string source_;
   Behind behind_;
   Index index_;
+  std::size_t left_out_ = 0;
 };
 
 }  // namespace fiona::marketplace
