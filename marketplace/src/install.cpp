@@ -48,17 +48,21 @@ bool mark_asked(StoreChange& change, const Plan& plan) {
   return changed;
 }
 
+const Marketplace& market_of(const PlanStep& step, const Marketplaces& from) {
+  return **std::ranges::find(from, step.source, &Marketplace::source);
+}
+
 // Nothing that this plan brought is left if it fails.
-void perform(StoreChange& change, const Plan& plan, const Marketplace* from) {
+void perform(StoreChange& change, const Plan& plan, const Marketplaces& from) {
   try {
     for (const auto& step : plan.steps) {
-      if (step.entry) change.add_files(*step.entry, [&] { return from->package(*step.entry); });
+      if (step.entry) change.add_files(*step.entry, [&] { return market_of(step, from).package(*step.entry); });
     }
     for (const auto& step : plan.steps) {
       if (step.kind == StepKind::Remove) {
         unlist_package(change, step.package);
       } else {
-        list_package(change, *from, step);
+        list_package(change, market_of(step, from), step);
       }
     }
     if (mark_asked(change, plan) || !plan.steps.empty()) change.commit(plan.change);
@@ -99,7 +103,7 @@ InstallOutcome outcome_of(const Plan& plan, const std::string& name) {
 
 }  // namespace
 
-bool apply(const Plan& plan, const Marketplace* from, const filesystem::path& store, const InstallOptions& options) {
+bool apply(const Plan& plan, const Marketplaces& from, const filesystem::path& store, const InstallOptions& options) {
   StoreChange change{store, options};
   if (change.list().generation() != plan.generation) return false;
   if (plan.rollback_to != 0) {
@@ -115,7 +119,7 @@ InstallResult install(std::string_view request, const Marketplace& from, const f
   const std::string name = from.resolve(request).package;
   for (int attempt = 0; attempt < kMostAttempts; ++attempt) {
     const Plan plan = plan_install({std::string(request)}, from, Store{store}, options.platform);
-    if (!apply(plan, &from, store, options)) continue;
+    if (!apply(plan, {&from}, store, options)) continue;
     const auto step = std::ranges::find(plan.steps, name, &PlanStep::package);
     const InstalledPackage package = Store{store}.find(name);
     return {outcome_of(plan, name), package,
@@ -127,7 +131,7 @@ InstallResult install(std::string_view request, const Marketplace& from, const f
 InstalledPackage remove(std::string_view name, const filesystem::path& store, const InstallOptions& options) {
   for (int attempt = 0; attempt < kMostAttempts; ++attempt) {
     const InstalledPackage package = Store{store}.find(name);
-    if (apply(plan_remove({std::string(name)}, Store{store}), nullptr, store, options)) return package;
+    if (apply(plan_remove({std::string(name)}, Store{store}), {}, store, options)) return package;
   }
   give_up(store);
 }

@@ -4,6 +4,7 @@
 #include <fiona/marketplace/plan.hpp>
 #include <fiona/plugin.hpp>
 #include <map>
+#include <optional>
 #include <set>
 
 #include "installed.hpp"
@@ -59,15 +60,40 @@ PlanStep removal_of(const Manifest& manifest) {
 
 void sort_steps(Plan& plan) { std::ranges::sort(plan.steps, {}, &PlanStep::package); }
 
+using Manifests = std::map<std::string, const Manifest*>;
+
+// Of these packages those that somebody has asked for, and what they require.
+std::set<std::string> needed_of(const Manifests& manifests, std::vector<std::string> asked) {
+  std::set<std::string> needed;
+  while (!asked.empty()) {
+    const std::string name = std::move(asked.back());
+    asked.pop_back();
+    if (!manifests.contains(name) || !needed.insert(name).second) continue;
+    for (const auto& text : manifests.at(name)->requirements()) asked.push_back(Requirement::parse(text, name).package);
+  }
+  return needed;
+}
+
+std::vector<std::string> asked_for(const Installed& list) {
+  std::vector<std::string> asked;
+  for (const auto& package : list.packages()) {
+    if (!package.as_requirement()) asked.push_back(full_name(package.manifest()));
+  }
+  return asked;
+}
+
+/// What a marketplace has.
+struct Offer {
+  const IndexEntry* entry;
+  const Marketplace* from;
+};
+
 /// One question to the solver: what is there, what is offered, what is wanted.
 class Planner {
  public:
   Planner(const Marketplace& from, const Store& store, const Platform& platform)
-      : from_(from),
-        store_(store),
-        platform_(platform),
-        installed_(read_installed(store.directory())),
-        solver_(platform_) {
+      : from_(from), store_(store), platform_(platform), installed_(read_installed(store.directory())) {
+    solver_.emplace(platform_);
     plan_.generation = installed_.generation();
     for (const auto& package : installed_.packages()) present_[full_name(package.manifest())] = &package;
     for (const auto& entry : from.index().entries()) offers_[full_name(entry.manifest())].push_back(&entry);
@@ -76,12 +102,13 @@ class Planner {
   void want(const PackageRequest& request) {
     plan_.asked.push_back(request.package);
     if (!request.version) return wanted_.install.push_back({request.package, {}});
-    want_exactly(best_of(request.package, *request.version));
+    want_exactly({&best_of(request.package, *request.version), &from_});
   }
 
-  void want_exactly(const IndexEntry& entry) {
-    exact_.insert(full_name(entry.manifest()));
-    wanted_.exact.push_back(&entry.manifest());
+  void want_exactly(const Offer& offer) {
+    exact_.insert(full_name(offer.entry->manifest()));
+    wanted_.exact.push_back(&offer.entry->manifest());
+    entries_[&offer.entry->manifest()] = offer;
   }
 
   void want_update(const std::string& package) { wanted_.update.push_back(package); }
@@ -91,16 +118,20 @@ class Planner {
   // `verb` is what cannot be done, if it cannot: "installed".
   Plan make(const char* verb, bool look_at_files) {
     fill_solver();
-    const Solver::Outcome outcome = solver_.solve(wanted_);
+    Solver::Outcome outcome = solver_->solve(wanted_);
     if (!outcome.solved()) refuse(outcome, verb);
+    outcome = with_other_content(std::move(outcome));
     for (const Manifest* manifest : outcome.packages) add_step(*manifest, outcome.packages);
     for (const auto& [name, package] : present_) {
       const bool stays = std::ranges::any_of(
           outcome.packages, [&, &wanted = name](const auto* one) { return full_name(*one) == wanted; });
       if (!stays) plan_.steps.push_back(removal_of(package->manifest()));
     }
-    for (const Manifest* manifest : outcome.packages) add_same_version(*manifest, look_at_files);
+    for (const Manifest* manifest : outcome.packages) {
+      if (look_at_files) add_repair(*manifest);
+    }
     add_notes(outcome);
+    note_needless(outcome);
     sort_steps(plan_);
     add_missing(outcome);
     return std::move(plan_);
@@ -114,7 +145,7 @@ class Planner {
     const IndexEntry* best = nullptr;
     for (const IndexEntry* entry : offers_of(package)) {
       if (version_in(entry->manifest()) != version) continue;
-      if (!best || solver_.fits_platform(entry->manifest())) best = entry;
+      if (!best || solver_->fits_platform(entry->manifest())) best = entry;
     }
     return *best;
   }
@@ -142,13 +173,17 @@ class Planner {
   }
 
   void fill_solver() {
+    solver_.emplace(platform_);
     for (const auto& package : installed_.packages()) {
       // Who names a version gives the one that is there away, also for an older one.
-      if (!exact_.contains(full_name(package.manifest()))) solver_.add_installed(package.manifest());
+      if (!exact_.contains(full_name(package.manifest()))) solver_->add_installed(package.manifest());
+    }
+    for (const Manifest* exact : wanted_.exact) {
+      if (entries_.at(exact).from != &from_) solver_->add_offered(*exact);
     }
     for (const auto& entry : from_.index().entries()) {
-      entries_[&entry.manifest()] = &entry;
-      if (is_eligible(entry)) solver_.add_offered(entry.manifest());
+      entries_[&entry.manifest()] = {&entry, &from_};
+      if (is_eligible(entry)) solver_->add_offered(entry.manifest());
     }
   }
 
@@ -167,10 +202,12 @@ class Planner {
     if (entry == entries_.end()) return;  // it stays
     const std::string name = full_name(after);
     const Manifest* before = present(name);
-    if (before && hash_of(*present_.at(name)) == entry->second->blake2b()) return;
+    const auto& [offered, from] = entry->second;
+    if (before && hash_of(*present_.at(name)) == offered->blake2b()) return;
     PlanStep step = step_to(after, before);
-    step.entry = *entry->second;
-    look_at_publisher(step, after.publisher());
+    step.entry = *offered;
+    step.source = from->source();
+    look_at_publisher(step, after.publisher(), *from);
     if (!is_asked(name) || (wanted_.update_all && !before)) {
       for (const Manifest* other : all) {
         if (step.because.empty() && requires_package(*other, name)) step.because = full_name(*other) + " requires it";
@@ -180,7 +217,7 @@ class Planner {
   }
 
   // A name is only as good as the keys behind it, and those the marketplace may change.
-  void look_at_publisher(PlanStep& step, const std::string& publisher) const {
+  void look_at_publisher(PlanStep& step, const std::string& publisher, const Marketplace& from) const {
     std::set<std::string> known;
     step.new_publisher = true;
     for (const auto& [name, package] : present_) {
@@ -188,22 +225,21 @@ class Planner {
       step.new_publisher = false;
       known.insert(package->keys().begin(), package->keys().end());
     }
-    if (from_.is_first_party() && publisher == kFirstParty) {
+    if (from.is_first_party() && publisher == kFirstParty) {
       step.new_publisher = false;
       return;
     }
     step.known_keys = {known.begin(), known.end()};
-    for (const auto& key : from_.keys_of(publisher)) {
+    for (const auto& key : from.keys_of(publisher)) {
       if (!known.contains(key)) step.new_keys.push_back(key);
     }
   }
 
-  // A package that stays in its version may have other content in the marketplace, or damaged files here.
-  void add_same_version(const Manifest& manifest, bool look_at_files) {
+  // What the marketplace has of a package that stays in its version; null: nothing, or nobody has asked.
+  const IndexEntry* same_version(const Manifest& manifest) const {
     const std::string name = full_name(manifest);
     const Manifest* before = present(name);
-    const bool stepped = std::ranges::any_of(plan_.steps, [&](const PlanStep& step) { return step.package == name; });
-    if (!before || stepped || !is_asked(name)) return;
+    if (before != &manifest || !is_asked(name)) return nullptr;
     const std::string hash = hash_of(*present_.at(name));
     const IndexEntry* same = nullptr;
     for (const IndexEntry* entry : offers_of(name)) {
@@ -211,13 +247,46 @@ class Planner {
                         entry->manifest().architecture() == before->architecture();
       if (fits && (!same || entry->blake2b() == hash)) same = entry;
     }
-    if (!same) return;
-    const bool other_content = same->blake2b() != hash;
-    if (!other_content && (!look_at_files || is_whole(name))) return;
-    PlanStep step = step_to(same->manifest(), before);
-    step.kind = other_content ? StepKind::Replace : StepKind::Repair;
+    return same;
+  }
+
+  bool has_content_of(const IndexEntry& entry) const {
+    return hash_of(*present_.at(full_name(entry.manifest()))) == entry.blake2b();
+  }
+
+  // Other content of a version that would stay may require other packages: it comes where that can be solved.
+  Solver::Outcome with_other_content(Solver::Outcome outcome) {
+    const Solver::Wanted wanted = wanted_;
+    const std::set<std::string> exact = exact_;
+    std::vector<std::string> names;
+    for (const Manifest* manifest : outcome.packages) {
+      const IndexEntry* entry = same_version(*manifest);
+      if (entry == nullptr || has_content_of(*entry)) continue;
+      const std::string name = full_name(*manifest);
+      want_exactly({entry, &from_});
+      std::erase(wanted_.update, name);
+      std::erase_if(wanted_.install, [&name](const Requirement& one) { return one.package == name; });
+      names.push_back(name + " " + manifest->version());
+    }
+    if (names.empty()) return outcome;
+    fill_solver();
+    Solver::Outcome other = solver_->solve(wanted_);
+    if (other.solved()) return other;
+    wanted_ = wanted;
+    exact_ = exact;
+    fill_solver();
+    plan_.notes.push_back("other content of " + listed(names) +
+                          " is not taken: " + listed(other.reasons, ", ", ", and "));
+    return outcome;
+  }
+
+  void add_repair(const Manifest& manifest) {
+    const IndexEntry* same = same_version(manifest);
+    if (same == nullptr || !has_content_of(*same) || is_whole(full_name(manifest))) return;
+    PlanStep step = step_to(same->manifest(), &manifest);
+    step.kind = StepKind::Repair;
     step.entry = *same;
-    if (other_content) look_at_publisher(step, same->manifest().publisher());
+    step.source = from_.source();
     plan_.steps.push_back(std::move(step));
   }
 
@@ -228,6 +297,21 @@ class Planner {
     } catch (const Error& error) {
       if (error.code() != ErrorCode::BadSignature) throw;
       return false;
+    }
+  }
+
+  // What came as a requirement of a version that goes.
+  void note_needless(const Solver::Outcome& outcome) {
+    Manifests now, then;
+    for (const auto& [name, package] : present_) now[name] = &package->manifest();
+    for (const Manifest* manifest : outcome.packages) then[full_name(*manifest)] = manifest;
+    std::vector<std::string> asked = asked_for(installed_);
+    const std::set<std::string> before = needed_of(now, asked);
+    asked.insert(asked.end(), plan_.asked.begin(), plan_.asked.end());
+    const std::set<std::string> after = needed_of(then, asked);
+    for (const auto& name : before) {
+      if (!after.contains(name) && then.contains(name))
+        plan_.notes.push_back("nothing requires " + name + " any more: market remove " + name);
     }
   }
 
@@ -247,7 +331,7 @@ class Planner {
       for (const auto& other : wanted_.install) {
         if (other.package != name) wanted.install.push_back(other);
       }
-      const Solver::Outcome tried = solver_.solve(wanted);
+      const Solver::Outcome tried = solver_->solve(wanted);
       if (!tried.solved())
         plan_.notes.push_back(name + " " + newest->version() +
                               " is not taken: " + listed(tried.reasons, ", ", ", and "));
@@ -290,7 +374,7 @@ class Planner {
   std::string next_step(const Solver::Outcome& refused) {
     if (wanted_.exact.size() == 1 && wanted_.install.empty()) {
       const std::string name = full_name(*wanted_.exact.front());
-      const Solver::Outcome other = solver_.solve({.install = {{name, {}}}});
+      const Solver::Outcome other = solver_->solve({.install = {{name, {}}}});
       for (const Manifest* manifest : other.packages) {
         if (full_name(*manifest) == name)
           return "market install " + name + "@" + manifest->version() + from_.option() +
@@ -311,25 +395,30 @@ class Planner {
   const Store& store_;
   const Platform platform_;
   const Installed installed_;
-  Solver solver_;
+  std::optional<Solver> solver_;
   Plan plan_;
   Solver::Wanted wanted_;
   std::set<std::string> exact_;
   std::map<std::string, std::vector<const IndexEntry*>> offers_;  // all, by name
   std::map<std::string, const fiona::InstalledPackage*> present_;
-  std::map<const Manifest*, const IndexEntry*> entries_;  // all, by manifest
+  std::map<const Manifest*, Offer> entries_;  // all, by manifest
 };
 
-const IndexEntry& locked_entry(const LockedPackage& locked, const Marketplace& from) {
+Offer locked_offer(const LockedPackage& locked, const Marketplaces& from) {
   const IndexEntry* other = nullptr;
-  for (const auto& entry : from.index().entries()) {
-    if (full_name(entry.manifest()) != locked.package()) continue;
-    if (entry.blake2b() == locked.blake2b()) return entry;
-    if (entry.manifest().version() == locked.version()) other = &entry;
+  const Marketplace* where = from.front();
+  for (const Marketplace* market : from) {
+    for (const auto& entry : market->index().entries()) {
+      if (full_name(entry.manifest()) != locked.package()) continue;
+      if (entry.blake2b() == locked.blake2b()) return {&entry, market};
+      if (entry.manifest().version() != locked.version()) continue;
+      other = &entry;
+      where = market;
+    }
   }
   ErrorText text{
       .what = "the marketplace does not have " + locked.package() + " " + locked.version() + ", which the lock names",
-      .where = from.source(),
+      .where = where->source(),
       .next = "market install --locked FILE --from " + locked.marketplace()};
   if (!other) throw Error(ErrorCode::NotFound, text);
   text.what =
@@ -337,26 +426,6 @@ const IndexEntry& locked_entry(const LockedPackage& locked, const Marketplace& f
   text.expected = locked.blake2b();
   text.found = other->blake2b();
   throw Error(ErrorCode::BadSignature, text);
-}
-
-// Every package that somebody asked for and what those require, of the ones in `list`.
-std::set<std::string> needed_of(const Installed& list, const std::set<std::string>& removed) {
-  std::map<std::string, const Manifest*> manifests;
-  std::vector<std::string> open;
-  for (const auto& package : list.packages()) {
-    const std::string name = full_name(package.manifest());
-    if (removed.contains(name)) continue;
-    manifests[name] = &package.manifest();
-    if (!package.as_requirement()) open.push_back(name);
-  }
-  std::set<std::string> needed;
-  while (!open.empty()) {
-    const std::string name = std::move(open.back());
-    open.pop_back();
-    if (!manifests.contains(name) || !needed.insert(name).second) continue;
-    for (const auto& text : manifests.at(name)->requirements()) open.push_back(Requirement::parse(text, name).package);
-  }
-  return needed;
 }
 
 void refuse_if_required(const Installed& list, const std::set<std::string>& removed) {
@@ -409,12 +478,12 @@ Plan plan_update(const std::vector<std::string>& names, const Marketplace& from,
   return plan;
 }
 
-Plan plan_locked(const Lock& lock, const Marketplace& from, const Store& store, const Platform& platform) {
-  Planner planner{from, store, platform};
+Plan plan_locked(const Lock& lock, const Marketplaces& from, const Store& store, const Platform& platform) {
+  Planner planner{*from.front(), store, platform};
   for (const auto& locked : lock.packages()) {
     const auto& present = planner.installed().packages();
     const bool there = std::ranges::any_of(present, [&](const auto& one) { return hash_of(one) == locked.blake2b(); });
-    if (!there) planner.want_exactly(locked_entry(locked, from));
+    if (!there) planner.want_exactly(locked_offer(locked, from));
     if (!locked.as_requirement()) planner.ask_for(locked.package());
   }
   Plan plan = planner.make("installed", false);
@@ -427,14 +496,16 @@ Plan plan_remove(const std::vector<std::string>& names, const Store& store) {
   for (const auto& name : names) removed.insert(store.find(name).name());
   const Installed list = read_installed(store.directory());
   refuse_if_required(list, removed);
-  const std::set<std::string> before = needed_of(list, {}), after = needed_of(list, removed);
+  Manifests stay;
+  for (const auto& package : list.packages()) stay[full_name(package.manifest())] = &package.manifest();
+  for (const auto& name : removed) stay.erase(name);
+  const std::set<std::string> needed = needed_of(stay, asked_for(list));
   Plan plan;
   plan.generation = list.generation();
   plan.change = change_text("remove", {removed.begin(), removed.end()});
   for (const auto& package : list.packages()) {
     const std::string name = full_name(package.manifest());
-    const bool needless = before.contains(name) && !after.contains(name);
-    if (!removed.contains(name) && !needless) continue;
+    if (needed.contains(name)) continue;
     PlanStep& step = plan.steps.emplace_back(removal_of(package.manifest()));
     if (!removed.contains(name)) step.because = "nothing requires it any more";
   }

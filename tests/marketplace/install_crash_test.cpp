@@ -72,7 +72,7 @@ class Crash : public ::testing::TestWithParam<Change> {
     options.os = os;
     const std::string& request = GetParam().request;
     if (request == "<")
-      apply(plan_rollback({}, Store{store}), nullptr, store, options);
+      apply(plan_rollback({}, Store{store}), {}, store, options);
     else if (request.starts_with('-'))
       marketplace::remove(request.substr(1), store, options);
     else

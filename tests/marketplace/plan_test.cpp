@@ -169,7 +169,12 @@ class PlanTest : public ::testing::Test {
   void install_one(const std::string& request) { install(request, Marketplace{market_}, store_); }
   void perform(const Plan& plan) {
     const Marketplace market{market_};
-    ASSERT_TRUE(apply(plan, &market, store_));
+    ASSERT_TRUE(apply(plan, {&market}, store_));
+  }
+
+  Plan locked(const Lock& lock) {
+    const Marketplace market{market_};
+    return plan_locked(lock, {&market}, Store{scratch_ / "other"});
   }
 
   static std::string text(const Plan& plan) {
@@ -329,13 +334,69 @@ TEST_F(PlanTest, WhatCameAsARequirementGoesWithTheLastThatRequiresIt) {
   EXPECT_EQ(text(plan_remove({"nav", "track"}, Store{store_})), "-nav@1.0.0 -track@1.0.0 ");
 }
 
+TEST_F(PlanTest, ARequirementThatAnUpdateDropsIsNamedAndGoesWithTheNextRemoval) {
+  publish_one("maps", "1.0.0");
+  publish_one("track", "1.0.0");
+  publish_one("nav", "1.0.0", "requirements: 'acme/maps'");
+  install_one("nav");
+  install_one("track");
+  publish_one("nav", "1.1.0");
+  const Marketplace market{market_};
+  const Plan update = plan_update({}, market, Store{store_});
+  EXPECT_EQ(text(update), "^nav@1.1.0 ");
+  EXPECT_EQ(update.notes, std::vector<std::string>{"nothing requires acme/maps any more: market remove acme/maps"});
+  perform(update);
+  EXPECT_TRUE(plan_update({}, market, Store{store_}).notes.empty()) << "it is told once";
+  EXPECT_EQ(text(plan_remove({"track"}, Store{store_})), "-maps@1.0.0 (nothing requires it any more) -track@1.0.0 ");
+}
+
+TEST_F(PlanTest, OtherContentOfAVersionComesWithWhatItRequiresOrNotAtAll) {
+  publish_one("nav", "1.0.0");
+  install_one("nav");
+  filesystem::remove_all(market_);
+  publish_one("nav", "1.0.0", "requirements: 'acme/maps'");
+  const Plan kept = plan({"nav"});
+  EXPECT_EQ(text(kept), "");
+  ASSERT_EQ(kept.notes.size(), 1u);
+  EXPECT_EQ(
+      kept.notes[0],
+      "other content of acme/nav 1.0.0 is not taken: acme/nav 1.0.0 requires acme/maps, which the marketplace does "
+      "not have");
+  publish_one("maps", "1.0.0");
+  EXPECT_EQ(text(plan({"nav"})), "+maps@1.0.0 (acme/nav requires it) =nav@1.0.0 ");
+  EXPECT_EQ(text(plan_update({"nav"}, Marketplace{market_}, Store{store_})),
+            "+maps@1.0.0 (acme/nav requires it) =nav@1.0.0 ");
+  EXPECT_EQ(text(plan_update({}, Marketplace{market_}, Store{store_})),
+            "+maps@1.0.0 (acme/nav requires it) =nav@1.0.0 ");
+}
+
+TEST_F(PlanTest, ALockOfSeveralMarketplacesIsInstalledWholeOrNotAtAll) {
+  publish_one("nav", "1.0.0");
+  publish_plugin(scratch_.path(), scratch_ / "second", "maps", "1.0.0");
+  const Marketplace first{market_}, second{scratch_ / "second"};
+  install("nav", first, store_);
+  install("maps", second, store_);
+  const Lock lock = make_lock(Store{store_}, {});
+  const Store other{scratch_ / "other"};
+  const Plan plan = plan_locked(lock, {&first, &second}, other);
+  EXPECT_EQ(text(plan), "+maps@1.0.0 +nav@1.0.0 ");
+  const filesystem::path file = scratch_ / "second" / second.info("maps")[0].file();
+  filesystem::rename(file, scratch_ / "away");
+  error_of([&] { apply(plan, {&first, &second}, other.directory()); });
+  EXPECT_TRUE(other.installed().empty());
+  filesystem::rename(scratch_ / "away", file);
+  EXPECT_TRUE(apply(plan, {&first, &second}, other.directory()));
+  EXPECT_EQ(other.find("maps").source, second.source());
+  EXPECT_EQ(other.find("nav").source, first.source());
+}
+
 TEST_F(PlanTest, APlanForAnotherStateOfTheStoreIsNotCarriedOut) {
   publish_one("maps", "1.0.0");
   publish_one("nav", "1.0.0");
   const Plan stale = plan({"nav"});
   install_one("maps");
   const Marketplace market{market_};
-  EXPECT_FALSE(apply(stale, &market, store_));
+  EXPECT_FALSE(apply(stale, {&market}, store_));
   EXPECT_EQ(Store{store_}.installed().size(), 1u);
 }
 
@@ -366,12 +427,12 @@ TEST_F(PlanTest, ALockBringsTheSameBytesElsewhere) {
   publish_one("maps", "1.1.0");
   const Store other{scratch_ / "other"};
   const Marketplace market{market_};
-  const Plan plan = plan_locked(read_lock(scratch_ / "fiona.lock"), market, other);
+  const Plan plan = plan_locked(read_lock(scratch_ / "fiona.lock"), {&market}, other);
   EXPECT_EQ(text(plan), "+maps@1.0.0 +nav@1.0.0 ");
-  EXPECT_TRUE(apply(plan, &market, other.directory()));
+  EXPECT_TRUE(apply(plan, {&market}, other.directory()));
   EXPECT_EQ(other.find("maps").directory.filename(), Store{store_}.find("maps").directory.filename());
   EXPECT_TRUE(other.find("maps").as_requirement);
-  EXPECT_EQ(text(plan_locked(lock, market, other)), "");
+  EXPECT_EQ(text(plan_locked(lock, {&market}, other)), "");
 }
 
 TEST_F(PlanTest, ALockOfOtherContentIsASignatureError) {
@@ -379,11 +440,11 @@ TEST_F(PlanTest, ALockOfOtherContentIsASignatureError) {
   install_one("maps");
   Lock lock = make_lock(Store{store_}, {});
   lock.mutable_packages(0)->set_blake2b(std::string(64, 'a'));
-  const Error error = error_of([&] { plan_locked(lock, Marketplace{market_}, Store{scratch_ / "other"}); });
+  const Error error = error_of([&] { locked(lock); });
   EXPECT_EQ(error.code(), ErrorCode::BadSignature);
   EXPECT_EQ(error.text().what, "the marketplace has acme/maps 1.0.0 with other content than the lock says");
   lock.mutable_packages(0)->set_version("3.0.0");
-  EXPECT_EQ(error_of([&] { plan_locked(lock, Marketplace{market_}, Store{scratch_ / "other"}); }).text().what,
+  EXPECT_EQ(error_of([&] { locked(lock); }).text().what,
             "the marketplace does not have acme/maps 3.0.0, which the lock names");
 }
 

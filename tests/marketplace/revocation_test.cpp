@@ -89,7 +89,7 @@ TEST_F(RevokedPackage, GoingBackDoesNotReviveIt) {
   revoke(market_, "acme/steps@1.0.0", "", keeper());
   refresh();
   EXPECT_EQ(start_fault("steps"), "");
-  apply(plan_rollback(std::nullopt, store()), nullptr, scratch_ / "store");
+  apply(plan_rollback(std::nullopt, store()), {}, scratch_ / "store");
   EXPECT_EQ(store().find("steps").manifest.version(), "1.0.0");
   EXPECT_THAT(start_fault("steps"), HasSubstr("has been revoked"));
 }

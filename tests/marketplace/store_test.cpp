@@ -28,7 +28,7 @@ class StoreTest : public ::testing::Test {
     publish(scratch_ / "other.fpk", market_);
   }
   void roll_back(std::optional<std::uint64_t> to = {}) {
-    EXPECT_TRUE(apply(plan_rollback(to, Store{store_}), nullptr, store_));
+    EXPECT_TRUE(apply(plan_rollback(to, Store{store_}), {}, store_));
   }
   InstallResult install_one(std::string_view request) { return install(request, Marketplace{market_}, store_); }
 

@@ -22,6 +22,7 @@ namespace fiona::console::verbs {
 namespace {
 
 using marketplace::Marketplace;
+using marketplace::Marketplaces;
 using marketplace::Plan;
 using marketplace::PlanStep;
 using marketplace::StepKind;
@@ -197,7 +198,8 @@ void tell_unchanged(Session& session, const Plan& plan, const Store& store) {
 
 /// Plans, asks and does; again where the store has changed meanwhile.
 template <class Make>
-void carry_out(Session& session, const Line& line, const Marketplace* market, bool ask_always, const Make& make) {
+void carry_out(Session& session, const Line& line, const Marketplaces& from, bool ask_always, const Make& make) {
+  const Marketplace* market = from.empty() ? nullptr : from.front();
   const Store store = chosen_store(session);
   marketplace::InstallOptions options;
   options.on_wait = [&session](const std::string& who) { session.out.remark(fmt::format("waiting for {}", who)); };
@@ -210,7 +212,7 @@ void carry_out(Session& session, const Line& line, const Marketplace* market, bo
       return;
     }
     if (!is_agreed(session, line, plan, ask_always)) return session.out.text("nothing was changed");
-    if (!marketplace::apply(plan, market, store.directory(), options)) continue;
+    if (!marketplace::apply(plan, from, store.directory(), options)) continue;
     tell_done(session, plan);
     tell_running(session, plan);
     tell_unchanged(session, plan, store);
@@ -221,36 +223,29 @@ void carry_out(Session& session, const Line& line, const Marketplace* market, bo
                                        .next = "try again when they have ended"});
 }
 
-struct LockedPart {
-  Marketplace market;
-  fiona::Lock lock;
-};
-
-/// A lock names a marketplace with each package: what the user's own has not, to the byte, is asked for there. All have
-/// answered before anything is changed.
-std::vector<LockedPart> locked_parts(Session& session, const Line& line, const fiona::Lock& lock) {
-  std::vector<LockedPart> parts{{chosen_market(session, line), lock}};
-  if (line.option("--from") != nullptr) return parts;
-  const fiona::Lock own = marketplace::part_of(lock, parts.front().market);
-  std::map<std::string, fiona::Lock> others;
+/// A lock names a marketplace with each package: what the user's own has not, to the byte, is asked for there.
+std::vector<Marketplace> locked_markets(Session& session, const Line& line, const fiona::Lock& lock) {
+  std::vector<Marketplace> markets{chosen_market(session, line)};
+  if (line.option("--from") != nullptr) return markets;
+  const fiona::Lock own = marketplace::part_of(lock, markets.front());
+  std::set<std::string> others;
   for (const auto& locked : lock.packages()) {
     const auto is_it = [&locked](const auto& one) { return one.blake2b() == locked.blake2b(); };
     if (std::any_of(own.packages().begin(), own.packages().end(), is_it)) continue;
-    if (locked.marketplace() == parts.front().market.source()) return parts;  // which says that it is not there
-    *others[locked.marketplace()].add_packages() = locked;
+    if (locked.marketplace() == markets.front().source()) return markets;  // the plan says that it is not there
+    others.insert(locked.marketplace());
   }
-  parts.front().lock = own;
-  for (auto& [place, rest] : others) parts.push_back({opened_market(session, place), std::move(rest)});
-  std::erase_if(parts, [](const LockedPart& part) { return part.lock.packages().empty(); });
-  return parts;
+  for (const auto& place : others) markets.push_back(opened_market(session, place));
+  return markets;
 }
 
 void install_locked(Session& session, const Line& line, const std::string& file) {
   const fiona::Lock lock = marketplace::read_lock(file);
-  for (const LockedPart& part : locked_parts(session, line, lock)) {
-    carry_out(session, line, &part.market, false,
-              [&part](const Store& store) { return marketplace::plan_locked(part.lock, part.market, store); });
-  }
+  const std::vector<Marketplace> markets = locked_markets(session, line, lock);
+  Marketplaces from;
+  for (const auto& market : markets) from.push_back(&market);
+  carry_out(session, line, from, false,
+            [&](const Store& store) { return marketplace::plan_locked(lock, from, store); });
 }
 
 void install(Session& session, const Line& line) {
@@ -261,13 +256,13 @@ void install(Session& session, const Line& line) {
                                  .expected = "market install PACKAGE …, or market install --locked FILE"});
   if (locked != nullptr) return install_locked(session, line, locked->text);
   const Marketplace market = chosen_market(session, line);
-  carry_out(session, line, &market, false,
+  carry_out(session, line, {&market}, false,
             [&](const Store& store) { return marketplace::plan_install(names, market, store); });
 }
 
 void update(Session& session, const Line& line) {
   const Marketplace market = chosen_market(session, line);
-  carry_out(session, line, &market, false,
+  carry_out(session, line, {&market}, false,
             [&](const Store& store) { return marketplace::plan_update(names_in(line), market, store); });
 }
 
@@ -291,14 +286,14 @@ void remove(Session& session, const Line& line) {
   if (!running.empty() && !session.planning)
     session.out.warning(
         fmt::format("the running system uses it, and goes on with it until it ends: {}", fmt::join(running, ", ")));
-  carry_out(session, line, nullptr, !running.empty(),
+  carry_out(session, line, {}, !running.empty(),
             [&](const Store& store) { return marketplace::plan_remove(names_in(line), store); });
 }
 
 void rollback(Session& session, const Line& line) {
   std::optional<std::uint64_t> generation;
   if (line.positional.size() > 1) generation = count_of(line.positional[1], line.words);
-  carry_out(session, line, nullptr, false,
+  carry_out(session, line, {}, false,
             [&](const Store& store) { return marketplace::plan_rollback(generation, store); });
 }
 

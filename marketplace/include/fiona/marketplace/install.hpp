@@ -36,9 +36,9 @@ struct InstallOptions {
 /// Does what a plan says, atomically: killed, out of space or out of power at any point, the store holds the old state
 /// or the new one, and the next change sweeps what was left. The state before stays as a generation that plan_rollback
 /// can go back to. Returns false, and does nothing, if the store has changed since the plan was made: plan again.
-/// `from` is needed where the plan installs. Throws fiona::Error: BadSignature (the package is not what the index
-/// says), Unreachable (the lock), Failed (system calls; the store is unchanged).
-bool apply(const Plan& plan, const Marketplace* from, const std::filesystem::path& store,
+/// `from` has those that the plan was made from, as far as it installs. Throws fiona::Error: BadSignature (the package
+/// is not what the index says), Unreachable (the lock), Failed (system calls; the store is unchanged).
+bool apply(const Plan& plan, const Marketplaces& from, const std::filesystem::path& store,
            const InstallOptions& options = {});
 
 /// plan_install and apply of "[publisher/]name[@version]", without questions. Throws as both.

@@ -42,6 +42,7 @@ struct PlanStep {
   std::vector<std::string> new_keys;    ///< of its publisher, with which nothing that is installed was signed
   std::vector<std::string> known_keys;  ///< of its publisher, with which something was
   std::optional<IndexEntry> entry{};    ///< what to install; none to remove, or where the store has it still
+  std::string source{};                 ///< of the marketplace that has the entry
 };
 
 /// A required port that nothing installed could serve.
@@ -66,6 +67,9 @@ struct Plan {
   bool needs_consent() const;
 };
 
+/// Those that a plan is made from.
+using Marketplaces = std::vector<const Marketplace*>;
+
 /// Each request is "[publisher/]name[@version]": the newest version that fits, or exactly that one. A package that is
 /// installed is brought up to date. Throws fiona::Error: NotFound, DependencyConflict with the reasons in a sentence.
 Plan plan_install(const std::vector<std::string>& requests, const Marketplace& from, const Store& store,
@@ -75,8 +79,9 @@ Plan plan_install(const std::vector<std::string>& requests, const Marketplace& f
 Plan plan_update(const std::vector<std::string>& names, const Marketplace& from, const Store& store,
                  const Platform& platform = Platform::here());
 
-/// Exactly what a lock says. Throws as plan_install; BadSignature if the marketplace has a version with other content.
-Plan plan_locked(const Lock& lock, const Marketplace& from, const Store& store,
+/// Exactly what a lock says, each package from the first of the marketplaces that has it to the byte. Throws as
+/// plan_install; BadSignature if one has a version with other content, and none the right one.
+Plan plan_locked(const Lock& lock, const Marketplaces& from, const Store& store,
                  const Platform& platform = Platform::here());
 
 /// These and the packages that came with them and that nothing else requires. Throws fiona::Error: NotFound;
