@@ -263,6 +263,7 @@ std::vector<Verb> remaining_verbs() {
        "`keys trust`.\n"
        "`search` finds words in names, texts and services; `for spots` those that fill the white spots of the running "
        "system, `for FILE` those of a system file.\n"
+       "`update` without --from also asks each other marketplace for what came from there. "
        "`install`, `update`, `remove` and `rollback` do all or nothing. What goes beyond the line typed, as packages "
        "that are required, rights, a publisher of whom nothing is installed, is shown and asked first; -y answers yes, "
        "and plan market … shows it and does nothing.\n"

@@ -79,11 +79,11 @@ void roll_back(StoreChange& change, const Plan& plan, const filesystem::path& st
   for (const auto& package : then.packages()) {
     if (change.is_whole(package.manifest(), hash_of(package))) continue;
     const std::string name = full_name(package.manifest()) + " " + package.manifest().version();
-    throw Error(
-        ErrorCode::BadSignature,
-        ErrorText{.what = "the files of " + name + ", to which this would go back, are damaged or gone",
-                  .where = (store / package.directory()).string(),
-                  .next = "market install " + full_name(package.manifest()) + "@" + package.manifest().version()});
+    throw Error(ErrorCode::BadSignature,
+                ErrorText{.what = "the files of " + name + ", to which this would go back, are damaged or gone",
+                          .where = (store / package.directory()).string(),
+                          .next = "market install " + full_name(package.manifest()) + "@" +
+                                  package.manifest().version() + from_option(package.source())});
   }
   change.commit_rollback(then);
 }

@@ -6,6 +6,7 @@
 #include <charconv>
 #include <fiona/error.hpp>
 #include <fiona/marketplace/hash.hpp>
+#include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/manifest.hpp>
 #include <optional>
 #include <set>
@@ -107,6 +108,10 @@ Installed read_generation(const std::filesystem::path& store, std::uint64_t numb
                         .where = store.string(),
                         .expected = kept.empty() ? "there is none to go back to" : "one of " + kept,
                         .next = "market history"});
+}
+
+std::string from_option(const std::string& source) {
+  return source.empty() || source == Marketplace::default_directory() ? "" : " --from " + source;
 }
 
 std::string generation_file(std::uint64_t number) { return std::to_string(number) + ".textproto"; }

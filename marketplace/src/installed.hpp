@@ -30,6 +30,9 @@ std::vector<std::uint64_t> kept_generations(const std::filesystem::path& store);
 Installed read_generation(const std::filesystem::path& store, std::uint64_t number);
 
 /// "7.textproto".
+/// " --from PLACE" of where a package came from; empty for the marketplace that is asked without.
+std::string from_option(const std::string& source);
+
 std::string generation_file(std::uint64_t number);
 
 /// The name of a package's directory below packages/, which is the hash of its .fpk.

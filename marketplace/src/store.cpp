@@ -43,7 +43,8 @@ InstalledPackage located(const filesystem::path& store, const fiona::InstalledPa
                         .where = package.directory.string(),
                         .expected = std::move(expected),
                         .found = std::move(found),
-                        .next = "market install " + package.name() + "@" + package.manifest.version()});
+                        .next = "market install " + package.name() + "@" + package.manifest.version() +
+                                from_option(package.source)});
 }
 
 // Opens a listed file, whose path the manifest's check has found harmless, or refuses.
@@ -233,7 +234,7 @@ PackageHold Store::hold(const InstalledPackage& package) const {
   throw Error(ErrorCode::NotFound,
               ErrorText{.what = package.name() + " " + package.manifest.version() + " is no longer installed",
                         .where = package.directory.string(),
-                        .next = "market install " + package.name()});
+                        .next = "market install " + package.name() + from_option(package.source)});
 }
 
 }  // namespace fiona::marketplace

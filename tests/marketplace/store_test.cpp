@@ -215,7 +215,7 @@ TEST_F(StoreTest, ADamagedPackageIsNoticedAndRepaired) {
   const Error error = error_of([&] { Store{store_}.verify(package); });
   EXPECT_EQ(error.code(), ErrorCode::BadSignature);
   EXPECT_EQ(error.text().what, "the installed package acme/steps is damaged: lib/libsteps.so has other content");
-  EXPECT_EQ(error.text().next, "market install acme/steps@1.0.0");
+  EXPECT_EQ(error.text().next, "market install acme/steps@1.0.0 --from " + market_.string());
   EXPECT_EQ(install_one("steps").outcome, InstallOutcome::Repaired);
   EXPECT_NO_THROW(Store{store_}.verify(package));
 }

@@ -260,10 +260,58 @@ void install(Session& session, const Line& line) {
             [&](const Store& store) { return marketplace::plan_install(names, market, store); });
 }
 
+/// What came from where, of what is named or of all.
+std::map<std::string, std::vector<std::string>> by_source(const Store& store, const std::vector<std::string>& names) {
+  std::map<std::string, std::vector<std::string>> sources;
+  for (const std::string& name : names) {
+    const auto package = store.find(name);
+    sources[package.source].push_back(package.name());
+  }
+  if (!names.empty()) return sources;
+  for (const auto& package : store.installed()) sources[package.source].push_back(package.name());
+  return sources;
+}
+
+struct UpdatePart {
+  Marketplace market;
+  std::vector<std::string> packages;  ///< none: all
+};
+
+void update_part(Session& session, const Line& line, const UpdatePart& part) {
+  carry_out(session, line, {&part.market}, false, [&](const Store& store) {
+    Plan plan = marketplace::plan_update(part.packages, part.market, store);
+    const bool all = line.positional.size() == 1;
+    if (line.option("--from") == nullptr) plan.change = (all ? "update" : plan.change) + part.market.option();
+    return plan;
+  });
+}
+
+/// The user's own is asked for all, each other for what came from there; all before anything is changed, for each may
+/// have revoked something.
 void update(Session& session, const Line& line) {
-  const Marketplace market = chosen_market(session, line);
-  carry_out(session, line, {&market}, false,
-            [&](const Store& store) { return marketplace::plan_update(names_in(line), market, store); });
+  auto sources = by_source(chosen_store(session), names_in(line));
+  sources.erase(Marketplace::default_directory().string());
+  if (line.option("--from") != nullptr || sources.empty())
+    return update_part(session, line, {chosen_market(session, line), names_in(line)});
+  std::vector<UpdatePart> parts;
+  std::size_t failed = 0;
+  const auto ask = [&](const std::string& place, const std::vector<std::string>& packages) {
+    try {
+      parts.push_back({opened_market(session, place), packages});
+    } catch (const Error& error) {
+      session.out.error(error);
+      ++failed;
+    }
+  };
+  ask("", names_in(line));
+  for (const auto& [source, packages] : sources) {
+    if (parts.empty() || parts.front().market.source() != source) ask(source, packages);
+  }
+  for (const UpdatePart& part : parts) update_part(session, line, part);
+  if (failed > 0)
+    throw Error(ErrorCode::Unreachable,
+                {.what = fmt::format("{} of {} marketplaces could not be asked", failed, failed + parts.size()),
+                 .next = "market list says what came from there; market update --from DIR asks another"});
 }
 
 /// The instances of the running host that a package's plugin has made.
