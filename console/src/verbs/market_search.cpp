@@ -137,21 +137,23 @@ std::string versions_text(const std::vector<IndexEntry>& entries) {
   return fmt::format("{}", fmt::join(texts, ", "));
 }
 
-void show_facts(Session& session, const std::vector<IndexEntry>& entries) {
-  const Manifest& newest = entries.front().manifest();
+/// Of one of the versions.
+void show_facts(Session& session, const IndexEntry& shown, const std::vector<IndexEntry>& entries) {
+  const Manifest& manifest = shown.manifest();
   Table facts({"fact", "value"});
-  facts.add({"package", marketplace::full_name(newest)});
+  facts.add({"package", marketplace::full_name(manifest)});
+  if (&shown != &entries.front()) facts.add({"version", manifest.version()});
   facts.add({"versions", versions_text(entries)});
-  facts.add({"summary", newest.summary()});
-  facts.add({"license", newest.license()});
+  facts.add({"summary", manifest.summary()});
+  facts.add({"license", manifest.license()});
   std::vector<std::string> rights;
-  for (const std::string& right : newest.rights()) rights.push_back(right_text(right));
+  for (const std::string& right : manifest.rights()) rights.push_back(right_text(right));
   facts.add({"rights", rights.empty() ? "none beyond a sandbox" : fmt::format("{}", fmt::join(rights, "; "))});
-  for (const std::string& text : newest.requirements()) facts.add({"requires", text});
-  for (const std::string& text : newest.conflicts()) facts.add({"not with", text});
-  if (!newest.host().empty()) facts.add({"works with", "FIONA " + newest.host()});
-  facts.add({"size", {fmt::format("{} KiB", entries.front().size() / 1024), entries.front().size()}});
-  for (const std::string& shown : split_lines(newest.try_())) facts.add({"try", shown});
+  for (const std::string& text : manifest.requirements()) facts.add({"requires", text});
+  for (const std::string& text : manifest.conflicts()) facts.add({"not with", text});
+  if (!manifest.host().empty()) facts.add({"works with", "FIONA " + manifest.host()});
+  facts.add({"size", {fmt::format("{} KiB", shown.size() / 1024), shown.size()}});
+  for (const std::string& try_line : split_lines(manifest.try_())) facts.add({"try", try_line});
   session.out.table(facts, "", false);
 }
 
@@ -175,10 +177,15 @@ void market_search(Session& session, const Line& line) {
 
 void market_info(Session& session, const Line& line) {
   const Marketplace market = chosen_market(session, line);
-  std::vector<IndexEntry> entries = market.info(line.positional[1].text);
+  const marketplace::PackageRequest asked = market.resolve(line.positional[1].text);
+  const std::vector<IndexEntry> entries = market.info(asked.package);
+  const auto is_asked = [&](const IndexEntry& entry) {
+    return !asked.version || marketplace::Version::parse(entry.manifest().version()) == asked.version;
+  };
+  const IndexEntry& shown = *std::find_if(entries.begin(), entries.end(), is_asked);
   // The interface with its types is in the package; reading it checks the whole file and opens no library.
-  const auto contents = marketplace::inspect_package(market.package(entries.front()));
-  show_facts(session, entries);
+  const auto contents = marketplace::inspect_package(market.package(shown));
+  show_facts(session, shown, entries);
   const TypeSet types(contents.interface.descriptors());
   for (const auto& component : contents.interface.components()) show_component(session, component, types);
 }

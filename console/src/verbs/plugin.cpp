@@ -99,10 +99,13 @@ void check_plugin_name(const Line& line, const Word& word, const std::string& te
 std::string publisher_of(const Line& line) {
   if (const Word* typed = line.option("--publisher")) {
     check_plugin_name(line, *typed, typed->text, "publisher");
-    return typed->text;
+    if (marketplace::is_publisher(typed->text)) return typed->text;
+    throw line.error(*typed,
+                     {.what = fmt::format("'{}' has a meaning of its own, and nobody can publish by it", typed->text),
+                      .next = "choose another name"});
   }
   const char* user = std::getenv("USER");
-  if (user != nullptr && plugin_name_fault(user).empty()) return user;
+  if (user != nullptr && plugin_name_fault(user).empty() && marketplace::is_publisher(user)) return user;
   throw line.error(line.verb, {.what = "nobody knows who publishes the plugin",
                                .next = fmt::format("plugin new {} --publisher NAME", line.positional[1].text)});
 }
