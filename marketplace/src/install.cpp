@@ -15,8 +15,6 @@ namespace {
 
 namespace filesystem = std::filesystem;
 
-constexpr int kMostAttempts = 5;
-
 void list_package(StoreChange& change, const Marketplace& from, const PlanStep& step) {
   fiona::InstalledPackage* listed = change.find(step.package);
   if (!listed) {
@@ -88,19 +86,6 @@ void roll_back(StoreChange& change, const Plan& plan, const filesystem::path& st
   change.commit_rollback(then);
 }
 
-InstallOutcome outcome_of(const Plan& plan, const std::string& name) {
-  const auto step = std::ranges::find(plan.steps, name, &PlanStep::package);
-  if (step == plan.steps.end()) return InstallOutcome::AlreadyInstalled;
-  if (step->kind == StepKind::Repair) return InstallOutcome::Repaired;
-  return step->kind == StepKind::Install ? InstallOutcome::Installed : InstallOutcome::Replaced;
-}
-
-[[noreturn]] void give_up(const filesystem::path& store) {
-  throw Error(ErrorCode::Unreachable, ErrorText{.what = "others change this store all the time",
-                                                .where = store.string(),
-                                                .next = "try again when they have ended"});
-}
-
 }  // namespace
 
 bool apply(const Plan& plan, const Marketplaces& from, const filesystem::path& store, const InstallOptions& options) {
@@ -112,28 +97,6 @@ bool apply(const Plan& plan, const Marketplaces& from, const filesystem::path& s
     perform(change, plan, from);
   }
   return true;
-}
-
-InstallResult install(std::string_view request, const Marketplace& from, const filesystem::path& store,
-                      const InstallOptions& options) {
-  const std::string name = from.resolve(request).package;
-  for (int attempt = 0; attempt < kMostAttempts; ++attempt) {
-    const Plan plan = plan_install({std::string(request)}, from, Store{store}, options.platform);
-    if (!apply(plan, {&from}, store, options)) continue;
-    const auto step = std::ranges::find(plan.steps, name, &PlanStep::package);
-    const InstalledPackage package = Store{store}.find(name);
-    return {outcome_of(plan, name), package,
-            step == plan.steps.end() ? package.manifest.version() : step->previous_version};
-  }
-  give_up(store);
-}
-
-InstalledPackage remove(std::string_view name, const filesystem::path& store, const InstallOptions& options) {
-  for (int attempt = 0; attempt < kMostAttempts; ++attempt) {
-    const InstalledPackage package = Store{store}.find(name);
-    if (apply(plan_remove({std::string(name)}, Store{store}), {}, store, options)) return package;
-  }
-  give_up(store);
 }
 
 namespace {

@@ -7,7 +7,6 @@
 #include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
-#include <fiona/marketplace/publish.hpp>
 #include <fiona/plugin.hpp>
 #include <fstream>
 

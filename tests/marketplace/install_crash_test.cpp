@@ -7,7 +7,6 @@
 #include <cstring>
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
-#include <fiona/marketplace/publish.hpp>
 #include <set>
 
 #include "fault_os.hpp"
@@ -201,75 +200,6 @@ INSTANTIATE_TEST_SUITE_P(
                "acme/steps@1.0.0 ",
                "acme/maps@1.0.0 acme/steps@2.0.0 acme/walk@1.0.0 "}),
     [](const auto& test) { return test.param.name; });
-
-// The same for a marketplace directory.
-class PublishCrash : public ::testing::Test {
- protected:
-  PublishCrash() {
-    publish_plugin(scratch_.path(), scratch_ / "start", "steps", "1.0.0", "old");
-    package_ = scratch_ / "next.fpk";
-    pack_to(package_, plugin_source(scratch_.path(), "steps", "1.0.0", "new"));
-  }
-
-  filesystem::path fresh_market() {
-    filesystem::remove_all(scratch_ / "market");
-    filesystem::copy(scratch_ / "start", scratch_ / "market", filesystem::copy_options::recursive);
-    return scratch_ / "market";
-  }
-
-  void replace(const OsCalls& os) {
-    PublishOptions options;
-    options.replace = true;
-    options.os = os;
-    publish(package_, scratch_ / "market", options);
-  }
-
-  // Whatever the index says can be installed.
-  void expect_whole() {
-    const Marketplace market{scratch_ / "market"};
-    ASSERT_EQ(market.index().entries_size(), 1);
-    const Scratch store;
-    EXPECT_EQ(install("steps", market, store.path()).outcome, InstallOutcome::Installed);
-  }
-
-  Scratch scratch_;
-  filesystem::path package_;
-};
-
-TEST_F(PublishCrash, KilledAtAnyCallTheIndexNamesOnlyWhatIsThere) {
-  int all = 0;
-  fresh_market();
-  replace(guarded_calls([&all] { return ++all, 0; }));
-  for (int fatal = 1; fatal <= all; ++fatal) {
-    fresh_market();
-    const pid_t child = ::fork();
-    if (child == 0) {
-      int count = 0;
-      replace(guarded_calls([&] { return ++count == fatal ? ::raise(SIGKILL) : 0; }));
-      ::_exit(0);
-    }
-    int status = 0;
-    ASSERT_EQ(::waitpid(child, &status, 0), child);
-    ASSERT_TRUE(WIFSIGNALED(status));
-    expect_whole();
-    replace(system_calls());
-    expect_whole();
-    EXPECT_EQ(Marketplace{scratch_ / "market"}.index().generation(), 2u);
-  }
-}
-
-TEST_F(PublishCrash, AnyCallThatFailsIsToldAndTheIndexStaysWhole) {
-  int all = 0;
-  fresh_market();
-  replace(guarded_calls([&all] { return ++all, 0; }));
-  for (int failing = 1; failing <= all; ++failing) {
-    fresh_market();
-    int count = 0;
-    const Error error = error_of([&] { replace(guarded_calls([&] { return ++count == failing ? ENOSPC : 0; })); });
-    EXPECT_NE(error.text().what.find("No space left on device"), std::string::npos) << error.what();
-    expect_whole();
-  }
-}
 
 }  // namespace
 }  // namespace fiona::marketplace

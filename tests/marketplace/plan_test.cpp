@@ -5,7 +5,6 @@
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/lock.hpp>
 #include <fiona/marketplace/plan.hpp>
-#include <fiona/marketplace/publish.hpp>
 #include <fiona/marketplace/requirement.hpp>
 #include <fiona/plugin.hpp>
 #include <random>

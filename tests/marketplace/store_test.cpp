@@ -5,7 +5,6 @@
 
 #include <fiona/marketplace/index.hpp>
 #include <fiona/marketplace/install.hpp>
-#include <fiona/marketplace/publish.hpp>
 #include <fiona/marketplace/store.hpp>
 
 #include "support.hpp"
@@ -380,33 +379,11 @@ TEST_F(StoreTest, APackageForAnotherMachineIsToldSo) {
                                    ", and this machine is " + std::string(this_architecture()));
 }
 
-TEST_F(StoreTest, PublishingTheSameBytesChangesNothing) {
-  publish_one("steps", "1.0.0");
-  const auto before = snapshot(market_);
-  EXPECT_EQ(publish(scratch_ / "steps-1.0.0.fpk", market_), PublishOutcome::AlreadyPublished);
-  EXPECT_EQ(snapshot(market_), before);
-  EXPECT_EQ(Marketplace{market_}.index().generation(), 1u);
-}
-
-TEST_F(StoreTest, TheSameVersionWithOtherContentIsRefused) {
-  publish_one("steps", "1.0.0");
-  const auto before = snapshot(market_);
-  const Error error = error_of([&] { publish_one("steps", "1.0.0", "other"); });
-  EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
-  EXPECT_EQ(error.text().what, "acme/steps 1.0.0 is published already, with other content");
-  EXPECT_EQ(error.text().next, "raise the version in the manifest, pack and publish again");
-  EXPECT_EQ(snapshot(market_), before);
-}
-
 TEST_F(StoreTest, ABuildMayReplaceItsOwnVersion) {
   publish_one("steps", "1.0.0");
   install_one("steps");
   pack_to(scratch_ / "new.fpk", plugin_source(scratch_.path(), "steps", "1.0.0", "other"));
-  PublishOptions options;
-  options.replace = true;
-  EXPECT_EQ(publish(scratch_ / "new.fpk", market_, options), PublishOutcome::Replaced);
-  EXPECT_EQ(Marketplace{market_}.index().generation(), 2u);
-  EXPECT_EQ(std::distance(filesystem::directory_iterator(market_), {}), 2);
+  publish(scratch_ / "new.fpk", market_, true);
   EXPECT_EQ(install_one("steps").outcome, InstallOutcome::Replaced);
 }
 

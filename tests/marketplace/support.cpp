@@ -1,5 +1,7 @@
 #include "support.hpp"
 
+#include "../../marketplace/src/index_file.hpp"
+
 #include <elf.h>
 #include <gtest/gtest.h>
 #include <stdlib.h>
@@ -8,10 +10,33 @@
 
 #include <cstdio>
 #include <cstring>
-#include <fiona/marketplace/publish.hpp>
 #include <fiona/plugin.hpp>
 #include <fstream>
 #include <iterator>
+
+namespace fiona::marketplace {
+
+InstallResult install(std::string_view request, const Marketplace& from, const std::filesystem::path& store,
+                      const InstallOptions& options) {
+  const std::string name = from.resolve(request).package;
+  const Plan plan = plan_install({std::string(request)}, from, Store{store}, options.platform);
+  EXPECT_TRUE(apply(plan, {&from}, store, options)) << "somebody else has changed the store";
+  const auto step = std::ranges::find(plan.steps, name, &PlanStep::package);
+  InstalledPackage package = Store{store}.find(name);
+  if (step == plan.steps.end()) return {InstallOutcome::AlreadyInstalled, package, package.manifest.version()};
+  const InstallOutcome outcome = step->kind == StepKind::Repair    ? InstallOutcome::Repaired
+                                 : step->kind == StepKind::Install ? InstallOutcome::Installed
+                                                                   : InstallOutcome::Replaced;
+  return {outcome, package, step->previous_version};
+}
+
+InstalledPackage remove(std::string_view name, const std::filesystem::path& store, const InstallOptions& options) {
+  InstalledPackage package = Store{store}.find(name);
+  EXPECT_TRUE(apply(plan_remove({std::string(name)}, Store{store}), {}, store, options));
+  return package;
+}
+
+}  // namespace fiona::marketplace
 
 namespace fiona::marketplace::testing {
 
@@ -80,6 +105,15 @@ PackageSource plugin_source(const filesystem::path& scratch, const std::string& 
   source.libraries = {directory / ("lib" + name + ".so")};
   source.share = directory / "share";
   return source;
+}
+
+void publish(const filesystem::path& package, const filesystem::path& market, bool replace) {
+  const IndexEntry entry = entry_for(inspect_package(package));
+  filesystem::create_directories(market);
+  Index index = read_index(market).value_or(Index{});
+  add_entry(index, entry, replace, market, "");
+  filesystem::copy_file(package, market / entry.file(), filesystem::copy_options::overwrite_existing);
+  write_file(market / kIndexFile, index.SerializeAsString());
 }
 
 void publish_plugin(const filesystem::path& scratch, const filesystem::path& market, const std::string& name,

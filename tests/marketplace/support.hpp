@@ -2,12 +2,37 @@
 
 #include <filesystem>
 #include <fiona/error.hpp>
+#include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/package.hpp>
 #include <functional>
 #include <map>
 #include <string>
 #include <string_view>
 #include <vector>
+
+namespace fiona::marketplace {
+
+enum class InstallOutcome {
+  Installed,         ///< it was not there before
+  Replaced,          ///< another version, or other content of this version, was there: previous_version
+  Repaired,          ///< it was there, its files were damaged and are now right
+  AlreadyInstalled,  ///< nothing was changed: this version, or a newer one that was not asked for by number
+};
+
+struct InstallResult {
+  InstallOutcome outcome;
+  InstalledPackage package;
+  std::string previous_version;  ///< empty if there was none
+};
+
+/// plan_install and apply of "[publisher/]name[@version]", without questions. Throws as both.
+InstallResult install(std::string_view request, const Marketplace& from, const std::filesystem::path& store,
+                      const InstallOptions& options = {});
+
+/// plan_remove and apply, without questions.
+InstalledPackage remove(std::string_view name, const std::filesystem::path& store, const InstallOptions& options = {});
+
+}  // namespace fiona::marketplace
 
 namespace fiona::marketplace::testing {
 
@@ -36,6 +61,9 @@ std::string library_bytes(std::string_view body);
 /// A small plugin package with two share files, made of files below `scratch`; `more` goes into the manifest.
 PackageSource plugin_source(const std::filesystem::path& scratch, const std::string& name, const std::string& version,
                             std::string_view body = "code", const std::string& more = {});
+
+/// Puts a package into a directory that is taken as it is, without signatures. Throws as the index refuses it.
+void publish(const std::filesystem::path& package, const std::filesystem::path& market, bool replace = false);
 
 /// Packs plugin_source and publishes it into `market`.
 void publish_plugin(const std::filesystem::path& scratch, const std::filesystem::path& market, const std::string& name,

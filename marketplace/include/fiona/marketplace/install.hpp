@@ -7,22 +7,9 @@
 #include <fiona/marketplace/plan.hpp>
 #include <functional>
 #include <string>
-#include <string_view>
+#include <vector>
 
 namespace fiona::marketplace {
-
-enum class InstallOutcome {
-  Installed,         ///< it was not there before
-  Replaced,          ///< another version, or other content of this version, was there: previous_version
-  Repaired,          ///< it was there, its files were damaged and are now right
-  AlreadyInstalled,  ///< nothing was changed: this version, or a newer one that was not asked for by number
-};
-
-struct InstallResult {
-  InstallOutcome outcome;
-  InstalledPackage package;
-  std::string previous_version;  ///< empty if there was none
-};
 
 struct InstallOptions {
   PackageLimits limits{};
@@ -41,10 +28,6 @@ struct InstallOptions {
 bool apply(const Plan& plan, const Marketplaces& from, const std::filesystem::path& store,
            const InstallOptions& options = {});
 
-/// plan_install and apply of "[publisher/]name[@version]", without questions. Throws as both.
-InstallResult install(std::string_view request, const Marketplace& from, const std::filesystem::path& store,
-                      const InstallOptions& options = {});
-
 /// Keeps beside a store what the marketplace has revoked of what the store has from there; a host refuses to start that
 /// from then on. Returns what was not known before. Throws fiona::Error: Unreachable (the lock), Failed.
 std::vector<Revocation> note_revocations(const Marketplace& from, const std::filesystem::path& store,
@@ -53,8 +36,5 @@ std::vector<Revocation> note_revocations(const Marketplace& from, const std::fil
 /// Makes a store of packages that nobody has signed for, in place of what is there, for one run of a host. Each is
 /// checked as any other but for its signature. Throws fiona::Error: NotAllowed if two have the same name.
 void install_unsigned(const std::vector<std::filesystem::path>& packages, const std::filesystem::path& store);
-
-/// plan_remove and apply, without questions. The files stay as long as a generation has them or somebody holds them.
-InstalledPackage remove(std::string_view name, const std::filesystem::path& store, const InstallOptions& options = {});
 
 }  // namespace fiona::marketplace

@@ -1,15 +1,8 @@
-#include <fcntl.h>
-
 #include <algorithm>
-#include <array>
 #include <fiona/error.hpp>
-#include <fiona/marketplace/hash.hpp>
 #include <fiona/marketplace/package.hpp>
-#include <fiona/marketplace/publish.hpp>
 #include <fiona/marketplace/version.hpp>
 
-#include "durable.hpp"
-#include "files.hpp"
 #include "index_file.hpp"
 
 namespace fiona::marketplace {
@@ -25,36 +18,6 @@ IndexEntry* find_version(Index& index, const Manifest& manifest) {
     if (same) return &entry;
   }
   return nullptr;
-}
-
-// Copies what was checked: if the file changed since, its hash says so.
-void copy_in(const filesystem::path& from, const IndexEntry& entry, const DurableDirectory& marketplace) {
-  const std::string fresh = entry.file() + ".new";
-  const FileDescriptor source = open_regular(AT_FDCWD, from, from);
-  if (!source)
-    throw Error(ErrorCode::NotFound, ErrorText{.what = "the package has gone",
-                                               .where = from.string(),
-                                               .next = "pack it again, and publish it: plugin pack"});
-  marketplace.remove_file(fresh);
-  try {
-    Blake2b hash;
-    const FileDescriptor target = marketplace.create(fresh, 0644);
-    std::array<char, 1 << 16> buffer;
-    while (const std::size_t count = read_some(source.number(), buffer.data(), buffer.size(), from)) {
-      hash.update({buffer.data(), count});
-      marketplace.write(target, {buffer.data(), count}, fresh);
-    }
-    marketplace.sync(target, fresh);
-    if (hash.finish() != entry.blake2b()) {
-      throw Error(ErrorCode::Failed, ErrorText{.what = "the package changed while it was being published",
-                                               .where = from.string(),
-                                               .next = "publish it again"});
-    }
-    marketplace.move(fresh, marketplace, entry.file());
-  } catch (...) {
-    marketplace.remove_tree_quietly(fresh);
-    throw;
-  }
 }
 
 [[noreturn]] void refuse_other_content(const char* published, const std::string& blake2b, const IndexEntry& entry,
@@ -107,26 +70,6 @@ bool add_entry(Index& index, const IndexEntry& entry, bool replace, const filesy
   index.set_generation(index.generation() + 1);
   std::ranges::sort(*index.mutable_entries(), {}, &IndexEntry::file);
   return true;
-}
-
-PublishOutcome publish(const filesystem::path& package, const filesystem::path& marketplace,
-                       const PublishOptions& options) {
-  const char* kNext = "raise the version in the manifest, pack and publish again";
-  const IndexEntry entry = entry_for(inspect_package(package, options.limits));
-  DurableDirectory directory{options.os, marketplace, 0755};
-  directory.lock(options.lock_wait);
-  Index index = read_index(directory.path()).value_or(Index{});
-  IndexEntry* published = find_version(index, entry.manifest());
-  const bool same = published && published->blake2b() == entry.blake2b();
-  if (same && directory.has(entry.file())) return PublishOutcome::AlreadyPublished;
-  if (published && !same && !options.replace)
-    refuse_other_content(" is published already", published->blake2b(), entry, directory.path(), kNext);
-  const std::string replaced = published && !same ? published->file() : "";
-  copy_in(package, entry, directory);
-  if (!add_entry(index, entry, options.replace, directory.path(), kNext)) index.set_generation(index.generation() + 1);
-  directory.replace(std::string(kIndexFile), index.SerializeAsString());
-  if (!replaced.empty()) directory.remove_file(replaced);
-  return replaced.empty() ? PublishOutcome::Published : PublishOutcome::Replaced;
 }
 
 }  // namespace fiona::marketplace
