@@ -8,7 +8,6 @@
 #include <fiona/marketplace/install.hpp>
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/open.hpp>
-#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -17,7 +16,6 @@
 
 #include "durable.hpp"
 #include "kept_market.hpp"
-#include "tuf/role_file.hpp"
 
 namespace fiona::marketplace {
 namespace {
@@ -93,20 +91,6 @@ TEST_F(KeptMarket, ANewPublisherIsWelcomeWithTheKeyThatTheKeeperMeansAndNoOther)
   EXPECT_EQ(market_roles(market_, keeper()).size(), 3U) << "it delegates to nobody";
 }
 
-TEST_F(KeptMarket, AKnownPublisherKeepsHisKeyThoughTheKeeperHasOneOfThatName) {
-  hand_in(packed("nav", "1.0.0"));
-  keeper().keys.make("acme");
-  const KeeperOptions impostor = options("impostor", 0);
-  impostor.keys.make("acme");
-  const auto file = packed("nav", "6.6.6", "evil");
-  sign_package(file, impostor);
-  submit(file, market_, impostor);
-  const Accepted accepted = accept(market_, {{"acme", keeper().keys.get("acme").open()}}, keeper());
-  ASSERT_EQ(accepted.unknown.size(), 1U);
-  EXPECT_TRUE(accepted.unknown[0].other_key);
-  EXPECT_EQ(market_roles(market_, keeper()).back().keys.keys, std::vector{acme().key});
-}
-
 TEST_F(KeptMarket, AKnownPublisherNeedsNoWord) {
   hand_in(packed("nav", "1.0.0"));
   const auto file = packed("nav", "1.1.0");
@@ -158,42 +142,6 @@ TEST_F(KeptMarket, APublishedVersionKeepsItsContent) {
   const Accepted accepted = hand_in(packed("nav", "1.0.0", "other code"));
   EXPECT_THAT(texts(accepted.refused), ElementsAre(HasSubstr("is published already, with other content")));
   EXPECT_EQ(install_fault("nav"), "");
-}
-
-TEST_F(KeptMarket, APublishersFileThatCannotBeTakenHoldsUpNobodyElse) {
-  hand_in(packed("nav", "1.0.0"));
-  const KeeperOptions other = options("globex", 0);
-  const tuf::SigningKey key = other.keys.make("globex");
-  auto role = tuf::role_in(tuf::next_role(std::nullopt, key, {}, true, day(100)));
-  role["targets"]["globex/map-1.0.0-any.fpk"] = {{"length", 1}, {"hashes", {{"sha512", std::string(128, 'a')}}}};
-  write_file(market_ / "incoming/globex.json", tuf::signed_role_file(role, {key}));
-  const auto file = packed("nav", "1.1.0");
-  sign_package(file, author());
-  submit(file, market_, author());
-  const Accepted accepted = accept(market_, {{"globex", key.open()}}, keeper());
-  EXPECT_THAT(accepted.packages, ElementsAre(HasSubstr("acme/nav-1.1.0")));
-  EXPECT_THAT(texts(accepted.refused),
-              ElementsAre(HasSubstr("globex.json signs for globex/map-1.0.0-any.fpk without its sha256")));
-}
-
-TEST_F(KeptMarket, APublisherBringsNothingUnderTheNameOfAnother) {
-  const tuf::SigningKey key = options("globex", 0).keys.make("globex");
-  const tuf::TargetInfo taken{"acme/nav-1.0.0-any.fpk", 1, {{"sha256", std::string(64, 'a')}}, ""};
-  write_file(market_ / "incoming/globex.json", tuf::next_role(std::nullopt, key, {taken}, true, day(100)));
-  EXPECT_THAT(texts(accept(market_, {{"globex", key.open()}}, keeper()).refused),
-              ElementsAre(HasSubstr("it signs for acme/nav-1.0.0-any.fpk, and may for globex/… only")));
-}
-
-TEST_F(KeptMarket, AVersionThatNobodyCouldFollowIsRefused) {
-  hand_in(packed("nav", "1.0.0"));
-  constexpr std::int64_t kLast = std::numeric_limits<std::int64_t>::max();
-  const tuf::SigningKey key = author().keys.get("acme");
-  const std::string role = tuf::next_role(author().keys.signed_role("acme"), key, {}, false, day(100), kLast);
-  write_file(market_ / "incoming/acme.json", role);
-  EXPECT_THAT(texts(accept(market_, {}, keeper()).refused),
-              ElementsAre(HasSubstr("version 1 is here: nobody has signed so often")));
-  EXPECT_THAT(error_of([&] { tuf::next_role(role, key, {}, false, day(100)); }).what(),
-              HasSubstr("it is the last that there is"));
 }
 
 TEST_F(KeptMarket, WhatWasSignedAndNeverPublishedIsTakenOff) {
