@@ -222,8 +222,8 @@ std::vector<Verb> file_verbs() {
        Access::Administer, verbs::run, false},
       {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
        "Replaces the file in one step, the one that a link leads to, and keeps its mode; - is standard output. A saved "
-       "system that is run and saved again is the same text.", Access::Observe,
-       verbs::save},
+       "system that is run and saved again is the same text.",
+       Access::Observe, verbs::save},
       {"source", forms({"source FILE"}), "runs the lines of a file, up to the first that fails",
        "Each line takes its own level.", Access::Compose, verbs::source},
   };

@@ -26,21 +26,34 @@ namespace fs = std::filesystem;
                                 "; df -h"});
 }
 
+/// Closes it, and with a path takes the file away.
+class Opened {
+ public:
+  Opened(const fs::path& file, int flags, ::mode_t mode = 0, fs::path fleeting = {})
+      : descriptor_(::open(file.c_str(), flags | O_WRONLY | O_CLOEXEC, mode)), fleeting_(std::move(fleeting)) {}
+  Opened(const Opened&) = delete;
+  Opened& operator=(const Opened&) = delete;
+  ~Opened() {
+    if (descriptor_ < 0) return;
+    ::close(descriptor_);
+    if (!fleeting_.empty()) ::unlink(fleeting_.c_str());
+  }
+  int descriptor() const { return descriptor_; }
+
+ private:
+  const int descriptor_;
+  const fs::path fleeting_;
+};
+
 /// A pipe, a terminal, a device: nothing can be put in its place.
 void write_into(Reactor& reactor, const fs::path& file, std::string_view text) {
-  const int descriptor = ::open(file.c_str(), O_WRONLY | O_NONBLOCK | O_NOCTTY | O_CLOEXEC);
-  if (descriptor < 0) fail(file);
-  bool sound = false;
-  try {
-    sound = reactor.write_all(descriptor, text);
-  } catch (...) {
-    ::close(descriptor);
-    throw;
-  }
-  const int problem = errno;
-  ::close(descriptor);
-  errno = problem;
-  if (!sound) fail(file);
+  const Opened opened(file, O_NONBLOCK | O_NOCTTY);
+  if (opened.descriptor() < 0 || !reactor.write_all(opened.descriptor(), text)) fail(file);
+}
+
+bool keep_mode(int descriptor, const struct stat& old) {
+  [[maybe_unused]] const int kept = ::fchown(descriptor, old.st_uid, old.st_gid);  // else it is whose console this is
+  return ::fchmod(descriptor, old.st_mode & 07777U) == 0;
 }
 
 /// Written beside the file and renamed, with its mode: a reader, or a power cut, sees the old text or the new one.
@@ -48,19 +61,12 @@ void replace_file(Reactor& reactor, const fs::path& file, std::string_view text)
   struct stat old {};
   const bool is_there = ::stat(file.c_str(), &old) == 0;
   const fs::path fresh = file.string() + fmt::format(".{}.new", ::getpid());
-  const int descriptor = ::open(fresh.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, is_there ? 0600 : 0666);
-  if (descriptor < 0) fail(file);
-  bool sound = reactor.write_all(descriptor, text);
-  if (is_there && ::fchown(descriptor, old.st_uid, old.st_gid) != 0) errno = 0;  // it is who writes it now
-  sound = sound && (!is_there || ::fchmod(descriptor, old.st_mode & 07777U) == 0) && ::fsync(descriptor) == 0;
-  const int problem = errno;
-  ::close(descriptor);
-  errno = problem;
-  if (sound && ::rename(fresh.c_str(), file.c_str()) == 0) return;
-  const int why = errno;
-  ::unlink(fresh.c_str());
-  errno = why;
-  fail(file);
+  const Opened opened(fresh, O_CREAT | O_EXCL, is_there ? 0600 : 0666, fresh);
+  const int descriptor = opened.descriptor();
+  const bool sound = descriptor >= 0 && reactor.write_all(descriptor, text) &&
+                     (!is_there || keep_mode(descriptor, old)) && ::fsync(descriptor) == 0 &&
+                     ::rename(fresh.c_str(), file.c_str()) == 0;
+  if (!sound) fail(file);
 }
 
 /// What a link leads to, also where there is nothing yet.
