@@ -77,6 +77,7 @@ void make_market(const std::vector<filesystem::path>& packages, const filesystem
   std::map<std::string, std::vector<ReadPackage>> by_publisher;
   const OsCalls os = system_calls();
   const DurableDirectory incoming{os, filesystem::absolute(market) / "incoming", 0755};
+  for (const auto& left : incoming.names()) incoming.remove_file(left);  // by a build that was cut off
   for (const auto& package : packages) {
     const ReadPackage read = read_for_keeping(package, options);
     copy_checked(package, read.sha256, incoming, read.entry.file());

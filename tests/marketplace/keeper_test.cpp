@@ -495,7 +495,9 @@ TEST_F(KeptMarket, ABuildsMarketplaceHoldsWhatItIsMadeOf) {
   KeeperOptions build = options("build", 0);
   const auto market = scratch_ / "built";
   make_market({packed("nav", "1.0.0"), packed("map", "1.0.0")}, market, build);
+  std::filesystem::copy_file(packed("nav", "1.0.0", "of a build that was cut off"), market / "incoming/left.fpk");
   make_market({packed("nav", "1.0.0", "rebuilt")}, market, build);
+  EXPECT_TRUE(std::filesystem::is_empty(market / "incoming"));
   trust_marketplace(file_content(scratch_ / "built.root.json"), market.string(), user());
   const Marketplace opened = open_marketplace(market.string(), user());
   EXPECT_EQ(opened.search({}).size(), 1U);
