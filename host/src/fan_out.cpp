@@ -94,7 +94,7 @@ Outcome FanOut::send(const Parcel& parcel, std::vector<std::uint64_t>& wires) {
   auto& counters = provider_.counters();
   if (sent.lost > 0) counters.dropped.fetch_add(sent.lost, std::memory_order_relaxed);
   if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;
-  counters.refused.fetch_add(1, std::memory_order_relaxed);
+  counters.refuse(LinkSocket::kTooLarge, provider_.hull().clock().now());
   return Outcome::Rejected;
 }
 

@@ -66,6 +66,7 @@ class LinkSocket {
     std::shared_ptr<Peer> peer;
     std::shared_ptr<PeerLanes::Lane> lane;
   };
+  static constexpr const char* kTooLarge = "the message is larger than a link carries (64 MiB)";
   using Rule = PeerLanes::Rule;
   using Wires = std::shared_ptr<const std::vector<std::uint64_t>>;
   struct Sent {

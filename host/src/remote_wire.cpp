@@ -15,8 +15,7 @@ namespace {
 constexpr std::size_t kMostReason = 4096;
 /// Messages that wait for others which came with them.
 constexpr std::size_t kMostTogether = 64;
-constexpr const char* kRequestTooLarge = "the message is larger than a link carries (64 MiB)";
-constexpr const char* kTooLarge = "the answer is larger than a link carries (64 MiB)";
+constexpr const char* kAnswerTooLarge = "the answer is larger than a link carries (64 MiB)";
 constexpr const char* kFull = "the answers before it have not been taken yet";
 
 const Object& prototype_of(const google::protobuf::Descriptor& type) {
@@ -76,7 +75,7 @@ class RemoteWire::RemoteReply final : public ReplySink {
     frame.clear_lane();
     frame.clear_size();
     frame.mutable_answer()->set_outcome(static_cast<std::uint32_t>(Outcome::Rejected));
-    frame.mutable_answer()->set_reason(sent.what == LinkSocket::Sent::What::TooLarge ? kTooLarge : kFull);
+    frame.mutable_answer()->set_reason(sent.what == LinkSocket::Sent::What::TooLarge ? kAnswerTooLarge : kFull);
     wire.send_frame(frame);
   }
 
@@ -138,8 +137,8 @@ void RemoteWire::attached(std::uint64_t sequence, Duration cycle) {
 Outcome RemoteWire::deliver(Parcel parcel) {
   if (fan_out_) return fan_out_->deliver_to(wire_, parcel);
   if (parcel.reply && link_->refuses(parcel.envelope.object->ByteSizeLong())) {
-    port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
-    parcel.reply->answer(Outcome::Rejected, kRequestTooLarge, nullptr);
+    port_.counters().refuse(LinkSocket::kTooLarge, clock_.now());
+    parcel.reply->answer(Outcome::Rejected, LinkSocket::kTooLarge, nullptr);
     return Outcome::Ok;
   }
   const std::lock_guard lock(mutex_);
@@ -158,7 +157,7 @@ void RemoteWire::lease(bool held, const std::string& reason) {
 /// What becomes of a message that the link does not take; counted where it is too large for any link.
 Outcome RemoteWire::outcome_of(const LinkSocket::Sent& sent) {
   if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;
-  if (sent.what == LinkSocket::Sent::What::TooLarge) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+  if (sent.what == LinkSocket::Sent::What::TooLarge) port_.counters().refuse(LinkSocket::kTooLarge, clock_.now());
   return Outcome::Rejected;
 }
 
@@ -441,7 +440,7 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
       outcome = end_ ? end_->push(std::move(parcel)) : inbox_->push(std::move(parcel));
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
-    if (outcome == Outcome::Rejected) port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+    if (outcome == Outcome::Rejected) port_.counters().refuse(refusal, clock_.now());
     acknowledged = port_.service().pattern() == SEND;
   }
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
@@ -465,7 +464,7 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
   auto parsed = answers_.acquire();
   const auto violation = object.parse_into(*parsed) ? answer_rules_->first_violation(*parsed) : "it does not parse";
   if (violation) {
-    port_.counters().refused.fetch_add(1, std::memory_order_relaxed);
+    port_.counters().refuse(*violation, clock_.now());
     parsed = nullptr;
   }
   activation->event(

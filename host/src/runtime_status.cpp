@@ -1,5 +1,6 @@
 // How the instances of one process are doing.
 #include "fiona/describe.hpp"
+#include "fiona/push.hpp"
 #include "runtime.hpp"
 
 namespace fiona::host {
@@ -24,6 +25,13 @@ void fill_required(control::PortStatus& status, RequiredPort& port, TimePoint no
   }
 }
 
+void fill_push(control::PortStatus& status, Port& port) {
+  if (!port.service().is_push()) return;
+  const auto* provider = dynamic_cast<const detail::PushProvider*>(&port);
+  status.set_lease_ms(1e3 * to_seconds(provider ? provider->lease() : port.service().lease()));
+  status.set_silent(provider && provider->is_silent());
+}
+
 void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
   PortCounters& counters = port.counters();
   status.set_name(port.name());
@@ -37,6 +45,10 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
   status.set_superseded(counters.superseded);
   status.set_dropped(counters.dropped);
   status.set_refused(counters.refused);
+  if (const auto refusal = counters.last_refusal()) {
+    status.set_refusal(refusal->reason);
+    status.set_refusal_age_ms(1e3 * to_seconds(now - refusal->at));
+  }
   const auto age = counters.age(now);
   status.set_age_ms(age ? 1e3 * to_seconds(*age) : -1);
   status.set_rate_hz(counters.rate_now_hz(now));
@@ -44,7 +56,7 @@ void fill_port(control::PortStatus& status, Port& port, TimePoint now) {
   const auto latency = counters.latencies.recent(now);
   status.set_latency_p50_ms(latency ? 1e3 * to_seconds(latency->p50) : -1);
   status.set_latency_p99_ms(latency ? 1e3 * to_seconds(latency->p99) : -1);
-  if (port.service().is_push()) status.set_lease_ms(1e3 * to_seconds(port.service().lease()));
+  fill_push(status, port);
   if (auto* required = dynamic_cast<RequiredPort*>(&port)) fill_required(status, *required, now);
 }
 

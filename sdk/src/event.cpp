@@ -187,7 +187,7 @@ Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const O
   } else if (activations_.size() >= EventProvider::kMaxActivations) {
     calls().finish(call, Outcome::Rejected, "the port has all the activations that it can hold");
   } else if (const auto violation = parameter_rules_.first_violation(*parameters)) {
-    counters().refused.fetch_add(1, std::memory_order_relaxed);
+    counters().refuse(*violation, hull().clock().now());
     calls().finish(call, Outcome::Rejected, "the activation was refused: " + *violation);
   } else {
     // Entered first: on another thread the acknowledgement may be on its way before `deliver` returns.

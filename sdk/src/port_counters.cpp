@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <utility>
 
 #include "fiona/clock.hpp"
 
@@ -36,6 +37,17 @@ void PortCounters::count_arrival(TimePoint origin, const Clock& clock) {
   if (many && messages.load(std::memory_order_relaxed) % kOneOf != 0) return;
   const TimePoint now = clock.now();
   latencies.add(now - origin, now);
+}
+
+void PortCounters::refuse(std::string reason, TimePoint now) {
+  const std::lock_guard lock(mutex_);
+  refused.fetch_add(1, std::memory_order_relaxed);
+  refusal_ = Refusal{std::move(reason), now};
+}
+
+std::optional<PortCounters::Refusal> PortCounters::last_refusal() const {
+  const std::lock_guard lock(mutex_);
+  return refusal_;
 }
 
 std::optional<Duration> PortCounters::age(TimePoint now) const {

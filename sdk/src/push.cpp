@@ -46,6 +46,11 @@ void PushProvider::detach(const Sink& sink) {
   room_may_have_changed();
 }
 
+bool PushProvider::is_silent() const {
+  const std::lock_guard lock(mutex_);
+  return silence_.has_value();
+}
+
 std::size_t PushProvider::subscribers() const {
   const std::lock_guard lock(mutex_);
   std::size_t count = 0;
@@ -138,9 +143,11 @@ Outcome PushProvider::put_object(std::shared_ptr<const Object> object, TimePoint
 bool PushProvider::refuses(const Object& object) {
   const auto violation = rules_.first_violation(object);
   if (!violation) return false;
-  const auto refused = counters().refused.fetch_add(1, std::memory_order_relaxed);
-  if (refused == 0)
-    hull().events().logged(hull().name(), LogLevel::Warning, full_name() + " refused a put: " + *violation);
+  const TimePoint now = hull().clock().now();
+  counters().refuse(*violation, now);
+  if (told_ && (told_->reason == *violation || now < told_->at + kTellAgain)) return true;
+  told_ = {*violation, now};
+  hull().events().logged(hull().name(), LogLevel::Warning, full_name() + " refused a put: " + *violation);
   return true;
 }
 

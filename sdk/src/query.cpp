@@ -73,7 +73,7 @@ Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration
     return {Outcome::Rejected, "too many requests are open: receive or discard their answers"};
   }
   if (const auto violation = request_rules_.first_violation(*request)) {
-    counters().refused.fetch_add(1, std::memory_order_relaxed);
+    counters().refuse(*violation, hull().clock().now());
     return {Outcome::Rejected, "the request was refused: " + *violation};
   }
   const QueryId id{next_id_++};

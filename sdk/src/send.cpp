@@ -5,8 +5,8 @@
 namespace fiona::detail {
 
 Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt) {
-  if (rules_.first_violation(*object)) {
-    counters().refused.fetch_add(1, std::memory_order_relaxed);
+  if (auto violation = rules_.first_violation(*object)) {
+    counters().refuse(*std::move(violation), hull().clock().now());
     return Outcome::Rejected;
   }
   if (connection() == Connection::Unwired) return Outcome::Unwired;

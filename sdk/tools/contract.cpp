@@ -221,9 +221,11 @@ class ContractBench {
 
   void check_push(const fiona::Port& port) {
     const Heard& heard = heard_[&port];
-    const auto refused = bench_.hull().find_port(port.name())->counters().refused.load();
-    if (refused > 0)
-      return tell(port.name(), "wrong", std::to_string(refused) + " objects break a rule: " + refusal_on(port.name()));
+    const auto& counters = bench_.hull().find_port(port.name())->counters();
+    if (const auto refusal = counters.last_refusal()) {
+      const auto count = std::to_string(counters.refused.load());
+      return tell(port.name(), "wrong", count + " objects break a rule: " + refusal->reason);
+    }
     if (heard.times.empty()) return check_silence(port, heard);
     const fiona::Duration period = port.service().period();
     const std::string often = std::to_string(heard.times.size()) + " objects in " + seconds(fed_);
@@ -285,14 +287,6 @@ class ContractBench {
   }
 
   static std::string text_of(fiona::Outcome outcome) { return std::string(to_string(outcome)); }
-  /// What was said last of why a put on this port was refused.
-  std::string refusal_on(const std::string& port) const {
-    const auto& log = bench_.log();
-    const auto said = std::find_if(log.rbegin(), log.rend(), [&port](const std::string& line) {
-      return line.find("." + port + " refused") != std::string::npos;
-    });
-    return said == log.rend() ? "" : *said;
-  }
 
   /// What is beyond a range is refused, and changes nothing; its ends are taken, or refused, and lived with.
   void check_parameters() {

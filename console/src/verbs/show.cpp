@@ -225,6 +225,8 @@ void show_port(Session& session, const control::InstanceStatus& instance, const 
                                     {"dropped", port.dropped()},
                                     {"refused", port.refused()}})
     facts.add({name, {fmt::format("{}", count), count}});
+  if (!port.refusal().empty())
+    facts.add({"refusal", fmt::format("{}, {} ago", port.refusal(), age_text(port.refusal_age_ms()))});
   facts.add({"rate", {rate_text(port.rate_hz()), port.rate_hz()}});
   facts.add({"age", {age_text(port.age_ms()), port.age_ms()}});
   if (port.latency_p50_ms() > 0) {

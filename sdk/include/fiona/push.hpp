@@ -27,6 +27,7 @@ class PushProvider : public ProvidedPort {
   ~PushProvider() override { end_watch(); }
   /// Calls that may wait for room at once.
   static constexpr std::size_t kMaxWaiting = 1024;
+  static constexpr Duration kTellAgain = std::chrono::seconds(10);
 
   /// [any thread] Adds a subscriber; a service with `last_value` gives it the newest value at once. Returns the
   /// sequence number after which it receives.
@@ -41,6 +42,10 @@ class PushProvider : public ProvidedPort {
   /// [any thread] How many subscribers there are now.
   std::size_t subscribers() const;
   void close() override;
+  /// [any thread] Silence longer than this is loss; zero: it may be silent for ever.
+  Duration lease() const { return lease_; }
+  /// [any thread] Its lease has run out, or it has stopped: its clients are told so.
+  bool is_silent() const;
 
  protected:
   void on_active() override;
@@ -50,7 +55,8 @@ class PushProvider : public ProvidedPort {
   /// [strand] Of a push timed: it produces from now on, or no longer. Its subscribers are told.
   void set_started(bool started);
   bool is_started() const { return started_; }
-  /// [strand] Ok, or Rejected when a field breaks its declared rule (counted; the first is told to the log).
+  /// [strand] Ok, or Rejected when a field breaks its declared rule (counted; told to the log where it is another rule,
+  /// or another value, than was told last, but not more often than each kTellAgain).
   Outcome put_object(std::shared_ptr<const Object> object, TimePoint origin);
   /// [strand] The same, once each subscriber that receives each message has room for it.
   Async<Outcome> put_with_room(std::shared_ptr<const Object> object, TimePoint origin, Duration within);
@@ -74,6 +80,7 @@ class PushProvider : public ProvidedPort {
   std::optional<Envelope> last_;
   std::optional<std::string> silence_;  ///< why its clients are told that it is silent; guarded by the mutex
   const ObjectRules rules_;
+  std::optional<PortCounters::Refusal> told_;  ///< to the log; strand only
 
   /// What the timer of the lease finds: it does not run on the provider's strand, and may come when the port has gone.
   struct Watch {
