@@ -60,6 +60,7 @@ RequiredPort::RequiredPort(Component& owner, std::string_view name, const Servic
       validity_(validity_of(service)),
       ends_{std::make_shared<WireEnd>(*this, "")},
       serving_(ends_.front()) {
+  since_ns_.store(hull().clock().now().time_since_epoch().count());
   serving_->open_ = !keeps_last();
 }
 

@@ -28,6 +28,7 @@ class Maker final : public Component {
  public:
   using Component::Component;
   Provides<RuledObjects> objects{*this, "objects"};
+  Requires<RuledObjects> others{*this, "others"};
 };
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
@@ -89,6 +90,13 @@ TEST_F(Refusals, ANumberThatIsAnotherEachTimeDoesNotFillTheLog) {
   advance(100ms);
   put(99);
   EXPECT_THAT(log.lines, SizeIs(2));
+}
+
+TEST_F(Refusals, APortThatNobodyWiredIsUnwiredSinceItWasMade) {
+  advance(90s);
+  Made<Maker> late("late", executor, clock, log);
+  advance(5s);
+  EXPECT_EQ(clock.now() - late->others.connection_since(), 5s);
 }
 
 }  // namespace
