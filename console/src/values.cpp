@@ -193,13 +193,16 @@ unsigned count_of(const Word& word, const WordLine& line) {
 
 control::PortName watched_name(const Word& word, const WordLine& line) {
   const std::size_t dot = word.text.find('.');
-  const bool sound = dot != std::string::npos && dot > 0 && word.text.back() != '.' &&
-                     word.text.find("..") == std::string::npos &&
-                     std::count(word.text.begin(), word.text.end(), '.') <= 2;
-  if (!sound)
-    throw LineError(line, word.place,
-                    {.what = fmt::format("'{}' is no port and no probe", word.text),
-                     .expected = "instance.port, instance.probe, instance.port.rate"});
+  const bool has_parts =
+      dot != std::string::npos && dot > 0 && word.text.back() != '.' && word.text.find("..") == std::string::npos;
+  const std::size_t field = has_parts ? word.text.find('.', dot + 1) : std::string::npos;
+  const bool has_path = field != std::string::npos && word.text.find('.', field + 1) != std::string::npos;
+  if (!has_parts || has_path)
+    throw LineError(
+        line, word.place,
+        {.what = fmt::format("'{}' is no port and no probe", word.text),
+         .expected = "instance.port, instance.probe, instance.port.rate",
+         .next = has_path ? fmt::format("watch {} {}", word.text.substr(0, field), word.text.substr(field + 1)) : ""});
   control::PortName name;
   name.set_instance(word.text.substr(0, dot));
   name.set_port(word.text.substr(dot + 1));

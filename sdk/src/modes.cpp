@@ -95,6 +95,7 @@ void Hull::check_transition(std::string_view to) const {
   const bool known = std::find(modes.begin(), modes.end(), to) != modes.end();
   const bool alive = from != kModeFailed && from != kModeShutdown;
   if (known && alive) return;
+  const bool is_made = from != kModeInit;  // else there will be no instance
   std::string expected;
   for (const auto& mode : modes) expected += (expected.empty() ? "" : ", ") + mode;
   throw Error(known ? ErrorCode::NotAllowed : ErrorCode::Usage,
@@ -102,8 +103,10 @@ void Hull::check_transition(std::string_view to) const {
                .where = name_,
                .expected = known ? "an instance that is alive" : "one of " + expected,
                .found = known ? from + (reason().empty() ? "" : ": " + reason()) : std::string(to),
-               .next = known ? "unload " + name_ + ", then load it again" : "state " + name_ + " " + modes.front(),
-               .near = nearest_names(to, modes)});
+               .next = known     ? "unload " + name_ + ", then load it again"
+                       : is_made ? "state " + name_ + " " + modes.front()
+                                 : "load it at " + modes.front(),
+               .near = known ? std::vector<std::string>{} : nearest_names(to, modes)});
 }
 
 void Hull::change_mode(std::string_view mode, Duration deadline, ModeDone done) {

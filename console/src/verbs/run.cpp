@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cstring>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -313,6 +314,13 @@ class UnsignedPackages {
   const std::filesystem::path store_;
 };
 
+/// "killed by signal 11 (Segmentation fault)", as a group's process is told of: a host's is in its exit code.
+std::string end_text(int code) {
+  constexpr int kSignal = 128;
+  return code > kSignal ? fmt::format("killed by signal {} ({})", code - kSignal, ::strsignal(code - kSignal))
+                        : fmt::format("with exit code {}", code);
+}
+
 }  // namespace
 
 void run(Session& session, const Line& line) {
@@ -346,7 +354,7 @@ void run(Session& session, const Line& line) {
   const int code = host.stop();
   if (!session.finished && code != 0)
     throw Error(code == 130 ? ErrorCode::Failed : ErrorCode::ComponentFailed,
-                ErrorText{.what = fmt::format("the host ended on its own, with exit code {}", code),
+                ErrorText{.what = fmt::format("the host ended on its own, {}", end_text(code)),
                           .where = fmt::format("host {}", launch.name)});
   if (!session.finished) session.finished = code;
 }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <coroutine>
+#include <exception>
 #include <map>
 #include <memory>
 #include <string>
@@ -79,7 +80,7 @@ class QueryProvider : public ProvidedPort {
 }  // namespace detail
 
 /// The right, and the duty, to answer one request; movable, may be kept and used later on the strand. Dropped without
-/// an answer it answers `rejected("no answer")`.
+/// an answer it answers `rejected("no answer")`, or that the handler has failed.
 template <class A>
 class Reply {
  public:
@@ -90,7 +91,7 @@ class Reply {
     return *this;
   }
   ~Reply() {
-    if (sink_) sink_->answer(Outcome::Rejected, "no answer", nullptr);
+    if (sink_) sink_->answer(Outcome::Rejected, std::uncaught_exceptions() > 0 ? kFailed : "no answer", nullptr);
   }
 
   /// [any thread] Ends the request with this answer.
@@ -100,6 +101,8 @@ class Reply {
   void reject(std::string reason) { end(Outcome::Rejected, std::move(reason), nullptr); }
   /// [any thread] Whether the client gave up, or is gone: an answer would reach nobody.
   bool abandoned() const { return !sink_ || sink_->abandoned(); }
+
+  static constexpr const char* kFailed = "the provider failed while it handled this";
 
  private:
   void end(Outcome outcome, std::string reason, std::shared_ptr<const A> object) {
@@ -116,6 +119,9 @@ Async<> answer_later(Async<A> work, Reply<A> reply) {
     reply.answer(co_await work);
   } catch (const Error& error) {
     reply.reject(error.what());
+  } catch (...) {
+    reply.reject(Reply<A>::kFailed);
+    throw;
   }
 }
 
