@@ -5,6 +5,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <fiona/service.hpp>
+
 #include "../catalogue.hpp"
 #include "../locations.hpp"
 #include "../system_view.hpp"
@@ -251,6 +253,14 @@ void show_service(Session& session, const pb::ServiceDescriptor& service) {
   facts.add({"version", fmt::format("{}.{}", std::max(1U, contract.major()), contract.minor())});
   if (contract.period_ms() > 0)
     facts.add({"period", {fmt::format("{} ms", contract.period_ms()), contract.period_ms()}});
+  const fiona::ServiceInfo info(service);
+  const auto lease_ms = std::chrono::duration_cast<std::chrono::milliseconds>(info.lease()).count();
+  if (info.is_push()) {
+    facts.add({"lease", {lease_ms > 0 ? fmt::format("{} ms", lease_ms) : "none: it may be silent", lease_ms}});
+    facts.add({"last value", contract.last_value() ? "given to who comes later" : "not kept"});
+  }
+  if (contract.pattern() == fiona::QUERY)
+    facts.add({"idempotent", contract.idempotent() ? "yes: it may be asked again" : "no"});
   const std::string doc = service.options().GetExtension(fiona::service_doc);
   if (!doc.empty()) facts.add({"doc", doc});
   session.out.table(facts, "", false);
