@@ -18,9 +18,39 @@ bool is_push(const control::PortStatus& port) {
   return port.pattern() == fiona::PUSH_NEWEST || port.pattern() == fiona::PUSH_TIMED;
 }
 
-/// Longer than its service allows. One that may be silent for ever is told only if it has never spoken.
+/// A restart, or a refusal, of which the system may not have recovered.
+constexpr double kRestartedLately_s = 60;
+constexpr double kRefusedLately_ms = 10'000;
+
+/// Of a provided port: longer than its lease allows. One that may be silent for ever is told only if it has never
+/// spoken.
 bool is_silent(const control::PortStatus& port) {
-  return is_push(port) && (port.age_ms() < 0 || (port.lease_ms() > 0 && port.age_ms() > port.lease_ms()));
+  return is_push(port) && (port.lease_ms() > 0 ? port.silent() : port.age_ms() < 0);
+}
+
+/// What the port puts breaks its rules, now and then or always.
+bool is_refused(const control::PortStatus& port) {
+  if (!is_push(port) || port.refusal().empty()) return false;
+  const bool since_it_spoke = port.age_ms() < 0 || port.refusal_age_ms() < port.age_ms();
+  return port.refusal_age_ms() < kRefusedLately_ms || (is_silent(port) && since_it_spoke);
+}
+
+/// For how long a client has got nothing.
+double without_s(const control::PortStatus& client) {
+  return client.age_ms() < 0 ? client.since_s() : client.age_ms() / 1000;
+}
+
+/// Of a client: what it has got is older than what its provider has said by more than the lease.
+bool misses_what_is_said(const control::PortStatus& client, const control::PortStatus& provided) {
+  if (provided.age_ms() < 0 || (provided.lease_ms() <= 0 && client.age_ms() >= 0)) return false;
+  const double behind_ms = 1000 * without_s(client) - provided.age_ms();
+  return behind_ms > provided.lease_ms() * std::max(1U, client.prescale());
+}
+
+std::string refused_text(const control::PortStatus& port) {
+  const std::string rule = port.refusal().empty() ? "a rule of size, range or finiteness" : "a rule";
+  return fmt::format("{} broke {}{}{}", port.refused(), rule,
+                     port.refusal().empty() ? "" : ", the last: ", port.refusal());
 }
 
 bool is_late(const control::PortStatus& port) { return port.lease_ms() > 0 && port.latency_p99_ms() > port.lease_ms(); }
@@ -39,6 +69,9 @@ class Diagnosis {
   void look_at(const control::InstanceStatus& instance) {
     if (!visited_.insert(instance.name()).second) return;
     if (add_own_trouble(instance)) return;
+    for (const auto& port : instance.ports()) {
+      if (port.direction() == fiona::PROVIDES && is_refused(port)) look_at(instance, port);
+    }
     look_at_inputs(instance);
     for (const auto& port : instance.ports()) {
       if (port.direction() == fiona::PROVIDES && !port.clients().empty()) look_at(instance, port);
@@ -60,7 +93,7 @@ class Diagnosis {
   /// Whether the instance itself does not work; then its inputs do not matter.
   bool add_own_trouble(const control::InstanceStatus& instance) {
     const std::string& name = instance.name();
-    if (!told_.insert(name).second) return true;
+    if (!told_.insert(name).second) return !works(instance) || instance.has_pending();
     const auto& modes = instance.modes();
     if (instance.silent_s() > 0) {
       add(name, "silent: " + instance.reason(), instance.silent_s(), "ls hosts");
@@ -73,7 +106,9 @@ class Diagnosis {
       const std::string line = modes.empty() ? "" : fmt::format("state {} {}", name, modes.at(0));
       add(name, "is " + instance.mode(), instance.mode_since_s(), line);
     } else {
-      told_.erase(name);
+      if (!instance.restart_reason().empty() && instance.restarted_s() < kRestartedLately_s)
+        add(name, fmt::format("was restarted {}x: {}", instance.restarts(), instance.restart_reason()),
+            instance.restarted_s(), "show " + name);
       return false;
     }
     return true;
@@ -97,6 +132,10 @@ class Diagnosis {
           name, fmt::format("works in {}, and {} is {}", fmt::join(*modes, ", "), instance.name(), instance.mode()),
           instance.mode_since_s(), modes->empty() ? "" : fmt::format("state {} {}", instance.name(), modes->front()));
     }
+    if (is_refused(port)) {
+      add(name, "is refused: " + refused_text(port), port.refusal_age_ms() / 1000, "show " + name);
+      return look_at_inputs(instance);
+    }
     if (!is_silent(port)) return;
     const std::size_t before = found_.size();
     look_at_inputs(instance);
@@ -118,7 +157,7 @@ class Diagnosis {
     for (const auto& one : port.providers()) look_at_alternative(one);
     if (provided != nullptr) look_at(*provider, *provided);
     if (port.connection() != control::CONNECTED) return add(name, "is " + connection_text(port), port.since_s());
-    look_at_arrivals(instance, port, provided != nullptr && (is_silent(*provided) || !works(*provider)));
+    if (provided != nullptr && is_push(port)) look_at_arrivals(instance, port, *provider, *provided);
   }
 
   /// Of a port with several: whoever is not fit.
@@ -132,14 +171,12 @@ class Diagnosis {
 
   /// The wire is there: whether what comes is taken, and in time.
   void look_at_arrivals(const control::InstanceStatus& instance, const control::PortStatus& port,
-                        bool provider_is_silent) {
+                        const control::InstanceStatus& provider, const control::PortStatus& provided) {
     const std::string name = instance.name() + "." + port.name();
-    if (!is_push(port)) return;
-    if (provider_is_silent) return add(name, "gets nothing", port.age_ms() < 0 ? port.since_s() : port.age_ms() / 1000);
-    if (is_silent(port)) {
+    if (is_silent(provided) || !works(provider)) return add(name, "gets nothing", without_s(port));
+    if (misses_what_is_said(port, provided)) {
       std::vector<std::string> why;
-      if (port.refused() > 0)
-        why.push_back(fmt::format("{} broke a rule of size, range or finiteness", port.refused()));
+      if (port.refused() > 0) why.push_back(refused_text(port));
       if (port.dropped() > 0) why.push_back(fmt::format("{} were dropped", port.dropped()));
       if (port.not_active() > 0)
         why.push_back(fmt::format("{} came in a mode that does not take them", port.not_active()));
@@ -147,7 +184,7 @@ class Diagnosis {
         why.push_back(fmt::format("{} wait in the queue of {}", instance.queue_depth(), instance.name()));
       add(name,
           fmt::format("takes nothing of what its provider says{}{}", why.empty() ? "" : ": ", fmt::join(why, ", ")),
-          port.age_ms() < 0 ? port.since_s() : port.age_ms() / 1000, "show " + name);
+          without_s(port), "show " + name);
     } else if (is_late(port)) {
       add(name,
           fmt::format("is late: one in a hundred is under way for {}, and {} is loss{}",

@@ -1,11 +1,13 @@
 #include "supervision.hpp"
 
 #include <algorithm>
+#include <utility>
 
 namespace fiona::host {
 
-std::optional<Supervision::Time> Supervision::ended(const std::string& group, Time now) {
+std::optional<Supervision::Time> Supervision::ended(const std::string& group, Time now, std::string reason) {
   Kept& kept = groups_[group];
+  kept.reason = std::move(reason);
   while (!kept.recent.empty() && now - kept.recent.front() > kWithin) kept.recent.pop_front();
   kept.due.reset();
   if (kept.recent.size() < kRestarts) kept.due = now + kPause * (1 << 2 * kept.recent.size());
@@ -19,6 +21,7 @@ std::vector<std::string> Supervision::take_due(Time now) {
     kept.due.reset();
     kept.recent.push_back(now);
     ++kept.restarts;
+    kept.last = Restart{now, kept.reason};
     due.push_back(name);
   }
   return due;
@@ -36,6 +39,11 @@ bool Supervision::any_waits() const {
 std::uint64_t Supervision::restarts(const std::string& group) const {
   const auto found = groups_.find(group);
   return found == groups_.end() ? 0 : found->second.restarts;
+}
+
+std::optional<Supervision::Restart> Supervision::last_restart(const std::string& group) const {
+  const auto found = groups_.find(group);
+  return found == groups_.end() ? std::nullopt : found->second.last;
 }
 
 }  // namespace fiona::host

@@ -139,6 +139,10 @@ void System::complete_status(control::InstanceStatus& status) const {
   const Model::Instance& known = model_.instance(status.name());
   status.set_group(known.group);
   status.set_restarts(known.group == kMainGroup ? options_.restarts : supervision_.restarts(known.group));
+  if (const auto last = supervision_.last_restart(known.group)) {
+    status.set_restarted_s(std::chrono::duration<double>(std::chrono::steady_clock::now() - last->at).count());
+    status.set_restart_reason(last->reason);
+  }
   if (const auto standby = standbys_.find(status.name()); standby != standbys_.end())
     status.set_stands_by(standby->second.made.package->version);
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};

@@ -15,7 +15,7 @@ void System::start_again_later(const std::string& group, const std::string& reas
   const auto lost = lost_in(group);
   const auto stands_by_for = [this](const auto& one) { return standbys_.contains(one.second); };
   if (lost.empty() || std::any_of(lost.begin(), lost.end(), stands_by_for)) return;
-  const bool again = supervision_.ended(group, std::chrono::steady_clock::now()).has_value();
+  const bool again = supervision_.ended(group, std::chrono::steady_clock::now(), reason).has_value();
   for (const auto& [order, name] : lost) {
     lost_[name].reason = again ? reason + "; it is started again"
                                : fmt::format("{}; left, after {} restarts within {} s", reason, Supervision::kRestarts,

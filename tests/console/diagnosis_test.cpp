@@ -73,6 +73,16 @@ class Diagnosis : public ::testing::Test {
   void silence(const std::string& owner, const std::string& name, double seconds) {
     port(owner, name).set_age_ms(1000 * seconds);
     port(owner, name).set_rate_hz(0);
+    port(owner, name).set_silent(port(owner, name).direction() == fiona::PROVIDES);
+  }
+  void refuse(const std::string& owner, const std::string& name, double ago_s) {
+    port(owner, name).set_refused(7);
+    port(owner, name).set_refusal("yaw is nan, not a finite number");
+    port(owner, name).set_refusal_age_ms(1000 * ago_s);
+  }
+  void leave_unwired(const std::string& owner, const std::string& name) {
+    port(owner, name).set_direction(fiona::REQUIRES);
+    port(owner, name).set_connection(control::UNWIRED);
   }
 
   std::vector<std::string> why(const std::string& what) {
@@ -158,6 +168,56 @@ TEST_F(Diagnosis, WhatArrivesButIsRefusedSaysSo) {
   EXPECT_THAT(
       why("nav.wifi"),
       ElementsAre("nav.wifi takes nothing of what its provider says: 40 broke a rule of size, range or finiteness"));
+  port("nav", "wifi").set_refusal("rssi is 7, above 0 dBm");
+  EXPECT_THAT(why("nav.wifi"),
+              ElementsAre("nav.wifi takes nothing of what its provider says: 40 broke a rule, the last: "
+                          "rssi is 7, above 0 dBm"));
+}
+
+TEST_F(Diagnosis, AProviderWhosePutsAreRefusedIsTheRootBeforeWhatItIsNotWiredTo) {
+  leave_unwired("steps", "map");
+  silence("steps", "steps", 4);
+  silence("nav", "steps", 4);
+  refuse("steps", "steps", 0.1);
+  const std::string refused = "steps.steps is refused: 7 broke a rule, the last: yaw is nan, not a finite number";
+  EXPECT_THAT(why("nav.steps"), ElementsAre(refused, "steps.map is not wired", "nav.steps gets nothing"));
+  EXPECT_EQ(why("steps").front(), refused);
+  EXPECT_EQ(why("steps.steps").front(), refused);
+}
+
+TEST_F(Diagnosis, ARefusalIsToldWhileItIsNewOrNothingHasComeSince) {
+  refuse("steps", "steps", 3);
+  EXPECT_THAT(why("nav"), ElementsAre(HasSubstr("steps.steps is refused")));
+  refuse("steps", "steps", 3000);
+  EXPECT_THAT(why("nav"), IsEmpty());
+  silence("steps", "steps", 3000.5);
+  EXPECT_THAT(why("steps.steps"), ElementsAre(HasSubstr("steps.steps is refused")));
+}
+
+TEST_F(Diagnosis, AProviderThatWasRestartedLatelyIsTheRootBeforeWhatItIsNotWiredTo) {
+  leave_unwired("steps", "map");
+  silence("steps", "steps", 4);
+  silence("nav", "steps", 4);
+  instance("steps").set_restarts(2);
+  instance("steps").set_restart_reason("group 'cage' was ended: 'steps' was stuck in imu for 1.0 s");
+  instance("steps").set_restarted_s(4);
+  EXPECT_THAT(why("nav.steps"),
+              ElementsAre("steps was restarted 2x: group 'cage' was ended: 'steps' was stuck in imu for 1.0 s",
+                          "steps.map is not wired", "steps.steps is silent", "nav.steps gets nothing"));
+  instance("steps").set_restarted_s(4000);
+  EXPECT_EQ(why("nav.steps").front(), "steps.map is not wired");
+}
+
+TEST_F(Diagnosis, AProviderWhoseLastObjectStillHoldsIsNotSilent) {
+  for (auto* one : {&port("steps", "steps"), &port("nav", "steps")}) one->set_age_ms(300'000);
+  EXPECT_THAT(why("nav"), IsEmpty());
+  EXPECT_THAT(why("steps"), IsEmpty());
+}
+
+TEST_F(Diagnosis, AClientOfEachFifthMessageMissesNothing) {
+  port("nav", "steps").set_prescale(5);
+  port("nav", "steps").set_age_ms(900);
+  EXPECT_THAT(why("nav"), IsEmpty());
 }
 
 TEST_F(Diagnosis, WhatComesLaterThanItsLeaseIsLate) {

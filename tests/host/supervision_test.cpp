@@ -36,6 +36,17 @@ TEST(Supervision, EachRestartWaitsFourTimesAsLongAndTheFourthEndIsTheLast) {
   EXPECT_EQ(supervision.restarts("far"), 3U);
 }
 
+TEST(Supervision, KeepsHowWhatItStartedAgainHadEnded) {
+  Supervision supervision;
+  const Supervision::Time now{};
+  supervision.ended("far", now, "it hung");
+  EXPECT_FALSE(supervision.last_restart("far").has_value());
+  supervision.take_due(now + 100ms);
+  supervision.ended("far", now + 1s, "it died");
+  EXPECT_EQ(supervision.last_restart("far")->reason, "it hung");
+  EXPECT_EQ(supervision.last_restart("far")->at, now + 100ms);
+}
+
 TEST(Supervision, WhatRanForLongIsSoonStartedAgain) {
   Supervision supervision;
   Supervision::Time now{};

@@ -139,7 +139,10 @@ void show_instance(Session& session, const control::System& system, const contro
   facts.add({"group", instance.group()});
   add_group(facts, system, instance.group());
   if (instance.restarts() > 0) {
-    const std::string of = instance.group() == "main" ? "the host: " + system.restart_reason() : "its group's process";
+    const std::string of = instance.group() == "main"
+                               ? "the host: " + system.restart_reason()
+                               : fmt::format("its group's process, {} ago: {}", age_text(1000 * instance.restarted_s()),
+                                             instance.restart_reason());
     facts.add({"restarts", {fmt::format("{} of {}", instance.restarts(), of), instance.restarts()}});
   }
   if (!instance.stands_by().empty())
