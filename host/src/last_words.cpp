@@ -23,12 +23,13 @@ void write_all(std::string_view text) {
   if (::write(words, text.data(), text.size()) < 0) return;  // nobody is left to tell
 }
 
-/// Nothing but what a handler may call (signal-safety(7)). The one before takes its course: what a fault is about is
-/// done again when this returns, and `abort` goes on.
-void leave_them(int number) {
+/// Nothing but what a handler may call (signal-safety(7)). The one before takes its course: what was a fault is done
+/// again when this returns, and what somebody has sent, `abort` too, is sent again.
+void leave_them(int number, siginfo_t* sent, void*) {
   for (std::size_t i = 0; i < kFatal.size(); ++i) {
     if (kFatal[i] == number) ::sigaction(number, &before[i], nullptr);
   }
+  if (sent->si_code <= 0) ::raise(number);
   const std::string_view instance = Strand::current_name();
   if (instance.empty()) return;
   std::array<char, 4> digits{};
@@ -56,7 +57,8 @@ void LastWords::leave_in(const std::filesystem::path& file) {
   words = ::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (words < 0) return;  // then nothing is told of a death, which is no reason not to live
   struct sigaction action = {};
-  action.sa_handler = leave_them;
+  action.sa_sigaction = leave_them;
+  action.sa_flags = SA_SIGINFO;
   ::sigemptyset(&action.sa_mask);
   for (std::size_t i = 0; i < kFatal.size(); ++i) ::sigaction(kFatal[i], &action, &before[i]);
 }

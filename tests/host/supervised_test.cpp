@@ -114,7 +114,7 @@ TEST_F(Supervised, WhatHasEndedTheHostIsInAGroupOfItsOwnFromThenOn) {
   auto console = host.console();
   console->load("source", "main", "source", "period_ms=1");
   control::Change bad;
-  bad.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/reads-nowhere.so");
+  bad.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/libreads-nowhere.so");
   bad.mutable_load()->set_instance("bad");
   bad.mutable_load()->set_mode("neutral");
   console->change(std::move(bad));
