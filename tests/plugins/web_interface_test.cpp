@@ -580,16 +580,14 @@ class LoggedInTest : public OpenPageTest {
     CallOfPage asked = call("me");
     return answer_to(asked);
   }
-  /// Asks who uses the page; the authenticator has not answered yet.
-  CallOfPage asked_about_the_first_session() {
-    sessions_->held = std::string(16, '\1');
-    CallOfPage asked = call("me");
+  /// From now on the authenticator keeps its answers about the first session back.
+  void hold_answers() { sessions_->held = std::string(16, '\1'); }
+  void await_question() {
     for (int i = 0; i < 4000 && sessions_->asked.empty(); ++i) {
       bench_->advance(0s);
       std::this_thread::sleep_for(5ms);
     }
     EXPECT_EQ(sessions_->asked.size(), 1U);
-    return asked;
   }
 
   char sessions_begun_ = 0;
@@ -597,7 +595,9 @@ class LoggedInTest : public OpenPageTest {
 };
 
 TEST_F(LoggedInTest, AUserWhoseSessionHasEndedIsAGuestAndIsTold) {
-  CallOfPage asked = asked_about_the_first_session();
+  hold_answers();
+  CallOfPage asked = call("me");
+  await_question();
   HeldSessions::answer(sessions_->asked.at(0), "");
   const json told = answer_to(asked);
   EXPECT_TRUE(told["user"].is_null());
@@ -606,7 +606,9 @@ TEST_F(LoggedInTest, AUserWhoseSessionHasEndedIsAGuestAndIsTold) {
 }
 
 TEST_F(LoggedInTest, ASessionThatHasEndedLogsOutNobodyWhoHasLoggedInMeanwhile) {
-  CallOfPage asked = asked_about_the_first_session();
+  hold_answers();
+  CallOfPage asked = call("me");
+  await_question();
   EXPECT_EQ(log_in()["user"], "anna");
   HeldSessions::answer(sessions_->asked.at(0), "");
   const json told = answer_to(asked);
