@@ -123,15 +123,16 @@ LineEditor::LineEditor(Reactor& reactor, std::filesystem::path history_file, Com
   const auto bind = [this](const char* key, const char* function) {
     el_set(editor_.get(), EL_BIND, key, function, static_cast<char*>(nullptr));
   };
-  const auto add = [this](const char* name, const char* does, unsigned char (*function)(::editline*, int)) {
-    el_set(editor_.get(), EL_ADDFN, name, does, function);
+  // It keeps what it is given; of what is not wide it makes copies that it never lets go of.
+  const auto add = [this](const wchar_t* name, const wchar_t* does, unsigned char (*function)(::editline*, wint_t)) {
+    el_wset(editor_.get(), EL_ADDFN, name, does, function);
   };
   el_set(editor_.get(), EL_CLIENTDATA, this);
   el_set(editor_.get(), EL_PROMPT, &LineEditor::prompt_of);
   el_set(editor_.get(), EL_HIST, history, lines_.get());
   el_set(editor_.get(), EL_EDITOR, "emacs");
-  add("fiona-complete", "what could stand here", &LineEditor::on_complete);
-  add("fiona-suspend", "stop until fg", &LineEditor::on_suspend);
+  add(L"fiona-complete", L"what could stand here", &LineEditor::on_complete);
+  add(L"fiona-suspend", L"stop until fg", &LineEditor::on_suspend);
   bind("^I", "fiona-complete");
   bind("^Z", "fiona-suspend");
   bind("^R", "em-inc-search-prev");
@@ -224,7 +225,7 @@ std::string LineEditor::typed() const {
 }
 
 /// Adds what all that could stand here have in common; lists them where that is no more than is typed.
-unsigned char LineEditor::on_complete(::editline* library, int) {
+unsigned char LineEditor::on_complete(::editline* library, wint_t) {
   LineEditor& editor = of(library);
   const std::string typed = editor.typed();
   // The completer may wait for the host, and a key must not be read inside of reading a key.
@@ -248,7 +249,7 @@ unsigned char LineEditor::on_complete(::editline* library, int) {
   return CC_NORM;
 }
 
-unsigned char LineEditor::on_suspend(::editline*, int) {
+unsigned char LineEditor::on_suspend(::editline*, wint_t) {
   ::kill(0, SIGTSTP);
   return CC_NORM;
 }

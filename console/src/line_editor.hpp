@@ -1,5 +1,7 @@
 #pragma once
 
+#include <wchar.h>
+
 #include <filesystem>
 #include <functional>
 #include <memory>
@@ -48,8 +50,8 @@ class LineEditor {
  private:
   static LineEditor& of(::editline* editor);
   static char* prompt_of(::editline* editor);
-  static unsigned char on_complete(::editline* editor, int key);
-  static unsigned char on_suspend(::editline* editor, int key);
+  static unsigned char on_complete(::editline* editor, wint_t key);
+  static unsigned char on_suspend(::editline* editor, wint_t key);
 
   void begin_editing();
   void end_editing();
