@@ -359,7 +359,7 @@ TEST_F(SupervisedBus, ThatCannotBeReachedAgainEndsItsGroupAloneWhichIsMadeAgain)
   EXPECT_EQ(console->process_of("far"), far);
   EXPECT_THAT(host.said(), HasSubstr("group 'cage' was ended: group 'cage' cannot reach the services on D-Bus that it "
                                      "is granted: there is no xdg-dbus-proxy"));
-  EXPECT_NE(::kill(cage, 0), 0);
+  console->eventually("its process has ended", [&] { return ::kill(cage, 0) != 0; });
   program.put();
   console->eventually("it is made again", [&] {
     const auto system = console->snapshot();
