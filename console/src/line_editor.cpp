@@ -59,7 +59,9 @@ class HistoryLock {
  public:
   explicit HistoryLock(const std::filesystem::path& file)
       : folder_(::open(file.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {
-    if (folder_ >= 0) ::flock(folder_, LOCK_EX);
+    // A prompt that is stopped may have it: then a line may be lost, and nobody waits.
+    constexpr int kTries = 50;
+    for (int i = 0; folder_ >= 0 && ::flock(folder_, LOCK_EX | LOCK_NB) != 0 && i < kTries; ++i) ::usleep(10'000);
   }
   HistoryLock(const HistoryLock&) = delete;
   HistoryLock& operator=(const HistoryLock&) = delete;

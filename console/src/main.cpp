@@ -5,11 +5,11 @@
 #include <string>
 #include <vector>
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
 #include "command_line.hpp"
+#include "fiona/tool.hpp"
 #include "line_editor.hpp"
 #include "prompt.hpp"
 #include "script.hpp"
@@ -55,14 +55,6 @@ void hide_secrets(char** words, const SecretNames& secrets) {
   }
 }
 
-/// What is opened later must not be taken for standard output.
-void open_standard_streams() {
-  int opened = 0;
-  do opened = ::open("/dev/null", O_RDWR);
-  while (opened >= 0 && opened <= STDERR_FILENO);
-  if (opened >= 0) ::close(opened);
-}
-
 int serve(Reactor& reactor, Output& out, const std::vector<std::string>& arguments) {
   CommandLine command = read_command_line(arguments);
   out.manner = command.manner;
@@ -86,7 +78,7 @@ int serve(Reactor& reactor, Output& out, const std::vector<std::string>& argumen
 }  // namespace
 
 int main(int argc, char** argv) {
-  open_standard_streams();
+  fiona::open_standard_streams();
   Reactor reactor;
   Output out(Output::standard_sink(reactor));
   out.columns = Output::terminal_columns;

@@ -15,6 +15,7 @@
 
 #include "control_server.hpp"
 #include "fiona/error.hpp"
+#include "fiona/tool.hpp"
 #include "group.hpp"
 #include "last_words.hpp"
 #include "os/process.hpp"
@@ -195,7 +196,8 @@ int serve(Flags& flags) {
                                        .taken_back = flags.taken_back};
   const Place journal = place_of_journal(flags, socket);
   const std::filesystem::path last_words = journal.file.string() + ".last-words";
-  if (!flags.restore) std::filesystem::remove(last_words);
+  std::error_code none;
+  if (!flags.restore) std::filesystem::remove(last_words, none);
   options.last_words = fiona::host::LastWords::told_in(last_words);
   fiona::host::LastWords::leave_in(last_words);
   fiona::host::ControlServer server(socket, std::move(options), flags.restore, journal.file);
@@ -216,7 +218,7 @@ int serve(Flags& flags) {
 int main(int argc, char** argv) {
   options::options_description description("fiona-host: holds a running system");
   Flags flags;
-  fiona::os::open_standard_streams();
+  fiona::open_standard_streams();
   // What a peer garbles is counted where it is refused; the library would write a line for each message.
   google::protobuf::SetLogHandler(nullptr);
   ::prctl(PR_SET_NAME, "fiona-host");  // started from a descriptor, it would have that one's number for its name

@@ -8,6 +8,7 @@
 #include <iostream>
 #include <string>
 
+#include "fiona/tool.hpp"
 #include "os/unread.hpp"
 #include "supervisor.hpp"
 
@@ -46,7 +47,7 @@ Supervisor::Options options_from(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  fiona::os::open_standard_streams();
+  fiona::open_standard_streams();
   // Whoever reads what it says may go first. A handler, unlike SIG_IGN, is not handed down to the host.
   ::signal(SIGPIPE, [](int) {});
   fiona::os::wait_for_no_reader();

@@ -72,7 +72,7 @@ std::pair<Model, std::map<std::string, std::string>> replayed(const std::vector<
 /// What has ended a host before would end this one too: from now on it ends a group that nobody else is in. What there
 /// is to say of it.
 std::vector<std::string> set_apart(const std::vector<LastWords>& last_words, std::vector<control::Change>& changes) {
-  std::set<std::string> groups;
+  std::set<std::string> groups{std::string(kMainGroup)};
   for (const auto& change : changes) groups.insert(change.load().group());
   std::vector<std::string> lines;
   for (const LastWords& words : last_words) {

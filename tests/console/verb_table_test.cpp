@@ -430,9 +430,7 @@ TEST(Completion, KnowsParametersAndTheirValues) {
   EXPECT_EQ(candidates("set walk direction="), (Texts{"direction=down", "direction=up"}));
 }
 
-TEST(Completion, KnowsWhatAPluginTakes) {
-  EXPECT_EQ(candidates("load trace-player as x t"), Texts{"trace="});
-}
+TEST(Completion, KnowsWhatAPluginTakes) { EXPECT_EQ(candidates("load trace-player as x t"), Texts{"trace="}); }
 
 TEST(Completion, KnowsTheFieldsOfWhatAPortSays) {
   EXPECT_EQ(candidates("watch walk.imu out"), Texts{"out_x_acc"});

@@ -1,6 +1,5 @@
 #include "os/unread.hpp"
 
-#include <fcntl.h>
 #include <poll.h>
 #include <unistd.h>
 
@@ -76,13 +75,6 @@ class Unread final : public std::streambuf {
 };
 
 }  // namespace
-
-void open_standard_streams() {
-  int opened = 0;
-  do opened = ::open("/dev/null", O_RDWR);
-  while (opened >= 0 && opened <= STDERR_FILENO);
-  if (opened >= 0) ::close(opened);
-}
 
 void wait_for_no_reader() {
   static Unread& unread = *new Unread;  // not destroyed: threads may speak at the very end

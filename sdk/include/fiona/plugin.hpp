@@ -46,8 +46,8 @@ inline constexpr std::uint32_t kPluginEdgeVersion = 1;
 inline constexpr const char* kPluginEntrySymbol = "fiona_plugin_entry";
 
 /// The ABI tag of the SDK that this translation unit was compiled with: everything that must be equal on both sides
-/// before C++ may cross the plugin's edge (SDK version, compiler ABI, standard library, protobuf, the platform's objects). Read from the
-/// package's interface before the library is opened, and again from the library itself.
+/// before C++ may cross the plugin's edge (SDK version, compiler ABI, standard library, protobuf, catalogue). Read from
+/// the package's interface before the library is opened, and again from the library itself.
 inline constexpr const char* kAbiTag = FIONA_ABI_TAG;
 
 }  // namespace fiona

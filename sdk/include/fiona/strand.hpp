@@ -82,7 +82,7 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
 
   /// [any thread] Whether the calling thread is running this strand now.
   bool is_current() const;
-  /// [any thread, a handler of a signal] The name of the one that this thread works for, as long as it does; empty: none.
+  /// [any thread, signal handler] The name of the one that this thread works for, as long as it does; empty: none.
   static std::string_view current_name();
 
   /// [any thread, not this strand] Runs `work` on the strand and waits for its end, at most `deadline` of the

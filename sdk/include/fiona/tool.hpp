@@ -1,5 +1,8 @@
 #pragma once
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <exception>
 #include <iostream>
 #include <string_view>
@@ -29,6 +32,15 @@ int run_tool(const Work& work, std::string_view usage = {}) {
   } catch (const std::exception& error) {
     return end(ErrorCode::Failed, error.what(), {});
   }
+}
+
+/// [first in main] What is opened later is not taken for standard input, output or error where whoever started this has
+/// closed them.
+inline void open_standard_streams() {
+  int opened = 0;
+  do opened = ::open("/dev/null", O_RDWR);
+  while (opened >= 0 && opened <= STDERR_FILENO);
+  if (opened >= 0) ::close(opened);
 }
 
 }  // namespace fiona
