@@ -51,7 +51,7 @@ Output::Sink Output::standard_sink(Reactor& reactor) {
     throw Error(ErrorCode::Failed,
                 ErrorText{.what = fmt::format("the output cannot be written: {}", std::strerror(errno)),
                           .where = "standard output",
-                          .next = "see where it goes, and whether the disk is full: df -h"});
+                          .next = "see where it goes, and whether the disk is full: df -h; what it tells may have been done"});
   };
 }
 
