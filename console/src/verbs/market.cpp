@@ -286,8 +286,8 @@ void update_part(Session& session, const Line& line, const UpdatePart& part) {
   });
 }
 
-/// The user's own is asked for all, each other for what came from there; all before anything is changed, for each may
-/// have revoked something, and one that cannot be asked keeps all as it is.
+/// The user's own is asked for all, each other for what came from there. What came from one that cannot be asked stays
+/// as it is, and that is a failure.
 void update(Session& session, const Line& line) {
   auto sources = by_source(chosen_store(session), names_in(line));
   sources.erase(Marketplace::default_directory().string());
@@ -307,13 +307,12 @@ void update(Session& session, const Line& line) {
   for (const auto& [source, packages] : sources) {
     if (parts.empty() || parts.front().market.source() != source) ask(source, packages);
   }
-  if (failed > 0)
-    throw Error(
-        ErrorCode::Unreachable,
-        {.what = fmt::format("{} of {} marketplaces could not be asked, and nothing was changed", failed,
-                             failed + parts.size()),
-         .next = "market update --from DIR asks one of the others alone; market list says what came from where"});
   for (const UpdatePart& part : parts) update_part(session, line, part);
+  if (failed == 0) return;
+  throw Error(ErrorCode::Unreachable,
+              {.what = fmt::format("{} of {} marketplaces could not be asked: what came from there stays as it is",
+                                   failed, failed + parts.size()),
+               .next = "market list says what came from where; then market update again"});
 }
 
 /// The instances of the running host that a package's plugin has made.
