@@ -244,6 +244,7 @@ int main(int argc, char** argv) {
   fiona::os::keep_freed_memory();  // as a host; for the bare limits too
   try {
     if (const int code = other_side(argc, argv); code >= 0) return code;
+    if (argc > 2) throw std::invalid_argument("one argument: words that a line's name contains, as \"two groups\"");
     const std::string only = argc == 2 ? argv[1] : "";
     const Medium ipc{argv[0]};
     const Medium tcp{argv[0], true};
