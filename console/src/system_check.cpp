@@ -58,13 +58,14 @@ class Checker {
 
   void take(const Line& line) {
     static const std::map<std::string, void (Checker::*)(const Line&)> kChecks{
-        {"load", &Checker::take_load},     {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
-        {"unwire", &Checker::take_unwire}, {"swap", &Checker::take_swap},     {"begin", &Checker::take_begin},
-        {"commit", &Checker::take_commit}, {"abort", &Checker::take_commit},  {"set", &Checker::take_set},
-        {"state", &Checker::take_mode},    {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},
-        {"get", &Checker::take_instance},  {"call", &Checker::take_call},     {"send", &Checker::take_call},
-        {"source", &Checker::take_source}, {"expect", &Checker::take_expect}, {"sleep", &Checker::take_sleep},
-        {"market", &Checker::take_market}, {"run", &Checker::take_run},       {"upgrade", &Checker::take_instance}};
+        {"load", &Checker::take_load},       {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
+        {"unwire", &Checker::take_unwire},   {"swap", &Checker::take_swap},     {"begin", &Checker::take_begin},
+        {"commit", &Checker::take_commit},   {"abort", &Checker::take_commit},  {"set", &Checker::take_set},
+        {"state", &Checker::take_mode},      {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},
+        {"record", &Checker::take_record},   {"get", &Checker::take_instance},  {"call", &Checker::take_call},
+        {"send", &Checker::take_call},       {"source", &Checker::take_source}, {"expect", &Checker::take_expect},
+        {"sleep", &Checker::take_sleep},     {"market", &Checker::take_market}, {"run", &Checker::take_run},
+        {"upgrade", &Checker::take_instance}};
     if (const auto found = kChecks.find(line.verb.text); found != kChecks.end()) (this->*found->second)(line);
   }
 
@@ -336,6 +337,12 @@ class Checker {
     if (line.positional[0].text == "stop") return;
     const WatchRequest request = watch_request(line);
     check_watched(line, line.positional[0], request.port.port());
+  }
+  void take_record(const Line& line) {
+    if (line.positional[0].text == "stop") return;
+    const std::vector<WatchRequest> requests = record_requests(line);
+    for (std::size_t i = 0; i < requests.size(); ++i)
+      check_watched(line, line.positional[i + 1], requests[i].port.port());
   }
   /// A port or probe of an instance, where the plugin's interface is known.
   void check_watched(const Line& line, const Word& word, const std::string& name) {

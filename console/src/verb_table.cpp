@@ -171,6 +171,13 @@ std::vector<Verb> seeing_verbs() {
            "At a prompt and in a system file it goes on while other lines run; `watch stop` ends it. From a shell, "
            "Ctrl-C does. When the group or host that it looks at is lost, it says so and goes on once that is back.",
        Access::Observe, verbs::watch},
+      {"record", forms({"record FILE INSTANCE.PORT|INSTANCE.PROBE … [for T]", "record stop [FILE]"}),
+       "keeps what goes through ports in a file, each message with its time and type",
+       "Any types. FILE, on this machine, is an MCAP file, which Foxglove, PlotJuggler and libraries in many languages "
+       "read; times are since the system's clock started. Passwords and other secrets are left out.\n"
+       "At a prompt and in a system file it goes on while other lines run; `record stop` ends it. From a shell, Ctrl-C "
+       "does. If it is killed, all but the last second can be read.",
+       Access::Observe, verbs::record},
       {"graph", forms({"graph [dot|mermaid]"}), "the wiring as text, for Graphviz or for Mermaid",
        "As text `<-` comes from there, `?-` nobody serves, `->` goes there. As in: fiona graph dot | dot -Tsvg > "
        "system.svg",

@@ -1,6 +1,7 @@
 #include "watch_list.hpp"
 
 #include <algorithm>
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
@@ -31,7 +32,7 @@ std::uint64_t WatchList::start(const WatchRequest& request) {
   } catch (...) {
     starting_.reset();
     refused_.reset();
-    end(number, true);
+    give_up({number});
     throw;
   }
   starting_.reset();
@@ -60,16 +61,22 @@ void WatchList::arrived(std::uint64_t number, const control::Reply& reply) {
   if (found == running_.end()) return;
   try {
     if (reply.has_failure()) throw_failure(reply.failure());
-    if (reply.has_sample()) print(found->second, reply.sample());
+    if (reply.has_sample()) {
+      Running& watch = found->second;
+      if (!watch.lost.empty()) is_back(watch);
+      ++watch.samples;
+      watch.request.into ? record(watch, reply.sample()) : print(watch, reply.sample());
+    }
     if (reply.has_done() && found->second.samples == 0 && !reply.done().note().empty())
       session_.out.remark(reply.done().note());
   } catch (const Error& problem) {
     if (reply.has_failure() && goes_on(number, found->second, problem)) return;
-    end(number, !reply.has_failure());
     if (number == starting_) {
+      give_up({number});
       refused_ = problem;
       return;
     }
+    end(number, !reply.has_failure());
     // In a shell the watch is the command, and its failure the command's; elsewhere it is news beside other lines.
     if (session_.setting == Setting::Shell) throw;
     session_.out.error(problem);
@@ -164,8 +171,6 @@ std::string WatchList::text_of(const Running& watch, const control::Sample& samp
 
 void WatchList::print(Running& watch, const control::Sample& sample) {
   if (!sample.type().empty()) read(watch, sample);
-  if (!watch.lost.empty()) is_back(watch);
-  ++watch.samples;
   // The host counts `every` on the system's clock, which may run much faster than anybody reads. Half of it, so that
   // a sample that comes a little early is not lost.
   const auto now = std::chrono::steady_clock::now();
@@ -190,6 +195,39 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
   out.manner = before;
 }
 
+void WatchList::record(Running& watch, const control::Sample& sample) {
+  try {
+    watch.request.into->take(watch.name, sample);
+  } catch (const Error&) {
+    // Nothing more can be written: it ends as it is, for all its ports.
+    const auto broken = std::move(watch.request.into);
+    std::vector<std::uint64_t> others;
+    for (const auto& [number, other] : running_) {
+      if (other.request.into == broken) others.push_back(number);
+    }
+    give_up(others);
+    throw;
+  }
+}
+
+void WatchList::finish(Recording& recording) {
+  recording.finish();
+  const McapWriter& written = recording.written();
+  const double seconds = static_cast<double>(written.last_ns() - written.first_ns()) / 1e9;
+  const std::string lost =
+      recording.lost() > 0 ? fmt::format("; {} were lost, for this console was slow", recording.lost()) : "";
+  session_.out.done(
+      fmt::format("recorded {} message{} of {} port{} in {:.1f} s: {}, {:.0f} kB{}", written.messages(),
+                  written.messages() == 1 ? "" : "s", recording.ports(), recording.ports() == 1 ? "" : "s", seconds,
+                  recording.file(), static_cast<double>(written.bytes()) / 1e3, lost),
+      {{"file", recording.file()},
+       {"messages", written.messages()},
+       {"ports", recording.ports()},
+       {"seconds", seconds},
+       {"bytes", written.bytes()},
+       {"lost", recording.lost()}});
+}
+
 void WatchList::stop_timers(Running& watch) {
   if (watch.timer) session_.reactor.cancel_timer(*watch.timer);
   if (watch.retry) session_.reactor.cancel_timer(*watch.retry);
@@ -200,7 +238,11 @@ void WatchList::end(std::uint64_t number, bool tell_host) {
   if (found == running_.end()) return;
   stop_timers(found->second);
   const std::uint64_t asked = found->second.asked;
+  const auto into = std::move(found->second.request.into);
   running_.erase(found);
+  const bool goes_on = std::any_of(running_.begin(), running_.end(),
+                                   [&into](const auto& one) { return one.second.request.into == into; });
+  if (into && !goes_on) finish(*into);
   if (!session_.connected()) return;
   session_.host().forget(asked);
   if (!tell_host) return;
@@ -209,13 +251,34 @@ void WatchList::end(std::uint64_t number, bool tell_host) {
   session_.host().tell(std::move(request));
 }
 
+void WatchList::give_up(const std::vector<std::uint64_t>& numbers) {
+  for (const std::uint64_t number : numbers) {
+    if (const auto found = running_.find(number); found != running_.end()) found->second.request.into.reset();
+  }
+  for (const std::uint64_t number : numbers) end(number, true);
+}
+
 std::size_t WatchList::stop(const std::string& port) {
   std::vector<std::uint64_t> ended;
   for (const auto& [number, watch] : running_) {
-    if (port.empty() || watch.name == port) ended.push_back(number);
+    if (!watch.request.into && (port.empty() || watch.name == port)) ended.push_back(number);
   }
   for (const std::uint64_t number : ended) end(number, true);
   return ended.size();
+}
+
+std::size_t WatchList::stop_recording(const std::string& file) {
+  std::size_t stopped = 0;
+  for (const std::string& one : recordings()) {
+    if (!file.empty() && one != file) continue;
+    ++stopped;
+    std::vector<std::uint64_t> ended;
+    for (const auto& [number, watch] : running_) {
+      if (watch.request.into && watch.request.into->file() == one) ended.push_back(number);
+    }
+    for (const std::uint64_t number : ended) end(number, true);
+  }
+  return stopped;
 }
 
 void WatchList::wait(Which which) {
@@ -233,14 +296,35 @@ void WatchList::wait(Which which) {
 }
 
 void WatchList::clear() {
-  for (auto& [number, watch] : running_) stop_timers(watch);
+  std::set<std::shared_ptr<Recording>> recordings;
+  for (auto& [number, watch] : running_) {
+    stop_timers(watch);
+    if (watch.request.into) recordings.insert(std::move(watch.request.into));
+  }
   running_.clear();
+  for (const auto& recording : recordings) {
+    try {
+      finish(*recording);
+    } catch (const std::exception& problem) {
+      session_.out.remark(problem.what());
+    }
+  }
 }
 
 std::vector<std::string> WatchList::ports() const {
   std::vector<std::string> names;
-  for (const auto& [number, watch] : running_) names.push_back(watch.name);
+  for (const auto& [number, watch] : running_) {
+    if (!watch.request.into) names.push_back(watch.name);
+  }
   return names;
+}
+
+std::vector<std::string> WatchList::recordings() const {
+  std::set<std::string> files;
+  for (const auto& [number, watch] : running_) {
+    if (watch.request.into) files.insert(watch.request.into->file());
+  }
+  return {files.begin(), files.end()};
 }
 
 }  // namespace fiona::console

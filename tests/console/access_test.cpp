@@ -65,6 +65,7 @@ const std::map<std::string, std::vector<Sample>>& samples() {
       {"spots", {{"spots", Access::Observe}}},
       {"why", {{"why nav", Access::Observe}}},
       {"watch", {{"watch walk.imu for 10ms", Access::Observe}}},
+      {"record", {{"record RECORDED walk.imu for 10ms", Access::Observe}}},
       {"graph", {{"graph", Access::Observe}}},
       {"top", {{"top", Access::Observe}}},
       {"check", {{"check FILE", Access::Nothing}}},
@@ -156,7 +157,7 @@ class AccessTable : public ::testing::TestWithParam<From> {
       level_ = level;
       refused_ = false;
     }
-    for (const char* name : {"FILE", "SAVED"}) {
+    for (const char* name : {"FILE", "SAVED", "RECORDED"}) {
       const std::size_t at = lines.find(name);
       if (at != std::string::npos)
         lines.replace(at, std::string(name).size(),

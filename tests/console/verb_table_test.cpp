@@ -76,7 +76,7 @@ TEST(VerbTable, HasEveryVerbOnce) {
   for (const Verb& verb : verb_rows()) names.insert(verb.name);
   for (const char* name :
        {"load",  "unload", "wire", "unwire", "set",  "get",    "state", "ls",   "show", "spots",   "watch",
-        "check", "run",    "save", "source", "wait", "expect", "sleep", "quit", "help", "version", "market"})
+        "check", "run",    "save", "source", "wait", "expect", "sleep", "quit", "help", "version", "market", "record"})
     EXPECT_EQ(names.count(name), 1U) << name;
 }
 
@@ -301,6 +301,8 @@ TEST(Lines, OfEveryVerbAndFormAreRead) {
         "watch a.spread when below 3m every 5",
         "watch a.spread when changes",
         "watch stop",
+        "record walk.mcap a.x b.spread for 10s",
+        "record stop walk.mcap",
         "call a.x {number: 7} for 5s",
         "call a.go speed=2",
         "send a.x {number: 7}",

@@ -27,6 +27,7 @@ void show(Session& session, const Line& line);
 void spots(Session& session, const Line& line);
 void why(Session& session, const Line& line);
 void watch(Session& session, const Line& line);
+void record(Session& session, const Line& line);
 void graph(Session& session, const Line& line);
 void top(Session& session, const Line& line);
 void check(Session& session, const Line& line);
