@@ -301,21 +301,22 @@ void add_by_shape(Candidates& found, const WordLine& words, const Shape& shape, 
   for (const GlobalOption& option : global_options()) found.push_back(option.slot.name);
 }
 
-/// What stands before the verb: `--host main ls`. Whether the word that follows is the value of the last of them.
-bool take_global_options(WordLine& words) {
+}  // namespace
+
+std::optional<std::map<std::string, std::string>> take_global_options(WordLine& words) {
+  std::map<std::string, std::string> options;
   while (!words.empty() && !words.items.front().name && words.items.front().word.text.starts_with('-')) {
     const std::string name = words.items.front().word.text;
     words.items.erase(words.items.begin());
     const auto option = std::find_if(global_options().begin(), global_options().end(),
                                      [&name](const GlobalOption& one) { return one.slot.name == name; });
     if (option == global_options().end() || !option->slot.takes_value()) continue;
-    if (words.empty()) return true;
+    if (words.empty()) return std::nullopt;
+    options[name] = words.items.front().word.text;
     words.items.erase(words.items.begin());
   }
-  return false;
+  return options;
 }
-
-}  // namespace
 
 std::vector<std::string> completed_placeholders() {
   std::vector<std::string> names;
@@ -335,7 +336,7 @@ Completion complete(std::string_view typed, Names& names) {
     return completion;  // inside a quote: nothing is known
   }
   Candidates found;
-  if (take_global_options(before)) return completion;
+  if (!take_global_options(before)) return completion;
   if (const Verb* outer = before.empty() ? nullptr : find_verb(before.items.front().word.text);
       outer && outer->takes_line) {
     before.items.erase(before.items.begin());

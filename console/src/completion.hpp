@@ -1,10 +1,13 @@
 #pragma once
 
+#include <map>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "fiona/control.pb.h"
+#include "grammar.hpp"
 
 namespace fiona::console {
 
@@ -30,6 +33,10 @@ struct Completion {
   std::size_t start = 0;                  ///< where in the line the word begins that is completed
   std::vector<std::string> candidates{};  ///< whole words, sorted, all beginning with what is typed
 };
+
+/// Takes away what stands before the verb, `--host main ls`: those options that have a value. Nothing: what follows is
+/// the value of the last of them.
+std::optional<std::map<std::string, std::string>> take_global_options(WordLine& words);
 
 /// What could stand at the end of the typed text, by the forms of its verb.
 Completion complete(std::string_view typed, Names& names);

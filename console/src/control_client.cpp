@@ -144,18 +144,24 @@ void ControlClient::connect_here() {
 void ControlClient::send(const control::Request& request) {
   const std::string frame = framed(request);
   const auto deadline = std::chrono::steady_clock::now() + timeout_;
-  for (std::string_view rest = frame; !rest.empty();) {
-    const ssize_t sent = closed() ? -1 : ::send(socket_, rest.data(), rest.size(), MSG_NOSIGNAL);
-    if (sent > 0) {
-      rest.remove_prefix(static_cast<std::size_t>(sent));
-    } else if (closed() || (errno != EAGAIN && errno != EINTR) || !reactor_.wait_writable(socket_, deadline)) {
-      if (!closed()) receive();  // why it has closed, if it has
-      if (refusal_) throw_failure(*refusal_);
-      throw Error(ErrorCode::Unreachable,
-                  ErrorText{.what = closed() ? farewell() : "the host does not take the request",
-                            .where = endpoint_.text(),
-                            .next = "it may be busy or gone: fiona ls; else start it again"});
+  std::string_view rest = frame;
+  try {
+    while (!rest.empty()) {
+      const ssize_t sent = closed() ? -1 : ::send(socket_, rest.data(), rest.size(), MSG_NOSIGNAL);
+      if (sent > 0) {
+        rest.remove_prefix(static_cast<std::size_t>(sent));
+      } else if (closed() || (errno != EAGAIN && errno != EINTR) || !reactor_.wait_writable(socket_, deadline)) {
+        if (!closed()) receive();  // why it has closed, if it has
+        if (refusal_) throw_failure(*refusal_);
+        throw Error(ErrorCode::Unreachable,
+                    ErrorText{.what = closed() ? farewell() : "the host does not take the request",
+                              .where = endpoint_.text(),
+                              .next = "it may be busy or gone: fiona ls; else start it again"});
+      }
     }
+  } catch (...) {
+    if (!closed() && rest.size() != frame.size()) close();  // what would follow half a request is no request
+    throw;
   }
 }
 
@@ -248,9 +254,8 @@ control::Reply ControlClient::wait_for(std::uint64_t id, const control::Reply& r
   return reply;
 }
 
-/// Throws Interrupted, with the news, where the host cannot let go of it.
+/// Throws Interrupted, with the news, where the host cannot let go of it, or has done it meanwhile.
 void ControlClient::give_up(std::uint64_t id) {
-  forget(id);
   control::Request request;
   request.mutable_unwatch()->set_watch(id);
   try {
@@ -277,7 +282,14 @@ control::Reply ControlClient::call_waiting(control::Request request) {
       call(std::move(sign_of_life), std::max<std::chrono::milliseconds>(timeout_, kQuiet));
     }
   } catch (const Interrupted&) {
-    give_up(id);
+    try {
+      give_up(id);
+    } catch (...) {
+      forget(id);
+      throw;
+    }
+    forget(id);
+    if (here && !reply.has_failure()) throw Interrupted(true);
     throw;
   } catch (const Error& error) {
     forget(id);

@@ -36,6 +36,11 @@ std::string common_beginning(const std::vector<std::string>& candidates) {
     const auto [end, other] = std::mismatch(common.begin(), common.end(), candidate.begin(), candidate.end());
     common.erase(end, common.end());
   }
+  // Nor does half a character of UTF-8 stand alone.
+  const auto is_inside = [](char byte) { return (static_cast<unsigned char>(byte) & 0xC0U) == 0x80U; };
+  std::size_t end = common.size();
+  while (end > 0 && end < candidates.front().size() && is_inside(candidates.front()[end])) --end;
+  common.resize(end);
   return common;
 }
 
@@ -134,9 +139,7 @@ LineEditor::LineEditor(Reactor& reactor, std::filesystem::path history_file, Com
   el_set(editor_.get(), EL_HIST, history, lines_.get());
   el_set(editor_.get(), EL_EDITOR, "emacs");
   add(L"fiona-complete", L"what could stand here", &LineEditor::on_complete);
-  add(L"fiona-suspend", L"stop until fg", &LineEditor::on_suspend);
   bind("^I", "fiona-complete");
-  bind("^Z", "fiona-suspend");
   bind("^R", "em-inc-search-prev");
   for (const char* key : {"\\e[1~", "\\e[7~", "\\e[H"}) bind(key, "ed-move-to-beg");
   for (const char* key : {"\\e[4~", "\\e[8~", "\\e[F"}) bind(key, "ed-move-to-end");
@@ -182,6 +185,7 @@ void LineEditor::begin_editing() {
   el_resize(editor_.get());
   el_set(editor_.get(), EL_UNBUFFERED, 1);
   reactor_.add_terminal([this] { read_character(); });
+  reactor_.on_continued([this] { take_terminal_back(); });
 }
 
 /// No exception passes through the editor's library.
@@ -197,6 +201,7 @@ void LineEditor::read_character() {
 
 void LineEditor::end_editing() {
   editing_ = false;
+  reactor_.on_continued(nullptr);
   reactor_.remove(STDIN_FILENO);
   el_set(editor_.get(), EL_UNBUFFERED, 0);
 }
@@ -251,9 +256,17 @@ unsigned char LineEditor::on_complete(::editline* library, wint_t) {
   return CC_NORM;
 }
 
-unsigned char LineEditor::on_suspend(::editline*, wint_t) {
-  ::kill(0, SIGTSTP);
-  return CC_NORM;
+/// After Ctrl-Z and `fg`: the shell has had the terminal meanwhile.
+void LineEditor::take_terminal_back() {
+  const LineInfo* line = el_line(editor_.get());
+  const std::string typed(line->buffer, line->lastchar);
+  el_set(editor_.get(), EL_UNBUFFERED, 0);
+  el_set(editor_.get(), EL_UNBUFFERED, 1);
+  if (typed.empty()) return;
+  el_insertstr(editor_.get(), typed.c_str());
+  std::fputs("\r\033[J", stdout);  // the prompt without it
+  std::fflush(stdout);
+  el_set(editor_.get(), EL_REFRESH);
 }
 
 std::size_t LineEditor::cursor_row() const {

@@ -51,10 +51,10 @@ class LineEditor {
   static LineEditor& of(::editline* editor);
   static char* prompt_of(::editline* editor);
   static unsigned char on_complete(::editline* editor, wint_t key);
-  static unsigned char on_suspend(::editline* editor, wint_t key);
 
   void begin_editing();
   void end_editing();
+  void take_terminal_back();
   void read_character();
   /// Up to the cursor.
   std::string typed() const;

@@ -58,8 +58,8 @@ namespace {
 
 /// A part that may repeat is named as a whole.
 void add_fields(const google::protobuf::Descriptor& type, const std::string& before, std::vector<std::string>& names) {
-  constexpr std::size_t kLongest = 100;  // of a path: a type may hold itself
-  for (int i = 0; i < type.field_count(); ++i) {
+  constexpr std::size_t kLongest = 100, kMost = 1000;  // of a path, of paths: a type may hold itself, and twice
+  for (int i = 0; i < type.field_count() && names.size() < kMost; ++i) {
     const auto& field = *type.field(i);
     const std::string path = before + field.name();
     const auto* inner = field.is_repeated() ? nullptr : field.message_type();

@@ -32,8 +32,11 @@ class Prompt {
     session.setting = Setting::Prompt;
     session.is_guest = !options.started_host;
     ask_before_ = std::exchange(session.ask, [this](const std::string& question) -> std::optional<bool> {
+      const bool ending = std::exchange(ending_, false);
       const auto answer = editor_.read(question, [this] { return has_ended(); });
-      return answer && (answer->starts_with('y') || answer->starts_with('Y'));
+      const bool agreed = answer && (answer->starts_with('y') || answer->starts_with('Y'));
+      ending_ = ending && agreed;
+      return agreed;
     });
   }
   Prompt(const Prompt&) = delete;
@@ -52,7 +55,7 @@ class Prompt {
     attach();
     if (options_.let_run) let_run();
     while (!session_.finished && !left_) {
-      if (has_ended()) return;
+      if (has_ended()) return void(session_.finished = ended_with_);
       try {
         serve_line();
       } catch (const Interrupted&) {
@@ -96,12 +99,14 @@ class Prompt {
       session_.out.error(error);
     }
     ending_ = false;
+    if (goes_on() && !session_.connected() && !session_.finished && !retry_) retry_later();
   }
 
   void let_run() {
     control::Request request;
     request.mutable_run();
     run_ = session_.host().begin(std::move(request), [this](const control::Reply& reply) {
+      if (reply.has_ended() && reply.ended().reason() == "quit") ended_with_ = reply.ended().exit_code();
       if (reply.has_ended() && !ending_)
         session_.out.remark(fmt::format("the run ended{}{} (exit code {}); `quit` ends the host",
                                         reply.ended().reason().empty() ? "" : ": ", reply.ended().reason(),
@@ -140,8 +145,11 @@ class Prompt {
     host.set_author("console");
     if (const RemoteLink* remote = host.remote())
       session_.out.remark(fmt::format("this console may {} at host '{}'", remote->level(), remote->host()));
-    if (!options_.started_host || options_.comes_back) host.on_closed([this] { lost(); });
+    if (goes_on()) host.on_closed([this] { lost(); });
   }
+
+  /// Also when its host has gone.
+  bool goes_on() const { return !options_.started_host || options_.comes_back; }
 
   void lost() {
     if (ending_ || session_.finished) return;
@@ -180,6 +188,7 @@ class Prompt {
   bool asking_ = false;
   bool ending_ = false;  // by a line of ours, which needs no news about it
   bool left_ = false;
+  std::optional<int> ended_with_;  ///< what somebody else has typed: quit CODE
 };
 
 }  // namespace

@@ -30,7 +30,7 @@ Reactor::~Reactor() {
 void Reactor::take_signals() {
   sigset_t taken;
   sigemptyset(&taken);
-  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&taken, signal);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGCONT}) sigaddset(&taken, signal);
   ::sigprocmask(SIG_BLOCK, &taken, nullptr);
   ::signal(SIGPIPE, SIG_IGN);
   signals_ = ::signalfd(-1, &taken, SFD_CLOEXEC | SFD_NONBLOCK);
@@ -41,6 +41,10 @@ void Reactor::take_signals() {
 void Reactor::take_signal() {
   signalfd_siginfo info{};
   if (signals_ < 0 || ::read(signals_, &info, sizeof info) <= 0) return;
+  if (info.ssi_signo == SIGCONT) {
+    if (continued_) continued_();
+    return take_signal();
+  }
   if (info.ssi_signo == SIGINT) throw Interrupted();
   throw Terminated();
 }

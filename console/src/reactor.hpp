@@ -65,6 +65,8 @@ class Reactor {
   bool write_all(int descriptor, std::string_view bytes);
   /// All that a descriptor has until its end, at most so many bytes; less with errno.
   bool read_all(int descriptor, std::size_t most, std::string& bytes);
+  /// Called in a wait after the process has been stopped and goes on; nullptr: not any more.
+  void on_continued(std::function<void()> continued) { continued_ = std::move(continued); }
   /// Throws Interrupted or Terminated where a signal has come and nobody has waited since.
   void take_signal();
 
@@ -80,6 +82,7 @@ class Reactor {
   std::map<std::uint64_t, Timer> timers_;
   std::uint64_t last_timer_ = 0;
   int signals_ = -1;
+  std::function<void()> continued_;
 };
 
 }  // namespace fiona::console

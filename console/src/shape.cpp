@@ -324,7 +324,7 @@ namespace {
 /// `~/x`, as a shell reads it, which does not see what is typed at a prompt or stands in a file.
 void expand_home(Word& word, const Slot& slot) {
   const std::string kind = slot.placeholder();
-  if (kind != "FILE" && kind != "DIR" && kind != "LIBRARY") return;
+  if (kind != "FILE" && kind != "DIR" && kind != "LIBRARY" && kind != "PLUGIN") return;
   const char* home = std::getenv("HOME");
   if (word.kind == WordKind::Plain && word.text.starts_with("~/") && home != nullptr) word.text.replace(0, 1, home);
 }

@@ -18,11 +18,10 @@ std::string typed_text(const Line& line) {
 /// `--host main unload `: of that one.
 void take_host(Session& session, const std::string& typed) {
   try {
-    const WordLine words = split_line(typed);
-    for (std::size_t i = 0; i + 1 < words.items.size() && words.items[i].word.text.starts_with("--"); i += 2) {
-      if (words.items[i].word.text == "--host") session.options.host = words.items[i + 1].word.text;
-      if (words.items[i].word.text == "--at") session.options.at = words.items[i + 1].word.text;
-    }
+    WordLine words = split_line(typed);
+    const auto options = take_global_options(words).value_or(std::map<std::string, std::string>{});
+    if (const auto host = options.find("--host"); host != options.end()) session.options.host = host->second;
+    if (const auto at = options.find("--at"); at != options.end()) session.options.at = at->second;
   } catch (const Error&) {  // inside a quote
   }
 }
