@@ -245,7 +245,7 @@ class Acceptance {
         if (until.empty() || tuf::parse_time(until, role) > now_of(options_) + kWarnedBefore) continue;
         result_.ending.push_back({role, until, tuf::parse_time(until, role) <= now_of(options_), next_signature(role)});
       } catch (const Error& error) {  // damaged in the marketplace
-        refuse(role, error.text().what, error.text().next);
+        refuse(role, error.text().what, next_signature(role));
       }
     }
   }

@@ -29,10 +29,10 @@ std::vector<std::uint64_t> kept_generations(const std::filesystem::path& store);
 /// One of them. Throws fiona::Error: NotFound with those that are kept, Failed if it is damaged.
 Installed read_generation(const std::filesystem::path& store, std::uint64_t number);
 
-/// "7.textproto".
 /// " --from PLACE" of where a package came from; empty for the marketplace that is asked without.
 std::string from_option(const std::string& source);
 
+/// "7.textproto".
 std::string generation_file(std::uint64_t number);
 
 /// The name of a package's directory below packages/, which is the hash of its .fpk.

@@ -110,17 +110,24 @@ std::vector<MarketRole> market_roles(const filesystem::path& market, const Keepe
   const tuf::RepositoryOptions how = repository_options(market, options);
   begin_as_user(how, options);
   const tuf::Repository repository{how, options.keys};
+  const auto expires = [&repository](const std::string& role) -> std::string {
+    try {
+      return repository.expires(role);
+    } catch (const Error&) {
+      return "";  // damaged in the marketplace, as `accept` says; the others are shown
+    }
+  };
   std::vector<MarketRole> roles;
   for (const std::string role : {"root", "targets", "online"}) {
     const std::string& first = top_level_of(role).back();
-    MarketRole& added = roles.emplace_back(MarketRole{role, repository.keys_of(first), {}, repository.expires(first)});
+    MarketRole& added = roles.emplace_back(MarketRole{role, repository.keys_of(first), {}, expires(first)});
     const auto proposed = repository.proposed(first);
     if (!proposed || (proposed->keys == added.keys.keys && proposed->threshold == added.keys.threshold)) continue;
     added.proposed = proposed;
   }
   for (const auto& publisher : repository.delegated_roles()) {
     if (publisher != kIndexRole)
-      roles.push_back({publisher, repository.keys_of(publisher), {}, repository.expires(publisher)});
+      roles.push_back({publisher, repository.keys_of(publisher), {}, expires(publisher)});
   }
   return roles;
 }

@@ -88,6 +88,9 @@ struct Offer {
   const Marketplace* from;
 };
 
+/// Whether a package that stays in its version gets what this marketplace has of it, where that is something else.
+enum class OtherContent { Taken, TakenFromItsSource, Left };
+
 /// One question to the solver: what is there, what is offered, what is wanted.
 class Planner {
  public:
@@ -116,11 +119,12 @@ class Planner {
   void ask_for(const std::string& package) { plan_.asked.push_back(package); }
 
   // `verb` is what cannot be done, if it cannot: "installed".
-  Plan make(const char* verb, bool look_at_files) {
+  Plan make(const char* verb, bool look_at_files, OtherContent other_content) {
     fill_solver();
     Solver::Outcome outcome = solver_->solve(wanted_);
     if (!outcome.solved()) refuse(outcome, verb);
-    outcome = with_other_content(std::move(outcome));
+    if (other_content != OtherContent::Left)
+      outcome = with_other_content(std::move(outcome), other_content == OtherContent::Taken);
     for (const Manifest* manifest : outcome.packages) add_step(*manifest, outcome.packages);
     for (const auto& [name, package] : present_) {
       const bool stays = std::ranges::any_of(
@@ -255,7 +259,7 @@ class Planner {
   }
 
   // Other content of a version that would stay may require other packages: it comes where that can be solved.
-  Solver::Outcome with_other_content(Solver::Outcome outcome) {
+  Solver::Outcome with_other_content(Solver::Outcome outcome, bool of_any_source) {
     const Solver::Wanted wanted = wanted_;
     const std::set<std::string> exact = exact_;
     std::vector<std::string> names;
@@ -263,6 +267,7 @@ class Planner {
       const IndexEntry* entry = same_version(*manifest);
       if (entry == nullptr || has_content_of(*entry)) continue;
       const std::string name = full_name(*manifest);
+      if (!of_any_source && present_.at(name)->source() != from_.source()) continue;
       want_exactly({entry, &from_});
       std::erase(wanted_.update, name);
       std::erase_if(wanted_.install, [&name](const Requirement& one) { return one.package == name; });
@@ -463,7 +468,7 @@ Plan plan_install(const std::vector<std::string>& requests, const Marketplace& f
                   const Platform& platform) {
   Planner planner{from, store, platform};
   for (const auto& request : requests) planner.want(from.resolve(request));
-  Plan plan = planner.make("installed", true);
+  Plan plan = planner.make("installed", true, OtherContent::Taken);
   plan.change = change_text("install", requests);
   return plan;
 }
@@ -473,7 +478,7 @@ Plan plan_update(const std::vector<std::string>& names, const Marketplace& from,
   Planner planner{from, store, platform};
   for (const auto& name : names) planner.want_update(store.find(name).name());
   if (names.empty()) planner.want_all_updates();
-  Plan plan = planner.make("updated", false);
+  Plan plan = planner.make("updated", false, OtherContent::TakenFromItsSource);
   plan.change = change_text("update", names);
   return plan;
 }
@@ -486,7 +491,7 @@ Plan plan_locked(const Lock& lock, const Marketplaces& from, const Store& store,
     if (!there) planner.want_exactly(locked_offer(locked, from));
     if (!locked.as_requirement()) planner.ask_for(locked.package());
   }
-  Plan plan = planner.make("installed", false);
+  Plan plan = planner.make("installed", false, OtherContent::Left);
   plan.change = "install --locked";
   return plan;
 }

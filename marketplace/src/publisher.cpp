@@ -107,7 +107,7 @@ void unsign_package(const std::string& package, const KeeperOptions& options) {
     throw Error(ErrorCode::NotFound,
                 ErrorText{.what = "the key of " + publisher + " has not signed for " + package,
                           .where = options.keys.path().string(),
-                          .expected = fmt::format("one of {}", fmt::join(known, ", ")),
+                          .expected = known.empty() ? "" : fmt::format("one of {}", fmt::join(known, ", ")),
                           .near = nearest_names(package, std::vector<std::string>{known.begin(), known.end()})});
   const tuf::Time until = now_of(options) + options.lifetimes.targets;
   options.keys.keep_signed_role(publisher, tuf::next_role(before, key, stay, true, until));

@@ -369,6 +369,19 @@ TEST_F(PlanTest, OtherContentOfAVersionComesWithWhatItRequiresOrNotAtAll) {
             "+maps@1.0.0 (acme/nav requires it) =nav@1.0.0 ");
 }
 
+TEST_F(PlanTest, OtherContentOfAVersionComesFromWhereThePackageCameFromAlone) {
+  publish_one("nav", "1.0.0");
+  publish_plugin(scratch_.path(), scratch_ / "second", "nav", "1.0.0", "summary: 'another'");
+  const Marketplace first{market_}, second{scratch_ / "second"};
+  install("nav", second, store_);
+  const Store store{store_};
+  EXPECT_EQ(text(plan_update({}, first, store)), "");
+  EXPECT_EQ(text(plan_update({"nav"}, first, store)), "");
+  EXPECT_EQ(text(plan_update({}, second, store)), "");
+  EXPECT_EQ(text(plan_locked(make_lock(store, {}), {&first, &second}, store)), "");
+  EXPECT_EQ(text(plan_install({"nav"}, first, store)), "=nav@1.0.0 ") << "who names it has it from there";
+}
+
 TEST_F(PlanTest, ALockOfSeveralMarketplacesIsInstalledWholeOrNotAtAll) {
   publish_one("nav", "1.0.0");
   publish_plugin(scratch_.path(), scratch_ / "second", "maps", "1.0.0");

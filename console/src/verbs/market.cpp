@@ -228,12 +228,15 @@ std::vector<Marketplace> locked_markets(Session& session, const Line& line, cons
   std::vector<Marketplace> markets{chosen_market(session, line)};
   if (line.option("--from") != nullptr) return markets;
   const fiona::Lock own = marketplace::part_of(lock, markets.front());
+  const auto installed = chosen_store(session).installed();
   std::set<std::string> others;
   for (const auto& locked : lock.packages()) {
     const auto is_it = [&locked](const auto& one) { return one.blake2b() == locked.blake2b(); };
+    const auto is_there = [&locked](const auto& one) { return one.directory.filename() == locked.blake2b(); };
     if (std::any_of(own.packages().begin(), own.packages().end(), is_it)) continue;
-    if (locked.marketplace() == markets.front().source()) return markets;  // the plan says that it is not there
-    others.insert(locked.marketplace());
+    if (std::any_of(installed.begin(), installed.end(), is_there)) continue;
+    // Of the user's own the plan says what is not there.
+    if (locked.marketplace() != markets.front().source()) others.insert(locked.marketplace());
   }
   for (const auto& place : others) markets.push_back(opened_market(session, place));
   return markets;
@@ -286,32 +289,34 @@ void update_part(Session& session, const Line& line, const UpdatePart& part) {
   });
 }
 
-/// The user's own is asked for all, each other for what came from there. What came from one that cannot be asked stays
-/// as it is, and that is a failure.
+/// The user's own is asked for all, each other for what came from there. What came from one that cannot be asked, or
+/// from which nothing may be taken, stays as it is, and that is a failure.
 void update(Session& session, const Line& line) {
   auto sources = by_source(chosen_store(session), names_in(line));
   sources.erase(Marketplace::default_directory().string());
   if (line.option("--from") != nullptr || sources.empty())
     return update_part(session, line, {chosen_market(session, line), names_in(line)});
   std::vector<UpdatePart> parts;
-  std::size_t failed = 0;
-  const auto ask = [&](const std::string& place, const std::vector<std::string>& packages) {
+  std::vector<ErrorCode> failed;
+  const auto try_to = [&](const std::function<void()>& what) {
     try {
-      parts.push_back({opened_market(session, place), packages});
+      what();
     } catch (const Error& error) {
       session.out.error(error);
-      ++failed;
+      failed.push_back(error.code());
     }
   };
-  ask("", names_in(line));
+  try_to([&] { parts.push_back({opened_market(session, ""), names_in(line)}); });
   for (const auto& [source, packages] : sources) {
-    if (parts.empty() || parts.front().market.source() != source) ask(source, packages);
+    if (!parts.empty() && parts.front().market.source() == source) continue;
+    try_to([&, &place = source, &wanted = packages] { parts.push_back({opened_market(session, place), wanted}); });
   }
-  for (const UpdatePart& part : parts) update_part(session, line, part);
-  if (failed == 0) return;
-  throw Error(ErrorCode::Unreachable,
-              {.what = fmt::format("{} of {} marketplaces could not be asked: what came from there stays as it is",
-                                   failed, failed + parts.size()),
+  const std::size_t all = parts.size() + failed.size();
+  for (const UpdatePart& part : parts) try_to([&] { update_part(session, line, part); });
+  if (failed.empty()) return;
+  throw Error(failed.front(),
+              {.what = fmt::format("from {} of {} marketplaces nothing was taken: what came from there stays as it is",
+                                   failed.size(), all),
                .next = "market list says what came from where; then market update again"});
 }
 

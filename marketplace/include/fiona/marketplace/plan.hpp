@@ -75,7 +75,8 @@ using Marketplaces = std::vector<const Marketplace*>;
 Plan plan_install(const std::vector<std::string>& requests, const Marketplace& from, const Store& store,
                   const Platform& platform = Platform::here());
 
-/// The newest versions of these installed packages that fit together; no names: of all. Throws as plan_install.
+/// The newest versions of these installed packages that fit together; no names: of all. Other content of the same version
+/// only for what came from this marketplace. Throws as plan_install.
 Plan plan_update(const std::vector<std::string>& names, const Marketplace& from, const Store& store,
                  const Platform& platform = Platform::here());
 
