@@ -8,6 +8,7 @@
 #include "engine_transaction.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
+#include "last_words.hpp"
 
 namespace fiona::host {
 
@@ -271,6 +272,10 @@ void Engine::begin(const TransactionPtr& transaction) {
   } catch (...) {
     transaction->failure = failure_of_exception();
     return finish(transaction);
+  }
+  for (const control::Change& step : transaction->steps) {
+    if (step.has_unload()) LastWords::forget(step.unload().instance());
+    if (step.has_upgrade()) LastWords::forget(step.upgrade().instance());
   }
   if (!transaction->is_aside()) current_ = transaction;
   go_on(transaction);

@@ -5,6 +5,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <fstream>
 #include <string_view>
@@ -17,6 +18,7 @@ namespace {
 constexpr std::array kFatal{SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT};
 
 int words = -1;
+std::filesystem::path place;
 std::array<struct sigaction, kFatal.size()> before;
 
 void write_all(std::string_view text) {
@@ -53,7 +55,19 @@ std::vector<LastWords> LastWords::told_in(const std::filesystem::path& file) {
   return told;
 }
 
+void LastWords::forget(const std::string& instance) {
+  if (words < 0) return;
+  const std::vector<LastWords> told = told_in(place);
+  std::string rest;
+  for (const LastWords& one : told) {
+    if (one.instance != instance) rest += std::to_string(one.signal) + " " + one.instance + "\n";
+  }
+  const bool is_known = std::any_of(told.begin(), told.end(), [&](const auto& one) { return one.instance == instance; });
+  if (is_known && ::ftruncate(words, 0) == 0) write_all(rest);
+}
+
 void LastWords::leave_in(const std::filesystem::path& file) {
+  place = file;
   words = ::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (words < 0) return;  // then nothing is told of a death, which is no reason not to live
   struct sigaction action = {};

@@ -17,6 +17,8 @@ struct LastWords {
   static std::vector<LastWords> told_in(const std::filesystem::path& file);
   /// From now on this process leaves them there, behind those that are there. [once]
   static void leave_in(const std::filesystem::path& file);
+  /// Of what is loaded under this name from now on nothing is known yet.
+  static void forget(const std::string& instance);
 
   /// "was ended by signal 11 (Segmentation fault) while 'bad' ran"
   std::string text() const;

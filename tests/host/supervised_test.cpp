@@ -133,6 +133,10 @@ TEST_F(Supervised, WhatHasEndedTheHostIsInAGroupOfItsOwnFromThenOn) {
   console = host.kill_host();
   EXPECT_NE(host.host(), second);
   EXPECT_EQ(console->instance("bad").group(), "bad") << "at the one after that, too";
+  console->unload("bad");
+  console->load("source", "main", "bad");
+  console = host.kill_host();
+  EXPECT_EQ(console->instance("bad").group(), "main") << "what has that name now has done nothing";
 }
 
 TEST_F(Supervised, ChangesGoOnAfterwardsAndUndoKnowsThoseFromBefore) {
