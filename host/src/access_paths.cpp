@@ -33,7 +33,7 @@ std::optional<Need> need_of(const Model& before, const Model& after) {
       const bool is_known = std::any_of(known.begin(), known.end(), [&path](const auto& other) {
         return other.name() == path.name() && other.value().text() == path.value().text();
       });
-      if (!is_known) return Need{Access::Administer, (was ? "set " + name + " " : "load with ") + path.name()};
+      if (!is_known) return Need{trust::Access::Administer, (was ? "set " + name + " " : "load with ") + path.name()};
     }
   }
   return std::nullopt;
