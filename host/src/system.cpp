@@ -20,9 +20,8 @@ System::System(Options options, OnEvent on_event)
   next_wire_ = next_tap_ = next_work_ = 1 + (options_.restarts << 24U);
   if (!options_.hosts.any()) return;
   if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers + (options_.restarts << 24U);
-  auto& main = dynamic_cast<MainGroup&>(*groups_.at(std::string(kMainGroup)));
   hosts_ = std::make_unique<HostLinks>(
-      options_.hosts, options_.name, *pool_, *clock_, main.links(),
+      options_.hosts, options_.name, *pool_, *clock_, groups_.main().links(),
       [this](wire::GroupMessage event) { deliver_from("", std::move(event)); },
       [](const std::string& text) { std::cerr << text << "\n"; });
 }
@@ -59,8 +58,7 @@ std::unique_ptr<SystemClock> System::system_clock() const {
 void System::end_threads() {
   if (virtual_time_) clock_->stop();  // it asks the groups how far they are
   if (hosts_) hosts_->stop();
-  groups_.clear();
-  retired_groups_.clear();
+  groups_.end_all();
   virtual_time_.reset();
   if (waits_) waits_->stop();
   if (clock_) clock_->stop();
@@ -87,7 +85,7 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
     const auto frames = [&main = *main] { return main.frame_counts(); };
     virtual_time_ = std::make_unique<VirtualTime>(*simulated, endpoint, frames, options_.standstill);
   }
-  groups_[std::string(kMainGroup)] = std::move(main);
+  groups_.put(std::move(main));
 }
 
 /// Waits first, on the thread where it happened; then whoever else listens.

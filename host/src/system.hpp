@@ -14,13 +14,12 @@
 #include "comparison.hpp"
 #include "fiona/control.pb.h"
 #include "fiona/pool.hpp"
-#include "group.hpp"
+#include "groups.hpp"
 #include "host_links.hpp"
 #include "last_words.hpp"
 #include "mailbox.hpp"
 #include "model.hpp"
 #include "package.hpp"
-#include "remote_group.hpp"
 #include "supervision.hpp"
 #include "trial.hpp"
 #include "types.hpp"
@@ -254,7 +253,6 @@ class System {
   void give_up(const Hang& hang);
   void lose_if_gone(const std::string& group);
   void lose(ChildGroup& gone);
-  void tell_others(const std::string& endpoint, const std::string& reason);
   void tell_failed(const std::string& instance, const std::string& reason);
 
   // ---- system_supervision.cpp
@@ -344,7 +342,6 @@ class System {
                                 std::vector<std::string>& relays);
   void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
   void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
-  void cut_at(const std::string& group, std::uint64_t wire, const std::string& reason);
   std::vector<Group*> way(Group& client, Group& provider);
   std::string known_as(Group& who, Group& at);
   Links::Endpoint endpoint_for(Group& at, Group& to);
@@ -378,8 +375,6 @@ class System {
 
   // ---- system_leading.cpp
   Group& main_of(const std::string& host);
-  std::vector<RemoteGroup*> groups_of(const std::string& host);
-  RemoteGroup* silent_group(const std::string& group);
   Group* remote_group(const std::string& name);
   std::string on_host_joined(const HostChange& change);
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
@@ -419,9 +414,8 @@ class System {
   std::size_t kept_threads_ = 0;
   std::unique_ptr<Waits> waits_;
   std::weak_ptr<os::ProcessTemplate> template_;  ///< that groups are copies of, as long as there is one
-  std::map<std::string, std::unique_ptr<Group>> groups_;
-  std::vector<std::unique_ptr<Group>> retired_groups_;  ///< until whoever polled them is done
-  std::map<std::string, Making> making_;                ///< by instance
+  Groups groups_;
+  std::map<std::string, Making> making_;  ///< by instance
   std::optional<Beside> candidate_;
   std::map<std::string, Beside> standbys_;  ///< by instance
   std::vector<Beside> leaving_;

@@ -97,7 +97,7 @@ void System::detach(std::uint64_t owner, std::uint64_t wire) {
                                       .next = "detach what was attached over it"});
   }
   const std::string group = found->second.group;
-  cut_at(group, wire, "detached");
+  groups_.cut(group, wire, "detached");
   end_attachment(wire);
 }
 
@@ -120,9 +120,7 @@ void System::end_attachment(std::uint64_t wire) {
   const bool has_others = std::any_of(attachments_.begin(), attachments_.end(),
                                       [&gone](const auto& one) { return one.second.peer == gone.name(); });
   if (has_others) return;
-  for (auto& [name, one] : groups_) {
-    if (one->alive()) one->peer_lost(gone);
-  }
+  groups_.tell_lost(gone);
 }
 
 void System::lose_attachments(const std::string& group, const std::string& reason) {
@@ -139,7 +137,7 @@ void System::lose_attachments(const std::string& group, const std::string& reaso
 void System::end_attachments_to(const std::string& instance) {
   for (const auto& [wire, one] : attachments_) {
     if (one.provider.instance() != instance) continue;
-    cut_at(one.group, wire, "another version serves");
+    groups_.cut(one.group, wire, "another version serves");
     wire::GroupMessage event;
     event.mutable_wire_lost()->set_wire(wire);
     event.mutable_wire_lost()->set_reason("another version of '" + instance + "' serves: attach again");

@@ -113,13 +113,13 @@ bool System::has_asked(const wire::Asked& asked) const {
 
 void System::answer(const wire::Asked& asked, const control::Reply& reply) {
   const Model::Instance* one = model_.find(asked.instance());
-  const auto at = one ? groups_.find(one->group) : groups_.end();
-  if (at == groups_.end() || !at->second->alive()) return;
+  Group* at = one ? groups_.living(one->group) : nullptr;
+  if (!at) return;
   wire::GroupRequest request;
   request.mutable_answered()->set_instance(asked.instance());
   request.mutable_answered()->set_number(asked.number());
   *request.mutable_answered()->mutable_reply() = reply;
-  at->second->tell(std::move(request));
+  at->tell(std::move(request));
 }
 
 }  // namespace fiona::host

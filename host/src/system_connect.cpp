@@ -82,8 +82,8 @@ wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::Wir
     *request.mutable_wire_require() = require;
     return client_group.request(std::move(request));
   } catch (...) {
-    for (const auto& relay : relays) cut_at(relay, require.wire(), "the wire did not open");
-    cut_at(provider_group.name(), require.wire(), "the wire did not open");
+    for (const auto& relay : relays) groups_.cut(relay, require.wire(), "the wire did not open");
+    groups_.cut(provider_group.name(), require.wire(), "the wire did not open");
     throw;
   }
 }
@@ -91,13 +91,13 @@ wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::Wir
 void System::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
   if (wire.id == 0) return;
   // The client first: told by its host it is unwired; told by the provider it would be lost.
-  if (const auto* one = model_.find(client.instance())) cut_at(one->group, wire.id, reason);
+  if (const auto* one = model_.find(client.instance())) groups_.cut(one->group, wire.id, reason);
   if (wire.local) return;
   try {
-    if (const auto* one = model_.find(wire.provider.instance())) cut_at(one->group, wire.id, reason);
+    if (const auto* one = model_.find(wire.provider.instance())) groups_.cut(one->group, wire.id, reason);
   } catch (const Error&) {  // it hangs, and has been told: it cuts its end when it goes on; the client is not held up
   }
-  for (const auto& relay : wire.relays) cut_at(relay, wire.id, reason);
+  for (const auto& relay : wire.relays) groups_.cut(relay, wire.id, reason);
 }
 
 void System::await_provider(const control::PortName& client, const Wire& wire, const Model& model) {
@@ -106,29 +106,7 @@ void System::await_provider(const control::PortName& client, const Wire& wire, c
   *request.mutable_await()->mutable_client() = client;
   *request.mutable_await()->mutable_provider() = wire.provider;
   request.mutable_await()->set_reason(wire.reason);
-  const auto at = groups_.find(model.instance(client.instance()).group);
-  if (at != groups_.end() && at->second->alive()) at->second->inform(std::move(request));
-}
-
-/// Ends a wire in one group. One that is on a silent host does it when that is back.
-void System::cut_at(const std::string& name, std::uint64_t wire, const std::string& reason) {
-  const auto found = groups_.find(name);
-  if (found == groups_.end()) return;
-  wire::GroupRequest cut;
-  cut.mutable_cut()->set_wire(wire);
-  cut.mutable_cut()->set_reason(reason);
-  auto* remote = dynamic_cast<RemoteGroup*>(found->second.get());
-  if (!remote) {
-    if (found->second->alive()) found->second->inform(std::move(cut));
-    return;
-  }
-  if (!remote->end().empty()) return;
-  try {
-    remote->request(cut);
-  } catch (const Error& error) {
-    if (!remote->alive()) return remote->owe(std::move(cut));
-    if (error.code() != ErrorCode::Unreachable) throw;  // it has it before it
-  }
+  if (Group* at = groups_.living(model.instance(client.instance()).group)) at->inform(std::move(request));
 }
 
 /// The processes that a wire goes through, from its client to its provider. One connection carries all that goes

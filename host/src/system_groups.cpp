@@ -54,15 +54,14 @@ ChildGroup::Start System::start_of_group(const Model::Instance* first, const std
           confinement_of_group(first, folder),
           folder,
           options_.group_limits.cores,
-          groups_.at(std::string(kMainGroup))->endpoint(),
+          groups_.main().endpoint(),
           options_.supervisor};
 }
 
 Group& System::group(const std::string& name, const Model::Instance* first) {
   const std::string wanted = name.empty() ? std::string(kMainGroup) : name;
   if (ending_.erase(wanted) > 0) end_group(wanted);  // who comes after the last one gets a process of its own
-  const auto found = groups_.find(wanted);
-  if (found != groups_.end() && found->second->alive()) return *found->second;
+  if (Group* found = groups_.living(wanted)) return *found;
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
   end_leaving(wanted);
@@ -70,11 +69,8 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   auto start = start_of_group(first ? first : first_in(wanted), folder);
   start.copied = template_for(start.confinement);
-  auto made = std::make_unique<ChildGroup>(
-      wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); });
-  auto& place = groups_[wanted];
-  if (place) retired_groups_.push_back(std::move(place));  // whoever polls may hold it still
-  return *(place = std::move(made));
+  return groups_.put(std::make_unique<ChildGroup>(
+      wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); }));
 }
 
 Group& System::group_of(const std::string& name, const Model& model) {
@@ -94,27 +90,25 @@ Group& System::group_of(const std::string& name, const Model& model) {
 void System::retire_if_empty(const Group& target) {
   const std::string name = target.name();
   if (!model_.names_in(name).empty() || name == kMainGroup || !host_of(name).empty()) return;
-  retired_groups_.push_back(std::move(groups_.at(name)));
-  groups_.erase(name);
+  groups_.retire(name);
 }
 
 /// The last one in it goes: its process ends too. That of another host is ended there.
 void System::leave_group(const std::string& name) {
   supervision_.forget(name);
-  const auto at = groups_.find(name);
+  const Group* at = groups_.find(name);
   const std::string host = host_of(name);
-  if (at == groups_.end() || name == kMainGroup || name == host) return;
+  if (!at || name == kMainGroup || name == host) return;
   if (host.empty()) {
     ending_.emplace(name, std::chrono::steady_clock::now());
-  } else if (at->second->alive()) {
-    retired_groups_.push_back(std::move(at->second));
-    groups_.erase(at);
+  } else if (at->alive()) {
+    groups_.retire(name);
   }
 }
 
 std::vector<ChildGroup*> System::child_groups() {
   std::vector<ChildGroup*> children;
-  for (auto& [name, one] : groups_) {
+  for (const auto& [name, one] : groups_.all()) {
     auto* child = dynamic_cast<ChildGroup*>(one.get());
     if (!child) continue;
     // A request may have found the end of the process before its socket was polled.
@@ -143,7 +137,7 @@ void System::give_up(const Hang& hang) {
   ++kept_threads_;
   pool_->add_thread();
   if (!model_.find(hang.instance)) return;
-  dynamic_cast<MainGroup&>(*groups_.at(std::string(kMainGroup))).give_up(hang.instance, hang.what());
+  groups_.main().give_up(hang.instance, hang.what());
   for (auto& [client, wire] : wires_) {
     const bool uses_it = client.first == hang.instance || wire.provider.instance() == hang.instance;
     if (uses_it && wire.id != 0) wire.reason = hang.text();
@@ -162,7 +156,7 @@ std::vector<std::string> System::watch_groups() {
   if (const auto copied = template_.lock(); copied && !copied->lives()) template_.reset();
   for (const auto& work : made_.take()) work();
   look_after_versions(now);
-  retired_groups_.clear();
+  groups_.end_retired();
   std::vector<std::string> lines;
   for (const std::string& name : supervision_.take_due(now)) {
     if (std::string line = start_again(name); !line.empty()) lines.push_back(std::move(line));
@@ -176,8 +170,7 @@ void System::serve_group(ChildGroup& group) {
 
 /// A request may have found its end before its socket was polled.
 void System::lose_if_gone(const std::string& name) {
-  const auto found = groups_.find(name);
-  auto* child = found == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(found->second.get());
+  ChildGroup* child = groups_.child(name);
   if (child && !child->alive()) lose(*child);
 }
 
@@ -186,7 +179,7 @@ void System::lose(ChildGroup& gone) {
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   lose_what_is_made(gone.name(), gone.end());
   std::erase_if(standbys_, [&](const auto& one) { return one.second.made.group == gone.name(); });
-  tell_others(gone.endpoint(), reason);
+  groups_.tell_ended(gone.endpoint(), reason);
   for (const std::string& name : model_.names_in(gone.name())) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
   }
@@ -200,17 +193,6 @@ void System::lose(ChildGroup& gone) {
   tell_leader(event);
   forget_led(gone.name());
   start_again_later(gone.name(), reason);
-}
-
-/// What they have on their way to the group that was there is lost.
-void System::tell_others(const std::string& endpoint, const std::string& reason) {
-  wire::PeerLost lost;
-  lost.set_endpoint(endpoint);
-  lost.set_name(endpoint);
-  lost.set_reason(reason);
-  for (auto& [name, one] : groups_) {
-    if (one->endpoint() != endpoint && one->alive()) one->peer_lost(lost);
-  }
 }
 
 void System::tell_failed(const std::string& instance, const std::string& reason) {

@@ -139,13 +139,13 @@ control::Done System::unload(const control::Unload& request) {
   const std::string at = model_.instance(name).group;
   dispose_standby(name);
   lose_if_gone(at);
-  if (!lost_.contains(name) && !silent_group(at)) group(at).require_answer();  // before anything is touched
+  if (!lost_.contains(name) && !groups_.silent(at)) group(at).require_answer();  // before anything is touched
   // First: a change of mode that waits in the instance is answered, before what it waits for ends with the wires.
   control::Done done;
   std::string note = "unloaded " + name;
   wire::GroupRequest destroy;
   destroy.mutable_destroy()->set_instance(name);
-  if (RemoteGroup* silent = silent_group(at)) {
+  if (RemoteGroup* silent = groups_.silent(at)) {
     silent->owe(std::move(destroy));
     note += ", which its host will do when it is back";
   } else if (!lost_.contains(name)) {

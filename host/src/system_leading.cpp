@@ -8,22 +8,6 @@ namespace fiona::host {
 
 Group& System::main_of(const std::string& host) { return group(host.empty() ? std::string(kMainGroup) : host); }
 
-std::vector<RemoteGroup*> System::groups_of(const std::string& host) {
-  std::vector<RemoteGroup*> found;
-  for (auto& [name, one] : groups_) {
-    auto* remote = dynamic_cast<RemoteGroup*>(one.get());
-    if (remote && remote->host() == host) found.push_back(remote);
-  }
-  return found;
-}
-
-/// A group whose host is silent and may come back; null otherwise.
-RemoteGroup* System::silent_group(const std::string& group) {
-  const auto found = groups_.find(group);
-  auto* remote = found == groups_.end() ? nullptr : dynamic_cast<RemoteGroup*>(found->second.get());
-  return remote && remote->end().empty() && !remote->alive() ? remote : nullptr;
-}
-
 /// Null where the name is none of another host's.
 Group* System::remote_group(const std::string& name) {
   const std::size_t slash = name.find('/');
@@ -48,14 +32,14 @@ Group* System::remote_group(const std::string& name) {
                                          .next = "ls hosts"});
   }
   const std::string group = slash == std::string::npos ? std::string(kMainGroup) : name.substr(slash + 1);
-  return (groups_[name] = std::make_unique<RemoteGroup>(name, *peer, group)).get();
+  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group));
 }
 
 std::string System::on_host_joined(const HostChange& change) {
   if (!change.same_run) {
     on_host_lost(change.host, fmt::format("host '{}' was started anew", change.host), true);
   } else {
-    for (auto* group : groups_of(change.host)) {
+    for (auto* group : groups_.of_host(change.host)) {
       if (group->end().empty()) resume(*group);
     }
   }
@@ -77,7 +61,7 @@ void System::on_host_lost(const std::string& host, const std::string& reason, bo
     if (wire.id != 0 && (crosses(key, wire, host) || (for_good && inside))) wire.reason = reason;
   }
   if (!for_good) return;
-  for (auto* group : groups_of(host)) {
+  for (auto* group : groups_.of_host(host)) {
     group->end(reason);
     group->take_owed();
     end_taps(group->name(), reason);
@@ -156,7 +140,7 @@ void System::resume_wires(const std::string& host) {
 }
 
 void System::on_remote_group_ended(const HostChange& change) {
-  for (auto* group : groups_of(change.host)) {
+  for (auto* group : groups_.of_host(change.host)) {
     if (group->group() != change.group) continue;
     group->end(change.reason);
     for (const std::string& name : model_.names_in(group->name())) {

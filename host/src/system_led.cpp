@@ -19,15 +19,15 @@ wire::GroupMessage System::obey(const wire::HostRequest& order) {
   reply.mutable_done();
   try {
     check_order(order.request());
-    const auto found = groups_.find(order.group());
+    Group* found = groups_.living(order.group());
     if (order.request().has_create()) {
       obey_create(order.request(), order.group(), reply);
-    } else if (found == groups_.end() || !found->second->alive()) {
+    } else if (!found) {
       throw Error(ErrorCode::NotFound,
                   {.what = fmt::format("host '{}' has no group '{}'", options_.name, order.group()),
                    .next = "its process may have ended: ls tells"});
     } else {
-      reply = obey_in_group(order.request(), *found->second);
+      reply = obey_in_group(order.request(), *found);
     }
     if (reply.has_status()) keep_led(*reply.mutable_status());
   } catch (...) {
@@ -132,9 +132,9 @@ void System::check_order(const wire::GroupRequest& request) {
 
 /// Of those here. A leader names no sockets.
 Group& System::led_group(const std::string& endpoint) {
-  const auto found =
-      endpoint.starts_with(kGroupEndpoint) ? groups_.find(endpoint.substr(kGroupEndpoint.size())) : groups_.end();
-  if (found != groups_.end() && found->second->alive()) return *found->second;
+  Group* found =
+      endpoint.starts_with(kGroupEndpoint) ? groups_.living(endpoint.substr(kGroupEndpoint.size())) : nullptr;
+  if (found) return *found;
   throw Error(ErrorCode::NotFound, {.what = fmt::format("host '{}' has no group for '{}'", options_.name, endpoint),
                                     .next = "its process may have ended: ls tells"});
 }

@@ -178,12 +178,12 @@ std::vector<std::string> System::adopt_groups() {
     }
     if (group->alive()) {
       lines.push_back(fmt::format("group '{}' goes on", name));
-      groups_[name] = std::move(group);
+      groups_.put(std::move(group));
     } else {
       lines.push_back(gone[group->endpoint()] = fmt::format("group '{}' {}", name, group->end()));
     }
   }
-  for (const auto& [endpoint, reason] : gone) tell_others(endpoint, reason);
+  for (const auto& [endpoint, reason] : gone) groups_.tell_ended(endpoint, reason);
   return lines;
 }
 
@@ -220,8 +220,7 @@ void System::note_wires() {
   std::set<std::uint64_t> kept;
   const auto group_of_name = [this](const std::string& instance) -> ChildGroup* {
     const auto* one = model_.find(instance);
-    const auto found = one ? groups_.find(one->group) : groups_.end();
-    return found == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(found->second.get());
+    return one ? groups_.child(one->group) : nullptr;
   };
   for (const auto& [key, wanted] : model_.wires()) {
     const control::PortName client = port_of(key);
@@ -240,7 +239,7 @@ void System::note_wires() {
     for (const auto& one : child->adopted()->wires()) {
       next_wire_ = std::max(next_wire_, one.wire() + 1);
       if (kept.contains(one.wire()) || one.retired()) continue;
-      correct(*child, [&] { cut_at(child->name(), one.wire(), kHostEnded); });
+      correct(*child, [&] { groups_.cut(child->name(), one.wire(), kHostEnded); });
     }
   }
 }
@@ -250,8 +249,7 @@ void System::make_missing() {
   std::map<std::uint64_t, std::string> ordered;
   for (const std::string& name : model_.names()) {
     const auto& one = model_.instance(name);
-    const auto at = groups_.find(one.group);
-    const auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
+    const ChildGroup* child = groups_.child(one.group);
     if (child && child->adopted()) continue;
     ordered[one.order] = name;
     lost_[name].reason = kHostEnded;

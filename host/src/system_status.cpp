@@ -81,9 +81,9 @@ control::System System::snapshot() {
 
 /// All groups are asked at once: together they take no longer than the slowest, and no longer than `patience`.
 std::map<std::uint64_t, control::InstanceStatus> System::status_of_groups(control::System& all) {
-  for (auto& [name, one] : groups_) one->ask_status();
+  for (const auto& [name, one] : groups_.all()) one->ask_status();
   std::map<std::uint64_t, control::InstanceStatus> ordered;
-  for (auto& [name, one] : groups_) {
+  for (const auto& [name, one] : groups_.all()) {
     auto& status = *all.add_groups();
     status.set_name(name);
     status.set_process(one->process());
@@ -113,8 +113,8 @@ control::InstanceStatus System::status_as_asked_for(const std::string& name) con
   const control::Load load = model_.load_of(name);
   *status.mutable_rights() = load.rights();
   *status.mutable_set_parameters() = load.parameters();
-  const auto group = groups_.find(one.group);
-  const auto silent = group == groups_.end() ? std::nullopt : group->second->silent_since();
+  const Group* group = groups_.find(one.group);
+  const auto silent = group ? group->silent_since() : std::nullopt;
   if (const auto lost = lost_.find(name); lost != lost_.end() || !silent) {
     status.set_mode(std::string(kModeFailed));
     status.set_reason(lost == lost_.end() ? "its process does not answer" : lost->second.reason);

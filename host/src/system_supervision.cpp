@@ -33,7 +33,7 @@ void System::end_main() {
     try {
       wire::GroupRequest destroy;
       destroy.mutable_destroy()->set_instance(one->second);
-      groups_.at(std::string(kMainGroup))->request(std::move(destroy));
+      groups_.main().request(std::move(destroy));
     } catch (const Error& error) {
       std::cerr << one->second << ": " << error.text().what << "\n";
     }
@@ -106,12 +106,12 @@ void System::made_again(const std::string& name, std::uint64_t change, const con
 
 /// What did not get to its mode, or is not wanted any more. Nobody waits for its end.
 void System::discard(const std::string& name) {
-  const auto at = groups_.find(making_.at(name).group);
+  Group* at = groups_.living(making_.at(name).group);
   making_.erase(name);
-  if (at == groups_.end() || !at->second->alive()) return;
+  if (!at) return;
   wire::GroupRequest destroy;
   destroy.mutable_destroy()->set_instance(name);
-  at->second->tell(std::move(destroy));
+  at->tell(std::move(destroy));
 }
 
 /// The wires of a port that begin or end at the instance.

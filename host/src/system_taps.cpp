@@ -93,12 +93,12 @@ control::Expect System::expected(control::Expect request) {
 void System::untap(std::uint64_t id) {
   const auto found = taps_.find(id);
   if (found == taps_.end()) return;
-  const auto owner = groups_.find(found->second.group);
+  Group* owner = groups_.living(found->second.group);
   taps_.erase(found);
-  if (owner == groups_.end() || !owner->second->alive()) return;
+  if (!owner) return;
   wire::GroupRequest request;
   request.mutable_untap()->set_tap(id);
-  owner->second->tell(std::move(request));
+  owner->tell(std::move(request));
 }
 
 void System::end_taps(const std::string& group, const std::string& reason) {

@@ -108,7 +108,7 @@ control::Upgrade System::completed(control::Upgrade request) const {
 /// Named after the instance; a number follows where that is taken.
 std::string System::fresh_group(const std::string& instance) const {
   const auto taken = [this](const std::string& name) {
-    return groups_.contains(name) || !model_.names_in(name).empty() || name == kMainGroup || !host_of(name).empty();
+    return groups_.find(name) || !model_.names_in(name).empty() || name == kMainGroup || !host_of(name).empty();
   };
   std::string name = instance;
   for (int number = 2; taken(name); ++number) name = fmt::format("{}-{}", instance.substr(0, 50), number);
@@ -206,9 +206,8 @@ void System::listen_to(const std::shared_ptr<Deliveries>& check, double within_m
 }
 
 Group& System::candidate_group() {
-  const auto at = groups_.find(candidate_->made.group);
-  if (at != groups_.end() && at->second->alive()) return *at->second;
-  const auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
+  if (Group* at = groups_.living(candidate_->made.group)) return *at;
+  const ChildGroup* child = groups_.child(candidate_->made.group);
   throw unfit(ErrorCode::ComponentFailed, "its process " + (child ? child->end() : std::string("has ended")));
 }
 
@@ -293,8 +292,7 @@ void System::switch_clients(const std::string& name, const Model& next, control:
       switched.emplace_back(one, std::exchange(wire, std::move(now)));
     }
   } catch (...) {
-    const auto at = groups_.find(model_.instance(name).group);
-    const bool lives = at != groups_.end() && at->second->alive();
+    const bool lives = groups_.living(model_.instance(name).group);
     for (auto& [one, before] : switched) {
       control::Done ignored;
       if (!lives) one->second.reason = before.reason;
@@ -389,19 +387,19 @@ void System::end_leaving(const std::string& group) {
 void System::cut_beside(Beside& version) {
   for (const auto& [client, wire] : std::exchange(version.wires, {})) {
     if (wire.id == 0) continue;
-    cut_at(version.made.group, wire.id, "another version serves");
+    groups_.cut(version.made.group, wire.id, "another version serves");
     const auto* provider = wire.local ? nullptr : model_.find(wire.provider.instance());
-    if (provider) cut_at(provider->group, wire.id, "another version serves");
+    if (provider) groups_.cut(provider->group, wire.id, "another version serves");
   }
 }
 
 /// [watched] Those that stand by rest once what they were asked is answered; those that leave go then.
 void System::look_after_versions(std::chrono::steady_clock::time_point now) {
   for (auto& [name, one] : standbys_) {
-    const auto at = groups_.find(one.made.group);
-    if (!one.rests_at || now < *one.rests_at || at == groups_.end() || !at->second->alive()) continue;
+    Group* at = groups_.living(one.made.group);
+    if (!one.rests_at || now < *one.rests_at || !at) continue;
     one.rests_at.reset();
-    at->second->tell(mode_request(name, std::string(kModeNeutral), next_work_++));
+    at->tell(mode_request(name, std::string(kModeNeutral), next_work_++));
   }
   for (auto one = leaving_.begin(); one != leaving_.end();) {
     const bool stays = one->rests_at && now < *one->rests_at;
@@ -409,9 +407,9 @@ void System::look_after_versions(std::chrono::steady_clock::time_point now) {
     one = stays ? std::next(one) : leaving_.erase(one);
   }
   for (auto one = ending_.begin(); one != ending_.end();) {
-    const auto at = groups_.find(one->first);
-    const bool ends = at == groups_.end() || !at->second->alive() || !at->second->silent_since() || now > one->second;
-    if (ends && at != groups_.end()) end_group(one->first);
+    const Group* at = groups_.living(one->first);
+    const bool ends = !at || !at->silent_since() || now > one->second;
+    if (ends) end_group(one->first);
     one = ends ? ending_.erase(one) : std::next(one);
   }
 }
@@ -419,14 +417,14 @@ void System::look_after_versions(std::chrono::steady_clock::time_point now) {
 /// Nobody waits for its end.
 void System::destroy_version(Beside& version) {
   cut_beside(version);
-  const auto at = groups_.find(version.made.group);
-  if (at == groups_.end()) return;
-  if (at->first != kMainGroup) ending_[at->first] = std::chrono::steady_clock::now() + std::chrono::seconds(12);
-  if (!at->second->alive()) return;
+  Group* at = groups_.find(version.made.group);
+  if (!at) return;
+  if (at->name() != kMainGroup) ending_[at->name()] = std::chrono::steady_clock::now() + std::chrono::seconds(12);
+  if (!at->alive()) return;
   wire::GroupRequest destroy;
   destroy.mutable_destroy()->set_instance(version.name);
-  at->second->tell(std::move(destroy));
-  if (at->first != kMainGroup) at->second->ask_status();  // answered after that
+  at->tell(std::move(destroy));
+  if (at->name() != kMainGroup) at->ask_status();  // answered after that
 }
 
 /// Unless somebody lives there, or stands by there.
@@ -434,14 +432,12 @@ void System::end_group(const std::string& name) {
   const auto is_there = [&](const auto& one) { return one.second.made.group == name; };
   const bool used = !model_.names_in(name).empty() || std::any_of(standbys_.begin(), standbys_.end(), is_there) ||
                     (candidate_ && candidate_->made.group == name);
-  const auto at = groups_.find(name);
-  auto* child = at == groups_.end() ? nullptr : dynamic_cast<ChildGroup*>(at->second.get());
+  const ChildGroup* child = groups_.child(name);
   if (used || !child) return;
-  if (child->alive()) tell_others(child->endpoint(), "group '" + name + "' has ended");
+  if (child->alive()) groups_.tell_ended(child->endpoint(), "group '" + name + "' has ended");
   if (virtual_time_) virtual_time_->forget(child->endpoint());
   supervision_.forget(name);
-  retired_groups_.push_back(std::move(at->second));
-  groups_.erase(at);
+  groups_.retire(name);
 }
 
 /// [any thread] What happens to it is told under another name than what happens to the one that serves.

@@ -183,7 +183,7 @@ void System::lose_wires(const std::string& gone, const std::string& reason) {
     if (!client_gone || provider_gone || !provider) continue;
     // A process of this host has been told of the end of another; one elsewhere must not go on sending to nobody.
     const bool knows = host_of(gone).empty() && host_of(provider->group).empty();
-    if (!knows) cut_at(provider->group, wire.id, reason);
+    if (!knows) groups_.cut(provider->group, wire.id, reason);
   }
 }
 
