@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "attachments.hpp"
 #include "comparison.hpp"
 #include "fiona/control.pb.h"
 #include "fiona/pool.hpp"
@@ -139,8 +140,8 @@ class System {
   /// Gives a process outside the client's end of a wire, for as long as `owner` holds it. When it ends before, there is
   /// a WireLost event.
   control::Attached attach(std::uint64_t owner, const control::Attach& request);
-  void detach(std::uint64_t owner, std::uint64_t wire);
-  void detach_all(std::uint64_t owner);
+  void detach(std::uint64_t owner, std::uint64_t wire) { attachments_.detach(owner, wire); }
+  void detach_all(std::uint64_t owner) { attachments_.detach_all(owner); }
 
   Clock& clock() { return *clock_; }
   /// While virtual time is held: waits until all processes have done what they were told, so that the next line finds
@@ -189,14 +190,6 @@ class System {
     bool local = false;
     std::string reason{};               ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
-  };
-  /// A wire whose client is a process outside.
-  struct Attachment {
-    std::uint64_t owner = 0;
-    std::string peer;  ///< its name towards the provider's process
-    control::PortName provider;
-    std::string group;  ///< the provider's
-    control::AttachedClient client;
   };
   /// An instance on its way to its first mode.
   struct Making {
@@ -361,13 +354,6 @@ class System {
   // ---- system_time.cpp
   void set_clock(const ClockSettings& next);
 
-  // ---- system_attach.cpp
-  std::size_t attached_names() const;
-  void add_attached(const std::string& instance, control::PortStatus& port) const;
-  void end_attachment(std::uint64_t wire);
-  void lose_attachments(const std::string& group, const std::string& reason);
-  void end_attachments_to(const std::string& instance);
-
   // ---- system_hosts.cpp
   std::string host_of(const std::string& group) const;
   std::string host_of_instance(const std::string& name) const;
@@ -425,9 +411,9 @@ class System {
   Mailbox<std::function<void()>> made_;                   ///< what is to be done when one has been made again, or not
   std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
   Supervision supervision_;
-  std::vector<KeptGroup> kept_;                      ///< until they are adopted
-  std::multimap<PortKey, Wire> wires_;               ///< by the client's port
-  std::map<std::uint64_t, Attachment> attachments_;  ///< by wire
+  std::vector<KeptGroup> kept_;         ///< until they are adopted
+  std::multimap<PortKey, Wire> wires_;  ///< by the client's port
+  Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   std::map<std::uint64_t, Tap> taps_;
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.

@@ -65,7 +65,7 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
   end_leaving(wanted);
-  require_descriptors_for("another group", child_groups().size() + attached_names(), options_.group_limits.descriptors);
+  require_descriptors_for("another group", child_groups().size() + attachments_.clients(), options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   auto start = start_of_group(first ? first : first_in(wanted), folder);
   start.copied = template_for(start.confinement);
@@ -184,7 +184,7 @@ void System::lose(ChildGroup& gone) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
   }
   end_taps(gone.name(), reason);
-  lose_attachments(gone.name(), reason);
+  attachments_.lose(gone.name(), reason);
   if (virtual_time_) virtual_time_->forget(gone.endpoint());  // from here on it goes on without it
   lose_wires(gone.name(), reason);
   wire::GroupMessage event;

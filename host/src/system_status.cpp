@@ -155,7 +155,7 @@ void System::complete_status(control::InstanceStatus& status) const {
       const auto is_this = [&](const auto& one) { return one.instance() == status.name() && one.port() == p.name(); };
       if (std::any_of(wanted.providers.begin(), wanted.providers.end(), is_this)) *p.add_clients() = port_of(client);
     }
-    add_attached(status.name(), p);
+    attachments_.add_clients(status.name(), p);
   }
 }
 

@@ -313,7 +313,7 @@ void System::hand_over(const Model& next, const Model::Instance& old, bool keeps
   }
   for (auto& wire : candidate_->wires) wires_.insert(wire);
   candidate_.reset();
-  end_attachments_to(name);
+  attachments_.lose_to(name);
   model_ = next;
   set_beside(next.instance(name).group, name, false);
   set_beside(old.group, name, true);

@@ -187,11 +187,30 @@ void System::lose_wires(const std::string& gone, const std::string& reason) {
   }
 }
 
+control::Attached System::attach(std::uint64_t owner, const control::Attach& request) {
+  if (has_virtual_clock()) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = "a virtual clock waits for its own processes only: nobody outside may take part",
+                 .next = "attach to a host with the system clock"});
+  }
+  const ServiceContract contract = contract_for(request, model_);
+  const std::string& provider = request.provider().instance();
+  if (const std::string host = host_of_instance(provider); !host.empty()) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("{} is on host '{}'", text_of(request.provider()), host), .next = "attach there"});
+  }
+  attachments_.require_room(owner);
+  require_descriptors_for("another client", child_groups().size() + attachments_.clients(),
+                          options_.group_limits.descriptors);
+  Group& group = group_of(provider, model_);
+  return attachments_.open(owner, request, contract, group, next_wire_++);
+}
+
 void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
   for (auto& [client, wire] : wires_) {
     if (wire.id == id) wire.reason = reason;
   }
-  end_attachment(id);
+  attachments_.end(id);
 }
 
 const System::Wire* System::wire_to(const PortKey& client, const control::PortName& provider) const {

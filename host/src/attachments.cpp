@@ -1,4 +1,5 @@
-// Wires whose client is a process that no host has started (docs/wire-protocol.md).
+#include "attachments.hpp"
+
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -6,7 +7,8 @@
 
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
-#include "system.hpp"
+#include "os/process.hpp"
+#include "types.hpp"
 
 namespace fiona::host {
 namespace {
@@ -33,39 +35,35 @@ void require_speaks(const control::Attach& request, const std::string& service, 
 
 }  // namespace
 
-control::Attached System::attach(std::uint64_t owner, const control::Attach& request) {
-  if (has_virtual_clock()) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "a virtual clock waits for its own processes only: nobody outside may take part",
-                 .next = "attach to a host with the system clock"});
-  }
+ServiceContract contract_for(const control::Attach& request, const Model& model) {
   require_name(request.client(), "a client");
   const control::PortName& provider = request.provider();
-  const Model::Instance& instance = model_.instance(provider.instance());
-  const std::string& speaks = model_.port(provider, PROVIDES).service();
-  model_.require_own(provider.instance());
+  const Model::Instance& instance = model.instance(provider.instance());
+  const std::string& speaks = model.port(provider, PROVIDES).service();
+  model.require_own(provider.instance());
   const auto* service = Types::service(*instance.package->types, speaks);
   if (!service) {
     throw Error(ErrorCode::WiringInvalid,
                 {.what = text_of(provider) + " speaks " + speaks + ", which is unknown to the host",
                  .next = "describe the service in the package: plugin check tells how"});
   }
-  const ServiceContract contract = ServiceInfo(*service).contract();
+  ServiceContract contract = ServiceInfo(*service).contract();
   require_speaks(request, speaks, contract);
-  if (const std::string host = host_of(instance.group); !host.empty()) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = fmt::format("{} is on host '{}'", text_of(provider), host), .next = "attach there"});
-  }
+  return contract;
+}
+
+void Attachments::require_room(std::uint64_t owner) const {
   const auto held = std::count_if(attachments_.begin(), attachments_.end(),
                                   [owner](const auto& one) { return one.second.owner == owner; });
   if (held >= kMostAttached) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = fmt::format("this connection holds {} wires already", held), .next = "detach one"});
   }
-  require_descriptors_for("another client", child_groups().size() + attached_names(),
-                          options_.group_limits.descriptors);
-  Group& group = group_of(provider.instance(), model_);
+}
 
+control::Attached Attachments::open(std::uint64_t owner, const control::Attach& request,
+                                    const ServiceContract& contract, Group& group, std::uint64_t wire) {
+  const control::PortName& provider = request.provider();
   Attachment made{owner, fmt::format("client:{}:{}", owner, request.client()), provider, group.name(), {}};
   made.client.set_name(request.client());
   made.client.set_prescale(std::max(1U, request.prescale()));
@@ -73,12 +71,12 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
   attached.set_endpoint(group.endpoint());
   attached.set_peer(made.peer);
   attached.set_key(link_key(group.link_key(), made.peer));
-  attached.set_wire(next_wire_++);
+  attached.set_wire(wire);
   attached.set_token(os::random_token());
   *attached.mutable_contract() = contract;
   wire::GroupRequest grant;
   auto& provide = *grant.mutable_wire_provide();
-  provide.set_wire(attached.wire());
+  provide.set_wire(wire);
   provide.set_token(attached.token());
   *provide.mutable_provider() = provider;
   provide.set_prescale(made.client.prescale());
@@ -86,31 +84,30 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
   provide.mutable_client()->set_instance(request.client());
   provide.set_attached(true);
   group.request(std::move(grant));
-  attachments_.emplace(attached.wire(), std::move(made));
+  attachments_.emplace(wire, std::move(made));
   return attached;
 }
 
-void System::detach(std::uint64_t owner, std::uint64_t wire) {
+void Attachments::detach(std::uint64_t owner, std::uint64_t wire) {
   const auto found = attachments_.find(wire);
   if (found == attachments_.end() || found->second.owner != owner) {
     throw Error(ErrorCode::NotFound, {.what = fmt::format("this connection holds no wire {}", wire),
                                       .next = "detach what was attached over it"});
   }
-  const std::string group = found->second.group;
-  groups_.cut(group, wire, "detached");
-  end_attachment(wire);
+  groups_.cut(found->second.group, wire, "detached");
+  end(wire);
 }
 
-void System::detach_all(std::uint64_t owner) {
+void Attachments::detach_all(std::uint64_t owner) {
   std::vector<std::uint64_t> wires;
   for (const auto& [wire, one] : attachments_) {
     if (one.owner == owner) wires.push_back(wire);
   }
-  for (const std::uint64_t wire : wires) end_attachment(wire);
+  for (const std::uint64_t wire : wires) end(wire);
 }
 
-/// With its last wire a client's links end: what is left at a provider goes with them. Nobody waits for that.
-void System::end_attachment(std::uint64_t wire) {
+/// What is left at a provider goes with the links.
+void Attachments::end(std::uint64_t wire) {
   const auto found = attachments_.find(wire);
   if (found == attachments_.end()) return;
   wire::PeerLost gone;
@@ -119,39 +116,37 @@ void System::end_attachment(std::uint64_t wire) {
   attachments_.erase(found);
   const bool has_others = std::any_of(attachments_.begin(), attachments_.end(),
                                       [&gone](const auto& one) { return one.second.peer == gone.name(); });
-  if (has_others) return;
-  groups_.tell_lost(gone);
+  if (!has_others) groups_.tell_lost(gone);
 }
 
-void System::lose_attachments(const std::string& group, const std::string& reason) {
+void Attachments::lose(const std::string& group, const std::string& reason) {
   for (const auto& [wire, one] : attachments_) {
-    if (one.group != group) continue;
-    wire::GroupMessage event;
-    event.mutable_wire_lost()->set_wire(wire);
-    event.mutable_wire_lost()->set_reason(reason);
-    deliver(event);
+    if (one.group == group) tell_lost(wire, reason);
   }
 }
 
-/// Another version of it serves: whoever is outside asks for a wire to that one.
-void System::end_attachments_to(const std::string& instance) {
+void Attachments::lose_to(const std::string& instance) {
   for (const auto& [wire, one] : attachments_) {
     if (one.provider.instance() != instance) continue;
     groups_.cut(one.group, wire, "another version serves");
-    wire::GroupMessage event;
-    event.mutable_wire_lost()->set_wire(wire);
-    event.mutable_wire_lost()->set_reason("another version of '" + instance + "' serves: attach again");
-    deliver(event);
+    tell_lost(wire, "another version of '" + instance + "' serves: attach again");
   }
 }
 
-std::size_t System::attached_names() const {
+void Attachments::tell_lost(std::uint64_t wire, const std::string& reason) const {
+  wire::GroupMessage event;
+  event.mutable_wire_lost()->set_wire(wire);
+  event.mutable_wire_lost()->set_reason(reason);
+  on_event_(event);
+}
+
+std::size_t Attachments::clients() const {
   std::set<std::string> names;
   for (const auto& [wire, one] : attachments_) names.insert(one.peer);
   return names.size();
 }
 
-void System::add_attached(const std::string& instance, control::PortStatus& port) const {
+void Attachments::add_clients(const std::string& instance, control::PortStatus& port) const {
   for (const auto& [wire, one] : attachments_) {
     if (one.provider.instance() == instance && one.provider.port() == port.name()) *port.add_attached() = one.client;
   }
