@@ -20,6 +20,7 @@
 #include "last_words.hpp"
 #include "mailbox.hpp"
 #include "model.hpp"
+#include "open_taps.hpp"
 #include "package.hpp"
 #include "supervision.hpp"
 #include "trial.hpp"
@@ -125,7 +126,7 @@ class System {
   /// or TapEnded; a required port stands for its provider's.
   void tap(std::uint64_t tap, const control::Watch& request);
   std::uint64_t new_tap() { return next_tap_++; }
-  void untap(std::uint64_t tap);
+  void untap(std::uint64_t tap) { taps_.close(tap); }
   /// The value of now of a probe; its type is empty while it has none.
   wire::Tapped read(const control::PortName& probe);
   /// What INSTANCE.NAME.FIELD names, which may be a probe of the hull: `nav.location.rate`.
@@ -212,10 +213,6 @@ class System {
     std::vector<std::uint64_t> taps{};     ///< of those that check it, or the one that serves
     bool is_back = false;                  ///< it has served before, and has nothing to prove
     std::optional<std::chrono::steady_clock::time_point> rests_at{};  ///< what it was asked is answered by then
-  };
-  struct Tap {
-    std::string group;
-    control::Watch watch;
   };
   static constexpr std::uint64_t kNobody = 0;  ///< the owner of waits that no client has
 
@@ -340,11 +337,6 @@ class System {
   Links::Endpoint endpoint_for(Group& at, Group& to);
   const char* transport(const std::string& client, const Wire& wire) const;
 
-  // ---- system_taps.cpp
-  void tap_in(Group& target, std::uint64_t tap, const control::Watch& watch);
-  void move_taps(const std::string& instance, const std::string& from);
-  void end_taps(const std::string& group, const std::string& reason);
-
   // ---- system_status.cpp
   std::map<std::uint64_t, control::InstanceStatus> status_of_groups(control::System& all);
   control::InstanceStatus status_as_asked_for(const std::string& name) const;
@@ -414,7 +406,7 @@ class System {
   std::vector<KeptGroup> kept_;         ///< until they are adopted
   std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
-  std::map<std::uint64_t, Tap> taps_;
+  OpenTaps taps_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
   // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
   static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;

@@ -183,7 +183,7 @@ void System::lose(ChildGroup& gone) {
   for (const std::string& name : model_.names_in(gone.name())) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
   }
-  end_taps(gone.name(), reason);
+  taps_.lose(gone.name(), reason);
   attachments_.lose(gone.name(), reason);
   if (virtual_time_) virtual_time_->forget(gone.endpoint());  // from here on it goes on without it
   lose_wires(gone.name(), reason);

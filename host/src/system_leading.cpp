@@ -64,7 +64,7 @@ void System::on_host_lost(const std::string& host, const std::string& reason, bo
   for (auto* group : groups_.of_host(host)) {
     group->end(reason);
     group->take_owed();
-    end_taps(group->name(), reason);
+    taps_.lose(group->name(), reason);
   }
 }
 
@@ -147,7 +147,7 @@ void System::on_remote_group_ended(const HostChange& change) {
       lost_[name] = {change.reason, false};
       tell_failed(name, change.reason);
     }
-    end_taps(group->name(), change.reason);
+    taps_.lose(group->name(), change.reason);
     lose_wires(group->name(), change.reason);
     start_again_later(group->name(), change.reason);
   }

@@ -1,7 +1,6 @@
 // Looking at ports and probes: what is tapped, read, or waited for.
 #include <algorithm>
 
-#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull_probes.hpp"
 #include "system.hpp"
@@ -21,39 +20,7 @@ void System::tap(std::uint64_t id, const control::Watch& request) {
   }
   control::Watch watch = request;
   *watch.mutable_port() = target;
-  tap_in(group_of(target.instance(), model_), id, watch);
-}
-
-void System::tap_in(Group& target, std::uint64_t id, const control::Watch& watch) {
-  wire::GroupRequest tap;
-  tap.mutable_tap()->set_tap(id);
-  *tap.mutable_tap()->mutable_watch() = watch;
-  taps_.insert_or_assign(id, Tap{target.name(), watch});
-  try {
-    target.request(std::move(tap));
-  } catch (...) {
-    taps_.erase(id);
-    throw;
-  }
-}
-
-/// Another version of the instance serves, in another process: whoever looks at it looks there.
-void System::move_taps(const std::string& instance, const std::string& from) {
-  std::vector<std::pair<std::uint64_t, control::Watch>> moved;
-  for (const auto& [id, tap] : taps_) {
-    if (tap.group == from && tap.watch.port().instance() == instance) moved.emplace_back(id, tap.watch);
-  }
-  for (const auto& [id, watch] : moved) {
-    untap(id);
-    try {
-      tap_in(group_of(instance, model_), id, watch);
-    } catch (const Error& error) {
-      wire::GroupMessage event;
-      event.mutable_tap_ended()->set_tap(id);
-      *event.mutable_tap_ended()->mutable_failure() = failure_of(error);
-      deliver(event);
-    }
-  }
+  taps_.open(group_of(target.instance(), model_), id, watch);
 }
 
 wire::Tapped System::read(const control::PortName& name) {
@@ -88,29 +55,6 @@ control::Expect System::expected(control::Expect request) {
     request.clear_field();
   }
   return request;
-}
-
-void System::untap(std::uint64_t id) {
-  const auto found = taps_.find(id);
-  if (found == taps_.end()) return;
-  Group* owner = groups_.living(found->second.group);
-  taps_.erase(found);
-  if (!owner) return;
-  wire::GroupRequest request;
-  request.mutable_untap()->set_tap(id);
-  owner->tell(std::move(request));
-}
-
-void System::end_taps(const std::string& group, const std::string& reason) {
-  for (const auto& [tap, owner] : taps_) {
-    if (owner.group != group) continue;
-    wire::GroupMessage event;
-    event.mutable_tap_ended()->set_tap(tap);
-    *event.mutable_tap_ended()->mutable_failure() =
-        failure_of(Error(ErrorCode::Unreachable, {.what = reason, .next = "watch again once its group runs: ls"}));
-    deliver(event);
-  }
-  std::erase_if(taps_, [&group](const auto& tap) { return tap.second.group == group; });
 }
 
 }  // namespace fiona::host

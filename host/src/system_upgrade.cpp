@@ -178,9 +178,9 @@ void System::check_upgrade(Waits::Answer answer) {
   const auto begin = [&] {
     for (const auto& pair : pairs) {
       candidate_->taps.insert(candidate_->taps.end(), {pair.tap, pair.before});
-      tap_in(candidate_group(), pair.tap, sampled(name, pair.port));
+      taps_.open(candidate_group(), pair.tap, sampled(name, pair.port));
       // One that is gone says nothing, and nothing is expected then.
-      if (!lost_.contains(name)) tap_in(group_of(name, model_), pair.before, sampled(name, pair.port));
+      if (!lost_.contains(name)) taps_.open(group_of(name, model_), pair.before, sampled(name, pair.port));
     }
   };
   const auto end_of = [check](const wire::GroupMessage& event) {
@@ -317,7 +317,7 @@ void System::hand_over(const Model& next, const Model::Instance& old, bool keeps
   model_ = next;
   set_beside(next.instance(name).group, name, false);
   set_beside(old.group, name, true);
-  move_taps(name, old.group);
+  taps_.move(name, old.group, [&]() -> Group& { return group_of(name, model_); });
   dispose_standby(name);
   before.rests_at = std::chrono::steady_clock::now() + kDrain;
   if (!keeps) return dispose_later(std::move(before));
@@ -341,7 +341,7 @@ void System::watch_upgrade(const std::string& name, double left_ms, Waits::Answe
   const auto begin = [&] {
     for (const auto& pair : pairs) {
       standbys_.at(name).taps.push_back(pair.tap);
-      tap_in(group_of(name, model_), pair.tap, sampled(name, pair.port));
+      taps_.open(group_of(name, model_), pair.tap, sampled(name, pair.port));
     }
   };
   const auto end_of = [check](const wire::GroupMessage& event) { return reply_of(*check, event); };
@@ -351,11 +351,11 @@ void System::watch_upgrade(const std::string& name, double left_ms, Waits::Answe
 void System::end_watch(const std::string& name) {
   const auto standby = standbys_.find(name);
   if (standby == standbys_.end()) return;
-  for (const std::uint64_t tap : std::exchange(standby->second.taps, {})) untap(tap);
+  for (const std::uint64_t tap : std::exchange(standby->second.taps, {})) taps_.close(tap);
 }
 
 void System::untap_candidate() {
-  for (const std::uint64_t tap : std::exchange(candidate_->taps, {})) untap(tap);
+  for (const std::uint64_t tap : std::exchange(candidate_->taps, {})) taps_.close(tap);
 }
 
 void System::drop_candidate() {
@@ -369,7 +369,7 @@ void System::drop_candidate() {
 void System::dispose_standby(const std::string& name) {
   auto standby = standbys_.extract(name);
   if (standby.empty()) return;
-  for (const std::uint64_t tap : standby.mapped().taps) untap(tap);
+  for (const std::uint64_t tap : standby.mapped().taps) taps_.close(tap);
   dispose_later(std::move(standby.mapped()));
 }
 
