@@ -11,7 +11,15 @@ namespace fiona::host {
 System::System(Options options, OnEvent on_event)
     : options_(std::move(options)),
       on_event_(std::move(on_event)),
-      packages_(options_.store, options_.unsigned_packages) {
+      packages_(options_.store, options_.unsigned_packages),
+      led_({.host = options_.name,
+            .plugins = options_.plugins,
+            .packages = packages_,
+            .model = model_,
+            .groups = groups_,
+            .make = [this](Model next, const std::string& name,
+                           const control::Load& request) { make_led(std::move(next), name, request); },
+            .destroy = [this](const std::string& name) { return destroy_led(name); }}) {
   if (options_.supervisor) kept_ = options_.supervisor->take_kept();
   prepare_links();
   use_clock(system_clock());
@@ -19,7 +27,8 @@ System::System(Options options, OnEvent on_event)
   next_order_ += options_.restarts << 16U;
   next_wire_ = next_tap_ = next_work_ = 1 + (options_.restarts << 24U);
   if (!options_.hosts.any()) return;
-  if (!options_.hosts.listen.empty()) next_wire_ = next_tap_ = next_work_ = kOwnNumbers + (options_.restarts << 24U);
+  if (!options_.hosts.listen.empty())
+    next_wire_ = next_tap_ = next_work_ = LedInstances::kOwnNumbers + (options_.restarts << 24U);
   hosts_ = std::make_unique<HostLinks>(
       options_.hosts, options_.name, *pool_, *clock_, groups_.main().links(),
       [this](wire::GroupMessage event) { deliver_from("", std::move(event)); },

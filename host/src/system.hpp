@@ -18,6 +18,7 @@
 #include "groups.hpp"
 #include "host_links.hpp"
 #include "last_words.hpp"
+#include "led_instances.hpp"
 #include "mailbox.hpp"
 #include "model.hpp"
 #include "open_taps.hpp"
@@ -350,6 +351,10 @@ class System {
   std::string host_of(const std::string& group) const;
   std::string host_of_instance(const std::string& name) const;
   void add_hosts(control::System& all);
+  void make_led(Model next, const std::string& name, const control::Load& request);
+  std::string destroy_led(const std::string& name);
+  void forget_led(const std::string& group);
+  bool tell_leader(const wire::GroupMessage& event);
 
   // ---- system_leading.cpp
   Group& main_of(const std::string& host);
@@ -361,22 +366,6 @@ class System {
   std::optional<std::set<std::string>> instances_of(RemoteGroup& group);
   void resume_wires(const std::string& host);
   void on_remote_group_ended(const HostChange& change);
-
-  // ---- system_led.cpp
-  wire::GroupMessage obey(const wire::HostRequest& order);
-  Links::Endpoint led_endpoint(const std::string& endpoint, Group& at);
-  wire::GroupMessage obey_in_group(wire::GroupRequest request, Group& group);
-  void keep_led(wire::GroupStatusReply& status) const;
-  void require_led(const std::string& name);
-  void check_order(const wire::GroupRequest& request);
-  Group& led_group(const std::string& endpoint);
-  Packages::Choice own_package(const wire::Create& create) const;
-  void obey_create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply);
-  void drop_led();
-  std::string drop_led(const std::string& name);
-  void note_led(const std::string& instance, bool led);
-  void forget_led(const std::string& group);
-  bool tell_leader(const wire::GroupMessage& event);
 
   const Options options_;
   const OnEvent on_event_;
@@ -408,15 +397,12 @@ class System {
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   OpenTaps taps_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
-  // A host that is led has numbers of its own from `kOwnNumbers`; those of its leader are below.
-  static constexpr std::uint64_t kOwnNumbers = 1ULL << 40;
   std::uint64_t next_wire_ = 1;
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;
   std::unique_ptr<HostLinks> hosts_;  ///< none: no tcp
-  std::mutex led_mutex_;
-  std::set<std::string> led_names_;  ///< guarded by led_mutex_: instances of the leader's system
+  LedInstances led_;
 };
 
 }  // namespace fiona::host

@@ -24,9 +24,9 @@ std::vector<std::string> System::serve_hosts() {
   LeaderLink* leader = hosts_->leader();
   for (const auto& change : hosts_->changes()) {
     switch (change.what) {
-      case HostChange::What::Request: leader->answer(change.session, obey(change.request)); break;
+      case HostChange::What::Request: leader->answer(change.session, led_.obey(change.request)); break;
       case HostChange::What::Joined:
-        if (leader && !change.same_run) drop_led();
+        if (leader && !change.same_run) led_.destroy_all();
         if (leader) model_.set_leader(change.host);
         said.push_back(leader ? fmt::format("host '{}' leads this one", change.host) : on_host_joined(change));
         break;
@@ -37,7 +37,7 @@ std::vector<std::string> System::serve_hosts() {
       case HostChange::What::Left:
         leader->leave(change.session);
         model_.set_leader("");
-        drop_led();
+        led_.destroy_all();
         break;
       case HostChange::What::GroupEnded:
         on_remote_group_ended(change);
@@ -46,6 +46,38 @@ std::vector<std::string> System::serve_hosts() {
     }
   }
   return said;
+}
+
+/// Of the leader's system, which alone may change it from here on.
+void System::make_led(Model next, const std::string& name, const control::Load& request) {
+  create(group_for(next.instance(name)), name, next.instance(name), request);
+  model_ = std::move(next);
+}
+
+std::string System::destroy_led(const std::string& name) {
+  control::Unload request;
+  request.set_instance(name);
+  const control::Done done = unload(request);
+  model_.drop(name);
+  return done.note();
+}
+
+/// What was the leader's in a group that has gone is told; the names are his to use again.
+void System::forget_led(const std::string& group) {
+  for (const std::string& name : model_.names_in(group)) {
+    if (!model_.instance(name).led) continue;
+    led_.forget(name);
+    lost_.erase(name);
+    model_.drop(name);
+  }
+}
+
+/// Whether the event is of the leader's system; if so it is told.
+bool System::tell_leader(const wire::GroupMessage& event) {
+  LeaderLink* leader = hosts_ ? hosts_->leader() : nullptr;
+  if (!leader || !led_.is_of_leader(event)) return false;
+  leader->tell(event);
+  return true;
 }
 
 bool System::has_met_peers() const {

@@ -1,11 +1,11 @@
-// Being led: what the host that leads this one orders, and what it is told.
+#include "led_instances.hpp"
+
 #include <fmt/format.h>
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
 #include "orders.hpp"
-#include "system.hpp"
 
 namespace fiona::host {
 namespace {
@@ -14,20 +14,19 @@ constexpr std::string_view kLocal = "local/";  ///< plugins that are in no packa
 
 }  // namespace
 
-wire::GroupMessage System::obey(const wire::HostRequest& order) {
+wire::GroupMessage LedInstances::obey(const wire::HostRequest& order) {
   wire::GroupMessage reply;
   reply.mutable_done();
   try {
-    check_order(order.request());
-    Group* found = groups_.living(order.group());
+    check(order.request());
+    Group* found = around_.groups.living(order.group());
     if (order.request().has_create()) {
-      obey_create(order.request(), order.group(), reply);
+      create(order.request(), order.group(), reply);
     } else if (!found) {
-      throw Error(ErrorCode::NotFound,
-                  {.what = fmt::format("host '{}' has no group '{}'", options_.name, order.group()),
-                   .next = "its process may have ended: ls tells"});
+      throw Error(ErrorCode::NotFound, {.what = fmt::format("host '{}' has no group '{}'", around_.host, order.group()),
+                                        .next = "its process may have ended: ls tells"});
     } else {
-      reply = obey_in_group(order.request(), *found);
+      reply = pass_on(order.request(), *found);
     }
     if (reply.has_status()) keep_led(*reply.mutable_status());
   } catch (...) {
@@ -38,25 +37,25 @@ wire::GroupMessage System::obey(const wire::HostRequest& order) {
 }
 
 /// What goes between processes of this host is opened with keys that only it knows.
-Links::Endpoint System::led_endpoint(const std::string& endpoint, Group& at) {
+Links::Endpoint LedInstances::own_endpoint(const std::string& endpoint, const Group& at) const {
   if (endpoint == kLeaderEndpoint) return {endpoint, "", ""};
-  Group& to = led_group(endpoint);
+  const Group& to = group_at(endpoint);
   return {to.endpoint(), at.link_name(), link_key(to.link_key(), at.link_name())};
 }
 
-wire::GroupMessage System::obey_in_group(wire::GroupRequest request, Group& group) {
+wire::GroupMessage LedInstances::pass_on(wire::GroupRequest request, Group& group) {
   const auto set_peer = [this](auto& message) {
-    if (message.peer() != kLeaderEndpoint) message.set_peer(led_group(message.peer()).link_name());
+    if (message.peer() != kLeaderEndpoint) message.set_peer(group_at(message.peer()).link_name());
   };
   if (request.has_wire_provide()) set_peer(*request.mutable_wire_provide());
   if (request.has_wire_relay()) set_peer(*request.mutable_wire_relay());
-  const auto set_way = [&](auto& message) { set_endpoint(message, led_endpoint(message.endpoint(), group)); };
+  const auto set_way = [&](auto& message) { set_endpoint(message, own_endpoint(message.endpoint(), group)); };
   if (request.has_wire_require()) set_way(*request.mutable_wire_require());
   if (request.has_wire_relay()) set_way(*request.mutable_wire_relay());
   wire::GroupMessage reply;
   reply.mutable_done();
   if (request.has_destroy()) {
-    reply.mutable_done()->set_note(drop_led(request.destroy().instance()));
+    reply.mutable_done()->set_note(destroy(request.destroy().instance()));
   } else if (request.has_cut() || request.has_await()) {
     group.inform(std::move(request));
   } else {
@@ -65,24 +64,24 @@ wire::GroupMessage System::obey_in_group(wire::GroupRequest request, Group& grou
   return reply;
 }
 
-void System::keep_led(wire::GroupStatusReply& status) const {
+void LedInstances::keep_led(wire::GroupStatusReply& status) const {
   auto& instances = *status.mutable_instances();
   for (int i = instances.size() - 1; i >= 0; --i) {
-    const auto* one = model_.find(instances[i].name());
+    const auto* one = around_.model.find(instances[i].name());
     if (!one || !one->led) instances.DeleteSubrange(i, 1);
   }
 }
 
-void System::require_led(const std::string& name) {
-  const auto* found = model_.find(name);
+void LedInstances::require_led(const std::string& name) const {
+  const auto* found = around_.model.find(name);
   if (found && found->led) return;
   throw Error(ErrorCode::NotFound,
-              {.what = fmt::format("the leader has no instance '{}' on host '{}'", name, options_.name),
+              {.what = fmt::format("the leader has no instance '{}' on host '{}'", name, around_.host),
                .expected = "an instance that this leader has made here"});
 }
 
 /// A leader reaches what is his: his instances, his wires, his taps.
-void System::check_order(const wire::GroupRequest& request) {
+void LedInstances::check(const wire::GroupRequest& request) const {
   using Request = wire::GroupRequest;
   const auto number = [](std::uint64_t one) {
     if (one >= kOwnNumbers)
@@ -131,48 +130,48 @@ void System::check_order(const wire::GroupRequest& request) {
 }
 
 /// Of those here. A leader names no sockets.
-Group& System::led_group(const std::string& endpoint) {
+Group& LedInstances::group_at(const std::string& endpoint) const {
   Group* found =
-      endpoint.starts_with(kGroupEndpoint) ? groups_.living(endpoint.substr(kGroupEndpoint.size())) : nullptr;
+      endpoint.starts_with(kGroupEndpoint) ? around_.groups.living(endpoint.substr(kGroupEndpoint.size())) : nullptr;
   if (found) return *found;
-  throw Error(ErrorCode::NotFound, {.what = fmt::format("host '{}' has no group for '{}'", options_.name, endpoint),
+  throw Error(ErrorCode::NotFound, {.what = fmt::format("host '{}' has no group for '{}'", around_.host, endpoint),
                                     .next = "its process may have ended: ls tells"});
 }
 
 /// The package is this host's own: of the same name, version and interface as the leader's.
-Packages::Choice System::own_package(const wire::Create& create) const {
+Packages::Choice LedInstances::own_package(const wire::Create& create) const {
   const bool local = create.plugin().starts_with(kLocal);
-  if (local && (options_.plugins.empty() || create.plugin().find("..") != std::string::npos)) {
+  if (local && (around_.plugins.empty() || create.plugin().find("..") != std::string::npos)) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = fmt::format("{} is in no package, and host '{}' takes only what is installed on it",
-                                     create.plugin(), options_.name),
+                                     create.plugin(), around_.host),
                  .next = "pack it and install it on both hosts; or start that host with --plugins DIR"});
   }
   const std::string library =
-      (options_.plugins / ("lib" + create.plugin().substr(local ? kLocal.size() : 0) + ".so")).string();
-  const Packages::Choice own = packages_.find((local ? library : create.plugin()) + "/" + create.component());
+      (around_.plugins / ("lib" + create.plugin().substr(local ? kLocal.size() : 0) + ".so")).string();
+  const Packages::Choice own = around_.packages.find((local ? library : create.plugin()) + "/" + create.component());
   const Package& package = *own.package;
   const bool same = package.name == create.plugin() && package.version == create.version();
   if (!same || package.interface.SerializeAsString() != create.interface().SerializeAsString()) {
     throw Error(ErrorCode::DependencyConflict,
-                {.what = fmt::format("host '{}' has {}{} {}", options_.name, same ? "another build of " : "",
+                {.what = fmt::format("host '{}' has {}{} {}", around_.host, same ? "another build of " : "",
                                      package.name, package.version),
                  .expected = fmt::format("{} {}, as on the host that leads", create.plugin(), create.version()),
-                 .next = fmt::format("on host '{}': fiona market install {}@{}", options_.name, create.plugin(),
+                 .next = fmt::format("on host '{}': fiona market install {}@{}", around_.host, create.plugin(),
                                      create.version())});
   }
   return own;
 }
 
-void System::obey_create(const wire::GroupRequest& request, const std::string& group_name, wire::GroupMessage& reply) {
+void LedInstances::create(const wire::GroupRequest& request, const std::string& group, wire::GroupMessage& reply) {
   const auto& create = request.create();
   const auto [package, component] = own_package(create);
   const std::string& name = create.instance();
-  Model next = model_;
+  Model next = around_.model;
   next.take(name, {.plugin = create.plugin(),
                    .package = package,
                    .component = component,
-                   .group = group_name,
+                   .group = group,
                    .mode = create.mode(),
                    .mode_at_load = create.mode(),
                    .parameters = nullptr,
@@ -180,73 +179,53 @@ void System::obey_create(const wire::GroupRequest& request, const std::string& g
   control::Load as_ordered;
   *as_ordered.mutable_parameters() = create.parameters();
   as_ordered.set_mode(create.mode());
-  note_led(name, true);  // from its first word on
+  note(name, true);  // from its first word on
   try {
-    this->create(group_for(next.instance(name)), name, next.instance(name), as_ordered);
+    around_.make(std::move(next), name, as_ordered);
   } catch (...) {
-    note_led(name, false);
+    note(name, false);
     throw;
   }
-  model_ = std::move(next);
   reply.mutable_done()->set_note(fmt::format("{} {} as {}", package->name, package->version, name));
 }
 
-/// What a former leader has left.
-void System::drop_led() {
-  for (const std::string& name : model_.names()) {
-    if (model_.instance(name).led) drop_led(name);
+void LedInstances::destroy_all() {
+  for (const std::string& name : around_.model.names()) {
+    if (around_.model.instance(name).led) destroy(name);
   }
 }
 
-std::string System::drop_led(const std::string& name) {
-  control::Unload request;
-  request.set_instance(name);
-  const control::Done done = unload(request);
-  note_led(name, false);
-  model_.drop(name);
-  return done.note();
+std::string LedInstances::destroy(const std::string& name) {
+  std::string said = around_.destroy(name);
+  note(name, false);
+  return said;
 }
 
-void System::note_led(const std::string& name, bool led) {
-  const std::lock_guard lock(led_mutex_);
-  led ? static_cast<void>(led_names_.insert(name)) : static_cast<void>(led_names_.erase(name));
+void LedInstances::note(const std::string& name, bool led) {
+  const std::lock_guard lock(mutex_);
+  led ? static_cast<void>(names_.insert(name)) : static_cast<void>(names_.erase(name));
 }
 
-/// What was the leader's in a group that has gone is told; the names are his to use again.
-void System::forget_led(const std::string& group) {
-  for (const std::string& name : model_.names_in(group)) {
-    if (!model_.instance(name).led) continue;
-    note_led(name, false);
-    lost_.erase(name);
-    model_.drop(name);
-  }
+bool LedInstances::is_led(const std::string& name) const {
+  const std::lock_guard lock(mutex_);
+  return names_.contains(name);
 }
 
-/// Whether the event is of the leader's system; if so it is told.
-bool System::tell_leader(const wire::GroupMessage& event) {
+bool LedInstances::is_of_leader(const wire::GroupMessage& event) const {
   using Event = wire::GroupMessage;
-  LeaderLink* leader = hosts_ ? hosts_->leader() : nullptr;
-  if (!leader) return false;
-  const auto is_led = [this](const std::string& name) {
-    const std::lock_guard lock(led_mutex_);
-    return led_names_.contains(name);
-  };
-  bool led = false;
   switch (event.what_case()) {
-    case Event::kModeChanged: led = is_led(event.mode_changed().instance()); break;
-    case Event::kRunEnded: led = is_led(event.run_ended().instance()); break;
-    case Event::kLogged: led = is_led(event.logged().instance()); break;
-    case Event::kAsked: led = is_led(event.asked().instance()); break;
-    case Event::kTapEnded: led = event.tap_ended().tap() < kOwnNumbers; break;
-    case Event::kTapped: led = event.tapped().tap() < kOwnNumbers; break;
-    case Event::kWireLost: led = event.wire_lost().wire() < kOwnNumbers; break;
-    case Event::kModeSet: led = event.mode_set().change() < kOwnNumbers; break;
-    case Event::kCallEnded: led = event.call_ended().run() < kOwnNumbers; break;
-    case Event::kGroupEnded: led = true; break;
-    default: break;
+    case Event::kModeChanged: return is_led(event.mode_changed().instance());
+    case Event::kRunEnded: return is_led(event.run_ended().instance());
+    case Event::kLogged: return is_led(event.logged().instance());
+    case Event::kAsked: return is_led(event.asked().instance());
+    case Event::kTapEnded: return event.tap_ended().tap() < kOwnNumbers;
+    case Event::kTapped: return event.tapped().tap() < kOwnNumbers;
+    case Event::kWireLost: return event.wire_lost().wire() < kOwnNumbers;
+    case Event::kModeSet: return event.mode_set().change() < kOwnNumbers;
+    case Event::kCallEnded: return event.call_ended().run() < kOwnNumbers;
+    case Event::kGroupEnded: return true;
+    default: return false;
   }
-  if (led) leader->tell(event);
-  return led;
 }
 
 }  // namespace fiona::host
