@@ -12,6 +12,13 @@ System::System(Options options, OnEvent on_event)
     : options_(std::move(options)),
       on_event_(std::move(on_event)),
       packages_(options_.store, options_.unsigned_packages),
+      connector_({.model = model_,
+                  .groups = groups_,
+                  .group_of = [this](const std::string& instance, const Model& model) -> Group& {
+                    return group_of(instance, model);
+                  },
+                  .host_of = [this](const std::string& group) { return host_of(group); },
+                  .main_of = [this](const std::string& host) -> Group& { return main_of(host); }}),
       led_({.host = options_.name,
             .plugins = options_.plugins,
             .packages = packages_,
@@ -25,14 +32,18 @@ System::System(Options options, OnEvent on_event)
   use_clock(system_clock());
   // Nothing that a host before this one has numbered is taken for something of ours.
   next_order_ += options_.restarts << 16U;
-  next_wire_ = next_tap_ = next_work_ = 1 + (options_.restarts << 24U);
+  number_from(1 + (options_.restarts << 24U));
   if (!options_.hosts.any()) return;
-  if (!options_.hosts.listen.empty())
-    next_wire_ = next_tap_ = next_work_ = LedInstances::kOwnNumbers + (options_.restarts << 24U);
+  if (!options_.hosts.listen.empty()) number_from(LedInstances::kOwnNumbers + (options_.restarts << 24U));
   hosts_ = std::make_unique<HostLinks>(
       options_.hosts, options_.name, *pool_, *clock_, groups_.main().links(),
       [this](wire::GroupMessage event) { deliver_from("", std::move(event)); },
       [](const std::string& text) { std::cerr << text << "\n"; });
+}
+
+void System::number_from(std::uint64_t first) {
+  connector_.number_from(first);
+  next_tap_ = next_work_ = first;
 }
 
 /// Those of a host of this name that was killed are of no use, but for those of groups that go on.

@@ -13,6 +13,7 @@
 
 #include "attachments.hpp"
 #include "comparison.hpp"
+#include "connector.hpp"
 #include "fiona/control.pb.h"
 #include "fiona/pool.hpp"
 #include "groups.hpp"
@@ -185,14 +186,7 @@ class System {
   std::string listens() const { return hosts_ && hosts_->leader() ? hosts_->leader()->address() : ""; }
 
  private:
-  /// A wire as it is; the model says what it is meant to be. One to each provider of a port with alternatives.
-  struct Wire {
-    control::PortName provider{};
-    std::uint64_t id = 0;  ///< 0: it waits for its provider
-    bool local = false;
-    std::string reason{};               ///< why it waits, or was lost
-    std::vector<std::string> relays{};  ///< groups that pass it on
-  };
+  using Wire = Connector::Wire;
   /// An instance on its way to its first mode.
   struct Making {
     std::uint64_t change = 0;
@@ -220,6 +214,7 @@ class System {
   // ---- system.cpp
   /// Where the host's processes listen for each other: apart from the control socket, so that a sandbox holds no more.
   std::filesystem::path links_directory() const { return options_.directory / "links"; }
+  void number_from(std::uint64_t first);  ///< of wires, taps and work
   void prepare_links() const;
   std::unique_ptr<SystemClock> system_clock() const;
   std::shared_ptr<os::ProcessTemplate> template_for(const wire::Confinement& confinement);
@@ -318,7 +313,7 @@ class System {
                     const Wire& old, control::Done& done);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
-  static void add_cost(control::Done& done, const wire::Switched& switched, std::uint32_t wires);
+  void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
   control::Done unwire(const control::Unwire& request);
   std::string connect_waiting(const std::string& provider, const Model& next);
   std::vector<std::string> leave_wires(const std::string& instance);
@@ -326,23 +321,12 @@ class System {
   const Wire* wire_to(const PortKey& client, const control::PortName& provider) const;
   control::PortName served_by(const control::PortName& client);
 
-  // ---- system_connect.cpp
-  Wire connect(const control::PortName& client, const control::PortName& provider, const Model& model,
-               std::uint64_t replaces, control::Done& done, bool resumes = false);
-  wire::GroupMessage open_along(const std::vector<Group*>& path, wire::WireRequire require, std::uint32_t prescale,
-                                std::vector<std::string>& relays);
-  void disconnect(const control::PortName& client, const Wire& wire, const std::string& reason);
-  void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
-  std::vector<Group*> way(Group& client, Group& provider);
-  std::string known_as(Group& who, Group& at);
-  Links::Endpoint endpoint_for(Group& at, Group& to);
-  const char* transport(const std::string& client, const Wire& wire) const;
-
   // ---- system_status.cpp
   std::map<std::uint64_t, control::InstanceStatus> status_of_groups(control::System& all);
   control::InstanceStatus status_as_asked_for(const std::string& name) const;
   void complete_status(control::InstanceStatus& status) const;
   void complete_port(const PortKey& client, const Model::Wire& wanted, control::PortStatus& status) const;
+  const char* transport(const std::string& client, const Wire& wire) const;
 
   // ---- system_time.cpp
   void set_clock(const ClockSettings& next);
@@ -392,12 +376,12 @@ class System {
   Mailbox<std::function<void()>> made_;                   ///< what is to be done when one has been made again, or not
   std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
   Supervision supervision_;
-  std::vector<KeptGroup> kept_;         ///< until they are adopted
+  std::vector<KeptGroup> kept_;  ///< until they are adopted
+  Connector connector_;
   std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   OpenTaps taps_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
-  std::uint64_t next_wire_ = 1;
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;

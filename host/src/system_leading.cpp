@@ -132,7 +132,7 @@ void System::resume_wires(const std::string& host) {
         continue;
       }
       control::Done ignored;
-      wire = connect(client, wire.provider, model_, wire.id, ignored, wire.id != 0);
+      wire = connector_.connect(client, wire.provider, model_, wire.id, ignored, wire.id != 0);
     } catch (const Error& error) {
       wire.reason = error.text().what;
     }

@@ -237,7 +237,7 @@ void System::note_wires() {
   }
   for (auto* child : child_groups()) {
     for (const auto& one : child->adopted()->wires()) {
-      next_wire_ = std::max(next_wire_, one.wire() + 1);
+      connector_.number_from(one.wire() + 1);
       if (kept.contains(one.wire()) || one.retired()) continue;
       correct(*child, [&] { groups_.cut(child->name(), one.wire(), kHostEnded); });
     }

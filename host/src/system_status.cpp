@@ -183,4 +183,9 @@ void System::complete_port(const PortKey& client, const Model::Wire& wanted, con
   }
 }
 
+const char* System::transport(const std::string& client, const Wire& wire) const {
+  if (wire.local) return "process";
+  return host_of_instance(client) != host_of_instance(wire.provider.instance()) ? "tcp" : "ipc";
+}
+
 }  // namespace fiona::host

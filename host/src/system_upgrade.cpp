@@ -248,7 +248,7 @@ System::Wire System::open_for_candidate(const control::PortName& client, const c
   Wire waiting{provider, 0, false, "there is no instance '" + provider.instance() + "' yet", {}};
   try {
     control::Done ignored;
-    if (next.find(provider.instance())) return connect(client, provider, next, 0, ignored);
+    if (next.find(provider.instance())) return connector_.connect(client, provider, next, 0, ignored);
   } catch (const Error& error) {
     waiting.reason = error.text().what;
   }
@@ -272,7 +272,8 @@ control::Done System::take_over(bool keeps) {
   }
   // Those of the one go before those of the other come, so that nothing is done twice.
   for (const auto& [client, wire] : wires_) {
-    if (client.first == name && sends(old, client.second)) disconnect(port_of(client), wire, "another version serves");
+    if (client.first == name && sends(old, client.second))
+      connector_.disconnect(port_of(client), wire, "another version serves");
   }
   wire_candidate(next, true);
   hand_over(next, old, keeps && lost.empty());
@@ -288,7 +289,7 @@ void System::switch_clients(const std::string& name, const Model& next, control:
     for (auto one = wires_.begin(); one != wires_.end(); ++one) {
       auto& [client, wire] = *one;
       if (client.first == name || wire.provider.instance() != name || lost_.contains(client.first)) continue;
-      Wire now = connect(port_of(client), wire.provider, next, wire.id, done);
+      Wire now = connector_.connect(port_of(client), wire.provider, next, wire.id, done);
       switched.emplace_back(one, std::exchange(wire, std::move(now)));
     }
   } catch (...) {

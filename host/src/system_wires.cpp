@@ -45,9 +45,9 @@ control::Done System::wire_one(const control::PortName& client, const Model& nex
   control::Done done;
   Wire made{provider, 0, false, waiting_for(provider.instance()), {}};
   if (next.find(provider.instance())) {
-    made = connect(client, provider, next, old == wires_.end() ? 0 : old->second.id, done);
+    made = connector_.connect(client, provider, next, old == wires_.end() ? 0 : old->second.id, done);
   } else {
-    if (old != wires_.end()) disconnect(client, old->second, made.reason);
+    if (old != wires_.end()) connector_.disconnect(client, old->second, made.reason);
     await_provider(client, made, next);
     done.add_warnings(waiting_warning(client, provider.instance(), next));
   }
@@ -90,15 +90,24 @@ System::Wire System::open_or_wait(const control::PortName& client, const control
                                   const Wire& old, control::Done& done) {
   Wire waiting{provider, 0, false, waiting_for(provider.instance()), {}};
   try {
-    if (next.find(provider.instance())) return connect(client, provider, next, old.id, done);
+    if (next.find(provider.instance())) return connector_.connect(client, provider, next, old.id, done);
     done.add_warnings(waiting_warning(client, provider.instance(), next));
   } catch (const Error& error) {
     waiting.reason = error.text().what;
     done.add_warnings(fmt::format("{} waits for {}: {}", text_of(client), text_of(provider), waiting.reason));
   }
-  disconnect(client, old, waiting.reason);
+  connector_.disconnect(client, old, waiting.reason);
   await_provider(client, waiting, next);
   return waiting;
+}
+
+void System::await_provider(const control::PortName& client, const Wire& wire, const Model& model) {
+  if (lost_.contains(client.instance())) return;
+  wire::GroupRequest request;
+  *request.mutable_await()->mutable_client() = client;
+  *request.mutable_await()->mutable_provider() = wire.provider;
+  request.mutable_await()->set_reason(wire.reason);
+  if (Group* at = groups_.living(model.instance(client.instance()).group)) at->inform(std::move(request));
 }
 
 void System::arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
@@ -111,13 +120,7 @@ void System::arrange(const control::PortName& client, const std::vector<control:
   arrange.mutable_retires()->Add(retires.begin(), retires.end());
   const auto reply = group_of(client.instance(), model).request(std::move(request));
   if (!cost || retires.empty()) return;
-  add_cost(*cost, reply.switched(), static_cast<std::uint32_t>(retires.size()));
-}
-
-void System::add_cost(control::Done& done, const wire::Switched& switched, std::uint32_t wires) {
-  done.set_switched(done.switched() + wires);
-  done.set_gap_ms(std::max(done.gap_ms(), static_cast<double>(switched.gap_ns()) / 1e6));
-  done.set_lost(done.lost() + switched.lost());
+  Connector::add_cost(*cost, reply.switched(), static_cast<std::uint32_t>(retires.size()));
 }
 
 control::Done System::unwire(const control::Unwire& request) {
@@ -127,7 +130,7 @@ control::Done System::unwire(const control::Unwire& request) {
   if (tells && !lost_.contains(request.client().instance())) {
     arrange(request.client(), {}, Model::Wire::kHold_ms, {}, model_, nullptr);
   }
-  for (auto it = first; it != last; ++it) disconnect(request.client(), it->second, "unwired");
+  for (auto it = first; it != last; ++it) connector_.disconnect(request.client(), it->second, "unwired");
   wires_.erase(first, last);
   control::Done done;
   done.set_note(text_of(request.client()) + " unwired");
@@ -143,7 +146,7 @@ std::string System::connect_waiting(const std::string& provider, const Model& ne
     if (wire.id != 0 || wire.provider.instance() != provider || !next.wire_of(client)) continue;
     try {
       control::Done ignored;
-      wire = connect(client, wire.provider, next, 0, ignored);
+      wire = connector_.connect(client, wire.provider, next, 0, ignored);
       connected.push_back(text_of(client));
     } catch (const Error& error) {
       wire.reason = error.text().what;
@@ -160,7 +163,7 @@ std::vector<std::string> System::leave_wires(const std::string& name) {
     const control::PortName client = port_of(it->first);
     const bool is_client = client.instance() == name;
     const bool is_provider = it->second.provider.instance() == name;
-    if (is_client || is_provider) disconnect(client, it->second, name + " was unloaded");
+    if (is_client || is_provider) connector_.disconnect(client, it->second, name + " was unloaded");
     if (!is_client && is_provider) {
       const bool alone = model_.wire_of(client)->providers.size() == 1;
       dependents.push_back(text_of(client) + (alone ? "" : ", which has alternatives"));
@@ -203,7 +206,7 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
   require_descriptors_for("another client", child_groups().size() + attachments_.clients(),
                           options_.group_limits.descriptors);
   Group& group = group_of(provider, model_);
-  return attachments_.open(owner, request, contract, group, next_wire_++);
+  return attachments_.open(owner, request, contract, group, connector_.new_number());
 }
 
 void System::on_wire_lost(std::uint64_t id, const std::string& reason) {

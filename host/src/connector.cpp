@@ -1,8 +1,9 @@
-// How one wire is opened and cut, in each process that it goes through.
+#include "connector.hpp"
+
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
 #include "orders.hpp"
-#include "system.hpp"
+#include "os/process.hpp"
 
 namespace fiona::host {
 namespace {
@@ -35,14 +36,12 @@ wire::GroupRequest provided_wire(const wire::WireRequire& client_part, std::uint
 
 }  // namespace
 
-/// Make before break: the client's side lets go of the wire `replaces` once the new one is open; if it does not open,
-/// all is as before.
-System::Wire System::connect(const control::PortName& client, const control::PortName& provider, const Model& model,
-                             std::uint64_t replaces, control::Done& done, bool resumes) {
+Connector::Wire Connector::connect(const control::PortName& client, const control::PortName& provider,
+                                   const Model& model, std::uint64_t replaces, control::Done& done, bool resumes) {
   const std::uint32_t prescale = model.wire_of(client)->prescale;
-  Group& client_group = group_of(client.instance(), model);
-  Group& provider_group = group_of(provider.instance(), model);
-  Wire wire{provider, next_wire_++, &client_group == &provider_group, {}, {}};
+  Group& client_group = around_.group_of(client.instance(), model);
+  Group& provider_group = around_.group_of(provider.instance(), model);
+  Wire wire{provider, new_number(), &client_group == &provider_group, {}, {}};
   wire::GroupMessage reply;
   if (wire.local) {
     reply = client_group.request(local_wire(wire.id, client, provider, prescale, replaces));
@@ -60,8 +59,8 @@ System::Wire System::connect(const control::PortName& client, const control::Por
 }
 
 /// The provider first, the client last: what is opened finds somebody who knows its token. Notes who relays it.
-wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::WireRequire require,
-                                      std::uint32_t prescale, std::vector<std::string>& relays) {
+wire::GroupMessage Connector::open_along(const std::vector<Group*>& path, wire::WireRequire require,
+                                         std::uint32_t prescale, std::vector<std::string>& relays) {
   Group& client_group = *path.front();
   Group& provider_group = *path.back();
   require.set_token(os::random_token());
@@ -82,67 +81,59 @@ wire::GroupMessage System::open_along(const std::vector<Group*>& path, wire::Wir
     *request.mutable_wire_require() = require;
     return client_group.request(std::move(request));
   } catch (...) {
-    for (const auto& relay : relays) groups_.cut(relay, require.wire(), "the wire did not open");
-    groups_.cut(provider_group.name(), require.wire(), "the wire did not open");
+    for (const auto& relay : relays) around_.groups.cut(relay, require.wire(), "the wire did not open");
+    around_.groups.cut(provider_group.name(), require.wire(), "the wire did not open");
     throw;
   }
 }
 
-void System::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
-  if (wire.id == 0) return;
-  // The client first: told by its host it is unwired; told by the provider it would be lost.
-  if (const auto* one = model_.find(client.instance())) groups_.cut(one->group, wire.id, reason);
-  if (wire.local) return;
-  try {
-    if (const auto* one = model_.find(wire.provider.instance())) groups_.cut(one->group, wire.id, reason);
-  } catch (const Error&) {  // it hangs, and has been told: it cuts its end when it goes on; the client is not held up
-  }
-  for (const auto& relay : wire.relays) groups_.cut(relay, wire.id, reason);
+void Connector::add_cost(control::Done& done, const wire::Switched& switched, std::uint32_t wires) {
+  done.set_switched(done.switched() + wires);
+  done.set_gap_ms(std::max(done.gap_ms(), static_cast<double>(switched.gap_ns()) / 1e6));
+  done.set_lost(done.lost() + switched.lost());
 }
 
-void System::await_provider(const control::PortName& client, const Wire& wire, const Model& model) {
-  if (lost_.contains(client.instance())) return;
-  wire::GroupRequest request;
-  *request.mutable_await()->mutable_client() = client;
-  *request.mutable_await()->mutable_provider() = wire.provider;
-  request.mutable_await()->set_reason(wire.reason);
-  if (Group* at = groups_.living(model.instance(client.instance()).group)) at->inform(std::move(request));
+void Connector::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {
+  if (wire.id == 0) return;
+  // The client first: told by its host it is unwired; told by the provider it would be lost.
+  if (const auto* one = around_.model.find(client.instance())) around_.groups.cut(one->group, wire.id, reason);
+  if (wire.local) return;
+  try {
+    if (const auto* one = around_.model.find(wire.provider.instance())) around_.groups.cut(one->group, wire.id, reason);
+  } catch (const Error&) {  // it hangs, and has been told: it cuts its end when it goes on; the client is not held up
+  }
+  for (const auto& relay : wire.relays) around_.groups.cut(relay, wire.id, reason);
 }
 
 /// The processes that a wire goes through, from its client to its provider. One connection carries all that goes
 /// between two hosts; their groups reach it through their host's own process.
-std::vector<Group*> System::way(Group& client, Group& provider) {
-  const std::string from = host_of(client.name());
-  const std::string to = host_of(provider.name());
+std::vector<Group*> Connector::way(Group& client, Group& provider) const {
+  const std::string from = around_.host_of(client.name());
+  const std::string to = around_.host_of(provider.name());
   std::vector<Group*> path{&client};
   const auto go_by = [&path](Group& next) {
     if (path.back() != &next) path.push_back(&next);
   };
-  if (from != to) go_by(main_of(from));
-  if (from != to && !from.empty() && !to.empty()) go_by(main_of(""));
-  if (from != to) go_by(main_of(to));
+  if (from != to) go_by(around_.main_of(from));
+  if (from != to && !from.empty() && !to.empty()) go_by(around_.main_of(""));
+  if (from != to) go_by(around_.main_of(to));
   go_by(provider);
   return path;
 }
 
 /// How the process `at` knows who opens a link to it.
-std::string System::known_as(Group& who, Group& at) {
-  const std::string host = host_of(who.name());
-  if (host == host_of(at.name())) return who.link_name();
-  return host_of(at.name()).empty() ? std::string(kLeaderEndpoint) + host : std::string(kLeaderEndpoint);
+std::string Connector::known_as(const Group& who, const Group& at) const {
+  const std::string host = around_.host_of(who.name());
+  if (host == around_.host_of(at.name())) return who.link_name();
+  return around_.host_of(at.name()).empty() ? std::string(kLeaderEndpoint) + host : std::string(kLeaderEndpoint);
 }
 
 /// Where `at` finds `to`, and what opens the link. A host that is led knows that of its own processes itself.
-Links::Endpoint System::endpoint_for(Group& at, Group& to) {
-  const std::string host = host_of(to.name());
-  if (host != host_of(at.name())) return {known_as(to, at), "", ""};
+Links::Endpoint Connector::endpoint_for(const Group& at, const Group& to) const {
+  const std::string host = around_.host_of(to.name());
+  if (host != around_.host_of(at.name())) return {known_as(to, at), "", ""};
   if (!host.empty()) return {to.endpoint(), "", ""};
   return {to.endpoint(), at.link_name(), link_key(to.link_key(), at.link_name())};
-}
-
-const char* System::transport(const std::string& client, const Wire& wire) const {
-  if (wire.local) return "process";
-  return host_of_instance(client) != host_of_instance(wire.provider.instance()) ? "tcp" : "ipc";
 }
 
 }  // namespace fiona::host
