@@ -33,7 +33,8 @@
 
 namespace fiona::host {
 
-/// A running system: instances in groups, and the wires between them. One model, changed by one thread. Each subject
+/// A running system: instances in groups, and the wires between them. One model, changed by one thread. What needs
+/// little of the rest is a class of its own: Groups, Connector, Attachments, OpenTaps, LedInstances. Each other subject
 /// has a source of its own: the headings of the private parts name them.
 class System {
  public:
