@@ -258,7 +258,6 @@ class System {
   void make_missing();
   std::vector<std::string> finish_making();
   void correct_ports();
-  static void correct(ChildGroup& group, const std::function<void()>& correction);
   void open_missing();
 
   // ---- system_instances.cpp
@@ -284,7 +283,6 @@ class System {
   void listen_to(const std::shared_ptr<Deliveries>& check, double within_ms, const std::function<void()>& begin,
                  Waits::EndOf end_of, Waits::Answer answer);
   Group& candidate_group();
-  std::vector<std::string> heard_ports(const std::string& name) const;
   void wire_candidate(const Model& next, bool sends_too);
   Wire open_for_candidate(const control::PortName& client, const control::PortName& provider, const Model& next);
   void switch_clients(const std::string& name, const Model& next, control::Done& done);
@@ -348,7 +346,6 @@ class System {
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
   bool crosses(const PortKey& client, const Wire& wire, const std::string& host);
   void resume(RemoteGroup& group);
-  std::optional<std::set<std::string>> instances_of(RemoteGroup& group);
   void resume_wires(const std::string& host);
   void on_remote_group_ended(const HostChange& change);
 

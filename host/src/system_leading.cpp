@@ -5,6 +5,23 @@
 #include "system.hpp"
 
 namespace fiona::host {
+namespace {
+
+/// None: its host has fallen silent again.
+std::optional<std::set<std::string>> instances_of(RemoteGroup& group) {
+  wire::GroupRequest ask;
+  ask.mutable_status();
+  std::set<std::string> there;
+  try {
+    const auto reply = group.request(std::move(ask));
+    for (const auto& one : reply.status().instances()) there.insert(one.name());
+  } catch (const Error&) {
+    if (!group.alive()) return std::nullopt;
+  }
+  return there;
+}
+
+}  // namespace
 
 Group& System::main_of(const std::string& host) { return group(host.empty() ? std::string(kMainGroup) : host); }
 
@@ -103,20 +120,6 @@ void System::resume(RemoteGroup& group) {
     group.owe(std::move(destroy));
   }
   for (auto& request : group.take_owed()) group.request(std::move(request));
-}
-
-/// None: its host has fallen silent again.
-std::optional<std::set<std::string>> System::instances_of(RemoteGroup& group) {
-  wire::GroupRequest ask;
-  ask.mutable_status();
-  std::set<std::string> there;
-  try {
-    const auto reply = group.request(std::move(ask));
-    for (const auto& one : reply.status().instances()) there.insert(one.name());
-  } catch (const Error&) {
-    if (!group.alive()) return std::nullopt;
-  }
-  return there;
 }
 
 void System::resume_wires(const std::string& host) {

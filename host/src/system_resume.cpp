@@ -104,6 +104,15 @@ std::string difference_of(const control::InstanceStatus& is, const Model::Instan
   return "";
 }
 
+/// One that refuses to be what it is meant to be ends alone, and is made again as one that has ended by itself.
+void correct(ChildGroup& group, const std::function<void()>& correction) {
+  try {
+    correction();
+  } catch (const Error& error) {
+    group.end_now("was ended: after the host's end " + error.text().what);
+  }
+}
+
 }  // namespace
 
 std::vector<std::string> System::resume(std::vector<control::Change> changes) {
@@ -185,15 +194,6 @@ std::vector<std::string> System::adopt_groups() {
   }
   for (const auto& [endpoint, reason] : gone) groups_.tell_ended(endpoint, reason);
   return lines;
-}
-
-/// One that refuses to be what it is meant to be ends alone, and is made again as one that has ended by itself.
-void System::correct(ChildGroup& group, const std::function<void()>& correction) {
-  try {
-    correction();
-  } catch (const Error& error) {
-    group.end_now("was ended: after the host's end " + error.text().what);
-  }
 }
 
 /// What groups that go on hold beside what they are meant to: the version before an upgrade, or the one after it that

@@ -50,6 +50,22 @@ control::Watch sampled(const std::string& name, const std::string& port) {
 /// Of a version that does not do what the one before did.
 Error unfit(ErrorCode code, std::string why) { return {code, {.what = std::move(why), .next = "tell the publisher"}}; }
 
+/// The push ports of an instance that others hear.
+std::vector<std::string> heard_ports(const Model& model, const std::string& name) {
+  std::set<std::string> ports;
+  for (const auto& [client, wire] : model.wires()) {
+    if (client.first == name) continue;
+    for (const auto& provider : wire.providers) {
+      if (provider.instance() == name) ports.insert(provider.port());
+    }
+  }
+  std::erase_if(ports, [&](const std::string& port) {
+    const auto* service = service_of(model.instance(name), port);
+    return !service || !ServiceInfo(*service).is_push();
+  });
+  return {ports.begin(), ports.end()};
+}
+
 std::optional<control::Reply> reply_of(Deliveries& check, const wire::GroupMessage& event) {
   std::optional<control::Reply> reply;
   const auto why = check.note(event);
@@ -170,7 +186,7 @@ void System::check_upgrade(Waits::Answer answer) {
   wire_candidate(next, false);
   std::vector<Deliveries::Pair> pairs;
   double longest_ms = kDelivers_ms;
-  for (const std::string& port : candidate_->is_back ? std::vector<std::string>() : heard_ports(name)) {
+  for (const std::string& port : candidate_->is_back ? std::vector<std::string>() : heard_ports(model_, name)) {
     pairs.push_back({port, new_tap(), new_tap()});
     longest_ms = std::max(longest_ms, patience_with_ms(candidate_->made, port));
   }
@@ -209,22 +225,6 @@ Group& System::candidate_group() {
   if (Group* at = groups_.living(candidate_->made.group)) return *at;
   const ChildGroup* child = groups_.child(candidate_->made.group);
   throw unfit(ErrorCode::ComponentFailed, "its process " + (child ? child->end() : std::string("has ended")));
-}
-
-/// Its push ports that others hear.
-std::vector<std::string> System::heard_ports(const std::string& name) const {
-  std::set<std::string> ports;
-  for (const auto& [client, wire] : model_.wires()) {
-    if (client.first == name) continue;
-    for (const auto& provider : wire.providers) {
-      if (provider.instance() == name) ports.insert(provider.port());
-    }
-  }
-  std::erase_if(ports, [&](const std::string& port) {
-    const auto* service = service_of(model_.instance(name), port);
-    return !service || !ServiceInfo(*service).is_push();
-  });
-  return {ports.begin(), ports.end()};
 }
 
 /// Opens what the candidate requires and has not yet. What it sends it sends only once it serves.
@@ -330,7 +330,7 @@ void System::hand_over(const Model& next, const Model::Instance& old, bool keeps
 void System::watch_upgrade(const std::string& name, double left_ms, Waits::Answer answer) {
   std::vector<Deliveries::Pair> pairs;
   double longest_ms = kDelivers_ms;
-  for (const std::string& port : heard_ports(name)) {
+  for (const std::string& port : heard_ports(model_, name)) {
     const auto* service = service_of(model_.instance(name), port);
     if (ServiceInfo(*service).contract().lease_ms() == 0 && ServiceInfo(*service).pattern() != PUSH_TIMED) continue;
     longest_ms = std::max(longest_ms, patience_with_ms(model_.instance(name), port));
