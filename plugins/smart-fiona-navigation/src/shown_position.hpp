@@ -3,7 +3,7 @@
 #include <array>
 #include <optional>
 
-#include <fiona/building/geometry.hpp>
+#include <fiona/building/plan.hpp>
 #include <fiona/time.hpp>
 
 namespace fiona::guidance {
