@@ -29,8 +29,6 @@ double length_of(const building::RoutePoint& a, const building::RoutePoint& b) {
   return length > 0.3 ? length : Path::kLevel_m * std::abs(a.level - b.level);
 }
 
-double angle(Point from, Point to) { return std::abs(std::atan2(cross(from, to), dot(from, to))); }
-
 /// Reads a route from its start to its end.
 class RouteReader {
  public:
@@ -60,7 +58,7 @@ class RouteReader {
       std::size_t last = i;
       while (last + 1 < end && path_.at_m(last + 1) - path_.at_m(i) < kOneTurn_m) ++last;
       const Point out = direction(last);
-      if (before_ != Point{} && angle(before_, out) > kTurn_rad) {
+      if (before_ != Point{} && std::abs(clockwise_rad(before_, out)) > kTurn_rad) {
         found_.push_back({Instruction::TURN, path_.at_m(i), path_.at_m(last), out, std::nullopt});
         before_ = out;
         i = last + 1;
@@ -92,7 +90,7 @@ class RouteReader {
   bool turns_to(const Maneuver& door) const {
     if (found_.empty() || found_.back().kind != Instruction::TURN) return false;
     const Maneuver& turn = found_.back();
-    return door.at_m - turn.end_m <= kTurnsToDoor_m && angle(turn.out, door.out) < kTowards_rad;
+    return door.at_m - turn.end_m <= kTurnsToDoor_m && std::abs(clockwise_rad(turn.out, door.out)) < kTowards_rad;
   }
 
   Instruction::Kind kind_of(Passage passage, std::size_t end) const {
@@ -195,6 +193,8 @@ Path::Match Path::match(const PathPoint& place, double from_m, double to_m, cons
   }
   return best;
 }
+
+double clockwise_rad(Point from, Point to) { return -std::atan2(cross(from, to), dot(from, to)); }
 
 std::vector<Maneuver> maneuvers(const Path& path) { return RouteReader(path).read(); }
 

@@ -53,7 +53,15 @@ struct Maneuver {
   building::Point out{};  ///< the direction to take there; (0, 0): none
   std::optional<double> to_level{};
   int rise = 0;  ///< of steps on one level: 1 up, -1 down; 0: not told
+
+  bool changes_level() const { return to_level.has_value(); }
+  bool is_door() const {
+    return kind == hmi::Instruction::DOOR || kind == hmi::Instruction::ENTER || kind == hmi::Instruction::LEAVE;
+  }
 };
+
+/// By how much one turns who goes on in another direction.
+double clockwise_rad(building::Point from, building::Point to);
 
 /// What there is to do, in order; the last one is to arrive. Turns by less than 40 degrees are the way's own, and those
 /// that lie closer together than 1.5 m are one.

@@ -34,8 +34,6 @@ constexpr auto kOnStairs = 5s;
 /// The place of one who is led from it is surer than that, or has been looked for so long.
 constexpr double kFound_m = 4.0;
 constexpr auto kSoughtFor = 10s;
-/// A place that is less sure may be another one.
-constexpr double kSurePlace_m = 0.3;
 constexpr const char* kNotSure =
     "It is not sure yet where you are. Leave the room that you are in, or walk some steps.";
 /// Without a compass the course tells where a person looks: over so much way, and for so long.
@@ -314,7 +312,7 @@ Async<std::optional<Navigation::Refusal>> Navigation::find_path(PathPoint from) 
   if (plan.outcome() == CommPlan::UNSOLVABLE) {
     Refusal refusal = no_way(*map, from);
     // From where they really are there may be one.
-    if (walker_->sigma_m >= kSurePlace_m) refusal.again = kAgain;
+    if (!walker_->is_sure()) refusal.again = kAgain;
     co_return refusal;
   }
   if (plan.outcome() != CommPlan::SOLVED) {
@@ -343,7 +341,7 @@ Navigation::Refusal Navigation::no_way(const Map& map, const PathPoint& from) co
     // Nobody is behind a door that is closed to them: the place that localisation says is likely another one.
     const auto room = building::room_index_at(map.plan.plan, from.at, from.level);
     const bool shut_in = room && map.plan.plan.rooms[*room].access > options_.access;
-    if (shut_in && walker_->sigma_m >= kSurePlace_m) return {kNotSure, kAgain, Instruction::START};
+    if (shut_in && !walker_->is_sure()) return {kNotSure, kAgain, Instruction::START};
     return {no + " that is open to you: doors on it need another right.",
             shut_in ? std::optional<Duration>(kAgain) : std::nullopt};
   }
