@@ -539,6 +539,26 @@ TEST_F(OpenPageTest, AProviderOfThePlaceThatIsSilentIsToldThoughTheMapServerDoes
   EXPECT_EQ(status()["location"], "connected");
 }
 
+TEST_F(OpenPageTest, WhoLogsInIsCalledAsTheLoginSaysThoughNobodyIsAskedAboutSessions) {
+  wire("sessions").set_connection(Connection::Unwired, "on the bench");
+  bench_->answer_with<security::AuthenticationProvider>("login", [](const auto&) {
+    security::CommAuthenticationResponse response;
+    response.set_access_granted(true);
+    response.set_session(std::string(16, 's'));
+    response.set_user_name("ada");
+    return response;
+  });
+  bench_->answer_with<hmi::ProfileProvider>("profile", [](const auto& request) {
+    hmi::CommUserProfileReply reply;
+    reply.set_authentication_level(request.user_name() == "ada" ? 3 : 0);
+    return reply;
+  });
+  CallOfPage login = call("login", {{"name", "Ada"}, {"password", "secret"}});
+  const json told = answer_to(login);
+  EXPECT_EQ(told["user"], "ada");
+  EXPECT_EQ(told["profile"]["level"], 3);
+}
+
 /// An authenticator whose answer about one session can be held back.
 struct HeldSessions final : Sink {
   Outcome deliver(Parcel parcel) override {

@@ -277,13 +277,9 @@ Async<> WebInterface::log_in(std::string bearer, Login login, std::string from, 
     co_return;
   }
   PageUser user;
-  user.set_name(login.name);
-  user.set_session((*response)->session());
   // As the account has it: capitals are not told apart.
-  security::CommSessionRequest whose;
-  whose.set_session(user.session());
-  const auto session = co_await sessions_.query(std::move(whose), kDeadline);
-  if (session && (*session)->is_valid()) user.set_name((*session)->user_name());
+  user.set_name((*response)->user_name().empty() ? login.name : (*response)->user_name());
+  user.set_session((*response)->session());
   pages_->set_user(bearer, user, now());
   co_await tell_me(std::move(bearer), std::move(answer));
 }
