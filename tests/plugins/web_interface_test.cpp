@@ -294,11 +294,11 @@ TEST(Attentions, AreFewHoweverManyAreTold) {
 class PageSessionsTest : public ::testing::Test {
  protected:
   PageSessionsTest() { begin(); }
-  void begin() {
+  void begin(Duration time = 1h) {
     pages_.reset();
     store_.reset();
     store_ = std::make_unique<records::RecordStore>(folder_.path / "web.db", "pages");
-    pages_ = std::make_unique<PageSessions>(*store_, now_, 1h);
+    pages_ = std::make_unique<PageSessions>(*store_, now_, time);
   }
   std::string open() { return pages_->open(pages_->make_token(now_), now_, 1h).value(); }
 
@@ -335,6 +335,24 @@ TEST_F(PageSessionsTest, SessionsAndTheirUsersSurviveARestart) {
   EXPECT_EQ(pages_->user(session, now_)->name(), "anna");
   EXPECT_FALSE(pages_->is_open(session, now_ + 1h));
   EXPECT_FALSE(pages_->user(std::string(64, '0'), now_));
+}
+
+TEST_F(PageSessionsTest, AClockThatIsALittleBehindEndsNoSession) {
+  const std::string session = open();
+  now_ -= 1min;
+  begin();
+  EXPECT_TRUE(pages_->is_open(session, now_));
+  EXPECT_FALSE(pages_->is_open(session, now_ + 1h)) << "it goes on for longer than one may";
+  now_ += 1min;
+  begin();
+  EXPECT_TRUE(pages_->is_open(session, now_));
+}
+
+TEST_F(PageSessionsTest, ATimeThatWasSetShorterHoldsForSessionsOfBeforeToo) {
+  const std::string session = open();
+  begin(10min);
+  EXPECT_TRUE(pages_->is_open(session, now_ + 9min));
+  EXPECT_FALSE(pages_->is_open(session, now_ + 10min));
 }
 
 TEST_F(PageSessionsTest, TheFileOpensNoPageAndNamesNoUser) {

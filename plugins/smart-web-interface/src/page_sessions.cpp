@@ -66,7 +66,7 @@ PageSessions::PageSessions(records::RecordStore& store, TimePoint now, Duration 
   for (const auto& [name, bytes] : store_.all(kTable)) {
     PageSession session;
     session.ParseFromString(bytes);
-    if (session.expires_ms() > to_milliseconds(now + time)) session.set_expires_ms(0);
+    session.set_expires_ms(std::min(session.expires_ms(), to_milliseconds(now + time)));
     sessions_.emplace(name, std::move(session));
   }
   forget_expired(now);

@@ -23,7 +23,7 @@ class PageSessions {
   static constexpr std::size_t kMaxSessions = 64;
   static constexpr auto kTokenTime = std::chrono::minutes(10);
 
-  /// None from the database that would go on for longer than `time`, whose clock was another one.
+  /// One of the database that would go on for longer goes on for `time`: the clock, or `time`, was another one.
   PageSessions(records::RecordStore& store, TimePoint now, Duration time);
 
   /// 128 bits in hexadecimal digits. One too many ends the oldest.

@@ -95,7 +95,6 @@ void WebInterface::on_start() {
       log(LogLevel::Warning, "the page's authority neared its end, and is a new one: devices have to be paired again");
     }
   }
-  // After the authority, which refuses a clock that is behind: sessions of later are forgotten.
   pages_ = std::make_unique<PageSessions>(*store_, now(), seconds(params_->session_time()));
   const auto last = store_->get("setting", "port");
   if (params_->port() != 0 || !last) {
