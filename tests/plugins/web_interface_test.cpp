@@ -123,6 +123,7 @@ TEST(PageCalls, SayWhatIsWrong) {
   EXPECT_EQ(refusal_of("profile", R"({"use_elevator":1,"use_stairs":null,"use_outdoor_navigation":null})"),
             "'use_elevator' is neither true, false nor null");
   EXPECT_EQ(refusal_of("points", R"({"points":[1]})"), "a point is no object");
+  EXPECT_EQ(refusal_of("session", R"({"token":"a"})"), "'number' is missing");
   EXPECT_EQ(refusal_of("rewire", R"({"client":"nav.location"})"), "'provider' is missing");
 }
 
@@ -291,6 +292,9 @@ TEST(Attentions, AreFewHoweverManyAreTold) {
   EXPECT_EQ(numbers_in(attentions.json(TimePoint{1h})), (std::vector{97, 98, 99, 100}));
 }
 
+constexpr const char* kNumber = "0123456789abcdef0123456789abcdef";  // of a page
+constexpr const char* kOtherNumber = "0123456789abcdef0123456789abcdee";
+
 class PageSessionsTest : public ::testing::Test {
  protected:
   PageSessionsTest() { begin(); }
@@ -300,7 +304,7 @@ class PageSessionsTest : public ::testing::Test {
     store_ = std::make_unique<records::RecordStore>(folder_.path / "web.db", "pages");
     pages_ = std::make_unique<PageSessions>(*store_, now_, time);
   }
-  std::string open() { return pages_->open(pages_->make_token(now_), now_, 1h).value(); }
+  std::string open() { return pages_->open(pages_->make_token(now_), kNumber, now_, 1h).value(); }
 
   tests::TemporaryDirectory folder_;
   TimePoint now_{24h};
@@ -311,17 +315,41 @@ class PageSessionsTest : public ::testing::Test {
 TEST_F(PageSessionsTest, ATokenOpensOneSession) {
   const std::string token = pages_->make_token(now_);
   EXPECT_EQ(token.size(), 32U);
-  const auto session = pages_->open(token, now_, 1h);
+  const auto session = pages_->open(token, kNumber, now_, 1h);
   ASSERT_TRUE(session);
   EXPECT_EQ(session->size(), 64U);
   EXPECT_TRUE(pages_->is_open(*session, now_));
-  EXPECT_FALSE(pages_->open(token, now_, 1h));
-  EXPECT_FALSE(pages_->open("", now_, 1h));
+  EXPECT_FALSE(pages_->open(token, kOtherNumber, now_, 1h));
+  EXPECT_FALSE(pages_->open(token, "", now_, 1h));
+  EXPECT_FALSE(pages_->open("", kNumber, now_, 1h));
+  EXPECT_NE(open(), *session) << "another token, from the same page";
+}
+
+TEST_F(PageSessionsTest, APageWhoseAnswerWasLostGetsItsSessionAgain) {
+  const std::string token = pages_->make_token(now_);
+  const auto session = pages_->open(token, kNumber, now_, 1h);
+  ASSERT_TRUE(session);
+  EXPECT_EQ(pages_->open(token, kNumber, now_ + 9min, 1h), session);
+  EXPECT_FALSE(pages_->is_open(*session, now_ + 1h)) << "it goes on for longer";
+  EXPECT_FALSE(pages_->open(token, kNumber, now_ + 10min, 1h));
+}
+
+TEST_F(PageSessionsTest, ASessionThatHasEndedIsNotOpenedAgain) {
+  const std::string token = pages_->make_token(now_);
+  ASSERT_TRUE(pages_->open(token, kNumber, now_, 1min));
+  EXPECT_FALSE(pages_->open(token, kNumber, now_ + 1min, 1min));
+}
+
+TEST_F(PageSessionsTest, LinksThatWereUsedTakeNoPlaceOfOneThatWasNot) {
+  const std::string token = pages_->make_token(now_);
+  now_ += 1s;
+  for (std::size_t i = 0; i < PageSessions::kMaxTokens; ++i) open();
+  EXPECT_TRUE(pages_->open(token, kNumber, now_, 1h));
 }
 
 TEST_F(PageSessionsTest, ATokenIsGoodForTenMinutes) {
   const std::string token = pages_->make_token(now_);
-  EXPECT_FALSE(pages_->open(token, now_ + 10min, 1h));
+  EXPECT_FALSE(pages_->open(token, kNumber, now_ + 10min, 1h));
 }
 
 TEST_F(PageSessionsTest, SessionsAndTheirUsersSurviveARestart) {
@@ -377,7 +405,7 @@ TEST_F(PageSessionsTest, OneTooManyEndsTheOldest) {
   const std::string token = pages_->make_token(now_);
   now_ += 1s;
   for (std::size_t i = 0; i < PageSessions::kMaxTokens; ++i) pages_->make_token(now_);
-  EXPECT_FALSE(pages_->open(token, now_, 1h));
+  EXPECT_FALSE(pages_->open(token, kNumber, now_, 1h));
 }
 
 class WebInterfaceTest : public PageSessionsTest {
@@ -432,7 +460,7 @@ TEST_F(WebInterfaceTest, AClockThatIsBehindEndsNoSession) {
     records::RecordStore store(folder_.path / "bench.db", "pages");
     LocalAuthority(store, ahead);
     PageSessions pages(store, TimePoint(24h * 7300), 24h);
-    bearer = pages.open(pages.make_token(TimePoint(24h * 7300)), TimePoint(24h * 7300), 24h).value();
+    bearer = pages.open(pages.make_token(TimePoint(24h * 7300)), kNumber, TimePoint(24h * 7300), 24h).value();
   }
   const auto one = bench();
   one->set("address", "192.0.2.7");
@@ -510,7 +538,7 @@ class OpenPageTest : public WebInterfaceTest {
     {
       records::RecordStore store(folder_.path / "bench.db", "pages");
       PageSessions pages(store, bench_->now(), 24h);
-      bearer_ = pages.open(pages.make_token(bench_->now()), bench_->now(), 24h).value();
+      bearer_ = pages.open(pages.make_token(bench_->now()), kNumber, bench_->now(), 24h).value();
     }
     bench_->start();
     const std::string& told = bench_->log().back();  // "the page is at http://127.0.0.1:4711; …"

@@ -2,6 +2,7 @@
 import http.client
 import json
 import re
+import secrets
 import time
 
 
@@ -39,6 +40,6 @@ def phone_of(system, source):
     """The page, opened by a link of its own."""
     link = re.search(r'url="http://([^:]+):(\d+)/#(\w+)"', system.line("call web.link"))
     phone = Phone((link[1], int(link[2])), source)
-    _, opened = phone.call("session", token=link[3])
+    _, opened = phone.call("session", token=link[3], number=secrets.token_hex(16))
     phone.session = opened["session"]
     return phone

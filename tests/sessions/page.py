@@ -1,6 +1,7 @@
 """The page of the mobile navigator, without a browser: its calls, as the page makes them."""
 import json
 import re
+import secrets
 import urllib.request
 
 LIMIT_S = 60
@@ -12,7 +13,7 @@ class Page:
     def __init__(self, said):
         self.origin, token = re.search(r'url="([^"]+)/#([^"]+)"', said).groups()
         self.session = None
-        with self.post("session", {"token": token}) as answer:
+        with self.post("session", {"token": token, "number": secrets.token_hex(16)}) as answer:
             self.session = json.load(answer)["session"]
 
     def post(self, name, body):

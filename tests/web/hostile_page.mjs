@@ -2,7 +2,7 @@
 // what it saw: "blocked", "empty" (an answer of which nothing can be read), a status of refusal, or else what it got.
 
 const kCalls = ["session", "events", "map", "me", "login", "logout", "profile", "points", "destination", "system", "rewire"];
-const kBody = JSON.stringify({ x: 1, y: 1, level: 0, client: "web.location", provider: "phone.truth", points: [], token: "0" });
+const kBody = JSON.stringify({ x: 1, y: 1, level: 0, client: "web.location", provider: "phone.truth", points: [], token: "0", number: "0" });
 
 /// In the foreign page: every call of the server, one after the other; the worst that was seen.
 const fetches = (page, origin, options) =>

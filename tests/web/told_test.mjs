@@ -150,13 +150,25 @@ await claim("while the place is not known the steps stay where it was last, and 
 await claim("a link whose exchange was cut off is told, and opens the page all the same; then its token leaves the address", async (server) => {
   const page = (claims.shown = await context.newPage());
   let attempts = 0;
-  await page.route("**/api/session", (route) => (++attempts > 3 ? route.continue() : route.abort()));
+  const troubles = [
+    (route) => route.abort(),
+    (route) => route.fulfill({ status: 503, json: { error: "the system does not answer" } }),
+    async (route) => (await route.fetch(), route.abort()), // the server has answered, and the page does not know
+  ];
+  await page.route("**/api/session", (route) => (troubles[attempts++] ?? ((one) => one.continue()))(route));
   await page.goto(`${server.url}/#played`);
   await page.getByText("The system cannot be reached. Trying again…").waitFor();
   assert.equal(page.url(), `${server.url}/#played`, "who reloads now has lost the link");
+  await page.getByText("The system does not answer. Trying again…").waitFor();
+  await page.getByText("The system cannot be reached. Trying again…").waitFor();
+  await page.reload();
   await page.getByText("Connected", { exact: true }).waitFor({ timeout: 10000 });
-  assert.deepEqual(server.asked.filter(({ name }) => name === "session").map(({ body }) => body), [{ token: "played" }]);
+  const [first, ...again] = server.asked.filter(({ name }) => name === "session").map(({ body }) => body);
+  assert.equal(first.token, "played");
+  assert.match(first.number, /^[0-9a-f]{32}$/);
+  assert.deepEqual(again, [first], "by another number the server knows another page");
   assert.equal(page.url(), `${server.url}/`);
+  assert.deepEqual(await page.evaluate(() => Object.keys(sessionStorage)), ["fiona-session"]);
 });
 await claim("a map that could not be had is asked for again, while the connection holds", async (server) => {
   server.answer("map", 503, { error: "played" });

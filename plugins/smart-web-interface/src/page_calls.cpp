@@ -67,7 +67,7 @@ SetPoints points(json& body) {
 }
 
 PageCall read(const std::string& name, json& body) {
-  if (name == "session") return OpenSession{text(body, "token")};
+  if (name == "session") return OpenSession{text(body, "token"), text(body, "number")};
   if (name == "events") return FollowEvents{};
   if (name == "map") return GetMap{};
   if (name == "me") return GetMe{};

@@ -13,6 +13,7 @@ namespace fiona::smart_web_interface {
 
 struct OpenSession {
   std::string token;
+  std::string number;  ///< the page's own: see PageSessions
 };
 struct FollowEvents {};
 struct GetMap {};

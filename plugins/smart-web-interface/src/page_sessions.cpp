@@ -9,7 +9,7 @@ namespace {
 
 constexpr std::string_view kTable = "session";
 constexpr std::size_t kTokenBytes = 16;
-constexpr std::size_t kSessionBytes = 32;
+constexpr std::size_t kKeyBytes = 32;
 
 std::string hex(std::string_view bytes) {
   std::string text(2 * bytes.size() + 1, '\0');
@@ -62,7 +62,8 @@ std::optional<std::string> unsealed(const std::string& box, const std::string& s
 
 }  // namespace
 
-PageSessions::PageSessions(records::RecordStore& store, TimePoint now, Duration time) : store_(store) {
+PageSessions::PageSessions(records::RecordStore& store, TimePoint now, Duration time)
+    : store_(store), key_(random_number(kKeyBytes)) {
   for (const auto& [name, bytes] : store_.all(kTable)) {
     PageSession session;
     session.ParseFromString(bytes);
@@ -73,7 +74,7 @@ PageSessions::PageSessions(records::RecordStore& store, TimePoint now, Duration 
 }
 
 void PageSessions::forget_expired(TimePoint now) {
-  std::erase_if(tokens_, [now](const auto& token) { return token.second <= now; });
+  std::erase_if(tokens_, [now](const auto& token) { return token.second.end <= now; });
   for (auto i = sessions_.begin(); i != sessions_.end();) {
     if (i->second.expires_ms() > to_milliseconds(now)) {
       ++i;
@@ -88,18 +89,30 @@ std::string PageSessions::make_token(TimePoint now) {
   const std::lock_guard lock(mutex_);
   forget_expired(now);
   if (tokens_.size() >= kMaxTokens) {
+    const auto rank = [](const auto& token) { return std::pair(token.second.opened.empty(), token.second.end); };
     tokens_.erase(std::min_element(tokens_.begin(), tokens_.end(),
-                                   [](const auto& a, const auto& b) { return a.second < b.second; }));
+                                   [&](const auto& a, const auto& b) { return rank(a) < rank(b); }));
   }
   std::string token = random_number(kTokenBytes);
-  tokens_.emplace(name_of(token), now + kTokenTime);
+  tokens_.emplace(name_of(token), Token{now + kTokenTime, {}});
   return token;
 }
 
-std::optional<std::string> PageSessions::open(const std::string& token, TimePoint now, Duration time) {
+std::optional<std::string> PageSessions::open(const std::string& token, const std::string& number, TimePoint now,
+                                              Duration time) {
   const std::lock_guard lock(mutex_);
   forget_expired(now);
-  if (tokens_.erase(name_of(token)) == 0) return std::nullopt;
+  const auto found = tokens_.find(name_of(token));
+  if (found == tokens_.end()) return std::nullopt;
+  // Worked out, so that it can be given again though nobody but the page keeps it.
+  std::string session = hex(hash_of(key_ + token + number, "fiona page session: "));
+  const std::string name = name_of(session);
+  std::string& opened = found->second.opened;
+  if (!opened.empty()) {
+    const bool again = sodium_memcmp(opened.data(), name.data(), name.size()) == 0 && find(session, now) != nullptr;
+    return again ? std::optional(session) : std::nullopt;
+  }
+  opened = name;
   if (sessions_.size() >= kMaxSessions) {
     const auto oldest = std::min_element(sessions_.begin(), sessions_.end(), [](const auto& a, const auto& b) {
       return a.second.expires_ms() < b.second.expires_ms();
@@ -107,12 +120,11 @@ std::optional<std::string> PageSessions::open(const std::string& token, TimePoin
     store_.erase(kTable, oldest->first);
     sessions_.erase(oldest);
   }
-  std::string number = random_number(kSessionBytes);
-  PageSession session;
-  session.set_expires_ms(to_milliseconds(now + time));
-  store_.put(kTable, name_of(number), session.SerializeAsString());
-  sessions_.emplace(name_of(number), std::move(session));
-  return number;
+  PageSession kept;
+  kept.set_expires_ms(to_milliseconds(now + time));
+  store_.put(kTable, name, kept.SerializeAsString());
+  sessions_.emplace(name, std::move(kept));
+  return session;
 }
 
 const PageSession* PageSessions::find(const std::string& session, TimePoint now) const {

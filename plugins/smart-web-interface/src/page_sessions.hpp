@@ -28,8 +28,9 @@ class PageSessions {
 
   /// 128 bits in hexadecimal digits. One too many ends the oldest.
   std::string make_token(TimePoint now);
-  /// A session for a token, which is used up; nothing for one that is none.
-  std::optional<std::string> open(const std::string& token, TimePoint now, Duration time);
+  /// A session for a token, which is used up; nothing for one that is none. `number`: the page's own, random; with it
+  /// the token gives the same session again until its time is over, for the first answer may have been lost.
+  std::optional<std::string> open(const std::string& token, const std::string& number, TimePoint now, Duration time);
   bool is_open(const std::string& session, TimePoint now) const;
   /// Who is logged in on the page; nothing: the guest.
   std::optional<PageUser> user(const std::string& session, TimePoint now) const;
@@ -37,12 +38,18 @@ class PageSessions {
   bool set_user(const std::string& session, const std::optional<PageUser>& user, TimePoint now);
 
  private:
+  struct Token {
+    TimePoint end;
+    std::string opened;  ///< hash of its session; empty: it is not used yet
+  };
+
   const PageSession* find(const std::string& session, TimePoint now) const;
   void forget_expired(TimePoint now);
 
   records::RecordStore& store_;
   mutable std::mutex mutex_;
-  std::map<std::string, TimePoint> tokens_;      ///< by hash, with their ends
+  const std::string key_;                        ///< without which no session follows from token and number
+  std::map<std::string, Token> tokens_;          ///< by hash
   std::map<std::string, PageSession> sessions_;  ///< by hash
 };
 

@@ -236,7 +236,7 @@ Async<> WebInterface::serve(std::string bearer, PageCall call, std::string from,
     }
   }
   if (const auto* open = std::get_if<OpenSession>(&call)) {
-    const auto session = pages_->open(open->token, now(), seconds(params_->session_time()));
+    const auto session = pages_->open(open->token, open->number, now(), seconds(params_->session_time()));
     answer->answer(session ? WebReply{200, text_of({{"session", *session}})}
                            : refusal(403, "this link has been used, or is too old: ask for a new one"));
   } else if (std::holds_alternative<GetMap>(call)) {

@@ -1,6 +1,7 @@
 // The one way to the server: calls, and the stream of what is new.
 
 const kSession = "fiona-session";
+const kNumber = "fiona-number";
 const kSilence_ms = 1600; // three beats of the server
 const kCall_ms = 12000;
 
@@ -47,6 +48,16 @@ export const sentence = (text: string): string => {
   return /[.!?]$/.test(whole) ? whole : `${whole}.`;
 };
 
+/// The page's own number: with it a link gives the same session again, for the first answer may have been lost. Kept while
+/// the link is in the address, for who reloads.
+function ownNumber(): string {
+  const kept = sessionStorage.getItem(kNumber);
+  if (kept) return kept;
+  const number = Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+  sessionStorage.setItem(kNumber, number);
+  return number;
+}
+
 /// Exchanges the token behind '#' for a session, and takes it out of the address and the history once the server has said
 /// whether it opens: who reloads a page that was not answered still has the link. `held`: why it is not open yet, and is
 /// tried again. Why the page cannot be used, or nothing.
@@ -55,17 +66,19 @@ export async function open(held: (why: string) => void): Promise<string | null> 
   let refusal = "This page is opened with a link.";
   for (let tries = 0; token; ++tries) {
     try {
-      const opened = await call<{ session: string }>("session", { token });
+      const opened = await call<{ session: string }>("session", { token, number: ownNumber() });
       sessionStorage.setItem(kSession, opened.session);
       break;
     } catch (error) {
-      refusal = (error as Error).message;
-      if ((error as Refused).status !== 0) break;
+      const { status, message } = error as Refused;
+      refusal = message;
+      if (status !== 0 && status !== 503) break;
       held(refusal);
       await new Promise((resolve) => setTimeout(resolve, pause_ms(tries)));
     }
   }
   history.replaceState(null, "", "/");
+  sessionStorage.removeItem(kNumber);
   return session() ? null : refusal;
 }
 
