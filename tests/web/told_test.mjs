@@ -102,6 +102,23 @@ await claim("a doubt is announced when it begins and when it is over, and not wi
   }
   assert.deepEqual(await saidBy(page, ".lead > .hidden[role=status]"), ["Position known again, within 6 m."]);
 });
+await claim("a place that is told for the first time is not known again", async (server) => {
+  server.tell("status", { ...kStatus, location: "waiting" });
+  server.tell("location", null);
+  const page = (claims.shown = await opened(server));
+  await listenTo(page, ".lead > .hidden[role=status]");
+  await page.getByText("localisation is not there yet").waitFor();
+  const found = async () => {
+    server.tell("status", kStatus);
+    server.tell("location", at(2, 1.5, 0, 6.4));
+    await page.locator(".doubt").waitFor({ state: "detached" });
+  };
+  await found();
+  server.tell("status", { ...kStatus, location: "lost" });
+  await page.locator(".doubt").waitFor();
+  await found();
+  assert.deepEqual((await saidBy(page, ".lead > .hidden[role=status]")).filter(Boolean), ["Position known, within 6 m.", "Position known again, within 6 m."]);
+});
 await claim("what the guide says again, under another number, is announced again, and a better distance is not", async (server) => {
   const page = (claims.shown = await opened(server));
   await page.evaluate(() => {

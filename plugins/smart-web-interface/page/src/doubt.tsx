@@ -34,17 +34,19 @@ export function useSettled(doubt: string): string {
 
 const within = (region: Ellipse): string => `within ${Math.max(1, Math.round(region.major))} m`;
 
-/// The doubt is announced when it begins, and that it is over, with how far the place may be off then. How far it may be off
-/// changes with each position, and is therefore beside what is announced.
+/// The doubt is announced when it begins, and that it is over, with how far the place may be off then: "again" where the
+/// place was known before. How far it may be off changes with each position, and is therefore beside what is announced.
 export function Doubt({ told, connected, location }: { told: string; connected: boolean; location: Location | null }) {
   const doubted = useRef(false);
+  const known = useRef(false);
   const over = useRef("");
   if (told) doubted.current = true;
   if (told || !connected) {
     over.current = "";
-  } else if (doubted.current && location?.ellipse) {
+  } else if (location?.ellipse) {
+    if (doubted.current) over.current = `Position known${known.current ? " again" : ""}, ${within(location.ellipse)}.`;
     doubted.current = false;
-    over.current = `Position known again, ${within(location.ellipse)}.`;
+    known.current = true;
   }
   const region = told === "Position uncertain" && location?.valid ? location.ellipse : undefined;
   return (
