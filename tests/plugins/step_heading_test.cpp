@@ -90,6 +90,20 @@ TEST(HeadingFilter, AlignsToTheCompassAtOnce) {
   }
 }
 
+TEST(HeadingFilter, AfterAPauseItIsNotAlignedUntilThereIsAFieldAgain) {
+  HeadingFilter filter;
+  for (int t_ms = 0; t_ms < 5000; t_ms += 20) filter.feed(flat_phone(milliseconds(t_ms), 0.5));
+  const auto after = [&filter](int t_ms, double heading, double field) {
+    ImuSample sample = flat_phone(milliseconds(t_ms), heading);
+    sample.field_gauss *= field;
+    filter.feed(sample);
+    return filter.is_aligned();
+  };
+  for (int t_ms = 8000; t_ms < 9000; t_ms += 20) EXPECT_FALSE(after(t_ms, 2.0, 0.0));
+  EXPECT_TRUE(after(9000, 2.0, 1.0));
+  EXPECT_NEAR(filter.heading_rad(), 2.0, 1e-6);
+}
+
 TEST(HeadingFilter, WhatSteelDoesToTheFieldTurnsTheCompassAtOnceAndTheHeadingSlowly) {
   HeadingFilter filter;
   int t_ms = 0;

@@ -125,20 +125,50 @@ TEST(StepHeadingComponent, ASampleWithoutMagnetometerIsLeftOut) {
   EXPECT_EQ(bench.mode(), "active");
 }
 
-TEST(StepHeadingComponent, WhoseMagnetometerReadsNothingIsSilentAndSaysSoOnce) {
-  Bench<StepHeading> bench;
-  bench.start();
-  for (int i = 0; i < 500; ++i) {
+/// Walks for so many samples of 20 ms, whether or not the magnetometer reads anything.
+void walk_for(Bench<StepHeading>& bench, int samples, bool magnetometer) {
+  for (int i = 0; i < samples; ++i) {
     auto imu = gait(0.02 * i);
-    imu.set_out_x_m(0), imu.set_out_y_m(0), imu.set_out_z_m(0);
+    if (!magnetometer) imu.set_out_x_m(0), imu.set_out_y_m(0), imu.set_out_z_m(0);
     bench.put<sensors::GetIMUService>("imu", imu);
     bench.advance(20ms);
   }
+}
+
+long no_heading_told(const Bench<StepHeading>& bench) {
+  const auto log = bench.log();
+  return std::count_if(log.begin(), log.end(),
+                       [](const auto& line) { return line.find("no steps can be told") != std::string::npos; });
+}
+
+TEST(StepHeadingComponent, WhoseMagnetometerReadsNothingIsSilentAndSaysSoOnce) {
+  Bench<StepHeading> bench;
+  bench.start();
+  walk_for(bench, 500, false);
   EXPECT_TRUE(bench.take<localisation::StepProvider>("steps").empty());
   EXPECT_TRUE(bench.take_silence("steps")) << "nobody may take the person for one who stands";
-  EXPECT_EQ(std::count_if(bench.log().begin(), bench.log().end(),
-                          [](const auto& line) { return line.find("no steps can be told") != std::string::npos; }),
-            1);
+  EXPECT_EQ(no_heading_told(bench), 1);
+}
+
+TEST(StepHeadingComponent, AMagnetometerThatReadsNothingAfterAPauseLeavesNoOldHeading) {
+  Bench<StepHeading> bench;
+  bench.start();
+  walk_for(bench, 500, true);
+  EXPECT_FALSE(bench.take<localisation::StepProvider>("steps").empty());
+  bench.advance(3s);
+  walk_for(bench, 500, false);
+  EXPECT_TRUE(bench.take<localisation::StepProvider>("steps").empty());
+  EXPECT_EQ(no_heading_told(bench), 1);
+}
+
+TEST(StepHeadingComponent, AHeadingThatWasKnownMeanwhileIsNotMissingSinceBefore) {
+  Bench<StepHeading> bench;
+  bench.start();
+  walk_for(bench, 50, false);
+  walk_for(bench, 250, true);
+  bench.advance(2s);
+  walk_for(bench, 50, false);
+  EXPECT_EQ(no_heading_told(bench), 0);
 }
 
 TEST(RadioLocalisationComponent, WithoutAMapItRefusesToStartAndSaysHowToMakeOne) {

@@ -24,6 +24,7 @@ constexpr double kRadiansPerDegree = std::numbers::pi / 180.0;
 HeadingFilter::HeadingFilter(const HeadingFilterOptions& options) : options_(options) {}
 
 void HeadingFilter::align(const ImuSample& sample) {
+  aligned_ = false;
   const double force = sample.acceleration_g.norm();
   const Vector3d up = sample.acceleration_g / force;
   const Vector3d east = sample.field_gauss.cross(up);

@@ -28,7 +28,8 @@ class HeadingFilter {
  public:
   explicit HeadingFilter(const HeadingFilterOptions& options = {});
 
-  /// Feeds one sample. Times that do not increase are ignored; a gap of more than a second aligns anew.
+  /// Feeds one sample. Times that do not increase are ignored; after a gap of more than a second it is not aligned
+  /// until a sample aligns it anew.
   void feed(const ImuSample& sample);
 
   bool is_aligned() const { return aligned_; }

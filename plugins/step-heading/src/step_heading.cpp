@@ -80,9 +80,9 @@ void StepHeading::on_imu(const Received<sensors::GetIMU>& imu) {
   last_sample_ = time;
   const auto step = tracker_->feed(
       {time, vector(*phone.acceleration_g), vector(*phone.rotation_deg_s), vector(*phone.magnetic_gauss)});
-  if (!step)
-    return tracker_->heading().is_aligned() ? steps_.still_valid()  // who stands still is not lost
-                                            : note_no_heading(time);
+  if (!tracker_->heading().is_aligned()) return note_no_heading(time);
+  unaligned_since_.reset();
+  if (!step) return steps_.still_valid();  // who stands still is not lost
   const bool follows = last_step_ && step->time - *last_step_ <= kLongestStep;
   localisation::CommStep message;
   message.set_t_begin(follows ? last_step_->count() : step->time.count());
