@@ -144,6 +144,48 @@ TEST_F(TrackRecorderTest, WhatWasRecordedBeforeIsKeptAside) {
   EXPECT_EQ(content(path("track.svg.1")), "the drawing of yesterday");
 }
 
+TEST_F(TrackRecorderTest, RecordingsWithoutALocationDoNotPileUp) {
+  for (int start = 0; start < 3; ++start) {
+    Recorder recorder("rec");
+    recorder.set("csv", path("track.csv"));
+    recorder.set("svg", path("track.svg"));
+    recorder.start();
+    ASSERT_TRUE(stop(recorder));
+  }
+  EXPECT_EQ(files(), 2u);
+}
+
+TEST_F(TrackRecorderTest, ALinkStaysAndWhatItLeadsToIsKeptAside) {
+  fs::create_directory(path("big"));
+  for (const std::string name : {"track.csv", "track.svg"}) {
+    std::ofstream(path("big/" + name)) << "of yesterday";
+    fs::create_symlink("big/" + name, path(name));
+  }
+  Recorder recorder("rec");
+  recorder.set("csv", path("track.csv"));
+  recorder.set("svg", path("track.svg"));
+  recorder.start();
+  put(recorder, at(1, 2, 0));
+  ASSERT_TRUE(stop(recorder));
+  for (const std::string name : {"track.csv", "track.svg"}) {
+    EXPECT_TRUE(fs::is_symlink(path(name))) << name;
+    EXPECT_EQ(content(path("big/" + name + ".1")), "of yesterday");
+    EXPECT_GT(fs::file_size(path("big/" + name)), 40u) << name;
+  }
+  EXPECT_EQ(files(), 3u);
+}
+
+TEST_F(TrackRecorderTest, WhereNoNumberIsFreeItSaysWhatToDo) {
+  std::ofstream(path("track.csv")) << "of yesterday";
+  for (int number = 1; number <= 9999; ++number) std::ofstream(path("track.csv." + std::to_string(number)));
+  Recorder recorder("rec");
+  recorder.set("csv", path("track.csv"));
+  const Error error = error_of([&] { recorder.start(); });
+  EXPECT_THAT(error.text().what, HasSubstr("9999 recordings of before lie beside it"));
+  EXPECT_EQ(error.text().next, "move them elsewhere, or name another file");
+  EXPECT_EQ(content(path("track.csv")), "of yesterday");
+}
+
 TEST_F(TrackRecorderTest, ACsvInNoDirectoryFailsTheStart) {
   Recorder recorder("rec");
   recorder.set("csv", path("missing/track.csv"));

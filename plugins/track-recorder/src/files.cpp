@@ -2,7 +2,10 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <fstream>
+#include <iterator>
 #include <system_error>
 
 #include "fiona/error.hpp"
@@ -12,15 +15,33 @@ namespace {
 
 namespace fs = std::filesystem;
 
-[[noreturn]] void refuse(const fs::path& path, const std::string& cause) {
+constexpr const char* kCheck = "check that the directory exists, may be written and has space, or name another file";
+
+[[noreturn]] void refuse(const fs::path& path, const std::string& cause, const std::string& next = kCheck) {
   std::error_code ignored;
-  throw Error(ErrorCode::Failed,
-              {.what = "cannot write " + path.string() + ": " + cause,
-               .where = fs::absolute(path, ignored).string(),
-               .next = "check that the directory exists, may be written and has space, or name another file"});
+  throw Error(ErrorCode::Failed, {.what = "cannot write " + path.string() + ": " + cause,
+                                  .where = fs::absolute(path, ignored).string(),
+                                  .next = next});
 }
 
 std::string cause_of(int error) { return std::generic_category().message(error); }
+
+/// The file that a link leads to, whether or not it is there: links stay where they are.
+fs::path behind_links(fs::path path) {
+  constexpr int kMostLinks = 40;  // as many as the system follows
+  std::error_code error;
+  for (int i = 0; i < kMostLinks && fs::is_symlink(path, error); ++i) {
+    const fs::path to = fs::read_symlink(path, error);
+    if (error) break;
+    path = path.parent_path() / to;
+  }
+  return path;
+}
+
+bool holds(const fs::path& path, std::string_view text) {
+  std::ifstream in(path, std::ios::binary);
+  return std::equal(std::istreambuf_iterator<char>(in), {}, text.begin(), text.end());
+}
 
 }  // namespace
 
@@ -35,10 +56,12 @@ void LineFile::add(std::string_view line) {
   if (!written) refuse(path_, cause_of(errno));
 }
 
-std::optional<fs::path> keep_aside(const fs::path& path) {
+std::optional<fs::path> keep_aside(const fs::path& named, std::string_view nothing) {
   constexpr int kMostKept = 9999;
   std::error_code error;
+  const fs::path path = behind_links(named);
   if (!fs::is_regular_file(path, error) || fs::file_size(path, error) == 0 || error) return std::nullopt;
+  if (holds(path, nothing)) return std::nullopt;
   for (int number = 1; number <= kMostKept; ++number) {
     fs::path kept = path;
     kept += "." + std::to_string(number);
@@ -47,10 +70,12 @@ std::optional<fs::path> keep_aside(const fs::path& path) {
     if (error) refuse(kept, error.message());
     return kept;
   }
-  refuse(path, std::to_string(kMostKept) + " recordings of before lie beside it");
+  refuse(path, std::to_string(kMostKept) + " recordings of before lie beside it",
+         "move them elsewhere, or name another file");
 }
 
-void write_atomically(const fs::path& path, std::string_view text) {
+void write_atomically(const fs::path& named, std::string_view text) {
+  const fs::path path = behind_links(named);
   fs::path beside = path;
   beside += ".part-" + std::to_string(::getpid());
   std::error_code error;

@@ -32,13 +32,15 @@ class LineFile {
 };
 
 /// Renames a file that has something in it to the first free one of path.1, path.2 and so on, for what starts anew must
-/// not lose what was recorded before: a group that is started again does so too. Gives that name; nothing where there
-/// is no such file, or where it is no regular one. Throws Error Failed with the system's reason, and where 9999 are
-/// taken.
-std::optional<std::filesystem::path> keep_aside(const std::filesystem::path& path);
+/// not lose what was recorded before: a group that is started again does so too. `nothing`: what a recording without a
+/// location leaves, which is not kept. Where `path` is a link its file is renamed, and the link stays. Gives the new
+/// name; nothing where there is no such file, or where it is no regular one. Throws Error Failed with the system's
+/// reason, and where 9999 are taken.
+std::optional<std::filesystem::path> keep_aside(const std::filesystem::path& path, std::string_view nothing);
 
-/// Replaces the file by `text` in one step: readers see the old content or the new, never a part. Throws
-/// Error Failed with the system's reason; the old file is untouched then, and nothing is left beside it.
+/// Replaces the file by `text` and a line feed in one step: readers see the old content or the new, never a part. A
+/// link stays, and its file is replaced. Throws Error Failed with the system's reason; the old file is untouched then,
+/// and nothing is left beside it.
 void write_atomically(const std::filesystem::path& path, std::string_view text);
 
 }  // namespace fiona::recorder

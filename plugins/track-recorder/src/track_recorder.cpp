@@ -20,6 +20,8 @@ using track_recorder::Parameters;
               {.what = "parameter '" + name + "' does not take this value", .expected = expected, .found = found});
 }
 
+constexpr const char* kHeader = "trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy";
+
 bool fits_a_csv_field(const std::string& text) { return text.find_first_of(",\"\r\n") == std::string::npos; }
 
 std::string level_text(const Fix& fix) { return fix.level ? std::to_string(whole_level(*fix.level)) : ""; }
@@ -62,16 +64,19 @@ void TrackRecorder::changed() {
 void TrackRecorder::on_start() {
   // The building first: where it cannot be read, no file has been touched.
   if (!params_->building().empty()) plan_ = plan_of(params_->building());
-  for (const std::string& file : {params_->csv(), params_->svg()}) {
+  const std::string empty_plan = params_->svg().empty() ? "" : drawing();
+  for (const auto& [file, nothing] :
+       {std::pair(params_->csv(), kHeader + std::string("\n")), std::pair(params_->svg(), empty_plan + "\n")}) {
     if (file.empty()) continue;
-    if (const auto kept = keep_aside(file)) log(LogLevel::Info, "what was in " + file + " is in " + kept->string());
+    const auto kept = keep_aside(file, nothing);
+    if (kept) log(LogLevel::Info, "what was in " + file + " is in " + kept->string());
   }
   if (!params_->csv().empty()) {
     csv_.emplace(params_->csv());
-    csv_->add("trace,t_ms,x,y,floor,cov_xx,cov_xy,cov_yy");
+    csv_->add(kHeader);
   }
-  // An empty plan now tells of a file that cannot be written before the walk, not after it.
-  if (!params_->svg().empty()) write_atomically(params_->svg(), drawing());
+  // It tells of a file that cannot be written before the walk, not after it.
+  if (!params_->svg().empty()) write_atomically(params_->svg(), empty_plan);
   started_ = true;
 }
 
