@@ -52,6 +52,10 @@ class Kept final : public Sink {
     for (const Envelope& one : put_) objects.push_back(dynamic_cast<const T&>(*one.object));
     return objects;
   }
+  std::vector<Envelope> envelopes() const {
+    const std::lock_guard lock(mutex_);
+    return put_;
+  }
   std::size_t size() const {
     const std::lock_guard lock(mutex_);
     return put_.size();
@@ -192,6 +196,24 @@ TEST_F(BeaconServerTest, ABeaconIsListedWithTheMeanOfTheWindowAndItsDistance) {
   ASSERT_TRUE(told);
   EXPECT_EQ(told->beacon_list(0).address(), kBeacon);
   EXPECT_FLOAT_EQ(told->beacon_list(0).distance(), static_cast<float>(distance_m(-59, -65, {2.0, 0.0, 3.0})));
+}
+
+TEST_F(BeaconServerTest, AListThatRepeatsWhatWasHeardIsAsOldAsThat) {
+  set("window", 10'000);
+  start_listening();
+  packet(-60, kIbeacon);
+  std::vector<Envelope> lists;
+  ASSERT_TRUE(until([&] {
+    lists = kept_["beacons"]->envelopes();
+    std::erase_if(lists, [](const Envelope& one) {
+      return dynamic_cast<const sensors::CommiBeaconList&>(*one.object).beacon_list().empty();
+    });
+    return lists.size() >= 6;  // 1.5 s
+  }));
+  for (const Envelope& one : lists) {
+    const auto& beacon = dynamic_cast<const sensors::CommiBeaconList&>(*one.object).beacon_list(0);
+    EXPECT_NEAR(static_cast<double>(to_milliseconds(one.origin)), static_cast<double>(beacon.t()), 500.0);
+  }
 }
 
 TEST_F(BeaconServerTest, ABeaconThatFallsSilentLeavesTheList) {

@@ -679,6 +679,22 @@ TEST_F(RadioLocalisationComponent, TheClockOfWhoListensIsNotItsOwn) {
   EXPECT_EQ(bench_.probe<std::uint64_t>("old_rows").value_or(0), 0u);
 }
 
+TEST_F(RadioLocalisationComponent, ABeaconThatListsRepeatIsHeardOnce) {
+  sensors::CommiBeaconList list;
+  auto& beacon = *list.add_beacon_list();
+  beacon.set_address("aa:bb:cc:dd:ee:01"), beacon.set_rssi(-60);
+  const auto tell = [&](int times, int between_ms) {
+    for (int i = 0; i < times; ++i) {
+      beacon.set_t(beacon.t() + between_ms);
+      bench_.put<sensors::IbeaconlistProvider>("beacons", list);
+      bench_.advance(milliseconds(300));
+    }
+    return bench_.probe<std::string>("validity");
+  };
+  EXPECT_EQ(tell(30, 0), "nothing heard yet");
+  EXPECT_EQ(tell(30, 300), "another building");
+}
+
 TEST_F(RadioLocalisationComponent, WithoutStepsThePositionIsLostSooner) {
   const auto grown_m2 = [&](bool steps) {
     const auto end = dynamic_cast<RequiredPort&>(*bench_.hull().find_port("steps")).end_for("bench");

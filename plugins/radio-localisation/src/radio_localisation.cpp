@@ -81,11 +81,19 @@ void RadioLocalisation::on_beacons(const Received<sensors::CommiBeaconList>& bea
   for (const auto& beacon : beacons->beacon_list()) {
     if (beacon.has_t()) newest_ms = std::max(newest_ms, std::int64_t{beacon.t()});
   }
+  std::map<std::string, std::int64_t> told;
   for (const auto& beacon : beacons->beacon_list()) {
     if (!beacon.has_rssi()) continue;
+    const std::string id = beacon_id(beacon);
+    if (beacon.has_t()) {
+      told.emplace(id, beacon.t());
+      const auto before = told_.find(id);
+      if (before != told_.end() && before->second == beacon.t()) continue;
+    }
     const radio::Time before_newest(beacon.has_t() ? newest_ms - beacon.t() : 0);
-    use_row(beacon_id(beacon), radio::Radio::Bluetooth, beacon.rssi(), beacons.origin - before_newest);
+    use_row(id, radio::Radio::Bluetooth, beacon.rssi(), beacons.origin - before_newest);
   }
+  told_ = std::move(told);
 }
 
 /// When it was heard is told by a message's origin, which is of this instance's clock wherever it comes from; times in

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -48,6 +50,7 @@ class RadioLocalisation final : public Component {
   std::optional<radio::RadioFilter> filter_;
   radio::Validity validity_ = radio::Validity::NoEvidence;
   std::uint64_t old_rows_ = 0;
+  std::map<std::string, std::int64_t> told_;  ///< when the newest list's beacons were heard: lists repeat them
 };
 
 }  // namespace fiona::radio_localisation

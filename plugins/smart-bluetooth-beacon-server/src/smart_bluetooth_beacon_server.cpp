@@ -1,5 +1,6 @@
 #include "smart_bluetooth_beacon_server.hpp"
 
+#include <algorithm>
 #include <iomanip>
 #include <sstream>
 
@@ -18,6 +19,14 @@ std::string text_of(const beacon_server::PathLoss& loss) {
   text << std::fixed << std::setprecision(2) << "path_loss_exponent=" << loss.exponent << std::setprecision(1)
        << " path_loss_spread=" << loss.spread_db << " receiver_gain=" << loss.gain_db;
   return text.str();
+}
+
+/// How long ago the newest of a list was heard.
+std::chrono::milliseconds age_of(const sensors::CommiBeaconList& list, std::chrono::system_clock::time_point now) {
+  const std::int64_t now_ms = std::chrono::duration_cast<std::chrono::milliseconds>(now.time_since_epoch()).count();
+  std::int64_t newest_ms = 0;
+  for (const auto& beacon : list.beacon_list()) newest_ms = std::max(newest_ms, std::int64_t{beacon.t()});
+  return std::chrono::milliseconds(list.beacon_list().empty() ? 0 : std::max<std::int64_t>(0, now_ms - newest_ms));
 }
 
 }  // namespace
@@ -102,7 +111,11 @@ void SmartBluetoothBeaconServer::put_list() {
   tell_fit();
   if (!listening_) return;
   const std::chrono::milliseconds window(params_->window());
-  beacons_.put(heard_.list(std::chrono::system_clock::now(), window, loss));
+  const auto list_now = std::chrono::system_clock::now();
+  auto list = heard_.list(list_now, window, loss);
+  // The same is told for the whole window: who walks must not take it for what is heard where they are now.
+  const TimePoint heard = now() - age_of(list, list_now);
+  beacons_.put(std::move(list), heard);
   signals_.still_valid();
 }
 
