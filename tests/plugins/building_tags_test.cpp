@@ -342,6 +342,80 @@ TEST(Tags, ShaftsThatAreDrawnLevelByLevelJoinThem) {
   }
 }
 
+TEST(Tags, APrivateCellarClosesNoStairwellToGuests) {
+  for (const std::string kind : {"elevator", "stairs"}) {
+    Osm osm;
+    osm.rectangle(10, 0, 0, 40, 20, "indoor=area name=Floor level=0;1;2");
+    osm.rectangle(20, 0, 0, 40, 20, "indoor=area name=Cellar level=-1 access=private");
+    osm.node(90, 7, 5, "door=yes level=-1;0;1;2");
+    osm.rectangle(30, 5, 5, 9, 10, "indoor=room level=0;1;2 room=" + kind, {90});
+    osm.rectangle(40, 5, 5, 9, 10, "indoor=room level=-1 access=private room=" + kind, {90});
+    const Building house = osm.read();
+    const Point far{20, 3};
+    EXPECT_TRUE(house.route({far, 0}, {far, 2}, {.access = kOpen})) << kind;
+    EXPECT_FALSE(house.route({far, 0}, {far, -1}, {.access = kOpen})) << kind;
+    EXPECT_TRUE(house.route({far, 2}, {far, -1}, {.access = kByRight})) << kind;
+  }
+}
+
+TEST(Tags, AFlightHasTheAccessOfItsOwnAreas) {
+  Osm osm;
+  osm.rectangle(10, 5, 5, 9, 10, "indoor=room room=stairs level=0;1");
+  osm.rectangle(20, 5, 5, 9, 10, "indoor=room room=stairs level=2;3 access=private");
+  osm.rectangle(30, 25, 5, 29, 10, "indoor=room room=elevator level=0;1 access=private");
+  const Building house = osm.read();
+  std::vector<std::pair<std::int64_t, int>> access;
+  for (const Connector& connector : house.connectors()) access.emplace_back(connector.id.number, connector.access);
+  std::sort(access.begin(), access.end());
+  EXPECT_EQ(access, (std::vector<std::pair<std::int64_t, int>>{{10, kOpen}, {20, kByRight}, {30, kByRight}}));
+}
+
+TEST(Tags, ShaftsBesideEachOtherAreShaftsOfTheirOwnThoughTheyAreOneElement) {
+  for (const std::string kind : {"elevator", "stairs"}) {
+    Osm osm = floors();
+    osm.rectangle(40, 1, 3, 3, 6, "").rectangle(50, 7, 3, 9, 6, "");
+    const Building house = osm.multipolygon(7, {40, 50}, {}, "indoor=room level=0;1 room=" + kind).read();
+    EXPECT_EQ(joined(house), (std::vector<std::vector<double>>{{0, 1}, {0, 1}})) << kind;
+    for (const Connector& connector : house.connectors()) {
+      EXPECT_LT(distance_m(connector.path.front().at, connector.path.back().at), 0.1) << kind;
+    }
+  }
+}
+
+TEST(Tags, TwoShaftsUnderOneAreaAreBothJoinedToIt) {
+  for (const std::string kind : {"elevator", "stairs"}) {
+    for (const int wide : {24, 60}) {  // before the others in the file, and after them
+      Osm osm = floors();
+      osm.rectangle(40, 1, 3, 3, 6, "indoor=room level=0 room=" + kind);
+      osm.rectangle(50, 7, 3, 9, 6, "indoor=room level=0 room=" + kind);
+      osm.rectangle(wide, 1, 3, 9, 6, "indoor=room level=1 room=" + kind);
+      const Building house = osm.read();
+      EXPECT_TRUE(house.warnings().empty()) << kind;
+      EXPECT_EQ(joined(house), (std::vector<std::vector<double>>{{0, 1}, {0, 1}})) << kind;
+      for (const Connector& connector : house.connectors()) {
+        EXPECT_LT(distance_m(connector.path.front().at, connector.path.back().at), 2.0) << kind;
+      }
+    }
+  }
+}
+
+TEST(Tags, NoFlightIsInventedBetweenElementsThatTellTheirLevels) {
+  for (const std::string kind : {"elevator", "stairs"}) {
+    const auto joined_by = [&](const std::string& lower, const std::string& upper) {
+      Osm osm;
+      osm.rectangle(10, 0, 0, 10, 10, "indoor=area level=0-5");
+      osm.rectangle(40, 3, 3, 6, 6, "indoor=room room=" + kind + " level=" + lower);
+      osm.rectangle(50, 3, 3, 6, 6, "indoor=room room=" + kind + " level=" + upper);
+      return joined(osm.read());
+    };
+    using Joined = std::vector<std::vector<double>>;
+    EXPECT_EQ(joined_by("0;1", "2;3"), (Joined{{0, 1}, {2, 3}})) << kind;
+    EXPECT_EQ(joined_by("0;1", "1;2"), (Joined{{0, 1}, {1, 2}})) << kind;
+    EXPECT_EQ(joined_by("0", "5"), Joined{}) << kind;
+    EXPECT_EQ(joined_by("0;1", "2"), kind == "stairs" ? (Joined{{0, 1}, {1, 2}}) : (Joined{{0, 1, 2}})) << kind;
+  }
+}
+
 TEST(Tags, AMultipolygonOfWhichAWayIsMissingIsNamed) {
   Osm osm;
   osm.rectangle(10, 0, 0, 10, 10, "").rectangle(20, 4, 4, 6, 6, "");

@@ -235,54 +235,157 @@ bool serves(const Connector& connector, const Room& room, ConnectorKind kind) {
                      [&](const PathPoint& p) { return p.level == room.level && contains(room.polygon, p.at); });
 }
 
-/// A shaft is one area on several levels, or one on each, above each other.
+/// Areas of one element above each other, from the lowest up.
+using Shaft = std::vector<const Room*>;
+using Flight = std::pair<const Room*, const Room*>;  // below, above
+
 bool above_each_other(const Room& a, const Room& b) {
-  if (a.id == b.id) return true;
-  return a.kind == b.kind && (contains(a.polygon, b.centre) || contains(b.polygon, a.centre));
+  return a.polygon.outer == b.polygon.outer || contains(a.polygon, b.centre) || contains(b.polygon, a.centre);
 }
 
-/// Stairs rooms and lift shafts in which nothing is drawn join their levels all the same.
-void add_shafts(Draft& draft) {
-  std::vector<std::vector<const Room*>> shafts;
+bool stops_at(const Shaft& shaft, double level) {
+  return std::any_of(shaft.begin(), shaft.end(), [&](const Room* room) { return room->level == level; });
+}
+
+/// Of stairs rooms and lift shafts in which nothing is drawn.
+std::vector<Shaft> shafts_of(Draft& draft) {
+  std::vector<Shaft> shafts;
   for (const Room& room : draft.plan.rooms) {
     if (room.kind != RoomKind::Stairs && room.kind != RoomKind::Lift) continue;
     const ConnectorKind kind = room.kind == RoomKind::Lift ? ConnectorKind::Lift : ConnectorKind::Stairs;
     const auto& drawn = draft.plan.connectors;
     if (std::any_of(drawn.begin(), drawn.end(), [&](const Connector& c) { return serves(c, room, kind); })) continue;
-    draft.work.spend(shafts.size() * 20 * room.polygon.outer.size(), room.id);
-    const auto same = std::find_if(shafts.begin(), shafts.end(), [&](const auto& shaft) {
-      return shaft.back()->level != room.level && above_each_other(*shaft.back(), room);
+    draft.work.spend(shafts.size(), room.id);
+    const auto same = std::find_if(shafts.begin(), shafts.end(), [&](const Shaft& shaft) {
+      if (shaft.front()->id != room.id || stops_at(shaft, room.level)) return false;
+      draft.work.spend(20 * room.polygon.outer.size(), room.id);
+      return above_each_other(*shaft.front(), room);
     });
     same == shafts.end() ? shafts.push_back({&room}) : same->push_back(&room);
   }
-  for (auto& rooms : shafts) {
-    std::sort(rooms.begin(), rooms.end(), [](const Room* a, const Room* b) { return a->level < b->level; });
-    const Room& first = *rooms.front();
-    const bool is_lift = first.kind == RoomKind::Lift;
-    if (rooms.size() < 2) {
-      draft.warn(first.id, std::string(is_lift ? "the lift joins" : "the stairs join") + " no two levels; left out");
+  for (Shaft& shaft : shafts) {
+    std::sort(shaft.begin(), shaft.end(), [](const Room* a, const Room* b) { return a->level < b->level; });
+  }
+  return shafts;
+}
+
+/// The areas of other elements above or below `room`, on the next level: no storey of the building lies between.
+std::vector<const Room*> next_to(Draft& draft, const std::vector<Shaft>& shafts, const std::set<double>& storeys,
+                                 const Room& room, bool up) {
+  std::vector<const Room*> found;
+  draft.work.spend(4 * shafts.size(), room.id);
+  for (const Shaft& shaft : shafts) {
+    if (shaft.front()->kind != room.kind || stops_at(shaft, room.level)) continue;
+    const auto above = std::find_if(shaft.begin(), shaft.end(), [&](const Room* r) { return r->level > room.level; });
+    if (up ? above == shaft.end() : above == shaft.begin()) continue;
+    const Room* next = up ? *above : *(above - 1);
+    const auto [low, high] = std::minmax(room.level, next->level);
+    const auto between = storeys.upper_bound(low);
+    const double nearest = found.empty() ? next->level : found.front()->level;
+    if ((between != storeys.end() && *between < high) || (up ? next->level > nearest : next->level < nearest)) continue;
+    draft.work.spend(20 * (room.polygon.outer.size() + next->polygon.outer.size()), room.id);
+    if (!above_each_other(room, *next)) continue;
+    if (next->level != nearest) found.clear();
+    found.push_back(next);
+  }
+  return found;
+}
+
+/// An element on several levels tells itself which of them it joins; an area on one level goes on in others.
+std::vector<Flight> flights_of(Draft& draft, const std::vector<Shaft>& shafts) {
+  std::vector<Flight> flights;
+  for (const Shaft& shaft : shafts) {
+    for (std::size_t i = 1; i < shaft.size(); ++i) flights.emplace_back(shaft[i - 1], shaft[i]);
+  }
+  std::set<double> storeys;
+  for (const Room& room : draft.plan.rooms) {
+    if (room.level == std::floor(room.level)) storeys.insert(room.level);
+  }
+  std::set<Flight> between;
+  for (const Shaft& shaft : shafts) {
+    if (shaft.size() > 1) continue;
+    const Room* room = shaft.front();
+    for (const Room* below : next_to(draft, shafts, storeys, *room, false)) between.emplace(below, room);
+    for (const Room* above : next_to(draft, shafts, storeys, *room, true)) between.emplace(room, above);
+  }
+  flights.insert(flights.end(), between.begin(), between.end());
+  return flights;
+}
+
+void add_flight(Draft& draft, const Room& below, const Room& above) {
+  std::vector<PathPoint> climb = climb_in(below, below.level, above.level);
+  if (!contains(above.polygon, climb.back().at)) climb.back().at = above.centre;
+  draft.plan.connectors.push_back({below.id,
+                                   ConnectorKind::Stairs,
+                                   below.name,
+                                   {below.level, above.level},
+                                   std::move(climb),
+                                   false,
+                                   std::max(below.access, above.access),
+                                   true});
+}
+
+/// Straight up, where the areas allow it.
+void add_lift_in(Draft& draft, const Shaft& stops) {
+  const Room& lowest = *stops.front();
+  const Room* narrowest = *std::min_element(stops.begin(), stops.end(), [](const Room* a, const Room* b) {
+    return area_m2(a->polygon) < area_m2(b->polygon);
+  });
+  Connector lift{lowest.id, ConnectorKind::Lift, lowest.name, {}, {}, false, kOpen, true};
+  std::vector<int> access;
+  for (const Room* stop : stops) {
+    const bool straight = contains(stop->polygon, narrowest->centre);
+    lift.levels.push_back(stop->level);
+    lift.path.push_back({straight ? narrowest->centre : stop->centre, stop->level});
+    access.push_back(stop->access);
+  }
+  // Who may be at two stops may ride between them; the others are closed by their rooms.
+  std::nth_element(access.begin(), access.begin() + 1, access.end());
+  lift.access = access[1];
+  draft.plan.connectors.push_back(std::move(lift));
+}
+
+/// Flights one above the other are one lift; where an area has two above or below it, the second is a lift of its own.
+void add_lifts(Draft& draft, const std::vector<Flight>& flights) {
+  std::map<const Room*, const Room*> above_of;
+  std::set<const Room*> reached;
+  for (const auto& [below, above] : flights) {
+    if (above_of.contains(below) || reached.contains(above)) {
+      add_lift_in(draft, {below, above});
       continue;
     }
-    if (is_lift) {
-      std::vector<double> levels;
-      for (const Room* room : rooms) levels.push_back(room->level);
-      add_lift(draft, first.id, {{"name", first.name}}, first.centre, std::move(levels));
-      for (std::size_t i = 0; i < rooms.size(); ++i) draft.plan.connectors.back().path[i].at = rooms[i]->centre;
-      continue;
+    above_of[below] = above;
+    reached.insert(above);
+  }
+  for (const auto& [lowest, unused] : above_of) {
+    if (reached.contains(lowest)) continue;
+    Shaft stops{lowest};
+    for (auto next = above_of.find(lowest); next != above_of.end(); next = above_of.find(next->second)) {
+      stops.push_back(next->second);
     }
-    for (std::size_t i = 1; i < rooms.size(); ++i) {
-      const Room &below = *rooms[i - 1], &above = *rooms[i];
-      std::vector<PathPoint> climb = climb_in(below, below.level, above.level);
-      if (!contains(above.polygon, climb.back().at)) climb.back().at = above.centre;
-      draft.plan.connectors.push_back({first.id,
-                                       ConnectorKind::Stairs,
-                                       first.name,
-                                       {below.level, above.level},
-                                       std::move(climb),
-                                       false,
-                                       first.access,
-                                       true});
+    add_lift_in(draft, stops);
+  }
+}
+
+/// Stairs rooms and lift shafts in which nothing is drawn join their levels all the same.
+void add_shafts(Draft& draft) {
+  const std::vector<Shaft> shafts = shafts_of(draft);
+  std::vector<Flight> lifts;
+  std::set<const Room*> joined;
+  for (const auto& [below, above] : flights_of(draft, shafts)) {
+    joined.insert({below, above});
+    if (below->kind == RoomKind::Lift) {
+      lifts.emplace_back(below, above);
+    } else {
+      add_flight(draft, *below, *above);
     }
+  }
+  add_lifts(draft, lifts);
+  for (const Shaft& shaft : shafts) {
+    const Room& room = *shaft.front();
+    if (joined.contains(&room)) continue;
+    const bool is_lift = room.kind == RoomKind::Lift;
+    draft.warn(room.id, std::string(is_lift ? "the lift joins" : "the stairs join") + " no two levels; left out");
   }
 }
 
