@@ -1,6 +1,8 @@
 // Tag by tag: what each says on the map, and on the way.
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <numbers>
 #include <string>
 #include <tuple>
 #include <utility>
@@ -414,6 +416,57 @@ TEST(Tags, NoFlightIsInventedBetweenElementsThatTellTheirLevels) {
     EXPECT_EQ(joined_by("0", "5"), Joined{}) << kind;
     EXPECT_EQ(joined_by("0;1", "2"), kind == "stairs" ? (Joined{{0, 1}, {1, 2}}) : (Joined{{0, 1, 2}})) << kind;
   }
+}
+
+/// Floors that are one area, in which rooms stand without holes.
+Osm hall_of_rooms(int across) {
+  Osm osm;
+  osm.rectangle(10, -3, -3, 6 * across + 3, 8 * across + 3, "indoor=area name=Hall level=0");
+  for (int i = 0, id = 1000; i < across; ++i) {
+    for (int j = 0; j < across; ++j, id += 10) {
+      osm.node(id + 5, 6 * i + 2, 8 * j, "door=yes level=0");
+      osm.rectangle(id, 6 * i, 8 * j, 6 * i + 4, 8 * j + 5, "indoor=room level=0", {id + 5});
+    }
+  }
+  return osm;
+}
+
+TEST(Tags, AHallOfHundredsOfRoomsIsReadAndWalkedThroughAlongTheirCorners) {
+  const Building house = hall_of_rooms(16).read();
+  const PathPoint start{{-1, -1}, 0};
+  for (const Point goal : {Point{95, 127}, Point{-1, 127}, Point{53, 70}}) {
+    const auto route = house.route(start, {goal, 0});
+    ASSERT_TRUE(route);
+    EXPECT_LT(route->length_m, 1.2 * distance_m(start.at, goal));
+  }
+}
+
+TEST(Tags, RoomsSideBySideAreWalkedAroundAsOne) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 30, 20, "indoor=area name=Hall level=0");
+  osm.rectangle(20, 5, 5, 10, 15, "indoor=room level=0").rectangle(30, 10, 5, 20, 15, "indoor=room level=0");
+  const Building house = osm.read();
+  const auto hall = room_index_at(house.plan(), {2, 2}, 0);
+  ASSERT_TRUE(hall);
+  EXPECT_EQ(house.graph().nodes_of_room[*hall].size(), 1u + 4u) << "its middle, and their corners";
+}
+
+/// They have more corners than can be joined.
+TEST(Tags, AHallOfRoundPillarsIsReadWhateverTheirNumber) {
+  Osm osm;
+  osm.rectangle(10, -5, -5, 200, 200, "indoor=area name=Hall level=0");
+  for (int pillar = 0, id = 1000; pillar < 200; ++pillar, id += 36) {
+    std::vector<int> ring;
+    for (int i = 0; i < 36; ++i) {
+      const double angle = i * std::numbers::pi / 18;
+      osm.node(id + i, 10 * (pillar % 20) + std::cos(angle), 10 * (pillar / 20) + std::sin(angle));
+      ring.push_back(id + i);
+    }
+    ring.push_back(id);
+    osm.way(id, ring, "indoor=room level=0");
+  }
+  const Building house = osm.read();
+  EXPECT_TRUE(house.route({{-3, -3}, 0}, {{105, 5}, 0}));
 }
 
 TEST(Tags, AMultipolygonOfWhichAWayIsMissingIsNamed) {

@@ -56,14 +56,6 @@ double thickness_m(Point path, double from_share, double to_share, const Segment
   return std::abs(cross(path * (to_share - from_share), unit(wall.to - wall.from)));
 }
 
-bool apart(const Segment& path, const Segment& wall) {
-  const auto split = [](double a, double b, double c, double d) {
-    return std::max(a, b) < std::min(c, d) || std::max(c, d) < std::min(a, b);
-  };
-  return split(path.from.x_m, path.to.x_m, wall.from.x_m, wall.to.x_m) ||
-         split(path.from.y_m, path.to.y_m, wall.from.y_m, wall.to.y_m);
-}
-
 }  // namespace
 
 struct Building::Projection {

@@ -34,6 +34,13 @@ std::optional<double> crossing(const Segment& path, const Segment& other) {
   return on_path;
 }
 
+bool apart(const Segment& a, const Segment& b) {
+  const auto split = [](double a1, double a2, double b1, double b2) {
+    return std::max(a1, a2) < std::min(b1, b2) || std::max(b1, b2) < std::min(a1, a2);
+  };
+  return split(a.from.x_m, a.to.x_m, b.from.x_m, b.to.x_m) || split(a.from.y_m, a.to.y_m, b.from.y_m, b.to.y_m);
+}
+
 double signed_area_m2(const Ring& ring) {
   double twice = 0.0;
   for (std::size_t i = 0; i < ring.size(); ++i) twice += cross(ring[i], ring[(i + 1) % ring.size()]);

@@ -5,6 +5,7 @@
 #include <tuple>
 
 #include "fiona/building/routes.hpp"
+#include "wall_tree.hpp"
 #include "work.hpp"
 
 namespace fiona::building {
@@ -16,6 +17,12 @@ constexpr double kBorderStep_m = 0.5;
 constexpr double kBorderProbe_m = 0.3;
 /// Corners flatter than this (sine) hide nothing.
 constexpr double kFlatCorner = 0.05;
+/// An end of a line of sight that stands on a border is not behind it.
+constexpr double kTouch_m = 0.02;
+/// Corners of rooms in halls that are walked around, and edges and work, of what a plan may have, that they leave to
+/// what has to be there: beyond that one is led from door to door.
+constexpr std::size_t kMostBends = 16'384;
+constexpr std::size_t kMostEdgesOfBends = kMostEdges / 2;
 
 double lift_cost_s(double height_m) { return kLiftWait_s + height_m / kLiftPace_mps; }
 
@@ -23,8 +30,20 @@ bool walls_between(const Plan& plan, Point a, Point b, double level) {
   const auto on_level = std::equal_range(plan.walls.begin(), plan.walls.end(), Wall{{}, level, 0.0, false},
                                          [](const Wall& left, const Wall& right) { return left.level < right.level; });
   return std::any_of(on_level.first, on_level.second, [&](const Wall& wall) {
-    return crossing({a, b}, wall.segment).has_value();
+    return !apart({a, b}, wall.segment) && crossing({a, b}, wall.segment).has_value();
   });
+}
+
+/// Whether nothing of the room itself is between; walls may be.
+bool sees_within(const Room& room, Point a, Point b) {
+  const Segment sight{a, b};
+  const double length = distance_m(a, b);
+  const auto blocks = [&](const Segment& side) {
+    const auto at = crossing(sight, side);
+    return at && *at * length > kTouch_m && (1.0 - *at) * length > kTouch_m;
+  };
+  const std::vector<Segment> sides = edges(room.polygon);
+  return std::none_of(sides.begin(), sides.end(), blocks) && contains(room.polygon, (a + b) * 0.5);
 }
 
 class GraphBuilder {
@@ -34,7 +53,8 @@ class GraphBuilder {
       const Polygon& polygon = plan.rooms[i].polygon;
       rooms_of_level_[plan.rooms[i].level].push_back({i, bounds(polygon.outer), area_m2(polygon)});
     }
-    for (const Wall& wall : plan.walls) ++walls_of_level_[wall.level];
+    for (const Wall& wall : plan.walls) walls_of_level_[wall.level].add(wall.segment);
+    for (auto& [level, walls] : walls_of_level_) walls.build();
   }
 
   Graph build() {
@@ -42,7 +62,6 @@ class GraphBuilder {
     for (std::size_t room = 0; room < plan_.rooms.size(); ++room) {
       add_node(plan_.rooms[room].centre, plan_.rooms[room].level, room);
       add_corners(room);
-      if (has_walls(plan_.rooms[room].kind)) add_corners_around(plan_.rooms[room]);
     }
     for (const Wall& wall : plan_.walls) {
       if (wall.drawn) add_ends(wall);
@@ -54,6 +73,10 @@ class GraphBuilder {
     for (std::size_t room = 0; room < plan_.rooms.size(); ++room) add_open_borders(room);
     for (const Connector& connector : plan_.connectors) add_connector(connector);
     for (const Path& path : plan_.paths) add_path(path);
+    first_bend_ = graph_.nodes.size();
+    for (const Room& room : plan_.rooms) {
+      if (has_walls(room.kind)) add_corners_around(room);
+    }
     for (std::size_t room = 0; room < plan_.rooms.size(); ++room) join_room(room);
     graph_.edges_of_node.resize(graph_.nodes.size());
     for (std::size_t i = 0; i < graph_.edges.size(); ++i) {
@@ -134,7 +157,7 @@ class GraphBuilder {
     constexpr double kBeside_m = 0.05;
     const Ring& ring = room.polygon.outer;
     at_ = room.id;
-    for (std::size_t i = 0; i < ring.size(); ++i) {
+    for (std::size_t i = 0; i < ring.size() && graph_.nodes.size() < first_bend_ + kMostBends; ++i) {
       const Point corner = ring[i];
       const Point arriving = unit(corner - ring[(i + ring.size() - 1) % ring.size()]);
       const Point leaving = unit(ring[(i + 1) % ring.size()] - corner);
@@ -142,6 +165,12 @@ class GraphBuilder {
       const Point outwards = unit(left_of(arriving) + left_of(leaving)) * -1.0;
       const auto around = room_at(corner + outwards * kBeside_m, room.level);
       if (!around || !contains(plan_.rooms[*around].polygon, corner - outwards * kBeside_m)) continue;
+      // With what stands beside it the room may have no corner there: its sides go on.
+      const auto goes_on = [&](Point along, Point inwards) {
+        const auto there = room_at(corner + (along + inwards * kFlatCorner) * kBeside_m, room.level);
+        return !there || (there != around && has_walls(plan_.rooms[*there].kind));
+      };
+      if (goes_on(arriving, left_of(arriving)) || goes_on(leaving * -1.0, left_of(leaving))) continue;
       for (double reach : {kClearance_m * 1.4, kClearance_m, kClearance_m / 3}) {
         const Point p = corner + outwards * reach;
         if (room_at(p, room.level) != around || !in_sight(plan_.rooms[*around], corner + outwards * kBeside_m, p)) {
@@ -191,7 +220,7 @@ class GraphBuilder {
   void add_open_borders(std::size_t index) {
     const Room& room = plan_.rooms[index];
     at_ = room.id;
-    if (room.kind != RoomKind::Corridor && room.kind != RoomKind::Area) return;
+    if (has_walls(room.kind)) return;
     for (const Segment& side : edges(room.polygon)) {
       const double length = distance_m(side.from, side.to);
       const int steps = std::max(1, static_cast<int>(length / kBorderStep_m));
@@ -227,8 +256,7 @@ class GraphBuilder {
   }
 
   void add_border(std::size_t index, std::size_t beyond, const Segment& side, double share) {
-    const RoomKind other = plan_.rooms[beyond].kind;
-    const bool both_open = other == RoomKind::Corridor || other == RoomKind::Area;
+    const bool both_open = !has_walls(plan_.rooms[beyond].kind);
     const Point at = side.from + (side.to - side.from) * share;
     // The same border is met again from the other side; the corridor with the lower index draws it.
     const bool shared = both_open && distance_to_edges(plan_.rooms[beyond], at) < 0.1;
@@ -294,6 +322,8 @@ class GraphBuilder {
     at_ = plan_.rooms[index].id;
     for (std::size_t i = 0; i < nodes.size(); ++i) {
       for (std::size_t j = i + 1; j < nodes.size(); ++j) {
+        const bool all_bends = nodes[j] >= first_bend_;  // from here on
+        if (all_bends && (graph_.edges.size() >= kMostEdgesOfBends || work_.is_half_spent())) break;
         if (in_sight(plan_.rooms[index], graph_.nodes[nodes[i]].at, graph_.nodes[nodes[j]].at)) {
           add_edge(nodes[i], nodes[j], {});
         }
@@ -325,39 +355,38 @@ class GraphBuilder {
   }
 
   bool wall_between(Point a, Point b, double level) {
-    work_.spend(4 * walls_of_level_[level], at_);
-    return walls_between(plan_, a, b, level);
+    const auto walls = walls_of_level_.find(level);
+    if (walls == walls_of_level_.end()) return false;
+    std::size_t steps = 0;
+    const bool between = walls->second.meets({a, b}, steps);
+    work_.spend(10 * steps, at_);
+    return between;
   }
 
+  /// As sees(), with the walls of a level at hand.
   bool in_sight(const Room& room, Point a, Point b) {
-    work_.spend(8 * room.polygon.outer.size() + 4 * walls_of_level_[room.level], at_);
-    return sees(plan_, room, a, b);
+    work_.spend(8 * room.polygon.outer.size(), at_);
+    if (distance_m(a, b) < kTouch_m) return true;
+    const Point inwards = unit(b - a) * kTouch_m;
+    return sees_within(room, a, b) && !wall_between(a + inwards, b - inwards, room.level);
   }
 
   const Plan& plan_;
   Work work_;
   ElementId at_{};  ///< the element that is worked on, for errors
   std::map<double, std::vector<PlacedRoom>> rooms_of_level_{};
-  std::map<double, std::size_t> walls_of_level_{};
+  std::map<double, WallTree> walls_of_level_{};
   Graph graph_{};
+  std::size_t first_bend_ = 0;  ///< from this node on, all are at corners of rooms in halls
   std::map<std::tuple<double, double, double>, std::size_t> by_place_{};
 };
 
 }  // namespace
 
 bool sees(const Plan& plan, const Room& room, Point a, Point b) {
-  constexpr double kTouch_m = 0.02;  // an end that stands on a border is not behind it
-  const Segment sight{a, b};
-  const double length = distance_m(a, b);
-  if (length < kTouch_m) return true;
-  const auto blocks = [&](const Segment& side) {
-    const auto at = crossing(sight, side);
-    return at && *at * length > kTouch_m && (1.0 - *at) * length > kTouch_m;
-  };
-  const std::vector<Segment> sides = edges(room.polygon);
-  if (std::any_of(sides.begin(), sides.end(), blocks)) return false;
-  if (!contains(room.polygon, (a + b) * 0.5)) return false;
-  return !walls_between(plan, a + unit(b - a) * kTouch_m, b - unit(b - a) * kTouch_m, room.level);
+  if (distance_m(a, b) < kTouch_m) return true;
+  const Point inwards = unit(b - a) * kTouch_m;
+  return sees_within(room, a, b) && !walls_between(plan, a + inwards, b - inwards, room.level);
 }
 
 std::optional<std::size_t> room_index_at(const Plan& plan, Point p, double level) {

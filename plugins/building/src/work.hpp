@@ -28,6 +28,7 @@ class Work {
     spent_ += steps;
     if (spent_ > kMost) refuse(at, "takes too long to make sense of", "a building that takes some seconds");
   }
+  bool is_half_spent() const { return spent_ > kMost / 2; }
   /// Throws if there are `count` things where at most `most` are read.
   void limit(std::size_t count, std::size_t most, const char* things, ElementId at) const {
     if (count > most) refuse(at, "has too many " + std::string(things), "at most " + std::to_string(most));

@@ -54,6 +54,9 @@ constexpr Point left_of(Point vector) { return {-vector.y_m, vector.x_m}; }
 /// Where `path` meets `other`, as a share of `path` in [0, 1]; nothing if they do not meet or are parallel.
 std::optional<double> crossing(const Segment& path, const Segment& other);
 
+/// Whether the boxes around them are: cheap, and true of nearly all that do not meet.
+bool apart(const Segment& a, const Segment& b);
+
 /// Signed: positive when the ring turns counter-clockwise.
 double signed_area_m2(const Ring& ring);
 double area_m2(const Polygon& polygon);

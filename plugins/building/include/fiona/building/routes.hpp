@@ -68,7 +68,8 @@ struct Route {
   double cost_s = 0.0;
 };
 
-/// Builds the graph of a plan. Cost: for each room the square of its doors and corners times its edges.
+/// Builds the graph of a plan. Cost: for each room the square of its doors, its corners and those of the rooms in it,
+/// times its edges and the walls near a line.
 Graph build_graph(const Plan& plan);
 
 /// Nearest node of the graph on the same level, for a start or goal outside of all rooms, is taken up to
