@@ -469,6 +469,14 @@ TEST(Tags, AHallOfRoundPillarsIsReadWhateverTheirNumber) {
   EXPECT_TRUE(house.route({{-3, -3}, 0}, {{105, 5}, 0}));
 }
 
+TEST(Tags, TheMiddleOfAHallThatItsRoomsFillIsNotItsCorner) {
+  Osm osm;
+  osm.rectangle(10, 0, 0, 20, 10, "indoor=area name=Floor level=0");
+  osm.rectangle(20, 0.02, 0.02, 10, 10, "indoor=room level=0").rectangle(30, 10, 0, 20, 10, "indoor=room level=0");
+  const Point middle = osm.read().room("Floor").centre;
+  EXPECT_LT(distance_m(middle, Point{10, 5}), 1.0);
+}
+
 TEST(Tags, AMultipolygonOfWhichAWayIsMissingIsNamed) {
   Osm osm;
   osm.rectangle(10, 0, 0, 10, 10, "").rectangle(20, 4, 4, 6, 6, "");

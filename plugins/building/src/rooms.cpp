@@ -160,32 +160,40 @@ void add_room(Draft& draft, const Area& area) {
 
 /// Who is led to a hall is not led into the kiosk in its middle.
 void keep_centres_free(Draft& draft) {
-  std::map<double, std::vector<const Room*>> walled;
-  for (const Room& room : draft.plan.rooms) {
-    if (has_walls(room.kind)) walled[room.level].push_back(&room);
-  }
+  struct Placed {
+    Room* room;
+    Box box;
+    double area_m2;
+  };
+  std::map<double, std::vector<Placed>> rooms_of_level;
   for (Room& room : draft.plan.rooms) {
-    const std::vector<const Room*>& others = walled[room.level];
-    draft.work.spend(2 * others.size(), room.id);
-    const double size_m2 = area_m2(room.polygon);
-    const Box box = bounds(room.polygon.outer);
-    Polygon free = room.polygon;
-    bool is_taken = false;
-    for (const Room* other : others) {
-      const Point corner = other->polygon.outer.front();
-      if (corner.x_m < box.low.x_m || corner.x_m > box.high.x_m || corner.y_m < box.low.y_m ||
-          corner.y_m > box.high.y_m || area_m2(other->polygon) >= size_m2) {
-        continue;
+    rooms_of_level[room.level].push_back({&room, bounds(room.polygon.outer), area_m2(room.polygon)});
+  }
+  for (const auto& [level, rooms] : rooms_of_level) {
+    for (const auto& [room, box, size_m2] : rooms) {
+      std::vector<const Room*> within;
+      bool is_taken = false;
+      draft.work.spend(4 * rooms.size(), room->id);
+      for (const Placed& other : rooms) {
+        if (other.area_m2 >= size_m2 || !has_walls(other.room->kind)) continue;
+        const Point corner = other.room->polygon.outer.front();
+        if (corner.x_m < box.low.x_m || corner.x_m > box.high.x_m || corner.y_m < box.low.y_m ||
+            corner.y_m > box.high.y_m) {
+          continue;
+        }
+        draft.work.spend(8 * other.room->polygon.outer.size(), room->id);
+        within.push_back(other.room);
+        is_taken = is_taken || contains(other.room->polygon, room->centre);
       }
-      draft.work.spend(8 * other->polygon.outer.size(), room.id);
-      free.holes.push_back(other->polygon.outer);
-      is_taken = is_taken || contains(other->polygon, room.centre);
+      if (!is_taken) continue;
+      Polygon free = room->polygon;
+      for (const Room* other : within) free.holes.push_back(other->polygon.outer);
+      std::size_t corners = free.outer.size();
+      for (const Ring& hole : free.holes) corners += hole.size();
+      draft.work.spend(2000 * corners, room->id);
+      const Point centre = inner_point(free);
+      if (centre != free.outer.front()) room->centre = centre;  // else nothing of it is free
     }
-    if (!is_taken) continue;
-    std::size_t corners = free.outer.size();
-    for (const Ring& hole : free.holes) corners += hole.size();
-    draft.work.spend(2000 * corners, room.id);
-    room.centre = inner_point(free);
   }
 }
 
