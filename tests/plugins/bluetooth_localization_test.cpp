@@ -210,6 +210,25 @@ TEST(FloorPlan, StairsOverALandingAreOneWayUpAndOneDown) {
   EXPECT_EQ(up.at(0.75).level, 0.75);
 }
 
+/// As where its shaft is drawn level by level.
+TEST(FloorPlan, ALiftIsOneThoughItsStopsAreNotRightAboveEachOther) {
+  navigation::CommLevelMap map;
+  for (const double level : {0.0, 1.0}) {
+    auto& node = *map.add_nodes();
+    node.set_x(3 * level), node.set_level(level);
+  }
+  auto& edge = *map.add_edges();
+  edge.set_from(0), edge.set_to(1), edge.set_kind(navigation::MapEdge::LIFT);
+  const FloorPlan lift(map);
+  ASSERT_EQ(lift.ways().size(), 2u);
+  EXPECT_TRUE(lift.ways()[0].is_lift());
+  EXPECT_TRUE(lift.ways()[1].is_lift());
+  EXPECT_EQ(lift.ways()[0].at(1.0).x_m, 3.0);
+  EXPECT_EQ(lift.ways()[0].at(0.5).level, 0.5);
+  edge.set_kind(navigation::MapEdge::STAIRS);
+  EXPECT_FALSE(FloorPlan(map).ways()[0].is_lift());
+}
+
 TEST(FloorPlan, WhatIsBetweenTwoLevelsStandsOnNeither) {
   navigation::CommLevelMap map;
   add_wall(map, 0, 0, 0, 10);

@@ -176,12 +176,13 @@ void FloorPlan::fill_buckets() {
 
 /// Stairs may go over nodes on landings: each chain of them from one whole level to the next is one way.
 void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
-  std::map<std::uint32_t, std::set<std::uint32_t>> next;
+  std::map<std::uint32_t, std::map<std::uint32_t, bool>> next;  // and whether by a lift
   const auto nodes = static_cast<std::uint32_t>(map.nodes_size());
   for (const auto& edge : map.edges()) {
     if (!joins_levels(edge) || edge.from() >= nodes || edge.to() >= nodes) continue;
-    next[edge.from()].insert(edge.to());
-    if (!edge.one_way()) next[edge.to()].insert(edge.from());
+    const bool by_lift = edge.kind() == navigation::MapEdge::LIFT;
+    next[edge.from()][edge.to()] |= by_lift;
+    if (!edge.one_way()) next[edge.to()][edge.from()] |= by_lift;
   }
   for (const auto& [start, unused] : next) {
     const auto& from = map.nodes(static_cast<int>(start));
@@ -192,11 +193,12 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
       if (whole(at.level()) != whole(from.level()) && is_whole(at.level())) {
         if (ways_.size() == kMostWays)
           refuse("has too many stairs and lifts", std::to_string(kMostWays) + " ways", "more");
-        Way way{whole(from.level()), whole(at.level()), {}};
+        Way way{whole(from.level()), whole(at.level()), {}, true};
         for (std::size_t j = i;; j = seen[j].second) {
           const auto& node = map.nodes(static_cast<int>(seen[j].first));
           way.path.insert(way.path.begin(), {node.x(), node.y(), node.level(), 0.0});
           if (j == 0) break;
+          way.by_lift = way.by_lift && next[seen[seen[j].second].first][seen[j].first];
         }
         for (std::size_t j = 1; j < way.path.size(); ++j) {
           const Way::Place& before = way.path[j - 1];
@@ -205,9 +207,9 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
         ways_.push_back(std::move(way));
         continue;
       }
-      for (const std::uint32_t to : next[seen[i].first]) {
+      for (const auto& [to, by_lift] : next[seen[i].first]) {
         if (seen.size() == kMostSteps) break;
-        if (std::none_of(seen.begin(), seen.end(), [&](const auto& one) { return one.first == to; }))
+        if (std::none_of(seen.begin(), seen.end(), [node = to](const auto& one) { return one.first == node; }))
           seen.push_back({to, i});
       }
     }
@@ -216,9 +218,9 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
 
 FloorPlan::Way::Place FloorPlan::Way::at(double share) const {
   if (is_lift()) {
-    Place place = path.front();
-    place.level += share * (path.back().level - place.level);
-    return place;
+    const Place &from = path.front(), &to = path.back();
+    return {from.x_m + share * (to.x_m - from.x_m), from.y_m + share * (to.y_m - from.y_m),
+            from.level + share * (to.level - from.level), share * to.on_m};
   }
   const double on_m = share * length_m();
   auto to = path.begin() + 1;

@@ -12,7 +12,8 @@
 
 namespace fiona::beacons {
 
-/// What a level map says about where a person can be and go: walls and rooms of whole levels, and what joins them. Immutable.
+/// What a level map says about where a person can be and go: walls and rooms of whole levels, and what joins them.
+/// Immutable.
 class FloorPlan {
  public:
   /// Stairs or the like, or a lift, from one whole level to the next one.
@@ -22,10 +23,12 @@ class FloorPlan {
     };
     int from_level, to_level;
     std::vector<Place> path;  ///< two or more, over landings
+    bool by_lift = false;
     double length_m() const { return path.back().on_m; }
-    bool is_lift() const { return length_m() < kLiftMoves_m; }
+    /// Stairs that are drawn as a point lead nowhere in the plane: they are taken as a lift is.
+    bool is_lift() const { return by_lift || length_m() < kShortestStairs_m; }
     Place at(double share) const;  ///< of the length; of a lift: of the levels
-    static constexpr double kLiftMoves_m = 0.5;
+    static constexpr double kShortestStairs_m = 0.5;
   };
 
   /// Without a map: no walls, and everywhere may be gone.
