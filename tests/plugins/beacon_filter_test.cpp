@@ -5,6 +5,9 @@
 #include <cmath>
 #include <memory>
 #include <numbers>
+#include <vector>
+
+#include <Eigen/LU>
 
 #include "beacon_hall.hpp"
 
@@ -204,6 +207,51 @@ TEST(BeaconFilter, WhoseBeaconsFallSilentIsLessAndLessCertainAndAfterTwoMinutesN
   const Estimate again = hall.filter.estimate();
   EXPECT_TRUE(again.is_valid());
   EXPECT_NEAR(again.x_m, x, 3.0);
+}
+
+/// Hears a place, then nothing for so long, then another place: how far from that each second's estimate is, and how
+/// far in the deviations that it tells.
+struct Return {
+  double off_m, off_sd;
+};
+std::vector<Return> return_after(std::chrono::seconds silence, double to_m, bool steps) {
+  Hall hall;
+  hall.filter.expect_steps(steps);
+  const auto shuffle = [&](int i) {
+    if (steps) hall.filter.step({0.5, 0.05, i % 2 == 0 ? 0.0 : std::numbers::pi, 0.1});
+  };
+  for (int i = 0; i < 15; ++i) shuffle(i), hall.hear(2, 2);
+  for (int i = 0; i < silence.count(); ++i) {
+    if (i % 2 == 0) shuffle(i / 2);
+    hall.filter.advance(hall.now += 1s);
+  }
+  std::vector<Return> seconds;
+  for (int i = 0; i < 20; ++i) {
+    shuffle(i);
+    hall.hear(to_m, to_m);
+    const Estimate at = hall.filter.estimate();
+    const Eigen::Vector2d off(at.x_m - to_m, at.y_m - to_m);
+    if (at.is_valid()) seconds.push_back({off.norm(), std::sqrt(off.dot(at.covariance.inverse() * off))});
+  }
+  return seconds;
+}
+
+TEST(BeaconFilter, AfterTwoMinutesOfSilenceWhatIsHeardIsNotJudgedByWhereOneWas) {
+  for (const bool steps : {true, false}) {
+    for (const auto silence : {130s, 600s}) {
+      const std::vector<Return> seconds = return_after(silence, 18.0, steps);
+      ASSERT_GE(seconds.size(), 17u);
+      for (const Return& second : seconds) EXPECT_LT(second.off_sd, 3.0) << silence.count() << " s, steps " << steps;
+      EXPECT_LT(seconds[2].off_m, 5.0) << silence.count() << " s, steps " << steps;
+    }
+  }
+}
+
+TEST(BeaconFilter, TheDoubtOfASilentMinuteIsThatOfTheParticlesToo) {
+  const std::vector<Return> seconds = return_after(100s, 10.0, true);
+  ASSERT_EQ(seconds.size(), 20u);
+  for (const Return& second : seconds) EXPECT_LT(second.off_sd, 3.0);
+  EXPECT_LT(seconds[2].off_m, 4.0);
 }
 
 TEST(BeaconFilter, EqualInputsAndSeedGiveEqualAnswers) {

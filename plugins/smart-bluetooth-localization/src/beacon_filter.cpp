@@ -28,6 +28,11 @@ constexpr double kLost_mps = 0.1;
 constexpr double kNewFor_s = 5.0;  // of standing
 constexpr int kFirstSeconds = 16;  // of standing
 
+/// How far from the particles one may be by then.
+double lost_m(Time unheard) {
+  return kLost_mps * std::chrono::duration<double>(std::max(Time{}, unheard - kTrustsSteps)).count();
+}
+
 }  // namespace
 
 BeaconFilter::BeaconFilter(std::shared_ptr<const BeaconField> field, std::shared_ptr<const FloorPlan> plan,
@@ -212,7 +217,13 @@ void BeaconFilter::use_second(double dt_s) {
   // A second in which nothing was heard may be one in which nobody listened; but walls tell particles apart all the
   // time.
   if (second.empty()) return keep_all_alike();
+  const Time unheard = *now_ - heard_.value_or(*now_);
   heard_ = now_;
+  if (unheard > kLongestUnheard) {
+    forget();
+  } else if (unheard > kTrustsSteps) {
+    widen(lost_m(unheard));
+  }
   if (steps_ && !has_stepped_ && first_seconds_ < kFirstSeconds) return start_again(second);
   if (particles_.empty()) return start(second);
   const double moved = steps_ ? std::min(1.0, std::exchange(walked_m_, 0.0) / kNewPlace_m) : 1.0;
@@ -226,6 +237,31 @@ void BeaconFilter::use_second(double dt_s) {
   if (still_s_ <= kNewFor_s && !is_in_lift()) past_.push_back({std::move(second), weight, log_evidence, since});
   if (past_.size() > kPastSeconds) past_.pop_front();
   jump_or_resample(dt_s * moved);
+}
+
+/// As if nothing had ever been heard.
+void BeaconFilter::forget() {
+  particles_.clear();
+  past_.clear();
+  first_.clear();
+  first_seconds_ = 0;
+  has_stepped_ = false;
+  still_s_ = walked_m_ = 0.0;
+}
+
+/// Where nothing was heard for a while one may be as far from where steps and walls led as was told meanwhile: what is
+/// heard now is to find particles there, and what was heard before no longer speaks against them.
+void BeaconFilter::widen(double sd_m) {
+  past_.clear();
+  for (Particle& p : particles_) {
+    const double x = p.x_m + sd_m * random_.normal(), y = p.y_m + sd_m * random_.normal();
+    const int level = field_->levels()[p.level_index].level;
+    const bool is_out = options_.walls && (!plan_->may_be_at(level, x, y) || plan_->is_closed(level, x, y) ||
+                                           stairs_at(p.level_index, x, y));
+    if (p.way >= 0 || is_out) continue;
+    p.x_m = x;
+    p.y_m = y;
+  }
 }
 
 /// With weights that differ too much few particles stand for the doubt, and in the end one.
@@ -394,8 +430,7 @@ Estimate BeaconFilter::estimate() const {
   result.covariance =
       accuracy_.factor() * result.spread + accuracy_.floor() * accuracy_.floor() * Eigen::Matrix2d::Identity();
   const Time unheard = *now_ - *heard_;
-  const double lost_m = kLost_mps * std::chrono::duration<double>(std::max(Time{}, unheard - kTrustsSteps)).count();
-  result.covariance += lost_m * lost_m * Eigen::Matrix2d::Identity();
+  result.covariance += std::pow(lost_m(unheard), 2) * Eigen::Matrix2d::Identity();
   result.x_m = mean.x();
   result.y_m = mean.y();
   const bool wide = result.spread.trace() > kWidestSpread_m * kWidestSpread_m && of_mode < kLeastOfMode * all;

@@ -149,6 +149,8 @@ class BeaconFilter {
   double share_of_steps(const Particle& p) const;
   double log_likelihood_on_way(const Particle& p, double x_m, double y_m, const Second& second, double weight) const;
   void use_second(double dt_s);
+  void forget();
+  void widen(double sd_m);
   void start_again(const Second& second);
   void start(const Second& second);
   double log_likelihood(const Particle& p, const Second& second, const Walked& since, double weight) const;
