@@ -189,16 +189,15 @@ class StartedHost {
   int renewed_ = 0;
 };
 
-/// By this process's clock, where the system's has to begin anew.
-void let_pass(Session& session, StartedHost& host, Service& service, double time_ms) {
+/// By this process's clock, where the system's has to begin anew. How the run has ended before, if it has.
+control::Ended let_pass(Session& session, StartedHost& host, Service& service, double time_ms) {
   const SteadyTime begin = std::chrono::steady_clock::now();
   while (true) {
     const std::chrono::duration<double, std::milli> passed = std::chrono::steady_clock::now() - begin;
     control::Request request;
     request.mutable_sleep()->set_duration_ms(std::max(0.0, time_ms - passed.count()));
     try {
-      session.host().call_waiting(std::move(request));
-      return;
+      return session.host().call_waiting(std::move(request)).ended();
     } catch (const Error&) {
       if (session.connected() || !host.reconnect()) throw;
       service.host_is_back();
@@ -230,20 +229,22 @@ std::optional<control::Reply> end_of_run(Session& session, StartedHost& host, Se
 /// Lets the system run until a component ends it, somebody quits, or the time is over.
 void run_headless(Session& session, StartedHost& host, const Word* duration, const Line& line) {
   Service service(session);
+  control::Ended ended;
   if (duration != nullptr) {
-    let_pass(session, host, service, duration_ms(*duration, line.words));
-    return end_host(session, 0);
+    ended = let_pass(session, host, service, duration_ms(*duration, line.words));
+  } else {
+    session.out.remark("the system runs; Ctrl-C ends it");
+    const auto reply = end_of_run(session, host, service);
+    if (!reply) return;
+    ended = reply->ended();
   }
-  session.out.remark("the system runs; Ctrl-C ends it");
-  const auto ended = end_of_run(session, host, service);
-  if (!ended) return;
-  if (!ended->ended().reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended->ended().reason()));
-  session.finished = ended->ended().exit_code();
+  if (!ended.reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended.reason()));
+  session.finished = ended.exit_code();
   try {
-    end_host(session, ended->ended().exit_code());
+    end_host(session, ended.exit_code());
   } catch (const Error& error) {
-    if (error.code() != ErrorCode::Unreachable)
-      throw;  // somebody's `quit` ended the run, and the host is going already
+    // Somebody's `quit` ended the run, and the host is going already.
+    if (error.code() != ErrorCode::Unreachable || ended.reason().empty()) throw;
   }
 }
 
