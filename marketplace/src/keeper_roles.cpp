@@ -75,6 +75,18 @@ std::string new_key_name(const std::string& market, const std::string& role, con
   }
 }
 
+// What the keys are called that sign now: those of another marketplace of the same last name are called otherwise.
+std::string name_of_keys(const tuf::Repository& repository, const filesystem::path& market, const std::string& role,
+                         const KeeperOptions& options) {
+  const auto signs = repository.keys_of(top_level_of(role).back()).keys;
+  for (const std::string& name : options.keys.names()) {
+    const std::size_t end = name.rfind("." + role);
+    if (end == std::string::npos || std::ranges::find(signs, options.keys.get(name).open()) == signs.end()) continue;
+    return name.substr(0, end);
+  }
+  return key_name_of(place_of(market));
+}
+
 // As far as the keys here reach.
 RootChange carry_on(const filesystem::path& market, RootChange change, const KeeperOptions& options) {
   bool may_commit = false;
@@ -126,8 +138,7 @@ std::vector<MarketRole> market_roles(const filesystem::path& market, const Keepe
     added.proposed = proposed;
   }
   for (const auto& publisher : repository.delegated_roles()) {
-    if (publisher != kIndexRole)
-      roles.push_back({publisher, repository.keys_of(publisher), {}, expires(publisher)});
+    if (publisher != kIndexRole) roles.push_back({publisher, repository.keys_of(publisher), {}, expires(publisher)});
   }
   return roles;
 }
@@ -146,7 +157,7 @@ RootChange rotate(const filesystem::path& market, const std::string& role, const
   {
     tuf::Repository repository{repository_options(market, options), options.keys};
     if (keys.empty()) {
-      change.made.push_back(new_key_name(key_name_of(place_of(market)), role, options));
+      change.made.push_back(new_key_name(name_of_keys(repository, market, role, options), role, options));
       wanted.keys.push_back(options.keys.make(change.made.back()).open());
     }
     repository.propose(roles, wanted);

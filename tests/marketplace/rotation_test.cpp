@@ -54,6 +54,15 @@ class Rotation : public KeptMarket {
   int patch_ = 0;
 };
 
+TEST_F(Rotation, ANewKeyIsCalledLikeThoseOfItsMarketplace) {
+  const auto other = scratch_ / "elsewhere" / market_.filename();
+  init_market(other, keeper());
+  const std::string base = market_.filename().string();
+  EXPECT_EQ(rotate(other, "online", {}, 1, keeper()).made, std::vector<std::string>{base + "-2.online-2"});
+  EXPECT_EQ(rotate(other, "online", {}, 1, keeper()).made, std::vector<std::string>{base + "-2.online-3"});
+  EXPECT_EQ(rotate(market_, "online", {}, 1, keeper()).made, std::vector<std::string>{base + ".online-2"});
+}
+
 TEST_F(Rotation, TheOnlineKeyIsReplacedAndTheFormerOneSignsNothing) {
   const auto before = keys_of("online").keys;
   const RootChange change = rotate(market_, "online", {}, 1, keeper());
