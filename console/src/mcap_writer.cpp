@@ -33,7 +33,6 @@ enum class Op : std::uint8_t {
 constexpr std::string_view kMagic{"\x89MCAP0\r\n", 8};
 constexpr std::size_t kFullChunk_bytes = 1024 * 1024;
 constexpr std::uint64_t kLongestChunk_ns = 1'000'000'000;
-constexpr std::size_t kRecordHead_bytes = 9;  // an operation, a length
 
 /// Little endian, as all numbers of the format.
 template <class T>
@@ -100,7 +99,6 @@ void McapWriter::put(std::string_view bytes) {
 McapWriter::Channel McapWriter::add_channel(const std::string& topic, const std::string& type,
                                             const google::protobuf::FileDescriptorSet& files) {
   const std::string described = files.SerializeAsString();
-  std::string made;
   auto [schema, is_new] =
       schemas_.try_emplace(type + '\n' + described, static_cast<std::uint16_t>(schemas_.size() + 1));
   if (is_new) {
@@ -109,7 +107,7 @@ McapWriter::Channel McapWriter::add_channel(const std::string& topic, const std:
     add_text(content, type);
     add_text(content, "protobuf");
     add_text(content, described);
-    add_record(made, Op::Schema, content);
+    define(schema_records_, record(Op::Schema, content));
   }
   const auto channel = static_cast<Channel>(messages_of_.size());
   messages_of_[channel] = 0;
@@ -119,14 +117,18 @@ McapWriter::Channel McapWriter::add_channel(const std::string& topic, const std:
   add_text(content, topic);
   add_text(content, "protobuf");
   add(content, std::uint32_t{0});  // no metadata
-  add_record(made, Op::Channel, content);
-  definitions_ += made;
-  put(made);
+  define(channel_records_, record(Op::Channel, content));
   return channel;
 }
 
+/// In the chunk, ahead of what needs it, and once more in the summary.
+void McapWriter::define(std::string& in_summary, const std::string& made) {
+  chunk_.records += made;
+  in_summary += made;
+}
+
 void McapWriter::write(const Message& message) {
-  if (chunk_.records.empty()) chunk_.first_ns = chunk_.last_ns = message.logged_ns;
+  if (chunk_.index.empty()) chunk_.first_ns = chunk_.last_ns = message.logged_ns;
   chunk_.first_ns = std::min(chunk_.first_ns, message.logged_ns);
   chunk_.last_ns = std::max(chunk_.last_ns, message.logged_ns);
   chunk_.index[message.channel].emplace_back(message.logged_ns, chunk_.records.size());
@@ -214,17 +216,21 @@ void McapWriter::finish() {
   add(end, std::uint32_t{0});  // no checksum of all: each chunk has its own
   put(record(Op::DataEnd, end));
   const std::uint64_t begin = written_;
-  // Groups of one kind each, though definitions are mixed: they are read from the front.
-  std::string summary = definitions_ + statistics() + chunk_index_;
-  std::string offset;
-  if (!chunk_index_.empty()) {
-    offset.push_back(static_cast<char>(Op::ChunkIndex));
-    add(offset, begin + summary.size() - chunk_index_.size());
-    add(offset, std::uint64_t{chunk_index_.size()});
-    offset = record(Op::SummaryOffset, offset);
-  }
-  const std::uint64_t offsets_begin = offset.empty() ? 0 : begin + summary.size();
-  summary += offset;
+  std::string summary, offsets;
+  const auto add_group = [&](Op op, const std::string& records) {
+    if (records.empty()) return;
+    std::string offset(1, static_cast<char>(op));
+    add(offset, begin + summary.size());
+    add(offset, std::uint64_t{records.size()});
+    add_record(offsets, Op::SummaryOffset, offset);
+    summary += records;
+  };
+  add_group(Op::Schema, schema_records_);
+  add_group(Op::Channel, channel_records_);
+  add_group(Op::Statistics, statistics());
+  add_group(Op::ChunkIndex, chunk_index_);
+  const std::uint64_t offsets_begin = begin + summary.size();
+  summary += offsets;
   summary.push_back(static_cast<char>(Op::Footer));
   add(summary, std::uint64_t{8 + 8 + 4});
   add(summary, begin);

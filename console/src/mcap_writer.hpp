@@ -50,6 +50,7 @@ class McapWriter {
     std::map<Channel, std::vector<std::pair<std::uint64_t, std::uint64_t>>> index{};  ///< time, place in `records`
   };
 
+  void define(std::string& in_summary, const std::string& made);
   void put(std::string_view bytes);
   void put_chunk();
   std::string statistics() const;
@@ -61,7 +62,7 @@ class McapWriter {
   std::uint64_t first_ns_ = 0, last_ns_ = 0;
   std::map<Channel, std::uint64_t> messages_of_;
   std::map<std::string, std::uint16_t> schemas_;  ///< by type and files
-  std::string definitions_;                       ///< records of schemas and channels, once more in the summary
+  std::string schema_records_, channel_records_;  ///< for the summary
   std::string chunk_index_;                       ///< records
   std::uint32_t chunks_ = 0;
   Chunk chunk_;
