@@ -88,6 +88,13 @@ std::vector<KnownComponent> Catalogue::with_port(fiona::Direction direction, std
       if (fits) found.push_back({&plugin, &component});
     }
   }
+  const auto order = [direction](const KnownComponent& one) {
+    const auto& ports = one.component->ports();
+    const auto others =
+        std::count_if(ports.begin(), ports.end(), [&](const auto& p) { return p.direction() == direction; });
+    return std::pair(!one.plugin->installed, others);
+  };
+  std::stable_sort(found.begin(), found.end(), [&](const auto& a, const auto& b) { return order(a) < order(b); });
   return found;
 }
 

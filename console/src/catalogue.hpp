@@ -49,7 +49,7 @@ class Catalogue {
   /// unknown.
   std::vector<KnownComponent> find(std::string_view name) const;
 
-  /// Components with a port of that direction and service, installed ones first.
+  /// Components with a port of that direction and service: installed ones first, and first of all who does little else.
   std::vector<KnownComponent> with_port(fiona::Direction direction, std::string_view service) const;
 
   /// The names that find() knows.

@@ -51,11 +51,12 @@ void Recording::take(const std::string& name, const control::Sample& sample) {
     if (!port.whole->ParseFromString(sample.object())) return void(++lost_);
     without_secrets = WithoutSecrets(*port.whole)->SerializeAsString();
   }
-  const auto ns = [](double s) { return static_cast<std::uint64_t>(std::llround(1e9 * std::max(0.0, s))); };
+  const std::int64_t age_ns = std::llround(1e6 * sample.age_ms());
+  const auto ns = [](std::int64_t time_ns) { return static_cast<std::uint64_t>(std::max<std::int64_t>(0, time_ns)); };
   writer_.write({.channel = port.channel,
                  .sequence = static_cast<std::uint32_t>(sample.sequence()),
-                 .logged_ns = ns(sample.time_s() + sample.age_ms() / 1e3),
-                 .published_ns = ns(sample.time_s()),
+                 .logged_ns = ns(sample.origin_ns() + age_ns),
+                 .published_ns = ns(sample.origin_ns()),
                  .data = port.whole ? std::string_view(without_secrets) : std::string_view(sample.object())});
 }
 

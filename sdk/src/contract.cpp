@@ -110,4 +110,8 @@ Difference contract_difference(const ServiceDescriptor& required, const ServiceD
   return {};
 }
 
+Difference object_difference(const Descriptor& required, const Descriptor& provided) {
+  return Comparison().messages(required, provided);
+}
+
 }  // namespace fiona

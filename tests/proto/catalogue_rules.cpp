@@ -51,6 +51,10 @@ void check_field(const FieldDescriptor& field, const std::set<std::string>& dime
   }
   const std::string& frame = options.GetExtension(fiona::frame);
   if (!frame.empty() && frames().count(frame) == 0) out.push_back(name + " has the unknown frame \"" + frame + '"');
+  // Who plays a recording moves the times in it, and finds them by this.
+  const bool is_time = field.type() == FieldDescriptor::TYPE_INT64 && options.GetExtension(fiona::unit) == "ms";
+  if (is_time != (options.GetExtension(fiona::doc).find("since 1970-01-01 UTC") != std::string::npos))
+    out.push_back(name + " is a time, int64 with the unit ms, in its doc or in its type, and not in both");
   if (!default_is_in_range(field)) out.push_back(name + " is refused when nobody sets it: 0 is out of its range");
   const bool says_covariance =
       field.is_repeated() && options.GetExtension(fiona::doc).find("covariance") != std::string::npos;

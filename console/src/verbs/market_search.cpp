@@ -22,8 +22,11 @@ namespace {
 
 using marketplace::Marketplace;
 
+/// Names of services in a row of a table for people.
+constexpr std::size_t kMostServices = 6;
+
 /// "GetIMUService, RFSignalRSSIService": what the components of a package provide, or require.
-std::string services_text(const IndexEntry& entry, fiona::Direction direction) {
+Table::Cell services_of(const IndexEntry& entry, fiona::Direction direction) {
   std::vector<std::string> names;
   for (const auto& component : entry.interface().components()) {
     for (const auto& port : component.ports()) {
@@ -32,7 +35,11 @@ std::string services_text(const IndexEntry& entry, fiona::Direction direction) {
         names.push_back(name);
     }
   }
-  return fmt::format("{}", fmt::join(names, ", "));
+  const std::string all = fmt::format("{}", fmt::join(names, ", "));
+  if (names.size() <= kMostServices) return all;
+  const std::size_t left = names.size() - kMostServices;
+  names.resize(kMostServices);
+  return {fmt::format("{} and {} more", fmt::join(names, ", "), left), all};
 }
 
 bool has_port(const IndexEntry& entry, fiona::Direction direction, const std::string& service) {
@@ -165,8 +172,7 @@ void market_search(Session& session, const Line& line) {
   Table table({"package", "version", "provides", "requires", "summary"});
   for (const IndexEntry& entry : found_by(market, line)) {
     table.add({marketplace::full_name(entry.manifest()), entry.manifest().version(),
-               services_text(entry, fiona::PROVIDES), services_text(entry, fiona::REQUIRES),
-               entry.manifest().summary()});
+               services_of(entry, fiona::PROVIDES), services_of(entry, fiona::REQUIRES), entry.manifest().summary()});
   }
   const std::vector<std::string> words = words_in(line);
   session.out.table(table, words.empty() && line.options.count("--provides") + line.options.count("--requires") == 0

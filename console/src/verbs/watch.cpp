@@ -5,6 +5,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "../system_view.hpp"
+#include "../types.hpp"
 #include "verbs.hpp"
 
 namespace fiona::console::verbs {
@@ -82,10 +84,53 @@ WatchRequest watch_request(const Line& line) {
 }  // namespace fiona::console
 
 namespace fiona::console::verbs {
+namespace {
+
+/// The type of what the port or probe says, by its full name; empty: it says none that has fields, or is not known.
+std::string watched_type(Session& session, const control::PortName& name) {
+  const control::System system = session.snapshot();
+  const auto* instance = find_instance(system, name.instance());
+  if (instance == nullptr) return {};
+  if (const auto* port = find_port(*instance, name.port())) return port->service();
+  for (const ProbeInfo& probe : probes_of(*instance)) {
+    if (probe.name == name.port() && probe.type.find('.') != std::string::npos) return probe.type;
+  }
+  return {};
+}
+
+/// Before the port says anything, which it may never do. What cannot be told now, its first message tells.
+void check_fields(Session& session, const WatchRequest& request, const Line& line) {
+  std::vector<Word> fields(line.positional.begin() + 1, line.positional.end());
+  if (request.when && !request.when->field().empty()) fields.push_back(line.clauses.at("when").front());
+  if (fields.empty()) return;
+  const std::string type_name = watched_type(session, request.port);
+  if (type_name.empty()) return;
+  control::Request describe;
+  describe.mutable_describe()->set_name(type_name);
+  const control::Reply reply = session.call(std::move(describe));
+  const TypeSet types(reply.description().files());
+  const auto* type = types.object(reply.description().name());
+  const auto* service = reply.description().is_service() ? types.service(reply.description().name()) : nullptr;
+  if (service != nullptr && service->method_count() > 0) type = service->method(0)->output_type();
+  if (type == nullptr) return;
+  for (const Word& field : fields) {
+    const PathCheck checked = check_path(*type, field.text);
+    if (checked.exists) continue;
+    throw line.error(field,
+                     {.what = fmt::format("there is no field '{}' in {}", field.text, type->name()),
+                      .expected = fmt::format("{}", fmt::join(checked.known, ", ")),
+                      .near = nearest_names(field.text, checked.known)},
+                     ErrorCode::NotFound);
+  }
+}
+
+}  // namespace
 
 void watch(Session& session, const Line& line) {
   if (line.positional[0].is_plain("stop")) return stop(session, line);
-  session.watches().start(watch_request(line));
+  const WatchRequest request = watch_request(line);
+  check_fields(session, request, line);
+  session.watches().start(request);
   if (session.setting != Setting::Shell) return;
   session.watches().wait(WatchList::Which::All);
 }

@@ -15,5 +15,8 @@ namespace fiona {
 /// and array lengths (docs/architecture.md, The way of a message). The sentence names the first field that differs.
 std::optional<std::string> contract_difference(const google::protobuf::ServiceDescriptor& required,
                                                const google::protobuf::ServiceDescriptor& provided);
+/// The same of two objects of one name.
+std::optional<std::string> object_difference(const google::protobuf::Descriptor& required,
+                                             const google::protobuf::Descriptor& provided);
 
 }  // namespace fiona

@@ -1,0 +1,202 @@
+#include "recording_player.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <google/protobuf/util/message_differencer.h>
+
+#include "fiona/hmi.fiona.hpp"
+#include "fiona/localisation.fiona.hpp"
+#include "fiona/navigation.fiona.hpp"
+#include "fiona/perception.fiona.hpp"
+#include "fiona/sensors.fiona.hpp"
+#include "schema.hpp"
+
+namespace fiona::recording_player {
+namespace {
+
+/// What is further apart is taken as so far.
+constexpr std::chrono::hours kLongest{24 * 365 * 10};
+
+constexpr std::uint64_t kMostToldDamages = 10;
+
+/// The names between commas, without blanks around them.
+std::vector<std::string> names_in(std::string_view list) {
+  std::vector<std::string> names;
+  while (!list.empty()) {
+    const auto comma = std::min(list.find(','), list.size());
+    std::string_view name = list.substr(0, comma);
+    list.remove_prefix(std::min(comma + 1, list.size()));
+    while (name.starts_with(' ')) name.remove_prefix(1);
+    while (name.ends_with(' ')) name.remove_suffix(1);
+    if (!name.empty()) names.emplace_back(name);
+  }
+  return names;
+}
+
+Duration between(std::uint64_t begin_ns, std::uint64_t end_ns) {
+  const std::uint64_t ns = std::max(begin_ns, end_ns) - std::min(begin_ns, end_ns);
+  const Duration size(
+      static_cast<std::int64_t>(std::min<std::uint64_t>(ns, std::chrono::nanoseconds(kLongest).count())));
+  return begin_ns <= end_ns ? size : -size;
+}
+
+}  // namespace
+
+/// The push services of the catalogue, each of them.
+RecordingPlayer::RecordingPlayer(Hull& hull) : Component(hull) {
+  offer<sensors::GetIMUService>("imu", "inertial readings");
+  offer<sensors::GyroscopeInput>("gyroscope", "turn rates");
+  offer<sensors::MagnetometerInput>("magnetometer", "magnetic field");
+  offer<sensors::RFSignalRSSIService>("wifi", "radio signal strengths: Wi-Fi or any other");
+  offer<sensors::RFTOAService>("toa", "times of arrival");
+  offer<sensors::RFAOAService>("aoa", "angles of arrival");
+  offer<sensors::SatelliteInView>("satellites", "satellites in view");
+  offer<sensors::IbeaconlistProvider>("beacons", "iBeacons");
+  offer<perception::PointObjectDetected>("points", "point objects");
+  offer<perception::VolumeObjectDetected>("volumes", "objects with extent");
+  offer<perception::ObstacleProvider>("obstacle", "whether there is an obstacle");
+  offer<localisation::OrientationProvider>("orientation", "how the device was turned");
+  offer<localisation::LocationProvider>("location", "where the device was, or was taken to be");
+  offer<localisation::StepProvider>("steps", "steps of a pedestrian");
+  offer<navigation::PathProvider>("path", "the way to the destination");
+  offer<hmi::LocalPath>("turn", "the next turn");
+  offer<hmi::InstructionProvider>("instruction", "what the walker was told");
+}
+
+void RecordingPlayer::check(const Parameters& draft) const {
+  if (!recording_) return;
+  Parameters other = draft;
+  other.set_at_end(params_->at_end());
+  if (google::protobuf::util::MessageDifferencer::Equals(other, *params_)) return;
+  throw Error(ErrorCode::NotAllowed, {.what = "the recording is open: only at_end can still be changed",
+                                      .where = name(),
+                                      .next = "unload " + name() + ", then load it with the new parameters"});
+}
+
+void RecordingPlayer::on_start() {
+  if (params_->file().empty()) {
+    throw Error(ErrorCode::Usage, {.what = "no recording is named",
+                                   .where = name(),
+                                   .next = "load recording-player as " + name() + " file=FILE.mcap"});
+  }
+  auto recording = std::make_unique<McapReader>(params_->file());
+  const double length_s = to_seconds(between(recording->first_ns(), recording->last_ns()));
+  if (params_->from_s() > length_s) {
+    throw Error(ErrorCode::Usage, {.what = fmt::format("the recording is over after {:.1f} s", length_s),
+                                   .where = params_->file(),
+                                   .found = fmt::format("from_s={:g}", params_->from_s()),
+                                   .next = "load recording-player as " + name() + " file=FILE.mcap from_s=0"});
+  }
+  begin_ns_ = recording->first_ns() + static_cast<std::uint64_t>(1e9 * params_->from_s());
+  connect(*recording);
+  if (recording->is_cut()) log(LogLevel::Warning, "the recording is cut off: what is whole of it is played");
+  recording_ = std::move(recording);
+  played_ = {};
+  next_ = read_next();
+}
+
+/// The channels that are asked for, to the outlets of their types. What is asked for by name must be there.
+void RecordingPlayer::connect(McapReader& recording) {
+  const std::vector<std::string> asked = names_in(params_->channels());
+  std::vector<std::string> topics;
+  for (const auto& [id, channel] : recording.channels()) topics.push_back(channel.topic);
+  for (const std::string& topic : asked) {
+    if (std::find(topics.begin(), topics.end(), topic) != topics.end()) continue;
+    throw Error(ErrorCode::NotFound, {.what = "the recording has no channel '" + topic + "'",
+                                      .where = params_->file(),
+                                      .found = fmt::format("{}", fmt::join(topics, ", ")),
+                                      .near = nearest_names(topic, topics)});
+  }
+  outlets_of_.clear();
+  std::set<McapReader::ChannelId> played;
+  std::map<const Outlet*, std::string> taken;
+  std::vector<std::string> left_out;
+  for (const auto& [id, channel] : recording.channels()) {
+    if (!asked.empty() && std::find(asked.begin(), asked.end(), channel.topic) == asked.end()) continue;
+    std::string why = channel.type.empty() ? "it has no type" : "no port has its type " + channel.type;
+    for (const auto& outlet : outlets_) {
+      if (outlet->type().full_name() != channel.type) continue;
+      if (const auto differs = difference(channel, outlet->type())) {
+        why = *differs;
+        continue;
+      }
+      const auto [other, is_first] = taken.try_emplace(outlet.get(), channel.topic);
+      if (other->second != channel.topic) refuse_two(other->second, channel.topic, channel.type);
+      outlets_of_[id].push_back(outlet.get());
+      played.insert(id);
+    }
+    if (!played.contains(id)) left_out.push_back(fmt::format("{} ({})", channel.topic, why));
+  }
+  if (played.empty() || (!asked.empty() && !left_out.empty())) {
+    throw Error(ErrorCode::NotFound,
+                {.what = "there is nothing to be played",
+                 .where = params_->file(),
+                 .expected = "channels whose types are those of ports: show " + name(),
+                 .found = left_out.empty() ? "no channel" : fmt::format("{}", fmt::join(left_out, "; "))});
+  }
+  if (!left_out.empty()) log(LogLevel::Warning, fmt::format("left out: {}", fmt::join(left_out, "; ")));
+  recording.select(std::move(played), begin_ns_);
+}
+
+void RecordingPlayer::refuse_two(const std::string& one, const std::string& other, const std::string& type) const {
+  throw Error(
+      ErrorCode::Usage,
+      {.what = fmt::format("'{}' and '{}' have one type, {}, and there is one port for it", one, other, type),
+       .where = params_->file(),
+       .next = fmt::format("load recording-player as {} file=FILE.mcap channels={}, and another one for the other",
+                           name(), one)});
+}
+
+/// Elsewhere than in active it pauses: what remains keeps its distance in time.
+void RecordingPlayer::on_mode(std::string_view mode) {
+  if (mode == kModeActive) {
+    begun_ = now() - played_;
+    next_message_.at(now());
+  } else if (begun_) {
+    next_message_.cancel();
+    played_ = now() - *std::exchange(begun_, std::nullopt);
+  }
+}
+
+void RecordingPlayer::play_next() {
+  if (!begun_) return;
+  while (next_ && *begun_ + between(begin_ns_, next_->logged_ns) <= now()) {
+    play(*next_);
+    next_ = read_next();
+  }
+  if (next_) return next_message_.at(*begun_ + between(begin_ns_, next_->logged_ns));
+  log(LogLevel::Info, "end of recording " + params_->file());
+  if (params_->at_end() == END_RUN) end_run(0, "end of recording " + params_->file());
+}
+
+void RecordingPlayer::play(const McapReader::Message& message) {
+  const TimePoint origin = std::clamp(*begun_ + between(begin_ns_, message.published_ns), TimePoint{}, now());
+  const std::int64_t shift_ms = to_milliseconds(*begun_) - static_cast<std::int64_t>(begin_ns_ / 1'000'000);
+  for (Outlet* outlet : outlets_of_.at(message.channel)) {
+    if (outlet->put(message.data, origin, shift_ms)) continue;
+    const std::string& topic = recording_->channels().at(message.channel).topic;
+    tell_damage(fmt::format("a message of '{}' is garbled", topic));
+  }
+  position_.set(to_seconds(between(begin_ns_, message.logged_ns)) + params_->from_s());
+}
+
+/// The first ones in words, all in the count.
+void RecordingPlayer::tell_damage(const std::string& what) {
+  damaged_.set(++damages_);
+  if (damages_ <= kMostToldDamages) log(LogLevel::Warning, what);
+}
+
+std::optional<McapReader::Message> RecordingPlayer::read_next() {
+  for (;;) {
+    try {
+      return recording_->next();
+    } catch (const Error& error) {
+      tell_damage(error.what());
+    }
+  }
+}
+
+}  // namespace fiona::recording_player
