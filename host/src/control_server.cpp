@@ -175,8 +175,13 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
   system_.watch_time();
 
   if (waits[4].revents != 0) return end(130, "the host was told to end, by a signal");
-  if (waits[3].revents != 0)
-    return end(0, beats ? "the host's supervisor has ended" : "who started the host has ended");
+  if (waits[3].revents != 0) {
+    if (!beats) return end(0, "who started the host has ended");
+    // Who has started the supervisor may start another one, whose host goes on with the run.
+    std::cerr << "the host ends: its supervisor has ended\n";
+    exit_code_ = 0;
+    return;
+  }
   for (const auto& event : events_.take()) on_event(event);
   for (const auto& work : work_.take()) work();
   for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);

@@ -9,6 +9,7 @@ import tempfile
 import time
 
 LIMIT_S = 60
+GONE = (FileNotFoundError, ProcessLookupError)  # what /proc says of a process that ends
 
 
 def children(process):
@@ -105,7 +106,7 @@ class WholeSystem:
         for one in found:
             try:
                 found += children(one)
-            except FileNotFoundError:
+            except GONE:
                 pass
         return found
 
@@ -115,7 +116,7 @@ class WholeSystem:
             try:
                 if command_of(one) == "fiona-host":
                     return one
-            except FileNotFoundError:
+            except GONE:
                 pass
         return None
 
