@@ -538,7 +538,7 @@ control::Sample ControlServer::sample_of(const wire::Tapped& tapped, bool descri
   sample.set_sequence(tapped.sequence());
   sample.set_time_s(to_seconds(origin - system_.clock().start()));
   sample.set_origin_ns(tapped.origin_ns());
-  sample.set_age_ms(1e3 * to_seconds(system_.clock().now() - origin));
+  sample.set_age_ms(1e3 * to_seconds(TimePoint{Duration(tapped.told_ns())} - origin));
   const auto object = described || tapped.type().empty() ? nullptr : system_.types().make(tapped.type());
   if (object) *sample.mutable_files() = Types::files_of(*object->GetDescriptor()->file());
   return sample;

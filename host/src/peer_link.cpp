@@ -322,7 +322,11 @@ void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
 
 void PeerLink::on_message(const wire::GroupMessage& given) {
   wire::GroupMessage message = given;
-  if (message.has_tapped()) message.mutable_tapped()->set_origin_ns(offset_.to_ours(message.tapped().origin_ns()));
+  if (message.has_tapped()) {
+    auto& tapped = *message.mutable_tapped();
+    tapped.set_origin_ns(offset_.to_ours(tapped.origin_ns()));
+    tapped.set_told_ns(offset_.to_ours(tapped.told_ns()));
+  }
   if (message.id() != 0) {
     const std::lock_guard lock(mutex_);
     const auto pending = pending_.find(message.id());

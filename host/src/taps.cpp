@@ -17,11 +17,12 @@ Duration duration_of_ms(double ms) {
   return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
 }
 
-wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit) {
+wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit, TimePoint now) {
   wire::Tapped tapped;
   tapped.set_unit(unit);
   tapped.set_sequence(envelope.sequence);
   tapped.set_origin_ns(envelope.origin.time_since_epoch().count());
+  tapped.set_told_ns(now.time_since_epoch().count());
   if (!envelope.object) return tapped;
   tapped.set_type(envelope.object->GetDescriptor()->full_name());
   WithoutSecrets(*envelope.object)->SerializeToString(tapped.mutable_object());
@@ -72,8 +73,8 @@ std::string value_text(const Object& object) {
 /// Passes values on to the host, as bytes, until one is too large for that.
 class Taps::Teller final : public Watcher {
  public:
-  Teller(std::uint64_t id, std::string name, std::string unit, const OnEvent& on_event)
-      : id_(id), name_(std::move(name)), unit_(std::move(unit)), on_event_(on_event) {}
+  Teller(std::uint64_t id, std::string name, std::string unit, const Clock& clock, const OnEvent& on_event)
+      : id_(id), name_(std::move(name)), unit_(std::move(unit)), clock_(clock), on_event_(on_event) {}
 
   void value(const Tapped& value) override {
     if (ended_) return;
@@ -86,7 +87,7 @@ class Taps::Teller final : public Watcher {
     }
     wire::GroupMessage message;
     auto& tapped = *message.mutable_tapped();
-    tapped = tapped_of(value.envelope, unit_);
+    tapped = tapped_of(value.envelope, unit_, clock_.now());
     tapped.set_tap(id_);
     tapped.set_number(value.number);
     tapped.set_skipped(value.skipped);
@@ -108,6 +109,7 @@ class Taps::Teller final : public Watcher {
   const std::uint64_t id_;
   const std::string name_;
   const std::string unit_;
+  const Clock& clock_;
   const OnEvent& on_event_;
   std::atomic<bool> ended_{false};
 };
@@ -115,7 +117,7 @@ class Taps::Teller final : public Watcher {
 void Taps::tap(const wire::Tap& request, Hull& hull) {
   const std::string& name = request.watch().port().port();
   const std::string unit = hull.unit_of(name);
-  auto teller = std::make_shared<Teller>(request.tap(), text_of(request.watch().port()), unit, on_event_);
+  auto teller = std::make_shared<Teller>(request.tap(), text_of(request.watch().port()), unit, hull.clock(), on_event_);
   taps_[request.tap()] = {&hull, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
 }
 
@@ -135,7 +137,7 @@ void Taps::release(const Hull& hull) {
 }
 
 wire::Tapped read_probe(const Hull& hull, const std::string& name) {
-  return tapped_of(hull.read(name), hull.unit_of(name));
+  return tapped_of(hull.read(name), hull.unit_of(name), hull.clock().now());
 }
 
 void fill_probes(control::InstanceStatus& status, const Hull& hull, TimePoint now) {

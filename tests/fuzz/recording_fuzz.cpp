@@ -23,10 +23,12 @@ constexpr int kMostMessages = 10'000;
 void play(McapReader& recording) {
   for (int i = 0; i < kMostMessages; ++i) {
     try {
-      const auto message = recording.next();
-      if (!message) return;
+      McapReader::Message message;
+      const auto next = recording.next(message);
+      if (next == McapReader::Next::End) return;
+      if (next == McapReader::Next::Later) continue;
       fiona::localisation::CommStep step;
-      if (step.ParseFromArray(message->data.data(), static_cast<int>(message->data.size())))
+      if (step.ParseFromArray(message.data.data(), static_cast<int>(message.data.size())))
         fiona::recording_player::shift_times(step, 1'000'000'007);
     } catch (const fiona::Error&) {
     }

@@ -3,6 +3,7 @@
 #include <archive_entry.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 #include <zlib.h>
 
 #include <algorithm>
@@ -286,8 +287,8 @@ TEST_F(RecordingPlayerTest, WhatNoPortHasTheTypeOfIsLeftOutAndTold) {
       ::testing::Contains(HasSubstr("left out: a.stairs (no port has its type acme.Stairs); a.text (it has no type)")));
   bench->advance(1s);
   EXPECT_EQ(lengths_of(*bench), std::vector<double>{0.5});
-  const std::string error = error_of([&] { player("walk.steps, a.stairs")->start(); });
-  EXPECT_THAT(error, HasSubstr("a.stairs (no port has its type acme.Stairs)"));
+  EXPECT_THAT(error_of([&] { player("walk.steps, a.stairs")->start(); }),
+              HasSubstr("what is asked for cannot be played: a.stairs (no port has its type acme.Stairs)"));
 }
 
 TEST_F(RecordingPlayerTest, ATypeThatIsDescribedOtherwiseIsRefusedByTheFieldThatDiffers) {
@@ -365,12 +366,103 @@ TEST_F(RecordingPlayerTest, WhatIsCutOffAnywhereIsReadAsFarAsItIsWhole) {
     McapReader reader(file_);
     EXPECT_EQ(reader.is_cut(), size < whole.size() - 8) << size;
     std::size_t messages = 0;
-    while (reader.next()) ++messages;
+    McapReader::Message message;
+    for (auto next = McapReader::Next::Later; next != McapReader::Next::End; next = reader.next(message))
+      messages += next == McapReader::Next::Message ? 1 : 0;
     EXPECT_GE(messages, most);
     most = messages;
     EXPECT_EQ(messages == 3, size >= data.size()) << size;
   }
   EXPECT_EQ(most, 3U);
+}
+
+TEST_F(RecordingPlayerTest, ATailOfZerosIsCutOff) {
+  write(Records::begin() + Records::steps_channel() + Records::chunk(0, 0, Records::step_at(0.5, 0)) +
+        std::string(1000, '\0'));
+  EXPECT_EQ(lengths(), std::vector<double>{0.5});
+}
+
+TEST_F(RecordingPlayerTest, AChunkWithoutMessagesHasNoTime) {
+  write(Records::begin() + Records::steps_channel() + Records::step_at(0.5, 0) +
+        Records::record(0x06, std::string(28, '\0') + Records::text("") + Records::number(std::uint64_t{0})) +
+        Records::record(0x06, std::string(28, '\0') + Records::text("zstd") + Records::number(std::uint64_t{0})) +
+        Records::step_at(0.6, kSecond_ns) + Records::end());
+  EXPECT_EQ(lengths(), (std::vector<double>{0.5, 0.6}));
+}
+
+TEST_F(RecordingPlayerTest, ATimeThatCannotBeOfTheSameRecordingIsRefused) {
+  write(Records::begin() + Records::steps_channel() + Records::step_at(0.5, 0) + Records::step_at(0.6, 0 - kBegin_ns) +
+        Records::end());
+  EXPECT_THAT(error_of([&] { player()->start(); }),
+              HasSubstr("between its first and last message there are 20718 days: one of the times is wrong"));
+}
+
+TEST_F(RecordingPlayerTest, ChannelsAreFoundWhereverTheyAreDescribed) {
+  const std::string steps = Records::steps_channel();
+  write(Records::begin() + Records::chunk(kSecond_ns, kSecond_ns, steps + Records::step_at(0.6, kSecond_ns)) +
+        Records::chunk(
+            0, 0,
+            Records::channel(2, 1, "walk.steps", "protobuf") + Records::message(2, 0, step(0.5).SerializeAsString())) +
+        Records::end());
+  EXPECT_EQ(lengths(), (std::vector<double>{0.5, 0.6})) << "against the order of times";
+  write(Records::begin() + Records::channel(7, 0, "a.text", "json") +
+        Records::chunk(0, 0, steps + Records::step_at(0.5, 0)) + Records::end());
+  EXPECT_EQ(lengths(), std::vector<double>{0.5}) << "some outside of chunks, some inside";
+  std::string damaged = Records::chunk(0, 0, Records::step_at(0.5, 0));
+  damaged.back() = static_cast<char>(damaged.back() ^ 1);
+  write(Records::begin() + Records::chunk(0, 0, steps + Records::step_at(0.5, 0)) + damaged + Records::end());
+  EXPECT_EQ(lengths(), std::vector<double>{0.5}) << "beside a chunk that is damaged";
+}
+
+TEST_F(RecordingPlayerTest, ChunksThatHaveNoneOfItsChannelsAreNotRead) {
+  const auto index = [](std::uint16_t channel) {
+    return Records::record(0x07, Records::number(channel) + Records::number(0U));
+  };
+  std::string damaged = Records::chunk(0, 0, Records::message(2, 0, "other"));
+  damaged.back() = static_cast<char>(damaged.back() ^ 1);
+  write(Records::begin() + Records::steps_channel() + Records::channel(2, 0, "b.other", "json") + damaged + index(2) +
+        Records::chunk(0, 0, Records::step_at(0.5, 0)) + index(2) + index(1) + Records::end());
+  const auto bench = player("walk.steps");
+  bench->start();
+  bench->advance(1s);
+  EXPECT_EQ(lengths_of(*bench), std::vector<double>{0.5});
+  EXPECT_EQ(bench->probe<std::uint64_t>("damaged"), 0U);
+}
+
+TEST_F(RecordingPlayerTest, OneOfWhichNothingWasPlayedIsNoSuccess) {
+  std::string damaged = Records::chunk(0, kSecond_ns, Records::step_at(0.5, 0));
+  damaged.back() = static_cast<char>(damaged.back() ^ 1);
+  write(Records::begin() + Records::steps_channel() + damaged + Records::end());
+  const auto bench = player();
+  bench->start();
+  bench->advance(2s);
+  ASSERT_TRUE(bench->run_end());
+  EXPECT_EQ(bench->run_end()->first, 1);
+  EXPECT_THAT(bench->run_end()->second, HasSubstr("nothing of it was played"));
+}
+
+TEST_F(RecordingPlayerTest, RecordsThatAreTooShortAreLeftOutAndCounted) {
+  write(Records::begin() + Records::steps_channel() + Records::record(0x03, "x") + Records::record(0x04, "x") +
+        Records::record(0x05, "x") + Records::record(0x06, "x") + Records::step_at(0.5, 0) + Records::end());
+  const auto bench = player();
+  bench->start();
+  EXPECT_THAT(bench->log(), ::testing::Contains(HasSubstr("4 of its records are garbled and left out")));
+  bench->advance(1s);
+  EXPECT_EQ(lengths_of(*bench), std::vector<double>{0.5});
+}
+
+TEST_F(RecordingPlayerTest, WhoGoesOnAfterTheEndHearsOfItOnce) {
+  write_steps(2);
+  const auto bench = player();
+  bench->set("at_end", "HOLD");
+  bench->start();
+  bench->advance(1s);
+  bench->start(kModeNeutral);
+  bench->start();
+  bench->advance(1s);
+  EXPECT_EQ(std::count_if(bench->log().begin(), bench->log().end(),
+                          [](const auto& line) { return line.find("end of recording") != std::string::npos; }),
+            1);
 }
 
 TEST_F(RecordingPlayerTest, ThatOneIsCutOffIsTold) {
@@ -414,6 +506,9 @@ TEST_F(RecordingPlayerTest, NoneOfItsFilesIsRefusedByName) {
   const std::string missing = error_of([&] { player()->start(); });
   EXPECT_THAT(missing, HasSubstr("cannot read the recording: No such file or directory"));
   EXPECT_THAT(missing, HasSubstr(path()));
+  ASSERT_EQ(::mkfifo(path().c_str(), 0600), 0);
+  EXPECT_THAT(error_of([&] { player()->start(); }), HasSubstr("this is no file"));
+  std::filesystem::remove(file_);
   write("no recording at all");
   EXPECT_THAT(error_of([&] { player()->start(); }),
               HasSubstr("walk.mcap, byte 0: 'walk' failed: this is no recording"));

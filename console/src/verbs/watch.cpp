@@ -86,12 +86,15 @@ WatchRequest watch_request(const Line& line) {
 namespace fiona::console::verbs {
 namespace {
 
-/// The type of what the port or probe says, by its full name; empty: it says none that has fields, or is not known.
+/// The type of what the port or probe says, or its service; empty: it says nothing that has fields, or is not known.
 std::string watched_type(Session& session, const control::PortName& name) {
   const control::System system = session.snapshot();
   const auto* instance = find_instance(system, name.instance());
   if (instance == nullptr) return {};
-  if (const auto* port = find_port(*instance, name.port())) return port->service();
+  if (const auto* port = find_port(*instance, name.port())) {
+    const bool pushes = port->pattern() == fiona::PUSH_NEWEST || port->pattern() == fiona::PUSH_TIMED;
+    return pushes ? port->service() : std::string();
+  }
   for (const ProbeInfo& probe : probes_of(*instance)) {
     if (probe.name == name.port() && probe.type.find('.') != std::string::npos) return probe.type;
   }
@@ -107,7 +110,13 @@ void check_fields(Session& session, const WatchRequest& request, const Line& lin
   if (type_name.empty()) return;
   control::Request describe;
   describe.mutable_describe()->set_name(type_name);
-  const control::Reply reply = session.call(std::move(describe));
+  control::Reply reply;
+  try {
+    reply = session.call(std::move(describe));
+  } catch (const Error& problem) {
+    if (problem.code() == ErrorCode::NotFound) return;
+    throw;
+  }
   const TypeSet types(reply.description().files());
   const auto* type = types.object(reply.description().name());
   const auto* service = reply.description().is_service() ? types.service(reply.description().name()) : nullptr;

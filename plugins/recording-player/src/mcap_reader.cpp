@@ -3,6 +3,7 @@
 #include <archive.h>
 #include <archive_entry.h>
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 #include <zlib.h>
 
@@ -25,6 +26,8 @@ enum Op : std::uint8_t {
   kChannel = 0x04,
   kMessage = 0x05,
   kChunk = 0x06,
+  kMessageIndex = 0x07,
+  kDataEnd = 0x0F,
 };
 
 constexpr std::string_view kMagic{"\x89MCAP0\r\n", 8};
@@ -32,7 +35,7 @@ constexpr std::uint64_t kRecordHead = 1 + 8;
 constexpr std::uint64_t kMessageHead = 2 + 4 + 8 + 8;
 constexpr std::uint64_t kWindow = 64 * 1024;
 constexpr std::uint64_t kLargestLoose = 1024 * 1024;
-// What a file may cost at most: what is beyond is refused, and not half read.
+// What a file may cost at most.
 constexpr std::uint64_t kLargestChunk = 80 * 1024 * 1024;  ///< a link carries messages of 64 MiB
 constexpr std::uint64_t kMostLoaded = 256 * 1024 * 1024;
 constexpr std::uint64_t kMostSchemas = 64 * 1024 * 1024;
@@ -81,7 +84,7 @@ bool each_record(std::string_view records, F take) {
     const auto op = head.number<std::uint8_t>();
     const auto size = head.number<std::uint64_t>();
     at += kRecordHead;
-    if (size > records.size() - at) return false;
+    if (op == 0 || size > records.size() - at) return false;
     take(op, records.substr(at, size));
     at += size;
   }
@@ -136,7 +139,7 @@ std::uint32_t checksum_of(std::string_view bytes) {
 }  // namespace
 
 McapReader::McapReader(const std::filesystem::path& file)
-    : file_(file), descriptor_(::open(file.c_str(), O_RDONLY | O_CLOEXEC)) {
+    : file_(file), descriptor_(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)) {
   if (descriptor_ < 0) {
     throw Error(ErrorCode::NotFound, {.what = fmt::format("cannot read the recording: {}", std::strerror(errno)),
                                       .where = file.string(),
@@ -144,9 +147,9 @@ McapReader::McapReader(const std::filesystem::path& file)
                                       .next = "check its name: the path is one of the host's machine"});
   }
   try {
-    const off_t end = ::lseek(descriptor_, 0, SEEK_END);
-    if (end < 0) fail(0, "the recording is no file");
-    size_ = static_cast<std::uint64_t>(end);
+    struct stat found {};
+    if (::fstat(descriptor_, &found) != 0 || !S_ISREG(found.st_mode)) fail(0, "this is no file");
+    size_ = static_cast<std::uint64_t>(found.st_size);
     scan();
   } catch (...) {
     ::close(descriptor_);
@@ -195,40 +198,32 @@ void McapReader::scan() {
     const auto op = fields.number<std::uint8_t>();
     const auto size = fields.number<std::uint64_t>();
     if (at == kMagic.size() && op != kHeader) fail(at, "the recording does not begin with its header");
-    if (size > size_ - at - kRecordHead) break;
+    if (op == 0 || size > size_ - at - kRecordHead) break;  // zeros are what a power cut leaves
     scan_record(op, at + kRecordHead, size);
     at += kRecordHead + size;
   }
-  cut_ = !ended_;
   window_ = {};
+  if (!has_summary_ || is_cut()) define_from_chunks();
+  drop_empty_chunks();
   const auto earlier = [](const Region& a, const Region& b) { return a.first_ns < b.first_ns; };
   std::stable_sort(regions_.begin(), regions_.end(), earlier);
-  if (!channels_.empty() && !cut_) return;
-  for (const Region& region : regions_) {
-    if (!region.is_chunk) continue;
-    try {
-      const std::string records = records_of(region);
-      each_record(records, [&](std::uint8_t op, std::string_view content) {
-        if (op == kSchema || op == kChannel) define(op, content, region.at);
-      });
-    } catch (const Error&) {
-      if (!cut_) throw;  // of one that is cut the rest is to be had
-    }
-  }
 }
 
+/// What is not as it should be is left out; a chunk that is damaged within is found when it is read.
 void McapReader::scan_record(std::uint8_t op, std::uint64_t at, std::uint64_t size) {
   switch (op) {
     case kFooter: ended_ = true; return;
+    case kDataEnd: data_ended_ = true; return;
     case kSchema:
     case kChannel:
       if (size > kLargestDefinition) fail(at, "the description of a channel is larger than 16 MiB");
+      has_summary_ |= data_ended_;
       return define(op, bytes(at, size), at);
     case kMessage: {
       Fields fields(head(at, std::min(size, kMessageHead)));
       fields.take(2 + 4);
       const auto logged_ns = fields.number<std::uint64_t>();
-      if (size < kMessageHead) fail(at, "a message is shorter than its head");
+      if (size < kMessageHead) return void(++damaged_);
       return add_region(
           {.at = at - kRecordHead, .size = kRecordHead + size, .first_ns = logged_ns, .last_ns = logged_ns});
     }
@@ -236,20 +231,53 @@ void McapReader::scan_record(std::uint8_t op, std::uint64_t at, std::uint64_t si
       Region chunk;
       Fields fields(head(at, std::min(size, kWindow)));
       chunk.first_ns = fields.number<std::uint64_t>();
-      chunk.last_ns = fields.number<std::uint64_t>();
+      chunk.last_ns = std::max(chunk.first_ns, fields.number<std::uint64_t>());
       chunk.unpacked = fields.number<std::uint64_t>();
       chunk.checksum = fields.number<std::uint32_t>();
       chunk.compression = fields.text();
       chunk.size = fields.number<std::uint64_t>();
       const std::uint64_t before = std::min(size, kWindow) - fields.rest().size();
-      if (!fields.ok() || chunk.size != size - before) fail(at, "a chunk's size is not that of its record");
-      chunk.last_ns = std::max(chunk.first_ns, chunk.last_ns);
+      if (!fields.ok() || chunk.size != size - before) return void(++damaged_);
       chunk.at = at + before;
       chunk.is_chunk = true;
       return add_region(std::move(chunk));
     }
-    default: return;  // an index, an attachment, or what a later version has added
+    case kMessageIndex: {
+      Fields fields(head(at, std::min<std::uint64_t>(size, sizeof(ChannelId))));
+      const auto channel = fields.number<ChannelId>();
+      if (fields.ok() && !regions_.empty() && regions_.back().is_chunk) regions_.back().indexed.push_back(channel);
+      return;
+    }
+    default: return;  // an attachment, or what a later version has added
   }
+}
+
+void McapReader::define_from_chunks() {
+  for (const Region& region : regions_) {
+    if (!region.is_chunk) continue;
+    try {
+      const std::string records = records_of(region);
+      each_record(records, [&](std::uint8_t op, std::string_view content) {
+        if (op == kSchema || op == kChannel) define(op, content, region.at);
+      });
+    } catch (const Error&) {  // told when it is to be played
+    }
+  }
+}
+
+/// The format gives a chunk without messages the times 0, which are none.
+void McapReader::drop_empty_chunks() {
+  std::erase_if(regions_, [this](const Region& region) {
+    if (!region.is_chunk || region.last_ns != 0) return false;
+    bool has_messages = false;
+    try {
+      const std::string records = records_of(region);
+      each_record(records, [&](std::uint8_t op, std::string_view) { has_messages |= op == kMessage; });
+    } catch (const Error&) {
+      ++damaged_;
+    }
+    return !has_messages;
+  });
 }
 
 void McapReader::add_region(Region region) {
@@ -272,7 +300,7 @@ void McapReader::define(std::uint8_t op, std::string_view content, std::uint64_t
   if (op == kSchema) {
     const auto id = fields.number<std::uint16_t>();
     Schema schema{std::string(fields.text()), std::string(fields.text()), std::string(fields.text())};
-    if (!fields.ok()) fail(at, "the description of a type is shorter than its fields");
+    if (!fields.ok()) return void(++damaged_);
     if (schemas_.contains(id)) return;
     schema_bytes_ += content.size();
     if (schema_bytes_ > kMostSchemas) fail(at, "the descriptions of its types are larger than 64 MiB");
@@ -284,14 +312,12 @@ void McapReader::define(std::uint8_t op, std::string_view content, std::uint64_t
   Channel channel;
   channel.topic = fields.text();
   channel.encoding = fields.text();
-  if (!fields.ok()) fail(at, "the description of a channel is shorter than its fields");
+  if (!fields.ok()) return void(++damaged_);
   if (channels_.contains(id)) return;
   if (const auto schema = schemas_.find(schema_id); schema != schemas_.end()) {
     channel.type = schema->second.type;
     channel.schema_encoding = schema->second.encoding;
     channel.schema = schema->second.data;
-  } else if (schema_id != 0) {
-    fail(at, fmt::format("the channel '{}' names a type that was not described before", channel.topic));
   }
   schema_bytes_ += channel.schema.size();
   if (schema_bytes_ > kMostSchemas) fail(at, "the descriptions of its types are larger than 64 MiB");
@@ -313,6 +339,7 @@ void McapReader::select(std::set<ChannelId> channels, std::uint64_t from_ns) {
 
 std::string McapReader::records_of(const Region& region) const {
   const bool packed = !region.compression.empty();
+  if (packed && region.unpacked == 0) return {};
   if (packed && region.compression != "lz4" && region.compression != "zstd")
     fail(region.at, fmt::format("a chunk is compressed in a way that is not known here: {}", region.compression));
   if (std::max(region.size, region.unpacked) > kLargestChunk) fail(region.at, "a chunk is larger than 80 MiB");
@@ -327,19 +354,21 @@ std::string McapReader::records_of(const Region& region) const {
   return records;
 }
 
+bool McapReader::is_wanted(const Region& region) const {
+  if (region.last_ns < from_ns_) return false;
+  if (!selected_ || region.indexed.empty()) return true;
+  return std::any_of(region.indexed.begin(), region.indexed.end(),
+                     [this](ChannelId id) { return selected_->contains(id); });
+}
+
 void McapReader::load(std::uint32_t number) {
   const Region& region = regions_[number];
-  if (region.last_ns < from_ns_ || (selected_ && selected_->empty())) return;
-  std::uint64_t held = std::max(region.size, region.unpacked);
-  for (const auto& [other, one] : loaded_) held += one.records.size();
-  if (held > kMostLoaded) fail(region.at, "chunks of more than 256 MiB are of one time");
+  if (loaded_bytes_ + std::max(region.size, region.unpacked) > kMostLoaded)
+    fail(region.at, "a chunk is left out: those of one time are larger than 256 MiB");
+  std::string records = records_of(region);
+  loaded_bytes_ += records.size();
   Loaded& loaded = loaded_[number];
-  try {
-    loaded.records = records_of(region);
-  } catch (...) {
-    loaded_.erase(number);
-    throw;
-  }
+  loaded.records = std::move(records);
   bool is_whole = true;
   is_whole &= each_record(loaded.records, [&](std::uint8_t op, std::string_view content) {
     if (op != kMessage) return;
@@ -350,22 +379,30 @@ void McapReader::load(std::uint32_t number) {
     ++loaded.waiting;
     waiting_.push({message.logged_ns, number, static_cast<std::uint32_t>(content.data() - loaded.records.data())});
   });
-  if (loaded.waiting == 0) loaded_.erase(number);
+  if (loaded.waiting == 0) unload(number);
   if (!is_whole) fail(region.at, "a chunk is damaged: one of its records is not whole");
 }
 
-std::optional<McapReader::Message> McapReader::next() {
-  if (shown_ && --loaded_.at(*shown_).waiting == 0) loaded_.erase(*shown_);
-  shown_.reset();
-  while (next_region_ < regions_.size() &&
-         (waiting_.empty() || regions_[next_region_].first_ns <= waiting_.top().logged_ns)) {
+void McapReader::unload(std::uint32_t number) {
+  loaded_bytes_ -= loaded_.at(number).records.size();
+  loaded_.erase(number);
+}
+
+McapReader::Next McapReader::next(Message& message) {
+  if (const auto shown = std::exchange(shown_, std::nullopt); shown && --loaded_.at(*shown).waiting == 0)
+    unload(*shown);
+  while (next_region_ < regions_.size() && !is_wanted(regions_[next_region_])) ++next_region_;
+  if (next_region_ < regions_.size() &&
+      (waiting_.empty() || regions_[next_region_].first_ns <= waiting_.top().logged_ns)) {
     load(next_region_++);
+    return Next::Later;
   }
-  if (waiting_.empty()) return std::nullopt;
+  if (waiting_.empty()) return Next::End;
   const Waiting first = waiting_.top();
   waiting_.pop();
   shown_ = first.region;
-  return message_at(loaded_.at(first.region).records, first.at);
+  message = message_at(loaded_.at(first.region).records, first.at);
+  return Next::Message;
 }
 
 }  // namespace fiona::recording_player

@@ -17,8 +17,8 @@
 namespace fiona::recording_player {
 namespace {
 
-/// What is further apart is taken as so far.
-constexpr std::chrono::hours kLongest{24 * 365 * 10};
+/// Messages that are further apart are none of one recording.
+constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 3650);
 
 constexpr std::uint64_t kMostToldDamages = 10;
 
@@ -38,8 +38,7 @@ std::vector<std::string> names_in(std::string_view list) {
 
 Duration between(std::uint64_t begin_ns, std::uint64_t end_ns) {
   const std::uint64_t ns = std::max(begin_ns, end_ns) - std::min(begin_ns, end_ns);
-  const Duration size(
-      static_cast<std::int64_t>(std::min<std::uint64_t>(ns, std::chrono::nanoseconds(kLongest).count())));
+  const Duration size(static_cast<std::int64_t>(std::min<std::uint64_t>(ns, kLongest.count())));
   return begin_ns <= end_ns ? size : -size;
 }
 
@@ -83,19 +82,34 @@ void RecordingPlayer::on_start() {
                                    .next = "load recording-player as " + name() + " file=FILE.mcap"});
   }
   auto recording = std::make_unique<McapReader>(params_->file());
-  const double length_s = to_seconds(between(recording->first_ns(), recording->last_ns()));
+  const std::uint64_t first_ns = recording->first_ns(), last_ns = recording->last_ns();
+  if (last_ns - first_ns > static_cast<std::uint64_t>(kLongest.count())) {
+    throw Error(
+        ErrorCode::Failed,
+        {.what = fmt::format("between its first and last message there are {:.0f} days: one of the times is wrong",
+                             static_cast<double>(last_ns - first_ns) / 86'400e9),
+         .where = params_->file(),
+         .expected = "at most 3650",
+         .next = "what else reads and cuts it: mcap info, mcap filter"});
+  }
+  const double length_s = to_seconds(between(first_ns, last_ns));
   if (params_->from_s() > length_s) {
     throw Error(ErrorCode::Usage, {.what = fmt::format("the recording is over after {:.1f} s", length_s),
                                    .where = params_->file(),
                                    .found = fmt::format("from_s={:g}", params_->from_s()),
                                    .next = "load recording-player as " + name() + " file=FILE.mcap from_s=0"});
   }
-  begin_ns_ = recording->first_ns() + static_cast<std::uint64_t>(1e9 * params_->from_s());
+  begin_ns_ = first_ns + static_cast<std::uint64_t>(1e9 * params_->from_s());
   connect(*recording);
   if (recording->is_cut()) log(LogLevel::Warning, "the recording is cut off: what is whole of it is played");
   recording_ = std::move(recording);
   played_ = {};
-  next_ = read_next();
+  next_.reset();
+  is_over_ = false;
+  messages_ = damages_ = 0;
+  damaged_.set(0);
+  if (const auto records = recording_->damaged(); records > 0)
+    tell_damage(fmt::format("{} of its records are garbled and left out", records));
 }
 
 /// The channels that are asked for, to the outlets of their types. What is asked for by name must be there.
@@ -130,9 +144,17 @@ void RecordingPlayer::connect(McapReader& recording) {
     }
     if (!played.contains(id)) left_out.push_back(fmt::format("{} ({})", channel.topic, why));
   }
-  if (played.empty() || (!asked.empty() && !left_out.empty())) {
+  if (!asked.empty() && !left_out.empty()) {
     throw Error(ErrorCode::NotFound,
-                {.what = "there is nothing to be played",
+                {.what = fmt::format("what is asked for cannot be played: {}", fmt::join(left_out, "; ")),
+                 .where = params_->file(),
+                 .expected = "channels whose types are those of ports: show " + name(),
+                 .next = "name fewer channels, or none"});
+  }
+  if (played.empty()) {
+    const char* cut = recording.is_cut() ? ", and it is cut off" : "";
+    throw Error(ErrorCode::NotFound,
+                {.what = fmt::format("there is nothing to be played{}", cut),
                  .where = params_->file(),
                  .expected = "channels whose types are those of ports: show " + name(),
                  .found = left_out.empty() ? "no channel" : fmt::format("{}", fmt::join(left_out, "; "))});
@@ -162,23 +184,46 @@ void RecordingPlayer::on_mode(std::string_view mode) {
 }
 
 void RecordingPlayer::play_next() {
-  if (!begun_) return;
-  while (next_ && *begun_ + between(begin_ns_, next_->logged_ns) <= now()) {
+  if (!begun_ || is_over_) return;
+  while (next_ || read_next()) {
+    const TimePoint due = *begun_ + between(begin_ns_, next_->logged_ns);
+    if (due > now()) return next_message_.at(due);
     play(*next_);
-    next_ = read_next();
+    next_.reset();
   }
-  if (next_) return next_message_.at(*begun_ + between(begin_ns_, next_->logged_ns));
-  log(LogLevel::Info, "end of recording " + params_->file());
-  if (params_->at_end() == END_RUN) end_run(0, "end of recording " + params_->file());
+  is_over_ ? end() : next_message_.at(now());  // others have their turn before what takes time goes on
+}
+
+/// Whether there is one; if not, it is over, or there is more to be read.
+bool RecordingPlayer::read_next() {
+  try {
+    McapReader::Message message;
+    const auto next = recording_->next(message);
+    is_over_ = next == McapReader::Next::End;
+    if (next == McapReader::Next::Message) next_ = message;
+  } catch (const Error& error) {
+    tell_damage(error.what());
+  }
+  return next_.has_value();
+}
+
+void RecordingPlayer::end() {
+  const bool none = messages_ == 0;
+  const std::string what =
+      fmt::format("end of recording {}{}", params_->file(), none ? ": nothing of it was played" : "");
+  log(none ? LogLevel::Warning : LogLevel::Info, what);
+  if (params_->at_end() == END_RUN) end_run(none ? static_cast<int>(ErrorCode::Failed) : 0, what);
 }
 
 void RecordingPlayer::play(const McapReader::Message& message) {
   const TimePoint origin = std::clamp(*begun_ + between(begin_ns_, message.published_ns), TimePoint{}, now());
   const std::int64_t shift_ms = to_milliseconds(*begun_) - static_cast<std::int64_t>(begin_ns_ / 1'000'000);
   for (Outlet* outlet : outlets_of_.at(message.channel)) {
-    if (outlet->put(message.data, origin, shift_ms)) continue;
-    const std::string& topic = recording_->channels().at(message.channel).topic;
-    tell_damage(fmt::format("a message of '{}' is garbled", topic));
+    if (outlet->put(message.data, origin, shift_ms)) {
+      ++messages_;
+    } else {
+      tell_damage(fmt::format("a message of '{}' is garbled", recording_->channels().at(message.channel).topic));
+    }
   }
   position_.set(to_seconds(between(begin_ns_, message.logged_ns)) + params_->from_s());
 }
@@ -187,16 +232,6 @@ void RecordingPlayer::play(const McapReader::Message& message) {
 void RecordingPlayer::tell_damage(const std::string& what) {
   damaged_.set(++damages_);
   if (damages_ <= kMostToldDamages) log(LogLevel::Warning, what);
-}
-
-std::optional<McapReader::Message> RecordingPlayer::read_next() {
-  for (;;) {
-    try {
-      return recording_->next();
-    } catch (const Error& error) {
-      tell_damage(error.what());
-    }
-  }
 }
 
 }  // namespace fiona::recording_player

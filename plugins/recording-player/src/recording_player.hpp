@@ -35,8 +35,9 @@ class RecordingPlayer final : public Component {
 
   void play_next();
   void play(const McapReader::Message& message);
+  bool read_next();
   void tell_damage(const std::string& what);
-  std::optional<McapReader::Message> read_next();
+  void end();
 
   Params<Parameters> params_{*this, &RecordingPlayer::check};
   std::vector<std::unique_ptr<Outlet>> outlets_{};
@@ -48,6 +49,8 @@ class RecordingPlayer final : public Component {
   std::unique_ptr<McapReader> recording_{};
   std::map<McapReader::ChannelId, std::vector<Outlet*>> outlets_of_{};
   std::optional<McapReader::Message> next_{};
+  bool is_over_ = false;
+  std::uint64_t messages_ = 0;  ///< put so far
   std::uint64_t damages_ = 0;
   std::uint64_t begin_ns_ = 0;        ///< of what is played, on the recording's clock
   Duration played_{};                 ///< since then, while it pauses
