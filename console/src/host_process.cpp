@@ -123,6 +123,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
                                  "--lifeline-fd",
                                  fmt::format("{}", kLifelineInHost)};
   if (launch.restore) words.push_back("--restore");
+  if (!launch.after_end.empty()) words.insert(words.end(), {"--after-end", launch.after_end});
   if (!launch.journal.empty()) words.insert(words.end(), {"--journal", launch.journal.string()});
   if (!launch.store.empty()) words.insert(words.end(), {"--store", launch.store.string()});
   if (!launch.unsigned_packages.empty()) words.insert(words.end(), {"--unsigned", launch.unsigned_packages.string()});
@@ -171,7 +172,8 @@ void HostProcess::wait_ready(int ready) {
                                                   .next = "fiona doctor; a machine that is very busy: try again"});
   const int code = collect();
   while (told.ends_with('\n')) told.pop_back();
-  throw Error(code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : ErrorCode::Failed,
+  const ErrorCode failed = was_killed_ ? ErrorCode::Unreachable : ErrorCode::Failed;
+  throw Error(code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : failed,
               ErrorText{.what = told.empty() ? fmt::format("the host ended before it was ready (exit code {})", code)
                                              : "the host did not start: " + told});
 }
@@ -198,7 +200,8 @@ bool HostProcess::running() {
   if (exit_code_ || process_ < 0) return false;
   int status = 0;
   if (::waitpid(process_, &status, WNOHANG) != process_) return true;
-  exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  was_killed_ = !WIFEXITED(status);
+  exit_code_ = was_killed_ ? 128 + WTERMSIG(status) : WEXITSTATUS(status);
   return false;
 }
 
@@ -216,6 +219,7 @@ int HostProcess::collect() {
   }
   if (running()) {
     tell_left(process_);
+    was_killed_ = true;
     exit_code_ = 128 + SIGKILL;
   }
   if (was_killed()) end_rest();
@@ -256,6 +260,7 @@ int HostProcess::stop() {
     code = collect();
   }
   if (said_ >= 0) read_said();
+  process_ = -1;  // what another one starts from here on is not what this one has left
   return code;
 }
 

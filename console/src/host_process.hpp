@@ -22,6 +22,7 @@ struct HostLaunch {
   std::vector<std::string> peers{};           ///< "NAME=ADDRESS:PORT=KEY"
   std::vector<std::string> limits{};          ///< of its groups, as the words that it is given
   bool restore = false;                       ///< begins with the system of its last journal
+  std::string after_end{};                    ///< with `restore`: how the one before has ended
   bool supervised = false;                    ///< by a process between, which starts it again
   std::filesystem::path journal{};            ///< empty: beside the socket
 };
@@ -44,7 +45,7 @@ class HostProcess {
   int stop();
   bool running();
   /// Whether a supervisor has been killed: what it has left is gone once `stop` returns.
-  bool was_killed() const { return supervised_ && exit_code_.value_or(0) > 128; }
+  bool was_killed() const { return supervised_ && was_killed_; }
 
  private:
   void spawn(const HostLaunch& launch, int ready, int lifeline, int said);
@@ -64,6 +65,7 @@ class HostProcess {
   int said_ = -1;
   std::string line_;
   std::optional<int> exit_code_;
+  bool was_killed_ = false;  ///< by a signal: an exit code above 128 may be meant
 };
 
 }  // namespace fiona::console

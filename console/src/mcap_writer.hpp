@@ -11,8 +11,8 @@
 namespace fiona::console {
 
 /// Writes a file of messages, each with its time and the schema of its type: MCAP, version 0 (https://mcap.dev/spec),
-/// as other tools read it. Chunks are not compressed. Each is in the file once it is full, or a second after the one
-/// before: what was written until then is readable though the writer is killed. All functions throw Error (Failed) if
+/// as other tools read it. Chunks are not compressed. Each is in the file once it is full, has a second of messages, or is
+/// flushed: what was written until then is readable though the writer is killed. All functions throw Error (Failed) if
 /// the file cannot be written.
 class McapWriter {
  public:
@@ -35,6 +35,10 @@ class McapWriter {
   Channel add_channel(const std::string& topic, const std::string& type,
                       const google::protobuf::FileDescriptorSet& files);
   void write(const Message& message);
+  /// Puts what has been written into the file, where a chunk is still open.
+  void flush() {
+    if (!chunk_.index.empty()) put_chunk();
+  }
   /// Writes the index, and closes the file. Nothing else is called after it.
   void finish();
 

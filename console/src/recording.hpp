@@ -18,6 +18,8 @@ class Recording {
   explicit Recording(const std::string& file) : file_(file), writer_(file) {}
 
   void take(const std::string& port, const control::Sample& sample);
+  /// What has come so far is in the file: called each second, for ports may be silent.
+  void flush() { writer_.flush(); }
   void finish() { writer_.finish(); }
 
   const std::string& file() const { return file_; }

@@ -161,9 +161,9 @@ std::vector<Verb> seeing_verbs() {
        forms({"watch INSTANCE.PORT|INSTANCE.PROBE [FIELD …] [every N|T] [when CONDITION …] [for T]",
               "watch stop [INSTANCE.PORT|INSTANCE.PROBE]"}),
        "prints what goes through a port, or what a probe says",
-       "Any type. `every 5` prints each fifth; `every 1s` is the shortest time between two lines, on the system's "
-       "clock "
-       "and on yours; `for` ends it, on yours.\n"
+       "Any type. `every 5` prints each fifth; `every 1s` is the shortest time between two values, on the "
+       "system's clock, and where that is faster than yours about half of it between two lines; `for` ends it, on "
+       "yours.\n"
        "With `when` only what makes the condition true: [FIELD] above V, below V, is V, changes, older than T. It has "
        "to "
        "become false before it is told again.\n" +
@@ -174,7 +174,8 @@ std::vector<Verb> seeing_verbs() {
       {"record", forms({"record FILE INSTANCE.PORT|INSTANCE.PROBE … [for T]", "record stop [FILE]"}),
        "keeps what goes through ports in a file, each message with its time and type",
        "Any types. FILE, on this machine, is an MCAP file, which Foxglove, PlotJuggler and libraries in many languages "
-       "read; times are since the system's clock started. Passwords and other secrets are left out.\n"
+       "read; times are since 1970-01-01 UTC, of a virtual clock since it started. Passwords and other secrets are "
+       "left out.\n"
        "At a prompt and in a system file it goes on while other lines run; `record stop` ends it. From a shell, Ctrl-C "
        "does. If it is killed, all but the last second can be read.",
        Access::Observe, verbs::record},
@@ -242,8 +243,8 @@ std::vector<Verb> waiting_verbs() {
        "Time is the system's clock; without `for`, 2 s (or --timeout).", Access::Observe, verbs::wait, false},
       {"expect", forms({"expect INSTANCE.PORT.FIELD|INSTANCE.PROBE OP VALUE [for T]"}),
        "waits until a field of a message, or a probe, fulfils a condition, and fails otherwise",
-       "OP: == != < <= > >=. Without `for` the next message decides. In a shell, quote < and >.", Access::Observe,
-       verbs::expect, false},
+       "OP: == != < <= > >=. Time is the system's clock; without `for`, 2 s. In a shell, quote < and >.",
+       Access::Observe, verbs::expect, false},
       {"sleep", forms({"sleep T"}), "lets the system's clock pass", "T has a unit: 500ms, 2s, 1min.", Access::Observe,
        verbs::sleep, false},
       {"quit", forms({"quit [CODE] [-y]"}), "ends the host; its exit code is CODE",

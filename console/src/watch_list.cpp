@@ -12,6 +12,7 @@ namespace fiona::console {
 namespace {
 
 constexpr std::chrono::milliseconds kLooksSoon{100}, kLooksAgain{500};
+constexpr std::chrono::seconds kFlushEvery{1};
 
 }  // namespace
 
@@ -196,17 +197,40 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
 }
 
 void WatchList::record(Running& watch, const control::Sample& sample) {
+  const auto into = watch.request.into;
+  if (!flush_timer_)
+    flush_timer_ = session_.reactor.add_timer(std::chrono::steady_clock::now() + kFlushEvery, [this] { flush_recordings(); });
   try {
-    watch.request.into->take(watch.name, sample);
+    into->take(watch.name, sample);
   } catch (const Error&) {
-    // Nothing more can be written: it ends as it is, for all its ports.
-    const auto broken = std::move(watch.request.into);
-    std::vector<std::uint64_t> others;
-    for (const auto& [number, other] : running_) {
-      if (other.request.into == broken) others.push_back(number);
-    }
-    give_up(others);
+    abandon(*into);
     throw;
+  }
+}
+
+/// Nothing more can be written: it ends as it is, for all its ports.
+void WatchList::abandon(const Recording& broken) {
+  std::vector<std::uint64_t> ports;
+  for (const auto& [number, watch] : running_) {
+    if (watch.request.into.get() == &broken) ports.push_back(number);
+  }
+  give_up(ports);
+}
+
+void WatchList::flush_recordings() {
+  flush_timer_.reset();
+  std::set<std::shared_ptr<Recording>> open;
+  for (const auto& [number, watch] : running_) {
+    if (watch.request.into) open.insert(watch.request.into);
+  }
+  for (const auto& recording : open) {
+    try {
+      recording->flush();
+    } catch (const Error& problem) {
+      abandon(*recording);
+      if (session_.setting == Setting::Shell) throw;
+      session_.out.error(problem);
+    }
   }
 }
 

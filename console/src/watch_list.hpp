@@ -35,7 +35,10 @@ std::vector<WatchRequest> record_requests(const Line& line);
 class WatchList {
  public:
   explicit WatchList(Session& session) : session_(session) {}
-  ~WatchList() { clear(); }
+  ~WatchList() {
+    clear();
+    if (flush_timer_) session_.reactor.cancel_timer(*flush_timer_);
+  }
 
   /// Returns once the host watches. Throws its refusal.
   std::uint64_t start(const WatchRequest& request);
@@ -79,6 +82,8 @@ class WatchList {
   void read(Running& watch, const control::Sample& sample);
   void print(Running& watch, const control::Sample& sample);
   void record(Running& watch, const control::Sample& sample);
+  void flush_recordings();
+  void abandon(const Recording& broken);
   void finish(Recording& recording);
   std::string text_of(const Running& watch, const control::Sample& sample) const;
   void check_fields(const Running& watch) const;
@@ -87,6 +92,7 @@ class WatchList {
   Session& session_;
   std::uint64_t last_ = 0;
   std::map<std::uint64_t, Running> running_;
+  std::optional<std::uint64_t> flush_timer_;  ///< while something has come that may not be in its file
   std::optional<std::uint64_t> starting_;  ///< the one that the host has not said yet that it watches
   std::optional<Error> refused_;           ///< and why it does not
 };

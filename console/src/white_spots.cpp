@@ -18,6 +18,12 @@ bool is_unused(const control::PortStatus& port) {
   return port.direction() == fiona::PROVIDES && port.clients().empty() && port.attached().empty();
 }
 
+/// That there are more than are named, and where.
+void add_rest(WhiteSpot& spot, const char* from, std::size_t count, std::string line) {
+  if (count > kMostOfAKind)
+    spot.fillers.push_back({from, fmt::format("{} more", count - kMostOfAKind), std::move(line)});
+}
+
 /// Nobody is served by what they provide themselves.
 void add_running(WhiteSpot& spot, const control::System& system, const std::string& own) {
   std::size_t count = 0;
@@ -33,6 +39,7 @@ void add_running(WhiteSpot& spot, const control::System& system, const std::stri
                                             : fmt::format("wire {} to {}", name, spot.port)});
     }
   }
+  add_rest(spot, "running", count, "ls services");
 }
 
 void add_known(WhiteSpot& spot, const Catalogue& catalogue) {
@@ -49,6 +56,9 @@ void add_known(WhiteSpot& spot, const Catalogue& catalogue) {
                             known.plugin->installed ? fmt::format("load {}", known.load_name())
                                                     : fmt::format("market install {}", known.plugin->name())});
   }
+  add_rest(spot, "installed", installed, "ls plugins");
+  add_rest(spot, "market", offered,
+           fmt::format("market search {} {}", spot.required ? "--provides" : "--requires", short_name(spot.service)));
 }
 
 /// Of a port that is served: those that could not take over.
@@ -95,7 +105,8 @@ std::vector<std::string> strict_spots(const control::System& system) {
   std::vector<std::string> ports;
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
-      if (is_unserved(port) && !port.optional()) ports.push_back(instance.name() + "." + port.name());
+      const bool is_wired = port.connection() != control::UNWIRED;
+      if (is_unserved(port) && (!port.optional() || is_wired)) ports.push_back(instance.name() + "." + port.name());
     }
   }
   return ports;

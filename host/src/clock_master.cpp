@@ -106,6 +106,21 @@ void ClockMaster::serve(Member& member) {
   }
 }
 
+namespace {
+
+/// Whether something has happened between two reports of a group, beside questions that it was asked: who waits for
+/// time asks now and then, and that is no progress.
+bool has_moved(const wire::ClockReport& before, const wire::ClockReport& now) {
+  const auto same = [](const wire::FrameCount& a, const wire::FrameCount& b) {
+    return a.peer() == b.peer() && a.sent() == b.sent() && a.received() == b.received();
+  };
+  return before.step() != now.step() || before.events() != now.events() || before.staged() != now.staged() ||
+         before.next_ns() != now.next_ns() || now.delivered_size() > 0 ||
+         !std::equal(before.frames().begin(), before.frames().end(), now.frames().begin(), now.frames().end(), same);
+}
+
+}  // namespace
+
 void ClockMaster::on_report(Member& member, const wire::ClockReport& report) {
   const std::lock_guard lock(mutex_);
   if (report.busy()) {
@@ -113,7 +128,7 @@ void ClockMaster::on_report(Member& member, const wire::ClockReport& report) {
     member.running.assign(report.running().begin(), report.running().end());
     return;
   }
-  ++reports_;
+  if (!member.reported || report.partial() || has_moved(member.report, report)) ++reports_;
   for (const auto& line : report.delivered()) {
     if (recorder_) recorder_->delivered(member.at, line.wire(), line.sequence(), line.what());
   }

@@ -46,7 +46,7 @@ class ClockMaster final : public OtherProcesses {
   /// none of them.
   std::vector<std::string> blockers();
   bool empty() const;
-  /// Changes whenever a group has reported.
+  /// Changes whenever something has happened in a group.
   std::uint64_t progress() const;
 
   Situation situation() override;

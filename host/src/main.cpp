@@ -232,7 +232,7 @@ int main(int argc, char** argv) {
     if (flags.version) return std::cout << "fiona-host " << FIONA_VERSION << "\n", 0;
     return serve(flags);
   } catch (const options::error& error) {
-    std::cerr << "fiona-host: " << error.what() << "\n" << description;
+    std::cerr << "fiona-host: " << error.what() << "\n  next: fiona-host --help\n";
     return 2;
   } catch (const fiona::Error& error) {
     if (!tell(flags.ready, std::string(error.what()) + "\n")) std::cerr << "fiona-host: " << error.what() << "\n";

@@ -90,7 +90,7 @@ void Model::make(const control::Change& change, const Packages& packages) {
 
 void Model::unload(const control::Unload& request) {
   instance(request.instance());
-  require_own(request.instance());
+  require_own(request.instance(), true);
   std::erase_if(wires_, [&](const auto& entry) { return entry.first.first == request.instance(); });
   instances_.erase(request.instance());
 }
@@ -113,9 +113,15 @@ void Model::state(const control::State& request) {
   instances_[request.instance()] = std::move(draft);
 }
 
-void Model::require_own(const std::string& name) const {
+void Model::require_own(const std::string& name, bool to_unload) const {
   const Instance* found = find(name);
-  if (!found || !found->led || leader_.empty()) return;
+  if (!found || !found->led || (leader_.empty() && to_unload)) return;
+  if (leader_.empty()) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("'{}' is of the system of a host that led this one and has gone", name),
+                 .expected = "it is left as it is, or unloaded",
+                 .next = "unload " + name});
+  }
   throw Error(ErrorCode::NotAllowed,
               {.what = fmt::format("'{}' belongs to the system of host '{}', which leads this one", name, leader_),
                .next = fmt::format("say it on host '{}'", leader_)});

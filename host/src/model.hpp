@@ -79,8 +79,8 @@ class Model {
   void drop(const std::string& name) { instances_.erase(name); }
   /// Who leads now, and alone may change what is its; empty: nobody.
   void set_leader(std::string leader) { leader_ = std::move(leader); }
-  /// Throws Error NotAllowed for what is the leader's.
-  void require_own(const std::string& name) const;
+  /// Throws Error NotAllowed for what is the leader's, or that of one that has gone; its own may be unloaded then.
+  void require_own(const std::string& name, bool to_unload = false) const;
   /// What loads an instance as it is meant to be now.
   control::Load load_of(const std::string& name) const;
   /// The change as steps that each do one thing: a swap as its wires.

@@ -235,8 +235,11 @@ void Supervisor::take(os::Packet& packet) {
   }
   if (word == SupervisorLink::kEnds) said_why_ = text.substr(end + 1);
   if (word == SupervisorLink::kDrop) kept_.erase(process);
-  // One whose descriptors did not fit in is not kept: it ends with its host.
-  if (word != SupervisorLink::kKeep || process <= 0 || packet.descriptors.size() != 4) return;
+  if (word != SupervisorLink::kKeep || process <= 0) return;
+  if (packet.descriptors.size() != 4) {
+    return say("the group of process " + std::to_string(process) +
+               " would end with its host: there are no descriptors left to keep it by");
+  }
   kept_[process] = Kept{std::string(text), std::move(packet.descriptors), false, ""};
 }
 

@@ -27,6 +27,7 @@ class Supervisor {
   struct Options {
     std::filesystem::path host;
     std::vector<std::string> arguments{};  ///< of the host, as they were given
+    std::string after_end{};               ///< why there is no host any more of which the first one is the next
     os::Descriptor ready{};                ///< gets what the first host says of its start
     os::Descriptor lifeline{};             ///< its end ends all
     /// A host that has said nothing for so long hangs. Longer than a call of a component's life cycle may take.
@@ -44,7 +45,11 @@ class Supervisor {
   /// Of the time since it looked last no more counts: a machine that stood still makes nobody hang.
   static constexpr milliseconds kLook{500};
 
-  explicit Supervisor(Options options) : options_(std::move(options)), program_(options_.host) {}
+  explicit Supervisor(Options options)
+      : options_(std::move(options)),
+        program_(options_.host),
+        starts_(options_.after_end.empty() ? 0 : 1),
+        reason_(options_.after_end) {}
   /// Until the host's end is meant, or it has ended too often. `signals`: SIGTERM and SIGINT as a descriptor. The exit
   /// code.
   int run(int signals);

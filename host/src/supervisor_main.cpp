@@ -37,6 +37,8 @@ Supervisor::Options options_from(int argc, char** argv) {
       options.lifeline = fiona::os::Descriptor(std::stoi(argv[++i]));
     } else if (word == "--hang-after-ms" && has_value) {
       options.hang = std::chrono::milliseconds(std::stoi(argv[++i]));
+    } else if (word == "--after-end" && has_value) {
+      options.after_end = argv[++i];
     } else {
       options.arguments.push_back(word);
     }

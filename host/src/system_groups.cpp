@@ -1,5 +1,6 @@
 // The processes of a system: made for their instances, served, watched, and lost.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <unistd.h>
 
 #include "confinement.hpp"
@@ -21,7 +22,15 @@ const Model::Instance* System::first_in(const std::string& group) const {
 
 Group& System::group_for(const Model::Instance& made) {
   const Model::Instance* first = first_in(made.group);
-  if (host_of(made.group).empty()) require_group(first, made, made.plugin);
+  if (const std::string host = host_of(made.group); host.empty()) {
+    require_group(first, made, made.plugin);
+  } else if (!made.rights.empty()) {
+    throw Error(ErrorCode::NotAllowed,
+                {.what = fmt::format("groups of host '{}' take no rights from this one: {}", host,
+                                     fmt::join(made.rights, ", ")),
+                 .expected = "a group of this host; there a stranger's package has its sandbox, and nothing else opens it",
+                 .next = fmt::format("fiona --host {} load {}, on that host", host, made.plugin)});
+  }
   return group(made.group, first ? first : &made);
 }
 

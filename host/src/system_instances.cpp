@@ -1,5 +1,8 @@
 // Instances: loading, unloading, their parameters and their modes.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
@@ -194,7 +197,16 @@ void System::note_state(const control::State& request) {
 }
 
 std::pair<bool, std::string> System::has_mode(const std::string& name, const std::string& mode) {
-  model_.instance(name);
+  const auto& own = model_.instance(name).interface().modes();
+  std::vector<std::string> known{std::string(kModeNeutral), std::string(kModeDeactivated), std::string(kModeInit),
+                                 std::string(kModeFailed)};
+  if (own.empty()) known.emplace_back(kModeActive);
+  for (const auto& one : own) known.push_back(one.name());
+  if (std::find(known.begin(), known.end(), mode) == known.end()) {
+    throw Error(ErrorCode::NotFound, {.what = fmt::format("'{}' has no mode '{}'", name, mode),
+                                      .expected = fmt::format("{}", fmt::join(known, ", ")),
+                                      .near = nearest_names(mode, known)});
+  }
   std::string now(kModeFailed);
   try {
     control::PortName probe;

@@ -60,8 +60,18 @@ std::string System::on_host_joined(const HostChange& change) {
       if (group->end().empty()) resume(*group);
     }
   }
+  std::string said = fmt::format("host '{}' has joined", change.host);
+  for (auto group = waiting_for_host_.begin(); group != waiting_for_host_.end();) {
+    if (host_of(*group) != change.host) {
+      ++group;
+      continue;
+    }
+    const std::string line = start_again(*group);
+    if (!line.empty()) said += "\n" + line;
+    group = waiting_for_host_.erase(group);
+  }
   resume_wires(change.host);
-  return fmt::format("host '{}' has joined", change.host);
+  return said;
 }
 
 void System::on_host_lost(const std::string& host, const std::string& reason, bool for_good) {

@@ -15,6 +15,12 @@ void System::start_again_later(const std::string& group, const std::string& reas
   const auto lost = lost_in(group);
   const auto stands_by_for = [this](const auto& one) { return standbys_.contains(one.second); };
   if (lost.empty() || std::any_of(lost.begin(), lost.end(), stands_by_for)) return;
+  if (const std::string host = host_of(group); !host.empty() && !hosts_->peer(host)->joined()) {
+    for (const auto& [order, name] : lost)
+      lost_[name].reason = fmt::format("{}; it is loaded again once host '{}' has joined", reason, host);
+    waiting_for_host_.insert(group);
+    return;
+  }
   const bool again = supervision_.ended(group, std::chrono::steady_clock::now(), reason).has_value();
   for (const auto& [order, name] : lost) {
     lost_[name].reason = again ? reason + "; it is started again"

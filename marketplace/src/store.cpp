@@ -176,9 +176,13 @@ std::vector<InstalledPackage> Store::installed_with(std::string_view name, std::
   return {};
 }
 
-std::optional<Revocation> Store::revocation(const InstalledPackage& package) const {
+std::vector<Revocation> Store::revoked() const {
   const Revocations revoked = read_revocations(directory_);
-  for (const auto& one : revoked.packages()) {
+  return {revoked.packages().begin(), revoked.packages().end()};
+}
+
+std::optional<Revocation> Store::revocation(const InstalledPackage& package) const {
+  for (const auto& one : revoked()) {
     if (one.blake2b() == package.blake2b && one.marketplace() == package.source) return one;
   }
   return std::nullopt;

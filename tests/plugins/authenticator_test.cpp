@@ -211,6 +211,15 @@ TEST_F(AuthenticatorTest, ASessionGoesOnAfterARestart) {
   EXPECT_EQ(whose(*started(), bytes).user_name(), "anna");
 }
 
+TEST_F(AuthenticatorTest, ASessionGoesOnAfterARestartWithAnEarlierClockOrAShorterTime) {
+  const auto first = started();
+  first->advance(60s);
+  const std::string bytes = login(*first, "anna", kPassword)->session();
+  const auto behind = started();  // its clock has just begun
+  EXPECT_EQ(whose(*behind, bytes).user_name(), "anna");
+  EXPECT_LE(whose(*behind, bytes).remaining(), 43200U);
+}
+
 TEST_F(AuthenticatorTest, ASessionEndsAtItsTime) {
   const auto bench = started();
   bench->set("session_time", 60);

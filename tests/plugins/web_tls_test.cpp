@@ -204,6 +204,36 @@ TEST_F(TlsServerTest, WhoTrustsTheAuthorityIsServed) {
   }
 }
 
+/// How a server that knows no patience ends a connection over which `sent` comes, and then a byte each 20 ms.
+std::string end_of(const std::string& sent, bool drips) {
+  Board board;
+  const WebServer server({.address = "127.0.0.1",
+                          .files = {},
+                          .board = board,
+                          .on_call = nullptr,
+                          .is_open = nullptr,
+                          .request_time = 200ms,
+                          .idle_time = 400ms});
+  const Bytes connection(BIO_new_connect(server.url().substr(7).c_str()));
+  if (BIO_do_connect(connection.get()) != 1) return "no connection";
+  BIO_write(connection.get(), sent.data(), static_cast<int>(sent.size()));
+  const auto begun = std::chrono::steady_clock::now();
+  while (server.connections() > 0 && std::chrono::steady_clock::now() - begun < 10s) {
+    if (drips) BIO_write(connection.get(), "a", 1);
+    std::this_thread::sleep_for(20ms);
+  }
+  return server.connections() > 0 ? "it is kept" : "closed";
+}
+
+TEST(WebServerTimes, HoldForARequestAsAWholeHoweverSlowlyItComes) {
+  EXPECT_EQ(end_of("", false), "closed");
+  for (const bool drips : {false, true}) {
+    EXPECT_EQ(end_of("GET / HTTP/1.1\r\nHost: ", drips), "closed");
+    EXPECT_EQ(end_of("POST /api/login HTTP/1.1\r\nHost: a\r\nContent-Length: 60000\r\n\r\n", drips), "closed");
+  }
+  EXPECT_EQ(end_of("GET /no HTTP/1.1\r\nHost: a\r\n\r\n", false), "closed") << "idle";
+}
+
 TEST_F(TlsServerTest, WithoutTlsNothingIsServed) {
   EXPECT_THAT(over_tcp(request("http://" + host())), ::testing::Not(HasSubstr("HTTP")));
   for (int i = 0; i < 1000 && server_.connections() > 0; ++i) std::this_thread::sleep_for(5ms);

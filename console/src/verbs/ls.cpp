@@ -18,9 +18,7 @@ std::map<std::string, std::string> marks_of(const Session& session) {
   std::map<std::string, std::string> marks;
   const auto& chosen = session.options.store;
   const Store store(chosen.empty() ? Store::default_directory() : chosen);
-  for (const auto& package : store.installed()) {
-    if (store.revocation(package)) marks[package.name() + " " + package.manifest.version()] = "revoked";
-  }
+  for (const auto& revoked : store.revoked()) marks[revoked.package() + " " + revoked.version()] = "revoked";
   return marks;
 }
 

@@ -450,6 +450,18 @@ void lock(Session& session, const Line& line) {
                    {{"packages", made.packages_size()}, {"file", target.string()}});
 }
 
+/// What runs of packages that have been revoked. That is told once: a host that cannot be asked must not keep the rest.
+void tell_revoked(Session& session, const std::vector<std::string>& packages) {
+  if (packages.empty()) return;
+  try {
+    if (const auto running = instances_of(session, packages); !running.empty())
+      session.out.warning(fmt::format("it still runs: {}\n  next: unload", fmt::join(running, ", ")));
+  } catch (const Error& problem) {
+    session.out.warning(fmt::format(
+        "whether it still runs is not known: {}\n  next: fiona --host NAME ls, of each host", problem.text().what));
+  }
+}
+
 }  // namespace
 
 marketplace::Marketplace chosen_market(Session& session, const Line& line) {
@@ -463,16 +475,16 @@ marketplace::Marketplace opened_market(Session& session, const std::string& plac
     session.out.remark(fmt::format("the index of {} has {} part{} that this version of FIONA does not understand",
                                    market.source(), market.left_out(), market.left_out() == 1 ? "" : "s"));
   const Store store = chosen_store(session);
+  std::vector<std::string> packages;
   for (const auto& revoked : marketplace::note_revocations(market, store.directory())) {
     session.out.warning(
         fmt::format("{} {}, which is installed, has been revoked{}; it is not started any more\n  next: "
                     "market update {}, or market remove {}",
                     revoked.package(), revoked.version(), revoked.reason().empty() ? "" : ": " + revoked.reason(),
                     revoked.package(), revoked.package()));
-    const auto running = instances_of(session, {revoked.package()});
-    if (!running.empty())
-      session.out.warning(fmt::format("it still runs: {}\n  next: unload", fmt::join(running, ", ")));
+    packages.push_back(revoked.package());
   }
+  tell_revoked(session, packages);
   return market;
 }
 

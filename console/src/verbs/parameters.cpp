@@ -18,7 +18,8 @@ void set(Session& session, const Line& line) {
 
 namespace {
 
-void get_host(Session& session, const control::System& system, const std::string& wanted) {
+void get_host(Session& session, const control::System& system, const Line& line) {
+  const std::string wanted = line.positional.size() > 1 ? line.positional[1].text : "";
   Table table({"parameter", "value", "unit", "range", "default", "doc"});
   if (wanted.empty() || wanted == "clock")
     table.add({"clock", system.clock(), "", "system|virtual", "system", "what time the instances see"});
@@ -32,6 +33,14 @@ void get_host(Session& session, const control::System& system, const std::string
   if (wanted.empty() || wanted == "deliveries")
     table.add({"deliveries", system.deliveries(), "", "", "",
                "of a virtual clock: the file in which each delivery is recorded"});
+  if (table.empty()) {
+    const std::vector<std::string> known{"clock", "speed", "deliveries"};
+    throw line.error(line.positional[1],
+                     {.what = fmt::format("the host has no parameter '{}'", wanted),
+                      .expected = fmt::format("{}", fmt::join(known, ", ")),
+                      .near = nearest_names(wanted, known)},
+                     ErrorCode::NotFound);
+  }
   session.out.table(table, "");
 }
 
@@ -40,7 +49,7 @@ void get_host(Session& session, const control::System& system, const std::string
 void get(Session& session, const Line& line) {
   const control::System system = session.snapshot();
   const std::string wanted = line.positional.size() > 1 ? line.positional[1].text : "";
-  if (line.positional[0].text == "host") return get_host(session, system, wanted);
+  if (line.positional[0].text == "host") return get_host(session, system, line);
   const auto& instance = instance_at(system, line.positional[0], line);
   Table table({"parameter", "value", "unit", "range", "default", "doc"});
   std::vector<std::string> known;

@@ -148,13 +148,22 @@ class StartedHost {
   /// Whether one that has gone will be back: while its supervisor lives, and once more where that was killed.
   bool comes_back() {
     if (!launch_.supervised || host_->running()) return launch_.supervised;
-    if (!host_->was_killed() || renewed_ == kMostRenewed) return false;
-    ++renewed_;
-    session_.out.remark("the supervisor was killed; it is started again");
+    if (!host_->was_killed()) return false;
     host_->stop();
     launch_.restore = true;
-    start();
-    return true;
+    launch_.after_end = "its supervisor was killed";
+    while (renewed_ < kMostRenewed) {
+      ++renewed_;
+      session_.out.remark("the supervisor was killed; it is started again");
+      try {
+        start();
+        return true;
+      } catch (const Error& problem) {
+        session_.out.remark(problem.text().what);
+        if (problem.code() != ErrorCode::Unreachable) return false;  // it says why it does not want to
+      }
+    }
+    return false;
   }
   /// Waits for it, and connects to it. False: it does not come back.
   bool reconnect() {
@@ -171,14 +180,13 @@ class StartedHost {
     }
     return false;
   }
-  int stop() { return host_->stop(); }
+  int stop() { return host_->stop(); }  ///< of the last one that there was
 
  private:
   static constexpr std::chrono::milliseconds kRetryPeriod{100};
   static constexpr int kMostRenewed = 3;
 
   void start() {
-    host_.reset();
     host_ = std::make_unique<HostProcess>(session_.reactor, launch_,
                                           [this](const std::string& said) { session_.out.remark(said); });
   }
@@ -248,6 +256,11 @@ void run_headless(Session& session, StartedHost& host, const Word* duration, con
   }
 }
 
+const std::map<std::string, std::string> kGroupLimits{{"--group-memory", "a number of MiB, 64 or more"},
+                                                      {"--group-threads", "a number, 8 or more"},
+                                                      {"--group-descriptors", "a number, 64 or more"},
+                                                      {"--group-cpu", "a number of cores, 0.5 for example; 0: all"}};
+
 HostLaunch launch_of(const Line& line, const Options& options) {
   HostLaunch launch;
   launch.supervised = line.has("--supervised");
@@ -259,8 +272,15 @@ HostLaunch launch_of(const Line& line, const Options& options) {
   launch.journal = journal_file(launch.name);
   launch.store = options.store;
   if (line.option("--listen") != nullptr) launch.listen = line.option("--listen")->text;
-  for (const char* limit : {"--group-memory", "--group-threads", "--group-descriptors", "--group-cpu"}) {
-    if (line.option(limit) != nullptr) launch.limits.insert(launch.limits.end(), {limit, line.option(limit)->text});
+  for (const auto& [limit, expected] : kGroupLimits) {
+    const Word* given = line.option(limit);
+    if (given == nullptr) continue;
+    const control::Value value = value_of(*given, line.words);
+    const bool is_whole = value.kind_case() == control::Value::kInteger;
+    if (!value.unit().empty() ||
+        !(is_whole || (limit == "--group-cpu" && value.kind_case() == control::Value::kNumber)))
+      throw line.error(*given, {.what = fmt::format("'{}' is no limit of a group", given->text), .expected = expected});
+    launch.limits.insert(launch.limits.end(), {limit, given->text});
   }
   if (line.option("--serve") != nullptr) launch.serve = line.option("--serve")->text;
   const auto [first, last] = line.options.equal_range("--peer");

@@ -30,7 +30,8 @@ Sessions::Sessions(records::RecordStore& store, TimePoint now, Duration time) : 
   for (const auto& [name, bytes] : store_.all(kSessions)) {
     Session session;
     session.ParseFromString(bytes);
-    if (session.expires_ms() > to_milliseconds(now) && session.expires_ms() <= latest_ms) {
+    if (session.expires_ms() > to_milliseconds(now)) {
+      session.set_expires_ms(std::min<std::int64_t>(session.expires_ms(), latest_ms));
       sessions_.emplace(name, std::move(session));
     } else {
       ended.push_back(name);

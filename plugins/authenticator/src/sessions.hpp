@@ -23,7 +23,7 @@ class Sessions {
     std::size_t of_user = 0;
   };
 
-  /// Takes over those of the database; none that would go on for longer than `time`, whose clock was another one.
+  /// Takes over those of the database; none goes on for longer than `time`, whatever clock it was begun by.
   Sessions(records::RecordStore& store, TimePoint now, Duration time);
 
   /// Its 16 bytes. Ends the oldest ones where there are too many.

@@ -32,8 +32,7 @@ using Fault = beast::error_code;
 
 namespace {
 
-constexpr auto kRequestTime = std::chrono::seconds(10);
-constexpr auto kIdleTime = std::chrono::seconds(30);
+constexpr std::size_t kFirstRead = 4096;
 /// A page takes a server that is silent for three of them for gone.
 constexpr auto kBeat = std::chrono::milliseconds(500);
 constexpr const char* kAddresses = "see the machine's addresses: ip addr";
@@ -154,21 +153,30 @@ class WebServer::ConnectionOver final : public Connection, public std::enable_sh
     if constexpr (std::is_same_v<Stream, beast::tcp_stream>) {
       read();
     } else {
-      lowest().expires_after(kRequestTime);
+      lowest().expires_after(server_->settings.request_time);
       stream_.async_handshake(ssl::stream_base::server,
                               [self = this->shared_from_this()](Fault fault) { fault ? self->close() : self->read(); });
     }
   }
 
+  /// The next request. Its time begins with its first byte, and ends with its last, however slowly they come.
   void read() {
     parser_.emplace();
     set_bounds(*parser_);
-    lowest().expires_after(kIdleTime);
-    http::async_read_header(stream_, buffer_, *parser_, [self = this->shared_from_this()](Fault fault, std::size_t) {
-      if (fault) return self->refuse_or_close(fault);
-      self->lowest().expires_after(kRequestTime);
-      http::async_read(self->stream_, self->buffer_, *self->parser_,
-                       [self](Fault late, std::size_t) { late ? self->refuse_or_close(late) : self->handle(); });
+    if (buffer_.size() > 0) return read_request();
+    lowest().expires_after(std::exchange(silence_, server_->settings.idle_time));
+    stream_.async_read_some(buffer_.prepare(kFirstRead),
+                            [self = this->shared_from_this()](Fault fault, std::size_t size) {
+                              if (fault) return self->refuse_or_close(fault);
+                              self->buffer_.commit(size);
+                              self->read_request();
+                            });
+  }
+
+  void read_request() {
+    lowest().expires_after(server_->settings.request_time);
+    http::async_read(stream_, buffer_, *parser_, [self = this->shared_from_this()](Fault fault, std::size_t) {
+      fault ? self->refuse_or_close(fault) : self->handle();
     });
   }
 
@@ -246,7 +254,7 @@ class WebServer::ConnectionOver final : public Connection, public std::enable_sh
     response_.prepare_payload();
     if (head) response_.body().clear();
     response_.keep_alive(!last_);
-    lowest().expires_after(kRequestTime);
+    lowest().expires_after(server_->settings.request_time);
     serializer_.emplace(response_);
     serializer_->split(head);
     const auto done = [self = this->shared_from_this()](Fault fault, std::size_t) {
@@ -274,7 +282,7 @@ class WebServer::ConnectionOver final : public Connection, public std::enable_sh
   void write(std::string text) {
     writing_ = true;
     text_ = std::move(text);
-    lowest().expires_after(kRequestTime);
+    lowest().expires_after(server_->settings.request_time);
     asio::async_write(stream_, asio::buffer(text_), [self = this->shared_from_this()](Fault fault, std::size_t) {
       self->writing_ = false;
       if (fault) return self->close();
@@ -298,6 +306,7 @@ class WebServer::ConnectionOver final : public Connection, public std::enable_sh
   Stream stream_;
   const std::string from_;
   beast::flat_buffer buffer_{kMaxHeader + kMaxBody};
+  std::chrono::milliseconds silence_ = server_->settings.request_time;  ///< before the next request's first byte
   std::optional<RequestParser> parser_;
   http::response<http::string_body> response_;
   std::optional<http::response_serializer<http::string_body>> serializer_;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -33,7 +34,8 @@ class Responder {
 
 /// An HTTP server in a thread of its own: the page's files, its calls, and streams of what is on the board.
 ///
-/// Bounds: connections, the size of a request, the time to send one and to take an answer. A stream that is slow skips
+/// Bounds: connections, the size of a request, the time for one from its first byte to its last, the time to take an
+/// answer, and how long a connection is kept without a request. A stream that is slow skips
 /// what was replaced meanwhile, and ends when nothing of it is taken for 10 s.
 class WebServer {
  public:
@@ -51,6 +53,8 @@ class WebServer {
     std::function<void(ApiCall call, std::string from, std::shared_ptr<Responder> respond)> on_call;
     /// [the server's thread]
     std::function<bool(const std::string& bearer)> is_open;
+    std::chrono::milliseconds request_time{10'000};  ///< also for the first byte of the first request
+    std::chrono::milliseconds idle_time{30'000};
   };
 
   /// Whether an address is this machine's alone. Throws Error (Usage) for what is no numeric address, or for all of a

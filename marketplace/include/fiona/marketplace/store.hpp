@@ -98,6 +98,9 @@ class Store {
   /// Throws fiona::Error (BadSignature) that names the first difference.
   void verify(const InstalledPackage& package) const;
 
+  /// All that marketplaces have taken back of what is, or was, installed here. Throws as `revocation`.
+  std::vector<Revocation> revoked() const;
+
   /// Why a package must not be started any more, as the marketplace that it came from has said; nothing where it may.
   /// Throws fiona::Error (Failed) if the list of revocations is damaged.
   std::optional<Revocation> revocation(const InstalledPackage& package) const;
