@@ -105,8 +105,9 @@ std::vector<std::string> strict_spots(const control::System& system) {
   std::vector<std::string> ports;
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
-      const bool is_wired = port.connection() != control::UNWIRED;
-      if (is_unserved(port) && (!port.optional() || is_wired)) ports.push_back(instance.name() + "." + port.name());
+      const std::string& wanted = port.peer().instance();
+      const bool waits_for_nobody = !wanted.empty() && find_instance(system, wanted) == nullptr;
+      if (is_unserved(port) && (!port.optional() || waits_for_nobody)) ports.push_back(instance.name() + "." + port.name());
     }
   }
   return ports;
