@@ -46,6 +46,8 @@ class HostProcess {
   bool running();
   /// Whether a supervisor has been killed: what it has left is gone once `stop` returns.
   bool was_killed() const { return supervised_ && was_killed_; }
+  /// An exit code above 128 may be meant.
+  bool ended_by_signal() const { return was_killed_; }
 
  private:
   void spawn(const HostLaunch& launch, int ready, int lifeline, int said);
@@ -65,7 +67,7 @@ class HostProcess {
   int said_ = -1;
   std::string line_;
   std::optional<int> exit_code_;
-  bool was_killed_ = false;  ///< by a signal: an exit code above 128 may be meant
+  bool was_killed_ = false;  ///< by a signal
 };
 
 }  // namespace fiona::console

@@ -91,7 +91,7 @@ std::string exit_codes_text() {
 std::string environment_text() {
   constexpr std::array<std::pair<const char*, const char*>, 7> kVariables{{
       {"FIONA_STORE", "where packages are installed"},
-      {"FIONA_MARKET", "the marketplace directory, unless --from names one"},
+      {"FIONA_MARKET", "the marketplace, a directory or an address, unless --from names one"},
       {"FIONA_KEYS", "where the keys of hosts are"},
       {"XDG_RUNTIME_DIR", "below it, fiona/NAME.sock of each host"},
       {"XDG_STATE_HOME", "below it, fiona/history of the prompt"},

@@ -121,8 +121,10 @@ std::vector<Verb> operating_verbs() {
        "prompt: the command lines of a shell are kept by the shell.",
        Access::Operate, verbs::call, false},
       {"send", forms({"send INSTANCE.NAME [OBJECT] [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
-       "OBJECT is protobuf text: {number: 7}. Waits until the provider's hull has it.", Access::Operate, verbs::call,
-       false},
+       "OBJECT is protobuf text: {number: 7}. Waits until the provider's hull has it; of a query port or a trigger it "
+       "is "
+       "`call`.",
+       Access::Operate, verbs::call, false},
   };
 }
 
@@ -142,7 +144,8 @@ std::string hull_probe_text() {
 std::vector<Verb> seeing_verbs() {
   return {
       {"ls", forms({"ls [instances|plugins|wires|services|hosts]"}), "lists what runs, is installed or connected",
-       "health says ok, waiting, lost, failed, or silent: its process does not answer; wires is connected/required.",
+       "health says ok, unwired, waiting, lost, failed, or silent: its process does not answer; wires is "
+       "connected/required.",
        Access::Observe, verbs::ls},
       {"show", forms({"show THING"}), "everything about an instance, port, plugin, service or object",
        "THING: walk, walk.imu, walk.imu.rate, trace-player, LocationProvider, CommLocation. Without a host, what is "
@@ -189,8 +192,8 @@ std::vector<Verb> seeing_verbs() {
        "has; "
        "p50 and p99 are of the latency, from a message's origin to the handler, over the last 10 to 20 s.\n"
        "Keys: arrows (or j, k) select, enter shows the ports, escape goes back, s sorts by the next column, + and - "
-       "change the "
-       "period, q leaves. Without a terminal it prints the table, once, or as long as `for` says.",
+       "change the period, q leaves. COLUMN is busy, cpu, queue, rate, age, p99, drops or instance. Without a terminal "
+       "it prints the table, once, or as long as `for` says.",
        Access::Observe, verbs::top, false},
   };
 }

@@ -181,6 +181,7 @@ class StartedHost {
     return false;
   }
   int stop() { return host_->stop(); }  ///< of the last one that there was
+  bool ended_by_signal() const { return host_->ended_by_signal(); }
 
  private:
   static constexpr std::chrono::milliseconds kRetryPeriod{100};
@@ -336,10 +337,16 @@ class UnsignedPackages {
 };
 
 /// "killed by signal 11 (Segmentation fault)", as a group's process is told of: a host's is in its exit code.
-std::string end_text(int code) {
+/// Told to end by a signal: an end in order.
+constexpr int kToldToEnd = 130;
+
+std::string end_text(int code, bool by_signal) {
   constexpr int kSignal = 128;
-  return code > kSignal ? fmt::format("killed by signal {} ({})", code - kSignal, ::strsignal(code - kSignal))
-                        : fmt::format("with exit code {}", code);
+  if (by_signal)
+    return fmt::format("the host ended on its own, killed by signal {} ({})", code - kSignal,
+                       ::strsignal(code - kSignal));
+  return code == kToldToEnd ? "the host was told to end, by a signal"
+                            : fmt::format("the host ended on its own, with exit code {}", code);
 }
 
 }  // namespace
@@ -374,9 +381,9 @@ void run(Session& session, const Line& line) {
   session.disconnect();
   const int code = host.stop();
   if (!session.finished && code != 0)
-    throw Error(code == 130 ? ErrorCode::Failed : ErrorCode::ComponentFailed,
-                ErrorText{.what = fmt::format("the host ended on its own, {}", end_text(code)),
-                          .where = fmt::format("host {}", launch.name)});
+    throw Error(
+        code == kToldToEnd ? ErrorCode::Failed : ErrorCode::ComponentFailed,
+        ErrorText{.what = end_text(code, host.ended_by_signal()), .where = fmt::format("host {}", launch.name)});
   if (!session.finished) session.finished = code;
 }
 
