@@ -112,9 +112,9 @@ void RecordingPlayer::on_start() {
     tell_damage(fmt::format("{} of its records are garbled and left out", records));
 }
 
-/// The channels that are asked for, to the outlets of their types. What is asked for by name must be there.
-void RecordingPlayer::connect(McapReader& recording) {
-  const std::vector<std::string> asked = names_in(params_->channels());
+/// Those that are asked for, each of which must be there; empty: any.
+std::vector<std::string> RecordingPlayer::asked_of(const McapReader& recording) const {
+  std::vector<std::string> asked = names_in(params_->channels());
   std::vector<std::string> topics;
   for (const auto& [id, channel] : recording.channels()) topics.push_back(channel.topic);
   for (const std::string& topic : asked) {
@@ -124,40 +124,61 @@ void RecordingPlayer::connect(McapReader& recording) {
                                       .found = fmt::format("{}", fmt::join(topics, ", ")),
                                       .near = nearest_names(topic, topics)});
   }
+  return asked;
+}
+
+/// The outlets of the channel's type; none, and why: there is no such port, or it means another thing.
+std::vector<Outlet*> RecordingPlayer::outlets_for(const McapReader::Channel& channel, std::string& why) const {
+  std::vector<Outlet*> found;
+  why = channel.type.empty() ? "it has no type" : "no port has its type " + channel.type;
+  for (const auto& outlet : outlets_) {
+    if (outlet->type().full_name() != channel.type) continue;
+    if (const auto differs = difference(channel, outlet->type())) {
+      why = *differs;
+    } else {
+      found.push_back(outlet.get());
+    }
+  }
+  return found;
+}
+
+/// The channels to the outlets of their types. What is asked for by name must be played; of the others, some.
+void RecordingPlayer::connect(McapReader& recording) {
+  const std::vector<std::string> asked = asked_of(recording);
   outlets_of_.clear();
   std::set<McapReader::ChannelId> played;
   std::map<const Outlet*, std::string> taken;
   std::vector<std::string> left_out;
   for (const auto& [id, channel] : recording.channels()) {
     if (!asked.empty() && std::find(asked.begin(), asked.end(), channel.topic) == asked.end()) continue;
-    std::string why = channel.type.empty() ? "it has no type" : "no port has its type " + channel.type;
-    for (const auto& outlet : outlets_) {
-      if (outlet->type().full_name() != channel.type) continue;
-      if (const auto differs = difference(channel, outlet->type())) {
-        why = *differs;
-        continue;
-      }
-      const auto [other, is_first] = taken.try_emplace(outlet.get(), channel.topic);
-      if (other->second != channel.topic) refuse_two(other->second, channel.topic, channel.type);
-      outlets_of_[id].push_back(outlet.get());
-      played.insert(id);
+    std::string why;
+    const std::vector<Outlet*> outlets = outlets_for(channel, why);
+    if (outlets.empty()) {
+      left_out.push_back(fmt::format("{} ({})", channel.topic, why));
+      continue;
     }
-    if (!played.contains(id)) left_out.push_back(fmt::format("{} ({})", channel.topic, why));
+    for (const Outlet* outlet : outlets) {
+      const std::string& other = taken.try_emplace(outlet, channel.topic).first->second;
+      if (other != channel.topic) refuse_two(other, channel.topic, channel.type);
+    }
+    outlets_of_[id] = outlets;
+    played.insert(id);
   }
+  const std::string ports = "channels whose types are those of ports: show " + name();
   if (!asked.empty() && !left_out.empty()) {
     throw Error(ErrorCode::NotFound,
                 {.what = fmt::format("what is asked for cannot be played: {}", fmt::join(left_out, "; ")),
                  .where = params_->file(),
-                 .expected = "channels whose types are those of ports: show " + name(),
+                 .expected = ports,
                  .next = "name fewer channels, or none"});
   }
   if (played.empty()) {
-    const char* cut = recording.is_cut() ? ", and it is cut off" : "";
-    throw Error(ErrorCode::NotFound,
-                {.what = fmt::format("there is nothing to be played{}", cut),
-                 .where = params_->file(),
-                 .expected = "channels whose types are those of ports: show " + name(),
-                 .found = left_out.empty() ? "no channel" : fmt::format("{}", fmt::join(left_out, "; "))});
+    throw Error(
+        ErrorCode::NotFound,
+        {.what = fmt::format("there is nothing to be played{}", recording.is_cut() ? ", and it is cut off" : ""),
+         .where = params_->file(),
+         .expected = ports,
+         .found = left_out.empty() ? "no channel" : fmt::format("{}", fmt::join(left_out, "; "))});
   }
   if (!left_out.empty()) log(LogLevel::Warning, fmt::format("left out: {}", fmt::join(left_out, "; ")));
   recording.select(std::move(played), begin_ns_);

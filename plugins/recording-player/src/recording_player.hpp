@@ -30,6 +30,8 @@ class RecordingPlayer final : public Component {
   void offer(std::string_view name, std::string_view doc) {
     outlets_.push_back(std::make_unique<OutletOf<S>>(*this, name, doc));
   }
+  std::vector<std::string> asked_of(const McapReader& recording) const;
+  std::vector<Outlet*> outlets_for(const McapReader::Channel& channel, std::string& why) const;
   void connect(McapReader& recording);
   [[noreturn]] void refuse_two(const std::string& one, const std::string& other, const std::string& type) const;
 
