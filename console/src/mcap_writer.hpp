@@ -11,9 +11,9 @@
 namespace fiona::console {
 
 /// Writes a file of messages, each with its time and the schema of its type: MCAP, version 0 (https://mcap.dev/spec),
-/// as other tools read it. Chunks are not compressed. Each is in the file once it is full, has a second of messages, or is
-/// flushed: what was written until then is readable though the writer is killed. All functions throw Error (Failed) if
-/// the file cannot be written.
+/// as other tools read it. Chunks are not compressed. Each is in the file once it is full, has a second of messages, or
+/// is flushed: what was written until then is readable though the writer is killed. All functions throw Error (Failed)
+/// if the file cannot be written.
 class McapWriter {
  public:
   using Channel = std::uint16_t;

@@ -11,7 +11,8 @@
 namespace fiona::console {
 
 /// What ports say, in a file (McapWriter): a channel for each port, with its name; when a message has come and when it
-/// was true, both since 1970-01-01 UTC (of a virtual clock since it started). Fields that are marked `(fiona.secret)` are left out.
+/// was true, both since 1970-01-01 UTC (of a virtual clock since it started). Fields that are marked `(fiona.secret)`
+/// are left out.
 class Recording {
  public:
   /// Throws Error (Failed): it is there already, or cannot be written. So do the others.

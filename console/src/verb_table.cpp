@@ -122,8 +122,7 @@ std::vector<Verb> operating_verbs() {
        Access::Operate, verbs::call, false},
       {"send", forms({"send INSTANCE.NAME [OBJECT] [FIELD=VALUE …] [for T]"}), "hands an object to a send port by hand",
        "OBJECT is protobuf text: {number: 7}. Waits until the provider's hull has it; of a query port or a trigger it "
-       "is "
-       "`call`.",
+       "is `call`.",
        Access::Operate, verbs::call, false},
   };
 }

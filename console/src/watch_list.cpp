@@ -199,7 +199,8 @@ void WatchList::print(Running& watch, const control::Sample& sample) {
 void WatchList::record(Running& watch, const control::Sample& sample) {
   const auto into = watch.request.into;
   if (!flush_timer_)
-    flush_timer_ = session_.reactor.add_timer(std::chrono::steady_clock::now() + kFlushEvery, [this] { flush_recordings(); });
+    flush_timer_ =
+        session_.reactor.add_timer(std::chrono::steady_clock::now() + kFlushEvery, [this] { flush_recordings(); });
   try {
     into->take(watch.name, sample);
   } catch (const Error&) {

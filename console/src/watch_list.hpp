@@ -93,8 +93,8 @@ class WatchList {
   std::uint64_t last_ = 0;
   std::map<std::uint64_t, Running> running_;
   std::optional<std::uint64_t> flush_timer_;  ///< while something has come that may not be in its file
-  std::optional<std::uint64_t> starting_;  ///< the one that the host has not said yet that it watches
-  std::optional<Error> refused_;           ///< and why it does not
+  std::optional<std::uint64_t> starting_;     ///< the one that the host has not said yet that it watches
+  std::optional<Error> refused_;              ///< and why it does not
 };
 
 }  // namespace fiona::console

@@ -107,7 +107,8 @@ std::vector<std::string> strict_spots(const control::System& system) {
     for (const auto& port : instance.ports()) {
       const std::string& wanted = port.peer().instance();
       const bool waits_for_nobody = !wanted.empty() && find_instance(system, wanted) == nullptr;
-      if (is_unserved(port) && (!port.optional() || waits_for_nobody)) ports.push_back(instance.name() + "." + port.name());
+      if (is_unserved(port) && (!port.optional() || waits_for_nobody))
+        ports.push_back(instance.name() + "." + port.name());
     }
   }
   return ports;

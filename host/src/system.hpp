@@ -383,7 +383,7 @@ class System {
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;
-  std::unique_ptr<HostLinks> hosts_;  ///< none: no tcp
+  std::unique_ptr<HostLinks> hosts_;        ///< none: no tcp
   std::set<std::string> waiting_for_host_;  ///< groups that are to be made again once their host has joined
   LedInstances led_;
 };

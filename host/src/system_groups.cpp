@@ -25,11 +25,12 @@ Group& System::group_for(const Model::Instance& made) {
   if (const std::string host = host_of(made.group); host.empty()) {
     require_group(first, made, made.plugin);
   } else if (!made.rights.empty()) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = fmt::format("groups of host '{}' take no rights from this one: {}", host,
-                                     fmt::join(made.rights, ", ")),
-                 .expected = "a group of this host; there a stranger's package has its sandbox, and nothing else opens it",
-                 .next = fmt::format("fiona --host {} load {}, on that host", host, made.plugin)});
+    throw Error(
+        ErrorCode::NotAllowed,
+        {.what =
+             fmt::format("groups of host '{}' take no rights from this one: {}", host, fmt::join(made.rights, ", ")),
+         .expected = "a group of this host; there a stranger's package has its sandbox, and nothing else opens it",
+         .next = fmt::format("fiona --host {} load {}, on that host", host, made.plugin)});
   }
   return group(made.group, first ? first : &made);
 }
@@ -74,7 +75,8 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   if (Group* remote = remote_group(wanted)) return *remote;
   require_name(wanted, "a group");
   end_leaving(wanted);
-  require_descriptors_for("another group", child_groups().size() + attachments_.clients(), options_.group_limits.descriptors);
+  require_descriptors_for("another group", child_groups().size() + attachments_.clients(),
+                          options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
   auto start = start_of_group(first ? first : first_in(wanted), folder);
   start.copied = template_for(start.confinement);

@@ -1,6 +1,8 @@
 // The hosts that a system leads: their groups, and what is lost and found again when they go and come.
 #include <fmt/format.h>
 
+#include <utility>
+
 #include "fiona/error.hpp"
 #include "system.hpp"
 
@@ -61,14 +63,12 @@ std::string System::on_host_joined(const HostChange& change) {
     }
   }
   std::string said = fmt::format("host '{}' has joined", change.host);
-  for (auto group = waiting_for_host_.begin(); group != waiting_for_host_.end();) {
-    if (host_of(*group) != change.host) {
-      ++group;
-      continue;
+  for (const std::string& group : std::exchange(waiting_for_host_, {})) {
+    if (host_of(group) != change.host) {
+      waiting_for_host_.insert(group);
+    } else if (const std::string line = start_again(group); !line.empty()) {
+      said += "\n" + line;
     }
-    const std::string line = start_again(*group);
-    if (!line.empty()) said += "\n" + line;
-    group = waiting_for_host_.erase(group);
   }
   resume_wires(change.host);
   return said;

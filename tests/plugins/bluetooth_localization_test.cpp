@@ -9,6 +9,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "../error_of.hpp"
 #include "beacon_field.hpp"
 #include "beacon_hall.hpp"
 #include "beacon_map.hpp"
@@ -23,18 +24,11 @@
 namespace fiona::beacons {
 namespace {
 
+using tests::error_of;
+
 using namespace std::chrono_literals;
 using smart_bluetooth_localization::SmartBluetoothLocalization;
 using testing::Bench;
-
-std::string error_of(const std::function<void()>& act) {
-  try {
-    act();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "no error";
-}
 
 /// Places of a survey around a beacon, a metre apart, with what was heard beyond its path loss.
 struct Surveyed {

@@ -11,6 +11,7 @@
 #include <iterator>
 #include <set>
 
+#include "../error_of.hpp"
 #include "../temporary_directory.hpp"
 #include "fiona/options.pb.h"
 #include "fiona/testing/bench.hpp"
@@ -27,6 +28,8 @@
 
 namespace fiona::recording_player {
 namespace {
+
+using tests::error_of;
 
 namespace pb = google::protobuf;
 using console::McapWriter;
@@ -57,15 +60,6 @@ localisation::CommStep step(double length_m) {
   made.set_t_end(static_cast<std::int64_t>(kBegin_ns / 1'000'000));
   made.set_is_valid(true);
   return made;
-}
-
-std::string error_of(const std::function<void()>& act) {
-  try {
-    act();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "no error";
 }
 
 /// Records as the specification has them, for what our own writer never writes.

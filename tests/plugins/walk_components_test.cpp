@@ -6,6 +6,7 @@
 #include <fstream>
 #include <numbers>
 
+#include "../error_of.hpp"
 #include "fiona/objects/imu.hpp"
 #include "fiona/testing/bench.hpp"
 #include "radio_localisation.hpp"
@@ -16,20 +17,13 @@
 namespace fiona {
 namespace {
 
+using tests::error_of;
+
 using namespace std::chrono_literals;
 using radio_localisation::RadioLocalisation;
 using step_heading::StepHeading;
 using testing::Bench;
 using trace_player::TracePlayer;
-
-std::string error_of(const std::function<void()>& act) {
-  try {
-    act();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "no error";
-}
 
 /// Walking east with two steps a second, the phone held flat, its top edge ahead.
 sensors::GetIMU gait(double t_s) {
