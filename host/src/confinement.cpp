@@ -43,6 +43,14 @@ bool is_confined(const Model::Instance& first) {
   return !is_let_in(*first.package) || has(first.rights, kConfined);
 }
 
+std::vector<std::string> rights_of_process(const Model::Instance& one) {
+  std::vector<std::string> found = openings(one);
+  for (const std::string_view right : {kConfined, kUnconfined}) {
+    if (has(one.rights, right)) found.emplace_back(right);
+  }
+  return found;
+}
+
 wire::Confinement confinement_of(const Model::Instance& first, const std::filesystem::path& links,
                                  const std::filesystem::path& own) {
   wire::Confinement confinement;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "fiona/wire.pb.h"
 #include "model.hpp"
@@ -12,6 +13,8 @@ namespace fiona::host {
 bool is_let_in(const Package& package);
 /// Whether the group of this instance, its first one, is a sandbox.
 bool is_confined(const Model::Instance& first);
+/// What an instance was granted that says how its process is confined: all but what the leader itself watches over.
+std::vector<std::string> rights_of_process(const Model::Instance& one);
 
 /// In the folder of a host's sockets: where its groups reach D-Bus, each in a folder that no other one has in reach.
 inline constexpr std::string_view kBusesFolder = "buses";

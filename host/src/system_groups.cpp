@@ -24,11 +24,10 @@ Group& System::group_for(const Model::Instance& made) {
   const Model::Instance* first = first_in(made.group);
   if (const std::string host = host_of(made.group); host.empty()) {
     require_group(first, made, made.plugin);
-  } else if (!made.rights.empty()) {
+  } else if (const auto rights = rights_of_process(made); !rights.empty()) {
     throw Error(
         ErrorCode::NotAllowed,
-        {.what =
-             fmt::format("groups of host '{}' take no rights from this one: {}", host, fmt::join(made.rights, ", ")),
+        {.what = fmt::format("groups of host '{}' take no rights from this one: {}", host, fmt::join(rights, ", ")),
          .expected = "a group of this host; there a stranger's package has its sandbox, and nothing else opens it",
          .next = fmt::format("fiona --host {} load {}, on that host", host, made.plugin)});
   }
