@@ -145,11 +145,11 @@ void require_descriptors_to_start() {
                .next = "ulimit -n 1024"});
 }
 
-MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint,
+MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string memory_key,
                      Runtime::OnEvent on_event)
     : Group("main"),
       clock_(dynamic_cast<VirtualClock*>(&clock)),
-      runtime_(pool, clock, libraries, std::move(endpoint), link_key(), std::move(on_event)) {}
+      runtime_(pool, clock, libraries, std::move(endpoint), {link_key(), std::move(memory_key)}, std::move(on_event)) {}
 
 /// What was sent or staged on this thread, which is no strand's, is seen by a virtual clock once it looks.
 wire::GroupMessage MainGroup::perform(const wire::GroupRequest& request, milliseconds) {
@@ -218,6 +218,7 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   *welcome.mutable_welcome()->mutable_confinement() = confinement_;
   welcome.mutable_welcome()->set_host(start.host);
   welcome.mutable_welcome()->set_adoptable(supervisor_ != nullptr);
+  if (!confinement_.sandboxed()) welcome.mutable_welcome()->set_memory_key(start.memory_key);
   stream_->send(welcome);
   // An exit with code 0 before it says ready is a failure too.
   const auto ready = wait_for(0, Steady::now() + kReadyDeadline);
@@ -226,7 +227,7 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
   if (ready_.protocol() != kGroupProtocol) throw not_of_this_build();
   require_sandbox(this->name(), ready_);
   if (bus_) bus_->require_ready(Steady::now() + kReadyDeadline);
-  if (supervisor_) hand_to_supervisor(std::move(adoption.first));
+  if (supervisor_) hand_to_supervisor(std::move(adoption.first), start.memory_key);
 }
 
 ChildGroup::ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_event)
@@ -273,13 +274,14 @@ void ChildGroup::finish_adoption(Time deadline) {
 }
 
 /// One that is not kept ends with this host; that is no reason not to have it.
-void ChildGroup::hand_to_supervisor(os::PacketSocket adoption) {
+void ChildGroup::hand_to_supervisor(os::PacketSocket adoption, const std::string& memory_key) {
   KeptGroup kept;
   kept.process = process();
   kept.told.set_name(name());
   kept.told.set_endpoint(endpoint_);
   kept.told.set_folder(folder_.string());
   kept.told.set_key(link_key());
+  kept.told.set_memory_key(memory_key);
   *kept.told.mutable_confinement() = confinement_;
   *kept.told.mutable_ready() = ready_;
   if (const auto* system = dynamic_cast<const SystemClock*>(&clock_)) {

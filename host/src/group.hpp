@@ -74,7 +74,8 @@ class Group {
 /// `main`: the runtime in the host's own process.
 class MainGroup final : public Group {
  public:
-  MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, Runtime::OnEvent on_event);
+  MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string memory_key,
+            Runtime::OnEvent on_event);
   std::string endpoint() const override { return runtime_.endpoint(); }
   pid_t process() const override;
   bool alive() const override { return true; }
@@ -123,6 +124,7 @@ class ChildGroup final : public Group {
     std::filesystem::path folder{};        ///< in which it listens: made with it, and removed at its end
     double cores = 0;                      ///< that it may take in the long run; 0: as many as there are
     std::string host{};                    ///< where `main` listens
+    std::string memory_key{};              ///< of the host's processes; a sandbox is not told
     SupervisorLink* supervisor = nullptr;  ///< keeps it for a host after this one; none: it ends with this one
     std::shared_ptr<os::ProcessTemplate>
         copied{};  ///< shared by its copies, for it ends with the last; none: it is none
@@ -193,7 +195,7 @@ class ChildGroup final : public Group {
   void end_if_greedy();
   void watch_bus(Time now);
   void hold_cpu();
-  void hand_to_supervisor(os::PacketSocket adoption);
+  void hand_to_supervisor(os::PacketSocket adoption, const std::string& memory_key);
 
   const std::string endpoint_;
   const std::filesystem::path folder_;

@@ -10,6 +10,12 @@ namespace fiona::host {
 inline constexpr std::size_t kKeyBytes = 32;
 inline constexpr std::size_t kNonceBytes = 16;
 
+/// What a process is given by its host.
+struct LinkKeys {
+  std::string own;       ///< what its peers must prove to know
+  std::string memory{};  ///< with whoever knows it, too, it shares memory; empty: with nobody
+};
+
 /// Bytes nobody can guess.
 std::string random_bytes(std::size_t count);
 /// The key of the links from `client` to the process that has `provider_key`: that process makes it from the name that

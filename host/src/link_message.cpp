@@ -291,8 +291,9 @@ std::string ObjectBytes::to_string() const {
 }
 
 /// Everything from the network is checked before use: lengths here, then protobuf, then the wire's own rules.
-bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver) {
+bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver, bool lent) {
   if (parts.empty() || parts.size() > 2) return false;
+  lent_ = lent;
   std::string_view rest = text_of(parts.front());
   scratch_->arena.Reset();
   auto& frame = *google::protobuf::Arena::CreateMessage<wire::Frame>(&scratch_->arena);
@@ -364,7 +365,11 @@ bool FrameReader::add(Assembly& assembly, std::string_view inside, zmq::message_
   if (size > assembly.frame.size() - assembly.received) return false;
   assembly.received += size;
   if (!inside.empty()) assembly.pieces.emplace_back(inside.data(), inside.size());
-  if (beside) assembly.pieces.push_back(std::move(*beside));
+  if (!beside) return true;
+  zmq::message_t piece = std::move(*beside);
+  const bool is_kept = assembly.received < assembly.frame.size();
+  if (lent_ && is_kept) piece = zmq::message_t(piece.data(), piece.size());
+  assembly.pieces.push_back(std::move(piece));
   return true;
 }
 

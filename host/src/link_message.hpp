@@ -130,8 +130,9 @@ class FrameReader {
   /// Chunks are of this size at most.
   explicit FrameReader(std::size_t chunk = kChunkBytes) : chunk_(chunk) {}
 
-  /// One message's parts. False: it is garbled; what was whole before the fault has been passed on.
-  bool read(std::vector<zmq::message_t>& parts, Receiver& receiver);
+  /// One message's parts. `lent`: the second is the sender's memory, and kept no longer than it takes to read this. False:
+  /// it is garbled; what was whole before the fault has been passed on.
+  bool read(std::vector<zmq::message_t>& parts, Receiver& receiver, bool lent = false);
   /// Objects of which a part is still to come.
   std::size_t unfinished() const { return assemblies_.size(); }
 
@@ -156,6 +157,7 @@ class FrameReader {
   const std::size_t chunk_;
   const std::unique_ptr<Scratch> scratch_ = std::make_unique<Scratch>();
   std::unordered_map<std::uint64_t, Assembly> assemblies_;  ///< by the wire that the object's first frame names
+  bool lent_ = false;                                       ///< the second part of what is being read
 };
 
 }  // namespace fiona::host

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <memory>
 #include <mutex>
@@ -9,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "link_memory.hpp"
 #include "link_socket.hpp"
 
 namespace fiona::host {
@@ -118,11 +120,12 @@ struct LinkSocket::Release {
   }
 };
 
-/// What goes to a peer as one: ZeroMQ takes all of it, or nothing.
+/// What goes to a peer as one: ZeroMQ takes all of its parts, or none.
 struct LinkSocket::Crossing {
-  std::optional<zmq::message_t> beside_frames;  ///< of a chunk, ahead of it
-  zmq::message_t body;
-  std::size_t bytes = 0;
+  void add(zmq::message_t part) { parts[count++] = std::move(part); }
+  std::array<zmq::message_t, 3> parts;
+  std::size_t count = 0;
+  std::size_t bytes = 0;  ///< those that go through memory among them
 };
 
 class LinkSocket::Peer {
@@ -146,7 +149,8 @@ class LinkSocket::Peer {
   PeerLanes lanes;
   std::optional<Crossing> held;  ///< ahead of the lanes: ZeroMQ has had no room for it
   const std::shared_ptr<PeerLanes::Lane> control;
-  FrameReader reader;  ///< the reader's
+  FrameReader reader;                ///< the reader's
+  std::optional<LinkMemory> memory;  ///< once both have proved to know the memory key
 };
 
 }  // namespace fiona::host

@@ -32,11 +32,12 @@ void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
     return send_plain(peer, answer);
   }
   if (nonce.size() != kNonceBytes) return void(++counters_.unproven);
-  const std::string key = link_key(key_, name);
+  const std::string key = link_key(keys_.own, name);
   const std::string ours = derived_nonce(secret_, peer + nonce + name);
   if (hello) {
     answer.mutable_challenge()->set_nonce(ours);
     answer.mutable_challenge()->set_proof(link_proof(key, LinkSide::Provider, nonce, ours));
+    answer.mutable_challenge()->set_memory_proof(memory_proof(LinkSide::Provider, nonce, ours));
     const std::lock_guard lock(mutex_);
     return send_plain(peer, answer);
   }
@@ -46,24 +47,35 @@ void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
   }
   const std::lock_guard lock(mutex_);
   forget_locked(name);  // a process has one link: what it leaves behind does not add up
-  add_peer(peer, name, true);
+  const auto added = add_peer(peer, name, true);
+  const std::string memory = memory_proof(LinkSide::Client, nonce, ours);
+  if (!memory.empty() && same_proof(frame.proof().memory_proof(), memory)) added->memory.emplace();
+}
+
+/// Empty: it shares no memory.
+std::string LinkSocket::memory_proof(LinkSide side, const std::string& client_nonce,
+                                     const std::string& provider_nonce) const {
+  return keys_.memory.empty() ? std::string() : link_proof(keys_.memory, side, client_nonce, provider_nonce);
 }
 
 void LinkSocket::check_challenge(const wire::Frame& frame) {
   const auto& challenge = frame.challenge();
-  if (!same_proof(challenge.proof(), link_proof(key_, LinkSide::Provider, nonce_, challenge.nonce()))) {
+  if (!same_proof(challenge.proof(), link_proof(keys_.own, LinkSide::Provider, nonce_, challenge.nonce()))) {
     ++counters_.unproven;
     return receiver_.on_refused("the process that listens there does not know the system's key");
   }
   wire::Frame answer;
   answer.mutable_proof()->set_client(name_);
   answer.mutable_proof()->set_nonce(nonce_);
-  answer.mutable_proof()->set_proof(link_proof(key_, LinkSide::Client, nonce_, challenge.nonce()));
+  answer.mutable_proof()->set_proof(link_proof(keys_.own, LinkSide::Client, nonce_, challenge.nonce()));
+  answer.mutable_proof()->set_memory_proof(memory_proof(LinkSide::Client, nonce_, challenge.nonce()));
+  const std::string memory = memory_proof(LinkSide::Provider, nonce_, challenge.nonce());
   const std::lock_guard lock(mutex_);
   send_plain("", answer);
   const auto provider = peers_.find("");
   if (provider == peers_.end()) return;
   provider->second->proven = true;
+  if (!memory.empty() && same_proof(challenge.memory_proof(), memory)) provider->second->memory.emplace();
   pump(*provider->second);
 }
 

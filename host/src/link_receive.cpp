@@ -88,6 +88,7 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
       for (int i = 0; i < lanes; ++i) peer_.lanes.credit(frame.credit().lane(i), frame.credit().bytes(i));
       return link_.pump(peer_);
     }
+    if (frame.has_memory() && peer_.memory) return link_.on_memory(peer_, frame.memory());
     link_.sender_ = &peer_;
     link_.arrived_ = {frame.lane(), object.size() + kFrameCost};
     link_.receiver_.on_frame(peer_.identity, frame, object);
@@ -115,11 +116,12 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
 };
 
 void LinkSocket::dispatch(const std::string& identity) {
+  auto peer = find(identity);
+  const bool lent = peer && peer->memory && peer->memory->take(parts_);
   std::size_t bytes = 0;
   for (const auto& part : parts_) bytes += part.size();
   counters_.received_messages.fetch_add(1, std::memory_order_relaxed);
   counters_.received_bytes.fetch_add(bytes, std::memory_order_relaxed);
-  auto peer = find(identity);
   if (!peer && curve_ && routed_ && !parts_.empty()) {
     const char* user = zmq_msg_gets(parts_.front().handle(), "User-Id");
     const std::lock_guard lock(mutex_);
@@ -129,7 +131,12 @@ void LinkSocket::dispatch(const std::string& identity) {
   if (!heard && curve_) return void(++counters_.unproven);
   if (!heard) return shake_hands(identity);
   Incoming incoming(*this, *peer);
-  if (!peer->reader.read(parts_, incoming)) ++counters_.garbled;
+  if (!peer->reader.read(parts_, incoming, lent)) ++counters_.garbled;
+}
+
+void LinkSocket::on_memory(Peer& peer, const wire::Memory& told) {
+  const std::lock_guard lock(mutex_);
+  tell_locked(peer, peer.memory->on_told(told));
 }
 
 void LinkSocket::count_received(Peer& peer) {

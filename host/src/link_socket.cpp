@@ -27,6 +27,7 @@ control::LinkStatus LinkCounters::status() const {
   status.set_not_granted(not_granted);
   status.set_too_large(too_large);
   status.set_overrun(overrun);
+  status.set_memory_bytes(memory_bytes);
   return status;
 }
 
@@ -48,15 +49,15 @@ LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type typ
 
 LinkSocket::~LinkSocket() { stop(); }
 
-void LinkSocket::listen(const std::string& endpoint, std::string key) {
-  key_ = std::move(key);
+void LinkSocket::listen(const std::string& endpoint, LinkKeys keys) {
+  keys_ = std::move(keys);
   socket_.set(zmq::sockopt::router_mandatory, 1);
   socket_.bind(endpoint);
   start();
 }
 
-void LinkSocket::connect(const std::string& endpoint, std::string name, std::string key) {
-  key_ = std::move(key);
+void LinkSocket::connect(const std::string& endpoint, std::string name, LinkKeys keys) {
+  keys_ = std::move(keys);
   name_ = std::move(name);
   nonce_ = random_bytes(kNonceBytes);
   socket_.connect(endpoint);
@@ -274,6 +275,7 @@ void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame 
 /// A peer that leaves unread more than may wait for it is let go: as one that has gone, it is sent nothing more and not
 /// heard.
 PeerLanes::Taken LinkSocket::offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item) {
+  if (peer.memory && item.payload && item.payload->size() >= kMemoryFrom) tell_locked(peer, peer.memory->offer());
   const auto taken = peer.lanes.offer(lane, std::move(item));
   pump(peer);
   if (peer.lanes.control_bytes() > kMostControl && !on_dealt_with_ && !peer.gone.exchange(true)) ++counters_.overrun;
@@ -293,6 +295,13 @@ void LinkSocket::tell_locked(Peer& peer, wire::Frame& frame) {
   PeerLanes::Item item;
   item.record = make_record(frame, nullptr, 0);
   offer(peer, *peer.control, std::move(item));
+}
+
+void LinkSocket::tell_locked(Peer& peer, const std::optional<wire::Memory>& memory) {
+  if (!memory) return;
+  wire::Frame frame;
+  *frame.mutable_memory() = *memory;
+  tell_locked(peer, frame);
 }
 
 /// Called with the mutex held, as is what follows.
@@ -327,21 +336,31 @@ bool LinkSocket::fill(Peer& peer) {
 bool LinkSocket::send_out(Peer& peer, PeerLanes::Outgoing& out) {
   Crossing crossing;
   crossing.bytes = out.bytes();
-  peer.gate->bytes += crossing.bytes;
-  if (!out.payload) peer.gate->messages += 1;
+  const std::string_view beside = out.payload ? out.payload->chunks()[out.chunk].beside : std::string_view();
+  std::optional<zmq::message_t> place;
+  if (peer.memory && beside.size() >= kMemoryFrom) place = peer.memory->put(beside);
+  if (place) {  // what ZeroMQ carries of it is small
+    counters_.memory_bytes.fetch_add(beside.size(), std::memory_order_relaxed);
+    out.payload = nullptr;
+  }
   auto release = std::make_unique<Release>();
   release->gate = peer.gate;
-  release->bytes = crossing.bytes;
+  release->bytes = out.bytes();
+  peer.gate->bytes += release->bytes;
+  if (!out.payload) peer.gate->messages += 1;
   Block records = std::move(out.records);
-  const std::string_view beside = out.payload ? out.payload->chunks()[out.chunk].beside : std::string_view();
-  const bool chunk = !beside.empty();
-  if (chunk) crossing.beside_frames.emplace(records.data(), records.size());
+  const bool chunk = !beside.empty() && !place;
+  if (chunk) crossing.add(zmq::message_t(records.data(), records.size()));
   release->payload = std::move(out.payload);
   if (!chunk) release->records = std::move(records);
   // ZeroMQ only reads the bytes: they are not its own.
   void* data = chunk ? const_cast<char*>(beside.data()) : static_cast<void*>(release->records.data());
   const std::size_t size = chunk ? beside.size() : release->records.size();
-  crossing.body.rebuild(data, size, &Release::done, release.release());
+  crossing.add(zmq::message_t(data, size, &Release::done, release.release()));
+  if (place) {
+    crossing.add(zmq::message_t());
+    crossing.add(std::move(*place));
+  }
   return cross(peer, std::move(crossing));
 }
 
@@ -351,8 +370,10 @@ bool LinkSocket::cross(Peer& peer, Crossing crossing) {
   bool taken = false;
   try {
     taken = !routed_ || sent(socket_, zmq::buffer(peer.identity), zmq::send_flags::sndmore);
-    if (taken && crossing.beside_frames) taken = sent(socket_, *crossing.beside_frames, zmq::send_flags::sndmore);
-    if (taken) taken = sent(socket_, crossing.body);
+    for (std::size_t i = 0; taken && i < crossing.count; ++i) {
+      const bool last = i + 1 == crossing.count;
+      taken = sent(socket_, crossing.parts[i], last ? zmq::send_flags::none : zmq::send_flags::sndmore);
+    }
   } catch (const zmq::error_t&) {
     peer.gone = true;  // supervision reports that, not each message
     return false;

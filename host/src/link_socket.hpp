@@ -15,6 +15,7 @@
 #include "fiona/control.pb.h"
 #include "fiona/message.hpp"
 #include "fiona/pool.hpp"
+#include "link_keys.hpp"
 #include "link_lanes.hpp"
 #include "link_message.hpp"
 
@@ -31,6 +32,7 @@ struct LinkCounters {
   std::atomic<std::uint64_t> not_granted{0};
   std::atomic<std::uint64_t> too_large{0};
   std::atomic<std::uint64_t> overrun{0};
+  std::atomic<std::uint64_t> memory_bytes{0};
 
   control::LinkStatus status() const;
 };
@@ -83,10 +85,10 @@ class LinkSocket {
              std::function<void()> on_dealt_with = nullptr);
   ~LinkSocket();
 
-  /// Waits for peers, whose keys follow from `key` and their names.
-  void listen(const std::string& endpoint, std::string key);
-  /// Goes to the process that listens there, as `name`, which has this `key` with it.
-  void connect(const std::string& endpoint, std::string name, std::string key);
+  /// Waits for peers, whose keys follow from the process' own and their names.
+  void listen(const std::string& endpoint, LinkKeys keys);
+  /// Goes to the process that listens there, as `name`; `keys.own` is the link's.
+  void connect(const std::string& endpoint, std::string name, LinkKeys keys);
   /// To be given CURVE, before it listens or connects.
   zmq::socket_t& socket() { return socket_; }
   /// The same where CURVE proves both sides: peers have the names that the allow-list gives their keys.
@@ -148,6 +150,8 @@ class LinkSocket {
   void shake_hands(const std::string& peer);
   void welcome(const std::string& peer, const wire::Frame& frame);
   void check_challenge(const wire::Frame& frame);
+  std::string memory_proof(LinkSide side, const std::string& client_nonce, const std::string& provider_nonce) const;
+  void on_memory(Peer& peer, const wire::Memory& told);
   void count_received(Peer& peer);
   void pay(Peer& peer);
   void pay_locked(Peer& peer);
@@ -162,6 +166,7 @@ class LinkSocket {
   bool cross(Peer& peer, Crossing crossing);
   void send_plain(const std::string& peer, const wire::Frame& frame);
   void tell_locked(Peer& peer, wire::Frame& frame);
+  void tell_locked(Peer& peer, const std::optional<wire::Memory>& memory);
   PeerLanes::Item item_for(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
                            std::size_t size, Rule rule);
   bool has_input();
@@ -173,7 +178,7 @@ class LinkSocket {
   const bool routed_;
   const std::string secret_;  ///< of which the nonces for unknown peers are made
   std::string endpoint_;
-  std::string key_;
+  LinkKeys keys_;
   std::string name_;
   std::string nonce_;
   std::mutex mutex_;        ///< the socket's, and the lanes'

@@ -49,16 +49,17 @@ Links::Peer::~Peer() = default;
 Links::Peer::Peer(Peer&&) noexcept = default;
 Links::Peer& Links::Peer::operator=(Peer&&) noexcept = default;
 
-Links::Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, OnLost on_lost)
+Links::Links(Pool& pool, Clock& clock, std::string endpoint, LinkKeys keys, OnLost on_lost)
     : pool_(pool),
       clock_(dynamic_cast<VirtualClock*>(&clock)),
       endpoint_(std::move(endpoint)),
+      memory_key_(keys.memory),
       on_lost_(std::move(on_lost)),
       receiver_(std::make_unique<Receiver>(*this)) {
   server_ =
       std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *receiver_, on_dealt_with());
   receiver_->use(server_);
-  server_->listen(endpoint_, std::move(key));
+  server_->listen(endpoint_, std::move(keys));
 }
 
 Links::~Links() { stop(); }
@@ -120,7 +121,7 @@ Hop Links::connect(const Endpoint& endpoint) {
   peer.hop.link = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.receiver,
                                                on_dealt_with());
   peer.receiver->use(peer.hop.link);
-  peer.hop.link->connect(endpoint.address, endpoint.name, endpoint.key);
+  peer.hop.link->connect(endpoint.address, endpoint.name, {endpoint.key, memory_key_});
   return peer.hop;
 }
 

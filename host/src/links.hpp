@@ -30,9 +30,9 @@ class Links {
   /// What the endpoint of another host begins with; alone it is the one that leads this one.
   static constexpr std::string_view kHost = "host:";
 
-  /// Listens at `endpoint` ("ipc:///run/…") for processes that know `key`, or one that the host has made of it for
+  /// Listens at `endpoint` ("ipc:///run/…") for processes that know the key that the host has made of `keys.own` for
   /// them. On a virtual clock, what comes takes its turn there.
-  Links(Pool& pool, Clock& clock, std::string endpoint, std::string key, OnLost on_lost);
+  Links(Pool& pool, Clock& clock, std::string endpoint, LinkKeys keys, OnLost on_lost);
   ~Links();
 
   const std::string& endpoint() const { return endpoint_; }
@@ -165,6 +165,7 @@ class Links {
   VirtualClock* const clock_;  ///< null: the system's
   zmq::context_t context_;
   const std::string endpoint_;
+  const std::string memory_key_;
   const OnLost on_lost_;
   InUse ports_in_use_;  ///< by threads of links, and by who cuts
   std::mutex mutex_;

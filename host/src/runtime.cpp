@@ -5,7 +5,7 @@
 
 namespace fiona::host {
 
-Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key,
+Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, LinkKeys keys,
                  OnEvent on_event)
     : pool_(pool),
       clock_(clock),
@@ -13,13 +13,12 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
       events_(on_event_),
       libraries_(libraries),
       taps_(on_event_),
-      links_(pool, clock, std::move(endpoint), std::move(link_key),
-             [this](std::uint64_t wire, const std::string& reason) {
-               wire::GroupMessage message;
-               message.mutable_wire_lost()->set_wire(wire);
-               message.mutable_wire_lost()->set_reason(reason);
-               emit(std::move(message));
-             }) {}
+      links_(pool, clock, std::move(endpoint), std::move(keys), [this](std::uint64_t wire, const std::string& reason) {
+        wire::GroupMessage message;
+        message.mutable_wire_lost()->set_wire(wire);
+        message.mutable_wire_lost()->set_reason(reason);
+        emit(std::move(message));
+      }) {}
 
 Runtime::~Runtime() {
   links_.stop();

@@ -27,9 +27,7 @@ class Runtime final {
  public:
   using OnEvent = InstanceEvents::OnEvent;
 
-  /// `link_key`: what other processes must prove to know, before anything they send is looked at.
-  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, std::string link_key,
-          OnEvent on_event);
+  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, LinkKeys keys, OnEvent on_event);
   ~Runtime();
   Runtime(const Runtime&) = delete;
   Runtime& operator=(const Runtime&) = delete;

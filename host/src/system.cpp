@@ -5,6 +5,7 @@
 
 #include "confinement.hpp"
 #include "fiona/error.hpp"
+#include "link_keys.hpp"
 
 namespace fiona::host {
 
@@ -28,6 +29,7 @@ System::System(Options options, OnEvent on_event)
                            const control::Load& request) { make_led(std::move(next), name, request); },
             .destroy = [this](const std::string& name) { return destroy_led(name); }}) {
   if (options_.supervisor) kept_ = options_.supervisor->take_kept();
+  memory_key_ = kept_.empty() ? random_bytes(kKeyBytes) : kept_.front().told.memory_key();
   prepare_links();
   use_clock(system_clock());
   // Nothing that a host before this one has numbered is taken for something of ours.
@@ -98,9 +100,9 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
   }
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (links_directory() / (options_.name + ".main.ipc")).string();
-  auto main = std::make_unique<MainGroup>(*pool_, *clock_, libraries_, endpoint, [this](wire::GroupMessage event) {
-    deliver_from(std::string(kMainGroup), std::move(event));
-  });
+  auto main = std::make_unique<MainGroup>(
+      *pool_, *clock_, libraries_, endpoint, memory_key_,
+      [this](wire::GroupMessage event) { deliver_from(std::string(kMainGroup), std::move(event)); });
   if (auto* simulated = dynamic_cast<VirtualClock*>(clock_.get())) {
     const auto frames = [&main = *main] { return main.frame_counts(); };
     virtual_time_ = std::make_unique<VirtualTime>(*simulated, endpoint, frames, options_.standstill);

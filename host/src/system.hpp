@@ -375,6 +375,7 @@ class System {
   std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
   Supervision supervision_;
   std::vector<KeptGroup> kept_;  ///< until they are adopted
+  std::string memory_key_;       ///< by which the processes of this host share memory, but for sandboxes
   Connector connector_;
   std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};

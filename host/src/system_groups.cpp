@@ -64,6 +64,7 @@ ChildGroup::Start System::start_of_group(const Model::Instance* first, const std
           folder,
           options_.group_limits.cores,
           groups_.main().endpoint(),
+          memory_key_,
           options_.supervisor};
 }
 

@@ -83,7 +83,7 @@ int most_in_a_second(std::int64_t begin_ns, std::int64_t end_ns) {
 struct Side {
   Side(const std::filesystem::path& directory, const std::string& name, unsigned seed)
       : random(seed),
-        links(pool, clock, "ipc://" + (directory / (name + ".ipc")).string(), host::random_bytes(host::kKeyBytes),
+        links(pool, clock, "ipc://" + (directory / (name + ".ipc")).string(), {host::random_bytes(host::kKeyBytes)},
               [](std::uint64_t, const std::string&) {}) {
     context.set(zmq::ctxopt::max_sockets, 4000);
   }

@@ -53,6 +53,12 @@ TEST_P(Links, PushToOneSubscriberCrossesOnce) {
   EXPECT_EQ(sent_bytes() / (kPayload * kCount), crosses() ? 1U : 0U) << sent_bytes();
 }
 
+TEST_P(Links, ProcessesOfAHostHaveMemoryForTheirLargeObjects) {
+  constexpr std::size_t kPayload = 100'000;
+  push_to(1, 20, kPayload);
+  EXPECT_EQ(system.group("main").links().memory_bytes() > 10 * kPayload, GetParam() == Transport::Ipc);
+}
+
 TEST_P(Links, SubscribersThatShareACrossingEachHaveTheirPrescaleAndComeAndGoAlone) {
   system.load_provider("source", "source", "neutral period_ms=1 count=90");
   for (const std::string name : {"all", "third", "gone"}) system.load_client("sink", name);

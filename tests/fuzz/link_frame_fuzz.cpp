@@ -90,7 +90,7 @@ class EndsAndPeer final : public LinkSocket::Receiver {
  public:
   EndsAndPeer() {
     bench_.start();
-    link_->listen("inproc://fuzz", kKey);
+    link_->listen("inproc://fuzz", {kKey});
     peer_.emplace(context_, "inproc://fuzz", kPeer);
     peer_->prove(kKey);
     while (link_->peers() == 0) std::this_thread::yield();
@@ -214,7 +214,7 @@ class LinksAndPeers {
   fiona::Pool pool_{2};
   zmq::context_t context_;
   fiona::SystemClock clock_;
-  Links links_{pool_, clock_, "ipc://" + path_.string(), kKey, [](std::uint64_t, const std::string&) {}};
+  Links links_{pool_, clock_, "ipc://" + path_.string(), {kKey}, [](std::uint64_t, const std::string&) {}};
   RawPeer peer_{context_, "ipc://" + path_.string(), kPeer};
   RawPeer stranger_{context_, "ipc://" + path_.string(), "stranger"};
 };
@@ -225,7 +225,7 @@ class ClientAndProvider final : public LinkSocket::Receiver {
   ClientAndProvider(const std::string& endpoint, bool knows_key) : knows_key_(knows_key) {
     provider_.set(zmq::sockopt::linger, 0);
     provider_.bind(endpoint);
-    link_->connect(endpoint, kPeer, fiona::host::link_key(kKey, kPeer));
+    link_->connect(endpoint, kPeer, {fiona::host::link_key(kKey, kPeer)});
     challenge(hello_nonce());
     while (knows_key_ && link_->peers() == 0) std::this_thread::yield();
   }

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "link_keys.hpp"
+#include "link_memory.hpp"
 #include "link_socket.hpp"
 #include "raw_peer.hpp"
 
@@ -44,6 +45,8 @@ struct Noted final : LinkSocket::Receiver {
     const std::lock_guard lock(mutex);
     wires.push_back(frame.wire());
     bytes += object.size();
+    BytesValue value;
+    all_x = all_x && object.parse_into(value) && value.value().find_first_not_of('x') == std::string::npos;
   }
   void on_refused(const std::string& reason) override {
     const std::lock_guard lock(mutex);
@@ -57,12 +60,13 @@ struct Noted final : LinkSocket::Receiver {
   std::mutex mutex;
   std::vector<std::uint64_t> wires;
   std::size_t bytes = 0;
+  bool all_x = true;  ///< all that the objects' values are made of
   std::string refusal;
 };
 
 class ProvingLink : public testing::Test {
  protected:
-  ProvingLink() { link.listen("inproc://link", kKey); }
+  ProvingLink() { link.listen("inproc://link", {kKey}); }
   ~ProvingLink() override { link.stop(); }
 
   wire::Frame frame_of(std::uint64_t wire) {
@@ -130,7 +134,7 @@ TEST_F(ProvingLink, ClientTurnsAwayFromAProviderOfAnotherVersion) {
   provider.bind(endpoint);
   Noted client_noted;
   LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
-  client.connect(endpoint, "peer", link_key(kKey, "peer"));
+  client.connect(endpoint, "peer", {link_key(kKey, "peer")});
   zmq::message_t identity;
   zmq::message_t hello;
   ASSERT_TRUE(provider.recv(identity) && provider.recv(hello));
@@ -204,7 +208,7 @@ TEST_F(ProvingLink, KeyOfOneNameDoesNotProveAnother) {
 TEST_F(ProvingLink, ClientTurnsAwayFromAProviderThatDoesNotKnowItsKey) {
   Noted client_noted;
   LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
-  client.connect("inproc://link", "peer", link_key(std::string(kKeyBytes, 'w'), "peer"));
+  client.connect("inproc://link", "peer", {link_key(std::string(kKeyBytes, 'w'), "peer")});
   EXPECT_TRUE(eventually([&] {
     const std::lock_guard lock(client_noted.mutex);
     return client_noted.refusal == "the process that listens there does not know the system's key";
@@ -214,13 +218,17 @@ TEST_F(ProvingLink, ClientTurnsAwayFromAProviderThatDoesNotKnowItsKey) {
   client.stop();
 }
 
-TEST_F(ProvingLink, CarriesSmallAndLargeObjectsBetweenTwoOfItsKind) {
+/// With what each of two knows of their host's memory, if anything.
+class TwoLinks : public ProvingLink, public testing::WithParamInterface<std::pair<std::string, std::string>> {};
+
+TEST_P(TwoLinks, CarrySmallAndLargeObjectsThroughMemoryOnlyIfBothKnowTheKeyToIt) {
   const std::string endpoint = "ipc://@fiona-link-test-" + std::to_string(::getpid());  // of no file
   LinkSocket provider(pool, context, zmq::socket_type::router, counters, noted);
-  provider.listen(endpoint, kKey);
+  provider.listen(endpoint, {kKey, GetParam().first});
   Noted client_noted;
   LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
-  client.connect(endpoint, "peer", link_key(kKey, "peer"));
+  client.connect(endpoint, "peer", {link_key(kKey, "peer"), GetParam().second});
+  ASSERT_TRUE(eventually([&] { return client.peers() == 1; }));
   const auto lane = client.open_lane("");
   std::size_t bytes = 0;
   for (const std::size_t size : {64UL, 300'000UL, 64UL, 8'000'000UL}) {
@@ -236,19 +244,47 @@ TEST_F(ProvingLink, CarriesSmallAndLargeObjectsBetweenTwoOfItsKind) {
   EXPECT_TRUE(eventually([&] { return noted.seen().size() == 4; }));
   EXPECT_THAT(noted.seen(), ElementsAre(64, 300'000, 64, 8'000'000)) << "in order";
   EXPECT_EQ(noted.bytes, bytes);
+  EXPECT_TRUE(noted.all_x) << "what was sent";
+  const bool share = GetParam().first == GetParam().second && !GetParam().first.empty();
+  const auto through_memory = [&] {
+    wire::Frame frame = frame_of(1);
+    auto object = std::make_shared<BytesValue>();
+    object->mutable_value()->assign(kMemoryFrom, 'x');
+    client.send(lane, frame, object, LinkSocket::Rule::MustFit);
+    return counters.memory_bytes >= kMemoryFrom;
+  };
+  if (share) {
+    EXPECT_TRUE(eventually(through_memory)) << "once they have told each other";
+  }
+  if (!share) {
+    EXPECT_FALSE(through_memory());
+  }
+  EXPECT_EQ(counters.garbled, 0U);
   client.stop();
   provider.stop();
 }
+
+INSTANTIATE_TEST_SUITE_P(Of, TwoLinks,
+                         testing::Values(std::pair("", ""), std::pair(std::string(kKeyBytes, 'm'), ""),
+                                         std::pair("", std::string(kKeyBytes, 'm')),
+                                         std::pair(std::string(kKeyBytes, 'm'), std::string(kKeyBytes, 'n')),
+                                         std::pair(std::string(kKeyBytes, 'm'), std::string(kKeyBytes, 'm'))),
+                         [](const auto& one) {
+                           const auto name = [](const std::string& key) {
+                             return key.empty() ? "None" : key.substr(0, 1);
+                           };
+                           return name(one.param.first) + name(one.param.second);
+                         });
 
 TEST_F(ProvingLink, KeepsInOrderWhatZeroMqHasNoRoomFor) {
   constexpr std::size_t kMessages = 5'000;
   const std::string endpoint = "ipc://@fiona-link-test-full-" + std::to_string(::getpid());
   LinkSocket provider(pool, context, zmq::socket_type::router, counters, noted);
-  provider.listen(endpoint, kKey);
+  provider.listen(endpoint, {kKey});
   Noted client_noted;
   LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
   client.socket().set(zmq::sockopt::sndhwm, 1);  // the gate lets two in
-  client.connect(endpoint, "peer", link_key(kKey, "peer"));
+  client.connect(endpoint, "peer", {link_key(kKey, "peer")});
   const auto lane = client.open_lane("");
   for (std::size_t i = 0; i < kMessages; ++i) {
     wire::Frame frame = frame_of(i);
@@ -292,7 +328,7 @@ class SignalStorm {
 TEST_F(ProvingLink, LosesNothingToSignalsThatInterruptItsThreads) {
   constexpr std::size_t kMessages = 20'000;
   LinkSocket client(pool, context, zmq::socket_type::dealer, counters, noted);
-  client.connect("inproc://link", "peer", link_key(kKey, "peer"));
+  client.connect("inproc://link", "peer", {link_key(kKey, "peer")});
   ASSERT_TRUE(eventually([&] { return link.peers() == 1; }));
   const auto lane = client.open_lane("");
   {

@@ -77,11 +77,11 @@ class LinksOfAProcess : public testing::Test {
   Hull hull{"both", {pool, clock, events, {}}};
   BothEnds* ends = nullptr;
   zmq::context_t context;
-  Links links{pool, clock, at("links"), kLinksKey, [](std::uint64_t, const std::string&) {}};
+  Links links{pool, clock, at("links"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
 };
 
 TEST_F(LinksOfAProcess, AWireThatIsLostWhileItIsBeingOpenedIsNotShownAsConnected) {
-  Links other{pool, clock, at("other"), kLinksKey, [](std::uint64_t, const std::string&) {}};
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
   other.provide(1, kLinksToken, "both", ends->told, 1, "both.heard");
   const auto end = ends->heard.end_for("both.told");
   const auto is_lost = [&] { links.peer_lost(at("other"), "other", "its process has ended"); };

@@ -2,9 +2,11 @@
 
 #include <fcntl.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 
 #include <cerrno>
 #include <cstring>
+#include <string>
 
 #include "fiona/error.hpp"
 
@@ -19,16 +21,33 @@ SharedMemory::SharedMemory(std::size_t bytes)
                                     .found = std::strerror(errno),
                                     .next = "free memory, or raise the limit of descriptors: ulimit -n"});
   }
-  map();
+  map(PROT_READ | PROT_WRITE);
 }
 
 SharedMemory::SharedMemory(Descriptor descriptor, std::size_t bytes)
     : descriptor_(std::move(descriptor)), bytes_(bytes) {
-  map();
+  map(PROT_READ | PROT_WRITE);
 }
 
-void SharedMemory::map() {
-  void* const mapped = ::mmap(nullptr, bytes_, PROT_READ | PROT_WRITE, MAP_SHARED, descriptor_.get(), 0);
+SharedMemory::SharedMemory(pid_t process, int descriptor, std::size_t bytes) : bytes_(bytes) {
+  const std::string path = "/proc/" + std::to_string(process) + "/fd/" + std::to_string(descriptor);
+  descriptor_ = Descriptor(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+  struct stat found {};
+  const int seals = descriptor_ ? ::fcntl(descriptor_.get(), F_GET_SEALS) : -1;
+  const bool is_memory = seals >= 0 && (seals & F_SEAL_SHRINK) != 0 && ::fstat(descriptor_.get(), &found) == 0 &&
+                         static_cast<std::size_t>(found.st_size) == bytes;
+  if (!is_memory) {
+    throw Error(ErrorCode::Failed, {.what = "another process' memory is not reached",
+                                    .where = path,
+                                    .expected = std::to_string(bytes) + " bytes that cannot become fewer",
+                                    .found = descriptor_ ? "something else" : std::strerror(errno)});
+  }
+  map(PROT_READ);
+  forget_descriptor();
+}
+
+void SharedMemory::map(int access) {
+  void* const mapped = ::mmap(nullptr, bytes_, access, MAP_SHARED, descriptor_.get(), 0);
   if (mapped == MAP_FAILED) {
     throw Error(
         ErrorCode::Failed,
