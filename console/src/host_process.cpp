@@ -85,6 +85,7 @@ HostProcess::HostProcess(Reactor& reactor, const HostLaunch& launch, OnLine on_l
   } catch (...) {
     ::close(ready.read);
     stop();
+    end_said();  // what is left in it nobody reads any more
     throw;
   }
   ::close(ready.read);
@@ -192,6 +193,11 @@ void HostProcess::read_said() {
   }
   if (!ended) return;
   if (!line_.empty()) on_line_(std::exchange(line_, {}));
+  end_said();
+}
+
+void HostProcess::end_said() {
+  if (said_ < 0) return;
   reactor_.remove(said_);
   ::close(std::exchange(said_, -1));
 }
@@ -266,9 +272,7 @@ int HostProcess::stop() {
 
 HostProcess::~HostProcess() {
   stop();
-  if (said_ < 0) return;
-  reactor_.remove(said_);
-  ::close(said_);
+  end_said();
 }
 
 }  // namespace fiona::console

@@ -53,6 +53,7 @@ class HostProcess {
   void spawn(const HostLaunch& launch, int ready, int lifeline, int said);
   void wait_ready(int ready);
   void read_said();
+  void end_said();
   /// Whether there is time left.
   bool nap_until(SteadyTime deadline);
   int collect();

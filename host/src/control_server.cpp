@@ -14,6 +14,7 @@
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
+#include "os/process.hpp"
 
 namespace fiona::host {
 namespace {
@@ -129,6 +130,13 @@ void ControlServer::end(int code, const std::string& why) {
   if (system_.supervisor()) system_.supervisor()->quits();
 }
 
+/// What they say at their end, consoles are told before that of the run.
+void ControlServer::end_instances() {
+  os::end_within(kEndsWithin, *exit_code_);
+  system_.end_instances();
+  for (const auto& event : events_.take()) on_event(event);
+}
+
 void ControlServer::meet_peers(int lifeline, int signals) {
   const auto end = std::chrono::steady_clock::now() + kMeetsWithin;
   while (!exit_code_ && !system_.has_met_peers() && std::chrono::steady_clock::now() < end)
@@ -138,7 +146,10 @@ void ControlServer::meet_peers(int lifeline, int signals) {
 int ControlServer::serve(int lifeline, int signals) {
   while (!exit_code_) poll_once(lifeline, signals);
   // With a supervisor the run goes on at the next host, unless its end was meant.
-  if (!system_.supervisor() || was_ended_) system_.waits().end_run(*exit_code_, end_reason_);
+  if (!system_.supervisor() || was_ended_) {
+    if (!has_kept_threads()) end_instances();
+    system_.waits().end_run(*exit_code_, end_reason_);
+  }
   for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
   for (auto& [id, client] : clients_) client->stream.flush();
   return *exit_code_;
@@ -176,7 +187,7 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
 
   if (waits[4].revents != 0) return end(130, "the host was told to end, by a signal");
   if (waits[3].revents != 0) {
-    if (!beats) return end(0, "who started the host has ended");
+    if (!beats || system_.supervisor()->is_told_to_end()) return end(0, "who started the host has ended");
     // Who has started the supervisor may start another one, whose host goes on with the run.
     std::cerr << "the host ends: its supervisor has ended\n";
     exit_code_ = 0;

@@ -39,6 +39,8 @@ class ControlServer {
   /// Whether its end was meant; another end is one that a supervisor mends.
   bool was_ended() const { return was_ended_; }
   /// Whether components keep threads, which nobody can end.
+  /// All that a host does at its end, calls of life cycles included.
+  static constexpr std::chrono::seconds kEndsWithin{20};
   bool has_kept_threads() const { return system_.kept_threads() > 0; }
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return system_.listens(); }
@@ -79,6 +81,7 @@ class ControlServer {
   void send_last(std::uint64_t client, const control::Reply& reply);
   void forget_open(std::uint64_t client, std::uint64_t request);
   void restore(const std::filesystem::path& journal);
+  void end_instances();
   void end(int code, const std::string& why);
   void send(std::uint64_t client, const control::Reply& reply);
   void on_wire_lost(const wire::WireLost& lost);

@@ -273,10 +273,6 @@ void Engine::begin(const TransactionPtr& transaction) {
     transaction->failure = failure_of_exception();
     return finish(transaction);
   }
-  for (const control::Change& step : transaction->steps) {
-    if (step.has_unload()) LastWords::forget(step.unload().instance());
-    if (step.has_upgrade()) LastWords::forget(step.upgrade().instance());
-  }
   if (!transaction->is_aside()) current_ = transaction;
   go_on(transaction);
 }
@@ -375,6 +371,10 @@ void Engine::finish(const TransactionPtr& transaction) {
   if (transaction->failure) {
     transaction->answer(reply_of(*transaction->failure));
   } else {
+    for (const control::Change& step : transaction->steps) {
+      if (step.has_unload()) LastWords::forget(step.unload().instance());
+      if (step.has_upgrade()) LastWords::forget(step.upgrade().instance());
+    }
     control::Reply reply;
     *reply.mutable_done() = transaction->done;
     reply.mutable_done()->set_entry(transaction->entry);

@@ -102,6 +102,9 @@ inline constexpr std::chrono::milliseconds kWatchEvery{100};
 /// The same while somebody waits for its answer: what looking late adds to a bound, he waits longer.
 inline constexpr std::chrono::milliseconds kWatchWaiting{25};
 
+/// What the instances of a group may take for their end, when the run ends.
+inline constexpr std::chrono::seconds kEndsItself{2};
+
 /// Within which groups that are to be adopted answer, all together.
 inline constexpr std::chrono::seconds kAdoptionDeadline{3};
 

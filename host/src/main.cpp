@@ -27,8 +27,7 @@ namespace {
 
 namespace options = boost::program_options;
 
-/// All that it does at its end, calls of life cycles included; and where threads are kept, which do not end.
-constexpr std::chrono::seconds kEndsWithin{20};
+/// What it does at its end where threads are kept, which do not end.
 constexpr std::chrono::seconds kKeptThreads{1};
 
 struct Flags {
@@ -209,7 +208,7 @@ int serve(Flags& flags) {
   // Its groups go on without it, and the next host finds them.
   if (supervisor && !server.was_ended()) ::_exit(code);
   // A thread that a component keeps is not waited for.
-  fiona::os::end_within(server.has_kept_threads() ? kKeptThreads : kEndsWithin, code);
+  fiona::os::end_within(server.has_kept_threads() ? kKeptThreads : server.kEndsWithin, code);
   return code;
 }
 

@@ -39,6 +39,7 @@ std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseco
 }
 
 wire::GroupMessage RemoteGroup::perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) {
+  if (supervisor_) supervisor_->beat();
   if (end_.empty())
     return peer_.request(group_, request, std::chrono::duration_cast<std::chrono::seconds>(deadline) + kWay);
   throw Error(ErrorCode::Unreachable,

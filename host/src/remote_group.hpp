@@ -12,8 +12,9 @@ namespace fiona::host {
 /// A group of another host that this one leads: "HOST" is its own process, "HOST/GROUP" a child of it.
 class RemoteGroup final : public Group {
  public:
-  RemoteGroup(const std::string& name, PeerLink& peer, std::string group)
-      : Group(name), peer_(peer), group_(std::move(group)) {}
+  /// `supervisor`: of this host, which takes who waits for another one for alive; null: there is none.
+  RemoteGroup(const std::string& name, PeerLink& peer, std::string group, SupervisorLink* supervisor)
+      : Group(name), peer_(peer), group_(std::move(group)), supervisor_(supervisor) {}
 
   PeerLink& peer() const { return peer_; }
   const std::string& host() const { return peer_.peer().name; }
@@ -42,6 +43,7 @@ class RemoteGroup final : public Group {
 
   PeerLink& peer_;
   const std::string group_;
+  SupervisorLink* const supervisor_;
   std::string end_;
   std::optional<std::chrono::steady_clock::time_point> silent_since_;  ///< it was asked for its status
   std::chrono::steady_clock::time_point ask_again_{};

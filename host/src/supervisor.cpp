@@ -188,8 +188,10 @@ std::optional<int> Supervisor::look(int signals) {
   return std::nullopt;
 }
 
-/// The host is told; whatever it does, it ends.
+/// The host is told, before its lifeline ends: without a word that is how it learns of a supervisor that was killed.
+/// Whatever it does, it ends.
 void Supervisor::stop(Time now) {
+  if (link_) static_cast<void>(link_.send(SupervisorLink::kEnd));
   lifeline_.reset();
   if (!stopping_) stopping_ = now + kEndsWithin;
 }

@@ -40,6 +40,7 @@ void SupervisorLink::take(os::Packet& packet) {
   const std::string_view line = text.substr(0, end);
   if (line == kAll) all_ = true;
   if (line == kMakeWay) upgrade_answer_ = "";
+  if (line == kEnd) told_to_end_ = true;
   const std::size_t blank = line.find(' ');
   if (end == std::string_view::npos || blank == std::string_view::npos) return;
   pid_t process = -1;
@@ -81,6 +82,11 @@ std::optional<std::string> SupervisorLink::upgrade_answer() {
   receive();
   if (gone_) return "the supervisor has gone";
   return std::exchange(upgrade_answer_, std::nullopt);
+}
+
+bool SupervisorLink::is_told_to_end() {
+  receive();
+  return told_to_end_;
 }
 
 bool SupervisorLink::keep(const KeptGroup& group) {

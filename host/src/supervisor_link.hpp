@@ -37,11 +37,12 @@ class SupervisorLink {
   /// Start the program that is installed now in this one's place; the number is for how many ms it is on trial.
   static constexpr std::string_view kUpgrade = "upgrade";
   /// From the supervisor: how a process that it was kept for has ended; there are no more groups to adopt; the host is
-  /// to end for the one after it; why it is not to.
+  /// to end for the one after it; why it is not to; it is to end for good.
   static constexpr std::string_view kEnded = "ended";
   static constexpr std::string_view kAll = "all";
   static constexpr std::string_view kMakeWay = "make way";
   static constexpr std::string_view kRefused = "refused";
+  static constexpr std::string_view kEnd = "end";
   /// A host says so often that it is alive, unless it hangs.
   static constexpr std::chrono::milliseconds kBeatEvery{200};
 
@@ -56,6 +57,8 @@ class SupervisorLink {
   void upgrade(std::chrono::milliseconds trial);
   /// None: it has not been answered yet. Empty: the host is to end now. Otherwise why not.
   std::optional<std::string> upgrade_answer();
+  /// Of one whose lifeline has ended: whether that is meant. Otherwise the supervisor has been killed.
+  bool is_told_to_end();
   /// False: it does not keep it, so the group ends with this host.
   bool keep(const KeptGroup& group);
   void drop(pid_t process);
@@ -71,6 +74,7 @@ class SupervisorLink {
   std::vector<KeptGroup> kept_;
   bool all_ = false;
   bool gone_ = false;
+  bool told_to_end_ = false;
   std::map<pid_t, std::string> ends_;
   std::optional<std::string> upgrade_answer_;
 };

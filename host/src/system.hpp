@@ -166,6 +166,9 @@ class System {
   std::vector<std::string> watch_groups();
   /// The instances of `main` have their end, and nothing else of the system: another host goes on with it.
   void end_main();
+  /// All instances of this host's processes have their end, as far as they come to it within `kEndsItself`. What they
+  /// say has come by then.
+  void end_instances();
   SupervisorLink* supervisor() const { return options_.supervisor; }
   /// Of plugins, in `main`.
   std::size_t open_libraries() const { return libraries_.size(); }
@@ -243,11 +246,13 @@ class System {
   void tell_failed(const std::string& instance, const std::string& reason);
 
   // ---- system_supervision.cpp
+  std::vector<wire::GroupRequest> ends_of(const std::string& group) const;
   void start_again_later(const std::string& group, const std::string& reason);
   std::map<std::uint64_t, std::string> lost_in(const std::string& group) const;
   std::string start_again(const std::string& group);
   void make_again(Group& target, const std::string& name);
   void made_again(const std::string& name, std::uint64_t change, const control::Reply& reply);
+  void is_back(const std::string& name);
   void open_again(const std::string& instance, const control::PortName& client, const Model::Wire& wanted);
 
   // ---- system_resume.cpp

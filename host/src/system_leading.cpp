@@ -51,7 +51,7 @@ Group* System::remote_group(const std::string& name) {
                                          .next = "ls hosts"});
   }
   const std::string group = slash == std::string::npos ? std::string(kMainGroup) : name.substr(slash + 1);
-  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group));
+  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group, options_.supervisor));
 }
 
 std::string System::on_host_joined(const HostChange& change) {
@@ -123,7 +123,7 @@ void System::resume(RemoteGroup& group) {
   }
   for (const auto& name : *there) {
     const auto* known = model_.find(name);
-    if (known && known->group == group.name()) continue;
+    if (known && known->group == group.name() && !lost_.contains(name)) continue;
     // Made by a request whose answer was lost.
     wire::GroupRequest destroy;
     destroy.mutable_destroy()->set_instance(name);

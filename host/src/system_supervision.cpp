@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <functional>
 #include <iostream>
 
 #include "fiona/error.hpp"
@@ -29,21 +30,36 @@ void System::start_again_later(const std::string& group, const std::string& reas
   }
 }
 
-void System::end_main() {
-  std::map<std::uint64_t, std::string> ordered;
-  for (const std::string& name : model_.names_in(std::string(kMainGroup))) {
+/// Of all that live in a group, in the reverse order of their loading.
+std::vector<wire::GroupRequest> System::ends_of(const std::string& group) const {
+  std::map<std::uint64_t, std::string, std::greater<>> ordered;
+  for (const std::string& name : model_.names_in(group)) {
     if (!lost_.contains(name)) ordered[model_.instance(name).order] = name;
   }
-  for (auto one = ordered.rbegin(); one != ordered.rend(); ++one) {
+  std::vector<wire::GroupRequest> ends;
+  for (const auto& [order, name] : ordered) ends.emplace_back().mutable_destroy()->set_instance(name);
+  return ends;
+}
+
+void System::end_main() {
+  for (const auto& destroy : ends_of(std::string(kMainGroup))) {
     if (options_.supervisor) options_.supervisor->beat();
     try {
-      wire::GroupRequest destroy;
-      destroy.mutable_destroy()->set_instance(one->second);
-      groups_.main().request(std::move(destroy));
+      groups_.main().request(destroy);
     } catch (const Error& error) {
-      std::cerr << one->second << ": " << error.text().what << "\n";
+      std::cerr << destroy.destroy().instance() << ": " << error.text().what << "\n";
     }
   }
+}
+
+void System::end_instances() {
+  const auto children = child_groups();
+  for (ChildGroup* group : children) {
+    for (const auto& destroy : ends_of(group->name())) group->tell(destroy);
+    group->ask_status();  // whose answer comes behind all that they say
+  }
+  end_main();
+  for (ChildGroup* group : children) group->status(kEndsItself);
 }
 
 void System::leave_to_supervision(const std::string& name) {
@@ -71,6 +87,8 @@ std::string System::start_again(const std::string& name) {
   const std::string line = fmt::format("group '{}' is started again: {}", name, lost_[lost.begin()->second].reason);
   try {
     Group& target = group(name);
+    if (auto* remote = dynamic_cast<RemoteGroup*>(&target))
+      resume(*remote);  // what was made, and not answered, goes first
     for (const auto& [order, instance] : lost) make_again(target, instance);
     if (!target.alive()) lose_if_gone(name);  // of what was made
   } catch (const Error& error) {
@@ -80,7 +98,8 @@ std::string System::start_again(const std::string& name) {
 }
 
 /// As it is meant to be. What refuses to be made stays lost, with the reason; the others of its group go on. It is
-/// lost until it is in its mode, which is waited for only where nothing else can be done meanwhile.
+/// lost until it is in its mode, which is waited for only where nothing else can be done meanwhile. Throws Error
+/// Unreachable where its host is not reached.
 void System::make_again(Group& target, const std::string& name) {
   if (!target.alive()) return;
   control::Load request = model_.load_of(name);
@@ -91,10 +110,17 @@ void System::make_again(Group& target, const std::string& name) {
   try {
     if (loads_later(request)) return bring_up(target, name, model_.instance(name), request, ended);
     create(target, name, model_.instance(name), request);
-    lost_.erase(name);
+    is_back(name);
   } catch (const Error& error) {
+    // On the way to another host: it is tried again once that has joined again.
+    if (error.code() == ErrorCode::Unreachable && !host_of(target.name()).empty()) throw;
     if (target.alive()) lost_[name].reason = error.text().what;
   }
+}
+
+void System::is_back(const std::string& name) {
+  lost_.erase(name);
+  for (const auto& [client, wanted] : model_.wires()) open_again(name, port_of(client), wanted);
 }
 
 /// Unless its group has ended again meanwhile, or nobody wants it any more.
@@ -106,8 +132,7 @@ void System::made_again(const std::string& name, std::uint64_t change, const con
     return discard(name);
   }
   making_.erase(making);
-  lost_.erase(name);
-  for (const auto& [client, wanted] : model_.wires()) open_again(name, port_of(client), wanted);
+  is_back(name);
 }
 
 /// What did not get to its mode, or is not wanted any more. Nobody waits for its end.

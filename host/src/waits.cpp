@@ -171,13 +171,13 @@ void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const 
     waits_.push_back(wait);
   }
   time_out_after(wait, within_ms, [expired = std::move(expired)] { return expired; });
-  let_run(wait);
   try {
     begin();
   } catch (...) {
     finish(wait, std::nullopt);
     throw;
   }
+  let_run(wait);  // a virtual clock finds it under way, and not idle
 }
 
 /// Whoever ends a wait first holds the clock, on the thread where it happened: before time can go on.

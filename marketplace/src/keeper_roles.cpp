@@ -81,8 +81,11 @@ std::string name_of_keys(const tuf::Repository& repository, const filesystem::pa
   const auto signs = repository.keys_of(top_level_of(role).back()).keys;
   for (const std::string& name : options.keys.names()) {
     const std::size_t end = name.rfind("." + role);
-    if (end == std::string::npos || std::ranges::find(signs, options.keys.get(name).open()) == signs.end()) continue;
-    return name.substr(0, end);
+    try {
+      if (end != std::string::npos && std::ranges::find(signs, options.keys.get(name).open()) != signs.end())
+        return name.substr(0, end);
+    } catch (const Error&) {  // one that cannot be read signs nothing
+    }
   }
   return key_name_of(place_of(market));
 }

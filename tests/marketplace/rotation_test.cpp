@@ -2,6 +2,8 @@
 // nothing.
 #include <gmock/gmock.h>
 
+#include <fstream>
+
 #include "kept_market.hpp"
 
 namespace fiona::marketplace {
@@ -61,6 +63,11 @@ TEST_F(Rotation, ANewKeyIsCalledLikeThoseOfItsMarketplace) {
   EXPECT_EQ(rotate(other, "online", {}, 1, keeper()).made, std::vector<std::string>{base + "-2.online-2"});
   EXPECT_EQ(rotate(other, "online", {}, 1, keeper()).made, std::vector<std::string>{base + "-2.online-3"});
   EXPECT_EQ(rotate(market_, "online", {}, 1, keeper()).made, std::vector<std::string>{base + ".online-2"});
+}
+
+TEST_F(Rotation, AKeyOfSomethingElseThatCannotBeReadIsInNobodysWay) {
+  std::ofstream(keeper().keys.path() / "aaa.online.key") << "no key";
+  EXPECT_EQ(rotate(market_, "online", {}, 1, keeper()).lacking, 0);
 }
 
 TEST_F(Rotation, TheOnlineKeyIsReplacedAndTheFormerOneSignsNothing) {

@@ -86,9 +86,11 @@ class AuthenticatorTest : public ::testing::Test {
   }
 
   std::string file() const { return folder_.path / "users.db"; }
-  std::unique_ptr<Bench<Authenticator>> started() const {
+  std::unique_ptr<Bench<Authenticator>> started(int session_s = 43200, Duration at = {}) const {
     auto bench = std::make_unique<Bench<Authenticator>>("auth");
     bench->set("database", file());
+    bench->set("session_time", session_s);
+    bench->advance(at);
     bench->start();
     return bench;
   }
@@ -218,6 +220,13 @@ TEST_F(AuthenticatorTest, ASessionGoesOnAfterARestartWithAnEarlierClockOrAShorte
   const auto behind = started();  // its clock has just begun
   EXPECT_EQ(whose(*behind, bytes).user_name(), "anna");
   EXPECT_LE(whose(*behind, bytes).remaining(), 43200U);
+}
+
+TEST_F(AuthenticatorTest, ATimeThatWasShortenedHoldsAfterFurtherRestarts) {
+  const std::string bytes = login(*started(), "anna", kPassword)->session();
+  started(60);
+  const auto later = started(60, 59s);
+  EXPECT_LE(whose(*later, bytes).remaining(), 1U);
 }
 
 TEST_F(AuthenticatorTest, ASessionEndsAtItsTime) {

@@ -19,6 +19,10 @@ std::map<std::string, std::string> marks_of(const Session& session) {
   const auto& chosen = session.options.store;
   const Store store(chosen.empty() ? Store::default_directory() : chosen);
   for (const auto& revoked : store.revoked()) marks[revoked.package() + " " + revoked.version()] = "revoked";
+  // Another marketplace may have one of this name and version, with other content.
+  for (const auto& package : store.installed()) {
+    if (!store.revocation(package)) marks.erase(package.name() + " " + package.manifest.version());
+  }
   return marks;
 }
 

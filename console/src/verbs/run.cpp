@@ -163,6 +163,7 @@ class StartedHost {
         if (problem.code() != ErrorCode::Unreachable) return false;  // it says why it does not want to
       }
     }
+    session_.out.remark(fmt::format("the supervisor was killed; it is left, after {} restarts", kMostRenewed));
     return false;
   }
   /// Waits for it, and connects to it. False: it does not come back.
@@ -336,10 +337,10 @@ class UnsignedPackages {
   const std::filesystem::path store_;
 };
 
-/// "killed by signal 11 (Segmentation fault)", as a group's process is told of: a host's is in its exit code.
 /// Told to end by a signal: an end in order.
 constexpr int kToldToEnd = 130;
 
+/// "killed by signal 11 (Segmentation fault)", as a group's process is told of: a host's is in its exit code.
 std::string end_text(int code, bool by_signal) {
   constexpr int kSignal = 128;
   if (by_signal)
@@ -381,9 +382,10 @@ void run(Session& session, const Line& line) {
   session.disconnect();
   const int code = host.stop();
   if (!session.finished && code != 0)
-    throw Error(
-        code == kToldToEnd ? ErrorCode::Failed : ErrorCode::ComponentFailed,
-        ErrorText{.what = end_text(code, host.ended_by_signal()), .where = fmt::format("host {}", launch.name)});
+    throw Error(code == kToldToEnd ? ErrorCode::Failed : ErrorCode::ComponentFailed,
+                ErrorText{.what = end_text(code, host.ended_by_signal()),
+                          .where = fmt::format("host {}", launch.name),
+                          .next = "run --restore, for the system that it had; fiona doctor"});
   if (!session.finished) session.finished = code;
 }
 

@@ -159,10 +159,16 @@ std::vector<std::string> SigningKeys::names() const {
 }
 
 std::optional<SigningKey> SigningKeys::with_id(const std::string& wanted) const {
+  std::exception_ptr unreadable;
   for (const auto& name : names()) {
-    SigningKey key = get(name);
-    if (key_id_of(key.open()) == wanted) return key;
+    try {
+      SigningKey key = get(name);
+      if (key_id_of(key.open()) == wanted) return key;
+    } catch (const Error&) {
+      unreadable = std::current_exception();
+    }
   }
+  if (unreadable) std::rethrow_exception(unreadable);  // it may be that one
   return std::nullopt;
 }
 

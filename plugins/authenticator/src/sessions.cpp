@@ -31,7 +31,10 @@ Sessions::Sessions(records::RecordStore& store, TimePoint now, Duration time) : 
     Session session;
     session.ParseFromString(bytes);
     if (session.expires_ms() > to_milliseconds(now)) {
-      session.set_expires_ms(std::min<std::int64_t>(session.expires_ms(), latest_ms));
+      if (session.expires_ms() > latest_ms) {
+        session.set_expires_ms(latest_ms);
+        store_.put(kSessions, name, session.SerializeAsString());
+      }
       sessions_.emplace(name, std::move(session));
     } else {
       ended.push_back(name);
