@@ -301,7 +301,15 @@ control::Reply ControlClient::call_waiting(control::Request request) {
     forget(id);
     throw;
   }
-  return wait_for(id, reply, here, std::chrono::steady_clock::now());
+  wait_for(id, reply, here, std::chrono::steady_clock::now());
+  if (reply.has_ended()) throw RunEnded(reply.ended());
+  return reply;
 }
+
+RunEnded::RunEnded(const control::Ended& end)
+    : Error(ErrorCode::Failed, {.what = fmt::format("the run has ended meanwhile{}{} (exit code {})",
+                                                    end.reason().empty() ? "" : ": ", end.reason(), end.exit_code()),
+                                .next = "quit, and run it again"}),
+      end_(end) {}
 
 }  // namespace fiona::console

@@ -51,7 +51,7 @@ class ControlClient {
 
   /// For requests that wait on the system's clock, which may stand or run slowly: no deadline of its own, but while
   /// nothing comes the host is asked for a sign of life, and Unreachable is thrown when it gives none. At Interrupted
-  /// the request is given up.
+  /// the request is given up. Throws RunEnded where the run ends first.
   control::Reply call_waiting(control::Request request);
 
   /// Sends; `answer` gets every reply to it until forget(). Returns the request's id.
@@ -94,6 +94,16 @@ class ControlClient {
   std::map<std::uint64_t, Answer> answers_;
   std::optional<control::Failure> refusal_;  ///< of the connection itself
   std::function<void()> on_closed_;
+};
+
+/// The run has ended while something else was waited for.
+class RunEnded : public Error {
+ public:
+  explicit RunEnded(const control::Ended& end);
+  const control::Ended& end() const { return end_; }
+
+ private:
+  control::Ended end_;
 };
 
 /// The host's refusal as the error that it is.

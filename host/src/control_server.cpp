@@ -105,6 +105,7 @@ std::unique_ptr<RemoteConsoles> ControlServer::serve_remote(const System::Option
 }
 
 void ControlServer::add_client(os::Descriptor socket, Rights rights) {
+  system_.waits().meet(next_client_);
   clients_.emplace(next_client_++, std::make_unique<Client>(std::move(socket), std::move(rights)));
 }
 

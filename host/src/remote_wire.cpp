@@ -437,7 +437,10 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
       Envelope envelope{object.object, request ? frame.request().id() : frame.object().sequence(),
                         TimePoint(Duration(told_ns(origin_ns))), object.bytes};
       Parcel parcel{std::move(envelope), reply, frame.request().continuous(), 0};
-      outcome = end_ ? end_->push(std::move(parcel)) : inbox_->push(std::move(parcel));
+      const bool may_wait = !request && port_.service().pattern() == SEND && !clock_.staging();
+      outcome = may_wait ? take_or_hold(std::move(parcel))
+                : end_   ? end_->push(std::move(parcel))
+                         : inbox_->push(std::move(parcel));
       if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
     }
     if (outcome == Outcome::Rejected) port_.counters().refuse(refusal, clock_.now());
@@ -446,6 +449,40 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
   const bool ends = outcome != Outcome::Ok || acknowledged;
   if (reply && ends) reply->answer(outcome, std::move(refusal), nullptr);
+}
+
+/// What its sender was told is taken waits where the queue is full, and costs him his credit meanwhile: so he is told
+/// of what comes after it. Of one who sends without credit it is refused. Called with the lock held.
+Outcome RemoteWire::take_or_hold(Parcel parcel) {
+  const Outcome outcome = held_.empty() ? inbox_->push(parcel) : Outcome::Rejected;
+  const std::size_t bytes = Inbox::cost_of(parcel.envelope.bytes);
+  if (outcome != Outcome::Rejected || held_bytes_ > 2 * kLaneWindow) return outcome;
+  held_bytes_ += bytes;
+  held_.push_back({std::move(parcel), link_->receipt()});
+  if (held_.size() > 1) return Outcome::Ok;  // somebody waits for room already
+  const auto room = inbox_->room(bytes, weak_from_this(), [weak = weak_from_this()](std::size_t) {
+    if (const auto self = weak.lock()) self->take_held();
+  });
+  if (room) port_.hull().strand().post([self = shared_from_this()] { self->take_held(); });
+  return Outcome::Ok;
+}
+
+void RemoteWire::take_held() {
+  std::vector<std::shared_ptr<const void>> paid;  // let go of outside the lock: the link is told
+  const std::lock_guard lock(mutex_);
+  while (!cut_ && !held_.empty()) {
+    const std::size_t bytes = Inbox::cost_of(held_.front().parcel.envelope.bytes);
+    if (inbox_->push(held_.front().parcel) == Outcome::Rejected) {
+      const auto room = inbox_->room(bytes, weak_from_this(), [weak = weak_from_this()](std::size_t) {
+        if (const auto self = weak.lock()) self->take_held();
+      });
+      if (!room) return;
+      continue;  // there is by now
+    }
+    held_bytes_ -= bytes;
+    paid.push_back(std::move(held_.front().receipt));
+    held_.pop_front();
+  }
 }
 
 void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
@@ -510,6 +547,8 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     }
     drained_ = nullptr;
     kept_.clear();
+    for (; !held_.empty(); held_.pop_front())
+      port_.counters().refuse("its wire has ended before there was room", clock_.now());
     open.swap(open_);
     for (auto& [id, weak] : served_) {
       if (auto reply = weak.lock()) served.push_back(std::move(reply));

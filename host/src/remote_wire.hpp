@@ -84,6 +84,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void handle_frame(const wire::Frame& frame, const ObjectBytes& object);
   void handle_object(const wire::Frame& frame, const ParsedObject& object);
   void take(const wire::Frame& frame, const ParsedObject& object);
+  Outcome take_or_hold(Parcel parcel);
+  void take_held();
   void take_in_turn(const Object* object, std::string_view word, Job job);
   std::function<void()> take_drained();
   void cancel(std::uint64_t id);
@@ -122,6 +124,12 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::atomic<bool> admitted_;  ///< set under the mutex
   std::deque<Kept> kept_;       ///< what came before `admit`
   std::size_t kept_bytes_ = 0;
+  struct Held {
+    Parcel parcel;
+    std::shared_ptr<const void> receipt;  ///< its sender has no credit for it yet
+  };
+  std::deque<Held> held_;  ///< sends that found the queue full: as much as their sender has credit for
+  std::size_t held_bytes_ = 0;
   std::function<void()> drained_;
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id
   std::unordered_map<std::uint64_t, std::weak_ptr<ReplySink>> served_;  ///< requests of the peer's

@@ -140,6 +140,7 @@ void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect&
 
 void Waits::sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer) {
   auto wait = add(owner, id, std::move(answer));
+  if (tell_end(wait)) return;
   {
     const std::lock_guard lock(mutex_);
     waits_.push_back(wait);
@@ -155,6 +156,7 @@ void Waits::sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& r
 void Waits::run(std::uint64_t owner, std::uint64_t id, Answer answer) {
   auto wait = add(owner, id, std::move(answer));
   wait->is_run = true;
+  if (tell_end(wait)) return;
   {
     const std::lock_guard lock(mutex_);
     waits_.push_back(wait);
@@ -260,7 +262,27 @@ std::vector<Waits::WaitPtr> Waits::of(std::uint64_t owner, std::optional<std::ui
   return found;
 }
 
+void Waits::meet(std::uint64_t owner) {
+  const std::lock_guard lock(mutex_);
+  if (end_) told_.insert(owner);
+}
+
+/// Where the run has ended and this owner did not wait for that.
+bool Waits::tell_end(const WaitPtr& wait) {
+  std::optional<control::Reply> end;
+  {
+    const std::lock_guard lock(mutex_);
+    if (end_ && told_.insert(wait->owner).second) end = end_;
+  }
+  if (end) finish(wait, std::move(end));
+  return wait->ended;
+}
+
 bool Waits::drop(std::uint64_t owner, std::optional<std::uint64_t> id) {
+  if (!id) {
+    const std::lock_guard lock(mutex_);
+    told_.erase(owner);
+  }
   const std::vector<WaitPtr> dropped = of(owner, id);
   for (const auto& wait : dropped) finish(wait, std::nullopt);
   return !dropped.empty();
@@ -277,9 +299,18 @@ void Waits::fail_all(const Error& error) {
 }
 
 void Waits::end_run(int exit_code, const std::string& reason) {
+  constexpr int kMost = 255;
   control::Reply reply;
-  reply.mutable_ended()->set_exit_code(exit_code);
+  reply.mutable_ended()->set_exit_code(exit_code >= 0 && exit_code <= kMost ? exit_code : kMost);
   reply.mutable_ended()->set_reason(reason);
+  {
+    const std::lock_guard lock(mutex_);
+    end_ = reply;
+    told_.clear();
+    for (const auto& wait : waits_) {
+      if (wait->is_run) told_.insert(wait->owner);
+    }
+  }
   end_all(reply);
 }
 

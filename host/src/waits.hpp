@@ -5,6 +5,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -47,8 +48,12 @@ class Waits {
   void end(std::uint64_t owner, std::uint64_t id, const control::Reply& reply);
   /// Nothing can be waited for: every wait ends with this error.
   void fail_all(const Error& error);
-  /// The run has ended: every wait is answered.
+  /// The run has ended: every wait is answered. Who is there and does not wait for that is told at the next `run` or
+  /// `sleep`, once.
+  /// An exit code that no process can have is 255.
   void end_run(int exit_code, const std::string& reason);
+  /// A new owner: to whom an end that came before is no news.
+  void meet(std::uint64_t owner);
 
  private:
   struct Wait;
@@ -63,6 +68,7 @@ class Waits {
   std::optional<control::Reply> reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const;
   std::optional<control::Reply> reply_to_value(Wait& wait, const wire::Tapped& tapped, const Types& types) const;
   void let_run(const WaitPtr& wait);
+  bool tell_end(const WaitPtr& wait);
   void cancel(TimerId timer);
 
   Clock& clock_;
@@ -70,6 +76,8 @@ class Waits {
   const std::shared_ptr<Strand> strand_;
   std::mutex mutex_;
   std::list<WaitPtr> waits_;
+  std::optional<control::Reply> end_;  ///< of the run, since it has come
+  std::set<std::uint64_t> told_;       ///< of that
 };
 
 /// A refusal as a reply.

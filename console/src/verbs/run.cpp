@@ -207,7 +207,10 @@ control::Ended let_pass(Session& session, StartedHost& host, Service& service, d
     control::Request request;
     request.mutable_sleep()->set_duration_ms(std::max(0.0, time_ms - passed.count()));
     try {
-      return session.host().call_waiting(std::move(request)).ended();
+      session.host().call_waiting(std::move(request));
+      return {};
+    } catch (const RunEnded& ended) {
+      return ended.end();
     } catch (const Error&) {
       if (session.connected() || !host.reconnect()) throw;
       service.host_is_back();
@@ -236,6 +239,43 @@ std::optional<control::Reply> end_of_run(Session& session, StartedHost& host, Se
   }
 }
 
+/// Of one that is told to end, or has ended.
+void take_end(Session& session, const control::Ended& ended) {
+  if (!ended.reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended.reason()));
+  session.finished = ended.exit_code();
+  try {
+    end_host(session, ended.exit_code());
+  } catch (const Error& error) {
+    // Somebody's `quit` ended the run, and the host is going already.
+    if (error.code() != ErrorCode::Unreachable || ended.reason().empty()) throw;
+  }
+}
+
+/// How it has ended while its lines ran; none: it has not.
+std::optional<control::Ended> end_so_far(Session& session) {
+  if (!session.connected()) return std::nullopt;
+  control::Request look;
+  look.mutable_sleep();
+  try {
+    session.host().call_waiting(std::move(look));
+  } catch (const RunEnded& ended) {
+    return ended.end();
+  } catch (const Error&) {  // what went wrong before is to be told
+  }
+  return std::nullopt;
+}
+
+/// One that a component ends meanwhile has ended, whatever else the lines were about.
+void run_lines_to_end(Session& session, const std::vector<Line>& lines, bool strict) {
+  try {
+    run_lines(session, lines, strict);
+  } catch (const Error&) {
+    const auto ended = end_so_far(session);
+    if (!ended) throw;
+    take_end(session, *ended);
+  }
+}
+
 /// Lets the system run until a component ends it, somebody quits, or the time is over.
 void run_headless(Session& session, StartedHost& host, const Word* duration, const Line& line) {
   Service service(session);
@@ -248,14 +288,7 @@ void run_headless(Session& session, StartedHost& host, const Word* duration, con
     if (!reply) return;
     ended = reply->ended();
   }
-  if (!ended.reason().empty()) session.out.remark(fmt::format("the run ended: {}", ended.reason()));
-  session.finished = ended.exit_code();
-  try {
-    end_host(session, ended.exit_code());
-  } catch (const Error& error) {
-    // Somebody's `quit` ended the run, and the host is going already.
-    if (error.code() != ErrorCode::Unreachable || ended.reason().empty()) throw;
-  }
+  take_end(session, ended);
 }
 
 const std::map<std::string, std::string> kGroupLimits{{"--group-memory", "a number of MiB, 64 or more"},
@@ -368,7 +401,7 @@ void run(Session& session, const Line& line) {
   const bool attach = !line.has("--headless") && duration == nullptr && !session.out.manner.json &&
                       ::isatty(STDIN_FILENO) != 0 && ::isatty(STDOUT_FILENO) != 0;
   try {
-    run_lines(session, lines, line.has("--strict"));
+    run_lines_to_end(session, lines, line.has("--strict"));
     std::function<bool()> comes_back;
     if (launch.supervised) comes_back = [&host] { return host.comes_back(); };
     if (!session.finished && attach)
