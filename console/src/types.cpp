@@ -227,9 +227,9 @@ std::string range_text(const pb::FieldDescriptor& field) {
   const bool low = options.HasExtension(fiona::min);
   const bool high = options.HasExtension(fiona::max);
   if (low && high)
-    return fmt::format("{:g} .. {:g}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
-  if (low) return fmt::format("from {:g}", options.GetExtension(fiona::min));
-  if (high) return fmt::format("up to {:g}", options.GetExtension(fiona::max));
+    return fmt::format("{} .. {}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
+  if (low) return fmt::format("from {}", options.GetExtension(fiona::min));
+  if (high) return fmt::format("up to {}", options.GetExtension(fiona::max));
   if (field.enum_type() == nullptr) return "";
   std::vector<std::string> names;
   for (int i = 0; i < field.enum_type()->value_count(); ++i) names.push_back(field.enum_type()->value(i)->name());

@@ -12,6 +12,7 @@
 #include <cstring>
 #include <filesystem>
 #include <iostream>
+#include <sstream>
 
 #include "fiona/error.hpp"
 #include "os/limits.hpp"
@@ -99,8 +100,21 @@ void BusProxy::start() {
   os::limit_child(child_->id(), kMemory, kDescriptors);
 }
 
+/// Its lines without process and time, "** (process:8): WARNING **: 14:03:12.123: Failed …", each once in a row.
+void BusProxy::pass_on(Time now) {
+  std::istringstream lines(output_->take(now));
+  for (std::string line; std::getline(lines, line);) {
+    constexpr std::string_view kStars = "**: ";
+    if (const auto stars = line.find(kStars); stars != std::string::npos) line.erase(0, stars + kStars.size());
+    if (const auto text = line.find_first_not_of("0123456789:. "); text != 0) line.erase(0, text);
+    if (line.empty() || line == told_) continue;
+    std::cerr << fmt::format("group '{}': {}: {}\n", group_, os::kBusProxy, line);
+    told_ = line;
+  }
+}
+
 std::string BusProxy::how_it_ended() {
-  std::cerr << output_->take(std::chrono::steady_clock::now());
+  pass_on(std::chrono::steady_clock::now());
   const std::string said = output_->last_lines();
   return child_->end() + (said.empty() ? "" : "; it wrote: " + said);
 }
@@ -133,7 +147,7 @@ void BusProxy::watch(Time now) {
     return;
   }
   if (child_->end().empty()) {
-    std::cerr << output_->take(now);
+    pass_on(now);
     return;
   }
   const std::string how = how_it_ended();

@@ -37,6 +37,7 @@ class BusProxy {
 
  private:
   void start();
+  void pass_on(Time now);
   std::string how_it_ended();
 
   const std::string group_;
@@ -47,6 +48,7 @@ class BusProxy {
   os::Descriptor ready_;  ///< readable once it takes connections; it ends when this is closed
   Supervision supervision_;
   bool waits_ = false;  ///< to be started again
+  std::string told_;    ///< the last that it wrote: it says the same again and again
   std::string end_;
 };
 

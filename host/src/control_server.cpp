@@ -131,11 +131,14 @@ void ControlServer::end(int code, const std::string& why) {
   if (system_.supervisor()) system_.supervisor()->quits();
 }
 
-/// What they say at their end, consoles are told before that of the run.
+/// What they say at their end, consoles are told before that of the run. Who watches sees the host end, and nothing
+/// unloaded.
 void ControlServer::end_instances() {
   os::end_within(kEndsWithin, *exit_code_);
   system_.end_instances();
-  for (const auto& event : events_.take()) on_event(event);
+  for (const auto& event : events_.take()) {
+    if (!event.has_tap_ended()) on_event(event);
+  }
 }
 
 void ControlServer::meet_peers(int lifeline, int signals) {

@@ -5,12 +5,12 @@
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
+#include "names.hpp"
 #include "orders.hpp"
 
 namespace fiona::host {
 namespace {
 
-constexpr std::string_view kLocal = "local/";  ///< plugins that are in no package
 
 }  // namespace
 
@@ -140,7 +140,7 @@ Group& LedInstances::group_at(const std::string& endpoint) const {
 
 /// The package is this host's own: of the same name, version and interface as the leader's.
 Packages::Choice LedInstances::own_package(const wire::Create& create) const {
-  const bool local = create.plugin().starts_with(kLocal);
+  const bool local = create.plugin().starts_with(kTypedByPath);
   if (local && (around_.plugins.empty() || create.plugin().find("..") != std::string::npos)) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = fmt::format("{} is in no package, and host '{}' takes only what is installed on it",
@@ -148,7 +148,7 @@ Packages::Choice LedInstances::own_package(const wire::Create& create) const {
                  .next = "pack it and install it on both hosts; or start that host with --plugins DIR"});
   }
   const std::string library =
-      (around_.plugins / ("lib" + create.plugin().substr(local ? kLocal.size() : 0) + ".so")).string();
+      (around_.plugins / ("lib" + create.plugin().substr(local ? kTypedByPath.size() : 0) + ".so")).string();
   const Packages::Choice own = around_.packages.find((local ? library : create.plugin()) + "/" + create.component());
   const Package& package = *own.package;
   const bool same = package.name == create.plugin() && package.version == create.version();

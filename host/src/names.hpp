@@ -13,7 +13,8 @@ inline constexpr std::string_view kMainGroup = "main";  ///< the host's own proc
 /// Rights that an operator gives, and no manifest asks for: to be in no sandbox; to be in one all the same.
 inline constexpr std::string_view kUnconfined = "unconfined";
 inline constexpr std::string_view kConfined = "confined";
-inline constexpr std::string_view kHostItself = "host";  ///< where else an instance is named
+inline constexpr std::string_view kTypedByPath = "local/";  ///< begins the name of a library that is in no package
+inline constexpr std::string_view kHostItself = "host";     ///< where else an instance is named
 
 /// Of all that a host and a group have between them: the messages of wire.proto, the words that a group is started
 /// with, its descriptors, the page of its strands. Another number where a build does not understand one before it.

@@ -11,11 +11,14 @@
 #include "fiona/error.hpp"
 #include "fiona/marketplace/compiled_protos.hpp"
 #include "fiona/marketplace/manifest.hpp"
+#include "names.hpp"
 
 namespace fiona::host {
 namespace {
 
-std::string choose_component(const Interface& interface, const std::string& plugin, const std::string& wanted) {
+/// `typed`: how the plugin is named in a `load`.
+std::string choose_component(const Interface& interface, const std::string& plugin, const std::string& typed,
+                             const std::string& wanted) {
   std::vector<std::string> names;
   for (const auto& component : interface.components()) names.push_back(component.name());
   const std::string short_name = plugin.substr(plugin.rfind('/') + 1);
@@ -24,7 +27,7 @@ std::string choose_component(const Interface& interface, const std::string& plug
   throw Error(ErrorCode::NotFound,
               {.what = fmt::format("plugin '{}' has no component '{}'", plugin, choice),
                .expected = fmt::format("one of {}", fmt::join(names, ", ")),
-               .next = fmt::format("load {}/{}", plugin, names.empty() ? "COMPONENT" : names.front()),
+               .next = fmt::format("load {}/{}", typed, names.empty() ? "COMPONENT" : names.front()),
                .near = nearest_names(choice, names)});
 }
 
@@ -93,7 +96,7 @@ std::shared_ptr<const Package> Packages::library(const std::filesystem::path& fi
   const std::string own = state_of(file) + " " + state_of(description) + " " + state_of(share);
   const auto before = known(found.library, own);
   found.interface = before ? Interface() : read_interface(description, name, file);
-  found.name = "local/" + name;
+  found.name = std::string(kTypedByPath) + name;
   found.version = "0";
   Manifest derived;
   marketplace::list_protos(before ? before->interface : found.interface, derived);
@@ -218,8 +221,8 @@ std::shared_ptr<const Package> Packages::keep(Package package) const {
 Packages::Choice Packages::find(const std::string& text, const std::string& version) const {
   if (const std::string_view path = marketplace::library_path(text); !path.empty()) {
     auto package = library(path);
-    std::string component =
-        choose_component(package->interface, package->name, text.substr(std::min(text.size(), path.size() + 1)));
+    std::string component = choose_component(package->interface, package->name, std::string(path),
+                                             text.substr(std::min(text.size(), path.size() + 1)));
     return {std::move(package), std::move(component)};
   }
   // "publisher/name" and "name/component" look alike: an installed package of the whole text wins.
@@ -239,7 +242,7 @@ Packages::Choice Packages::find(const std::string& text, const std::string& vers
   if (!version.empty() && version != package.manifest.version() && !package.is_unsigned)
     take_kept(package, packages, version);
   auto found = installed(package, packages);
-  std::string component = choose_component(found->interface, found->name, wanted);
+  std::string component = choose_component(found->interface, found->name, found->name, wanted);
   return {std::move(found), std::move(component)};
 }
 

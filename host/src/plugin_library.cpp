@@ -18,6 +18,7 @@
 
 #include "fiona/describe.hpp"
 #include "fiona/error.hpp"
+#include "names.hpp"
 
 namespace fiona::host {
 
@@ -35,6 +36,12 @@ namespace {
   text.what = "plugin '" + name + "' cannot be loaded: " + text.what;
   text.where = path.string();
   throw Error(ErrorCode::Failed, std::move(text));
+}
+
+/// The step for what another library's code keeps out of this process.
+std::string own_process(const std::string& name, const std::filesystem::path& path) {
+  return "load " + (name.starts_with(kTypedByPath) ? path.string() : name) +
+         " in GROUP: a group is a process of its own";
 }
 
 #if defined(__x86_64__)
@@ -249,7 +256,7 @@ void PluginLibraries::require_new(const std::string& name, const std::filesystem
                                                              : "plugin '" + owner->second + "'";
   refuse(name, path,
          {.what = what + " has already been brought by " + who + ", and protobuf ends a process that gets it twice",
-          .next = "load " + name + " in GROUP: a group is a process of its own"});
+          .next = own_process(name, path)});
 }
 
 /// A library finds those that it was opened with, whatever is installed now.
@@ -259,7 +266,7 @@ void PluginLibraries::require_needed(const std::string& name, const Files& files
     refuse(
         name, files.rbegin()->path(),
         {.what = "it was opened here with another version of " + file.package() + ", and a library is never unloaded",
-         .next = "load " + name + " in GROUP: a group is a process of its own"});
+         .next = own_process(name, files.rbegin()->path())});
   }
 }
 
@@ -296,7 +303,7 @@ PluginLibraries::Library& PluginLibraries::opened(const std::string& name, const
     if (!own.blake2b().empty() || time_of(own.path()) == known->second->written) return *known->second;
     refuse(name, own.path(),
            {.what = "the file has changed since it was loaded, and a library is never unloaded",
-            .next = "load " + name + " in GROUP: a group is a process of its own"});
+            .next = own_process(name, own.path())});
   }
   check_before_opening(name, files, interface);
   open_needed(name, files);
