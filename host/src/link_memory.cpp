@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstring>
 
@@ -22,9 +23,8 @@ constexpr std::size_t kHeaderBytes = 4096;
 constexpr std::size_t kMemoryBytes = kHeaderBytes + kMemorySlots * kLocalChunkBytes;
 static_assert(sizeof(Header) <= kHeaderBytes);
 
-char* slot_of(void* memory, std::size_t slot) {
-  return static_cast<char*>(memory) + kHeaderBytes + slot * kLocalChunkBytes;
-}
+constexpr std::size_t begin_of(std::size_t slot) { return kHeaderBytes + slot * kLocalChunkBytes; }
+char* slot_of(void* memory, std::size_t slot) { return static_cast<char*>(memory) + begin_of(slot); }
 
 /// The third part of a message: slot and size, 4 bytes each, little endian.
 constexpr std::size_t kPlaceBytes = 8;
@@ -51,20 +51,31 @@ std::atomic<int> memories{0};  // of this process
 
 class LinkMemory::Ours {
  public:
-  Ours() { ++memories; }
+  Ours() {
+    if (!memory_.reserve(0, kHeaderBytes))
+      throw Error(ErrorCode::Failed, {.what = "no memory is left", .next = "free -m"});
+    ++memories;
+  }
   ~Ours() { --memories; }
   Ours(const Ours&) = delete;
   Ours& operator=(const Ours&) = delete;
 
   int descriptor() const { return memory_.descriptor(); }
   void forget_descriptor() { memory_.forget_descriptor(); }
-  char* slot(std::size_t slot) { return slot_of(memory_.data(), slot); }
+  /// False: there is no memory for it.
+  bool fill(std::size_t slot, std::string_view chunk) {
+    if (chunk.size() > reserved_[slot] && !memory_.reserve(begin_of(slot), chunk.size())) return false;
+    reserved_[slot] = std::max(reserved_[slot], chunk.size());
+    std::memcpy(slot_of(memory_.data(), slot), chunk.data(), chunk.size());
+    return true;
+  }
   void release(std::size_t slot) {
     static_cast<Header*>(memory_.data())->released[slot].fetch_add(1, std::memory_order_release);
   }
 
  private:
   os::SharedMemory memory_{kMemoryBytes};
+  std::array<std::size_t, kMemorySlots> reserved_{};  ///< bytes of each slot that can be written
 };
 
 class LinkMemory::Theirs {
@@ -146,7 +157,7 @@ std::optional<zmq::message_t> LinkMemory::put(std::string_view chunk) {
   if (!is_seen_ || !theirs_ || chunk.size() > kLocalChunkBytes) return std::nullopt;
   for (std::size_t slot = 0; slot < kMemorySlots; ++slot) {
     if (theirs_->released(slot) != filled_[slot]) continue;
-    std::memcpy(ours_->slot(slot), chunk.data(), chunk.size());
+    if (!ours_->fill(slot, chunk)) return std::nullopt;
     ++filled_[slot];
     return place_of(slot, chunk.size());
   }

@@ -56,6 +56,11 @@ void SharedMemory::map(int access) {
   data_ = mapped;
 }
 
+bool SharedMemory::reserve(std::size_t from, std::size_t bytes) const {
+  // A kernel before 5.14 does not know it: there it is as before.
+  return ::madvise(static_cast<char*>(data_) + from, bytes, MADV_POPULATE_WRITE) == 0 || errno == EINVAL;
+}
+
 SharedMemory::~SharedMemory() {
   if (data_) ::munmap(data_, bytes_);
 }

@@ -24,6 +24,9 @@ class SharedMemory {
 
   void* data() const { return data_; }
   int descriptor() const { return descriptor_.get(); }
+  /// Whether so many bytes from the begin of the page `from` can be written: where the machine has no memory left for
+  /// them, whoever does is ended by a signal.
+  bool reserve(std::size_t from, std::size_t bytes) const;
   /// Whoever is to have the memory has it.
   void forget_descriptor() { descriptor_.reset(); }
 
