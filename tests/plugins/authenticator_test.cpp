@@ -78,6 +78,11 @@ class Waiting final : public ReplySink {
   std::shared_ptr<const Object> object_;
 };
 
+/// As on the machine's clock: what hashes is a thread of its own, for which the bench's clock does not wait.
+struct AuthenticatorWithDesk : Authenticator {
+  explicit AuthenticatorWithDesk(Hull& hull) : Authenticator(hull, false) {}
+};
+
 class AuthenticatorTest : public ::testing::Test {
  protected:
   AuthenticatorTest() {
@@ -86,8 +91,8 @@ class AuthenticatorTest : public ::testing::Test {
   }
 
   std::string file() const { return folder_.path / "users.db"; }
-  std::unique_ptr<Bench<Authenticator>> started(int session_s = 43200, Duration at = {}) const {
-    auto bench = std::make_unique<Bench<Authenticator>>("auth");
+  std::unique_ptr<Bench<AuthenticatorWithDesk>> started(int session_s = 43200, Duration at = {}) const {
+    auto bench = std::make_unique<Bench<AuthenticatorWithDesk>>("auth");
     bench->set("database", file());
     bench->set("session_time", session_s);
     bench->advance(at);
@@ -101,7 +106,7 @@ class AuthenticatorTest : public ::testing::Test {
     change(accounts);
   }
 
-  static std::shared_ptr<Waiting> begin_login(Bench<Authenticator>& bench, const std::string& user,
+  static std::shared_ptr<Waiting> begin_login(Bench<AuthenticatorWithDesk>& bench, const std::string& user,
                                               const std::string& password, const std::string& source = {}) {
     auto request = std::make_shared<CommAuthenticationRequest>();
     request->set_username(user);
@@ -112,13 +117,13 @@ class AuthenticatorTest : public ::testing::Test {
     bench.advance(0ms);
     return reply;
   }
-  static std::shared_ptr<Waiting> login(Bench<Authenticator>& bench, const std::string& user,
+  static std::shared_ptr<Waiting> login(Bench<AuthenticatorWithDesk>& bench, const std::string& user,
                                         const std::string& password, const std::string& source = {}) {
     auto reply = begin_login(bench, user, password, source);
     reply->wait();
     return reply;
   }
-  static CommSession whose(Bench<Authenticator>& bench, const std::string& session) {
+  static CommSession whose(Bench<AuthenticatorWithDesk>& bench, const std::string& session) {
     CommSessionRequest request;
     request.set_session(session);
     const auto answer = bench.ask<security::SessionProvider>("sessions", request);
@@ -139,6 +144,20 @@ TEST_F(AuthenticatorTest, TheRightPasswordGetsASessionOf128Bits) {
   EXPECT_EQ(session.user_name(), "anna");
   EXPECT_EQ(session.authentication_level(), 3);
   EXPECT_EQ(session.remaining(), 43200U);
+}
+
+TEST_F(AuthenticatorTest, OnAVirtualClockTimeStandsUntilALoginIsAnswered) {
+  Bench<Authenticator> bench("auth");
+  bench.set("database", file());
+  bench.start();
+  CommAuthenticationRequest request;
+  request.set_username("anna");
+  request.set_password(kPassword);
+  const TimePoint before = bench.now();
+  const auto reply = bench.ask<AuthenticationProvider>("login", request);
+  ASSERT_TRUE(reply.ok()) << reply.reason();
+  EXPECT_TRUE((*reply)->access_granted());
+  EXPECT_EQ(bench.now(), before);
 }
 
 TEST_F(AuthenticatorTest, APhonesLargeFirstLetterIsTheSameName) {
@@ -269,6 +288,23 @@ TEST_F(AuthenticatorTest, AUserWhoIsDisabledRemovedOrHasAnotherPasswordIsLoggedO
     administer(change);
     EXPECT_FALSE(whose(*bench, bytes).is_valid()) << "no time has passed on the bench";
   }
+}
+
+TEST_F(AuthenticatorTest, SessionsWhoseAccountDoesNotStandAnyMoreTakeNoPlace) {
+  administer([](Accounts& accounts) { accounts.add("bert", Secret(kPassword), 1); });
+  const auto bench = started();
+  for (const char* user : {"anna", "bert"}) login(*bench, user, kPassword);
+  const std::string bytes = login(*bench, "anna", kPassword)->session();
+  administer([](Accounts& accounts) {
+    accounts.set_disabled("bert", true);
+    accounts.set_level("anna", 2);
+  });
+  bench->advance(1s);
+  EXPECT_EQ(bench->probe<std::uint64_t>("sessions_open"), 2U);
+  EXPECT_TRUE(whose(*bench, bytes).is_valid());
+  administer([](Accounts& accounts) { accounts.set_password("anna", Secret("another long one")); });
+  bench->advance(1s);
+  EXPECT_EQ(bench->probe<std::uint64_t>("sessions_open"), 0U);
 }
 
 TEST_F(AuthenticatorTest, WhoGetsANameThatSomebodyHadBeforeGetsNoneOfTheirSessions) {
@@ -453,7 +489,7 @@ TEST_F(AuthenticatorTest, AttemptsThatWaitWhenItEndsAreAnswered) {
 
 TEST_F(AuthenticatorTest, ADamagedDatabaseFailsTheInstanceAndSaysWhatToDo) {
   std::filesystem::resize_file(file(), 0);
-  Bench<Authenticator> bench("auth");
+  Bench<AuthenticatorWithDesk> bench("auth");
   bench.set("database", file());
   EXPECT_THROW(bench.start(), Error);
   EXPECT_EQ(bench.mode(), "failed");

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <utility>
+#include <vector>
 
 #include "fiona/records/data_directory.hpp"
 
@@ -30,7 +31,7 @@ void Authenticator::on_start() {
   store_ = std::make_unique<records::RecordStore>(file, kDatabaseKind);
   accounts_ = std::make_unique<Accounts>(*store_);
   sessions_ = std::make_unique<Sessions>(*store_, now(), seconds(params_->session_time()));
-  desk_ = std::make_unique<LoginDesk>();
+  if (!hashes_itself_) desk_ = std::make_unique<LoginDesk>();
   read_accounts();
   if (known_.empty()) {
     log(LogLevel::Warning, "there is no user yet: fiona-users --database " + file.string() + " add NAME");
@@ -87,8 +88,11 @@ void Authenticator::on_login(const security::CommAuthenticationRequest& request,
       answer->reject("nobody can log in now: the database of users cannot be used");
     }
   };
-  if (!desk_->take({request.username(), Secret(request.password()), request.source(), used, check_it,
-                    [answer](const char* why) { answer->reject(why); }})) {
+  LoginDesk::Attempt attempt{request.username(), Secret(request.password()),
+                             request.source(),   used,
+                             check_it,           [answer](const char* why) { answer->reject(why); }};
+  if (hashes_itself_) return check_it(attempt);
+  if (!desk_->take(std::move(attempt))) {
     refused_.set(++refusals_);
     answer->reject(LoginDesk::kCrowded);
   }
@@ -97,7 +101,9 @@ void Authenticator::on_login(const security::CommAuthenticationRequest& request,
 security::CommSession Authenticator::on_session(const security::CommSessionRequest& request) {
   security::CommSession answer;
   const auto session = sessions_->find(request.session(), now());
-  const Account* account = session ? account_of(*session) : nullptr;
+  if (!session) return answer;
+  read_changes();  // each time: who is disabled has not one more request
+  const Account* account = account_of(*session);
   if (!account) return answer;
   answer.set_is_valid(true);
   answer.set_user_name(session->user());
@@ -108,8 +114,7 @@ security::CommSession Authenticator::on_session(const security::CommSessionReque
 }
 
 /// Null: the account is gone, disabled, or has had another password since.
-const Account* Authenticator::account_of(const Session& session) {
-  read_changes();  // each time: who is disabled has not one more request
+const Account* Authenticator::account_of(const Session& session) const {
   const auto found = known_.find(session.user());
   const bool same = found != known_.end() && found->second.generation() == session.generation();
   return same && !found->second.disabled() ? &found->second : nullptr;
@@ -140,10 +145,17 @@ void Authenticator::read_changes() {
   }
 }
 
+/// Sessions that have expired, and those whose account does not stand any more, take no place.
 void Authenticator::look() {
+  const auto open = sessions_->all();  // before the accounts are read: none is newer than what is known of its user
   read_changes();
+  std::vector<std::string> ended;
+  for (const auto& [name, session] : open) {
+    const bool stands = !version_ || account_of(session) != nullptr;
+    if (!stands || session.expires_ms() <= to_milliseconds(now())) ended.push_back(name);
+  }
   try {
-    sessions_->sweep(now());
+    sessions_->drop(ended);
   } catch (const Error& error) {
     tell(error);
   }

@@ -11,6 +11,7 @@
 #include "accounts.hpp"
 #include "fiona/authenticator/params.pb.h"
 #include "fiona/component.hpp"
+#include "fiona/hull.hpp"
 #include "fiona/security.fiona.hpp"
 #include "login_desk.hpp"
 #include "sessions.hpp"
@@ -19,9 +20,13 @@
 namespace fiona::authenticator {
 
 /// Checks names and passwords, and says whose a session is.
-class Authenticator final : public Component {
+class Authenticator : public Component {
  public:
-  using Component::Component;
+  /// A virtual clock waits for strands alone: there the strand itself hashes, and time stands meanwhile.
+  explicit Authenticator(Hull& hull) : Authenticator(hull, hull.clock().staging()) {}
+
+ protected:
+  Authenticator(Hull& hull, bool hashes_itself) : Component(hull), hashes_itself_(hashes_itself) {}
 
  private:
   using Parameters = authenticator::Parameters;
@@ -38,7 +43,7 @@ class Authenticator final : public Component {
 
   security::CommAuthenticationResponse checked(const LoginDesk::Attempt& attempt, const Sessions::Bounds& bounds,
                                                const Throttle::Rule& rule);
-  const Account* account_of(const Session& session);
+  const Account* account_of(const Session& session) const;
   void read_accounts();
   void read_changes();
   void tell(const Error& trouble);
@@ -53,6 +58,7 @@ class Authenticator final : public Component {
   Probe<std::uint64_t> refused_{*this, "refused_logins", {.doc = "attempts that came too soon, or too many at once"}};
   Task look_{*this, "look", std::chrono::milliseconds(500), &Authenticator::look};
 
+  const bool hashes_itself_;
   std::unique_ptr<records::RecordStore> store_;
   std::unique_ptr<Accounts> accounts_;
   std::unique_ptr<Sessions> sessions_;

@@ -95,13 +95,14 @@ bool Sessions::end(const std::string& bytes) {
   return true;
 }
 
-void Sessions::sweep(TimePoint now) {
-  std::vector<std::string> ended;
+std::map<std::string, Session> Sessions::all() const {
+  const std::lock_guard lock(mutex_);
+  return sessions_;
+}
+
+void Sessions::drop(const std::vector<std::string>& ended) {
   {
     const std::lock_guard lock(mutex_);
-    for (const auto& [name, session] : sessions_) {
-      if (session.expires_ms() <= to_milliseconds(now)) ended.push_back(name);
-    }
     for (const std::string& name : ended) sessions_.erase(name);
   }
   forget(ended);

@@ -31,8 +31,10 @@ class Sessions {
   std::optional<Session> find(const std::string& bytes, TimePoint now) const;
   /// False: there was none. In memory it has ended when this throws.
   bool end(const std::string& bytes);
-  /// Ends those that have expired.
-  void sweep(TimePoint now);
+  /// All, by the hashes under which they are kept.
+  std::map<std::string, Session> all() const;
+  /// Ends those of these hashes.
+  void drop(const std::vector<std::string>& ended);
   std::size_t size() const;
 
  private:
