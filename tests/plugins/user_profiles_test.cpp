@@ -112,6 +112,22 @@ TEST_F(UserProfilesTest, WhoseSessionHasEndedIsToldSoAndNothingElse) {
   EXPECT_EQ((*answer)->SerializeAsString(), ended.SerializeAsString());
 }
 
+TEST_F(UserProfilesTest, WhoseSessionHasEndedChangesNothingAndIsToldSo) {
+  CommUserProfileUpdate update;
+  update.set_user_name("anna");
+  update.set_session(std::string(16, 'x'));
+  update.set_use_stairs(false);
+  const auto answer = bench_->ask<hmi::ProfileUpdate>("update", update);
+  ASSERT_EQ(answer.outcome(), Outcome::Ok) << answer.reason();
+  CommUserProfileReply ended;
+  ended.set_session_ended(true);
+  EXPECT_EQ((*answer)->SerializeAsString(), ended.SerializeAsString());
+  EXPECT_FALSE((*ask("anna", kSession))->has_use_stairs());
+  auto request = points({0.0});
+  request.set_session(std::string(16, 'x'));
+  EXPECT_THAT(bench_->ask<hmi::PointsOfAttention>("points", request).reason(), HasSubstr("or it has ended"));
+}
+
 TEST_F(UserProfilesTest, WithoutAProviderOfSessionsNobodyIsBelieved) {
   Bench<UserProfiles> alone("profiles");
   alone.set("database", (folder_.path / "alone.db").string());

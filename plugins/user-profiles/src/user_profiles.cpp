@@ -49,16 +49,16 @@ Profile UserProfiles::profile_of(const std::string& user) const {
   return profile;
 }
 
-/// Somebody in particular, for whom `what` can be kept.
-Async<security::SessionUser> UserProfiles::known_user(std::string user_name, std::string session, const char* what) {
+/// Somebody in particular, for whom `what` can be kept; nobody where the session has ended.
+Async<std::optional<security::SessionUser>> UserProfiles::known_user(std::string user_name, std::string session,
+                                                                     const char* what) {
   auto user = co_await security::session_user(sessions_, std::move(user_name), std::move(session));
-  if (!user) throw security::session_ended(name());
-  if (user->name.empty()) {
+  if (user && user->name.empty()) {
     throw Error(ErrorCode::NotAllowed, {.what = std::string("a guest has no ") + what + " that could be kept",
                                         .where = name(),
                                         .next = "log in first"});
   }
-  co_return std::move(*user);
+  co_return user;
 }
 
 /// None where nobody knows them.
@@ -72,13 +72,17 @@ Async<std::vector<navigation::MapLevel>> UserProfiles::levels() {
   co_return known_levels_;
 }
 
-Async<hmi::CommUserProfileReply> UserProfiles::answer(security::SessionUser user) {
+Async<hmi::CommUserProfileReply> UserProfiles::answer(std::optional<security::SessionUser> user) {
   hmi::CommUserProfileReply reply;
-  reply.set_authentication_level(user.level);
+  if (!user) {
+    reply.set_session_ended(true);
+    co_return reply;
+  }
+  reply.set_authentication_level(user->level);
   const auto all = co_await levels();
   for (const navigation::MapLevel& level : all) reply.add_map_list(level.map_name());
-  if (user.name.empty()) co_return reply;
-  const Profile profile = profile_of(user.name);
+  if (user->name.empty()) co_return reply;
+  const Profile profile = profile_of(user->name);
   if (profile.has_use_elevator()) reply.set_use_elevator(profile.use_elevator());
   if (profile.has_use_stairs()) reply.set_use_stairs(profile.use_stairs());
   if (profile.has_use_outdoor_navigation()) reply.set_use_outdoor_navigation(profile.use_outdoor_navigation());
@@ -88,35 +92,35 @@ Async<hmi::CommUserProfileReply> UserProfiles::answer(security::SessionUser user
 
 Async<hmi::CommUserProfileReply> UserProfiles::on_profile(const hmi::CommUserProfileRequest& request) {
   auto user = co_await security::session_user(sessions_, request.user_name(), request.session());
-  hmi::CommUserProfileReply reply;
-  if (user) {
-    reply = co_await answer(std::move(*user));
-  } else {
-    reply.set_session_ended(true);
-  }
+  auto reply = co_await answer(std::move(user));
   co_return reply;
 }
 
 Async<hmi::CommUserProfileReply> UserProfiles::on_update(const hmi::CommUserProfileUpdate& asked) {
   const hmi::CommUserProfileUpdate request = asked;  // it may be gone when the session has been checked
   auto user = co_await known_user(request.user_name(), request.session(), "profile");
-  Profile profile = profile_of(user.name);
+  if (user) keep(user->name, request);
+  auto reply = co_await answer(std::move(user));
+  co_return reply;
+}
+
+void UserProfiles::keep(const std::string& user, const hmi::CommUserProfileUpdate& request) {
+  Profile profile = profile_of(user);
   profile.clear_use_elevator();
   profile.clear_use_stairs();
   profile.clear_use_outdoor_navigation();
   if (request.has_use_elevator()) profile.set_use_elevator(request.use_elevator());
   if (request.has_use_stairs()) profile.set_use_stairs(request.use_stairs());
   if (request.has_use_outdoor_navigation()) profile.set_use_outdoor_navigation(request.use_outdoor_navigation());
-  store_->put(kTable, user.name, profile.SerializeAsString());
-  auto reply = co_await answer(std::move(user));
-  co_return reply;
+  store_->put(kTable, user, profile.SerializeAsString());
 }
 
 Async<hmi::PointsOfAttentionReply> UserProfiles::on_points(const hmi::RequestPointsOfAttention& asked) {
   const hmi::RequestPointsOfAttention request = asked;
   const auto user = co_await known_user(request.user_name(), request.session(), "points of attention");
+  if (!user) throw security::session_ended(name());
   const auto all = co_await levels();
-  Profile profile = profile_of(user.name);
+  Profile profile = profile_of(user->name);
   profile.clear_points();
   hmi::PointsOfAttentionReply reply;
   for (int i = 0; i < request.points_of_attention_size(); ++i) {
@@ -129,7 +133,7 @@ Async<hmi::PointsOfAttentionReply> UserProfiles::on_points(const hmi::RequestPoi
       reply.add_reason(fault);
     }
   }
-  store_->put(kTable, user.name, profile.SerializeAsString());
+  store_->put(kTable, user->name, profile.SerializeAsString());
   co_return reply;
 }
 

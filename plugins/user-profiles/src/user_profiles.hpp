@@ -31,9 +31,10 @@ class UserProfiles final : public Component {
   Async<hmi::CommUserProfileReply> on_update(const hmi::CommUserProfileUpdate& request);
   Async<hmi::PointsOfAttentionReply> on_points(const hmi::RequestPointsOfAttention& request);
 
-  Async<security::SessionUser> known_user(std::string name, std::string session, const char* what);
+  Async<std::optional<security::SessionUser>> known_user(std::string name, std::string session, const char* what);
   Async<std::vector<navigation::MapLevel>> levels();
-  Async<hmi::CommUserProfileReply> answer(security::SessionUser user);
+  Async<hmi::CommUserProfileReply> answer(std::optional<security::SessionUser> user);
+  void keep(const std::string& user, const hmi::CommUserProfileUpdate& request);
   Profile profile_of(const std::string& user) const;
 
   Params<Parameters> params_{*this, &UserProfiles::check};
