@@ -281,8 +281,10 @@ TEST_F(RecordingPlayerTest, WhatNoPortHasTheTypeOfIsLeftOutAndTold) {
       ::testing::Contains(HasSubstr("left out: a.stairs (no port has its type acme.Stairs); a.text (it has no type)")));
   bench->advance(1s);
   EXPECT_EQ(lengths_of(*bench), std::vector<double>{0.5});
-  EXPECT_THAT(error_of([&] { player("walk.steps, a.stairs")->start(); }),
-              HasSubstr("what is asked for cannot be played: a.stairs (no port has its type acme.Stairs)"));
+  EXPECT_THAT(
+      error_of([&] { player("walk.steps, a.stairs")->start(); }),
+      ::testing::AllOf(HasSubstr("what is asked for cannot be played: a.stairs (no port has its type acme.Stairs)"),
+                       HasSubstr("market info recording-player shows its ports")));
 }
 
 TEST_F(RecordingPlayerTest, ATypeThatIsDescribedOtherwiseIsRefusedByTheFieldThatDiffers) {

@@ -164,21 +164,24 @@ void RecordingPlayer::connect(McapReader& recording) {
     outlets_of_[id] = outlets;
     played.insert(id);
   }
-  const std::string ports = "channels whose types are those of ports: show " + name();
+  const std::string channels = "channels whose types are those of ports";
+  const std::string ports = "market info recording-player shows its ports";
   if (!asked.empty() && !left_out.empty()) {
     throw Error(ErrorCode::NotFound,
                 {.what = fmt::format("what is asked for cannot be played: {}", fmt::join(left_out, "; ")),
                  .where = params_->file(),
-                 .expected = ports,
-                 .next = "name fewer channels, or none"});
+                 .expected = channels,
+                 .next = "load recording-player as " + name() +
+                         " file=FILE.mcap, with fewer channels or none of them named; " + ports});
   }
   if (played.empty()) {
     throw Error(
         ErrorCode::NotFound,
         {.what = fmt::format("there is nothing to be played{}", recording.is_cut() ? ", and it is cut off" : ""),
          .where = params_->file(),
-         .expected = ports,
-         .found = left_out.empty() ? "no channel" : fmt::format("{}", fmt::join(left_out, "; "))});
+         .expected = channels,
+         .found = left_out.empty() ? "no channel" : fmt::format("{}", fmt::join(left_out, "; ")),
+         .next = ports});
   }
   if (!left_out.empty()) log(LogLevel::Warning, fmt::format("left out: {}", fmt::join(left_out, "; ")));
   recording.select(std::move(played), begin_ns_);
