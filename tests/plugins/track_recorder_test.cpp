@@ -279,6 +279,18 @@ TEST_F(TrackRecorderTest, ADrawingThatCannotBeWrittenFailsTheStart) {
   EXPECT_EQ(files(), 1u) << "a part of the drawing was left";
 }
 
+TEST_F(TrackRecorderTest, ADrawingThatCannotBeWrittenLeavesTheOldCsvAlone) {
+  std::ofstream(path("track.csv")) << "old\n";
+  for (const std::string& svg : {path("nowhere/track.svg"), directory_.path.string()}) {
+    Recorder recorder("rec");
+    recorder.set("csv", path("track.csv"));
+    recorder.set("svg", svg);
+    EXPECT_THAT(error_of([&] { recorder.start(); }).what(), HasSubstr("cannot write " + svg));
+    EXPECT_EQ(content(path("track.csv")), "old\n");
+  }
+  EXPECT_EQ(files(), 1u) << "nothing was left beside it";
+}
+
 TEST_F(TrackRecorderTest, ADirectoryThatVanishedIsToldWhenItStops) {
   fs::create_directories(path("here"));
   Recorder recorder("rec");

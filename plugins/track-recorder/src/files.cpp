@@ -43,6 +43,22 @@ bool holds(const fs::path& path, std::string_view text) {
   return std::equal(std::istreambuf_iterator<char>(in), {}, text.begin(), text.end());
 }
 
+/// What is to be renamed to `path`, which it names in an error.
+fs::path written_beside(const fs::path& path, std::string_view text) {
+  fs::path beside = path;
+  beside += ".part-" + std::to_string(::getpid());
+  try {
+    LineFile file(beside);
+    file.add(text);
+  } catch (const Error& failure) {
+    std::error_code ignored;
+    fs::remove(beside, ignored);
+    const std::string& what = failure.text().what;
+    refuse(path, what.substr(what.rfind(": ") + 2));
+  }
+  return beside;
+}
+
 }  // namespace
 
 LineFile::LineFile(fs::path path) : path_(std::move(path)), file_(std::fopen(path_.c_str(), "wbe")) {
@@ -74,19 +90,17 @@ std::optional<fs::path> keep_aside(const fs::path& named, std::string_view nothi
          "move them elsewhere, or name another file");
 }
 
+void check_replaceable(const fs::path& named) {
+  const fs::path path = behind_links(named);
+  std::error_code error;
+  if (fs::is_directory(path, error)) refuse(path, cause_of(EISDIR));
+  fs::remove(written_beside(path, ""), error);
+}
+
 void write_atomically(const fs::path& named, std::string_view text) {
   const fs::path path = behind_links(named);
-  fs::path beside = path;
-  beside += ".part-" + std::to_string(::getpid());
+  const fs::path beside = written_beside(path, text);
   std::error_code error;
-  try {
-    LineFile file(beside);
-    file.add(text);
-  } catch (const Error& failure) {
-    fs::remove(beside, error);
-    const std::string& what = failure.text().what;
-    refuse(path, what.substr(what.rfind(": ") + 2));
-  }
   fs::rename(beside, path, error);
   if (!error) return;
   const std::string cause = error.message();

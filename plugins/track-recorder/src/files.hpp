@@ -38,6 +38,9 @@ class LineFile {
 /// reason, and where 9999 are taken.
 std::optional<std::filesystem::path> keep_aside(const std::filesystem::path& path, std::string_view nothing);
 
+/// Throws Error Failed with the system's reason where `write_atomically` would, as far as that can be known before.
+void check_replaceable(const std::filesystem::path& path);
+
 /// Replaces the file by `text` and a line feed in one step: readers see the old content or the new, never a part. A
 /// link stays, and its file is replaced. Throws Error Failed with the system's reason; the old file is untouched then,
 /// and nothing is left beside it.

@@ -62,8 +62,9 @@ void TrackRecorder::changed() {
 }
 
 void TrackRecorder::on_start() {
-  // The building first: where it cannot be read, no file has been touched.
+  // First what may be refused: then no file has been touched.
   if (!params_->building().empty()) plan_ = plan_of(params_->building());
+  if (!params_->svg().empty()) check_replaceable(params_->svg());
   const std::string empty_plan = params_->svg().empty() ? "" : drawing();
   for (const auto& [file, nothing] :
        {std::pair(params_->csv(), kHeader + std::string("\n")), std::pair(params_->svg(), empty_plan + "\n")}) {
