@@ -434,7 +434,7 @@ TEST_F(WebInterfaceTest, AnAddressThatIsNotThisMachinesIsRefused) {
   const auto one = bench();
   one->set("address", "192.0.2.7");  // for documentation: RFC 5737
   EXPECT_THROW(one->start(), Error);
-  EXPECT_THAT(one->reason(), HasSubstr("cannot listen at port 0: Cannot assign requested address"));
+  EXPECT_THAT(one->reason(), HasSubstr("cannot listen at 192.0.2.7: Cannot assign requested address"));
 }
 
 // Where nothing can be served the authority has been looked at before.

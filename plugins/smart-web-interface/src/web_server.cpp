@@ -351,7 +351,8 @@ void WebServer::Impl::listen() {
   if (fault) {
     const bool elsewhere = fault == boost::system::errc::address_not_available;
     throw Error(ErrorCode::Failed,
-                {.what = "cannot listen at port " + std::to_string(settings.port) + ": " + fault.message(),
+                {.what = "cannot listen at " + settings.address +
+                         (elsewhere ? "" : ", port " + std::to_string(settings.port)) + ": " + fault.message(),
                  .where = settings.address,
                  .next = elsewhere ? kAddresses : "set another port, or 0 for one that is free"});
   }
