@@ -1,11 +1,10 @@
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include <archive.h>
-#include <archive_entry.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -14,6 +13,7 @@
 #include <fiona/walk/imu_merger.hpp>
 
 #include "../temporary_directory.hpp"
+#include "walk_archive.hpp"
 
 namespace fiona::walk {
 namespace {
@@ -21,6 +21,7 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using tests::write_archive;
 
 constexpr const char* kSurvey =
     "# trace=north start_ms=1575603597141 floor=0 floor_name=F1\n"
@@ -38,28 +39,6 @@ constexpr const char* kMuseum =
     "W\t10\t000000000007\t-71\t5180\n"
     "H\t20\t976.2\n"
     "P\t30\t1.5\t19.4\t-2\n";
-
-using Files = std::vector<std::pair<std::string, std::string>>;
-
-void write_archive(const fs::path& file, const Files& files) {
-  fs::create_directories(file.parent_path());
-  archive* out = archive_write_new();
-  archive_write_add_filter_xz(out);
-  archive_write_set_format_pax_restricted(out);
-  ASSERT_EQ(archive_write_open_filename(out, file.c_str()), ARCHIVE_OK);
-  for (const auto& [name, text] : files) {
-    archive_entry* entry = archive_entry_new();
-    archive_entry_set_pathname(entry, name.c_str());
-    archive_entry_set_size(entry, static_cast<la_int64_t>(text.size()));
-    archive_entry_set_filetype(entry, AE_IFREG);
-    archive_entry_set_perm(entry, 0644);
-    archive_write_header(out, entry);
-    archive_write_data(out, text.data(), text.size());
-    archive_entry_free(entry);
-  }
-  archive_write_close(out);
-  archive_write_free(out);
-}
 
 std::vector<Walk> survey_of(const Dataset& dataset) {
   std::vector<Walk> walks;
@@ -275,6 +254,29 @@ TEST(WalkTrace, ATimeBeyondADayIsGarbled) {
 
 TEST(WalkTrace, ANumberThatNoFloatHoldsIsGarbled) {
   EXPECT_THAT(error_of("# trace=north floor=0\nW\t5\taa\t1e300\t2437\n"), HasSubstr("an RSSI in dBm"));
+}
+
+TEST(WalkTrace, ATimeThatGoesBackIsNamed) {
+  const std::string text = error_of("# trace=north floor=0\nP\t100\t1\t2\nA\t100\t0\t0\t9.8\nA\t99\t0\t0\t9.8\n");
+  EXPECT_THAT(text, HasSubstr("time goes back within the walk"));
+  EXPECT_THAT(text, HasSubstr("train/north.tsv:4"));
+  EXPECT_THAT(text, HasSubstr("100 ms, as the row before, or later"));
+}
+
+TEST(WalkTrace, AnArchiveOfFilesThatAreNoWalksIsRefused) {
+  const tests::TemporaryDirectory folder;
+  write_archive(folder.path / "train.tar.xz", {{"train/north.txt", kSurvey}});
+  write_archive(folder.path / "test.tar.xz", {{"test/north.txt", kSurvey}});
+  const Dataset dataset = Dataset::open(folder.path);
+  for (const auto& read : {std::function<void()>([&] { survey_of(dataset); }), {[&] { dataset.walk_names(); }}}) {
+    try {
+      read();
+      FAIL() << "no error";
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), HasSubstr("the archive holds no walk"));
+      EXPECT_THAT(error.text().found, HasSubstr("none whose name ends in .tsv"));
+    }
+  }
 }
 
 TEST(WalkTrace, ARowCutShortIsNamed) {

@@ -52,11 +52,17 @@ bool ArchiveReader::next() {
   archive_entry* entry = nullptr;
   for (;;) {
     const int status = archive_read_next_header(archive_, &entry);
-    if (status == ARCHIVE_EOF) return false;
+    if (status == ARCHIVE_EOF) {
+      entry_.clear();
+      if (entries_ == 0 && passed_over_) fail("the archive holds no walk", "files, and none whose name ends in .tsv");
+      return false;
+    }
     if (status != ARCHIVE_OK) fail("the archive is truncated or garbled", archive_error_string(archive_));
     const char* name = archive_entry_pathname(entry);
     entry_ = name == nullptr ? "" : name;
-    if (archive_entry_filetype(entry) == AE_IFREG && entry_.ends_with(".tsv")) break;
+    if (archive_entry_filetype(entry) != AE_IFREG) continue;
+    if (entry_.ends_with(".tsv")) break;
+    passed_over_ = true;
   }
   if (++entries_ > limits_.walks) fail("the archive holds more walks than the reader accepts", "more than the limit");
   return true;

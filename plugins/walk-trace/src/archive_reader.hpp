@@ -36,6 +36,7 @@ class ArchiveReader {
   ::archive* archive_ = nullptr;
   std::string entry_;
   std::size_t entries_ = 0;
+  bool passed_over_ = false;  ///< files of other names
 };
 
 }  // namespace fiona::walk

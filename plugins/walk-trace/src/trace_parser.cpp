@@ -92,6 +92,10 @@ void TraceParser::row(const FieldList& fields) {
   }
   if (fields.count < 2) fail("a row is garbled", "a tag and a time, separated by a tab", fields.text[0]);
   const std::int64_t t_ms = integer_within(fields, 1, "a time in ms", -kLongestWalk_ms, kLongestWalk_ms);
+  if (!walk_.events.empty() && t_ms < walk_.events.back().t_ms) {
+    fail("time goes back within the walk",
+         std::to_string(walk_.events.back().t_ms) + " ms, as the row before, or later", fields.text[1]);
+  }
   walk_.events.push_back({t_ms, parse(fields, t_ms)});
 }
 
@@ -201,8 +205,6 @@ Walk TraceParser::finish() {
     ++line_number_;
     fail("this is not a recorded walk", "a first line `# trace=NAME …`", "an empty file");
   }
-  std::stable_sort(walk_.events.begin(), walk_.events.end(),
-                   [](const Event& a, const Event& b) { return a.t_ms < b.t_ms; });
   return std::move(walk_);
 }
 

@@ -187,16 +187,48 @@ void print(Score score) {
       radius, median > 0.0 ? radius / median : 0.0, score.log_score(), score.constant_log_score());
 }
 
-int run(const std::string& truth_file, const std::string& track_file, const std::string& only) {
-  const Score score = compare(read(truth_file), read(track_file), only);
-  if (score.errors_m.empty()) {
-    throw Error(ErrorCode::Failed,
-                {.what = score.points == 0 ? "there is no truth for this walk" : "not one position was given",
-                 .where = score.points == 0 ? truth_file : track_file,
-                 .next = score.points == 0
-                             ? "name a test walk: fiona-walks DIR lists them"
-                             : "see the log: a radio map of another building, or a walk without radio, gives none"});
+/// A few of them, as an error tells them.
+std::string names_of(const Tracks& tracks) {
+  constexpr std::size_t kMostTold = 5;
+  std::string names;
+  std::size_t told = 0;
+  for (const auto& [name, points] : tracks) {
+    if (told == kMostTold) return names + " and " + std::to_string(tracks.size() - kMostTold) + " more";
+    names += (told++ > 0 ? ", " : "") + name;
   }
+  return names.empty() ? "none" : names;
+}
+
+/// Why nothing could be compared.
+Error nothing_compared(const Tracks& truth, const std::string& truth_file, const Tracks& tracks,
+                       const std::string& track_file, const std::string& only) {
+  if (!only.empty() && !truth.contains(only)) {
+    return Error(ErrorCode::Failed, {.what = "there is no truth for walk " + only,
+                                     .where = truth_file,
+                                     .found = names_of(truth),
+                                     .next = "--trace NAME with one of these"});
+  }
+  const bool shared = std::any_of(truth.begin(), truth.end(), [&](const auto& one) {
+    return (only.empty() || one.first == only) && tracks.contains(one.first);
+  });
+  if (!shared && !tracks.empty()) {
+    return Error(ErrorCode::Failed,
+                 {.what = "the track has no walk of a name that the truth has",
+                  .where = track_file,
+                  .expected = only.empty() ? names_of(truth) : only,
+                  .found = names_of(tracks),
+                  .next = "load track-recorder with trace=NAME, or name it so in the column 'trace'"});
+  }
+  return Error(ErrorCode::Failed,
+               {.what = "not one position was given",
+                .where = track_file,
+                .next = "see the log: a radio map of another building, or a walk without radio, gives none"});
+}
+
+int run(const std::string& truth_file, const std::string& track_file, const std::string& only) {
+  const Tracks truth = read(truth_file), tracks = read(track_file);
+  const Score score = compare(truth, tracks, only);
+  if (score.errors_m.empty()) throw nothing_compared(truth, truth_file, tracks, track_file, only);
   print(score);
   return 0;
 }
@@ -204,10 +236,13 @@ int run(const std::string& truth_file, const std::string& track_file, const std:
 }  // namespace
 
 int main(int argc, char** argv) {
+  const bool help = argc == 2 && (argv[1] == std::string("--help") || argv[1] == std::string("-h"));
   const bool one = argc == 5 && std::string(argv[3]) == "--trace";
-  if (argc != 3 && !one) {
-    std::cerr << "usage: fiona-score TRUTH.csv TRACK.csv [--trace NAME]\n";
-    return static_cast<int>(fiona::ErrorCode::Usage);
+  if (help || (argc != 3 && !one)) {
+    (help ? std::cout : std::cerr)
+        << "usage: fiona-score TRUTH.csv TRACK.csv [--trace NAME]\n"
+           "How far off the positions of TRACK are; both have columns trace,t_ms,x,y,floor.\n";
+    return help ? 0 : static_cast<int>(fiona::ErrorCode::Usage);
   }
   return fiona::run_tool([&] { return run(argv[1], argv[2], one ? argv[4] : ""); });
 }
