@@ -472,6 +472,9 @@ TEST(MapServer, TheSameBuildingHasTheSameVersionAndAnotherOneAnother) {
   other.rectangle(70, 0, 20, 5, 25, "indoor=room level=0 name=North");
   Served two(other);
   EXPECT_NE(one.levels().version(), 0u);
+  for (const auto version : {one.levels().version(), two.levels().version()}) {
+    EXPECT_EQ(version >> 63, 0u) << "whole numbers are shown as signed ones";
+  }
   EXPECT_EQ(one.levels().version(), one.map("house@0").map_version());
   EXPECT_NE(one.levels().version(), two.levels().version());
 }
@@ -500,6 +503,64 @@ TEST(MapServer, AFileThatBecameUnreadableLeavesTheMapOfBefore) {
   EXPECT_EQ(served.bench.mode(), "active");
 }
 
+TEST(MapServer, AFileThatIsGoneIsToldAndCountedOnceAndReadWhenItIsBack) {
+  Served served;
+  const auto before = served.levels();
+  served.bench.advance(2s);
+  const std::filesystem::path aside = served.folder.path / "aside";
+  std::filesystem::rename(served.file, aside);
+  served.bench.advance(10s);
+  EXPECT_EQ(served.bench.probe<std::uint64_t>("failed_reads"), 1u);
+  EXPECT_THAT(served.bench.log().back(), HasSubstr("the map of before is served on: "));
+  EXPECT_THAT(served.bench.log().back(), HasSubstr("there is no such file"));
+  EXPECT_EQ(served.levels().version(), before.version());
+  const std::size_t told = served.bench.log().size();
+  std::filesystem::rename(aside, served.file);
+  served.bench.advance(10s);
+  EXPECT_EQ(served.bench.log().size(), told) << "the same map, in service";
+  std::filesystem::remove(served.file);
+  served.bench.advance(10s);
+  EXPECT_EQ(served.bench.probe<std::uint64_t>("failed_reads"), 2u);
+}
+
+TEST(MapServer, TheNameOfAMapIsThatOfItsFileWithoutWhatSaysThatItIsOne) {
+  for (const char* file : {"museum.osm.pbf", "museum.osm", "museum.pbf"}) {
+    const tests::TemporaryDirectory folder;
+    std::ofstream(folder.path / file) << house().text();
+    testing::Bench<MapServer> bench;
+    bench.set("building", (folder.path / file).string());
+    bench.start();
+    EXPECT_EQ((**bench.ask<navigation::LevelMap>("levels", {})).name(), "museum") << file;
+  }
+}
+
+TEST(MapServer, ABareNameIsThatOfAFileOfThePackage) {
+  const tests::TemporaryDirectory package;
+  std::ofstream(package.path / "annexe.osm") << house().text();
+  testing::Bench<MapServer> bench("map", package.path);
+  bench.set("building", "annexe.osm");
+  bench.start();
+  EXPECT_EQ((**bench.ask<navigation::LevelMap>("levels", {})).name(), "annexe");
+  testing::Bench<MapServer> other("map", package.path);
+  other.set("building", "nowhere.osm");
+  EXPECT_THROW(other.start(), Error);
+}
+
+TEST(MapServer, ACompressedFileIsRefusedWithWhatUnpacksIt) {
+  const tests::TemporaryDirectory folder;
+  const std::filesystem::path file = folder.path / "house.osm.gz";
+  std::ofstream(file) << "\x1f\x8b\x08 and more";
+  testing::Bench<MapServer> bench;
+  bench.set("building", file.string());
+  try {
+    bench.start();
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("it is compressed with gzip"));
+    EXPECT_THAT(error.what(), HasSubstr("unpack it first: gzip -dc " + file.string() + " > building.osm"));
+  }
+}
+
 TEST(MapServer, TooManyPixelsAreRefusedWithTheSizeThatWouldDo) {
   Osm osm = house();
   osm.rectangle(70, 4000, 0, 4010, 10, "indoor=room level=0 name=Far");
@@ -512,7 +573,7 @@ TEST(MapServer, TooManyPixelsAreRefusedWithTheSizeThatWouldDo) {
     FAIL() << "no error";
   } catch (const Error& error) {
     EXPECT_THAT(error.what(), HasSubstr("would have too many pixels"));
-    EXPECT_THAT(error.what(), HasSubstr("set pixel_size to 0.98 or more"));
+    EXPECT_THAT(error.what(), HasSubstr("load map-server, or set it, with pixel_size=0.98 or more"));
   }
 }
 

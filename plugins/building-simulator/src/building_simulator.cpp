@@ -101,8 +101,9 @@ void BuildingSimulator::check(const Parameters& draft) const {
 }
 
 void BuildingSimulator::on_start() {
-  const std::filesystem::path file(params_->building().empty() ? resource("building.osm").string()
-                                                               : params_->building());
+  const std::filesystem::path file = params_->building().empty()
+                                         ? resource("building.osm")
+                                         : building::named_file(params_->building(), hull().share());
   world_ = std::make_unique<World>(file, *params_, guided_);
   const auto& warnings = world_->building.warnings();
   for (std::size_t i = 0; i < std::min(warnings.size(), kMostWarnings); ++i) log(LogLevel::Warning, warnings[i]);

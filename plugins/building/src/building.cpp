@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <system_error>
 
 #include <fiona/error.hpp>
 
@@ -70,6 +71,13 @@ Building::Building(Plan plan)
 Building::Building(Building&&) noexcept = default;
 Building& Building::operator=(Building&&) noexcept = default;
 Building::~Building() = default;
+
+std::filesystem::path named_file(const std::string& named, const std::filesystem::path& share) {
+  std::error_code unknown;
+  const std::filesystem::path file(named);
+  if (file.has_parent_path() || std::filesystem::exists(file, unknown)) return file;
+  return std::filesystem::exists(share / file, unknown) ? share / file : file;
+}
 
 Building Building::read(const std::filesystem::path& file) { return Building(make_plan(read_osm_file(file.string()))); }
 

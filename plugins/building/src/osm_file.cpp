@@ -103,6 +103,13 @@ const char* format_of(std::string_view begin) {
   return begin.size() > 4 && begin.substr(4).starts_with(kFirstBlob) ? "pbf" : "osm";
 }
 
+/// What unpacks it, where it is compressed as a whole.
+const char* packer_of(std::string_view begin) {
+  if (begin.starts_with("\x1f\x8b")) return "gzip";
+  if (begin.starts_with("\xfd\x37zXZ")) return "xz";
+  return begin.starts_with("BZh") ? "bzip2" : nullptr;
+}
+
 OsmFile collect(const osmium::io::File& source, const std::string& name) {
   OsmFile file;
   file.name = name;
@@ -145,6 +152,10 @@ OsmFile read_osm_file(const std::string& path) {
   }
   char begin[16] = {};
   std::ifstream(path, std::ios::binary).read(begin, sizeof(begin));
+  if (const char* const packer = packer_of({begin, sizeof(begin)})) {
+    refuse(path, std::string("it is compressed with ") + packer,
+           std::string("unpack it first: ") + packer + " -dc " + path + " > building.osm");
+  }
   return collect(osmium::io::File{path, format_of({begin, sizeof(begin)})}, path);
 }
 

@@ -23,13 +23,19 @@ using navigation::CommCoordConvRequest;
 constexpr std::size_t kMostWarnings = 5;
 
 /// FNV-1a of all that the map says. Source: RFC draft-eastlake-fnv. Not against forgery: whoever may write the file may
-/// write any map.
+/// write any map. Of 63 bits, as whole numbers are shown, and not 0.
 std::uint64_t version_of(const Building& building, const std::string& name) {
   std::uint64_t hash = 0xcbf29ce484222325u;
   for (const char c : level_map_of(building, name, {}).SerializeAsString()) {
     hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
   }
-  return hash == 0 ? 1 : hash;
+  return std::max<std::uint64_t>(1, hash & 0x7fffffffffffffffu);
+}
+
+/// Without what says that it is a map: `museum` of `museum.osm.pbf`.
+std::string name_of(const std::filesystem::path& file) {
+  const std::filesystem::path stem = file.stem();
+  return (file.extension() == ".pbf" && stem.extension() == ".osm" ? stem.stem() : stem).string();
 }
 
 std::string degrees(double value) { return building::level_text(std::round(value * 1e7) / 1e7); }
@@ -93,7 +99,8 @@ MapServer::Map::Map(Building building_, std::string name_, double pixel_m)
       version(version_of(building, name)) {}
 
 std::filesystem::path MapServer::file() const {
-  return params_->building().empty() ? resource("building.osm") : std::filesystem::path(params_->building());
+  return params_->building().empty() ? resource("building.osm")
+                                     : building::named_file(params_->building(), hull().share());
 }
 
 void MapServer::check(const Parameters& draft) const {
@@ -127,13 +134,14 @@ void MapServer::on_start() {
 
 std::shared_ptr<const MapServer::Map> MapServer::read() const {
   const std::filesystem::path path = file();
-  std::string map_name = params_->map_name().empty() ? path.stem().string() : params_->map_name();
+  std::string map_name = params_->map_name().empty() ? name_of(path) : params_->map_name();
   if (!is_map_name(map_name)) {
-    throw Error(ErrorCode::Usage, {.what = "the file's name cannot be the name of its maps",
-                                   .where = path.string(),
-                                   .expected = "a name without '@', '..' and control characters",
-                                   .found = map_name,
-                                   .next = "set map_name"});
+    throw Error(ErrorCode::Usage,
+                {.what = "the file's name cannot be the name of its maps",
+                 .where = path.string(),
+                 .expected = "a name without '@', '..' and control characters",
+                 .found = map_name,
+                 .next = "load map-server as " + name() + " building=" + params_->building() + " map_name=NAME"});
   }
   // Shared with requests that wait for a session to be checked while the file changes.
   return std::make_shared<const Map>(Building::read(path), std::move(map_name), params_->pixel_size());
@@ -156,10 +164,11 @@ MapServer::Stamp MapServer::stamp() const {
   return gone ? Stamp{} : stamp;
 }
 
-/// A file is read once it has stood still for a period: one that is being copied is half a map.
+/// A file is read once it has stood still for a period: one that is being copied is half a map. One that is gone is
+/// told once, as one that cannot be read.
 void MapServer::look() {
   const Stamp now = stamp();
-  if (now != Stamp{} && now != read_ && now == seen_) {
+  if (now != read_ && now == seen_) {
     read_ = now;
     try {
       use(read());

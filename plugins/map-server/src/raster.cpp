@@ -216,12 +216,13 @@ PixelFrame frame_of(const building::Plan& plan, double pixel_m) {
   const double pixels = (right - left) * (top - bottom);
   if (pixels > static_cast<double>(kMostPixels)) {
     const double enough_m = std::ceil(100.0 * pixel_m * std::sqrt(pixels / static_cast<double>(kMostPixels))) / 100.0;
-    throw Error(ErrorCode::Usage, {.what = "the maps of " + plan.name + " would have too many pixels",
-                                   .where = plan.name,
-                                   .expected = std::to_string(kMostPixels) + " pixels or fewer",
-                                   .found = std::to_string(static_cast<std::int64_t>(right - left)) + " x " +
-                                            std::to_string(static_cast<std::int64_t>(top - bottom)),
-                                   .next = "set pixel_size to " + building::level_text(enough_m) + " or more"});
+    throw Error(ErrorCode::Usage,
+                {.what = "the maps of " + plan.name + " would have too many pixels",
+                 .where = plan.name,
+                 .expected = std::to_string(kMostPixels) + " pixels or fewer",
+                 .found = std::to_string(static_cast<std::int64_t>(right - left)) + " x " +
+                          std::to_string(static_cast<std::int64_t>(top - bottom)),
+                 .next = "load map-server, or set it, with pixel_size=" + building::level_text(enough_m) + " or more"});
   }
   return {{left * pixel_m, top * pixel_m}, pixel_m, static_cast<int>(right - left), static_cast<int>(top - bottom)};
 }

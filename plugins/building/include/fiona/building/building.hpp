@@ -97,4 +97,8 @@ class Building {
   std::unique_ptr<Projection> projection_;
 };
 
+/// The building file that a component's parameter names: a bare name that is not in the working directory is one of the
+/// package's (its `share` folder), where that has it.
+std::filesystem::path named_file(const std::string& named, const std::filesystem::path& share);
+
 }  // namespace fiona::building
