@@ -285,5 +285,26 @@ TEST(BuildingSimulator, ItsEndCanBeMovedWhileItWalks) {
   EXPECT_TRUE(simulation.run_end());
 }
 
+TEST(BuildingSimulator, ABareNameIsThatOfABuildingOfThePackage) {
+  Simulation simulation;
+  simulation.set("building", "institute.osm");
+  simulation.start();
+  EXPECT_THAT(simulation.log().front(), HasSubstr("3 levels"));
+}
+
+TEST(BuildingSimulator, BeaconsHaveTheirAddressAsTheServiceSays) {
+  Simulation simulation;
+  simulation.start();
+  simulation.advance(5s);
+  std::size_t beacons = 0;
+  for (const auto& list : simulation.take<IbeaconlistProvider>("beacons")) {
+    for (const auto& beacon : list->beacon_list()) {
+      ++beacons;
+      EXPECT_THAT(beacon.address(), ::testing::MatchesRegex("[0-9a-f]{2}(:[0-9a-f]{2}){5}"));
+    }
+  }
+  EXPECT_GT(beacons, 0U);
+}
+
 }  // namespace
 }  // namespace fiona::simulator

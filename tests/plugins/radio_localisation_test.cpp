@@ -690,6 +690,19 @@ TEST_F(RadioLocalisationComponent, ABeaconThatListsRepeatIsHeardOnce) {
       bench_.advance(milliseconds(300));
     }
     return bench_.probe<std::string>("validity");
+TEST_F(RadioLocalisationComponent, WhatIsReadAtTheStartIsFixedThen) {
+  for (const auto& change :
+       {std::function<void()>([&] { bench_.set("map", "other.radiomap"); }), {[&] { bench_.set("particles", 300); }}}) {
+    try {
+      change();
+      FAIL() << "no error";
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), HasSubstr("are read when the instance starts"));
+      EXPECT_THAT(error.what(), HasSubstr("load another instance with map="));
+    }
+  }
+}
+
   };
   EXPECT_EQ(tell(30, 0), "nothing heard yet");
   EXPECT_EQ(tell(30, 300), "another building");

@@ -7,12 +7,14 @@
 #include <numbers>
 
 #include "../error_of.hpp"
+#include "../temporary_directory.hpp"
 #include "fiona/objects/imu.hpp"
 #include "fiona/testing/bench.hpp"
 #include "radio_localisation.hpp"
 #include "radio_map_file.hpp"
 #include "step_heading.hpp"
 #include "trace_player.hpp"
+#include "walk_archive.hpp"
 
 namespace fiona {
 namespace {
@@ -191,6 +193,45 @@ TEST(TracePlayerComponent, WithoutARecordingItRefusesToStart) {
   const std::string error = error_of([&] { bench.start(); });
   EXPECT_NE(error.find("no recording is named"), std::string::npos) << error;
   EXPECT_NE(error.find("load trace-player as walk dataset=FOLDER trace=NAME"), std::string::npos) << error;
+}
+
+/// A recording of two short walks, whose addresses are written in two ways.
+class ShortWalks : public ::testing::Test {
+ protected:
+  ShortWalks() {
+    tests::write_archive(folder_.path / "test.tar.xz", {{"one.tsv",
+                                                         "# trace=one\nB\t100\tab\t1\t2\t-56\t-90\tE078A33DB5B4\n"
+                                                         "B\t100\tab\t1\t3\t-56\t-91\te0:78:a3:3d:b5:b5\n"
+                                                         "B\t100\tab\t1\t4\t-56\t-92\tmall-7\n"
+                                                         "W\t200\tAA0000000001\t-60\t2437\n"},
+                                                        {"two.tsv", "# trace=two\nA\t0\t0\t0\t9.8\n"}});
+    bench_.set("dataset", folder_.path.string());
+    bench_.set("at_end", "HOLD");
+    bench_.start();
+  }
+  tests::TemporaryDirectory folder_;
+  Bench<TracePlayer> bench_{"walk"};
+};
+
+TEST_F(ShortWalks, AreFixedOnceThePlayerHasStarted) {
+  const std::string error = error_of([&] { bench_.set("trace", "two"); });
+  EXPECT_NE(error.find("the walk is read when the instance starts"), std::string::npos) << error;
+  EXPECT_NE(error.find("load another instance with dataset=" + folder_.path.string() + " trace=two, and swap"),
+            std::string::npos)
+      << error;
+  EXPECT_NE(error_of([&] { bench_.set("dataset", "elsewhere"); }), "");
+  bench_.set("at_end", "END_RUN");
+}
+
+TEST_F(ShortWalks, ArePlayedWithAddressesAsTheServicesSay) {
+  bench_.advance(1s);
+  std::vector<std::string> addresses;
+  for (const auto& list : bench_.take<sensors::IbeaconlistProvider>("beacons")) {
+    for (const auto& beacon : list->beacon_list()) addresses.push_back(beacon.address());
+  }
+  for (const auto& row : bench_.take<sensors::RFSignalRSSIService>("wifi")) addresses.push_back(row->transmitter_id());
+  EXPECT_EQ(addresses,
+            (std::vector<std::string>{"e0:78:a3:3d:b5:b4", "e0:78:a3:3d:b5:b5", "mall-7", "aa:00:00:00:00:01"}));
 }
 
 /// One recorded walk, where `$FIONA_DATA` has it.

@@ -4,6 +4,7 @@
 #include <google/protobuf/text_format.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <fstream>
 #include <sstream>
@@ -30,6 +31,13 @@ struct FirstError final : google::protobuf::io::ErrorCollector {
     if (text.empty()) text = std::to_string(line + 1) + ":" + std::to_string(column + 1) + ": " + message;
   }
 };
+
+/// Lower-case, an address without its colons: files write ids in several ways.
+std::string plain(std::string id) {
+  if (id.find('/') == std::string::npos) std::erase_if(id, [](char c) { return c == ':' || c == '-'; });
+  std::transform(id.begin(), id.end(), id.begin(), [](unsigned char c) { return std::tolower(c); });
+  return id;
+}
 
 Beacons read(const std::string& file) {
   std::ifstream in(file);
@@ -64,16 +72,16 @@ void CentroidLocalisation::on_start() {
     const auto strongest = std::max_element(beacon.heard().begin(), beacon.heard().end(),
                                             [](const Heard& a, const Heard& b) { return a.power() < b.power(); });
     if (strongest == beacon.heard().end()) continue;
-    places_[beacon.id()] = {beacon.x(), beacon.y(), strongest->level(), strongest->power()};
+    places_[plain(beacon.id())] = {beacon.x(), beacon.y(), strongest->level(), strongest->power()};
   }
 }
 
 void CentroidLocalisation::on_beacons(const fiona::sensors::CommiBeaconList& list) {
   for (const auto& beacon : list.beacon_list()) {
     if (!beacon.has_rssi()) continue;
-    const std::string triplet =
-        beacon.uuid() + "/" + std::to_string(beacon.major()) + "/" + std::to_string(beacon.minor());
-    const std::string& id = places_.contains(beacon.address()) ? beacon.address() : triplet;
+    std::string id = plain(beacon.address());
+    if (!places_.contains(id))
+      id = plain(beacon.uuid() + "/" + std::to_string(beacon.major()) + "/" + std::to_string(beacon.minor()));
     if (places_.contains(id)) readings_[id] = {static_cast<double>(beacon.rssi()), now()};
   }
 }

@@ -76,6 +76,22 @@ TEST(CentroidLocalisation, IsNotValidWhereNothingWasHeardForTheWindow) {
   EXPECT_FALSE(last(bench).is_valid());
 }
 
+TEST(CentroidLocalisation, AnAddressIsTheSameHoweverTheFileWritesIt) {
+  for (const char* id : {"02:00:5e:10:00:01", "02005E100001"}) {
+    const std::string file = ::testing::TempDir() + "address.beacons";
+    std::ofstream(file) << "beacons { id: '" << id << "' x: 3 y: 4 heard { level: 0 power: -59 } }\n";
+    Bench bench;
+    bench.set("beacons", file);
+    bench.start();
+    fiona::sensors::CommiBeaconList list;
+    auto& beacon = *list.add_beacon_list();
+    beacon.set_address("02:00:5e:10:00:01");
+    beacon.set_rssi(-65);
+    bench.put<fiona::sensors::IbeaconlistProvider>("beacons", std::move(list));
+    EXPECT_TRUE(last(bench).is_valid()) << id;
+  }
+}
+
 TEST(CentroidLocalisation, AFileThatIsNoneIsNamedWithLineAndColumn) {
   const std::string file = ::testing::TempDir() + "broken.beacons";
   std::ofstream(file) << "beacons {\n  id: 7\n}\n";

@@ -181,10 +181,14 @@ RadioOutput RadioModel::advance(const Truth& truth) {
 
 std::string beacon_address(const BeaconReading& beacon) {
   const std::string name = beacon.uuid + "/" + std::to_string(beacon.major) + "/" + std::to_string(beacon.minor);
-  char digits[13];
-  std::snprintf(digits, sizeof digits, "%012llX",
-                static_cast<unsigned long long>(hash(name.c_str()) & 0xffffffffffffull));
-  return digits;
+  const std::uint64_t bits = hash(name.c_str());
+  std::string address;
+  for (int shift = 40; shift >= 0; shift -= 8) {
+    char octet[4];
+    std::snprintf(octet, sizeof octet, shift > 0 ? "%02x:" : "%02x", static_cast<unsigned>(bits >> shift & 0xffu));
+    address += octet;
+  }
+  return address;
 }
 
 }  // namespace fiona::simulator

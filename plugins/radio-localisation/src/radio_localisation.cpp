@@ -1,5 +1,7 @@
 #include "radio_localisation.hpp"
 
+#include <google/protobuf/util/message_differencer.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -69,6 +71,13 @@ void RadioLocalisation::on_start() {
   options.particles = params_->particles();
   options.seed = params_->seed();
   filter_.emplace(map_, options);
+}
+
+void RadioLocalisation::check(const RadioLocalisationParams& draft) const {
+  if (!filter_ || google::protobuf::util::MessageDifferencer::Equals(draft, *params_)) return;
+  throw Error(ErrorCode::NotAllowed, {.what = "the radio map, particles and seed are read when the instance starts",
+                                      .where = name(),
+                                      .next = "load another instance with map=" + draft.map() + ", and swap"});
 }
 
 void RadioLocalisation::on_wifi(const Received<sensors::RFSignalRSSI>& signal) {

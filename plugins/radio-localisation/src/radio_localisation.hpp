@@ -21,6 +21,7 @@ class RadioLocalisation final : public Component {
   void on_start() override;
 
  private:
+  void check(const RadioLocalisationParams& draft) const;
   void on_wifi(const Received<sensors::RFSignalRSSI>& signal);
   void on_beacons(const Received<sensors::CommiBeaconList>& beacons);
   void use_row(const std::string& id, radio::Radio radio, double rssi_dbm, TimePoint heard);
@@ -30,7 +31,7 @@ class RadioLocalisation final : public Component {
   void show(const radio::Estimate& estimate);
   radio::Time clock_ms() const { return radio::Time(to_milliseconds(now())); }
 
-  Params<RadioLocalisationParams> params_{*this};
+  Params<RadioLocalisationParams> params_{*this, &RadioLocalisation::check};
   Requires<sensors::RFSignalRSSIService> wifi_{
       *this, "wifi", &RadioLocalisation::on_wifi, {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
   Requires<sensors::IbeaconlistProvider> beacons_{

@@ -1,6 +1,7 @@
 #include "trace_player.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 
 #include "fiona/objects/imu.hpp"
@@ -14,6 +15,18 @@ constexpr const char* kReceiver = "recording";
 /// Log-distance model with the exponent of free space: what a receiver that knows no walls says.
 float distance_m(double measured_power_dbm, double rssi_dbm) {
   return static_cast<float>(std::pow(10.0, (measured_power_dbm - rssi_dbm) / 20.0));
+}
+
+/// Recordings write addresses in several ways; what has not twelve digits is an invented name and stays.
+std::string device_address(const std::string& recorded) {
+  std::string address;
+  for (const char c : recorded) {
+    if (c == ':' || c == '-') continue;
+    if (address.size() == 17 || !std::isxdigit(static_cast<unsigned char>(c))) return recorded;
+    if (address.size() % 3 == 2) address += ':';
+    address += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  }
+  return address.size() == 17 ? address : recorded;
 }
 
 }  // namespace
@@ -31,11 +44,22 @@ void TracePlayer::on_start() {
     if (names.empty()) {
       throw Error(ErrorCode::NotFound, {.what = "the recording has no test walk",
                                         .where = params_->dataset(),
-                                        .next = "set " + name() + " trace=NAME"});
+                                        .next = "load trace-player as " + name() + " dataset=" + params_->dataset() +
+                                                " trace=NAME, with the name of a survey walk"});
     }
     trace = names.front();
   }
   walk_ = dataset.walk(trace);
+  for (std::string& id : walk_.transmitters) id = device_address(id);
+  started_ = true;
+}
+
+void TracePlayer::check(const TracePlayerParams& draft) const {
+  if (!started_ || (draft.dataset() == params_->dataset() && draft.trace() == params_->trace())) return;
+  throw Error(ErrorCode::NotAllowed, {.what = "the walk is read when the instance starts",
+                                      .where = name(),
+                                      .next = "load another instance with dataset=" + draft.dataset() +
+                                              (draft.trace().empty() ? "" : " trace=" + draft.trace()) + ", and swap"});
 }
 
 TimePoint TracePlayer::time_of(std::int64_t t_ms) const { return begun_ + std::chrono::milliseconds(t_ms); }

@@ -19,6 +19,7 @@ class TracePlayer final : public Component {
   void on_mode(std::string_view mode) override;
 
  private:
+  void check(const TracePlayerParams& draft) const;
   void play_next();
   void play(const walk::Event& event);
   void play_imu(const walk::Event& event);
@@ -27,13 +28,14 @@ class TracePlayer final : public Component {
   void put_beacons();
   TimePoint time_of(std::int64_t t_ms) const;
 
-  Params<TracePlayerParams> params_{*this};
+  Params<TracePlayerParams> params_{*this, &TracePlayer::check};
   Provides<sensors::GetIMUService> imu_{*this, "imu", {.doc = "accelerometer, gyroscope and magnetometer, joined"}};
   Provides<sensors::RFSignalRSSIService> wifi_{
       *this, "wifi", {.doc = "rows of Wi-Fi scans, each with the time it was heard"}};
   Provides<sensors::IbeaconlistProvider> beacons_{*this, "beacons", {.doc = "iBeacons, as they are heard"}};
   Timer next_event_{*this, &TracePlayer::play_next};
 
+  bool started_ = false;
   walk::Walk walk_;
   std::size_t next_ = 0;
   TimePoint begun_{};

@@ -36,7 +36,7 @@ struct BeaconReading {
   double distance_m = 0.0;  ///< estimate from the two, see beacon_distance_m
 };
 
-/// The device address of a simulated beacon, twelve hexadecimal digits: always the same for the same advertisement.
+/// The device address of a simulated beacon, as `CommiBeacon` has it: always the same for the same advertisement.
 std::string beacon_address(const BeaconReading& beacon);
 
 struct BeaconBatch {
