@@ -353,7 +353,18 @@ TEST(RadioMapFile, AMissingFileIsNotFound) {
 
 TEST(RadioMapFile, AFolderThatDoesNotExistIsToldBeforeAnythingIsLost) {
   const tests::TemporaryDirectory folder;
-  EXPECT_THROW(save(*learnt_map(), folder.path / "none" / "hall"), Error);
+  for (const auto& write : {std::function<void()>([&] { save(*learnt_map(), folder.path / "none" / "hall"); }),
+                            {[&] { check_writable(folder.path / "none" / "hall"); }}}) {
+    try {
+      write();
+      FAIL() << "no error";
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), HasSubstr("the file cannot be written: No such file or directory"));
+    }
+  }
+  EXPECT_THROW(check_writable(folder.path), Error);
+  check_writable(folder.path / "hall");
+  EXPECT_FALSE(fs::exists(folder.path / "hall")) << "nothing is left";
 }
 
 TEST(RadioFilter, IsSilentBeforeTheFirstEvidence) {
@@ -679,17 +690,6 @@ TEST_F(RadioLocalisationComponent, TheClockOfWhoListensIsNotItsOwn) {
   EXPECT_EQ(bench_.probe<std::uint64_t>("old_rows").value_or(0), 0u);
 }
 
-TEST_F(RadioLocalisationComponent, ABeaconThatListsRepeatIsHeardOnce) {
-  sensors::CommiBeaconList list;
-  auto& beacon = *list.add_beacon_list();
-  beacon.set_address("aa:bb:cc:dd:ee:01"), beacon.set_rssi(-60);
-  const auto tell = [&](int times, int between_ms) {
-    for (int i = 0; i < times; ++i) {
-      beacon.set_t(beacon.t() + between_ms);
-      bench_.put<sensors::IbeaconlistProvider>("beacons", list);
-      bench_.advance(milliseconds(300));
-    }
-    return bench_.probe<std::string>("validity");
 TEST_F(RadioLocalisationComponent, WhatIsReadAtTheStartIsFixedThen) {
   for (const auto& change :
        {std::function<void()>([&] { bench_.set("map", "other.radiomap"); }), {[&] { bench_.set("particles", 300); }}}) {
@@ -703,6 +703,17 @@ TEST_F(RadioLocalisationComponent, WhatIsReadAtTheStartIsFixedThen) {
   }
 }
 
+TEST_F(RadioLocalisationComponent, ABeaconThatListsRepeatIsHeardOnce) {
+  sensors::CommiBeaconList list;
+  auto& beacon = *list.add_beacon_list();
+  beacon.set_address("aa:bb:cc:dd:ee:01"), beacon.set_rssi(-60);
+  const auto tell = [&](int times, int between_ms) {
+    for (int i = 0; i < times; ++i) {
+      beacon.set_t(beacon.t() + between_ms);
+      bench_.put<sensors::IbeaconlistProvider>("beacons", list);
+      bench_.advance(milliseconds(300));
+    }
+    return bench_.probe<std::string>("validity");
   };
   EXPECT_EQ(tell(30, 0), "nothing heard yet");
   EXPECT_EQ(tell(30, 300), "another building");

@@ -1,11 +1,16 @@
 #include "radio_map_file.hpp"
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <bit>
+#include <cerrno>
 #include <cmath>
 #include <concepts>
 #include <cstring>
 #include <fstream>
 #include <string>
+#include <system_error>
 
 #include <fiona/error.hpp>
 
@@ -250,6 +255,13 @@ std::string read_file(const fs::path& file) {
   return bytes;
 }
 
+[[noreturn]] void cannot_write(const fs::path& file, const std::error_code& error) {
+  throw Error(ErrorCode::Failed, {.what = "the file cannot be written: " + error.message(),
+                                  .where = file.string(),
+                                  .expected = "a folder that exists, may be written, and has room",
+                                  .next = "choose another file with -o"});
+}
+
 }  // namespace
 
 void save(const RadioMap& map, const fs::path& file) {
@@ -273,19 +285,26 @@ void save(const RadioMap& map, const fs::path& file) {
   const fs::path draft = file.string() + ".draft";
   std::error_code error;
   {
+    errno = 0;
     std::ofstream stream(draft, std::ios::binary | std::ios::trunc);
     stream << header.bytes << payload.bytes;
     stream.close();
-    if (!stream) error = std::make_error_code(std::errc::io_error);
+    if (!stream) error.assign(errno != 0 ? errno : EIO, std::generic_category());
   }
   if (!error) fs::rename(draft, file, error);
   if (!error) return;
   std::error_code ignored;
   fs::remove(draft, ignored);
-  throw Error(ErrorCode::Failed, {.what = "cannot write the radio map: " + error.message(),
-                                  .where = file.string(),
-                                  .expected = "a folder that exists, may be written, and has room",
-                                  .next = "choose another file with -o"});
+  cannot_write(file, error);
+}
+
+void check_writable(const fs::path& file) {
+  std::error_code error;
+  const bool is_new = !fs::exists(file, error);
+  const int opened = ::open(file.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0666);
+  if (opened < 0) cannot_write(file, {errno, std::generic_category()});
+  ::close(opened);
+  if (is_new) fs::remove(file, error);
 }
 
 RadioMap load(const fs::path& file) { return parse(read_file(file), file); }

@@ -2,6 +2,7 @@
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -53,12 +54,16 @@ fiona::radio::Reference parse_reference(const std::string& text) {
 
 int learn(const options::variables_map& given, const std::string& folder) {
   if (given.count("output") == 0) usage_error("learn needs to know where to write", "no -o FILE");
+  const std::string output = given["output"].as<std::string>();
+  std::optional<fiona::radio::Reference> reference;
+  if (given.count("reference") != 0) reference = parse_reference(given["reference"].as<std::string>());
   const auto dataset = fiona::walk::Dataset::open(folder);
   fiona::radio::LearnerOptions learner_options;
   learner_options.cell_m = given["cell"].as<double>();
   if (!(learner_options.cell_m >= 0.5 && learner_options.cell_m <= 20.0)) {
     usage_error("--cell is out of range: 0.5 to 20 metres", std::to_string(learner_options.cell_m));
   }
+  fiona::radio::check_writable(output);
   fiona::radio::RadioMapLearner learner(learner_options);
   std::vector<fiona::radio::SurveyedJourney> journeys;
   dataset.for_each_survey_walk([&](const fiona::walk::Walk& walk) {
@@ -68,9 +73,8 @@ int learn(const options::variables_map& given, const std::string& folder) {
     return true;
   });
   auto map = learner.learn(given.count("name") != 0 ? given["name"].as<std::string>() : dataset.name());
-  if (given.count("reference") != 0) map.reference = parse_reference(given["reference"].as<std::string>());
+  map.reference = reference;
   map.accuracy = fiona::radio::fit_accuracy(fiona::radio::left_out_fixes(learner, journeys));
-  const std::string output = given["output"].as<std::string>();
   fiona::radio::save(map, output);
   std::cerr << "learnt " << map.name << " from " << learner.walks() << " walks: " << map.levels.size() << " levels, "
             << map.transmitters.size() << " transmitters, " << std::filesystem::file_size(output) / 1024 << " KiB in "

@@ -5,10 +5,12 @@
 #include <google/protobuf/text_format.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <fstream>
 #include <numbers>
 #include <set>
+#include <system_error>
 
 #include "fiona/error.hpp"
 
@@ -177,13 +179,15 @@ BeaconMap load(const std::filesystem::path& file) {
 void save(const BeaconMap& map, const std::filesystem::path& file) {
   std::string text;
   google::protobuf::TextFormat::PrintToString(map, &text);
+  errno = 0;
   std::ofstream stream(file, std::ios::binary | std::ios::trunc);
   stream << text;
   stream.close();
   if (!stream)
-    throw Error(
-        ErrorCode::Failed,
-        {.what = "the beacon map cannot be written", .where = file.string(), .next = "-o FILE names one that can"});
+    throw Error(ErrorCode::Failed,
+                {.what = "the beacon map cannot be written: " + std::generic_category().message(errno ? errno : EIO),
+                 .where = file.string(),
+                 .next = "-o FILE names one that can"});
 }
 
 std::string normalised_id(std::string_view id) {

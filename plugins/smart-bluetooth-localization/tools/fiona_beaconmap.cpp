@@ -14,6 +14,7 @@
 #include "beacon_map.hpp"
 #include "drawn_beacons.hpp"
 #include "level_map.hpp"
+#include "radio_map_file.hpp"
 #include "survey_csv.hpp"
 #include "survey_learner.hpp"
 #include "survey_plan.hpp"
@@ -27,7 +28,8 @@ using fiona::Error;
 using fiona::ErrorCode;
 
 constexpr const char* kUsage =
-    "usage: fiona-beaconmap learn DIR|SURVEY.csv -o FILE [--plan BUILDING.osm] [--name NAME]\n"
+    "usage: fiona-beaconmap learn DIR -o FILE [--plan BUILDING.osm] [--name NAME]\n"
+    "       fiona-beaconmap learn SURVEY.csv -o FILE [--name NAME]\n"
     "       fiona-beaconmap drawn BUILDING.osm -o FILE\n"
     "       fiona-beaconmap plan DIR -o BUILDING.osm --reference LAT,LON [--width METRES] [--name NAME]\n"
     "       fiona-beaconmap help\n"
@@ -56,24 +58,36 @@ beacons::FloorPlan plan_of(const options::variables_map& given) {
 
 int learn(const options::variables_map& given, const std::filesystem::path& from) {
   if (given.count("output") == 0) usage_error("learn needs to know where to write", "no -o FILE");
+  const bool is_folder = std::filesystem::is_directory(from);
+  if (!is_folder && std::filesystem::exists(from) && given.count("plan") != 0) {
+    usage_error("--plan goes with a folder of walks: a survey without steps is judged second by second, without walls",
+                "--plan " + given["plan"].as<std::string>());
+  }
+  const beacons::FloorPlan plan = plan_of(given);
+  const std::string output = given["output"].as<std::string>();
   const std::string name = given.count("name") != 0 ? given["name"].as<std::string>() : from.stem().string();
   beacons::BeaconMap map;
-  if (std::filesystem::is_directory(from)) {
-    const auto walks = survey_walks(fiona::walk::Dataset::open(from));
+  if (is_folder) {
+    const auto dataset = fiona::walk::Dataset::open(from);
+    fiona::radio::check_writable(output);
+    const auto walks = survey_walks(dataset);
     std::vector<beacons::SurveySecond> seconds;
     for (std::size_t i = 0; i < walks.size(); ++i) {
       const auto more = beacons::seconds_of(walks[i], static_cast<std::uint32_t>(i));
       seconds.insert(seconds.end(), more.begin(), more.end());
     }
+    std::cerr << "learning from " << seconds.size() << " seconds of " << walks.size() << " walks\n";
     map = beacons::learn(seconds, name);
+    std::cerr << "judging how far off positions are, which takes some minutes\n";
     beacons::learn_compass(walks, map);
-    *map.mutable_accuracy() = beacons::accuracy_of(walks, plan_of(given), {});
+    *map.mutable_accuracy() = beacons::accuracy_of(walks, plan, {});
   } else {
     const auto seconds = beacons::read_survey(from);
+    fiona::radio::check_writable(output);
+    std::cerr << "learning from " << seconds.size() << " seconds, which takes some minutes where they are many\n";
     map = beacons::learn(seconds, name);
     *map.mutable_accuracy() = beacons::accuracy_of(seconds, {});
   }
-  const std::string output = given["output"].as<std::string>();
   beacons::save(map, output);
   const auto& radio = map.radio();
   std::cerr << "learnt " << map.name() << ": " << map.beacons_size() << " beacons, " << map.survey_size()
@@ -107,13 +121,16 @@ int plan(const options::variables_map& given, const std::string& folder) {
     usage_error("--width is out of range: 1 to 20 metres", std::to_string(width_m));
   const auto dataset = fiona::walk::Dataset::open(folder);
   const std::string name = given.count("name") != 0 ? given["name"].as<std::string>() : dataset.name();
-  std::ofstream out(given["output"].as<std::string>());
-  out << beacons::plan_of(survey_walks(dataset), {name, reference, 0.5 * width_m});
+  const std::string output = given["output"].as<std::string>();
+  fiona::radio::check_writable(output);
+  const auto walks = survey_walks(dataset);
+  std::ofstream out(output);
+  out << beacons::plan_of(walks, {name, reference, 0.5 * width_m});
   out.close();
   if (!out)
-    throw Error(ErrorCode::Failed, {.what = "the plan cannot be written",
-                                    .where = given["output"].as<std::string>(),
-                                    .next = "-o FILE names one that can"});
+    throw Error(ErrorCode::Failed,
+                {.what = "the plan cannot be written", .where = output, .next = "-o FILE names one that can"});
+  std::cerr << "plan of " << name << " from " << walks.size() << " walks written to " << output << '\n';
   return 0;
 }
 
