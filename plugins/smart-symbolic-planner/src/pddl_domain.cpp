@@ -41,7 +41,7 @@ class DomainReader {
  private:
   void add_type(const Word& word) {
     if (!task_.type_index.try_emplace(word.text, static_cast<Index>(task_.types.size())).second) return;
-    if (task_.types.size() == kMostTypes)
+    if (task_.types.size() > kMostTypes)  // the first is `object`, which nobody wrote
       in_.fail(word, "a domain has at most " + std::to_string(kMostTypes) + " types");
     task_.types.push_back(word.text);
     parents_.emplace_back();
