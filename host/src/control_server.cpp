@@ -14,7 +14,6 @@
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
-#include "os/process.hpp"
 
 namespace fiona::host {
 namespace {
@@ -134,7 +133,6 @@ void ControlServer::end(int code, const std::string& why) {
 /// What they say at their end, consoles are told before that of the run. Who watches sees the host end, and nothing
 /// unloaded.
 void ControlServer::end_instances() {
-  os::end_within(kEndsWithin, *exit_code_);
   system_.end_instances();
   for (const auto& event : events_.take()) {
     if (!event.has_tap_ended()) on_event(event);
@@ -147,8 +145,9 @@ void ControlServer::meet_peers(int lifeline, int signals) {
     poll_once(lifeline, signals, kMeeting_ms);
 }
 
-int ControlServer::serve(int lifeline, int signals) {
+int ControlServer::serve(int lifeline, int signals, const std::function<void(int code)>& ends) {
   while (!exit_code_) poll_once(lifeline, signals);
+  if (ends) ends(*exit_code_);
   // With a supervisor the run goes on at the next host, unless its end was meant.
   if (!system_.supervisor() || was_ended_) {
     if (!has_kept_threads()) end_instances();

@@ -34,13 +34,11 @@ class ControlServer {
   /// what is loaded in them next finds them.
   void meet_peers(int lifeline, int signals);
   /// Serves until `quit`, the end of the lifeline (-1: none), or SIGINT/SIGTERM through `signals` (-1: none).
-  /// The exit code of the run.
-  int serve(int lifeline, int signals);
+  /// The exit code of the run, which `ends` is told before instances have their end: that may take them long.
+  int serve(int lifeline, int signals, const std::function<void(int code)>& ends = {});
   /// Whether its end was meant; another end is one that a supervisor mends.
   bool was_ended() const { return was_ended_; }
   /// Whether components keep threads, which nobody can end.
-  /// All that a host does at its end, calls of life cycles included.
-  static constexpr std::chrono::seconds kEndsWithin{20};
   bool has_kept_threads() const { return system_.kept_threads() > 0; }
   /// Where it listens for a host that leads; empty: nowhere.
   std::string listens() const { return system_.listens(); }

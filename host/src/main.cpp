@@ -27,7 +27,8 @@ namespace {
 
 namespace options = boost::program_options;
 
-/// What it does at its end where threads are kept, which do not end.
+/// All that it does at its end, calls of life cycles included; and where threads are kept, which do not end.
+constexpr std::chrono::seconds kEndsWithin{20};
 constexpr std::chrono::seconds kKeptThreads{1};
 
 struct Flags {
@@ -204,11 +205,12 @@ int serve(Flags& flags) {
   if (!server.serves().empty()) std::cerr << "serves consoles at " << server.serves() << "\n";
   if (flags.restarts == 0) server.meet_peers(flags.lifeline, signals);
   tell(flags.ready, "READY\n" + server.listens());
-  const int code = server.serve(flags.lifeline, signals);
+  const int code = server.serve(flags.lifeline, signals, [&server](int told) {
+    // A thread that a component keeps is not waited for.
+    fiona::os::end_within(server.has_kept_threads() ? kKeptThreads : kEndsWithin, told);
+  });
   // Its groups go on without it, and the next host finds them.
   if (supervisor && !server.was_ended()) ::_exit(code);
-  // A thread that a component keeps is not waited for.
-  fiona::os::end_within(server.has_kept_threads() ? kKeptThreads : server.kEndsWithin, code);
   return code;
 }
 
