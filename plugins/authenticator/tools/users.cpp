@@ -7,9 +7,11 @@
 #include <algorithm>
 #include <charconv>
 #include <csignal>
+#include <filesystem>
 #include <iostream>
 #include <optional>
 #include <string>
+#include <system_error>
 #include <vector>
 
 #include "accounts.hpp"
@@ -106,6 +108,17 @@ void list(const Accounts& accounts) {
   }
 }
 
+/// Only `add` makes a database: a name that was mistyped is no new one.
+void check_exists(const std::filesystem::path& file) {
+  std::error_code unknown;
+  for (const char* part : {"", ".key"}) {
+    if (std::filesystem::exists(file.string() + part, unknown)) return;  // one alone is told when it is opened
+  }
+  throw Error(ErrorCode::NotFound, {.what = "there is no database of users",
+                                    .where = file.string(),
+                                    .next = "check its name; fiona-users --database FILE add NAME makes one"});
+}
+
 /// The value behind an option, which both are taken out.
 std::optional<std::string> take_option(std::vector<std::string>& words, const std::string& option) {
   for (auto i = words.begin(); i != words.end(); ++i) {
@@ -134,8 +147,9 @@ void run(std::vector<std::string> words) {
   if (words.size() > needed) throw usage("'" + words[needed] + "' is one word too many");
   if (level && command != "add") throw usage("--level goes with add; to change it: fiona-users level NAME N");
 
-  fiona::records::RecordStore store(database ? std::filesystem::path(*database) : fiona::records::data_file("users.db"),
-                                    fiona::authenticator::kDatabaseKind);
+  const auto file = database ? std::filesystem::path(*database) : fiona::records::data_file("users.db");
+  if (command != "add") check_exists(file);
+  fiona::records::RecordStore store(file, fiona::authenticator::kDatabaseKind);
   Accounts accounts(store);
   if (command == "list") return list(accounts);
   const std::string& name = words[1];
@@ -158,7 +172,8 @@ int main(int argc, char** argv) {
   const rlimit none{};
   ::setrlimit(RLIMIT_CORE, &none);  // no password reaches a disk
   const std::vector<std::string> words(argv + 1, argv + argc);
-  if (!words.empty() && (words.front() == "--help" || words.front() == "-h" || words.front() == "help")) {
+  const auto asks_for_help = [](const std::string& word) { return word == "--help" || word == "-h"; };
+  if (std::any_of(words.begin(), words.end(), asks_for_help) || (!words.empty() && words.front() == "help")) {
     std::cout << kUsage;
     return 0;
   }

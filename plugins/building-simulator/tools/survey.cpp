@@ -30,7 +30,7 @@ int run(int count, char** words) {
        "metres between points")  //
       ("test-walks", options::value(&survey.test_walks)->default_value(survey.test_walks), "on each level");
   options::options_description all;
-  all.add(shown).add_options()("building", options::value(&building_file)->required());
+  all.add(shown).add_options()("building", options::value(&building_file));
   options::positional_options_description places;
   places.add("building", 1);
   options::variables_map given;
@@ -38,6 +38,11 @@ int run(int count, char** words) {
   if (given.contains("help")) {
     std::cout << "fiona-survey BUILDING.osm --seed N -o DIRECTORY\n" << shown;
     return 0;
+  }
+  if (!given.contains("building")) {
+    throw fiona::Error(fiona::ErrorCode::Usage, {.what = "which building is to be surveyed?",
+                                                 .expected = "fiona-survey BUILDING.osm --seed N -o DIRECTORY",
+                                                 .next = "fiona-survey --help"});
   }
   options::notify(given);
   if (!(survey.spacing_m >= 0.5 && survey.spacing_m <= 20.0) || survey.test_walks > 1000) {
