@@ -557,7 +557,7 @@ TEST(MapServer, ACompressedFileIsRefusedWithWhatUnpacksIt) {
     FAIL() << "no error";
   } catch (const Error& error) {
     EXPECT_THAT(error.what(), HasSubstr("it is compressed with gzip"));
-    EXPECT_THAT(error.what(), HasSubstr("unpack it first: gzip -dc " + file.string() + " > building.osm"));
+    EXPECT_THAT(error.what(), HasSubstr("unpack it first: gzip -dc < " + file.string() + " > unpacked.osm"));
   }
 }
 

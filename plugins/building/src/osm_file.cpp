@@ -154,7 +154,7 @@ OsmFile read_osm_file(const std::string& path) {
   std::ifstream(path, std::ios::binary).read(begin, sizeof(begin));
   if (const char* const packer = packer_of({begin, sizeof(begin)})) {
     refuse(path, std::string("it is compressed with ") + packer,
-           std::string("unpack it first: ") + packer + " -dc " + path + " > building.osm");
+           std::string("unpack it first: ") + packer + " -dc < " + path + " > unpacked.osm");
   }
   return collect(osmium::io::File{path, format_of({begin, sizeof(begin)})}, path);
 }
