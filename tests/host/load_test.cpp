@@ -130,7 +130,8 @@ TEST(Load, ProtoFileOfAnotherPluginIsRefusedBeforeTheLibraryIsOpened) {
   EXPECT_EQ(error->code(), ErrorCode::Failed);
   EXPECT_THAT(error->text().what, HasSubstr("its proto file 'fiona/test/test.proto' has already been brought by plugin "
                                             "'local/test-components', and protobuf ends a process that gets it twice"));
-  EXPECT_EQ(error->text().next, "load local/clashing-proto in GROUP: a group is a process of its own");
+  EXPECT_EQ(error->text().next,
+            "load " + std::string(ZOO_DIRECTORY) + "/libclashing-proto.so in GROUP: a group is a process of its own");
 }
 
 TEST(Load, ProtoFileOfAnotherPluginIsNoObstacleInAGroupOfItsOwn) {
