@@ -107,6 +107,20 @@ std::string sandbox_text(const control::GroupStatus& group) {
   return fmt::format("{}", fmt::join(layers, ", "));
 }
 
+/// What has gone to and come from other processes, if anything has.
+void add_links(Table& facts, const control::LinkStatus& links) {
+  constexpr double kMiB = 1U << 20U;
+  if (links.sent_messages() + links.received_messages() == 0) return;
+  facts.add(
+      {"links",
+       {fmt::format("{:.1f} MiB sent, {:.1f} of it through memory; {:.1f} MiB received",
+                    static_cast<double>(links.sent_bytes()) / kMiB, static_cast<double>(links.memory_bytes()) / kMiB,
+                    static_cast<double>(links.received_bytes()) / kMiB),
+        links.sent_bytes()}});
+  const auto refused = links.garbled() + links.unproven() + links.not_granted() + links.too_large() + links.overrun();
+  if (refused > 0) facts.add({"refused at links", {fmt::format("{} messages", refused), refused}});
+}
+
 /// Of `main`, which is the host, there is nothing to add.
 void add_group(Table& facts, const control::System& system, const std::string& name) {
   const auto found = std::find_if(system.groups().begin(), system.groups().end(),
@@ -123,6 +137,7 @@ void add_group(Table& facts, const control::System& system, const std::string& n
   const std::string most = found->cpu_limit() > 0 ? fmt::format(" of {:.2f}", found->cpu_limit()) : "";
   const std::string held = found->cpu_held_by().empty() ? "" : "; more once, so " + found->cpu_held_by();
   facts.add({"cpu", {fmt::format("{:.2f}{} cores{}", found->cpu(), most, held), found->cpu()}});
+  add_links(facts, found->links());
   if (found->dropped_output() > 0) {
     facts.add({"dropped output", {fmt::format("{} bytes", found->dropped_output()), found->dropped_output()}});
   }
