@@ -395,6 +395,7 @@ class Acceptance {
 
 void require_keys(const filesystem::path& market, const KeeperOptions& options) {
   if (keeps(market, options)) return;
+  options.keys.require_readable();
   throw Error(ErrorCode::NotAllowed,
               ErrorText{.what = "this user has not the keys of this marketplace",
                         .where = market.string(),

@@ -135,6 +135,7 @@ std::vector<SigningKey> Repository::State::keys_of(const std::string& role) cons
   bool enough = false;
   auto found = keys_here(role, enough);
   if (enough) return found;
+  keys.require_readable();
   refuse(ErrorCode::NotAllowed, ErrorText{.what = "this user has not the keys of the role '" + role + "'",
                                           .where = keys.path().string(),
                                           .expected = "the keys " + signers_of(role).at("keyids").dump(),

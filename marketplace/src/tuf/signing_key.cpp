@@ -159,17 +159,18 @@ std::vector<std::string> SigningKeys::names() const {
 }
 
 std::optional<SigningKey> SigningKeys::with_id(const std::string& wanted) const {
-  std::exception_ptr unreadable;
   for (const auto& name : names()) {
     try {
       SigningKey key = get(name);
       if (key_id_of(key.open()) == wanted) return key;
-    } catch (const Error&) {
-      unreadable = std::current_exception();
+    } catch (const Error&) {  // one that cannot be read signs nothing
     }
   }
-  if (unreadable) std::rethrow_exception(unreadable);  // it may be that one
   return std::nullopt;
+}
+
+void SigningKeys::require_readable() const {
+  for (const auto& name : names()) get(name);
 }
 
 std::optional<std::string> SigningKeys::signed_role(const std::string& name) const {

@@ -55,8 +55,10 @@ class SigningKeys {
   /// Throws fiona::Error: NotFound with near names, NotAllowed if others may read the file, Failed if it is damaged.
   SigningKey get(const std::string& name) const;
   std::vector<std::string> names() const;
-  /// The first that metadata names by this id; nothing if none has it.
+  /// The first that metadata names by this id; nothing if none that can be read has it.
   std::optional<SigningKey> with_id(const std::string& key_id) const;
+  /// Where one is missed: it may be one that cannot be read. Throws as get().
+  void require_readable() const;
 
   /// What a publisher's key has signed last; nothing at first.
   std::optional<std::string> signed_role(const std::string& name) const;
