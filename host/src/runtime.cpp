@@ -28,8 +28,7 @@ Runtime::~Runtime() {
   }
   for (auto& [name, instance] : instances_) {
     // One whose handler still runs keeps its memory: the process ends soon.
-    if (instance->hull->shut_down(instance->hangs ? Duration::zero() : kLifeCycleDeadline))
-      static_cast<void>(instance->hull.release());
+    if (instance->hull->shut_down(instance->patience())) static_cast<void>(instance->hull.release());
   }
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <functional>
 #include <map>
 #include <memory>
@@ -49,7 +50,10 @@ class Runtime final {
     std::string component;
     std::string doc;
     std::unique_ptr<Hull> hull;
-    bool hangs = false;  ///< it has been given up
+    std::shared_ptr<std::atomic<bool>> hangs;  ///< it has been given up, and has not come back; shared with its strand
+
+    /// How long its end may take.
+    Duration patience() const { return hangs && *hangs ? Duration::zero() : kLifeCycleDeadline; }
   };
   /// A wire within this process.
   struct Wire {

@@ -153,8 +153,9 @@ void Runtime::set_mode(const wire::SetMode& request) {
 /// What it would do next nobody waits for any more; its thread is the caller's to replace.
 void Runtime::give_up(const std::string& name, const std::string& reason) {
   Instance& instance = find(name);
-  instance.hangs = true;
   Hull& hull = *instance.hull;
+  instance.hangs = std::make_shared<std::atomic<bool>>(true);
+  hull.strand().post([hangs = instance.hangs] { *hangs = false; });
   hull.fail(reason);
   links_.release(hull, reason);
   end_wires(hull, Connection::Lost, reason);
@@ -169,7 +170,7 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   taps_.release(*instance.hull);
   links_.release(*instance.hull, "'" + request.instance() + "' has ended");
   end_wires(*instance.hull, Connection::Unwired, "'" + request.instance() + "' has ended");
-  if (const auto runs = instance.hull->shut_down(instance.hangs ? Duration::zero() : kLifeCycleDeadline)) {
+  if (const auto runs = instance.hull->shut_down(instance.patience())) {
     reply.mutable_done()->set_note("'" + request.instance() + "' did not come free: " + *runs +
                                    " still runs, and its memory stays until the process ends");
     static_cast<void>(instance.hull.release());

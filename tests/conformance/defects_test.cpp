@@ -376,6 +376,21 @@ TEST_P(Defects, AComponentThatHangsAtItsEndDoesNotEndItsProcess) {
   EXPECT_EQ(system.call("neighbour.orders", "number=1").outcome(), "ok");
 }
 
+/// That its end waited for nothing was right only as long as it was stuck: here for longer than any machine is too busy
+/// to see it.
+TEST(Unload, OfOneThatWasStuckInMainAndHasComeBackLeavesNothingBehind) {
+  RunningSystem system(host::HostOptions{}, RunningSystem::EndsHungGroups{});
+  system.load_in("", "sink", "sink", "work_ms=10000");
+  system.load_in("", "source", "source", "neutral count=1");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("it is given up", [&] { return system.instance("sink").mode() == "failed"; });
+  system.eventually("it has come back", [&] { return system.read("sink.queue_depth").value() == 0; });
+  control::Change change;
+  change.mutable_unload()->set_instance("sink");
+  EXPECT_THAT(system.system().perform(change).note(), Not(HasSubstr("did not come free")));
+}
+
 // ---- clients that vanish --------------------------------------------------------------------------------------
 
 class DefectsOfTheKilled : public Defects {
