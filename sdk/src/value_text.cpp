@@ -9,10 +9,14 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <string>
+#include <system_error>
+#include <utility>
 #include <vector>
 
 #include "fiona/error.hpp"
 #include "fiona/options.pb.h"
+#include "fiona/params.hpp"
 #include "fiona/secrets.hpp"
 #include "fiona/units.hpp"
 
@@ -41,8 +45,24 @@ std::string in_quotes(std::string_view text) {
   return out + "\"";
 }
 
+template <class T>
+std::optional<T> read_all(const std::string& text) {
+  T number{};
+  const char* end = text.data() + text.size();
+  const auto read = std::from_chars(text.data(), end, number);
+  return read.ec == std::errc{} && read.ptr == end ? std::optional(number) : std::nullopt;
+}
+
+/// A whole number beyond what an int64 holds, as it was typed: its double has not all of its digits.
+std::optional<std::uint64_t> large_whole(const Value& value) {
+  if (value.kind_case() != Value::kNumber || !value.unit().empty()) return std::nullopt;
+  const auto number = read_all<std::uint64_t>(value.typed());
+  return number && static_cast<double>(*number) == value.number() ? number : std::nullopt;
+}
+
 /// As the console would type it.
 std::string value_text(const Value& value) {
+  if (const auto large = large_whole(value)) return std::to_string(*large);
   switch (value.kind_case()) {
     case Value::kNumber: return fmt::format("{}{}", value.number(), value.unit());
     case Value::kInteger: return fmt::format("{}{}", value.integer(), value.unit());
@@ -103,11 +123,15 @@ T whole_number(const std::string& name, const FieldDescriptor& field, const Valu
     if (!std::in_range<T>(value.integer())) refuse(name, field, value, expected());
     return static_cast<T>(value.integer());
   }
+  if (const auto large = large_whole(value)) {
+    if (!std::in_range<T>(*large)) refuse(name, field, value, expected());
+    return static_cast<T>(*large);
+  }
   const double number = number_in_unit(name, field, value);
   const double nearest = std::round(number);
   const bool fits = std::abs(number - nearest) < 1e-9 * std::max(1.0, std::abs(number)) &&
                     nearest >= static_cast<double>(std::numeric_limits<T>::min()) &&
-                    nearest < static_cast<double>(std::numeric_limits<T>::max());
+                    nearest < static_cast<double>(std::numeric_limits<T>::max()) + 1;
   if (!fits) refuse(name, field, value, expected());
   return static_cast<T>(nearest);
 }
@@ -221,7 +245,7 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
       value.set_integer(many ? r.GetRepeatedUInt32(m, &f, i) : r.GetUInt32(m, &f));
       break;
     case FieldDescriptor::CPPTYPE_UINT64:
-      value.set_integer(static_cast<std::int64_t>(many ? r.GetRepeatedUInt64(m, &f, i) : r.GetUInt64(m, &f)));
+      set_natural(value, many ? r.GetRepeatedUInt64(m, &f, i) : r.GetUInt64(m, &f));
       break;
     case FieldDescriptor::CPPTYPE_BOOL: value.set_flag(many ? r.GetRepeatedBool(m, &f, i) : r.GetBool(m, &f)); break;
     case FieldDescriptor::CPPTYPE_ENUM:
@@ -238,6 +262,12 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
 }
 
 }  // namespace
+
+void set_natural(Value& value, std::uint64_t number) {
+  if (std::in_range<std::int64_t>(number)) return value.set_integer(static_cast<std::int64_t>(number));
+  value.set_number(static_cast<double>(number));
+  value.set_typed(std::to_string(number));
+}
 
 void merge_text(Message& message, const Value& value) {
   if (const auto expected = misread(value, message)) {
@@ -264,15 +294,13 @@ Value parse_default(const FieldDescriptor& field, const std::string& text) {
     value.set_flag(text == "true");
     return value;
   }
-  const char* end = text.data() + text.size();
-  std::int64_t integer = 0;
-  if (std::from_chars(text.data(), end, integer).ptr == end) {
-    value.set_integer(integer);
+  if (const auto integer = read_all<std::int64_t>(text)) {
+    value.set_integer(*integer);
     return value;
   }
-  double number = 0;
-  if (std::from_chars(text.data(), end, number).ptr == end) {
-    value.set_number(number);
+  if (const auto number = read_all<double>(text)) {
+    value.set_number(*number);
+    value.set_typed(text);
     return value;
   }
   throw Error(ErrorCode::Usage, {.what = "the declared default '" + text + "' is no " + type_text(field),

@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "fiona/contract.hpp"
+#include "fiona/master.hpp"
 #include "fiona/message.hpp"
 #include "fiona/params.hpp"
 #include "fiona/rules.hpp"
@@ -23,7 +24,10 @@ using google::protobuf::FieldDescriptorProto;
 using google::protobuf::FileDescriptorProto;
 using google::protobuf::ServiceDescriptor;
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::SizeIs;
+using ::testing::ThrowsMessage;
 
 // ---- contracts ------------------------------------------------------------------------------------------------
 
@@ -453,6 +457,73 @@ TEST(ErrorRendering, PutsEachPartOnALineOfItsOwn) {
   EXPECT_STREQ(error.what(),
                "nav.loc: no such port\n  expected: a port\n  found: nothing\n  did you mean: location, locate\n  next: "
                "show nav");
+}
+
+// ---- numbers that no int64 and no double holds ----------------------------------------------------------------
+
+class Generous final : public Component {
+ public:
+  using Component::Component;
+  const Large& values() const { return *params_; }
+
+ private:
+  Params<Large> params_{*this};
+};
+
+class LargeNumbers : public ::testing::Test {
+ protected:
+  static control::Argument typed(const std::string& name, double value, const std::string& text) {
+    control::Argument one;
+    one.set_name(name);
+    one.mutable_value()->set_number(value);
+    one.mutable_value()->set_typed(text);
+    return one;
+  }
+  void set(const control::Argument& change) { made.hull.set_parameters({&change, 1}, kLimit); }
+  std::string shown(int parameter) {
+    return made.hull.parameters()->status().at(static_cast<std::size_t>(parameter)).value();
+  }
+
+  testing::InlineExecutor executor;
+  VirtualClock clock;
+  KeptEvents events;
+  Made<Generous> made{"generous", executor, clock, events};
+  static constexpr std::uint64_t kMost = std::numeric_limits<std::uint64_t>::max();
+};
+
+TEST_F(LargeNumbers, AreDefaultsAsTheyAreWritten) {
+  EXPECT_EQ(made->values().natural(), kMost);
+  EXPECT_EQ(shown(0), "18446744073709551615");
+  EXPECT_EQ(made->values().real(), 1e20);
+  EXPECT_THAT(made.hull.parameters()->differences(), IsEmpty());
+}
+
+TEST_F(LargeNumbers, KeepAllTheirDigits) {
+  set(typed("natural", 18446744073709551614.0, "18446744073709551614"));
+  EXPECT_EQ(made->values().natural(), kMost - 1);
+  EXPECT_EQ(shown(0), "18446744073709551614");
+  const auto saved = made.hull.parameters()->differences();
+  ASSERT_THAT(saved, SizeIs(1));
+  Made<Generous> again("again", executor, clock, events);
+  again.hull.set_parameters(saved, kLimit);
+  EXPECT_EQ(again->values().natural(), kMost - 1);
+  const Changes changes = Changes().set("again", "natural", kMost - 2);
+  again.hull.set_parameters({&changes.list()[0].set().parameters(0), 1}, kLimit);
+  EXPECT_EQ(again->values().natural(), kMost - 2);
+}
+
+TEST_F(LargeNumbers, MayBeTypedWithAPointUpToTheBoundThatTheRefusalNames) {
+  set(typed("word", 4294967295.0, "4294967295.0"));
+  EXPECT_EQ(made->values().word(), 4294967295U);
+  EXPECT_THAT([&] { set(typed("word", 4294967296.0, "4294967296")); },
+              ThrowsMessage<Error>(HasSubstr("expected: a whole number from 0 to 4294967295")));
+  EXPECT_THAT([&] { set(typed("natural", 18446744073709551616.0, "18446744073709551616")); },
+              ThrowsMessage<Error>(HasSubstr("expected: a whole number from 0 to 18446744073709551615")));
+}
+
+TEST(LargeDefault, BeyondWhatItsFieldHoldsIsRefused) {
+  TooLargeDefault message;
+  EXPECT_THAT([&] { set_declared_defaults(message); }, ThrowsMessage<Error>(HasSubstr("18446744073709551615")));
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include "fiona/async.hpp"
 #include "fiona/call.hpp"
 #include "fiona/control.pb.h"
+#include "fiona/params.hpp"
 #include "fiona/result.hpp"
 
 namespace fiona {
@@ -51,6 +52,8 @@ class Changes {
     control::Value typed;
     if constexpr (std::is_same_v<T, bool>) {
       typed.set_flag(value);
+    } else if constexpr (std::is_integral_v<T> && std::is_unsigned_v<T>) {
+      detail::set_natural(typed, value);
     } else if constexpr (std::is_integral_v<T>) {
       typed.set_integer(static_cast<std::int64_t>(value));
     } else if constexpr (std::is_floating_point_v<T>) {
@@ -86,7 +89,7 @@ class Changes {
 /// host's answer; Rejected, with a sentence, also when the right was not granted; NotActive outside of a main mode;
 /// Cancelled; Timeout, after which the change may still be made if it had begun. The answer to what ends the
 /// component itself (its own `unload`) reaches nobody. A change of its own mode waits for the handlers that hold the
-/// mode, the one that asks among them: ask for it from a coroutine of no handler (`hull().spawn`).
+/// mode, the one that asks among them: ask for it from a coroutine of no handler (`spawn`).
 /// On a virtual clock the deadline does not count, and the change happens at no exact instant.
 class Master {
  public:

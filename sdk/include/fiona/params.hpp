@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -17,6 +18,9 @@ class Component;
 class Hull;
 
 namespace detail {
+
+/// A number that an int64 cannot hold keeps all its digits, as they would be typed.
+void set_natural(control::Value& value, std::uint64_t number);
 
 /// A component's parameters without their type: the current values, the rules, the component's own check.
 class ParamsBase {
@@ -72,7 +76,8 @@ std::vector<control::Argument> differences(const Object& values, const Object& o
 ///     fiona::Params<P> params_{*this, &Self::check, &Self::changed};  // check(draft) throws Error to refuse
 ///     fiona::Params<P> params_{*this, nullptr, &Self::changed};
 ///
-/// Tasks and handlers see one consistent set: a change happens between them, on the strand.
+/// Tasks and handlers see one consistent set: a change happens between them, on the strand. Those of the `load` line
+/// are in place before `on_start`, which reads them; `changed` is called for what is set later.
 template <class M>
 class Params : public detail::ParamsBase {
  public:
