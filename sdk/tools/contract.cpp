@@ -275,9 +275,9 @@ class ContractBench {
     const auto asked = bench_.now();
     const auto answer = bench_.ask_any(port.name(), made(service.object()));
     const std::string what = service.pattern() == fiona::EVENT ? "activation: " : "request: ";
-    if (answer && *answer) {
-      const fiona::ObjectRules rules(*(*answer)->GetDescriptor());
-      if (const auto broken = rules.first_violation(**answer)) return tell(port.name(), "wrong", "answer: " + *broken);
+    constexpr std::string_view kBroken = "the answer was refused: ";
+    if (answer.reason().starts_with(kBroken)) {
+      return tell(port.name(), "wrong", "answer: " + answer.reason().substr(kBroken.size()));
     }
     const bool refused =
         answer.outcome() == fiona::Outcome::Rejected && answer.reason() != "no answer" && bench_.mode() != "failed";

@@ -13,6 +13,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
+#include "fiona/rules.hpp"
 #include "fiona/testing/inline_executor.hpp"
 
 namespace fiona::testing {
@@ -58,13 +59,17 @@ class AnyBench : private HullEvents {
   TimePoint now() const { return clock_.now(); }
 
   /// Hands a message to a required push port or a provided send port, as a wire would; it has been handled when
-  /// this returns.
+  /// this returns. Rejected, and counted as refused, when a field breaks a rule that it declares.
   template <class S>
   Outcome put(std::string_view port, typename S::ObjectType object) {
     return put_any(port, std::make_shared<const typename S::ObjectType>(std::move(object)));
   }
   /// The same of an object that is of the port's type.
   Outcome put_any(std::string_view port, std::shared_ptr<const Object> object) {
+    if (const auto violation = broken_rule(*object)) {
+      find(port).counters().refuse(*violation, clock_.now());
+      return Outcome::Rejected;
+    }
     Envelope envelope{std::move(object), ++sequence_, clock_.now(), 0};
     envelope.bytes = envelope.object->ByteSizeLong();
     const Outcome outcome = inbox(port).push({std::move(envelope), nullptr});
@@ -87,7 +92,8 @@ class AnyBench : private HullEvents {
   /// Why a provided push port has counted as silent since the last call: its lease ran out.
   std::optional<std::string> take_silence(std::string_view port) { return std::exchange(collector(port).silence, {}); }
 
-  /// Asks a provided query port; time runs until it has answered, at most for `deadline`.
+  /// Asks a provided query port; time runs until it has answered, at most for `deadline`; then it is given up. Rejected
+  /// too when a field of the request or the answer breaks a rule that it declares.
   template <QueryService S>
   Result<std::shared_ptr<const typename S::AnswerType>> ask(std::string_view port, typename S::RequestType request,
                                                             Duration deadline = kDefaultDeadline) {
@@ -98,13 +104,23 @@ class AnyBench : private HullEvents {
   /// The same of a request that is of the port's type; of an event port, an activation, whose answer has no object.
   Result<std::shared_ptr<const Object>> ask_any(std::string_view port, std::shared_ptr<const Object> request,
                                                 Duration deadline = kDefaultDeadline) {
+    if (const auto violation = broken_rule(*request)) {
+      const bool is_query = find(port).service().pattern() == QUERY;
+      return {Outcome::Rejected, (is_query ? "the request" : "the activation") + kRefused + *violation};
+    }
     auto reply = std::make_shared<Collected>();
     const Outcome outcome = inbox(port).push({Envelope{std::move(request), ++sequence_, clock_.now(), 0}, reply});
     executor_.help();
     if (outcome != Outcome::Ok) return outcome;
     if (!reply->answered) advance(deadline);
-    if (!reply->answered) return Outcome::Timeout;
+    if (!reply->answered) {
+      reply->abandon();
+      return Outcome::Timeout;
+    }
     if (reply->outcome != Outcome::Ok) return {reply->outcome, reply->reason};
+    if (const auto violation = reply->object ? broken_rule(*reply->object) : std::nullopt) {
+      return {Outcome::Rejected, "the answer" + kRefused + *violation};
+    }
     return reply->object;
   }
 
@@ -122,9 +138,15 @@ class AnyBench : private HullEvents {
     };
   }
 
-  /// Fires an event for each activation of a required event port. Gives how many there are.
+  /// Fires an event for each activation of a required event port. Gives how many there are. Throws Error for an event
+  /// that breaks a rule of its fields.
   template <class S>
   std::size_t fire(std::string_view port, typename S::ResultType event) {
+    if (const auto violation = broken_rule(event)) {
+      throw Error(ErrorCode::Usage, {.what = "the event" + kRefused + *violation,
+                                     .where = std::string(port),
+                                     .next = "fire what the rules of its message allow: they are in its .proto"});
+    }
     auto& activations = collector(port).activations;
     std::erase_if(activations, [](const auto& activation) { return activation->abandoned(); });
     const auto object = std::make_shared<const typename S::ResultType>(std::move(event));
@@ -209,6 +231,12 @@ class AnyBench : private HullEvents {
     collectors_.emplace(port.name(), std::move(sink));
   }
 
+  static inline const std::string kRefused = " was refused: ";
+  std::optional<std::string> broken_rule(const Object& object) {
+    const auto* type = object.GetDescriptor();
+    return rules_.try_emplace(type, *type).first->second.first_violation(object);
+  }
+
   Port& find(std::string_view name) {
     if (Port* port = hull_.find_port(name)) return *port;
     throw Error(ErrorCode::NotFound, "the component has no port '" + std::string(name) + "'");
@@ -254,6 +282,7 @@ class AnyBench : private HullEvents {
   Hull hull_;
   Component* component_ = nullptr;
   std::map<std::string, std::shared_ptr<Collector>> collectors_;
+  std::map<const google::protobuf::Descriptor*, ObjectRules> rules_;
   std::uint64_t sequence_ = 0;
   std::optional<std::pair<int, std::string>> run_end_;
   std::vector<std::string> log_;
