@@ -13,7 +13,8 @@ void Calls::suspend(const std::shared_ptr<Call>& call, std::coroutine_handle<> c
   call->caller = caller;
   waiting_.push_back(call);
   if (within == kNoDeadline) return;
-  call->deadline = clock_.schedule(clock_.now() + within, strand_, [this, call] { finish(call, Outcome::Timeout); });
+  call->deadline =
+      clock_.schedule(saturating_sum(clock_.now(), within), strand_, [this, call] { finish(call, Outcome::Timeout); });
 }
 
 void Calls::finish(const std::shared_ptr<Call>& call, Outcome outcome, std::string reason) {

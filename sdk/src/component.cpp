@@ -1,5 +1,7 @@
 #include "fiona/component.hpp"
 
+#include <utility>
+
 #include "fiona/hull.hpp"
 
 namespace fiona {
@@ -21,6 +23,8 @@ std::filesystem::path Component::resource(std::string_view relative) const {
 void Component::end_run(int exit_code, std::string reason) { hull_.events().run_ended(name(), exit_code, reason); }
 
 void Component::cancel_calls(bool on, std::optional<Pattern> pattern) { hull_.cancel_calls(on, pattern); }
+
+void Component::spawn(Async<> work) { hull_.spawn(std::move(work)); }
 
 void Component::log(LogLevel level, std::string_view text) const { hull_.events().logged(name(), level, text); }
 

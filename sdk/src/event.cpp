@@ -1,5 +1,7 @@
 #include "fiona/event.hpp"
 
+#include <cxxabi.h>
+
 #include <utility>
 #include <vector>
 
@@ -47,17 +49,26 @@ void EventProvider::add(const Parcel& parcel) {
 }
 
 void EventProvider::put_state(const Object& state) {
+  if (hull().has_failed()) return;
   drop_abandoned();
   const TimePoint now = hull().clock().now();
   counters().count(now);
   for (auto it = activations_.begin(); it != activations_.end();) {
     Activation& activation = it->second;
     bool goes_on = true;
+    std::string failure;
     try {
       auto event = test_(*activation.parameters, state);
       if (event) goes_on = fire(activation, std::move(event), now);
     } catch (const std::exception& error) {
-      const std::string reason = std::string("the test of the activation failed: ") + error.what();
+      failure = error.what();
+    } catch (const abi::__forced_unwind&) {  // which nobody may stop
+      throw;
+    } catch (...) {
+      failure = reason_of_exception();
+    }
+    if (!failure.empty()) {
+      const std::string reason = "the test of the activation failed: " + failure;
       hull().events().logged(hull().name(), LogLevel::Warning, full_name() + ": " + reason);
       activation.client->answer(Outcome::Rejected, reason, nullptr);
       goes_on = false;
@@ -183,7 +194,7 @@ Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const O
   const auto call = std::make_shared<Call>();
   const ActivationId id{next_id_++};
   if (const auto refusal = obstacle()) {
-    calls().finish(call, *refusal, connection_reason());
+    calls().finish(call, *refusal, reason_for(*refusal));
   } else if (activations_.size() >= EventProvider::kMaxActivations) {
     calls().finish(call, Outcome::Rejected, "the port has all the activations that it can hold");
   } else if (const auto violation = parameter_rules_.first_violation(*parameters)) {
@@ -196,7 +207,7 @@ Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const O
     made.continuous = continuous;
     made.acknowledgement = call;
     const Outcome outcome = put_to_target(id, made);
-    if (outcome != Outcome::Ok) calls().finish(call, outcome);
+    if (outcome != Outcome::Ok) calls().finish(call, outcome, reason_for(outcome));
   }
   CallAwaiter ended(calls(), call, within);
   const Outcome outcome = co_await ended;
@@ -218,7 +229,7 @@ Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within
     if (activation.fired) activations_.erase(found);
     calls().finish(call, Outcome::Ok);
   } else if (const auto refusal = obstacle()) {
-    calls().finish(call, *refusal, connection_reason());
+    calls().finish(call, *refusal, reason_for(*refusal));
   } else {
     if (const auto earlier = std::exchange(found->second.wait, call)) calls().finish(earlier, Outcome::Cancelled);
   }
@@ -260,6 +271,7 @@ void EventClient::on_acknowledged(ActivationId id, const Channel& from) {
 void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, const std::string& reason) {
   const auto found = activations_.find(id);
   if (found == activations_.end() || found->second.channel.get() != &from) return;
+  if (outcome == Outcome::NotActive && !found->second.acknowledgement) return ask_again(id, found->second.channel);
   const bool refused = outcome != Outcome::Disconnected;
   if (refused || found->second.acknowledgement) {
     if (refused && !found->second.acknowledgement && !found->second.wait) {
@@ -272,6 +284,22 @@ void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, 
   // The provider has gone: the activation stays and is made again at the next one.
   found->second.channel->detach();
   if (const auto wait = std::exchange(found->second.wait, nullptr)) calls().finish(wait, outcome, reason);
+}
+
+void EventClient::make_again(ActivationId id) {
+  const Outcome outcome = put_to_target(id, activations_.at(id));
+  if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) end(id, outcome, "the new provider refused it");
+}
+
+/// The provider that the activation was moved to does not serve the port in its mode. It does not say when it will: so
+/// it is asked.
+void EventClient::ask_again(ActivationId id, const std::shared_ptr<Channel>& refused) {
+  const auto ask = [this, id, refused] {
+    const auto found = activations_.find(id);
+    const bool waits = found != activations_.end() && found->second.channel == refused;
+    if (waits && connection() == Connection::Connected) make_again(id);
+  };
+  hull().clock().schedule(hull().clock().now() + kAskAgain, hull().shared_strand(), ask);
 }
 
 /// Whichever provider it is of: it had arrived before the activation moved to another.
@@ -317,10 +345,7 @@ void EventClient::on_connection(Connection connection) {
       if (!activation.fired) ids.push_back(id);
     }
     for (const ActivationId id : ids) {
-      const auto found = activations_.find(id);
-      if (found == activations_.end()) continue;
-      const Outcome outcome = put_to_target(id, found->second);
-      if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) end(id, outcome, "the new provider refused it");
+      if (activations_.contains(id)) make_again(id);  // what one ends may have ended another
     }
     return;
   }

@@ -79,25 +79,32 @@ void Hull::create(const Factory& factory) {
   for (Task* task : tasks_) task->attach();
 }
 
+void Hull::add(Task& task) {
+  const std::string& name = task.name();
+  require_name("task", name);
+  if (std::any_of(tasks_.begin(), tasks_.end(), [&name](const Task* one) { return one->name() == name; })) {
+    throw Error(ErrorCode::Usage, {.what = "two tasks are named '" + name + "'",
+                                   .where = name_,
+                                   .next = "give each task a name of its own; one that puts has its port's"});
+  }
+  tasks_.push_back(&task);
+}
+
 void Hull::add(Port& port) {
+  require_name("port", port.name());
   require_free_name(port.name());
   ports_.push_back(&port);
 }
 
 void Hull::add(detail::TriggerBase& trigger) {
+  require_name("trigger", trigger.name());
   require_free_name(trigger.name());
   triggers_.push_back(&trigger);
 }
 
 void Hull::add(detail::ProbeBase& probe) {
-  const std::string& name = probe.name();
-  const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '-'; };
-  if (name.empty() || !std::all_of(name.begin(), name.end(), allowed)) {
-    throw Error(
-        ErrorCode::Usage,
-        {.what = "'" + name + "' is no name for a probe", .where = name_, .expected = "letters, digits, '_' and '-'"});
-  }
-  require_free_name(name);
+  require_name("probe", probe.name());
+  require_free_name(probe.name());
   probes_.push_back(&probe);
 }
 
@@ -113,6 +120,15 @@ void Hull::answer(std::uint64_t number, control::Reply reply) {
   strand_->post([this, number, reply = std::move(reply)]() mutable {
     if (master_) master_->take(number, std::move(reply));
   });
+}
+
+/// As it is typed in a line of the console, without quotes, and with dots between the names.
+void Hull::require_name(std::string_view kind, std::string_view name) const {
+  const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '-'; };
+  if (!name.empty() && std::all_of(name.begin(), name.end(), allowed)) return;
+  throw Error(ErrorCode::Usage, {.what = "'" + std::string(name) + "' is no name for a " + std::string(kind),
+                                 .where = name_,
+                                 .expected = "letters, digits, '_' and '-'"});
 }
 
 void Hull::require_free_name(std::string_view name) const {
@@ -225,6 +241,7 @@ void Hull::fail(const std::string& reason) {
     mode_since_ = clock().now();
     reason_ = reason;
   }
+  failed_.store(true, std::memory_order_release);
   active_.store(false, std::memory_order_release);
   // Tasks and timers find the instance not active and fall silent; they are cancelled on the strand.
   strand_->post([this] { leave_activities(kModeFailed); });
@@ -260,7 +277,10 @@ std::optional<std::string> Hull::shut_down(Duration deadline) {
 
 void Hull::destroy_component() {
   strand_->begins(Liveness::mark(kItsStop));
-  if (started_) guarded([this] { component_->on_stop(); });
+  if (const auto failure = started_ ? thrown_by([this] { component_->on_stop(); }) : std::nullopt) {
+    events().logged(name_, LogLevel::Error, "its stop failed: " + *failure);  // or nobody would hear of it
+    fail(*failure);
+  }
   strand_->begins(Liveness::mark(kItsDestructor));
   {
     const std::lock_guard lock(mutex_);
@@ -279,13 +299,18 @@ void Hull::destroy_component() {
 }
 
 void Hull::guarded(const std::function<void()>& work) {
+  if (const auto failure = thrown_by(work)) fail(*failure);
+}
+
+std::optional<std::string> Hull::thrown_by(const std::function<void()>& work) {
   try {
     work();
+    return std::nullopt;
   } catch (const abi::__forced_unwind&) {
     fail(kEndsItsThread);
     keep_thread(name_);
   } catch (...) {
-    fail(detail::reason_of_exception());
+    return detail::reason_of_exception();
   }
 }
 
@@ -299,7 +324,7 @@ Async<> Hull::watched(Async<> work, std::list<Async<>>::iterator* self, Job then
   // A coroutine cannot destroy itself: that is left to the strand's next job.
   strand_->post([this, place, then = std::move(then)]() mutable {
     spawned_.erase(place);
-    then();
+    if (then) then();
   });
 }
 

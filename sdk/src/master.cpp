@@ -1,5 +1,8 @@
 #include "fiona/master.hpp"
 
+#include <algorithm>
+#include <limits>
+
 #include "fiona/component.hpp"
 #include "fiona/hull.hpp"
 
@@ -17,10 +20,12 @@ double to_ms(Duration duration) { return std::chrono::duration<double, std::mill
 
 /// A change of mode gives up a little before its caller does, so that the reason arrives.
 constexpr double kShareOfDeadline = 0.9;
+/// As long as a request can say.
+constexpr double kLongestMs = std::numeric_limits<std::uint32_t>::max();
 
 control::Request transaction_of(const Changes& changes, Duration deadline, bool dry_run) {
   control::Request request;
-  request.set_deadline_ms(static_cast<std::uint32_t>(to_ms(deadline)));
+  request.set_deadline_ms(static_cast<std::uint32_t>(std::min(to_ms(deadline), kLongestMs)));
   request.mutable_transact()->set_dry_run(dry_run);
   for (const auto& change : changes.list()) {
     auto& added = *request.mutable_transact()->add_changes() = change;

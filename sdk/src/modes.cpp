@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <future>
 #include <set>
+#include <utility>
 
 #include "fiona/component.hpp"
 #include "fiona/hull.hpp"
@@ -30,7 +31,15 @@ Modes::Modes(Component& owner, std::initializer_list<MainMode> modes) {
 
 // ---- the machine ----------------------------------------------------------------------------------------------
 
-void Hull::declare(std::vector<MainMode> modes) { modes_ = std::move(modes); }
+void Hull::declare(std::vector<MainMode> modes) {
+  if (std::exchange(declares_modes_, true)) {
+    throw Error(ErrorCode::Usage, {.what = "a component has one list of main modes",
+                                   .where = name_,
+                                   .next = "name the modes of both in one member of fiona::Modes"});
+  }
+  for (const MainMode& mode : modes) require_name("mode", mode.name);
+  modes_ = std::move(modes);
+}
 
 std::vector<std::string> Hull::main_modes() const {
   std::vector<std::string> names;
@@ -115,7 +124,8 @@ void Hull::change_mode(std::string_view mode, Duration deadline, ModeDone done) 
   const auto change = std::make_shared<ModeChange>(ModeChange{std::string(mode), std::move(done), 0});
   strand_->post([this, change, deadline] {
     changes_.push_back(change);
-    change->deadline = clock().schedule(clock().now() + deadline, strand_, [this, change] { withdraw(change); });
+    change->deadline =
+        clock().schedule(saturating_sum(clock().now(), deadline), strand_, [this, change] { withdraw(change); });
     if (change->to == kModeDeactivated) cancel_for_deactivation();
     advance_changes();
   });

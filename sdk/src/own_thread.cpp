@@ -38,7 +38,8 @@ bool OwnThread::post(Job job) const {
 
 bool OwnThread::wait_for(Duration duration) const {
   std::unique_lock lock(shared_->mutex);
-  shared_->changed.wait_for(lock, stop_, duration, [] { return false; });
+  shared_->changed.wait_until(lock, stop_, saturating_sum(std::chrono::steady_clock::now(), duration),
+                              [] { return false; });
   return !stop_requested();
 }
 

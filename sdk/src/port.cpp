@@ -83,6 +83,10 @@ void RequiredPort::enter(Connection connection, std::string reason, std::string 
   });
 }
 
+std::string RequiredPort::reason_for(Outcome outcome) const {
+  return outcome == Outcome::Unwired || outcome == Outcome::Disconnected ? connection_reason() : "";
+}
+
 std::string RequiredPort::connection_reason() const {
   const std::lock_guard lock(mutex_);
   return reason_;

@@ -152,7 +152,7 @@ bool PushProvider::refuses(const Object& object) {
 }
 
 Outcome PushProvider::put_checked(std::shared_ptr<const Object> object, TimePoint origin) {
-  if (!started_) return Outcome::NotActive;
+  if (!started_ || hull().has_failed()) return Outcome::NotActive;
   Envelope envelope{std::move(object), 0, origin, 0};
   envelope.bytes = envelope.object->ByteSizeLong();
   std::shared_ptr<const Sinks> sinks;
@@ -244,7 +244,7 @@ void PushClient::on_inactive() { inbox_.leave_mode(); }
 Async<Result<Envelope>> PushClient::next(Duration within) {
   const auto call = std::make_shared<NextCall>();
   if (const auto refusal = obstacle()) {
-    calls().finish(call, *refusal, connection_reason());
+    calls().finish(call, *refusal, reason_for(*refusal));
   } else {
     // The call is kept by who waits, and by nobody else: one that has ended leaves nothing behind.
     inbox_.on_next(call, [this, waiting = std::weak_ptr(call)](const Envelope& envelope) {

@@ -68,7 +68,7 @@ Outcome QueryClient::put_to_target(QueryId id, Open& open) {
 }
 
 Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration within) {
-  if (const auto outcome = obstacle()) return {*outcome, connection_reason()};
+  if (const auto outcome = obstacle()) return {*outcome, reason_for(*outcome)};
   if (open_.size() >= kMaxOpen) {
     return {Outcome::Rejected, "too many requests are open: receive or discard their answers"};
   }
@@ -82,13 +82,18 @@ Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration
   const Outcome outcome = put_to_target(id, open);
   if (outcome == Outcome::Ok) {
     Clock& clock = hull().clock();
-    open.deadline = clock.schedule(clock.now() + within, hull().shared_strand(), [this, id] {
+    open.deadline = clock.schedule(saturating_sum(clock.now(), within), hull().shared_strand(), [this, id] {
       if (open_.contains(id)) end_unanswered(id, Answer{Outcome::Timeout, {}, nullptr});
     });
     return id;
   }
   open_.erase(id);
-  return {outcome, outcome == Outcome::Rejected ? "the queue to the provider is full" : connection_reason()};
+  return {outcome, reason_of(outcome)};
+}
+
+/// Why a request could not be put.
+std::string QueryClient::reason_of(Outcome put) const {
+  return put == Outcome::Rejected ? "the queue to the provider is full" : reason_for(put);
 }
 
 Async<QueryClient::Answer> QueryClient::answer_to(QueryId id, Duration within) {
@@ -165,11 +170,11 @@ void QueryClient::end(QueryId id, Answer answer) {
   if (open.call) calls().finish(open.call, Outcome::Ok);
 }
 
-void QueryClient::end_all(Outcome outcome) {
+void QueryClient::end_all(const std::string& reason) {
   std::vector<QueryId> ids;
   for (const auto& [id, open] : open_) ids.push_back(id);
   for (const QueryId id : ids) {
-    if (open_.contains(id)) end_unanswered(id, Answer{outcome, connection_reason(), nullptr});
+    if (open_.contains(id)) end_unanswered(id, Answer{Outcome::Disconnected, reason, nullptr});
   }
 }
 
@@ -184,7 +189,7 @@ void QueryClient::redirect() {
     if (found == open_.end()) continue;
     found->second.reply->abandon();
     const Outcome outcome = put_to_target(id, found->second);
-    if (outcome != Outcome::Ok) end(id, Answer{outcome, connection_reason(), nullptr});
+    if (outcome != Outcome::Ok) end(id, Answer{outcome, reason_of(outcome), nullptr});
   }
 }
 
@@ -192,7 +197,8 @@ void QueryClient::on_connection(Connection connection) {
   if (connection == Connection::Waiting) return;
   const bool rewired = std::exchange(was_connected_, connection == Connection::Connected) && was_connected_;
   if (rewired && at_rewire_ == AtRewire::Redirect) return redirect();
-  if (!was_connected_ || (rewired && at_rewire_ == AtRewire::Fail)) end_all(Outcome::Disconnected);
+  if (!was_connected_) return end_all(connection_reason());
+  if (rewired && at_rewire_ == AtRewire::Fail) end_all("the port was wired to another provider");
 }
 
 }  // namespace fiona::detail

@@ -20,6 +20,7 @@ Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::sha
 }
 
 Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
+  if (calls_are_cancelled()) return Outcome::Cancelled;
   if (!is_active()) return Outcome::NotActive;
   return put_to_target(std::move(object), nullptr);
 }
@@ -60,7 +61,7 @@ class SendClient::Receipt final : public ReplySink, public std::enable_shared_fr
 Async<Result<Acknowledged>> SendClient::send_and_wait(std::shared_ptr<const Object> object, Duration within) {
   const auto call = std::make_shared<Call>();
   if (const auto refusal = obstacle()) {
-    calls().finish(call, *refusal, connection_reason());
+    calls().finish(call, *refusal, reason_for(*refusal));
   } else {
     const Outcome put = put_to_target(std::move(object), std::make_shared<Receipt>(*this, call, sequence_ + 1));
     if (put != Outcome::Ok) calls().finish(call, put);

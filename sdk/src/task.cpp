@@ -43,7 +43,7 @@ Task::Task(Component& owner, std::string_view name, When when, Work work, std::s
     throw Error(ErrorCode::Usage,
                 {.what = "task '" + name_ + "' is to start at each 0th arrival", .expected = "1 or more"});
   }
-  hull_.tasks_.push_back(this);
+  hull_.add(*this);
 }
 
 Task::~Task() {
@@ -235,19 +235,26 @@ void Task::ask_to_stop() {
 
 // ---- timers ---------------------------------------------------------------------------------------------------
 
-Timer::Timer(Component& owner, std::function<void()> work) : hull_(owner.hull()), work_(std::move(work)) {
+Timer::Timer(Component& owner, std::function<void()> work)
+    : hull_(owner.hull()), state_(std::make_shared<State>(State{std::move(work)})) {
   hull_.timers_.insert(this);
+}
+
+Timer::~Timer() {
+  cancel();
+  hull_.timers_.erase(this);
 }
 
 void Timer::at(TimePoint time) {
   cancel();
-  timer_ = hull_.clock().schedule(time, hull_.shared_strand(), [this, setting = setting_] {
-    if (setting == setting_) hull_.guarded(work_);
-  });
+  const auto work = [&hull = hull_, state = state_, setting = state_->setting] {
+    if (setting == state->setting && hull.is_active()) hull.guarded(state->work);
+  };
+  timer_ = hull_.clock().schedule(time, hull_.shared_strand(), work);
 }
 
 void Timer::cancel() {
-  ++setting_;
+  ++state_->setting;
   hull_.clock().cancel(timer_);
 }
 

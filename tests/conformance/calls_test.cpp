@@ -209,6 +209,7 @@ TEST_P(Calls, ThatWaitEndCancelledByEachOfTheThreeFlagsAndSoDoNewOnesUntilItIsTa
       EXPECT_EQ(outcome(), Outcome::Cancelled) << call << ", " << flag;
       EXPECT_EQ(outcome_of(call), Outcome::Cancelled) << "a new " << call << ", " << flag;
       EXPECT_EQ(outcome_of("send_acknowledged"), Outcome::Cancelled) << flag;
+      EXPECT_EQ(outcome_of("send"), Outcome::Cancelled) << flag;
       system.set("caller", "cancel=none");
     }
     EXPECT_EQ(outcome_of("query", "manner=promptly"), Outcome::Ok) << flag;
@@ -276,7 +277,9 @@ TEST_P(Calls, OpenQueryOfAPortThatSaysSoEndsDisconnectedWhenItIsRewired) {
   system.load_provider("answerer", "second");
   begin("query_or_fail", "manner=never");
   system.wire("caller.failing_echo", "second.echo");
-  EXPECT_EQ(outcome(), Outcome::Disconnected);
+  const SeenSample ended = end();
+  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Disconnected);
+  EXPECT_EQ(ended.payload(), "the port was wired to another provider");
   EXPECT_EQ(outcome_of("query_or_fail", "manner=promptly"), Outcome::Ok);
 }
 
@@ -519,6 +522,24 @@ TEST_P(Event, ActivationMovesToTheNewProvider) {
   system.state("source", "neutral");
   const auto so_far = system.port("caller.rings").messages();
   system.eventually("events of the new provider", [&] { return system.port("caller.rings").messages() > so_far + 5; });
+}
+
+TEST_P(Event, ActivationThatMovedToAProviderThatIsNotActiveIsMadeAgainOnceItIs) {
+  wire_all();
+  system.load_provider("source", "second", "neutral period_ms=1");
+  system.state("source", "active");
+  const auto rings = system.watch("caller.rings");
+  ASSERT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
+  system.wait_for(rings, [](const auto& one) { return one.number() == 1; });
+  ASSERT_EQ(outcome_of("activate", "every=1"), Outcome::Ok);
+  system.wire("caller.handled_bell", "second.bell");
+  system.wire("caller.bell", "second.bell");
+  system.eventually("both are refused", [&] { return system.read("second.bell.not_active").value() >= 2; });
+  system.state("source", "neutral");
+  const auto so_far = system.port("caller.rings").messages();
+  system.state("second", "active");
+  system.eventually("events of the new provider", [&] { return system.port("caller.rings").messages() > so_far + 5; });
+  EXPECT_EQ(outcome_of("event"), Outcome::Ok);
 }
 
 /// Events that have arrived, and wait for a handler that is busy.

@@ -255,6 +255,36 @@ TEST_F(FreeRunningTask, WorksBesideTheStrandAndPostsToIt) {
   EXPECT_EQ(known.get(), std::pair(true, true));
 }
 
+TEST_F(FreeRunningTask, WaitsWithoutEndUntilItIsAskedToStop) {
+  std::atomic<int> turns{0};
+  const auto life = make([&](const OwnThread& own) {
+    ++turns;
+    own.wait_for(Duration::max());
+  });
+  hull->set_mode("reads", kLimit);
+  until([&] { return turns > 0; });
+  std::this_thread::sleep_for(20ms);
+  hull->set_mode("looks", kLimit);
+  EXPECT_EQ(turns, 1);
+}
+
+TEST_F(FreeRunningTask, AwaitsACoroutineThatGivesNothing) {
+  std::promise<std::pair<bool, bool>> ended;
+  const auto life = make([&](const OwnThread& own) {
+    bool was_there = false;
+    const bool done = own.await([this, &was_there]() -> Async<> {
+      static_cast<void>(co_await reader->slot.wait_update(5ms));
+      was_there = hull->strand().is_current();
+    });
+    ended.set_value({done, was_there});
+    until_asked(own);
+  });
+  hull->set_mode("reads", kLimit);
+  auto known = ended.get_future();
+  ASSERT_EQ(known.wait_for(kLimit), std::future_status::ready);
+  EXPECT_EQ(known.get(), std::pair(true, true));
+}
+
 TEST_F(FreeRunningTask, IsCalledAgainAndAgainAndItsFollowerRunsBehindIt) {
   std::atomic<int> turns{0};
   const auto life = make([&](const OwnThread&) { ++turns; });

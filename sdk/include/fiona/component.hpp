@@ -5,6 +5,7 @@
 #include <string>
 #include <string_view>
 
+#include "fiona/async.hpp"
 #include "fiona/error.hpp"
 #include "fiona/event.hpp"
 #include "fiona/master.hpp"
@@ -43,11 +44,12 @@ class Component {
   Component(const Component&) = delete;
   Component& operator=(const Component&) = delete;
 
-  /// [strand] Opens files and devices; throw Error to refuse, and the instance is `failed` with its text.
+  /// [strand] Opens files and devices; throw Error to refuse: the load fails with its text, and there is no instance
+  /// afterwards.
   virtual void on_start() {}
   /// [strand] Called once before destruction if `on_start` succeeded. Must not wait.
   virtual void on_stop() {}
-  /// [strand] A main mode has been entered, or neutral.
+  /// [strand] This mode has been entered: a main mode, `neutral` or `deactivated`.
   virtual void on_mode(std::string_view /*mode*/) {}
 
   /// [any thread] The instance's name.
@@ -64,6 +66,9 @@ class Component {
   std::filesystem::path resource(std::string_view relative) const;
   /// [any thread] Ends the run of the whole system: a headless `fiona run` exits with `exit_code`.
   void end_run(int exit_code, std::string reason);
+  /// [strand] Starts a coroutine of no handler: it waits, as for an answer, and holds no activity. What it throws fails
+  /// the instance; it is destroyed with the instance if it has not ended by then.
+  void spawn(Async<> work);
   /// [strand] While on, every call of this component that waits or is made, of all its ports or of those of one
   /// pattern, ends with Cancelled.
   void cancel_calls(bool on = true, std::optional<Pattern> pattern = std::nullopt);

@@ -71,12 +71,14 @@ class EventProvider : public ProvidedPort {
 };
 
 /// The client's side. Activations belong to the port: they move with it from provider to provider, and are made
-/// again when a provider is back, until they are given up, have fired (single), or are refused.
+/// again when a provider is back, or is active again, until they are given up, have fired (single), or are refused.
 class EventClient : public RequiredPort {
  public:
   using Handler = std::function<std::optional<Async<>>(ActivationId, const Envelope&)>;
   /// Bytes of events that may wait for `wait`, unless a single one is larger.
   static constexpr std::size_t kMaxBytes = 4 * 1024 * 1024;
+  /// A provider that is not active is asked again so often.
+  static constexpr Duration kAskAgain = std::chrono::milliseconds(500);
 
   EventClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options,
               Handler handler);
@@ -108,6 +110,8 @@ class EventClient : public RequiredPort {
   std::optional<Async<>> on_event(const Parcel& parcel);
   void on_acknowledged(ActivationId id, const Channel& from);
   void on_end(ActivationId id, const Channel& from, Outcome outcome, const std::string& reason);
+  void make_again(ActivationId id);
+  void ask_again(ActivationId id, const std::shared_ptr<Channel>& refused);
   void keep(Activation& activation, const Envelope& event);
   void end(ActivationId id, Outcome outcome, const std::string& reason);
 
@@ -121,12 +125,18 @@ class EventClient : public RequiredPort {
   Inbox inbox_;
 };
 
-/// `void f(const Fired<T>&)`, or the same as Async<> of the object alone.
-template <class C, class T>
-EventClient::Handler event_handler(C& owner, void (C::*handler)(const Fired<T>&)) {
+/// `void f(const Fired<T>&)` or `Async<> f(const T&)`; each may be const.
+template <class T, class C, class H>
+EventClient::Handler event_handler(C& owner, H handler) {
   return [&owner, handler](ActivationId id, const Envelope& event) -> std::optional<Async<>> {
-    (owner.*handler)(Fired<T>{id, std::static_pointer_cast<const T>(event.object), event.sequence, event.origin});
-    return std::nullopt;
+    if constexpr (std::is_invocable_r_v<Async<>, H, C&, const T&>) {
+      return (owner.*handler)(static_cast<const T&>(*event.object));
+    } else {
+      static_assert(std::is_void_v<std::invoke_result_t<H, C&, const Fired<T>&>>,
+                    "a coroutine takes the object itself: a Fired would not outlive the call");
+      (owner.*handler)(Fired<T>{id, std::static_pointer_cast<const T>(event.object), event.sequence, event.origin});
+      return std::nullopt;
+    }
   };
 }
 
@@ -159,6 +169,7 @@ class Provides<S> : public detail::EventProvider {
                       }) {}
 
   /// [strand] Puts the state to the test of each activation, the oldest first; those that fire tell their clients.
+  /// Nothing comes of it once the instance has failed.
   void put(const StateType& state) { put_state(state); }
 };
 
@@ -173,9 +184,10 @@ class Requires<S> : public detail::EventClient {
   template <class C>
   Requires(C& owner, std::string_view name, PortOptions options = {})
       : EventClient(owner, name, S::info(), options, nullptr) {}
-  template <class C>
-  Requires(C& owner, std::string_view name, void (C::*handler)(const Fired<ResultType>&), PortOptions options = {})
-      : EventClient(owner, name, S::info(), options, detail::event_handler<C, ResultType>(owner, handler)) {}
+  template <class C, class H>
+  requires std::is_member_function_pointer_v<H> Requires(C& owner, std::string_view name, H handler,
+                                                         PortOptions options = {})
+      : EventClient(owner, name, S::info(), options, detail::event_handler<ResultType>(owner, handler)) {}
 
   /// [strand] Ends when the provider has taken the activation; if it has not by the deadline there is none.
   Async<Result<ActivationId>> activate(EventMode mode, ActivationType parameters,

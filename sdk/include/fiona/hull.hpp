@@ -117,6 +117,8 @@ class Hull {
   /// [any thread] When it entered its mode, on its clock.
   TimePoint mode_since() const;
   bool is_active() const { return active_.load(std::memory_order_acquire); }
+  /// [any thread] It takes part in nothing any more.
+  bool has_failed() const { return failed_.load(std::memory_order_acquire); }
   std::vector<std::string> main_modes() const;
   const std::vector<MainMode>& modes() const { return modes_; }
   /// [any thread] Whether `mode` is a main mode that has the activity; empty: any main mode.
@@ -170,7 +172,7 @@ class Hull {
 
   /// [strand] Starts `work`; `then` runs on the strand when it has ended, as a job of its own. The hull owns it, and
   /// destroys it with the instance if it never ends. What it throws fails the instance.
-  void spawn(Async<> work, Job then);
+  void spawn(Async<> work, Job then = {});
   /// [strand] While on, the calls of all ports, or of those of a pattern, end with Cancelled.
   void cancel_calls(bool on, std::optional<Pattern> pattern = std::nullopt);
   bool calls_are_cancelled(Pattern pattern) const { return deactivated_ || cancelled_.contains(pattern); }
@@ -220,7 +222,10 @@ class Hull {
   void add(detail::TriggerBase& trigger);
   void add(detail::ProbeBase& probe);
   void add(Master& master);
+  void add(Task& task);
+  void require_name(std::string_view kind, std::string_view name) const;
   void require_free_name(std::string_view name) const;
+  std::optional<std::string> thrown_by(const std::function<void()>& work);
   TapPoint tap_point(std::string_view name) const;
   std::vector<std::string> tappable_names() const;
   void end_taps();
@@ -265,6 +270,7 @@ class Hull {
   std::map<std::uint64_t, Held> held_;  ///< by age
   std::uint64_t next_hold_ = 1;
   std::vector<MainMode> modes_{{std::string(kModeActive), {}}};  ///< fixed once the component has been made
+  bool declares_modes_ = false;
   std::unique_ptr<Component> component_;
   bool started_ = false;
 
@@ -275,6 +281,7 @@ class Hull {
   std::optional<PendingChange> pending_;
   std::optional<ErrorText> refusal_;  ///< what on_start threw, kept whole for whoever asked for the mode
   std::atomic<bool> active_{false};
+  std::atomic<bool> failed_{false};
 };
 
 inline ActivityHold::~ActivityHold() {

@@ -68,8 +68,9 @@ class Inbox {
   /// [strand] Handles at most `limit` parcels.
   void drain(std::size_t limit);
 
+  bool has_handler() const { return static_cast<bool>(handler_); }
   /// Whether each message reaches a handler: a push that waits for room waits for such as this.
-  bool receives_each() const { return handler_ && delivery_ == Delivery::Each; }
+  bool receives_each() const { return has_handler() && delivery_ == Delivery::Each; }
   /// What a message of so many bytes takes of the room.
   static constexpr std::size_t cost_of(std::size_t bytes) { return bytes + kMessageOverhead; }
   using OnRoom = std::function<void(std::size_t room)>;

@@ -35,7 +35,8 @@ struct MainMode {
 /// holds its activity like a read lock: a mode is left when what it leaves is free, and what both modes share goes on.
 class Modes {
  public:
-  /// Throws Error Usage for a name that is reserved or given twice.
+  /// Throws Error Usage for a name that is reserved, given twice, or not of letters, digits, '_' and '-'; and where the
+  /// component has such a member already.
   Modes(Component& owner, std::initializer_list<MainMode> modes);
   Modes(const Modes&) = delete;
   Modes& operator=(const Modes&) = delete;

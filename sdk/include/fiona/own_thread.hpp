@@ -40,7 +40,8 @@ class OwnThread {
   /// Waits for so long. False as soon as the task is to stop.
   bool wait_for(Duration duration) const;
   /// Makes a call of a port on the strand and waits for its end: `own.await([this] { return scans_.wait_update(1s);
-  /// })`. Nothing once the task is to stop; the call then goes on to its own end without it.
+  /// })`. Nothing once the task is to stop; the call then goes on to its own end without it. Of an Async<> without a
+  /// value: whether it has ended.
   template <class F>
   auto await(F call) const {
     return await_value(std::function(std::move(call)));
@@ -62,6 +63,13 @@ class OwnThread {
     const auto value = std::make_shared<std::optional<T>>();
     if (!await_end([call = std::move(call), value] { return keep<T>(call, value); })) return std::nullopt;
     return std::move(*value);
+  }
+  static Async<> keep(std::function<Async<>()> call) {
+    const Async<> work = call();
+    co_await work;
+  }
+  bool await_value(std::function<Async<>()> call) const {
+    return await_end([call = std::move(call)] { return keep(call); });
   }
   bool await_end(std::function<Async<>()> work) const;
 

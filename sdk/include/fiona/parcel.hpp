@@ -37,8 +37,12 @@ class ReplySink {
     on_abandon_ = std::move(notice);
     in_turn_ = in_turn;
   }
+  /// [strand of the provider] While its handler runs: if that throws, who called the handler answers.
+  void set_in_handler(bool in_handler) { in_handler_.store(in_handler, std::memory_order_relaxed); }
+  bool in_handler() const { return in_handler_.load(std::memory_order_relaxed); }
 
  private:
+  std::atomic<bool> in_handler_{false};
   std::atomic<bool> given_up_{false};
   std::atomic<bool> abandoned_{false};
   std::function<void()> on_abandon_;

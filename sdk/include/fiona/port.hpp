@@ -146,6 +146,8 @@ class RequiredPort : public Port {
   void repeat_last();
   /// [strand] Why a call cannot be made now, if so.
   std::optional<Outcome> obstacle() const;
+  /// [any thread] What there is to say of an outcome that comes from the connection; of another, nothing.
+  std::string reason_for(Outcome outcome) const;
 
  private:
   friend class WireEnd;

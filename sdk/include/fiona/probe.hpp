@@ -132,7 +132,7 @@ requires google::protobuf::is_proto_enum<T>::value struct ProbeValue<T> {
 }  // namespace detail
 
 /// A value that a component shows to whoever wants to see it (patterns.md, Monitoring): a number, a flag, a text, an
-/// enumerator or a message.
+/// enumerator or a message. A whole number beyond what 63 bits hold is shown as the largest that they do.
 ///
 ///     fiona::Probe<double> spread_{*this, "spread", {.unit = "m", .doc = "standard deviation of the position"}};
 ///     spread_.set(1.5);                                     // watch nav.spread when above 3

@@ -114,6 +114,7 @@ class PushClient : public RequiredPort {
 
  protected:
   std::optional<Inbox::Newest> newest() { return inbox_.newest(); }
+  bool has_handler() const { return inbox_.has_handler(); }
   void on_entering(Connection connection) override;
   void on_connection(Connection connection) override;
   void on_active() override;
@@ -129,25 +130,23 @@ class PushClient : public RequiredPort {
   Inbox inbox_;
 };
 
-/// What a push handler may look like: `void f(const T&)`, `void f(const Received<T>&)`, or the same as Async<>.
-template <class C, class T, class R, class A>
-Inbox::Handler push_handler(C& owner, R (C::*handler)(A)) {
-  static_assert(std::is_void_v<R> || std::is_same_v<R, Async<>>, "a handler returns void or fiona::Async<>");
+/// What a push handler may look like: `void f(const T&)`, `Async<> f(const T&)` or `void f(const Received<T>&)`; each
+/// may be const.
+template <class T, class C, class H>
+Inbox::Handler push_handler(C& owner, H handler) {
   return [&owner, handler](const Parcel& parcel) -> std::optional<Async<>> {
-    const auto invoke = [&](const auto& argument) -> std::optional<Async<>> {
-      if constexpr (std::is_void_v<R>) {
-        (owner.*handler)(argument);
-        return std::nullopt;
-      } else {
-        return (owner.*handler)(argument);
-      }
-    };
-    if constexpr (std::is_same_v<std::remove_cvref_t<A>, Received<T>>) {
-      static_assert(std::is_void_v<R>, "a coroutine takes the object itself: a Received would not outlive the call");
-      return invoke(received<T>(parcel.envelope));
+    if constexpr (std::is_invocable_v<H, C&, const T&>) {
+      const auto& object = static_cast<const T&>(*parcel.envelope.object);
+      using R = std::invoke_result_t<H, C&, const T&>;
+      static_assert(std::is_void_v<R> || std::is_same_v<R, Async<>>, "a handler returns void or fiona::Async<>");
+      if constexpr (!std::is_void_v<R>) return (owner.*handler)(object);
+      if constexpr (std::is_void_v<R>) (owner.*handler)(object);
     } else {
-      return invoke(static_cast<const T&>(*parcel.envelope.object));
+      static_assert(std::is_void_v<std::invoke_result_t<H, C&, const Received<T>&>>,
+                    "a coroutine takes the object itself: a Received would not outlive the call");
+      (owner.*handler)(received<T>(parcel.envelope));
     }
+    return std::nullopt;
   };
 }
 
@@ -182,7 +181,8 @@ class Provides<S> : public detail::PushProvider {
 
   /// [strand] Gives the message to every subscriber, in order, without copying it; it is immutable from here on.
   /// `origin`: when what it says was true, where that is not now. Ok, whoever is wired or not; Rejected when a field
-  /// breaks a rule that it declares (counted as refused); NotActive between `stop` and `start`.
+  /// breaks a rule that it declares (counted as refused); NotActive between `stop` and `start`, and of an instance that
+  /// has failed.
   Outcome put(std::shared_ptr<const ObjectType> object) { return put_object(std::move(object), owner_now(*this)); }
   Outcome put(std::shared_ptr<const ObjectType> object, TimePoint origin) {
     return put_object(std::move(object), origin);
@@ -212,6 +212,9 @@ class Provides<S> : public detail::PushProvider {
   Outcome put(ObjectType object, TimePoint origin) {
     return put(std::make_shared<const ObjectType>(std::move(object)), origin);
   }
+  Async<Outcome> put(ObjectType object, TimePoint origin, Duration within) {
+    return put(std::make_shared<const ObjectType>(std::move(object)), origin, within);
+  }
 
  private:
   MessagePool<ObjectType> pool_;
@@ -229,14 +232,16 @@ class Requires<S> : public detail::PushClient {
   Requires(C& owner, std::string_view name, PortOptions options = {})
       : PushClient(owner, name, S::info(), newest_only(options), nullptr) {}
 
-  template <class C, class R, class A>
-  Requires(C& owner, std::string_view name, R (C::*handler)(A), PortOptions options = {})
-      : PushClient(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
+  template <class C, class H>
+  requires std::is_member_function_pointer_v<H> Requires(C& owner, std::string_view name, H handler,
+                                                         PortOptions options = {})
+      : PushClient(owner, name, S::info(), options, detail::push_handler<ObjectType>(owner, handler)) {}
 
   /// [strand] The newest value since it was wired, however often it is asked. Fails with NoData (also when it is older
-  /// than the port's `max_age`), Unwired, Disconnected or NotActive: an old value never passes for a fresh one. Only
-  /// for a port without handler.
+  /// than the port's `max_age`), Unwired, Disconnected or NotActive: an old value never passes for a fresh one.
+  /// Rejected where the port has a handler, which gets them.
   Result<Received<ObjectType>> latest() {
+    if (has_handler()) return {Outcome::Rejected, "the port has a handler: what arrives goes there"};
     const auto slot = newest();
     const auto outcome = obstacle();
     if (outcome && *outcome != Outcome::Cancelled) return *outcome;  // it does not wait: there is nothing to cancel

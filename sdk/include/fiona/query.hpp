@@ -6,6 +6,8 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <type_traits>
+#include <utility>
 
 #include "fiona/error.hpp"
 #include "fiona/port.hpp"
@@ -54,7 +56,8 @@ class QueryClient : public RequiredPort {
   void on_answer(QueryId id, const Reply& from, Answer answer);
   void end(QueryId id, Answer answer);
   void end_unanswered(QueryId id, Answer answer);
-  void end_all(Outcome outcome);
+  void end_all(const std::string& reason);
+  std::string reason_of(Outcome put) const;
   void redirect();
 
   const AtRewire at_rewire_;
@@ -91,7 +94,10 @@ class Reply {
     return *this;
   }
   ~Reply() {
-    if (sink_) sink_->answer(Outcome::Rejected, std::uncaught_exceptions() > 0 ? kFailed : "no answer", nullptr);
+    const bool throws = std::uncaught_exceptions() > 0;
+    if (sink_ && !(throws && sink_->in_handler())) {
+      sink_->answer(Outcome::Rejected, throws ? kFailed : "no answer", nullptr);
+    }
   }
 
   /// [any thread] Ends the request with this answer.
@@ -125,30 +131,46 @@ Async<> answer_later(Async<A> work, Reply<A> reply) {
   }
 }
 
-/// `A f(const Q&)`, `Async<A> f(const Q&)` or `void f(const Q&, Reply<A>)`.
-template <class C, class Q, class A, class R>
-Inbox::Handler query_handler(C& owner, R (C::*handler)(const Q&)) {
+/// A handler that takes a Reply, which it may have dropped, used or kept when it throws.
+template <class A, class F>
+void reply_by(const F& handler, const std::shared_ptr<ReplySink>& sink) {
+  sink->set_in_handler(true);
+  try {
+    handler(Reply<A>(sink));
+  } catch (const Error& error) {
+    return sink->answer(Outcome::Rejected, error.what(), nullptr);
+  } catch (...) {
+    sink->answer(Outcome::Rejected, Reply<A>::kFailed, nullptr);
+    throw;
+  }
+  sink->set_in_handler(false);
+}
+
+/// `A f(const Q&)`, `Async<A> f(const Q&)` or `void f(const Q&, Reply<A>)`; each may be const.
+template <class Q, class A, class C, class H>
+Inbox::Handler query_handler(C& owner, H handler) {
   return [&owner, handler](const Parcel& parcel) -> std::optional<Async<>> {
     const auto& request = static_cast<const Q&>(*parcel.envelope.object);
-    Reply<A> reply(parcel.reply);
-    if constexpr (std::is_same_v<R, A>) {
-      try {
-        reply.answer((owner.*handler)(request));
-      } catch (const Error& error) {
-        reply.reject(error.what());
-      }
+    if constexpr (std::is_invocable_v<H, C&, const Q&, Reply<A>>) {
+      static_assert(std::is_void_v<std::invoke_result_t<H, C&, const Q&, Reply<A>>>,
+                    "a query handler that takes a fiona::Reply returns void");
+      reply_by<A>([&](Reply<A> reply) { (owner.*handler)(request, std::move(reply)); }, parcel.reply);
       return std::nullopt;
     } else {
-      static_assert(std::is_same_v<R, Async<A>>, "a query handler returns the answer or fiona::Async of it");
-      return answer_later<A>((owner.*handler)(request), std::move(reply));
+      using R = std::invoke_result_t<H, C&, const Q&>;
+      Reply<A> reply(parcel.reply);
+      if constexpr (std::is_same_v<R, A>) {
+        try {
+          reply.answer((owner.*handler)(request));
+        } catch (const Error& error) {
+          reply.reject(error.what());
+        }
+        return std::nullopt;
+      } else {
+        static_assert(std::is_same_v<R, Async<A>>, "a query handler returns the answer or fiona::Async of it");
+        return answer_later<A>((owner.*handler)(request), std::move(reply));
+      }
     }
-  };
-}
-template <class C, class Q, class A>
-Inbox::Handler query_handler(C& owner, void (C::*handler)(const Q&, Reply<A>)) {
-  return [&owner, handler](const Parcel& parcel) -> std::optional<Async<>> {
-    (owner.*handler)(static_cast<const Q&>(*parcel.envelope.object), Reply<A>(parcel.reply));
-    return std::nullopt;
   };
 }
 
@@ -165,8 +187,8 @@ class Provides<S> : public detail::QueryProvider {
 
   template <class C, class H>
   Provides(C& owner, std::string_view name, H handler, PortOptions options = {})
-      : QueryProvider(owner, name, S::info(), options,
-                      detail::query_handler<C, RequestType, AnswerType>(owner, handler)) {}
+      : QueryProvider(owner, name, S::info(), options, detail::query_handler<RequestType, AnswerType>(owner, handler)) {
+  }
 };
 
 /// Asks: `auto route = co_await routes_.query(request, 500ms);`

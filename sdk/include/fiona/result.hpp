@@ -37,7 +37,7 @@ class [[nodiscard]] Result {
   bool ok() const { return value_.has_value(); }
   explicit operator bool() const { return ok(); }
   Outcome outcome() const { return outcome_; }
-  /// Why, where the provider said so; empty otherwise.
+  /// Why, where the provider or the hull said so, or of the connection that it comes from; empty otherwise.
   const std::string& reason() const { return reason_; }
 
   const T& value() const { return assert(ok()), *value_; }

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <string_view>
+#include <type_traits>
 
 #include "fiona/port.hpp"
 #include "fiona/provides.hpp"
@@ -55,9 +56,10 @@ class Provides<S> : public detail::SendProvider {
  public:
   using ObjectType = typename S::ObjectType;
 
-  template <class C, class R, class A>
-  Provides(C& owner, std::string_view name, R (C::*handler)(A), PortOptions options = {})
-      : SendProvider(owner, name, S::info(), options, detail::push_handler<C, ObjectType>(owner, handler)) {}
+  template <class C, class H>
+  requires std::is_member_function_pointer_v<H> Provides(C& owner, std::string_view name, H handler,
+                                                         PortOptions options = {})
+      : SendProvider(owner, name, S::info(), options, detail::push_handler<ObjectType>(owner, handler)) {}
 };
 
 /// Sends, one way. A full queue is an outcome, not a wait.
@@ -69,7 +71,9 @@ class Requires<S> : public detail::SendClient {
   template <class C>
   Requires(C& owner, std::string_view name, PortOptions options = {}) : SendClient(owner, name, S::info(), options) {}
 
-  /// [strand] Ok: the wire's bounded queue has it, and the provider gets it unless it dies first.
+  /// [strand] Ok: the bounded queue that it goes into has it: the inbox of a provider in this process, which then gets
+  /// it unless it dies first, or the wire's. A provider in another process whose inbox is full loses it, counted there
+  /// as refused; who must know uses `send_acknowledged`.
   Outcome send(ObjectType object) { return send_object(std::make_shared<const ObjectType>(std::move(object))); }
   /// [strand] Ends when the provider's hull has it, or with the reason why it has not (Rejected: its queue is full).
   /// After Timeout and Disconnected the provider may have it all the same.

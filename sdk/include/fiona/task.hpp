@@ -165,12 +165,14 @@ class Task {
 };
 
 /// Work at a time of the component's choosing, once for each `at`: `fiona::Timer next_{*this, &Self::play_next};`
-/// A new time replaces the old one. Cancelled when the instance leaves its main modes.
+/// A new time replaces the old one. Cancelled when the instance leaves its main modes, and by the timer's end; one that
+/// comes due outside of them, as when it was set in neutral, does nothing.
 class Timer {
  public:
   template <class C>
   Timer(C& owner, void (C::*work)()) : Timer(static_cast<Component&>(owner), [&owner, work] { (owner.*work)(); }) {}
   Timer(Component& owner, std::function<void()> work);
+  ~Timer();
   Timer(const Timer&) = delete;
   Timer& operator=(const Timer&) = delete;
 
@@ -179,10 +181,14 @@ class Timer {
   void cancel();
 
  private:
+  /// Shared with what has been posted: that may come to the strand when the timer has gone.
+  struct State {
+    const std::function<void()> work;
+    std::uint64_t setting = 0;
+  };
   Hull& hull_;
-  const std::function<void()> work_;
+  const std::shared_ptr<State> state_;
   TimerId timer_ = 0;
-  std::uint64_t setting_ = 0;
 };
 
 }  // namespace fiona

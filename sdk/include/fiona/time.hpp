@@ -1,6 +1,8 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
+#include <cstdint>
 
 namespace fiona {
 
@@ -18,6 +20,13 @@ struct Timeline {
 };
 
 using TimePoint = Timeline::time_point;
+
+/// `time` and `duration` later, or the end of time where that is beyond it: `Duration::max()` is a deadline, too.
+template <class C, class D>
+constexpr std::chrono::time_point<C, D> saturating_sum(std::chrono::time_point<C, D> time, Duration duration) {
+  using Time = std::chrono::time_point<C, D>;
+  return duration > Time::max() - std::max(time, Time{}) ? Time::max() : time + duration;
+}
 
 /// Milliseconds since the timeline's epoch: the document's `T` attributes.
 constexpr std::int64_t to_milliseconds(TimePoint time) {

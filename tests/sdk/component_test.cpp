@@ -1,0 +1,508 @@
+// What a component may write, and what becomes of it: handlers, calls, timers, coroutines of its own, names, its end.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <optional>
+#include <stdexcept>
+
+#include "fiona/sdk_test/objects.fiona.hpp"
+#include "fiona/testing/bench.hpp"
+#include "support.hpp"
+
+namespace fiona::sdk_test {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::Contains;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+using ::testing::ThrowsMessage;
+
+Ruled named(const std::string& name, double length = 1) {
+  Ruled object;
+  object.set_name(name);
+  object.set_length(length);
+  return object;
+}
+
+/// Runs `work` on the component's strand.
+template <class C, class F>
+void on_strand(testing::Bench<C>& bench, F work) {
+  bench.hull().strand().call([&] { work(bench.component()); }, kLimit);
+}
+
+// ---- handlers -------------------------------------------------------------------------------------------------
+
+/// Answers in each of the ways that a handler may have, as the name of the question says.
+class Answering final : public Component {
+ public:
+  using Component::Component;
+  std::optional<Reply<Ruled>> kept;
+
+ private:
+  static void throw_as(const Ruled& question) {
+    if (question.name() == "err") throw Error(ErrorCode::NotFound, "there is none");
+    if (question.name() == "std") throw std::runtime_error("it broke");
+  }
+  Ruled at_once(const Ruled& question) const {
+    throw_as(question);
+    return question;
+  }
+  Async<Ruled> later(const Ruled& question) {
+    throw_as(question);
+    co_return question;
+  }
+  void by_reply(const Ruled& question, Reply<Ruled> reply) {
+    if (question.name() == "drop") return;
+    if (question.length() == 2) kept = std::move(reply);
+    throw_as(question);
+    reply.answer(question);
+  }
+
+  Provides<Questions> at_once_{*this, "at_once", &Answering::at_once};
+  Provides<Questions> later_{*this, "later", &Answering::later};
+  Provides<Questions> by_reply_{*this, "by_reply", &Answering::by_reply};
+};
+
+class QueryHandler : public ::testing::TestWithParam<std::string> {
+ protected:
+  testing::Bench<Answering> bench;
+};
+
+TEST_P(QueryHandler, ThatThrowsErrorRejectsTheRequestWithItsTextAndGoesOn) {
+  bench.start();
+  const auto answer = bench.ask<Questions>(GetParam(), named("err"));
+  EXPECT_EQ(answer.outcome(), Outcome::Rejected);
+  EXPECT_EQ(answer.reason(), "there is none");
+  EXPECT_EQ(bench.mode(), kModeActive);
+  EXPECT_TRUE(bench.ask<Questions>(GetParam(), named("ok")).ok());
+}
+
+TEST_P(QueryHandler, ThatThrowsAnythingElseFailsItsInstanceAndEndsTheRequest) {
+  bench.start();
+  const auto answer = bench.ask<Questions>(GetParam(), named("std"));
+  EXPECT_EQ(answer.outcome(), Outcome::Rejected);
+  EXPECT_EQ(answer.reason(), Reply<Ruled>::kFailed);
+  EXPECT_EQ(bench.reason(), "it broke");
+}
+
+INSTANTIATE_TEST_SUITE_P(Each, QueryHandler, ::testing::Values("at_once", "later", "by_reply"),
+                         [](const auto& tested) { return tested.param; });
+
+TEST(QueryHandlers, ThatKeepTheReplyAndThrowErrorRejectAllTheSame) {
+  testing::Bench<Answering> bench;
+  bench.start();
+  EXPECT_EQ(bench.ask<Questions>("by_reply", named("err", 2)).reason(), "there is none");
+  EXPECT_EQ(bench.ask<Questions>("by_reply", named("drop")).reason(), "no answer");
+}
+
+/// Handlers that change nothing of their component, and one of an event that is a coroutine.
+class Onlooker final : public Component {
+ public:
+  using Component::Component;
+  mutable std::vector<std::string> seen;
+  Requires<Alarms> alarms{*this, "alarms", &Onlooker::on_alarm};
+  Requires<Numbers> slot{*this, "slot"};
+
+ private:
+  void on_number(const Number& number) const { seen.push_back("number " + std::to_string(number.value())); }
+  void on_received(const Received<Number>& number) const {
+    seen.push_back("received " + std::to_string(number->value()));
+  }
+  void on_order(const Number& number) const { seen.push_back("order " + std::to_string(number.value())); }
+  Async<> on_alarm(const Ruled& alarm) {
+    static_cast<void>(co_await slot.wait_update(10ms));
+    seen.push_back("alarm " + alarm.name());
+  }
+  Requires<Numbers> numbers_{*this, "numbers", &Onlooker::on_number};
+  Requires<Numbers> received_{*this, "received", &Onlooker::on_received};
+  Provides<Orders> orders_{*this, "orders", &Onlooker::on_order};
+};
+
+TEST(Handlers, MayBeConst) {
+  testing::Bench<Onlooker> bench;
+  bench.start();
+  bench.put<Numbers>("numbers", numbered(1));
+  bench.put<Numbers>("received", numbered(2));
+  bench.put<Orders>("orders", numbered(3));
+  EXPECT_THAT(bench.component().seen, ElementsAre("number 1", "received 2", "order 3"));
+}
+
+TEST(Handlers, OfAnEventMayBeCoroutines) {
+  testing::Bench<Onlooker> bench;
+  bench.start();
+  Async<> activation = [](Onlooker& onlooker) -> Async<> {
+    static_cast<void>(co_await onlooker.alarms.activate(EventMode::Continuous, named("any")));
+  }(bench.component());
+  on_strand(bench, [&](Onlooker&) { bench.hull().spawn(std::move(activation)); });
+  EXPECT_EQ(bench.fire<Alarms>("alarms", named("fire")), 1U);
+  EXPECT_THAT(bench.component().seen, IsEmpty());
+  bench.advance(10ms);
+  EXPECT_THAT(bench.component().seen, ElementsAre("alarm fire"));
+}
+
+TEST(Latest, OfAPortWithAHandlerSaysThatItHasOne) {
+  class Asks final : public Component {
+   public:
+    using Component::Component;
+    void on_number(const Number&) {}
+    Requires<Numbers> numbers{*this, "numbers", &Asks::on_number};
+  };
+  testing::Bench<Asks> bench;
+  bench.start();
+  bench.put<Numbers>("numbers", numbered(1));
+  on_strand(bench, [](Asks& asks) {
+    const auto latest = asks.numbers.latest();
+    EXPECT_EQ(latest.outcome(), Outcome::Rejected);
+    EXPECT_EQ(latest.reason(), "the port has a handler: what arrives goes there");
+  });
+}
+
+// ---- calls ----------------------------------------------------------------------------------------------------
+
+class Calling final : public Component {
+ public:
+  using Component::cancel_calls;
+  using Component::Component;
+  using Component::spawn;
+  Async<> ask(Duration within) {
+    const auto answer = co_await questions.query(named("any"), within);
+    ended.push_back(std::string(to_string(answer.outcome())) + answer.reason());
+  }
+  Async<> wait(Duration within) {
+    const auto next = co_await slot.wait_update(within);
+    ended.push_back(std::string(to_string(next.outcome())) + next.reason());
+  }
+  Async<> put_paced(TimePoint origin) {
+    ended.push_back(std::string(to_string(co_await numbers.put(numbered(1), origin, 10ms))));
+  }
+
+  std::vector<std::string> ended;
+  Requires<Questions> questions{*this, "questions"};
+  Requires<Orders> orders{*this, "orders"};
+  Requires<Numbers> slot{*this, "slot"};
+  Provides<Numbers> numbers{*this, "numbers"};
+};
+
+class ComponentsCalls : public ::testing::Test {
+ protected:
+  ComponentsCalls() { bench.start(); }
+  std::vector<std::string> ended() { return std::exchange(bench.component().ended, {}); }
+  testing::Bench<Calling> bench;
+};
+
+TEST_F(ComponentsCalls, MayHaveNoDeadlineAtAll) {
+  bench.advance(1s);
+  on_strand(bench, [](Calling& calling) {
+    calling.spawn(calling.ask(Duration::max()));
+    calling.spawn(calling.wait(Duration::max() - 1ns));
+  });
+  bench.advance(1h);
+  EXPECT_THAT(ended(), IsEmpty());
+  bench.put<Numbers>("slot", numbered(1));
+  EXPECT_THAT(ended(), ElementsAre("ok"));
+}
+
+TEST_F(ComponentsCalls, ThatAreCancelledHaveNoReasonAndSoHasASend) {
+  on_strand(bench, [](Calling& calling) {
+    calling.cancel_calls();
+    calling.spawn(calling.ask(1s));
+    calling.spawn(calling.wait(1s));
+    EXPECT_EQ(calling.orders.send(numbered(1)), Outcome::Cancelled);
+  });
+  bench.advance(1ms);
+  EXPECT_THAT(ended(), ElementsAre("cancelled", "cancelled"));
+  EXPECT_THAT(bench.take<Orders>("orders"), IsEmpty());
+}
+
+TEST_F(ComponentsCalls, OfAPutThatWaitsTakeAnObjectByValueWithItsOrigin) {
+  on_strand(bench, [](Calling& calling) { calling.spawn(calling.put_paced(TimePoint(5ms))); });
+  const auto put = bench.take<Numbers>("numbers");
+  ASSERT_THAT(put, SizeIs(1));
+  EXPECT_EQ(put[0].origin, TimePoint(5ms));
+}
+
+TEST(SaturatingSum, EndsWithTheEndOfTime) {
+  EXPECT_EQ(saturating_sum(TimePoint(5s), Duration::max()), TimePoint::max());
+  EXPECT_EQ(saturating_sum(TimePoint(5s), Duration::max() - 5s), TimePoint::max());
+  EXPECT_EQ(saturating_sum(TimePoint(5s), 1s), TimePoint(6s));
+  EXPECT_EQ(saturating_sum(TimePoint(5s), Duration::min()), TimePoint(5s) + Duration::min());
+}
+
+// ---- a failed instance ----------------------------------------------------------------------------------------
+
+/// Goes on when its wait has ended, whatever has become of it meanwhile.
+class Undeterred final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) spawn(go_on());
+  }
+  int rang = 0;
+  std::vector<Outcome> outcomes;
+  Requires<Numbers> slot{*this, "slot"};
+  Requires<Orders> orders{*this, "orders"};
+  Requires<Questions> questions{*this, "questions"};
+  Provides<Numbers> numbers{*this, "numbers"};
+  Provides<Alarms> alarms{*this, "alarms", &Undeterred::test};
+  Timer timer{*this, &Undeterred::ring};
+
+ private:
+  Async<> go_on() {
+    static_cast<void>(co_await slot.wait_update(1h));
+    outcomes.push_back(numbers.put(numbered(1)));
+    outcomes.push_back(orders.send(numbered(1)));
+    outcomes.push_back(questions.request(named("any")).outcome());
+    alarms.put(numbered(1));
+    timer.at(now() + 1ms);
+  }
+  std::optional<Ruled> test(Ruled& limit, const Number&) {
+    if (limit.name() == "int") throw 3;
+    ++tested;
+    return std::nullopt;
+  }
+  void ring() { ++rang; }
+
+ public:
+  int tested = 0;
+};
+
+TEST(FailedInstance, TakesPartInNothingThoughItsCoroutinesEnd) {
+  testing::Bench<Undeterred> bench;
+  bench.start();
+  ASSERT_TRUE(bench.ask_any("alarms", std::make_shared<Ruled>(named("any"))).ok());
+  bench.hull().fail("it broke");
+  bench.advance(10ms);
+  EXPECT_THAT(bench.component().outcomes, ElementsAre(Outcome::NotActive, Outcome::NotActive, Outcome::NotActive));
+  EXPECT_EQ(bench.component().tested, 0);
+  EXPECT_EQ(bench.component().rang, 0);
+  EXPECT_THAT(bench.take<Numbers>("numbers"), IsEmpty());
+}
+
+TEST(EventTest, ThatThrowsNoStdExceptionEndsItsActivationAlone) {
+  testing::Bench<Undeterred> bench;
+  bench.start();
+  ASSERT_TRUE(bench.ask_any("alarms", std::make_shared<Ruled>(named("int"))).ok());
+  ASSERT_TRUE(bench.ask_any("alarms", std::make_shared<Ruled>(named("any"))).ok());
+  on_strand(bench, [](Undeterred& provider) { provider.alarms.put(numbered(1)); });
+  EXPECT_EQ(bench.mode(), kModeActive);
+  EXPECT_EQ(bench.component().tested, 1);
+  EXPECT_THAT(bench.log(), ElementsAre("component.alarms: the test of the activation failed: threw something that is "
+                                       "not a std::exception"));
+  on_strand(bench, [](Undeterred& provider) { EXPECT_EQ(provider.alarms.activations(), 1U); });
+}
+
+TEST(Stop, ThatThrowsIsToldToTheLog) {
+  class Stops final : public Component {
+   public:
+    using Component::Component;
+    void on_stop() override { throw std::runtime_error("the device is gone"); }
+  };
+  testing::Bench<Stops> bench;
+  bench.start();
+  EXPECT_EQ(bench.hull().shut_down(kLimit), std::nullopt);
+  EXPECT_THAT(bench.log(), Contains("its stop failed: the device is gone"));
+}
+
+TEST(LoadLine, ParametersAreInPlaceAtTheStartAndNoChange) {
+  class Tuned final : public Component {
+   public:
+    using Component::Component;
+    void on_start() override { at_start = params->gain(); }
+    void changed() { ++changes; }
+    double at_start = 0;
+    int changes = 0;
+    Params<Settings> params{*this, nullptr, &Tuned::changed};
+  };
+  testing::Bench<Tuned> bench;
+  bench.set("gain", 0.75);
+  bench.start();
+  EXPECT_EQ(bench.component().at_start, 0.75);
+  EXPECT_EQ(bench.component().changes, 0);
+  bench.set("gain", 0.25);
+  EXPECT_EQ(bench.component().changes, 1);
+}
+
+// ---- timers ---------------------------------------------------------------------------------------------------
+
+class Timed final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeNeutral) timer.at(now() + 10ms);
+  }
+  void make() { passing.emplace(*this, &Timed::end_itself); }
+  int rang = 0;
+  Timer timer{*this, &Timed::ring};
+  std::optional<Timer> passing;
+
+ private:
+  void ring() { ++rang; }
+  void end_itself() {
+    ++rang;
+    passing.reset();
+  }
+};
+
+TEST(Timers, DoNothingOutsideOfAMainMode) {
+  testing::Bench<Timed> bench;
+  bench.start(kModeNeutral);
+  bench.advance(20ms);
+  EXPECT_EQ(bench.component().rang, 0);
+}
+
+TEST(Timers, ThatWereSetInNeutralWorkInTheMainModeInWhichTheyComeDue) {
+  testing::Bench<Timed> bench;
+  bench.start(kModeNeutral);
+  bench.start();
+  bench.advance(20ms);
+  EXPECT_EQ(bench.component().rang, 1);
+}
+
+TEST(Timers, MayEndBeforeTheirComponent) {
+  testing::Bench<Timed> bench;
+  bench.start();
+  on_strand(bench, [&](Timed& timed) {
+    timed.make();
+    timed.passing->at(timed.now() + 1ms);
+    timed.passing.reset();
+    timed.make();
+    timed.passing->at(timed.now() + 2ms);
+  });
+  bench.advance(5ms);
+  EXPECT_EQ(bench.component().rang, 1) << "the second, which ended itself";
+  bench.start(kModeNeutral);
+}
+
+TEST(Timers, ThatHaveEndedWhenTheirTurnComesDoNothing) {
+  testing::Bench<Timed> bench;
+  bench.start();
+  on_strand(bench, [&](Timed& timed) {
+    timed.make();
+    timed.passing->at(timed.now() + 1ms);
+    timed.timer.at(timed.now() + 1ms);
+  });
+  on_strand(bench, [&](Timed& timed) { bench.hull().strand().post([&timed] { timed.passing.reset(); }); });
+  bench.advance(5ms);
+  EXPECT_EQ(bench.component().rang, 1);
+}
+
+// ---- coroutines of its own ------------------------------------------------------------------------------------
+
+TEST(Spawn, NeedsNothingToBeDoneAtTheEnd) {
+  testing::Bench<Calling> bench;
+  bench.start();
+  on_strand(bench, [&](Calling& calling) {
+    calling.spawn(calling.wait(1ms));
+    bench.hull().spawn(calling.wait(2ms), {});
+  });
+  bench.advance(5ms);
+  EXPECT_THAT(bench.component().ended, ElementsAre("timeout", "timeout"));
+  EXPECT_EQ(bench.mode(), kModeActive);
+}
+
+// ---- names ----------------------------------------------------------------------------------------------------
+
+template <class C>
+std::string refusal_of_names() {
+  try {
+    testing::Bench<C> bench;
+  } catch (const Error& error) {
+    return error.text().what;
+  }
+  return "";
+}
+
+struct SpacedPort final : Component {
+  using Component::Component;
+  Provides<Numbers> numbers{*this, "a b"};
+};
+struct DottedPort final : Component {
+  using Component::Component;
+  Provides<Numbers> numbers{*this, "a.b"};
+};
+struct SpacedTrigger final : Component {
+  using Component::Component;
+  Number run(const Number& number) { return number; }
+  Trigger<Number, Number> trigger{*this, "a b", &SpacedTrigger::run};
+};
+struct SpacedTask final : Component {
+  using Component::Component;
+  void run() {}
+  Task task{*this, "a b", 1s, &SpacedTask::run};
+};
+struct TwoTasks final : Component {
+  using Component::Component;
+  void run() {}
+  Task one{*this, "twice", 1s, &TwoTasks::run};
+  Task two{*this, "twice", 1s, &TwoTasks::run};
+};
+struct SpacedMode final : Component {
+  using Component::Component;
+  Modes modes{*this, {{"one", {}}, {"two two", {}}}};
+};
+struct TwoModes final : Component {
+  using Component::Component;
+  Modes one{*this, {{"one", {}}}};
+  Modes two{*this, {{"two", {}}}};
+};
+
+TEST(Names, ThatCannotBeTypedAreRefusedWhereTheComponentIsMade) {
+  EXPECT_EQ(refusal_of_names<SpacedPort>(), "'a b' is no name for a port");
+  EXPECT_EQ(refusal_of_names<DottedPort>(), "'a.b' is no name for a port");
+  EXPECT_EQ(refusal_of_names<SpacedTrigger>(), "'a b' is no name for a trigger");
+  EXPECT_EQ(refusal_of_names<SpacedTask>(), "'a b' is no name for a task");
+  EXPECT_EQ(refusal_of_names<SpacedMode>(), "'two two' is no name for a mode");
+}
+
+TEST(Names, OfTwoTasksAndTwoListsOfModesAreRefusedToo) {
+  EXPECT_EQ(refusal_of_names<TwoTasks>(), "two tasks are named 'twice'");
+  EXPECT_EQ(refusal_of_names<TwoModes>(), "a component has one list of main modes");
+}
+
+// ---- the bench ------------------------------------------------------------------------------------------------
+
+TEST(BenchAsAWire, RefusesWhatBreaksARule) {
+  testing::Bench<Answering> answering;
+  answering.start();
+  EXPECT_EQ(answering.ask<Questions>("at_once", named("ok", 11)).reason(),
+            "the request was refused: length is 11, above 10 m");
+
+  class Bad final : public Component {
+   public:
+    using Component::Component;
+    Ruled answer(const Ruled& question) { return named(question.name(), 12); }
+    void on_object(const Ruled&) { ++heard; }
+    int heard = 0;
+    Provides<Questions> questions{*this, "questions", &Bad::answer};
+    Requires<RuledObjects> objects{*this, "objects", &Bad::on_object};
+    Requires<Alarms> alarms{*this, "alarms"};
+  };
+  testing::Bench<Bad> bad;
+  bad.start();
+  EXPECT_EQ(bad.ask<Questions>("questions", named("ok")).reason(), "the answer was refused: length is 12, above 10 m");
+  EXPECT_EQ(bad.put<RuledObjects>("objects", named("ok", 13)), Outcome::Rejected);
+  EXPECT_EQ(bad.component().heard, 0);
+  EXPECT_EQ(bad.component().objects.counters().refused, 1U);
+  EXPECT_THAT([&] { bad.fire<Alarms>("alarms", named("ok", 14)); },
+              ThrowsMessage<Error>(HasSubstr("the event was refused: length is 14, above 10 m")));
+}
+
+TEST(BenchAsAWire, TellsWhoAnswersTooLateThatNobodyWaits) {
+  class Slow final : public Component {
+   public:
+    using Component::Component;
+    void keep(const Ruled&, Reply<Ruled> reply) { kept.emplace(std::move(reply)); }
+    std::optional<Reply<Ruled>> kept;
+    Provides<Questions> questions{*this, "questions", &Slow::keep};
+  };
+  testing::Bench<Slow> bench;
+  bench.start();
+  EXPECT_EQ(bench.ask<Questions>("questions", named("ok"), 10ms).outcome(), Outcome::Timeout);
+  EXPECT_TRUE(bench.component().kept->abandoned());
+}
+
+}  // namespace
+}  // namespace fiona::sdk_test
