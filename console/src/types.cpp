@@ -222,14 +222,22 @@ std::string type_text(const pb::FieldDescriptor& field) {
              : base + "[]";
 }
 
+/// Whole ones in full, others to six digits.
+std::string bound_text(double bound) {
+  constexpr double kWhole = 1e15;
+  return std::trunc(bound) == bound && std::abs(bound) < kWhole ? fmt::format("{:.0f}", bound)
+                                                                : fmt::format("{:g}", bound);
+}
+
 std::string range_text(const pb::FieldDescriptor& field) {
   const auto& options = field.options();
   const bool low = options.HasExtension(fiona::min);
   const bool high = options.HasExtension(fiona::max);
-  if (low && high)
-    return fmt::format("{} .. {}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
-  if (low) return fmt::format("from {}", options.GetExtension(fiona::min));
-  if (high) return fmt::format("up to {}", options.GetExtension(fiona::max));
+  const std::string from = bound_text(options.GetExtension(fiona::min));
+  const std::string to = bound_text(options.GetExtension(fiona::max));
+  if (low && high) return fmt::format("{} .. {}", from, to);
+  if (low) return "from " + from;
+  if (high) return "up to " + to;
   if (field.enum_type() == nullptr) return "";
   std::vector<std::string> names;
   for (int i = 0; i < field.enum_type()->value_count(); ++i) names.push_back(field.enum_type()->value(i)->name());
