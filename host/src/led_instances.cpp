@@ -9,11 +9,6 @@
 #include "orders.hpp"
 
 namespace fiona::host {
-namespace {
-
-
-}  // namespace
-
 wire::GroupMessage LedInstances::obey(const wire::HostRequest& order) {
   wire::GroupMessage reply;
   reply.mutable_done();

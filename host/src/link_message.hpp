@@ -130,8 +130,8 @@ class FrameReader {
   /// Chunks are of this size at most.
   explicit FrameReader(std::size_t chunk = kChunkBytes) : chunk_(chunk) {}
 
-  /// One message's parts. `lent`: the second is the sender's memory, and kept no longer than it takes to read this. False:
-  /// it is garbled; what was whole before the fault has been passed on.
+  /// One message's parts. `lent`: the second is the sender's memory, and kept no longer than it takes to read this.
+  /// False: it is garbled; what was whole before the fault has been passed on.
   bool read(std::vector<zmq::message_t>& parts, Receiver& receiver, bool lent = false);
   /// Objects of which a part is still to come.
   std::size_t unfinished() const { return assemblies_.size(); }

@@ -71,8 +71,8 @@ class Requires<S> : public detail::SendClient {
   template <class C>
   Requires(C& owner, std::string_view name, PortOptions options = {}) : SendClient(owner, name, S::info(), options) {}
 
-  /// [strand] Ok: the wire's bounded queue has it, and the provider gets it unless it dies or the wire ends first: what a
-  /// provider in another process has no room for waits there, and makes this queue full. Counted is what is lost so.
+  /// [strand] Ok: the wire's bounded queue has it, and the provider gets it unless it dies or the wire ends first: what
+  /// a provider in another process has no room for waits there, and makes this queue full. Counted is what is lost so.
   Outcome send(ObjectType object) { return send_object(std::make_shared<const ObjectType>(std::move(object))); }
   /// [strand] Ends when the provider's hull has it, or with the reason why it has not (Rejected: its queue is full).
   /// After Timeout and Disconnected the provider may have it all the same.
