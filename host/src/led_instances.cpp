@@ -9,6 +9,7 @@
 #include "orders.hpp"
 
 namespace fiona::host {
+
 wire::GroupMessage LedInstances::obey(const wire::HostRequest& order) {
   wire::GroupMessage reply;
   reply.mutable_done();
