@@ -459,12 +459,17 @@ Outcome RemoteWire::take_or_hold(Parcel parcel) {
   if (outcome != Outcome::Rejected || held_bytes_ > 2 * kLaneWindow) return outcome;
   held_bytes_ += bytes;
   held_.push_back({std::move(parcel), link_->receipt()});
-  if (held_.size() > 1) return Outcome::Ok;  // somebody waits for room already
-  const auto room = inbox_->room(bytes, weak_from_this(), [weak = weak_from_this()](std::size_t) {
-    if (const auto self = weak.lock()) self->take_held();
-  });
-  if (room) port_.hull().strand().post([self = shared_from_this()] { self->take_held(); });
+  const bool is_first = held_.size() == 1;  // for others room is waited for already
+  if (is_first && has_room_for_held()) port_.hull().strand().post([self = shared_from_this()] { self->take_held(); });
   return Outcome::Ok;
+}
+
+/// For the first of them; false: `take_held` is called once there is. Called with the lock held.
+bool RemoteWire::has_room_for_held() {
+  const auto taken = [weak = weak_from_this()](std::size_t) {
+    if (const auto self = weak.lock()) self->take_held();
+  };
+  return inbox_->room(Inbox::cost_of(held_.front().parcel.envelope.bytes), weak_from_this(), taken).has_value();
 }
 
 void RemoteWire::take_held() {
@@ -473,10 +478,7 @@ void RemoteWire::take_held() {
   while (!cut_ && !held_.empty()) {
     const std::size_t bytes = Inbox::cost_of(held_.front().parcel.envelope.bytes);
     if (inbox_->push(held_.front().parcel) == Outcome::Rejected) {
-      const auto room = inbox_->room(bytes, weak_from_this(), [weak = weak_from_this()](std::size_t) {
-        if (const auto self = weak.lock()) self->take_held();
-      });
-      if (!room) return;
+      if (!has_room_for_held()) return;
       continue;  // there is by now
     }
     held_bytes_ -= bytes;

@@ -85,6 +85,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void handle_object(const wire::Frame& frame, const ParsedObject& object);
   void take(const wire::Frame& frame, const ParsedObject& object);
   Outcome take_or_hold(Parcel parcel);
+  bool has_room_for_held();
   void take_held();
   void take_in_turn(const Object* object, std::string_view word, Job job);
   std::function<void()> take_drained();
