@@ -41,6 +41,9 @@ std::string text_of_time(std::int64_t ms) {
   return fmt::format("{:%F %T}", *::localtime_r(&seconds, &parts));
 }
 
+/// Of instances that have said something, before those are looked for that are gone.
+constexpr std::size_t kMostNames = 4096;
+
 /// Unsent bytes above which a slow watcher loses samples, counted.
 constexpr std::size_t kSlowWatcher = 1024 * 1024;
 /// How often a virtual clock is looked at.
@@ -484,12 +487,23 @@ void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tap_ended()) on_tap_ended(event.tap_ended());
   if (event.has_asked()) masters_.serve(event.asked());
   if (event.has_wire_lost()) on_wire_lost(event.wire_lost());
-  if (event.has_logged()) std::cerr << record_of(event.logged().instance(), event.logged().text());
+  if (event.has_logged()) write_record(event.logged().instance(), event.logged().text());
   // One that fails while it is being loaded is told to whoever loads it.
   const bool failed = event.has_mode_changed() && event.mode_changed().mode() == kModeFailed;
   if (failed && system_.is_loaded(event.mode_changed().instance())) {
-    std::cerr << record_of(event.mode_changed().instance(), "failed: " + event.mode_changed().reason());
+    write_record(event.mode_changed().instance(), "failed: " + event.mode_changed().reason());
   }
+}
+
+/// Each process holds its instances to that; one that a component has taken over does not.
+void ControlServer::write_record(const std::string& instance, const std::string& text) {
+  using Events = InstanceEvents;
+  if (said_.size() > kMostNames) std::erase_if(said_, [&](const auto& one) { return !system_.is_loaded(one.first); });
+  auto& allowance = said_.try_emplace(instance, 2 * Events::kLinesPerSecond, 2 * Events::kLinesAtOnce).first->second;
+  const auto dropped = allowance.take();
+  if (!dropped) return;
+  if (*dropped > 0) std::cerr << record_of(instance, text_of_dropped(*dropped));
+  std::cerr << record_of(instance, text.substr(0, Events::kLongestLine));
 }
 
 /// Whoever was given its client's end is told.

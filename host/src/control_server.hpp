@@ -9,6 +9,7 @@
 
 #include "access.hpp"
 #include "engine.hpp"
+#include "instance_events.hpp"
 #include "mailbox.hpp"
 #include "masters.hpp"
 #include "os/message_stream.hpp"
@@ -84,6 +85,7 @@ class ControlServer {
   void send(std::uint64_t client, const control::Reply& reply);
   void on_wire_lost(const wire::WireLost& lost);
   void on_event(const wire::GroupMessage& event);
+  void write_record(const std::string& instance, const std::string& text);
   void on_tapped(const wire::Tapped& tapped);
   void on_tap_ended(const wire::TapEnded& ended);
   void send_held();
@@ -104,6 +106,7 @@ class ControlServer {
   Engine engine_;
   Masters masters_;
   std::map<std::uint64_t, std::unique_ptr<Client>> clients_;
+  std::map<std::string, LineAllowance> said_;                                     ///< by instance
   std::map<std::uint64_t, Watched> watches_;                                      ///< by tap
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint64_t> expect_taps_;  ///< (client, request) -> tap
   std::map<std::uint64_t, std::pair<std::uint64_t, std::uint64_t>> attached_;     ///< wire -> (client, request)

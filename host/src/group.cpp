@@ -42,6 +42,16 @@ milliseconds patience_with(const wire::GroupRequest& request) {
   }
 }
 
+/// One that owes an answer for longer than any request may take has lost whoever gives them.
+constexpr milliseconds kMostSilent{15'000};
+/// Of the time since it was looked at last no more counts.
+constexpr milliseconds kMostBetween{250};
+/// Where a sandbox listens lies its one socket, while it is made under another name.
+constexpr std::ptrdiff_t kMostSockets = 16;
+constexpr std::chrono::seconds kCountEvery{1};
+/// What a group may tell of itself, for each of its instances and once more.
+constexpr std::size_t kMostStatus = 1U << 20U;
+
 /// What a process may say that nobody has asked for, in bytes, while it does not answer; each message counts 256 more.
 constexpr std::size_t kMostUnasked = 64U << 20U;
 constexpr std::size_t kPerMessage = 256;
@@ -176,6 +186,7 @@ ChildGroup::ChildGroup(std::string name, const Start& start, Runtime::OnEvent on
       master_(start.master),
       supervisor_(start.master ? nullptr : start.supervisor),  // a run on virtual time ends with its host
       copied_(start.copied),
+      meanwhile_(start.meanwhile),
       on_event_(std::move(on_event)),
       cpu_(start.cores),
       liveness_(std::make_unique<os::SharedMemory>(sizeof(Liveness::Page))) {}
@@ -239,6 +250,7 @@ ChildGroup::ChildGroup(KeptGroup kept, const Start& start, Runtime::OnEvent on_e
       clock_(start.clock),
       master_(nullptr),
       supervisor_(start.supervisor),
+      meanwhile_(start.meanwhile),
       on_event_(std::move(on_event)),
       cpu_(start.cores),
       output_(std::move(kept.output)),
@@ -377,29 +389,46 @@ bool ChildGroup::receive() {
   return stream_->receive() && ended.revents == 0;
 }
 
-void ChildGroup::note_end(const std::string& why) {
-  if (!end_.empty()) return;
-  // The socket closes a moment before the process can be reaped.
+/// The socket closes a moment before the process can be reaped.
+bool ChildGroup::await_end() {
   for (int tries = 0; tries < 50 && end_.empty(); ++tries) {
     end_ = child_->end();
-    if (end_.empty()) std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    if (end_.empty()) std::this_thread::sleep_for(milliseconds(2));
   }
-  if (end_.empty()) end_ = "closed its connection to the host";
+  return !end_.empty();
+}
+
+void ChildGroup::note_end(const std::string& why) {
+  if (!end_.empty()) return;
+  if (!await_end()) {  // it would go on without anybody who looks after it
+    child_->kill();
+    await_end();
+    const std::string fault = stream_ ? stream_->fault() : "";
+    end_ = fault.empty() ? "closed its connection to the host" : "was ended: it said " + fault;
+  }
   if (!why.empty()) end_ = why;
   if (supervisor_) supervisor_->drop(child_->id());  // whose number may be another's soon
   std::cerr << output_.take(Steady::now());
   if (const std::string said = output_.last_lines(); !said.empty()) end_ += "; it wrote: " + said;
 }
 
+std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time deadline) {
+  is_waited_for_ = true;
+  auto found = read_until(id, deadline);
+  is_waited_for_ = false;
+  return found;
+}
+
 /// The message with this id, passing on events meanwhile; none when the deadline passes, however much is said
 /// meanwhile, or the process ends.
-std::optional<wire::GroupMessage> ChildGroup::wait_for(std::uint64_t id, Time deadline) {
+std::optional<wire::GroupMessage> ChildGroup::read_until(std::uint64_t id, Time deadline) {
   wire::GroupMessage message;
   std::optional<wire::GroupMessage> found;
   std::size_t said = 0;
   bool ended = false, late = false;
   while (true) {
     if (supervisor_) supervisor_->beat();
+    if (meanwhile_) meanwhile_();
     // To the end of what has been read, though the answer be found: nobody polls for bytes that are here already.
     while (stream_->next(message)) {
       if (message.id() == id && (id != 0 || message.has_ready())) {
@@ -441,6 +470,26 @@ void ChildGroup::end_if_greedy() {
   }
 }
 
+/// Where it listens it may make sockets, in a folder of its user's, who has no bound for them there.
+void ChildGroup::end_if_crowded(Time now) {
+  if (!confinement_.sandboxed() || folder_.empty() || now - counted_ < kCountEvery) return;
+  counted_ = now;
+  std::error_code ignored;
+  std::ptrdiff_t found = 0;
+  for (std::filesystem::directory_iterator one(folder_, ignored);
+       found <= kMostSockets && !ignored && one != std::filesystem::directory_iterator(); one.increment(ignored))
+    ++found;
+  if (found > kMostSockets) end_now(fmt::format("was ended: it made more than {} sockets", kMostSockets));
+}
+
+/// Its strands may go on, but nobody can change it, look at it or unload it any more.
+void ChildGroup::end_if_silent(milliseconds passed) {
+  silent_ = unanswered_ ? silent_ + passed : milliseconds(0);
+  if (silent_ < kMostSilent) return;
+  end_now(fmt::format("was ended: it did not answer for {} s",
+                      std::chrono::duration_cast<std::chrono::seconds>(silent_).count()));
+}
+
 /// Without its way to D-Bus it is no use: it is started again with a new one, as often as any group.
 void ChildGroup::watch_bus(Time now) {
   bus_->watch(now);
@@ -466,10 +515,13 @@ void ChildGroup::hold_cpu() {
 void ChildGroup::watch(Time now) {
   if (alive()) stream_->flush();  // of what nobody waits for
   if (now - watched_ < kWatchWaiting) return;
-  watched_ = now;
+  const auto passed =
+      std::min(std::chrono::duration_cast<milliseconds>(now - std::exchange(watched_, now)), kMostBetween);
   if (alive()) std::cerr << output_.take(now);
   if (alive()) end_if_greedy();
+  if (alive()) end_if_crowded(now);
   if (alive() && bus_) watch_bus(now);
+  if (hangs_ && alive()) end_if_silent(passed);
   if (!hangs_ || !alive()) return;
   const auto hangs = hangs_->look(now, child_->id(), child_->is_stopped());
   if (hangs.empty()) return;
@@ -526,7 +578,12 @@ void ChildGroup::ask_status() {
 std::optional<wire::GroupStatusReply> ChildGroup::status(milliseconds patience) {
   const auto reply = unanswered_ ? wait_for(unanswered_->id, unanswered_->since + patience) : std::nullopt;
   if (stream_->closed()) note_end();  // as asking may have shown already
-  return reply && reply->has_status() ? std::optional(reply->status()) : std::nullopt;
+  if (!reply || !reply->has_status()) return std::nullopt;
+  if (const std::size_t told = reply->ByteSizeLong(); told > kMostStatus * (1 + subjects_.instances())) {
+    end_now(fmt::format("was ended: what it tells of itself has {} MiB", told >> 20U));
+    return std::nullopt;
+  }
+  return reply->status();
 }
 
 std::optional<ChildGroup::Time> ChildGroup::silent_since() const {

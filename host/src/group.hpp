@@ -130,7 +130,8 @@ class ChildGroup final : public Group {
     std::string memory_key{};              ///< of the host's processes; a sandbox is not told
     SupervisorLink* supervisor = nullptr;  ///< keeps it for a host after this one; none: it ends with this one
     std::shared_ptr<os::ProcessTemplate>
-        copied{};  ///< shared by its copies, for it ends with the last; none: it is none
+        copied{};                       ///< shared by its copies, for it ends with the last; none: it is none
+    std::function<void()> meanwhile{};  ///< what is done again and again while it is waited for
   };
   /// Starts the process and waits until it is ready. Throws Error with how it ended if it does not become so.
   ChildGroup(std::string name, const Start& start, Runtime::OnEvent on_event);
@@ -154,6 +155,8 @@ class ChildGroup final : public Group {
   void ask_status() override;
   std::optional<wire::GroupStatusReply> status(std::chrono::milliseconds patience) override;
   std::optional<Time> silent_since() const override;
+  /// Somebody up the stack reads what it says.
+  bool is_waited_for() const { return is_waited_for_; }
 
   /// Readable when it has said something, and when it has ended.
   int descriptor() const { return wake_.get(); }
@@ -186,16 +189,20 @@ class ChildGroup final : public Group {
   bool wait_readable(Time deadline) const;
   bool receive();
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, Time deadline);
+  std::optional<wire::GroupMessage> read_until(std::uint64_t id, Time deadline);
   void take(const wire::GroupMessage& message);
   Error unreachable() const;
   Error not_started() const;
   Error not_of_this_build() const;
   /// `why` we ended it; empty: it ended by itself.
   void note_end(const std::string& why = "");
+  bool await_end();
   bool send(wire::GroupRequest& request);
   void pass_on(const wire::GroupMessage& event);
 
   void end_if_greedy();
+  void end_if_crowded(Time now);
+  void end_if_silent(std::chrono::milliseconds passed);
   void watch_bus(Time now);
   void hold_cpu();
   void hand_to_supervisor(os::PacketSocket adoption, const std::string& memory_key);
@@ -208,6 +215,8 @@ class ChildGroup final : public Group {
   ClockMaster* const master_;
   SupervisorLink* const supervisor_;
   const std::shared_ptr<os::ProcessTemplate> copied_;
+  const std::function<void()> meanwhile_;
+  bool is_waited_for_ = false;
   std::uint64_t adoption_ = 0;  ///< the request of it; 0: it could not be asked
   std::optional<wire::Adopted> adopted_;
   std::vector<wire::GroupMessage> early_;  ///< what it says before it has told what it holds
@@ -221,6 +230,8 @@ class ChildGroup final : public Group {
   std::unique_ptr<os::SharedMemory> liveness_;
   std::unique_ptr<HangWatch> hangs_;  ///< none: nobody watches
   Time watched_{};
+  Time counted_{};                       ///< when its sockets were, last
+  std::chrono::milliseconds silent_{0};  ///< for how long it has owed an answer, while it was looked at
   os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
   std::optional<Unanswered> unanswered_;

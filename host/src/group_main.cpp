@@ -12,6 +12,7 @@
 #include <filesystem>
 #include <iostream>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "failure.hpp"
@@ -269,6 +270,20 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library,
   ::_exit(code);
 }
 
+/// What a component does on the thread that serves the host may never end: then this process does not either once the
+/// host is gone, and with `adoptable` who could bring another one, unless somebody else looks.
+void end_without_host(bool adoptable, bool sandboxed) {
+  const int watched = ::fcntl(adoptable ? kAdoptionSocket : kGroupSocket, F_DUPFD_CLOEXEC, 0);
+  std::thread([watched, sandboxed] {
+    pollfd gone{watched, 0, 0};  // POLLHUP alone
+    while (::poll(&gone, 1, -1) <= 0) {
+    }
+    std::this_thread::sleep_for(kEndsWithin + std::chrono::milliseconds(500));
+    if (!sandboxed) fiona::os::end_own_programs();
+    ::_exit(1);
+  }).detach();
+}
+
 int be_group(const Words& words) {
   fiona::os::keep_spare_descriptor();
   const std::string endpoint = value_of(words, "--endpoint");
@@ -276,6 +291,7 @@ int be_group(const Words& words) {
   const auto welcome = welcome_from(*stream);
   fiona::wire::GroupMessage ready;
   confine(welcome.confinement(), *ready.mutable_ready());
+  end_without_host(welcome.adoptable(), welcome.confinement().sandboxed());
   const auto clock = make_clock(words);
   auto* const follower = dynamic_cast<GroupClock*>(clock.get());
   const fiona::os::SharedMemory page(fiona::os::Descriptor(kLivenessPage), sizeof(fiona::Liveness::Page));

@@ -26,6 +26,7 @@ class GroupSubjects {
   void hold(const wire::Adopted& adopted);
   /// Whether the event is about one of these. What ends once has ended with it.
   bool take(const wire::GroupMessage& event);
+  std::size_t instances() const { return instances_.size(); }
 
  private:
   using Numbers = std::set<std::uint64_t>;

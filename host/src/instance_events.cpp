@@ -5,6 +5,22 @@
 
 namespace fiona::host {
 
+std::optional<std::uint64_t> LineAllowance::take() {
+  const auto now = std::chrono::steady_clock::now();
+  const std::chrono::duration<double> since = now - std::exchange(counted_, now);
+  lines_ = std::min(at_once_, lines_ + since.count() * a_second_);
+  if (lines_ < 1) {
+    ++refused_;
+    return std::nullopt;
+  }
+  lines_ -= 1;
+  return std::exchange(refused_, 0);
+}
+
+std::string text_of_dropped(std::uint64_t lines) {
+  return "(" + std::to_string(lines) + " lines were dropped: too many)";
+}
+
 void InstanceEvents::mode_changed(const std::string& instance, const std::string& mode, const std::string& reason) {
   wire::GroupMessage message;
   auto& changed = *message.mutable_mode_changed();
@@ -33,21 +49,13 @@ void InstanceEvents::asked(const std::string& instance, std::uint64_t number, co
 }
 
 void InstanceEvents::logged(const std::string& instance, LogLevel level, std::string_view text) {
-  std::uint64_t dropped = 0;
+  std::optional<std::uint64_t> dropped;
   {
     const std::lock_guard lock(mutex_);
-    Allowance& allowance = allowances_[instance];
-    const auto now = std::chrono::steady_clock::now();
-    const std::chrono::duration<double> since = now - std::exchange(allowance.counted, now);
-    allowance.lines = std::min<double>(kLinesAtOnce, allowance.lines + since.count() * kLinesPerSecond);
-    if (allowance.lines < 1) {
-      ++allowance.dropped;
-      return;
-    }
-    allowance.lines -= 1;
-    dropped = std::exchange(allowance.dropped, 0);
+    dropped = allowances_.try_emplace(instance, kLinesPerSecond, kLinesAtOnce).first->second.take();
   }
-  if (dropped > 0) tell(instance, LogLevel::Warning, "(" + std::to_string(dropped) + " lines were dropped: too many)");
+  if (!dropped) return;
+  if (*dropped > 0) tell(instance, LogLevel::Warning, text_of_dropped(*dropped));
   const bool is_long = text.size() > kLongestLine;
   tell(instance, level, std::string(text.substr(0, kLongestLine)) + (is_long ? "…" : ""));
 }

@@ -4,12 +4,31 @@
 #include <functional>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include "fiona/hull.hpp"
 #include "fiona/wire.pb.h"
 
 namespace fiona::host {
+
+/// How many lines an instance may say: so many a second, and so many at once.
+class LineAllowance {
+ public:
+  LineAllowance(double a_second, double at_once) : a_second_(a_second), at_once_(at_once), lines_(at_once) {}
+  /// One more: how many were refused since the last that was not; none: it is refused, and counted.
+  std::optional<std::uint64_t> take();
+
+ private:
+  const double a_second_;
+  const double at_once_;
+  double lines_;
+  std::chrono::steady_clock::time_point counted_ = std::chrono::steady_clock::now();
+  std::uint64_t refused_ = 0;
+};
+
+/// What stands in the place of lines that were refused.
+std::string text_of_dropped(std::uint64_t lines);
 
 /// What the instances of a process say, as events for the host.
 class InstanceEvents final : public HullEvents {
@@ -31,16 +50,11 @@ class InstanceEvents final : public HullEvents {
   void asked(const std::string& instance, std::uint64_t number, const control::Request& request) override;
 
  private:
-  struct Allowance {
-    double lines = kLinesAtOnce;
-    std::chrono::steady_clock::time_point counted = std::chrono::steady_clock::now();
-    std::uint64_t dropped = 0;
-  };
   void tell(const std::string& instance, LogLevel level, std::string text);
 
   const OnEvent on_event_;
   std::mutex mutex_;
-  std::map<std::string, Allowance> allowances_;  ///< guarded by mutex_; one for each name that an instance has had
+  std::map<std::string, LineAllowance> allowances_;  ///< guarded by mutex_; one for each name that an instance has had
 };
 
 }  // namespace fiona::host

@@ -227,6 +227,8 @@ class System {
   void end_threads();
   void deliver(const wire::GroupMessage& event);
   void deliver_from(const std::string& group, wire::GroupMessage event);
+  void deliver_from_child(const std::string& group, wire::GroupMessage event);
+  bool may_end_run(const std::string& group, const std::string& instance) const;
 
   // ---- system_groups.cpp
   Group& group(const std::string& name, const Model::Instance* first = nullptr);
@@ -241,6 +243,9 @@ class System {
   HangWatch::Parts parts() const;
   bool watches_main() const { return main_hangs_ && pool_->liveness()->page().used > 0; }
   void give_up(const Hang& hang);
+  void look_at_main(std::chrono::steady_clock::time_point now);
+  void watch_others();
+  void tell_ended(const ChildGroup& gone);
   void lose_if_gone(const std::string& group);
   void lose(ChildGroup& gone);
   void tell_failed(const std::string& instance, const std::string& reason);
@@ -385,7 +390,11 @@ class System {
   std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   OpenTaps taps_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
-  std::set<std::string> noted_dead_;  ///< endpoints of groups whose end has been dealt with
+  std::set<std::string> told_dead_;   ///< endpoints of groups whose end those know who use them
+  std::set<std::string> noted_dead_;  ///< and of those whose end has been dealt with
+  std::vector<Hang> found_hangs_;     ///< in `main`, not dealt with yet
+  std::chrono::steady_clock::time_point watched_others_{};
+  std::uint64_t refused_ends_ = 0;  ///< of the run
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;
   std::uint64_t next_order_ = 1;

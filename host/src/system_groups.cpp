@@ -65,7 +65,9 @@ ChildGroup::Start System::start_of_group(const Model::Instance* first, const std
           options_.group_limits.cores,
           groups_.main().endpoint(),
           memory_key_,
-          options_.supervisor};
+          options_.supervisor,
+          {},
+          [this] { watch_others(); }};
 }
 
 Group& System::group(const std::string& name, const Model::Instance* first) {
@@ -81,7 +83,7 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   auto start = start_of_group(first ? first : first_in(wanted), folder);
   start.copied = template_for(start.confinement);
   return groups_.put(std::make_unique<ChildGroup>(
-      wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from(wanted, std::move(event)); }));
+      wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from_child(wanted, std::move(event)); }));
 }
 
 Group& System::group_of(const std::string& name, const Model& model) {
@@ -157,9 +159,8 @@ void System::give_up(const Hang& hang) {
 
 std::vector<std::string> System::watch_groups() {
   const auto now = std::chrono::steady_clock::now();
-  if (main_hangs_) {
-    for (const Hang& hang : main_hangs_->look(now, ::getpid())) give_up(hang);
-  }
+  look_at_main(now);
+  for (const Hang& hang : std::exchange(found_hangs_, {})) give_up(hang);
   for (auto* child : child_groups()) {
     child->watch(now);
     if (!child->alive()) lose(*child);
@@ -173,6 +174,32 @@ std::vector<std::string> System::watch_groups() {
     if (std::string line = start_again(name); !line.empty()) lines.push_back(std::move(line));
   }
   return lines;
+}
+
+void System::look_at_main(std::chrono::steady_clock::time_point now) {
+  if (!main_hangs_) return;
+  for (Hang& hang : main_hangs_->look(now, ::getpid())) found_hangs_.push_back(std::move(hang));
+}
+
+/// While one group is waited for: another that hangs is ended, and who uses one that has ended is told. What else
+/// follows from that comes once nobody waits: the model may be in the middle of a change.
+void System::watch_others() {
+  const auto now = std::chrono::steady_clock::now();
+  if (now - watched_others_ < kWatchWaiting) return;
+  watched_others_ = now;
+  look_at_main(now);
+  for (const auto& [name, one] : groups_.all()) {
+    auto* child = dynamic_cast<ChildGroup*>(one.get());
+    if (!child || !child->alive() || child->is_waited_for()) continue;
+    if (!child->silent_since()) child->serve();  // who has asked it reads its answer
+    child->watch(now);
+    if (!child->alive()) tell_ended(*child);
+  }
+}
+
+void System::tell_ended(const ChildGroup& gone) {
+  if (!told_dead_.insert(gone.endpoint()).second) return;
+  groups_.tell_ended(gone.endpoint(), "group '" + gone.name() + "' " + gone.end());
 }
 
 void System::serve_group(ChildGroup& group) {
@@ -190,7 +217,7 @@ void System::lose(ChildGroup& gone) {
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   lose_what_is_made(gone.name(), gone.end());
   std::erase_if(standbys_, [&](const auto& one) { return one.second.made.group == gone.name(); });
-  groups_.tell_ended(gone.endpoint(), reason);
+  tell_ended(gone);
   for (const std::string& name : model_.names_in(gone.name())) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
   }

@@ -168,8 +168,9 @@ std::vector<std::string> System::adopt_groups() {
     const pid_t process = kept.process;
     try {
       const ChildGroup::Start start = start_of_group(nullptr, told.folder());
-      asked.push_back(std::make_unique<ChildGroup>(
-          std::move(kept), start, [this, name](wire::GroupMessage event) { deliver_from(name, std::move(event)); }));
+      asked.push_back(std::make_unique<ChildGroup>(std::move(kept), start, [this, name](wire::GroupMessage event) {
+        deliver_from_child(name, std::move(event));
+      }));
     } catch (const Error& error) {
       options_.supervisor->drop(process);  // who ends what is not kept
       std::error_code ignored;

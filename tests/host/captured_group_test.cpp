@@ -1,7 +1,10 @@
 // A group whose process a component has taken over: it speaks to the host as it likes.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 
+#include <chrono>
+#include <thread>
 
 #include "served_host.hpp"
 
@@ -43,6 +46,49 @@ TEST_F(CapturedGroup, ThatDribblesIsSilentAndHoldsUpNobody) {
   EXPECT_LT(seconds_of([&] { console.snapshot(); }), 2.5);
   EXPECT_EQ(console.instance("source").silent_s(), 0);
   EXPECT_THROW(console.set("captor", "x=1"), Error);
+}
+
+TEST_F(CapturedGroup, ThatSaysWhatIsNoMessageIsEnded) {
+  load("garbles");
+  const pid_t process = console.process_of("cage");
+  console.eventually("it is ended", [&] { return console.instance("captor").mode() == "failed"; });
+  EXPECT_THAT(console.instance("captor").reason(),
+              HasSubstr("group 'cage' was ended: it said 4 bytes that are no fiona.wire.GroupMessage"));
+  console.eventually("its process is gone", [&] { return ::kill(process, 0) != 0; });
+}
+
+TEST_F(CapturedGroup, ThatFloodsTheLogIsWrittenNoMoreThanAnyOther) {
+  testing::internal::CaptureStderr();
+  const double seconds = seconds_of([&] {
+    load("floods-log-of-its-host");
+    for (int i = 0; i < 20; ++i) {
+      console.snapshot();
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+  });
+  const std::string said = testing::internal::GetCapturedStderr();
+  EXPECT_THAT(said, HasSubstr("captor: xxx"));
+  EXPECT_LT(static_cast<double>(said.size()), (2000 + 400 * (seconds + 1)) * 4200.0);
+}
+
+TEST_F(CapturedGroup, InASandboxEndsNoRun) {
+  TestConsole runner(host);
+  auto run = runner.request();
+  run.mutable_run();
+  runner.send(run);
+  testing::internal::CaptureStderr();
+  load("ends-the-run");
+  std::string said;
+  console.eventually("it was refused", [&] {
+    console.snapshot();
+    said += testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
+    return said.find("asked for the end of the run") != std::string::npos;
+  });
+  testing::internal::GetCapturedStderr();
+  EXPECT_THAT(said, HasSubstr("'captor' asked for the end of the run, which in a sandbox takes the right 'master'"));
+  EXPECT_FALSE(runner.has_answer());
+  EXPECT_EQ(console.instance("captor").mode(), "active");
 }
 
 TEST_F(CapturedGroup, ThatFloodsItsHostIsEndedOnceItIsAskedAndHoldsUpNobody) {

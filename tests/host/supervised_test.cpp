@@ -314,6 +314,26 @@ TEST(SupervisedEnd, OfSupervisorAndHostTogetherLeavesNobody) {
   EXPECT_THAT(host.left(), testing::IsEmpty());
 }
 
+/// Its thread that would see the end of its host waits for a constructor which does not come back.
+TEST(SupervisedEnd, OfAGroupWhoseThreadIsStuckFollowsThatOfBoth) {
+  SupervisedHost host;
+  auto console = host.console();
+  const std::size_t before = host.left().size();
+  control::Change change;
+  change.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/libblocks-in-constructor.so");
+  change.mutable_load()->set_instance("patient");
+  change.mutable_load()->set_group("cage");
+  console->begin(change);
+  const auto begun = Steady::now();
+  while (host.left().size() == before && Steady::now() < begun + 20s) std::this_thread::sleep_for(5ms);
+  std::this_thread::sleep_for(300ms);
+  ::kill(host.supervisor(), SIGSTOP);
+  ::kill(host.host(), SIGKILL);
+  ::kill(host.supervisor(), SIGKILL);
+  while (!host.left().empty() && Steady::now() < begun + 30s) std::this_thread::sleep_for(20ms);
+  EXPECT_THAT(host.left(), testing::IsEmpty());
+}
+
 /// A pipe that is full; what is in it is taken when it is asked for.
 class FullPipe {
  public:
@@ -504,7 +524,7 @@ class SupervisedUpgrade : public Supervised {
   }
   void expect_x_in(const std::string& group) {
     EXPECT_EQ(console->instance("x").group(), group);
-    EXPECT_EQ(console->instance("x").mode(), "active");
+    EXPECT_EQ(console->instance("x").mode(), "active") << console->instance("x").reason();
     EXPECT_EQ(console->instance("x").stands_by(), "");
     for (const std::string name : {"witness.samples", "witness.echo"})
       EXPECT_EQ(port(*console, name).connection(), control::CONNECTED) << name;

@@ -339,10 +339,39 @@ INSTANTIATE_TEST_SUITE_P(Each, ZooHog,
                                          Animal{"keeps-descriptors", "descriptors, of 200 that it may have"},
                                          // In its words, or in the host's, who may look before it has said them.
                                          Animal{"leaks-descriptors", "descriptors"},
+                                         Animal{"makes-sockets", "was ended: it made more than 16 sockets"},
                                          Animal{"forks", "it was given no process"},
                                          Animal{"floods-log", "it has said all"},
                                          Animal{"floods-stderr", "it has said all"}),
                          name_of);
+
+/// The host's one thread waits for the constructor of another meanwhile.
+TEST_F(ZooGroup, ThatStandsStillIsEndedWhileAnotherIsLoaded) {
+  system.load_in("far", "source", "still");
+  const pid_t process = system.group("far").process();
+  auto took = std::chrono::steady_clock::duration::zero();
+  std::thread watcher([&] {
+    const auto begun = std::chrono::steady_clock::now();
+    ::kill(process, SIGSTOP);
+    while (::kill(process, 0) == 0 && std::chrono::steady_clock::now() < begun + 20s) std::this_thread::sleep_for(10ms);
+    took = std::chrono::steady_clock::now() - begun;
+  });
+  const auto begun = std::chrono::steady_clock::now();
+  EXPECT_TRUE(load("blocks-in-constructor.so", "cage"));
+  const auto loaded = std::chrono::steady_clock::now() - begun;
+  watcher.join();
+  EXPECT_LT(took, loaded) << "0.6 s of 1.8 s, on an idle machine";
+  system.eventually("it is told", [&] { return system.instance("still").mode() == "failed"; });
+}
+
+/// Its strands go on, and nothing hangs: but nobody can change it, or unload it.
+TEST_F(ZooGroup, ThatDoesNotAnswerIsEnded) {
+  ASSERT_EQ(load("dribbles.so", "cage"), std::nullopt);
+  system.eventually(
+      "its end", [&] { return system.instance("patient").mode() == "failed" && !system.group("cage").alive(); }, 90s);
+  EXPECT_THAT(system.instance("patient").reason(), HasSubstr("group 'cage' was ended: it did not answer for 15 s"));
+  expect_others_go_on();
+}
 
 /// In a sandbox it is given none.
 TEST_F(ZooGroup, ThatMapsSharedMemoryIsEnded) {

@@ -25,6 +25,7 @@ class Animal final : public fiona::Component {
   }
 
   static inline thread_local Animal* acting = nullptr;
+  using Component::end_run;
   using Component::log;
 
  private:
@@ -38,6 +39,7 @@ class Animal final : public fiona::Component {
 };
 
 void log(const char* line) { Animal::acting->log(fiona::LogLevel::Info, line); }
+void end_run() { Animal::acting->end_run(0, "the zoo closes"); }
 
 }  // namespace zoo
 

@@ -13,6 +13,9 @@ void destroy();    ///< in the destructor
 /// [act] A line of its log.
 void log(const char* line);
 
+/// [act] Ends the run, as a component may that plays a recording.
+void end_run();
+
 /// Keeps the optimiser from knowing that a loop is never left.
 inline volatile bool for_ever = true;
 

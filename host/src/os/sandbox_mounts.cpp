@@ -26,6 +26,8 @@ namespace fs = std::filesystem;
 /// Any directory that every system has: the new root is mounted over it, and then becomes the root.
 constexpr const char* kNewRoot = "/tmp";
 constexpr std::uint64_t kTemporaryBytes = 16U << 20U;
+/// Empty files take memory, too, which no limit of bytes counts.
+constexpr int kTemporaryFiles = 1024;
 
 /// What the loader and the C library read.
 constexpr const char* kSystemFiles[] = {"/usr/lib", "/usr/lib64", "/usr/share/zoneinfo", "/etc/ld.so.cache",
@@ -172,7 +174,8 @@ std::string enter_namespaces(const Reach& reach) {
   const bool is_used =
       std::any_of(parts.begin(), parts.end(), [](const Part& part) { return part.path.native().starts_with("/tmp/"); });
   if (!is_used) {
-    const std::string options = "mode=0700,size=" + std::to_string(kTemporaryBytes);
+    const std::string options =
+        "mode=0700,size=" + std::to_string(kTemporaryBytes) + ",nr_inodes=" + std::to_string(kTemporaryFiles);
     require_mounted(
         ::mount("fiona", temporary.c_str(), "tmpfs", MS_NOSUID | MS_NODEV | MS_NOEXEC, options.c_str()) == 0, "/tmp");
   }

@@ -38,6 +38,7 @@
 #include <vector>
 
 #include "animal.hpp"
+#include "host_socket.hpp"
 
 // Tries every way out of a sandbox, and throws which of them it found. The host that it escapes to is its parent, which
 // has put up what there is to find: a file, a unix socket, an abstract socket and a descriptor.
@@ -215,22 +216,19 @@ std::vector<Escape> turns() {
           {"sched_setattr", [] { return is_let_try(::syscall(SYS_sched_setattr, 0, nullptr, 0)); }}};
 }
 
-/// What it has bound a socket in, as all processes of a system have; empty: none.
-std::string link_folder() {
-  for (int descriptor = 3; descriptor < 64; ++descriptor) {
-    sockaddr_un address{};
-    socklen_t length = sizeof address;
-    if (::getsockname(descriptor, reinterpret_cast<sockaddr*>(&address), &length) != 0) continue;
-    const std::string path = address.sun_path;
-    if (address.sun_family == AF_UNIX && path.ends_with("/link")) return path.substr(0, path.rfind('/'));
-  }
-  return {};
-}
-
 bool makes_folder(const std::string& path) {
   const bool made = ::mkdir(path.c_str(), 0700) == 0;
   if (made) ::rmdir(path.c_str());
   return made;
+}
+
+/// Empty ones, of which no bound of bytes counts what they take.
+bool makes_files(const std::string& folder, int number) {
+  const auto name = [&](int i) { return folder + "/made-by-zoo-" + std::to_string(i); };
+  int made = 0;
+  while (made < number && opens(name(made), O_WRONLY | O_CREAT | O_EXCL)) ++made;
+  for (int i = 0; i < made; ++i) ::unlink(name(i).c_str());
+  return made == number;
 }
 
 bool shares(int object, int (*end)(int)) {
@@ -257,8 +255,9 @@ std::vector<Escape> hoards() {
          return made != MAP_FAILED;
        }},
       {"memory to share, by a device", [] { return opens("/dev/zero"); }},
-      {"a file where it listens", [] { return creates(link_folder() + "/made-by-zoo"); }},
-      {"a folder where it listens", [] { return makes_folder(link_folder() + "/made-by-zoo"); }}};
+      {"files without end", [] { return makes_files("/tmp", 2000); }},
+      {"a file where it listens", [] { return creates(zoo::link_folder() + "/made-by-zoo"); }},
+      {"a folder where it listens", [] { return makes_folder(zoo::link_folder() + "/made-by-zoo"); }}};
 }
 
 std::vector<Escape> sockets() {

@@ -9,12 +9,7 @@ namespace {
 
 using fiona::wire::GroupMessage;
 
-void tell(int host, const GroupMessage& message) {
-  const std::string text = message.SerializeAsString();
-  std::string framed;
-  for (int shift = 0; shift < 32; shift += 8) framed += static_cast<char>(text.size() >> shift & 0xff);
-  zoo::say(host, framed + text);
-}
+using zoo::tell;
 
 void forge_about(int host, std::uint64_t number) {
   GroupMessage tapped, tap_ended, mode_set, call_ended, wire_lost;
