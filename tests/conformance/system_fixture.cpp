@@ -240,7 +240,7 @@ control::Reply RunningSystem::let_pass(std::chrono::milliseconds time) {
 
 void RunningSystem::load_provider(const std::string& component, const std::string& name,
                                   const std::string& parameters) {
-  load_in("", component, name, parameters);
+  load_in(providers_group(), component, name, parameters);
 }
 
 void RunningSystem::load_client(const std::string& component, const std::string& name, const std::string& parameters) {

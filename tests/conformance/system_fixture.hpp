@@ -94,8 +94,8 @@ struct LaterAnswer {
   control::Reply reply;  ///< to be read once it has ended
 };
 
-/// A running system in the test's process, with the test's components loaded as plugins. The provider's side lives in
-/// `main`; the client's side in `main` too, behind ipc in a group, or behind tcp on another host, "far".
+/// A running system in the test's process, with the test's components loaded as plugins. Provider and client live in
+/// `main`; over ipc each in a group of its own, "near" and "far"; over tcp the client lives on another host, "far".
 class RunningSystem {
  public:
   explicit RunningSystem(Transport transport = Transport::Process);
@@ -152,6 +152,8 @@ class RunningSystem {
   /// Waits until it has joined.
   void join(const std::string& name);
   control::GroupStatus group(const std::string& name);
+  /// Where `load_provider` loads.
+  std::string providers_group() const { return transport_ == Transport::Ipc ? "near" : "main"; }
   /// Of the client's side, where that is not the test's own: the group, or the other host.
   pid_t far_process();
   /// A probe, read once.
