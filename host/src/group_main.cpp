@@ -59,8 +59,8 @@ bool has_expired(const fiona::wire::GroupRequest& request) {
 
 fiona::wire::GroupMessage expired() {
   fiona::wire::GroupMessage reply;
-  *reply.mutable_failure() =
-      fiona::host::failure_of(fiona::Error(fiona::ErrorCode::Unreachable, "nobody waits for that any more"));
+  *reply.mutable_failure() = fiona::host::failure_of(
+      fiona::Error(fiona::ErrorCode::Unreachable, {.what = "nobody waits for that any more", .next = "ask again"}));
   return reply;
 }
 
@@ -147,7 +147,8 @@ std::string value_of(const Words& words, std::string_view flag) {
   const auto found = std::find(words.begin(), words.end(), flag);
   if (found != words.end() && found + 1 != words.end()) return found[1];
   throw fiona::Error(fiona::ErrorCode::Usage,
-                     "fiona-group is started by fiona-host, which gives it " + std::string(flag));
+                     {.what = "fiona-group is started by fiona-host, which gives it " + std::string(flag),
+                      .next = "fiona run starts a host, and load … in GROUP a group"});
 }
 
 std::unique_ptr<fiona::Clock> make_clock(const Words& words) {
@@ -164,7 +165,9 @@ fiona::wire::Welcome welcome_from(fiona::os::MessageStream& stream) {
   fiona::wire::GroupRequest request;
   while (!stream.next(request)) {
     if (stream.wait_readable(end) && stream.receive()) continue;
-    throw fiona::Error(fiona::ErrorCode::Unreachable, "the host has not said what this group's links are opened with");
+    throw fiona::Error(fiona::ErrorCode::Unreachable,
+                       {.what = "the host has not said what this group's links are opened with",
+                        .next = "see why the host stands still or has ended: its last lines, and doctor"});
   }
   return request.welcome();
 }
@@ -239,7 +242,9 @@ void describe_into(const fiona::os::Descriptor& out, const std::string& library,
   google::protobuf::TextFormat::PrintToString(fiona::tools::interface_of_library(library, brought), &text);
   for (std::size_t written = 0; written < text.size();) {
     const ssize_t now = ::write(out.get(), text.data() + written, text.size() - written);
-    if (now <= 0) throw fiona::Error(fiona::ErrorCode::Failed, "the interface cannot be written");
+    if (now <= 0)
+      throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the interface cannot be written",
+                                                    .next = "see why who reads it has ended: its last lines"});
     written += static_cast<std::size_t>(now);
   }
 }
