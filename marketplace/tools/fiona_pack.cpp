@@ -49,7 +49,9 @@ std::string content(const filesystem::path& path) {
   const auto file = fiona::marketplace::open_regular(AT_FDCWD, path, path);
   if (!file) {
     throw fiona::Error(fiona::ErrorCode::NotFound,
-                       fiona::ErrorText{.what = "there is no such file", .where = path.string()});
+                       fiona::ErrorText{.what = "there is no such file",
+                                        .where = path.string(),
+                                        .next = "see what is there: ls " + path.parent_path().string()});
   }
   return fiona::marketplace::read_all(file, std::uint64_t{16} << 20, path);
 }

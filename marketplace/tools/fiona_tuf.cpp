@@ -53,7 +53,9 @@ void init(const options::variables_map& flags) {
   const auto file = fiona::marketplace::open_regular(AT_FDCWD, path, path);
   if (!file) {
     throw fiona::Error(fiona::ErrorCode::NotFound,
-                       fiona::ErrorText{.what = "there is no such file", .where = path.string()});
+                       fiona::ErrorText{.what = "there is no such file",
+                                        .where = path.string(),
+                                        .next = "see what is there: ls " + path.parent_path().string()});
   }
   const std::string root = fiona::marketplace::read_all(file, fiona::tuf::Limits{}.root_bytes, path);
   fiona::tuf::Client::trust(needed(flags, "metadata-dir"), root);

@@ -356,7 +356,10 @@ void test(const std::string& library, const std::string& component, const std::v
   for (const auto& entry : plugin.entries()) {
     if (entry.name == component) return ContractBench(entry).run();
   }
-  throw fiona::Error(fiona::ErrorCode::NotFound, {.what = "the plugin has no component '" + component + "'"});
+  std::string known;
+  for (const auto& entry : plugin.entries()) known += (known.empty() ? "" : ", ") + entry.name;
+  throw fiona::Error(fiona::ErrorCode::NotFound,
+                     {.what = "the plugin has no component '" + component + "'", .expected = "one of " + known});
 }
 
 }  // namespace

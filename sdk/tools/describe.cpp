@@ -42,7 +42,10 @@ void describe(const std::string& library, const std::vector<std::string>& brough
   std::ofstream file(out, std::ios::trunc);
   file << text;
   file.close();
-  if (!file) throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the interface cannot be written", .where = out});
+  if (!file)
+    throw fiona::Error(fiona::ErrorCode::Failed, {.what = "the interface cannot be written",
+                                                  .where = out,
+                                                  .expected = "a folder that exists, may be written, and has room"});
 }
 
 void run(int argc, char** argv) {

@@ -18,7 +18,10 @@ namespace fiona::tools {
 /// Opens a library as its author has built it, in this process, which is for nothing else; it stays open. Throws Error.
 inline void* open_library(const std::string& library) {
   if (void* handle = dlopen(std::filesystem::absolute(library).c_str(), RTLD_NOW | RTLD_LOCAL)) return handle;
-  throw Error(ErrorCode::Failed, {.what = "the library does not load", .where = library, .found = dlerror()});
+  throw Error(ErrorCode::Failed, {.what = "the library does not load",
+                                  .where = library,
+                                  .found = dlerror(),
+                                  .next = "link it with what the loader misses, or install that"});
 }
 
 inline void require_abi(const std::string& library, const std::string& found) {

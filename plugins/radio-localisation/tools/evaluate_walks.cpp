@@ -59,7 +59,10 @@ int run(int argc, char** argv) {
     return true;
   });
   out.close();
-  if (!out) throw fiona::Error(fiona::ErrorCode::Failed, "cannot write " + given["output"].as<std::string>());
+  if (!out) {
+    throw fiona::Error(fiona::ErrorCode::Failed, {.what = "cannot write " + given["output"].as<std::string>(),
+                                                  .next = "-o FILE names one that can"});
+  }
   return 0;
 }
 

@@ -111,7 +111,10 @@ Scores score(const std::vector<Truth>& truth, const Tracks& tracks) {
 
 void print(const std::string& name, const Scores& s) {
   const auto n = static_cast<double>(s.errors.size());
-  if (n == 0) throw fiona::Error(fiona::ErrorCode::Failed, "no truth is covered");
+  if (n == 0) {
+    throw fiona::Error(fiona::ErrorCode::Failed,
+                       {.what = "no truth is covered", .next = "--truth FILE names that of the same walks"});
+  }
   double track_means = 0.0;
   for (const auto& [track, errors] : s.by_track) {
     track_means += std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(errors.size());
@@ -247,7 +250,10 @@ int run(int argc, char** argv) {
         }
       }
       out.close();
-      if (!out) throw fiona::Error(fiona::ErrorCode::Failed, "cannot write " + given["output"].as<std::string>());
+      if (!out) {
+        throw fiona::Error(fiona::ErrorCode::Failed, {.what = "cannot write " + given["output"].as<std::string>(),
+                                                      .next = "-o FILE names one that can"});
+      }
     }
   }
   return 0;

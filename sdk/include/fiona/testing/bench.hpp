@@ -239,11 +239,16 @@ class AnyBench : private HullEvents {
 
   Port& find(std::string_view name) {
     if (Port* port = hull_.find_port(name)) return *port;
-    throw Error(ErrorCode::NotFound, "the component has no port '" + std::string(name) + "'");
+    std::string known;
+    for (const Port* port : hull_.ports()) known += (known.empty() ? "" : ", ") + port->name();
+    throw Error(ErrorCode::NotFound,
+                {.what = "the component has no port '" + std::string(name) + "'", .expected = "one of " + known});
   }
   Inbox& inbox(std::string_view name) {
     if (Inbox* inbox = find(name).inbox()) return *inbox;
-    throw Error(ErrorCode::Usage, "nothing can be handed to port '" + std::string(name) + "'");
+    throw Error(ErrorCode::Usage, {.what = "nothing can be handed to port '" + std::string(name) + "'",
+                                   .expected = "a port that takes or answers something",
+                                   .next = "take(\"" + std::string(name) + "\") gives what came out of this one"});
   }
   Collector& collector(std::string_view name) { return *collectors_.at(find(name).name()); }
 
