@@ -66,6 +66,22 @@ bool is_floating(const FieldDescriptor& field) {
   return field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE || field.cpp_type() == FieldDescriptor::CPPTYPE_FLOAT;
 }
 
+bool is_enumeration(const FieldDescriptor& field) { return field.cpp_type() == FieldDescriptor::CPPTYPE_ENUM; }
+
+/// Wires join only types with the same enumerators, so that no other number is one of another version.
+std::optional<std::string> no_enumerator(const Object& object, const Reflection& reflect,
+                                         const FieldDescriptor& field) {
+  const int count = field.is_repeated() ? reflect.FieldSize(object, &field) : 1;
+  for (int i = 0; i < count; ++i) {
+    const int number =
+        field.is_repeated() ? reflect.GetRepeatedEnumValue(object, &field, i) : reflect.GetEnumValue(object, &field);
+    if (field.enum_type()->FindValueByNumber(number)) continue;
+    return fmt::format("{}{} is {}, no enumerator of {}", field.name(),
+                       field.is_repeated() ? fmt::format("[{}]", i) : "", number, field.enum_type()->name());
+  }
+  return std::nullopt;
+}
+
 /// Whether a row-major matrix is one of covariances, as far as rounding tells: by elimination with the largest diagonal
 /// element first (Higham, Accuracy and Stability of Numerical Algorithms, 10.3).
 bool is_covariance(std::vector<double> matrix) {
@@ -122,7 +138,8 @@ void ObjectRules::compile(const Descriptor& type) {
                       options.GetExtension(fiona::covariance);
     rule.nested = field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE;
     if (rule.nested) compile(*field.message_type());
-    if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.covariance || rule.nested)
+    if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.covariance || rule.nested ||
+        is_enumeration(field))
       rules.push_back(rule);
   }
   rules_[&type] = std::move(rules);
@@ -165,6 +182,7 @@ std::optional<std::string> ObjectRules::check_field(const Object& object, const 
       return fmt::format("{} has {} {}, more than {}", field.name(), *length, things, rule.max_size);
     }
   }
+  if (is_enumeration(field)) return no_enumerator(object, reflect, field);
   if (!rule.min && !rule.max && !rule.finite && !rule.covariance) return std::nullopt;
   std::optional<std::string> violation;
   with_number_type(field, [&](auto type) {

@@ -45,15 +45,13 @@ std::set<const Descriptor*> objects() {
   return all;
 }
 
-/// Each field that is no object itself, through one element of each list of objects.
-void each_leaf(const Descriptor& type, Path& path, const std::function<void(const Path&)>& visit) {
+/// Each field, through one element of each list of objects.
+void each_field(const Descriptor& type, Path& path, const std::function<void(const Path&)>& visit) {
   for (int i = 0; i < type.field_count(); ++i) {
     path.push_back(type.field(i));
-    if (path.back()->cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE) {
-      each_leaf(*path.back()->message_type(), path, visit);
-    } else {
-      visit(path);
-    }
+    visit(path);
+    if (path.back()->cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE)
+      each_field(*path.back()->message_type(), path, visit);
     path.pop_back();
   }
 }
@@ -160,7 +158,7 @@ class HostileValues : public ::testing::Test {
       case FieldDescriptor::CPPTYPE_BOOL: return reflect.AddBool(&object, &field, false);
       case FieldDescriptor::CPPTYPE_ENUM: return reflect.AddEnumValue(&object, &field, 0);
       case FieldDescriptor::CPPTYPE_STRING: return reflect.AddString(&object, &field, "");
-      case FieldDescriptor::CPPTYPE_MESSAGE: return;
+      case FieldDescriptor::CPPTYPE_MESSAGE: reflect.AddMessage(&object, &field);
     }
   }
 
@@ -170,14 +168,14 @@ class HostileValues : public ::testing::Test {
 TEST_F(HostileValues, OfEveryNumberAreRefusedByNameUnlessTheFieldAllowsThem) {
   Path path;
   for (const Descriptor* type : objects()) {
-    each_leaf(*type, path, [&](const Path& leaf) {
-      switch (leaf.back()->cpp_type()) {
-        case FieldDescriptor::CPPTYPE_DOUBLE: return expect_right_for_limits<double>(*type, leaf);
-        case FieldDescriptor::CPPTYPE_FLOAT: return expect_right_for_limits<float>(*type, leaf);
-        case FieldDescriptor::CPPTYPE_INT32: return expect_right_for_limits<std::int32_t>(*type, leaf);
-        case FieldDescriptor::CPPTYPE_UINT32: return expect_right_for_limits<std::uint32_t>(*type, leaf);
-        case FieldDescriptor::CPPTYPE_INT64: return expect_right_for_limits<google::protobuf::int64>(*type, leaf);
-        case FieldDescriptor::CPPTYPE_UINT64: return expect_right_for_limits<google::protobuf::uint64>(*type, leaf);
+    each_field(*type, path, [&](const Path& at) {
+      switch (at.back()->cpp_type()) {
+        case FieldDescriptor::CPPTYPE_DOUBLE: return expect_right_for_limits<double>(*type, at);
+        case FieldDescriptor::CPPTYPE_FLOAT: return expect_right_for_limits<float>(*type, at);
+        case FieldDescriptor::CPPTYPE_INT32: return expect_right_for_limits<std::int32_t>(*type, at);
+        case FieldDescriptor::CPPTYPE_UINT32: return expect_right_for_limits<std::uint32_t>(*type, at);
+        case FieldDescriptor::CPPTYPE_INT64: return expect_right_for_limits<google::protobuf::int64>(*type, at);
+        case FieldDescriptor::CPPTYPE_UINT64: return expect_right_for_limits<google::protobuf::uint64>(*type, at);
         default: return;
       }
     });
@@ -188,8 +186,27 @@ TEST_F(HostileValues, OfEveryNumberAreRefusedByNameUnlessTheFieldAllowsThem) {
 TEST_F(HostileValues, AListOrTextThatIsTooLongIsRefusedByName) {
   Path path;
   for (const Descriptor* type : objects())
-    each_leaf(*type, path, [&](const Path& leaf) { expect_length_kept(*type, leaf); });
+    each_field(*type, path, [&](const Path& at) { expect_length_kept(*type, at); });
   EXPECT_GT(tried_, 50);
+}
+
+TEST_F(HostileValues, ANumberThatIsNoEnumeratorIsRefusedByName) {
+  Path path;
+  for (const Descriptor* type : objects()) {
+    each_field(*type, path, [&](const Path& at) {
+      if (at.back()->cpp_type() != FieldDescriptor::CPPTYPE_ENUM) return;
+      for (const int number : {-1, 1000, std::numeric_limits<int>::min(), std::numeric_limits<int>::max()}) {
+        const auto refusal = refusal_of(*type, at, [&](Object& object, const FieldDescriptor& one) {
+          const auto& reflect = *object.GetReflection();
+          one.is_repeated() ? reflect.AddEnumValue(&object, &one, number) : reflect.SetEnumValue(&object, &one, number);
+        });
+        ASSERT_TRUE(refusal) << at.back()->full_name() << " = " << number;
+        EXPECT_THAT(*refusal, HasSubstr(at.back()->name()));
+        EXPECT_THAT(*refusal, HasSubstr(std::to_string(number)));
+      }
+    });
+  }
+  EXPECT_GT(tried_, 20);
 }
 
 TEST_F(HostileValues, TextThatIsNoUtf8DoesNotParse) {
@@ -197,15 +214,15 @@ TEST_F(HostileValues, TextThatIsNoUtf8DoesNotParse) {
   Path path;
   int texts = 0;
   for (const Descriptor* type : objects()) {
-    each_leaf(*type, path, [&](const Path& leaf) {
-      if (leaf.back()->type() != FieldDescriptor::TYPE_STRING) return;
+    each_field(*type, path, [&](const Path& at) {
+      if (at.back()->type() != FieldDescriptor::TYPE_STRING) return;
       ++texts;
       const auto* prototype = google::protobuf::MessageFactory::generated_factory()->GetPrototype(type);
       const std::unique_ptr<Object> sent(prototype->New()), received(prototype->New());
-      put(holder(*sent, leaf), *leaf.back(), std::string("ok"));
+      put(holder(*sent, at), *at.back(), std::string("ok"));
       std::string bytes = sent->SerializeAsString();
       bytes.replace(bytes.rfind("ok"), 2, "\xC3\x28");
-      EXPECT_FALSE(received->ParseFromString(bytes)) << leaf.back()->full_name();
+      EXPECT_FALSE(received->ParseFromString(bytes)) << at.back()->full_name();
     });
   }
   EXPECT_GT(texts, 10);
@@ -215,14 +232,14 @@ TEST_F(HostileValues, AMatrixThatIsNoCovarianceIsRefusedByName) {
   Path path;
   int matrices = 0;
   for (const Descriptor* type : objects()) {
-    each_leaf(*type, path, [&](const Path& leaf) {
-      if (!leaf.back()->options().GetExtension(fiona::covariance)) return;
+    each_field(*type, path, [&](const Path& at) {
+      if (!at.back()->options().GetExtension(fiona::covariance)) return;
       ++matrices;
-      const auto refusal = refusal_of(*type, leaf, [](Object& object, const FieldDescriptor& field) {
+      const auto refusal = refusal_of(*type, at, [](Object& object, const FieldDescriptor& field) {
         for (const double element : {1., 2., 0., 2., 1., 0., 0., 0., 1.}) put(object, field, element);
       });
-      ASSERT_TRUE(refusal) << leaf.back()->full_name();
-      EXPECT_THAT(*refusal, HasSubstr(leaf.back()->name() + " is no covariance"));
+      ASSERT_TRUE(refusal) << at.back()->full_name();
+      EXPECT_THAT(*refusal, HasSubstr(at.back()->name() + " is no covariance"));
     });
   }
   EXPECT_GE(matrices, 3);
