@@ -27,8 +27,9 @@ std::vector<Verb> composing_verbs() {
        "publisher gets a group of its own, a sandbox, of its instance's name; `with network`, `with device:NAME`, "
        "`with "
        "read:/PATH`, `with write:/PATH` and `with system-bus:NAME` or `session-bus:NAME`, a service on D-Bus, open it "
-       "as "
-       "far as its manifest asks; `with confined` makes a sandbox for a "
+       "as far as its manifest asks; before Linux 6.12 `with network` opens the abstract sockets of the user's "
+       "programs "
+       "too; `with confined` makes a sandbox for a "
        "package that needs none, and `with unconfined` none for one that does. A path names a file on the host's "
        "machine: that takes administer, as do parameters that are paths there, devices, files, services on D-Bus and "
        "`unconfined`.",

@@ -4,10 +4,12 @@
 #include <gtest/gtest.h>
 
 #include <fcntl.h>
+#include <linux/landlock.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -17,6 +19,7 @@
 #include <filesystem>
 #include <fstream>
 #include <optional>
+#include <sstream>
 #include <vector>
 
 #include "fiona/error.hpp"
@@ -53,16 +56,17 @@ class ZooGroup : public testing::TestWithParam<Animal> {
     system.load_in("", "sink", "sink");
     system.wire("sink.each", "source.newest");
   }
-  std::optional<Error> load(const std::string& library, const std::string& group, const std::string& right = "") {
-    return load_path(std::string(ZOO_DIRECTORY) + "/lib" + library, group, right);
+  std::optional<Error> load(const std::string& library, const std::string& group, const std::string& rights = "") {
+    return load_path(std::string(ZOO_DIRECTORY) + "/lib" + library, group, rights);
   }
-  std::optional<Error> load_path(const std::string& path, const std::string& group, const std::string& right) {
+  std::optional<Error> load_path(const std::string& path, const std::string& group, const std::string& rights) {
     control::Change change;
     control::Load& request = *change.mutable_load();
     request.set_plugin(path);
     request.set_instance("patient");
     request.set_group(group);
-    if (!right.empty()) request.add_rights(right);
+    std::istringstream words(rights);
+    for (std::string right; words >> right;) request.add_rights(right);
     try {
       system.system().perform(change);
     } catch (const Error& error) {
@@ -467,8 +471,8 @@ class ZooEscape : public ZooGroup {
     ASSERT_EQ(::bind(listeners.back().get(), reinterpret_cast<const sockaddr*>(&address), length), 0) << path;
     ASSERT_EQ(::listen(listeners.back().get(), 4), 0);
   }
-  std::string escapes(const std::string& right) {
-    EXPECT_EQ(load("escapes.so", "cage", right), std::nullopt);
+  std::string escapes(const std::string& rights) {
+    EXPECT_EQ(load("escapes.so", "cage", rights), std::nullopt);
     system.eventually("it has tried", [&] { return system.instance("patient").mode() == "failed"; });
     return system.instance("patient").reason();
   }
@@ -478,6 +482,17 @@ class ZooEscape : public ZooGroup {
 };
 
 TEST_F(ZooEscape, OutOfASandboxDoesNotSucceed) { EXPECT_THAT(escapes("confined"), StartsWith("0 of ")); }
+
+/// And, where the kernel's Landlock has no scopes, abstract sockets of the user's programs: they are of the network
+/// that it was granted.
+TEST_F(ZooEscape, OutOfASandboxWithANetworkFindsThatAndNothingElse) {
+  constexpr long kWithScopes = 6;
+  const long abi = ::syscall(SYS_landlock_create_ruleset, nullptr, 0, LANDLOCK_CREATE_RULESET_VERSION);
+  const std::string found = escapes("confined network");
+  EXPECT_THAT(found, HasSubstr(" escapes: inet, inet datagrams, inet6"));
+  EXPECT_EQ(found.find("an abstract socket") != std::string::npos, abi < kWithScopes) << "Landlock's ABI is " << abi;
+  EXPECT_THAT(found, StartsWith(abi < kWithScopes ? "4 of " : "3 of ")) << found;
+}
 
 /// That nothing was found above is because of the sandbox.
 TEST_F(ZooEscape, OutOfAGroupThatIsNoneSucceedsManyTimes) {
