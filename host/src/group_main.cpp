@@ -290,12 +290,12 @@ void end_without_host(bool adoptable, bool sandboxed) {
 }
 
 int be_group(const Words& words) {
-  fiona::os::keep_spare_descriptor();
   const std::string endpoint = value_of(words, "--endpoint");
   auto stream = std::make_unique<fiona::os::MessageStream>(fiona::os::Descriptor(kGroupSocket));
   const auto welcome = welcome_from(*stream);
   fiona::wire::GroupMessage ready;
   confine(welcome.confinement(), *ready.mutable_ready());
+  fiona::os::keep_spare_descriptor();  // now: to confine closes what is open
   end_without_host(welcome.adoptable(), welcome.confinement().sandboxed());
   const auto clock = make_clock(words);
   auto* const follower = dynamic_cast<GroupClock*>(clock.get());
