@@ -1,4 +1,5 @@
 // Beacon maps, walls, and the component around the filter over them.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <array>
@@ -468,6 +469,60 @@ TEST_F(Component, StepsAgainstTrueNorthLeadAlongTheAxesOfATurnedMap) {
   EXPECT_NEAR(position.x(), 4, 2.5);
   EXPECT_NEAR(position.y(), 10 + 8 * 0.7, 2.5);
   EXPECT_EQ(position.reference_heading(), 90);
+}
+
+TEST_F(Component, BeaconsStayWhereTheyAreWhenTheBuildingIsDrawnAroundAnotherOrigin) {
+  std::ofstream(file_) << kFourBeacons << " reference { latitude: 48.4 longitude: 10.0 }";
+  navigation::CommLevelMap map;
+  map.set_version(7);
+  map.mutable_reference()->set_reference_lat(48.4), map.mutable_reference()->set_reference_long(10.0);
+  map.mutable_reference()->set_reference_heading(90);  // its y axis points east, and x south
+  bench_.answer_with<navigation::LevelMap>("map", [&](const navigation::CommLevelMapRequest&) { return map; });
+  bench_.start();
+  bench_.advance(3s);
+  for (int i = 0; i < 15; ++i) hear(6, 13);
+  const auto turned = location().position();
+  EXPECT_NEAR(turned.x(), -13, 2.5);
+  EXPECT_NEAR(turned.y(), 6, 2.5);
+  EXPECT_EQ(turned.reference_heading(), 90);
+  map.set_version(8);
+  map.mutable_reference()->set_reference_heading(0);
+  navigation::LevelMapVersion changed;
+  changed.set_version(8);
+  ASSERT_EQ(bench_.fire<navigation::LevelMapChange>("map_change", changed), 1u);
+  bench_.advance(1s);
+  for (int i = 0; i < 15; ++i) hear(6, 13);
+  const auto back = location().position();
+  EXPECT_NEAR(back.x(), 6, 2.5);
+  EXPECT_NEAR(back.y(), 13, 2.5);
+}
+
+TEST_F(Component, WithoutABuildingTheFrameIsThatOfTheBeaconMap) {
+  std::ofstream(file_) << kFourBeacons << " reference { latitude: 48.4 longitude: 10.0 heading: 30 }";
+  bench_.start();
+  for (int i = 0; i < 15; ++i) hear(6, 13);
+  const auto position = location().position();
+  EXPECT_EQ(position.reference_lat(), 48.4);
+  EXPECT_NEAR(position.reference_heading(), 30, 1e-9);
+}
+
+TEST_F(Component, ALevelBetweenTwoIsTold) {
+  bench_.answer_with<navigation::LevelMap>("map", [](const navigation::CommLevelMapRequest&) {
+    navigation::CommLevelMap map;
+    map.set_version(7);
+    map.set_name("hall");
+    for (const double level : {0.0, 0.5}) {
+      auto& room = *map.add_rooms();
+      room.set_level(level);
+      for (const auto& [x, y] : {std::pair{0, 0}, {30, 0}, {30, 30}})
+        room.mutable_outline()->add_x(x), room.mutable_outline()->add_y(y);
+    }
+    return map;
+  });
+  bench_.start();
+  bench_.advance(3s);
+  EXPECT_THAT(bench_.log(), ::testing::Contains(::testing::HasSubstr(
+                                "positions have whole levels: who is on 0.5 of 'hall' is found on one beside it")));
 }
 
 TEST(CommStep, ThatTellsNoVarianceIsNotExact) {

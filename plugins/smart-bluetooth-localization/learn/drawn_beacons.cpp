@@ -31,6 +31,7 @@ int power_of(const building::Landmark& landmark, const std::string& file) {
 BeaconMap drawn_in(const building::Building& building) {
   BeaconMap map;
   map.set_name(building.name());
+  set_reference(map, building.reference());
   for (const building::Landmark& landmark : building.landmarks()) {
     const auto id = landmark.tags.find("fiona:beacon");
     if (id == landmark.tags.end()) continue;

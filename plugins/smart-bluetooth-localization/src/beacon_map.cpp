@@ -99,6 +99,12 @@ void check_compass(const BeaconMap& map, const Check& check) {
   }
 }
 
+void check_reference(const BeaconMap& map, const Check& check) {
+  check.number("reference: latitude", map.reference().latitude(), -90.0, 90.0);
+  check.number("reference: longitude", map.reference().longitude(), -180.0, 180.0);
+  check.number("reference: heading", map.reference().heading(), -360.0, 360.0);
+}
+
 void fill(google::protobuf::Message& message, const google::protobuf::Message& usual, const Check& check) {
   const auto& reflection = *message.GetReflection();
   const auto& type = *message.GetDescriptor();
@@ -153,6 +159,7 @@ BeaconMap parse(std::string_view text, const std::string& name) {
   check_beacons(map, check);
   check_survey(map, check);
   check_compass(map, check);
+  check_reference(map, check);
   fill(*map.mutable_radio(), usual_radio(), check);
   fill(*map.mutable_accuracy(), careful_accuracy(), check);
   if (map.radio().heard_most() >= 1.0) check.refuse("Radio.heard_most is 1 or more", "a share below 1");
@@ -188,6 +195,31 @@ void save(const BeaconMap& map, const std::filesystem::path& file) {
                 {.what = "the beacon map cannot be written: " + std::generic_category().message(errno ? errno : EIO),
                  .where = file.string(),
                  .next = "-o FILE names one that can"});
+}
+
+std::optional<building::Reference> reference_of(const BeaconMap& map) {
+  if (!map.has_reference()) return std::nullopt;
+  const auto& told = map.reference();
+  return building::Reference{told.latitude(), told.longitude(), told.heading() * std::numbers::pi / 180.0, true};
+}
+
+void set_reference(BeaconMap& map, const building::Reference& reference) {
+  auto& told = *map.mutable_reference();
+  told.set_latitude(reference.latitude_deg);
+  told.set_longitude(reference.longitude_deg);
+  told.set_heading(reference.heading_rad * 180.0 / std::numbers::pi);
+}
+
+BeaconMap moved(BeaconMap map, const building::Placement& how) {
+  const auto move = [&](auto& at) {
+    const building::Point to = how.place(building::Point{at.x(), at.y()});
+    at.set_x(to.x_m);
+    at.set_y(to.y_m);
+  };
+  for (auto& beacon : *map.mutable_beacons()) move(beacon);
+  for (auto& place : *map.mutable_survey()) move(place);
+  for (auto& deviation : *map.mutable_compass()) move(deviation);
+  return map;
 }
 
 std::string normalised_id(std::string_view id) {

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string_view>
 
+#include "fiona/building/frames.hpp"
 #include "fiona/smart_bluetooth_localization/beacon_map.pb.h"
 
 namespace fiona::beacons {
@@ -23,6 +25,12 @@ BeaconMap load(const std::filesystem::path& file);
 
 /// Writes the file anew. Throws fiona::Error if it cannot.
 void save(const BeaconMap& map, const std::filesystem::path& file);
+
+/// The frame that it is told in; none: it does not say.
+std::optional<building::Reference> reference_of(const BeaconMap& map);
+void set_reference(BeaconMap& map, const building::Reference& reference);
+/// The same in another frame, `how` that of the map lies in it.
+BeaconMap moved(BeaconMap map, const building::Placement& how);
 
 /// How ids are compared: lower case; an address without its separators.
 std::string normalised_id(std::string_view id);

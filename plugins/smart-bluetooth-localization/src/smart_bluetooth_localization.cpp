@@ -5,7 +5,11 @@
 #include <filesystem>
 #include <limits>
 #include <numbers>
+#include <set>
 #include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "fiona/objects/step.hpp"
 
@@ -41,7 +45,8 @@ void SmartBluetoothLocalization::on_start() {
   }
   std::error_code unknown;
   const bool is_packaged = params_->beacons() == kHouse && !std::filesystem::exists(kHouse, unknown);
-  beacon_map_ = beacons::load(is_packaged ? resource(kHouse) : std::filesystem::path(params_->beacons()));
+  drawn_ = beacons::load(is_packaged ? resource(kHouse) : std::filesystem::path(params_->beacons()));
+  beacon_map_ = drawn_;
   make_field();
 }
 
@@ -133,6 +138,40 @@ Async<> SmartBluetoothLocalization::look_for_map() {
   use(*answer);
 }
 
+/// The frame of the level map; none: there is no map, or it does not say.
+std::optional<building::Reference> SmartBluetoothLocalization::frame_of_map() const {
+  if (!level_map_ || !level_map_->reference().has_reference_lat()) return std::nullopt;
+  const localisation::CommPosition& told = level_map_->reference();
+  return building::Reference{told.reference_lat(), told.reference_long(),
+                             told.reference_heading() * std::numbers::pi / 180.0, true};
+}
+
+/// The beacons stay where they are when the building is drawn anew around another origin. Whether anything was moved.
+bool SmartBluetoothLocalization::move_beacons() {
+  constexpr double kApart_m = 0.001;
+  const auto own = beacons::reference_of(drawn_), map = frame_of_map();
+  const building::Placement how = own && map ? building::placement_of(*own, *map) : building::Placement();
+  const bool is_there =
+      building::length_m(how.by - moved_.by) < kApart_m && std::abs(how.turn_rad - moved_.turn_rad) < 1e-6;
+  if (is_there) return false;
+  moved_ = how;
+  beacon_map_ = beacons::moved(drawn_, how);
+  log(LogLevel::Info, fmt::format("the origin of the beacon map lies {:.1f} m from that of '{}': its beacons are moved",
+                                  building::length_m(how.by), level_map_->name()));
+  return true;
+}
+
+/// Nobody is found between two levels, whatever lies there.
+void SmartBluetoothLocalization::tell_of_levels_between() {
+  std::set<double> between;
+  for (const auto& room : level_map_->rooms()) {
+    if (room.level() != std::round(room.level())) between.insert(room.level());
+  }
+  if (between.empty()) return;
+  log(LogLevel::Warning, fmt::format("positions have whole levels: who is on {} of '{}' is found on one beside it",
+                                     fmt::join(between, ", "), level_map_->name()));
+}
+
 void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevelMap> map) {
   if (level_map_ && level_map_->version() == map->version()) return;
   level_map_ = std::move(map);
@@ -144,7 +183,8 @@ void SmartBluetoothLocalization::use(std::shared_ptr<const navigation::CommLevel
     plan_ = std::make_shared<const beacons::FloorPlan>();
   }
   log(LogLevel::Info, "walls of '" + level_map_->name() + "' in use: " + std::to_string(level_map_->walls_size()));
-  if (beacon_map_.survey().empty() && plan_->extents() != extents_) return make_field();
+  tell_of_levels_between();
+  if (move_beacons() || (beacon_map_.survey().empty() && plan_->extents() != extents_)) return make_field();
   filter_->use(plan_);
   has_walls_.set(params_->walls() && plan_->has_walls());
 }
@@ -164,10 +204,11 @@ void SmartBluetoothLocalization::produce() {
 localisation::CommLocation SmartBluetoothLocalization::location_of(const beacons::Estimate& estimate) const {
   localisation::CommLocation location;
   auto& position = *location.mutable_position();
-  if (level_map_ && level_map_->reference().has_reference_lat()) {
-    position.set_reference_lat(level_map_->reference().reference_lat());
-    position.set_reference_long(level_map_->reference().reference_long());
-    position.set_reference_heading(level_map_->reference().reference_heading());
+  const auto frame = frame_of_map();
+  if (const auto in = frame ? frame : beacons::reference_of(drawn_)) {
+    position.set_reference_lat(in->latitude_deg);
+    position.set_reference_long(in->longitude_deg);
+    position.set_reference_heading(in->heading_rad * 180.0 / std::numbers::pi);
   }
   if (newest_orientation_ && (*newest_orientation_)->is_valid() &&
       now() - newest_orientation_->origin <= kOldestOrientation) {

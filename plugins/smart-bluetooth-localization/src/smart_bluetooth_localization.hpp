@@ -29,6 +29,9 @@ class SmartBluetoothLocalization final : public Component {
   void on_map_change(const Fired<navigation::LevelMapVersion>& change);
   Async<> look_for_map();
   void use(std::shared_ptr<const navigation::CommLevelMap> map);
+  std::optional<building::Reference> frame_of_map() const;
+  bool move_beacons();
+  void tell_of_levels_between();
   void check(const SmartBluetoothLocalizationParams& draft) const;
   void make_field();
   void make_filter();
@@ -72,7 +75,9 @@ class SmartBluetoothLocalization final : public Component {
   Probe<std::string> validity_probe_{*this, "validity", {.doc = "whether there is a position, or why not"}};
   Task look_{*this, "look_for_map", std::chrono::milliseconds(1000), &SmartBluetoothLocalization::look_for_map};
 
-  beacons::BeaconMap beacon_map_;
+  beacons::BeaconMap drawn_;       ///< as the file has it
+  beacons::BeaconMap beacon_map_;  ///< the same in the frame of the level map
+  building::Placement moved_;
   std::shared_ptr<const beacons::BeaconField> field_;
   std::vector<beacons::Extent> extents_;  ///< of the plan, as far as the field reaches by it
   std::shared_ptr<const beacons::FloorPlan> plan_ = std::make_shared<const beacons::FloorPlan>();

@@ -50,10 +50,9 @@ std::vector<fiona::radio::Journey> survey_walks(const fiona::walk::Dataset& data
   return walks;
 }
 
-beacons::FloorPlan plan_of(const options::variables_map& given) {
-  if (given.count("plan") == 0) return {};
-  const auto building = fiona::building::Building::read(given["plan"].as<std::string>());
-  return beacons::FloorPlan(fiona::map_server::level_map_of(building, "plan", {}));
+std::optional<fiona::building::Building> building_of(const options::variables_map& given) {
+  if (given.count("plan") == 0) return std::nullopt;
+  return fiona::building::Building::read(given["plan"].as<std::string>());
 }
 
 int learn(const options::variables_map& given, const std::filesystem::path& from) {
@@ -63,7 +62,9 @@ int learn(const options::variables_map& given, const std::filesystem::path& from
     usage_error("--plan goes with a folder of walks: a survey without steps is judged second by second, without walls",
                 "--plan " + given["plan"].as<std::string>());
   }
-  const beacons::FloorPlan plan = plan_of(given);
+  const auto building = building_of(given);
+  const auto plan =
+      building ? beacons::FloorPlan(fiona::map_server::level_map_of(*building, "plan", {})) : beacons::FloorPlan();
   const std::string output = given["output"].as<std::string>();
   const std::string name = given.count("name") != 0 ? given["name"].as<std::string>() : from.stem().string();
   beacons::BeaconMap map;
@@ -88,6 +89,7 @@ int learn(const options::variables_map& given, const std::filesystem::path& from
     map = beacons::learn(seconds, name);
     *map.mutable_accuracy() = beacons::accuracy_of(seconds, {});
   }
+  if (building) beacons::set_reference(map, building->reference());
   beacons::save(map, output);
   const auto& radio = map.radio();
   std::cerr << "learnt " << map.name() << ": " << map.beacons_size() << " beacons, " << map.survey_size()
