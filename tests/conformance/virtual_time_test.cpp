@@ -4,6 +4,8 @@
 #include <signal.h>
 #include <sys/wait.h>
 
+#include <fmt/format.h>
+
 #include <fstream>
 #include <random>
 #include <sstream>
@@ -86,6 +88,38 @@ std::string deliveries(unsigned seed, std::size_t threads, const Placement& plac
   return text_of_file(file);
 }
 
+/// The same of a system that is changed meanwhile: time stands while it is.
+std::string deliveries_of_one_that_is_changed(unsigned seed, std::size_t threads, const Placement& place) {
+  const TemporaryDirectory directory;
+  const auto file = directory.path / "deliveries";
+  {
+    RunningSystem system(threads, 30s);
+    system.set("host", "clock=virtual deliveries=" + file.string());
+    for (int n = 0; n < kMinglers; ++n) {
+      system.load_in(place(n), "mingler", "m" + std::to_string(n),
+                     "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
+    }
+    wire_at_random(system, seed);
+    std::mt19937 random(seed);
+    for (int round = 0; round < 8; ++round) {
+      const auto reply = system.let_pass(30ms);
+      EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
+      for (int i = 0; i < 4; ++i) {
+        const unsigned client = random() % kMinglers, provider = (client + 1 + random() % (kMinglers - 1)) % kMinglers;
+        const bool push = random() % 2 == 0;
+        system.wire(fmt::format("m{}.{}", client, push ? "each_in" : "echo_in"),
+                    fmt::format("m{}.{}", provider, push ? "newest" : "echo"));
+      }
+      const std::string other = fmt::format("m{}", random() % kMinglers);
+      system.state(other, "neutral");
+      system.let_pass(5ms);
+      system.state(other, "active");
+    }
+    system.let_pass(1ms);
+  }
+  return text_of_file(file);
+}
+
 /// The first line in which two logs differ, for a failure that can be read.
 std::string first_difference(const std::string& a, const std::string& b) {
   std::istringstream left(a), right(b);
@@ -121,6 +155,21 @@ TEST(VirtualTimeGroups, TheDeliveryLogIsTheSameInOneProcessAndInGroups) {
             << threads << " threads, seed " << seed << ", m5 in " << place(5);
       }
     }
+  }
+}
+
+TEST(VirtualTimeProcess, TheDeliveryLogOfASystemThatIsChangedIsTheSameWithOneAndEightThreads) {
+  const std::string expected = deliveries_of_one_that_is_changed(1, 1, in_main);
+  ASSERT_GT(lines_of(expected), 1000U);
+  for (const std::size_t threads : {1U, 8U, 8U}) {
+    EXPECT_EQ(first_difference(expected, deliveries_of_one_that_is_changed(1, threads, in_main)), "") << threads;
+  }
+}
+
+TEST(VirtualTimeGroups, TheDeliveryLogOfASystemThatIsChangedIsTheSameEverywhere) {
+  const std::string expected = deliveries_of_one_that_is_changed(2, 2, in_main);
+  for (const auto& place : {Placement(one_far), Placement(in_two_groups), Placement(in_three)}) {
+    EXPECT_EQ(first_difference(expected, deliveries_of_one_that_is_changed(2, 8, place)), "") << place(5);
   }
 }
 
