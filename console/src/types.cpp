@@ -235,10 +235,10 @@ std::string range_text(const pb::FieldDescriptor& field) {
   const bool high = options.HasExtension(fiona::max);
   const std::string from = bound_text(options.GetExtension(fiona::min));
   const std::string to = bound_text(options.GetExtension(fiona::max));
-  if (low && high) return fmt::format("{} .. {}", from, to);
-  if (low) return "from " + from;
-  if (high) return "up to " + to;
-  if (field.enum_type() == nullptr) return "";
+  std::string text = low && high ? from + " .. " + to : low ? "from " + from : high ? "up to " + to : "";
+  if (options.HasExtension(fiona::step))
+    text += (text.empty() ? "" : ", ") + ("in steps of " + bound_text(options.GetExtension(fiona::step)));
+  if (!text.empty() || field.enum_type() == nullptr) return text;
   std::vector<std::string> names;
   for (int i = 0; i < field.enum_type()->value_count(); ++i) names.push_back(field.enum_type()->value(i)->name());
   return fmt::format("{}", fmt::join(names, "|"));

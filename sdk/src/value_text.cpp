@@ -333,12 +333,16 @@ std::string range_text(const FieldDescriptor& field) {
   const auto& options = field.options();
   const bool has_min = options.HasExtension(fiona::min);
   const bool has_max = options.HasExtension(fiona::max);
+  std::string text;
   if (has_min && has_max) {
-    return fmt::format("{} .. {}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
+    text = fmt::format("{} .. {}", options.GetExtension(fiona::min), options.GetExtension(fiona::max));
+  } else if (has_min) {
+    text = fmt::format("at least {}", options.GetExtension(fiona::min));
+  } else if (has_max) {
+    text = fmt::format("at most {}", options.GetExtension(fiona::max));
   }
-  if (has_min) return fmt::format("at least {}", options.GetExtension(fiona::min));
-  if (has_max) return fmt::format("at most {}", options.GetExtension(fiona::max));
-  return {};
+  if (!options.HasExtension(fiona::step)) return text;
+  return fmt::format("{}{}in steps of {}", text, text.empty() ? "" : ", ", options.GetExtension(fiona::step));
 }
 
 }  // namespace fiona::detail

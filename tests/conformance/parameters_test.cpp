@@ -37,7 +37,7 @@ TEST_P(Parameter, FieldsCarryDefaultRangeUnitEnumeratorsAndDoc) {
   EXPECT_EQ(low.name(), "low");
   EXPECT_EQ(low.default_value(), "1");
   EXPECT_EQ(low.unit(), "m");
-  EXPECT_EQ(low.range(), "0 .. 100");
+  EXPECT_EQ(low.range(), "0 .. 100, in steps of 0.5");
   EXPECT_EQ(low.doc(), "below high");
   const auto& pace = instance.parameters(3);
   EXPECT_THAT(pace.range(), HasSubstr("RUN"));
