@@ -9,7 +9,7 @@ export interface Ellipse {
 export interface Location {
   x: number;
   y: number;
-  level?: number; // absent outdoors
+  level?: number; // absent: not known
   measured: number; // when the walker was there, in milliseconds of Unix time
   valid: boolean;
   ellipse?: Ellipse;
