@@ -351,6 +351,33 @@ TEST(Navigation, APlaceInAnotherFrameIsMovedToTheMaps) {
   EXPECT_THAT(led.bench.log(), ::testing::Contains(HasSubstr("in a frame of their own")));
 }
 
+TEST(Navigation, ADestinationInAnotherFrameIsMovedToTheMapsEachTimeThatOnePlans) {
+  Led led;
+  auto& reference = *led.map.mutable_reference();
+  reference.set_reference_lat(48.4);
+  reference.set_reference_long(9.99);
+  led.stand(location(5, 6, 0));
+  // Its y axis points to the east, its x axis to the south.
+  auto wish = destination(-6, 25, 1);
+  auto& place = *wish.mutable_destination();
+  place.set_reference_lat(48.4);
+  place.set_reference_long(9.99);
+  place.set_reference_heading(90);
+  led.go_to(wish);
+  led.stand(location(5, 6, 0));
+  EXPECT_THAT(led.last().text(), HasSubstr("To D, "));
+  auto end = *led.last_path().waypoints().rbegin();
+  EXPECT_NEAR(end.x(), 25, 0.01);
+  EXPECT_NEAR(end.y(), 6, 0.01);
+  // The building is drawn anew, by a reference 1 m further south.
+  reference.set_reference_lat(48.4 - 1 / 111206.0);
+  led.map.set_version(7);
+  led.tell_of_change(7);
+  led.stand(location(5, 6, 0));
+  end = *led.last_path().waypoints().rbegin();
+  EXPECT_NEAR(end.y(), 7, 0.01);
+}
+
 /// Only what is shown moves over.
 TEST(Navigation, GuidanceKnowsOfALeapAtOnce) {
   Led led;

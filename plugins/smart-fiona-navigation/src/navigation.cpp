@@ -79,7 +79,6 @@ void Navigation::on_mode(std::string_view mode) {
 void Navigation::on_destination(const navigation::CommDestination& wish) {
   end_guidance();
   trip_ = Trip{.number = ++trips_, .wish = wish};
-  trip_->goal = {{wish.destination().x(), wish.destination().y()}, wish.destination().z()};
   plan_due_at_ = now();
   ask_for(wish.user_name(), wish.session());
   said_.Clear();  // who asks again is answered again
@@ -239,8 +238,16 @@ bool Navigation::is_sought() {
   return true;
 }
 
+/// In the frame of the map that is planned on: it may have come later than the destination.
+PathPoint Navigation::goal() {
+  localisation::CommPosition place = trip_->wish.destination();
+  move_to_map(place);
+  return {{place.x(), place.y()}, place.z()};
+}
+
 Async<> Navigation::plan() {
   const std::uint64_t number = trip_->number;
+  trip_->goal = goal();
   const auto from = start();
   const bool has_asked = has_profile_ || !profile_fault_.empty();
   if (!from || !has_asked) co_return;

@@ -38,7 +38,7 @@ class Navigation final : public Component {
   struct Trip {
     std::uint64_t number = 0;
     navigation::CommDestination wish{};
-    building::PathPoint goal{};
+    building::PathPoint goal{};               ///< on the map that was planned on last
     bool begun = false;                       ///< there was a path
     std::optional<TimePoint> sought_since{};  ///< it was not sure enough where the person is
   };
@@ -65,6 +65,7 @@ class Navigation final : public Component {
   void take_profile(const hmi::CommUserProfileReply& profile);
   void forget_user();
   bool is_sought();
+  building::PathPoint goal();
   Async<> plan();
   Async<std::optional<Refusal>> find_path(building::PathPoint from);
   std::optional<Refusal> check(const Trip& trip) const;
