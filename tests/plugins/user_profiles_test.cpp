@@ -6,6 +6,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <string>
 
 #include "../temporary_directory.hpp"
@@ -49,6 +50,11 @@ class UserProfilesTest : public ::testing::Test {
         navigation::MapLevel& one = *map.add_levels();
         one.set_level(level);
         one.set_map_name(level == 0 ? "house@0" : "house@1.5");
+      }
+      for (const double west : {-10.0, 0.0}) {
+        navigation::MapRing& outline = *map.add_rooms()->mutable_outline();
+        for (const double x : {west, west + 10.0}) outline.add_x(x);
+        for (const double y : {-8.0, 8.0}) outline.add_y(y);
       }
       return map;
     });
@@ -181,6 +187,19 @@ TEST_F(UserProfilesTest, PointsWithoutALevelOrOnOneThatIsNotThereAreRefusedOneBy
   EXPECT_THAT((*reply)->refused(), ElementsAre(0U, 2U));
   EXPECT_THAT((*reply)->reason(), ElementsAre("the building has no level 7", "it is not said on which level it is"));
   EXPECT_THAT((*ask("anna", kSession))->landmark_list(), ElementsAre("2.25,-3,0 lift"));
+}
+
+TEST_F(UserProfilesTest, APointOffTheMapIsRefusedAndOneBeforeTheDoorIsNot) {
+  RequestPointsOfAttention request = points({0.0, 0.0, 0.0, 0.0});
+  request.mutable_points_of_attention(0)->set_x(31);
+  request.mutable_points_of_attention(1)->set_x(-29);
+  request.mutable_points_of_attention(2)->set_y(29);
+  request.mutable_points_of_attention(3)->set_y(std::numeric_limits<double>::lowest());
+  const auto reply = bench_->ask<hmi::PointsOfAttention>("points", request);
+  ASSERT_TRUE(reply.ok()) << reply.reason();
+  EXPECT_THAT((*reply)->refused(), ElementsAre(0U, 2U, 3U));
+  EXPECT_EQ((*reply)->reason(0), "it is more than 20 m away from the building");
+  EXPECT_THAT((*ask("anna", kSession))->landmark_list(), ElementsAre("-29,-3,0 lift"));
 }
 
 TEST_F(UserProfilesTest, TheMapIsNotAskedForEachProfile) {

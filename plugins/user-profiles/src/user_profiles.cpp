@@ -12,20 +12,36 @@ namespace {
 
 constexpr std::string_view kTable = "profile";
 constexpr auto kDeadline = std::chrono::milliseconds(500);
-/// A building's levels change with its file: hardly ever.
-constexpr auto kLevelsKept = std::chrono::seconds(10);
+/// A building changes with its file: hardly ever.
+constexpr auto kBuildingKept = std::chrono::seconds(10);
+/// Before the door one may want to be told of something, too.
+constexpr double kAround_m = 20.0;
 
 std::string number(double value) {
   char text[32];
   return {text, std::to_chars(text, text + sizeof(text), value).ptr};
 }
 
+void widen(std::vector<double>& bounds, const google::protobuf::RepeatedField<double>& by) {
+  bounds.insert(bounds.end(), by.begin(), by.end());
+  if (bounds.empty()) return;
+  const auto [least, greatest] = std::minmax_element(bounds.begin(), bounds.end());
+  bounds = {*least, *greatest};
+}
+
+bool is_around(double value, const std::vector<double>& bounds) {
+  return bounds.empty() || (value >= bounds.front() - kAround_m && value <= bounds.back() + kAround_m);
+}
+
 /// Why it cannot be watched, in words for the user; empty: it can.
-std::string fault_of(const hmi::PointOfAttention& point, const std::vector<navigation::MapLevel>& levels) {
+std::string fault_of(const hmi::PointOfAttention& point, const Building& building) {
   if (!point.has_level()) return "it is not said on which level it is";
   const auto is_its = [&](const navigation::MapLevel& level) { return level.level() == point.level(); };
-  if (levels.empty() || std::any_of(levels.begin(), levels.end(), is_its)) return {};
-  return "the building has no level " + number(point.level());
+  if (!building.levels.empty() && std::none_of(building.levels.begin(), building.levels.end(), is_its)) {
+    return "the building has no level " + number(point.level());
+  }
+  if (is_around(point.x(), building.x_m) && is_around(point.y(), building.y_m)) return {};
+  return "it is more than " + number(kAround_m) + " m away from the building";
 }
 
 }  // namespace
@@ -61,15 +77,18 @@ Async<std::optional<security::SessionUser>> UserProfiles::known_user(std::string
   co_return user;
 }
 
-/// None where nobody knows them.
-Async<std::vector<navigation::MapLevel>> UserProfiles::levels() {
-  if (!known_levels_.empty() && now() - levels_at_ < kLevelsKept) co_return known_levels_;
+Async<Building> UserProfiles::building() {
+  if (!building_.levels.empty() && now() - building_at_ < kBuildingKept) co_return building_;
   const auto map = co_await levels_.query({}, kDeadline);
   if (map) {
-    known_levels_.assign((*map)->levels().begin(), (*map)->levels().end());
-    levels_at_ = now();
+    building_ = {{(*map)->levels().begin(), (*map)->levels().end()}, {}, {}};
+    for (const navigation::MapRoom& room : (*map)->rooms()) {
+      widen(building_.x_m, room.outline().x());
+      widen(building_.y_m, room.outline().y());
+    }
+    building_at_ = now();
   }
-  co_return known_levels_;
+  co_return building_;
 }
 
 Async<hmi::CommUserProfileReply> UserProfiles::answer(std::optional<security::SessionUser> user) {
@@ -79,8 +98,8 @@ Async<hmi::CommUserProfileReply> UserProfiles::answer(std::optional<security::Se
     co_return reply;
   }
   reply.set_authentication_level(user->level);
-  const auto all = co_await levels();
-  for (const navigation::MapLevel& level : all) reply.add_map_list(level.map_name());
+  const Building known = co_await building();
+  for (const navigation::MapLevel& level : known.levels) reply.add_map_list(level.map_name());
   if (user->name.empty()) co_return reply;
   const Profile profile = profile_of(user->name);
   if (profile.has_use_elevator()) reply.set_use_elevator(profile.use_elevator());
@@ -119,13 +138,13 @@ Async<hmi::PointsOfAttentionReply> UserProfiles::on_points(const hmi::RequestPoi
   const hmi::RequestPointsOfAttention request = asked;
   const auto user = co_await known_user(request.user_name(), request.session(), "points of attention");
   if (!user) throw security::session_ended(name());
-  const auto all = co_await levels();
+  const Building known = co_await building();
   Profile profile = profile_of(user->name);
   profile.clear_points();
   hmi::PointsOfAttentionReply reply;
   for (int i = 0; i < request.points_of_attention_size(); ++i) {
     const hmi::PointOfAttention& point = request.points_of_attention(i);
-    const std::string fault = fault_of(point, all);
+    const std::string fault = fault_of(point, known);
     if (fault.empty()) {
       *profile.add_points() = point;
     } else {

@@ -16,6 +16,12 @@
 
 namespace fiona::user_profiles {
 
+/// What is known of the building: nothing where nobody has its map.
+struct Building {
+  std::vector<navigation::MapLevel> levels;
+  std::vector<double> x_m, y_m;  ///< of the corners of its rooms: the least and the greatest
+};
+
 /// Keeps what each user can and wants on the way, and gives it to whoever carries the user's session.
 class UserProfiles final : public Component {
  public:
@@ -32,7 +38,7 @@ class UserProfiles final : public Component {
   Async<hmi::PointsOfAttentionReply> on_points(const hmi::RequestPointsOfAttention& request);
 
   Async<std::optional<security::SessionUser>> known_user(std::string name, std::string session, const char* what);
-  Async<std::vector<navigation::MapLevel>> levels();
+  Async<Building> building();
   Async<hmi::CommUserProfileReply> answer(std::optional<security::SessionUser> user);
   void keep(const std::string& user, const hmi::CommUserProfileUpdate& request);
   Profile profile_of(const std::string& user) const;
@@ -47,8 +53,8 @@ class UserProfiles final : public Component {
   Provides<hmi::PointsOfAttention> points_{*this, "points", &UserProfiles::on_points};
 
   std::unique_ptr<records::RecordStore> store_;
-  std::vector<navigation::MapLevel> known_levels_;
-  TimePoint levels_at_{};  ///< when they were asked for
+  Building building_;
+  TimePoint building_at_{};  ///< when it was asked for
 };
 
 }  // namespace fiona::user_profiles
