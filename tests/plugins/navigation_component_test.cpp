@@ -1,6 +1,7 @@
 // The navigation component on the bench: the way, what is said on it, and the place that is shown.
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <string>
 #include <vector>
 
@@ -18,6 +19,7 @@ using hmi::InstructionProvider;
 using hmi::NextTurn;
 using localisation::CommLocation;
 using localisation::LocationProvider;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using world::destination;
 using world::Led;
@@ -376,6 +378,26 @@ TEST(Navigation, ADestinationInAnotherFrameIsMovedToTheMapsEachTimeThatOnePlans)
   led.stand(location(5, 6, 0));
   end = *led.last_path().waypoints().rbegin();
   EXPECT_NEAR(end.y(), 7, 0.01);
+}
+
+TEST(Navigation, APathTellsHowOneGetsAlongEachOfItsLegs) {
+  using navigation::MapEdge;
+  const auto legs = [](const navigation::CommDestination& wish, const CommLocation& from) {
+    Led led;
+    led.stand(from);
+    led.go_to(wish);
+    led.stand(from);
+    const navigation::CommPath path = led.last_path();
+    EXPECT_EQ(path.legs_size(), path.waypoints_size() - 1);
+    std::vector<int> kinds;
+    std::unique_copy(path.legs().begin(), path.legs().end(), std::back_inserter(kinds));
+    return kinds;
+  };
+  EXPECT_THAT(legs(destination(25, 6, 1), location(27, 1, 0)),
+              ElementsAre(MapEdge::CORRIDOR, MapEdge::LIFT, MapEdge::CORRIDOR, MapEdge::DOOR, MapEdge::CORRIDOR));
+  EXPECT_THAT(legs(destination(5, 6, 0), location(-9, 1.5, 0)),
+              ElementsAre(MapEdge::CORRIDOR, MapEdge::OUTDOORS, MapEdge::DOOR, MapEdge::CORRIDOR, MapEdge::DOOR,
+                          MapEdge::CORRIDOR));
 }
 
 /// Only what is shown moves over.

@@ -72,6 +72,40 @@ await claim("a direction is told where one is known: not at the start, nor out o
   await page.locator(".steps li", { hasText: "Take the lift to First floor" }).waitFor();
   assert.deepEqual((await page.locator(".steps li").allInnerTexts()).slice(2, 5), ["Take the lift to First floor", "Walk 3 m", "Turn right, then 15 m"]);
 });
+await claim("doors, escalators, ramps and ways outdoors are steps where the path tells its legs, and a bend before a door is told with it", async (server) => {
+  const page = (claims.shown = await opened(server));
+  const steps = async (legs, points, last) => {
+    server.tell("location", at(points[0][0], points[0][1]));
+    server.tell("path", { valid: true, points, legs });
+    await page.locator(".steps li", { hasText: last }).waitFor();
+    return page.locator(".steps li").allInnerTexts();
+  };
+  assert.deepEqual(
+    await steps(
+      ["CORRIDOR", "CORRIDOR", "DOOR", "DOOR", "CORRIDOR"],
+      [[2, 1.5, 0], [9, 1.5, 0], [9, 2.7, 0], [9, 3, 0], [9, 3.3, 0], [9, 7, 0]],
+      "Arrive at Office 0.2",
+    ),
+    ["Walk 7 m", "Turn left and go through the door", "Straight on for 4 m", "Arrive at Office 0.2"],
+  );
+  assert.deepEqual(
+    await steps(["CORRIDOR", "CORRIDOR", "DOOR", "CORRIDOR"], [[2, 1.5, 0], [7, 1.5, 0], [7, 3.2, 0], [7.5, 3.2, 0], [9.2, 3.2, 0]], "Turn right and go"),
+    ["Walk 5 m", "Turn left, then 2 m", "Turn right and go through the door", "Arrive at Office 0.2"],
+    "a bend to elsewhere is a step of its own",
+  );
+  assert.deepEqual(
+    await steps(
+      ["CORRIDOR", "OUTDOORS", "DOOR", "CORRIDOR", "ESCALATOR", "ESCALATOR", "CORRIDOR", "RAMP", "CORRIDOR"],
+      [[-12, 1.5, 0], [-10, 1.5, 0], [0, 1.5, 0], [0.3, 1.5, 0], [5, 1.5, 0], [8, 1.5, 0.5], [11, 1.5, 1], [15, 1.5, 1], [19, 1.5, 0], [19, 0.5, 0]],
+      "Arrive",
+    ),
+    ["Walk 10 m", "Go inside", "Straight on for 5 m", "Take the escalator to First floor", "Straight on for 4 m", "Take the ramp to Ground floor", "Turn right, then 1 m", "Arrive"],
+  );
+  assert.deepEqual(
+    await steps(["CORRIDOR", "DOOR", "OUTDOORS", "STAIRS", "OUTDOORS"], [[5, 1.5, 0], [0.3, 1.5, 0], [0, 1.5, 0], [-4, 1.5, 0], [-4, 6, 0], [-9, 6, 0]], "Arrive"),
+    ["Walk 5 m", "Go outdoors", "Straight on for 4 m", "Turn right and take the stairs", "Turn left, then 5 m", "Arrive"],
+  );
+});
 await claim("a room that cannot be reached is asked for no longer", async (server) => {
   const page = (claims.shown = await opened(server));
   await page.getByLabel("Where to?").fill("Library");

@@ -200,6 +200,18 @@ std::optional<building::Reference> reference_of(const localisation::CommPosition
                              place.reference_heading() * std::numbers::pi / 180.0, true};
 }
 
+MapEdge::Kind kind_of(const building::RoutePoint& point) {
+  switch (point.passage) {
+    case Passage::Walk: return point.outdoors ? MapEdge::OUTDOORS : MapEdge::CORRIDOR;
+    case Passage::Door: return MapEdge::DOOR;
+    case Passage::Stairs: return MapEdge::STAIRS;
+    case Passage::Escalator: return MapEdge::ESCALATOR;
+    case Passage::Ramp: return MapEdge::RAMP;
+    case Passage::Lift: return MapEdge::LIFT;
+  }
+  return MapEdge::KIND_UNSPECIFIED;
+}
+
 std::optional<double> LevelPlan::level_near(double level, double reach) const {
   std::optional<double> nearest;
   for (const building::Level& one : plan.levels) {

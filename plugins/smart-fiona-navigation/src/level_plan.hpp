@@ -32,6 +32,9 @@ struct LevelPlan {
 /// Of the frame that a place is told in, if it says so.
 std::optional<building::Reference> reference_of(const localisation::CommPosition& place);
 
+/// How a point of a route is reached, as the map's contract has it.
+navigation::MapEdge::Kind kind_of(const building::RoutePoint& point);
+
 /// Throws fiona::Error that names the map and the first element of it that makes no sense: a map without levels, an
 /// edge to a node that is not there, an outline with more x than y. Edges of unknown kind are left out.
 LevelPlan read_level_plan(const navigation::CommLevelMap& map);

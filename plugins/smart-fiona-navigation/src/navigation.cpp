@@ -539,6 +539,7 @@ void Navigation::put_path(const building::Route* route) {
       waypoint.set_y(point.at.y_m);
       waypoint.set_z(point.level);
       waypoint.set_is_valid(true);
+      if (path.waypoints_size() > 1) path.add_legs(kind_of(point));
     }
   }
   path_.put(std::move(path));

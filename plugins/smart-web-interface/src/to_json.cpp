@@ -74,7 +74,11 @@ std::string path_json(const navigation::CommPath& path) {
     if (point.has_z()) one.push_back(point.z());
     points.push_back(std::move(one));
   }
-  return text_of({{"valid", path.is_valid()}, {"points", points}});
+  json legs = json::array();
+  for (const int leg : path.legs()) {
+    legs.push_back(navigation::MapEdge::Kind_Name(static_cast<navigation::MapEdge::Kind>(leg)));
+  }
+  return text_of({{"valid", path.is_valid()}, {"points", points}, {"legs", legs}});
 }
 
 std::string instruction_json(const hmi::Instruction& instruction) {

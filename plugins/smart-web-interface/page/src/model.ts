@@ -20,6 +20,7 @@ export type Waypoint = [x: number, y: number, level?: number];
 export interface Path {
   valid: boolean;
   points: Waypoint[];
+  legs?: string[]; // how one gets from each point to the next, as MapEdge.Kind has it; none: not told
 }
 
 export interface Instruction {

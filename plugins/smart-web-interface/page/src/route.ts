@@ -4,7 +4,7 @@ import { levelName, metres, roomName, turnOf } from "./text";
 export interface Step {
   text: string;
   hour?: number;
-  kind: "walk" | "turn" | "lift" | "stairs" | "level" | "arrive";
+  kind: "walk" | "turn" | "door" | "lift" | "stairs" | "level" | "arrive";
   at: number; // metres along the path
 }
 
@@ -106,6 +106,7 @@ export function goalOf(path: Path | null, map: BuildingMap | null): Destination 
 
 interface Piece {
   points: Waypoint[];
+  first: number; // of the points, in the path
   begin: number; // metres along the path
   before?: Waypoint; // where the path comes from
 }
@@ -119,15 +120,89 @@ function pieces(path: Path): Piece[] {
     if (before) behind += length(before, point);
     const piece = all[all.length - 1];
     if (before && piece && sameLevel(before[2], point[2])) piece.points.push(point);
-    else all.push({ points: [point], begin: behind, before });
+    else all.push({ points: [point], first: i, begin: behind, before });
   });
   return all;
+}
+
+const kPassages: Record<string, [action: string, kind: Step["kind"]]> = {
+  DOOR: ["go through the door", "door"], STAIRS: ["take the stairs", "stairs"], ESCALATOR: ["take the escalator", "stairs"],
+};
+const kClimbs: Record<string, [action: string, kind: Step["kind"]]> = {
+  LIFT: ["Take the lift", "lift"], ESCALATOR: ["Take the escalator", "stairs"], STAIRS: ["Take the stairs", "stairs"], RAMP: ["Take the ramp", "level"],
+};
+
+/// How one gets from level to level: as the path tells it, else by what the map has at its ends.
+function climbOf(legs: string[], from: Waypoint, to: Waypoint, map: BuildingMap | null): [action: string, kind: Step["kind"]] {
+  const told = legs.find((leg) => kClimbs[leg]);
+  if (told) return kClimbs[told]!;
+  const kind = connectorAt(from, map) === "level" ? connectorAt(to, map) : connectorAt(from, map);
+  return kind === "lift" ? kClimbs["LIFT"]! : kind === "stairs" ? kClimbs["STAIRS"]! : ["Go", "level"];
+}
+
+/// The parts of a piece that one walks, and between them the doors and stairs that one passes.
+function parts(piece: Piece, legs: string[]): { passage?: string; points: Waypoint[] }[] {
+  const all: { passage?: string; points: Waypoint[] }[] = [];
+  piece.points.slice(1).forEach((to, i) => {
+    const leg = legs[piece.first + i] ?? "";
+    const passage = kPassages[leg] && leg;
+    const part = all[all.length - 1];
+    if (part && part.passage === passage) part.points.push(to);
+    else all.push({ passage, points: [piece.points[i]!, to] });
+  });
+  return all;
+}
+
+const sumOf = (points: Waypoint[]): number => points.reduce((sum, point, i) => (i ? sum + length(points[i - 1]!, point) : 0), 0);
+
+/// What one does on a level, where one comes from `came`.
+function walked(piece: Piece, legs: string[], came: Waypoint | undefined): Step[] {
+  const steps: Step[] = [];
+  let at = piece.begin;
+  let leg = piece.first;
+  const all = parts(piece, legs);
+  all.forEach(({ passage, points }, part) => {
+    const behind = legs[leg + points.length - 1] === "OUTDOORS";
+    const before = legs[leg - 1] === "OUTDOORS";
+    if (passage) {
+      const [action, kind] = kPassages[passage]!;
+      const turn = came && hourBetween(came, points[0]!, points[points.length - 1]!);
+      const told = passage !== "DOOR" || behind === before ? action : behind ? "go outdoors" : "go inside";
+      const text = turn && turn !== 12 ? `${turnOf(turn)} and ${told}` : told.charAt(0).toUpperCase() + told.slice(1);
+      steps.push({ text, kind, at });
+      came = points[points.length - 2];
+    } else {
+      const bends = withoutJogs(simplified(points));
+      let end = at;
+      const passed = all[part + 1]?.points;
+      bends.slice(1).forEach((to, k) => {
+        const from = bends[k]!;
+        const ahead = length(from, to);
+        const begin = end;
+        end += ahead;
+        const turn = came && hourBetween(came, from, to);
+        // Some steps straight to a door or straight behind one are told with it.
+        const leads = k === bends.length - 2 && passed && [11, 12, 1].includes(hourBetween(from, to, passed[passed.length - 1]!));
+        const goesOn = k === 0 && part > 0 && turn === 12;
+        if (turn && (leads || goesOn) && ahead < kShortest_m) return;
+        const walk = metres(ahead);
+        if (!turn) steps.push({ text: `Walk ${walk}`, kind: "walk", at: begin });
+        else if (turn !== 12) steps.push({ text: `${turnOf(turn)}, then ${walk}`, hour: turn, kind: "turn", at: begin });
+        else steps.push({ text: `Straight on for ${walk}`, hour: 12, kind: "walk", at: begin });
+        if (ahead > kShortestStretch_m) came = from;
+      });
+    }
+    at += sumOf(points);
+    leg += points.length - 1;
+  });
+  return steps;
 }
 
 /// The whole way in words, for who does not see the plan.
 export function stepsOf(path: Path, map: BuildingMap | null, destination: string): Step[] {
   const steps: Step[] = [];
   if (!path.valid || path.points.length < 2) return steps;
+  const legs = path.legs ?? [];
   // Landings are levels of their own on the way, and no place to stay: no room is on them.
   const isFloor = (level?: number) => !map || map.rooms.some((room) => sameLevel(room.level, level));
   const all = pieces(path);
@@ -141,27 +216,13 @@ export function stepsOf(path: Path, map: BuildingMap | null, destination: string
     if (before) {
       const from = before.points[before.points.length - 1]!;
       const to = piece.points[0]!;
-      const kind = connectorAt(from, map) === "level" ? connectorAt(to, map) : connectorAt(from, map);
-      const name = levelName(to[2] ?? 0, map?.levels ?? []);
-      const how = kind === "lift" ? "Take the lift" : kind === "stairs" ? "Take the stairs" : "Go";
-      steps.push({ text: `${how} to ${name}`, kind, at: end });
+      const [action, kind] = climbOf(legs.slice(before.first + before.points.length - 1, piece.first), from, to, map);
+      steps.push({ text: `${action} to ${levelName(to[2] ?? 0, map?.levels ?? [])}`, kind, at: end });
       // In a lift one turns around as one likes.
       if (kind !== "lift" && piece.before && length(piece.before, to) > kShortestStretch_m) cameFrom = piece.before;
     }
-    const points = withoutJogs(simplified(piece.points));
-    let at = piece.begin;
-    points.slice(1).forEach((to, k) => {
-      const from = points[k]!;
-      const ahead = length(from, to);
-      const last = points[k - 1] ?? cameFrom;
-      const turn = last && hourBetween(last, from, to);
-      const walk = metres(ahead);
-      if (!turn) steps.push({ text: `Walk ${walk}`, kind: "walk", at });
-      else if (turn !== 12) steps.push({ text: `${turnOf(turn)}, then ${walk}`, hour: turn, kind: "turn", at });
-      else steps.push({ text: `Straight on for ${walk}`, hour: 12, kind: "walk", at });
-      at += ahead;
-    });
-    end = at;
+    steps.push(...walked(piece, legs, cameFrom));
+    end = piece.begin + sumOf(piece.points);
   });
   steps.push({ text: `Arrive${destination ? ` at ${destination}` : ""}`, kind: "arrive", at: end });
   return steps;
@@ -173,6 +234,4 @@ function hourBetween(a: Waypoint, b: Waypoint, c: Waypoint): number {
   return ((hour % 12) + 12) % 12 || 12;
 }
 
-export function pathLength(path: Path): number {
-  return path.points.reduce((sum, point, i) => (i ? sum + length(path.points[i - 1]!, point) : 0), 0);
-}
+export const pathLength = (path: Path): number => sumOf(path.points);
