@@ -4,7 +4,7 @@
 import assert from "node:assert/strict";
 import { join, resolve } from "node:path";
 import { Claims, browserProgram, browserTools, skip, until } from "./navigator.mjs";
-import { anna, kRunning, kToOffice, play } from "./played_server.mjs";
+import { anna, kBuilding, kRunning, kToOffice, play } from "./played_server.mjs";
 
 const modules = resolve(process.argv[4]);
 if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
@@ -92,6 +92,31 @@ await claim("a room is searched, and picked from the list; the focus is then at 
   await until("it is asked for", () => asked(server, "destination").length === 1);
   assert.deepEqual(asked(server, "destination"), [{ x: 9, y: 5.5, level: 0 }]);
   assert.equal(await page.evaluate(() => document.activeElement.id), "panel");
+});
+await claim("ENTER takes the room that is typed, by number, name or use, and no other where that one is closed", async (page, server, open) => {
+  const use = { "0.1": "first_aid", "0.2": "break_room", "1.1": "library" };
+  // In the order of names these come before: their number, or their level's name, has what is typed.
+  const more = [{ ...kBuilding.rooms[1], id: "20", ref: "10.2", name: "Archive 10.2" }, { ...kBuilding.rooms[1], id: "21", ref: "", name: "Attic" }];
+  server.answer("map", 200, {
+    ...kBuilding,
+    levels: [{ level: 0, name: "Library floor" }, { level: 1, name: "First floor" }],
+    rooms: [...kBuilding.rooms.map((room) => ({ ...room, use: use[room.ref] ?? "" })), ...more],
+  });
+  await open();
+  const enter = async (typed) => {
+    await page.getByLabel("Where to?").fill(typed);
+    await page.keyboard.press("Enter");
+  };
+  await enter("0.3");
+  await page.getByRole("status").getByText("Donaudampfschifffahrtsgesellschaftsversammlungsraum of the whole institute (0.3) is not open to you.").waitFor();
+  await page.getByLabel("Where to?").fill("0.");
+  await page.getByText("is not open to you.").waitFor({ state: "detached" });
+  assert.deepEqual(asked(server, "destination"), []);
+  for (const [index, [typed, at]] of [["0.2", { x: 9, y: 5.5, level: 0 }], ["break room", { x: 9, y: 5.5, level: 0 }], ["library", { x: 6, y: 5.5, level: 1 }], ["first aid", { x: 3, y: 5.5, level: 0 }]].entries()) {
+    await enter(typed);
+    await until(`${typed} is asked for`, () => asked(server, "destination").length === index + 1, 5000);
+    assert.deepEqual(asked(server, "destination").at(-1), at, typed);
+  }
 });
 await claim("ESCAPE closes the list of rooms", async (page, _, open) => {
   await open();

@@ -12,10 +12,19 @@ interface Props {
   pick: (to: Destination) => void;
 }
 
-/// Rooms that have a name or a number, by what is typed: all of its words, in any order.
+/// How well a room is what is typed: its name or number, or all of the words in any order; a level's name tells little.
+function rankOf(typed: string, room: Room, name: string, level: string): number {
+  if (typed && [room.ref, room.name, name].some((one) => folded(one).trim() === typed)) return 0;
+  const holds = (text: string) => typed.split(/\s+/).every((word) => folded(text).includes(word));
+  const own = `${name} ${room.use.replace(/_/g, " ")}`;
+  return holds(own) ? 1 : holds(`${own} ${level}`) ? 2 : 3;
+}
+
+/// Rooms that have a name, a number or a use, by what is typed.
 export function Search({ map, access, busy, pick }: Props) {
   const [typed, setTyped] = useState("");
   const [open, setOpen] = useState(false);
+  const [closed, setClosed] = useState(""); // who asked for that room may not go there
   const rooms = useMemo(
     () =>
       map.rooms
@@ -24,10 +33,17 @@ export function Search({ map, access, busy, pick }: Props) {
         .sort((a, b) => a.room.level - b.room.level || a.name.localeCompare(b.name, undefined, { numeric: true })),
     [map],
   );
-  const words = folded(typed).split(/\s+/).filter(Boolean);
-  const found = rooms.filter(({ name, level }) => words.every((word) => folded(`${name} ${level}`).includes(word)));
+  const wanted = folded(typed).trim();
+  const found = rooms
+    .map((one) => ({ ...one, rank: rankOf(wanted, one.room, one.name, one.level) }))
+    .filter(({ rank }) => rank < 3)
+    .sort((a, b) => a.rank - b.rank);
   const choose = (room: Room, name: string) => {
-    if (room.access > access || busy) return;
+    if (room.access > access) {
+      setClosed(`${name} is not open to you. `);
+      return setOpen(true);
+    }
+    if (busy) return;
     pick({ x: room.x, y: room.y, level: room.level, label: name });
     setOpen(false);
     setTyped("");
@@ -38,8 +54,8 @@ export function Search({ map, access, busy, pick }: Props) {
         role="search"
         onSubmit={(event) => {
           event.preventDefault();
-          const first = found.find(({ room }) => room.access <= access);
-          if (first && typed) choose(first.room, first.name);
+          const first = found[0];
+          if (first && wanted) choose(first.room, first.name);
         }}
       >
         <label for="where">Where to?</label>
@@ -53,6 +69,7 @@ export function Search({ map, access, busy, pick }: Props) {
           onFocus={() => setOpen(true)}
           onInput={(event) => {
             setTyped(event.currentTarget.value);
+            setClosed("");
             setOpen(true);
           }}
           onKeyDown={(event) => event.key === "Escape" && setOpen(false)}
@@ -61,6 +78,7 @@ export function Search({ map, access, busy, pick }: Props) {
       {open && (
         <>
           <p class="count" role="status">
+            {closed}
             {found.length === 0 ? "No room is called that." : found.length === 1 ? "1 room" : `${found.length} rooms`}
             {found.length > kMostShown ? `, the first ${kMostShown} shown` : ""}
           </p>
