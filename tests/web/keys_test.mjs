@@ -72,7 +72,7 @@ await claim("TAB reaches all that can be used, and each shows that it has the fo
   assert.deepEqual(found.filter((one) => !one.seen).map((one) => one.name), []);
   assert.deepEqual(
     found.map((one) => one.name.replace(/Floor plan of .*/, "plan")),
-    ["Skip to destination and steps", "Profile of anna", "Guide", "plan", "1First floor", "0Ground floor, where you are", "Zoom in", "Zoom out", "Show the whole level", "Follow me", "Where to?",
+    ["Skip to destination and steps", "Profile of anna", "Guide", "plan", "1, First floor", "0, Ground floor, where you are", "Zoom in", "Zoom out", "Show the whole level", "Follow me", "Where to?",
       "Office 0.1Ground floor", "Office 0.2Ground floor", "Library (1.1)First floor"],
   );
 });
@@ -154,7 +154,7 @@ await claim("the plan's buttons zoom, show all and follow", async (page, _, open
 });
 await claim("another level is shown", async (page, _, open) => {
   await open();
-  await reach(page, "1First floor");
+  await reach(page, "1, First floor");
   await page.keyboard.press("Space");
   await page.locator('.plan-view[aria-label^="Floor plan of First floor"]').waitFor();
   await page.locator(".room-name", { hasText: "Library" }).waitFor({ state: "attached" });

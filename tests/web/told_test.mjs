@@ -191,6 +191,12 @@ await claim("while the place is not known the steps stay where it was last, and 
   server.tell("location", { x: 0, y: 0, measured: Date.now(), valid: false });
   await page.getByText("Position uncertain").waitFor();
   assert.match(await current(), /Turn left/);
+  server.tell("location", at(9, 3, 1));
+  const upstairs = page.getByRole("button", { name: "1, First floor, where you are", pressed: true });
+  await upstairs.waitFor();
+  server.tell("location", { x: 0, y: 0, measured: Date.now(), valid: false });
+  await page.locator('.plan-view[aria-label*="Your position is not known"]').waitFor();
+  await upstairs.waitFor();
   server.tell("location", at(9, 3));
   await page.locator(".doubt").waitFor({ state: "detached" });
   const { ellipse, ...unsure } = at(9, 3.5);
@@ -369,10 +375,64 @@ await claim("on another level the way goes on from the lift", async (server) => 
   server.tell("path", kToLibrary);
   server.tell("location", at(19, 4, 1));
   const page = (claims.shown = await opened(server));
-  await page.locator('.levels [aria-pressed="true"]', { hasText: "First floor" }).waitFor();
+  await page.locator('.levels [aria-pressed="true"][aria-label^="1, First floor"]').waitFor();
   const shown = await colours(page, [...along(7, 17, 1.5), [6, 3], [6, 4]]);
   assert.ok(shown.filter((one) => one === kWay).length >= 6, `along the way: ${shown}`);
   for (const { degrees } of await wayArrows(page)) assert.ok([-90, 180, 90].includes(degrees), `${degrees} degrees`);
+});
+/// Where the middle of the plan is in metres, and how many a pixel has.
+const seen = (page) =>
+  page.locator(".plan-view svg").evaluate((svg) => {
+    const [x, y, width, height] = svg.getAttribute("viewBox").split(" ").map(Number);
+    return { x: x + width / 2, y: -y - height / 2, pixel: 1 / svg.getScreenCTM().a };
+  });
+const touch = (session, type, points) =>
+  session.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y, id], index) => ({ x, y, id: id ?? index })) });
+await claim("the plan is centred by a tap, without dragging; a drag moves it and does not", async (server) => {
+  const page = (claims.shown = await opened(server));
+  const box = await page.locator(".plan-view").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const first = await seen(page);
+  await page.mouse.move(x - 60, y + 20);
+  await page.mouse.down();
+  await page.mouse.move(x - 58, y + 20);
+  await page.mouse.up();
+  await until("it is centred there", async () => Math.hypot((await seen(page)).x - first.x + 58 * first.pixel, (await seen(page)).y - first.y + 20 * first.pixel) < 0.1, 3000);
+  const tapped = await seen(page);
+  await page.mouse.move(x, y);
+  await page.mouse.down();
+  await page.mouse.move(x + 30, y, { steps: 3 });
+  await page.mouse.move(x, y, { steps: 3 });
+  await page.mouse.up();
+  await pause(200);
+  assert.deepEqual(await seen(page), tapped, "who has dragged to and fro has not tapped");
+});
+await claim("two fingers zoom the plan about what lies between them, and it does not jump when one of them goes or comes", async (server) => {
+  const page = (claims.shown = await opened(server));
+  const session = await context.newCDPSession(page);
+  const box = await page.locator(".plan-view").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const first = await seen(page);
+  await touch(session, "touchStart", [[x - 50, y]]);
+  await touch(session, "touchStart", [[x - 50, y], [x + 30, y]]);
+  await pause(100);
+  assert.deepEqual(await seen(page), first, "the second finger makes it jump");
+  await touch(session, "touchMove", [[x - 90, y], [x + 70, y]]);
+  await until("it is twice as near", async () => Math.abs((await seen(page)).pixel / first.pixel - 0.5) < 0.01, 3000);
+  const near = await seen(page);
+  assert.ok(Math.abs(near.x - 10 * near.pixel - (first.x - 10 * first.pixel)) < 0.05, "what lies between the fingers stays there");
+  await touch(session, "touchEnd", [[x + 70, y, 1]]);
+  await pause(100);
+  assert.deepEqual(await seen(page), near, "it jumps when a finger goes");
+  await touch(session, "touchMove", [[x - 60, y]]);
+  await until("the other finger drags it on", async () => Math.abs((await seen(page)).x - near.x + 30 * near.pixel) < 0.05, 3000);
+  await touch(session, "touchEnd", []);
+});
+await claim("on a phone that lies on its side something is left to scroll by", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await page.setViewportSize({ width: 640, height: 320 });
+  const box = await page.locator(".plan-view").boundingBox();
+  assert.ok(box.height > 100 && box.height < 220, `${box.height} of 320 pixels`);
 });
 await browser.close();
 process.exit(claims.failures.length ? 1 : 0);

@@ -248,7 +248,7 @@ export function App() {
             <Now unknown={unguided} instruction={guide} next={next} ahead={next && progress ? next.at - along : null} />
           </div>
           {map && !unmapped ? (
-            <Plan map={map} location={location} certain={certain} path={path} progress={progress} destination={goal ?? wanted} chosen={wanted} points={points} />
+            <Plan map={map} location={location} place={place} certain={certain} path={path} progress={progress} destination={goal ?? wanted} chosen={wanted} points={points} />
           ) : (
             <p class="no-map" role="status">{unmapped}</p>
           )}

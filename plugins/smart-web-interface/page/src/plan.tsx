@@ -12,6 +12,7 @@ interface View {
 interface Props {
   map: BuildingMap;
   location: Location | null;
+  place: Location | null; // the last one that was valid
   certain: boolean;
   path: Path | null;
   progress: Progress | null;
@@ -20,7 +21,26 @@ interface Props {
   points: Point[];
 }
 
+/// The first two pointers on the plan count: where they are, and where they and the view were when their number changed last.
+interface Drag {
+  from: Map<number, Place>;
+  to: Map<number, Place>;
+  view: View;
+  tap: boolean; // one pointer alone, which has not moved
+}
+
+interface Place {
+  x: number;
+  y: number;
+}
+
+/// What lies between them, and how far they are apart.
+function spanned([a, b]: Place[]): Place & { apart: number } {
+  return b ? { x: (a!.x + b.x) / 2, y: (a!.y + b.y) / 2, apart: Math.hypot(a!.x - b.x, a!.y - b.y) } : { ...a!, apart: 0 };
+}
+
 const kClosest = 8;
+const kTap_px = 4;
 const kFollowSpan = 34;
 const kMargin_m = 2;
 
@@ -168,15 +188,15 @@ function Walker({ location, certain, progress, pixel }: { location: Location; ce
   );
 }
 
-export function Plan({ map, location, certain, path, progress, destination, chosen, points }: Props) {
+export function Plan({ map, location, place, certain, path, progress, destination, chosen, points }: Props) {
   const whole = useMemo(() => extent(map), [map]);
-  const walkersLevel = location ? shownLevel(location.level, map) : null;
+  const walkersLevel = place ? shownLevel(place.level, map) : null;
   const [picked, setPicked] = useState<number | null>(null);
   const [following, setFollowing] = useState(true);
   const [view, setView] = useState<View>(whole);
   const [box, setBox] = useState({ width: 400, height: 400 });
   const [near, setNear] = useState(false);
-  const drag = useRef<{ x: number; y: number; view: View } | null>(null);
+  const drag = useRef<Drag>({ from: new Map(), to: new Map(), view: whole, tap: false });
   const svg = useRef<SVGSVGElement>(null);
   useEffect(() => setView(whole), [whole]);
   useEffect(() => {
@@ -192,10 +212,13 @@ export function Plan({ map, location, certain, path, progress, destination, chos
 
   const level = picked ?? walkersLevel ?? shownLevel(0, map);
   const centre = following && near && location?.valid ? { ...view, x: location.x, y: location.y } : view;
+  const shown = useRef(centre); // also of a frame that is not drawn yet
+  shown.current = centre;
   const levels = [...map.levels].filter((one) => map.rooms.some((room) => room.level === one.level)).reverse();
 
+  const bounded = (span: number) => Math.min(whole.span * 1.5, Math.max(kClosest, span));
   const zoom = (factor: number) => {
-    setView({ ...centre, span: Math.min(whole.span * 1.5, Math.max(kClosest, centre.span * factor)) });
+    setView({ ...centre, span: bounded(centre.span * factor) });
     setNear(true);
   };
   const move = (dx: number, dy: number) => {
@@ -231,7 +254,50 @@ export function Plan({ map, location, certain, path, progress, destination, chos
   const width = centre.span;
   const height = centre.span * whole.ratio;
   // Metres of a pixel: what is marked on the plan keeps its size on the screen.
-  const pixel = Math.max(width / (box.width || 1), height / (box.height || 1));
+  const pixelOf = (span: number) => Math.max(span / (box.width || 1), (span * whole.ratio) / (box.height || 1));
+  const pixel = pixelOf(width);
+
+  const middle = () => {
+    const { left, top, width, height } = svg.current!.getBoundingClientRect();
+    return { x: left + width / 2, y: top + height / 2 };
+  };
+  const look = (there: View) => {
+    setFollowing(false);
+    setView((shown.current = there));
+  };
+  /// A finger more, or less, goes on from what is shown.
+  const regrip = () => {
+    drag.current.from = new Map(drag.current.to);
+    drag.current.view = shown.current;
+  };
+  const press = (event: PointerEvent) => {
+    if (drag.current.to.size > 1) return;
+    svg.current!.setPointerCapture(event.pointerId);
+    drag.current.to.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    drag.current.tap = drag.current.to.size === 1;
+    regrip();
+  };
+  const dragOn = (event: PointerEvent) => {
+    const { from, to, view } = drag.current;
+    if (!to.has(event.pointerId)) return;
+    to.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    const [was, is, mid] = [spanned([...from.values()]), spanned([...to.values()]), middle()];
+    if (drag.current.tap && Math.hypot(is.x - was.x, is.y - was.y) < kTap_px) return;
+    drag.current.tap = false;
+    const span = bounded(view.span * (was.apart && is.apart ? was.apart / is.apart : 1));
+    const [before, after] = [pixelOf(view.span), pixelOf(span)];
+    look({ x: view.x + (was.x - mid.x) * before - (is.x - mid.x) * after, y: view.y - (was.y - mid.y) * before + (is.y - mid.y) * after, span });
+  };
+  /// A tap centres the plan there: for who cannot drag.
+  const lift = (event: PointerEvent) => {
+    if (!drag.current.to.delete(event.pointerId)) return;
+    const mid = middle();
+    if (drag.current.tap && event.type === "pointerup") {
+      look({ ...centre, x: centre.x + (event.clientX - mid.x) * pixel, y: centre.y - (event.clientY - mid.y) * pixel });
+    }
+    drag.current.tap = false;
+    regrip();
+  };
   return (
     <section class="plan" aria-label="Floor plan">
       {/* Panned by keys as by pointer, so it takes the focus; what it shows is in the steps as text. */}
@@ -251,21 +317,10 @@ export function Plan({ map, location, certain, path, progress, destination, chos
             event.preventDefault();
             zoom(event.deltaY > 0 ? 1.15 : 0.87);
           }}
-          onPointerDown={(event) => {
-            drag.current = { x: event.clientX, y: event.clientY, view: centre };
-            svg.current!.setPointerCapture(event.pointerId);
-          }}
-          onPointerMove={(event) => {
-            if (!drag.current) return;
-            const scale = pixel;
-            const dx = event.clientX - drag.current.x;
-            const dy = event.clientY - drag.current.y;
-            if (Math.hypot(dx, dy) < 4) return;
-            setFollowing(false);
-            setView({ ...drag.current.view, x: drag.current.view.x - dx * scale, y: drag.current.view.y + dy * scale });
-          }}
-          onPointerUp={() => (drag.current = null)}
-          onPointerCancel={() => (drag.current = null)}
+          onPointerDown={press}
+          onPointerMove={dragOn}
+          onPointerUp={lift}
+          onPointerCancel={lift}
         >
           <Rooms map={map} level={level} pixel={pixel} />
           {path?.valid && <Way path={path} level={level} map={map} progress={progress} pixel={pixel} />}
@@ -290,13 +345,10 @@ export function Plan({ map, location, certain, path, progress, destination, chos
             type="button"
             aria-pressed={one.level === level}
             class={one.level === walkersLevel ? "here" : ""}
+            aria-label={`${one.level}, ${levelName(one.level, map.levels)}${one.level === walkersLevel ? ", where you are" : ""}`}
             onClick={() => setPicked(one.level === walkersLevel ? null : one.level)}
           >
-            <span aria-hidden="true">{one.level}</span>
-            <span class="hidden">
-              {levelName(one.level, map.levels)}
-              {one.level === walkersLevel ? ", where you are" : ""}
-            </span>
+            {one.level}
           </button>
         ))}
       </div>
