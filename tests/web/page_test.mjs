@@ -377,6 +377,32 @@ try {
     await page.getByRole("button", { name: "Profile of anna" }).waitFor();
     await page.locator(".now").waitFor({ state: "detached", timeout: 5000 }); // what the guide had said has gone with it
     assert.equal(new URL(system.link()).origin, origin, "another port");
+    await page.waitForTimeout(4500);
+    assert.equal(await page.locator(".lead").getByText("Guidance was started again").count(), 0, "who has arrived is not led there again");
+  });
+  await claim("who is led when guidance is swapped, or the whole system killed, is led on, and told so", async () => {
+    fiona("wire", "nav.location", "to", "phone.truth");
+    await page.getByLabel("Where to?").fill("1.09");
+    await page.keyboard.press("Enter");
+    const led = () => page.locator(".steps li", { hasText: "Arrive at Office 1.09" }).waitFor({ timeout: 30000 });
+    await led();
+    // Another guide is swapped in, and knows of no trip.
+    for (const line of [
+      "load smart-fiona-navigation as spare", "wire spare.location to phone.truth", "wire spare.levels to map.levels", "wire spare.planner to planner.plan",
+      "wire spare.profile to profiles.profile", "wire web.path to spare.path", "wire web.destination to spare.destination", "wire web.instructions to spare.instructions",
+    ]) fiona(line);
+    await page.getByText("Guidance was started again.", { exact: true }).waitFor({ timeout: 10000 });
+    await led();
+    await picture(page, "phone-led-again");
+    await system.stop();
+    await page.getByText("Connection lost, connecting again…").waitFor({ timeout: 2500 });
+    await system.start();
+    fiona("wire", "nav.location", "to", "phone.truth");
+    // Once for each pick.
+    await page.getByText("Guidance was started again: you are not led any more.").waitFor({ timeout: 30000 });
+    await accessible(page, "not led any more");
+    await page.getByRole("button", { name: "Lead me on to Office 1.09" }).click();
+    await led();
   });
   await claim("a log-out makes a guest of the page, and of no one else", async () => {
     await page.getByRole("button", { name: "Profile of anna" }).click();

@@ -35,6 +35,8 @@ const both = (...all) => (server) => all.forEach((each) => each(server));
 const refused = (name, status, error) => answers(name, status, { error });
 const kPlant = { x: 2, y: 1.5, level: 0, name: "the big plant in its pot of Ulm sandstone, a present of 1977" };
 
+const kLed = both(told("path", kToLibrary), says("TURN", "Turn left, then take the lift.", { hour: 9, distance: 12, uncertain: true }), told("attention", [instruction(2, "ATTENTION", `You are passing ${kPlant.name}.`)]));
+
 /// name; what the server is made to say first; what is done on the page then; what the page shows for it.
 const kStates = [
   { name: "opened without a link", link: "", shows: "This page is opened with a link." },
@@ -52,6 +54,7 @@ const kStates = [
   { name: "a destination that is refused", given: refused("destination", 409, "the session has ended"), then: pick("0.2"), shows: "Office 0.2: The session has ended." },
   { name: "nobody who would lead there", given: refused("destination", 503, "navigation is not part of this system"), then: pick("0.2"), shows: "Office 0.2: Navigation is not part of this system." },
   { name: "guidance lost", given: both(port({ instructions: "lost" }), says("TURN", "Turn left.", { hour: 9 })), shows: "No guidance: navigation was lost" },
+  { name: "guidance started again, and one is not led", given: kLed, then: async (page, server) => (await page.locator(".to", { hasText: "Library" }).waitFor(), server.tell("path", { valid: false, points: [] }), server.tell("instruction", null)), shows: "Guidance was started again: you are not led any more.", picture: "state-not-led" },
   { name: "no guide, and the way alone", given: both(port({ instructions: "unwired" }), told("path", kToOffice)), shows: "Turn left, then 4 m" },
   { name: "no map in the system", given: both(port({ map: "unwired", mapFault: "not wired" }), refused("map", 503, "there is no map yet"), told("map", { version: "" })), shows: "This system has no map." },
   { name: "a map that is waited for", given: told("map", { version: "" }), shows: "Waiting for the map…" },
@@ -65,6 +68,7 @@ const kStates = [
   { name: "a room that is not open to who asks", then: pick("0.3"), shows: /institute \(0\.3\) is not open to you\./, picture: "state-not-open" },
   { name: "a search without a result", then: search("swimming bath"), shows: "No room is called that." },
   { name: "log-in", then: (page) => account(page), shows: "Without logging in you are a guest: you are guided, and nothing is kept." },
+  { name: "log-in on the way", given: kLed, then: (page) => account(page), shows: "Without logging in you are a guest: you are guided, and nothing is kept.", picture: "state-login-led" },
   { name: "log-in refused", given: refused("login", 403, "name and password do not fit"), then: logIn, shows: "Name and password do not fit." },
   { name: "log-in too often", given: refused("login", 409, "too many attempts: wait 6 s before the next one"), then: logIn, shows: "Too many attempts: wait 6 s before the next one." },
   { name: "profile", given: logged(kPlant), then: (page) => account(page, "Profile of anna"), shows: "Access level 3", picture: "state-profile" },
@@ -72,6 +76,7 @@ const kStates = [
   { name: "logged out", given: both(logged(), answers("logout", 200, { user: null, profile: null, notice: "You are logged out here; the session itself could not be ended." })), then: async (page) => (await account(page, "Profile of anna"), await button(page, "Log out").click()), shows: "You are logged out here; the session itself could not be ended." },
   { name: "a log-in that has ended", given: answers("me", 200, { user: null, profile: null, notice: "Your session has ended: log in again." }), shows: "Your session has ended: log in again." },
   { name: "what is running, for a guest", given: refused("system", 403, "this takes the access level 1, and you have 0"), then: running, shows: "This takes the access level 1, and you have 0." },
+  { name: "what is running, on the way", given: both(kLed, logged(), answers("system", 200, kRunning)), then: running, shows: /has nothing on a level/, picture: "state-running-led" },
   { name: "what is running, where nobody can log in", given: both(port({ login: "unwired" }), refused("system", 403, "this takes the access level 1, and you have 0")), then: running, shows: "This takes the access level 1, and you have 0." },
   { name: "what is running, with what has failed", given: both(logged(), answers("system", 200, kRunning)), then: running, shows: /has nothing on a level/, picture: "state-failed" },
   { name: "a switch that is refused", given: both(logged(), answers("system", 200, kRunning), refused("rewire", 409, "nav.location stays with bluetooth.location: wifi.location has another contract")), then: async (page) => {

@@ -20,6 +20,19 @@ const opened = async (server) => {
   await page.getByText("Connected", { exact: true }).waitFor();
   return page;
 };
+const pick = async (page, room) => {
+  await page.getByLabel("Where to?").fill(room);
+  await page.keyboard.press("Enter");
+};
+const logIn = async (page) => {
+  await page.getByRole("button", { name: "Log in" }).click();
+  await page.getByLabel("Name").fill("anna");
+  await page.getByLabel("Password").fill("secret");
+  await page.locator(".login").getByRole("button", { name: "Log in" }).click();
+  await page.getByText("You are logged in.").waitFor();
+};
+const sent = (server) => server.asked.filter(({ name }) => name === "destination").map(({ body }) => body);
+const kNoWay = { valid: false, points: [] };
 /// Each place is drawn before the next one is told.
 async function walk(page, server, places) {
   for (const [x, y, level] of places) {
@@ -39,8 +52,7 @@ async function claim(what, test) {
 
 await claim("where one is led is what the path says: a room that another page or the console picked is told on each page", async (server) => {
   const page = (claims.shown = await opened(server));
-  await page.getByLabel("Where to?").fill("0.2");
-  await page.keyboard.press("Enter");
+  await pick(page, "0.2");
   await page.getByText("Asked for Office 0.2, Ground floor").waitFor();
   server.tell("path", kToOffice);
   await page.getByText("To Office 0.2, Ground floor").waitFor();
@@ -108,8 +120,7 @@ await claim("doors, escalators, ramps and ways outdoors are steps where the path
 });
 await claim("a room that cannot be reached is asked for no longer", async (server) => {
   const page = (claims.shown = await opened(server));
-  await page.getByLabel("Where to?").fill("Library");
-  await page.keyboard.press("Enter");
+  await pick(page, "Library");
   await page.getByText("Asked for Library (1.1), First floor").waitFor();
   server.tell("instruction", instruction(1, "NO_PATH", "There is no way to Library from here."));
   await page.locator(".to").waitFor({ state: "detached" });
@@ -176,11 +187,127 @@ await claim("what a guide has said that is gone is neither shown nor led by once
   server.tell("instruction", instruction(1, "CONTINUE", "Go straight on for 7 m."));
   await page.locator(".now", { hasText: "Go straight on" }).waitFor();
   await page.locator(".steps").waitFor();
-  server.tell("path", { valid: false, points: [] });
+  server.tell("path", kNoWay);
   server.tell("instruction", null);
   await page.locator(".now").waitFor({ state: "detached" });
   await page.locator(".steps").waitFor({ state: "detached" });
   await page.getByText("Choose a room").waitFor();
+});
+/// A guide that was started again: it tells that nobody is led, and nothing else.
+const startAgain = (server) => {
+  server.tell("path", kNoWay);
+  server.tell("instruction", null);
+};
+const kLeft = "Guidance was started again: you are not led any more.";
+await claim("who is led when guidance is started again is led on: the page sends what it has sent, once for each pick, and says so", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await listenTo(page, ".lead");
+  await pick(page, "0.2");
+  for (let life = 1; life <= 2; ++life) {
+    server.tell("path", kToOffice);
+    server.tell("instruction", instruction(1, "CONTINUE", `Go straight on, says guide ${life}.`));
+    await page.locator(".now", { hasText: `guide ${life}` }).waitFor();
+    if (life === 1) await page.reload();
+    await page.locator(".now", { hasText: `guide ${life}` }).waitFor();
+    startAgain(server);
+    if (life === 1) await page.getByText("Guidance was started again.", { exact: true }).waitFor({ timeout: 5000 });
+  }
+  // That destination may be what has ended the guide.
+  await page.getByRole("alert").getByText(kLeft).waitFor({ timeout: 7000 });
+  assert.deepEqual(sent(server), Array(2).fill({ x: 9, y: 5.5, level: 0 }));
+  await page.getByRole("button", { name: "Lead me on to Office 0.2" }).click();
+  await until("it is sent", () => sent(server).length === 3, 5000);
+  assert.equal(await page.evaluate(() => document.activeElement.id), "panel");
+  server.tell("path", kToOffice);
+  await page.getByText(kLeft).waitFor({ state: "detached" });
+  startAgain(server);
+  await until("it is sent again, for it was picked anew", () => sent(server).length === 4, 5000);
+});
+await claim("a destination that ends the guide each time is asked for once more only, and one that is refused then, too", async (server) => {
+  const page = (claims.shown = await opened(server));
+  await pick(page, "0.2");
+  server.tell("path", kToOffice);
+  await page.getByText("To Office 0.2").waitFor();
+  server.answer("destination", 503, { error: "navigation does not answer" });
+  startAgain(server);
+  await page.getByText(kLeft).waitFor({ timeout: 9000 });
+  await page.getByText("Office 0.2: Navigation does not answer.").waitFor();
+  await pause(5000);
+  assert.equal(sent(server).length, 2);
+});
+await claim("where another page has sent it the page says that guidance has ended, and leads on when asked to", async (server) => {
+  server.tell("path", kToLibrary);
+  server.tell("instruction", instruction(7, "CONTINUE", "Go straight on."));
+  const page = (claims.shown = await opened(server));
+  await page.getByText("To Library (1.1)").waitFor();
+  startAgain(server);
+  await page.getByRole("alert").getByText(kLeft).waitFor({ timeout: 7000 });
+  assert.deepEqual(sent(server), []);
+  await page.getByRole("button", { name: "Lead me on to Library (1.1)" }).click();
+  await until("it is sent", () => sent(server).length === 1, 5000);
+  assert.deepEqual(sent(server), [{ x: 6, y: 5.5, level: 1 }]);
+});
+await claim("who has arrived, to whom there is no way, or who is led elsewhere by now, is not led there again", async (server) => {
+  const page = (claims.shown = await opened(server));
+  const ends = {
+    ARRIVE: () => (server.tell("instruction", instruction(1, "ARRIVE", "You have arrived.")), server.tell("path", kNoWay)),
+    NO_PATH: () => (server.tell("path", kNoWay), server.tell("instruction", instruction(2, "NO_PATH", "There is no way."))),
+    lost: () => server.tell("status", { ...kStatus, instructions: "lost" }),
+  };
+  for (const [index, end] of Object.values(ends).entries()) {
+    await pick(page, "0.2");
+    await until("it is sent", () => sent(server).length === index + 1, 5000);
+    server.tell("path", kToOffice);
+    await page.getByText("To Office 0.2").waitFor();
+    end();
+    await pause(200);
+    startAgain(server);
+    await pause(4500);
+    assert.equal(await page.getByText(kLeft).count(), 0);
+  }
+  assert.equal(sent(server).length, 3);
+  server.tell("status", kStatus);
+  await until("a guide that is back is asked again", () => sent(server).length === 4, 5000);
+});
+await claim("who logs in on the way is led on as who they are, and who logs out is not", async (server) => {
+  server.answer("login", 200, anna());
+  server.answer("logout", 200, { ...kGuest, notice: "" });
+  const page = (claims.shown = await opened(server));
+  await pick(page, "0.2");
+  server.tell("path", kToOffice);
+  server.tell("instruction", instruction(1, "CONTINUE", "Go straight on."));
+  await page.getByText("To Office 0.2").waitFor();
+  await page.reload();
+  await page.getByText("To Office 0.2").waitFor();
+  await logIn(page);
+  await until("it is sent again", () => sent(server).length === 2, 5000);
+  assert.deepEqual(sent(server)[1], { x: 9, y: 5.5, level: 0 });
+  const names = server.asked.map(({ name }) => name);
+  assert.ok(names.indexOf("login") < names.lastIndexOf("destination"));
+  await page.getByRole("button", { name: "Log out" }).click();
+  await page.getByText("You are logged out.").waitFor();
+  await pause(300);
+  // What somebody else has sent is theirs.
+  server.tell("path", kToLibrary);
+  await page.locator(".to", { hasText: "Library" }).waitFor({ state: "attached" });
+  await page.getByRole("button", { name: "Close" }).click();
+  await logIn(page);
+  await pause(300);
+  assert.equal(sent(server).length, 2);
+});
+await claim("what is to be done, a doubt and points are told on each tab, and in the dialog before which all else is silent", async (server) => {
+  server.tell("instruction", instruction(1, "CONTINUE", "Go straight on."));
+  const page = (claims.shown = await opened(server));
+  await page.getByRole("tab", { name: "What is running" }).click();
+  await page.getByRole("status").getByText("Go straight on.").waitFor();
+  await page.locator(".who").click();
+  const dialog = page.getByRole("dialog");
+  await dialog.getByRole("status").getByText("Go straight on.").waitFor();
+  server.tell("instruction", instruction(2, "LOST", "Stop.", { uncertain: true }));
+  server.tell("attention", [instruction(3, "ATTENTION", "You are passing a kiosk.")]);
+  await dialog.getByRole("status").getByText("Stop.").waitFor();
+  await dialog.getByRole("status").getByText("You are passing a kiosk.").waitFor();
+  await dialog.getByRole("alert").getByText("Position uncertain").waitFor();
 });
 await claim("while the place is not known the steps stay where it was last, and a place of which nobody says how sure it is is in doubt", async (server) => {
   server.tell("path", kToOffice);
@@ -287,9 +414,12 @@ await claim("without a guide a point is told once in passing, on its level and o
 });
 await claim("a guide that leads is the one that tells points, once, beside what is to be done", async (server) => {
   server.answer("me", 200, anna(kFountain));
-  server.tell("instruction", instruction(1, "TURN", "Turn left.", { hour: 9, distance: 8 }));
   const page = (claims.shown = await opened(server));
   await page.getByRole("button", { name: "Profile of anna" }).waitFor();
+  await pick(page, "0.2");
+  server.tell("path", kToOffice);
+  server.tell("instruction", instruction(1, "TURN", "Turn left.", { hour: 9, distance: 8 }));
+  await page.locator(".now", { hasText: "Turn left." }).waitFor();
   await listenTo(page, ".passing", ".now .text");
   await walk(page, server, along(2, 6, 1.5));
   const passing = instruction(2, "ATTENTION", "You are passing the fountain.");
@@ -302,6 +432,24 @@ await claim("a guide that leads is the one that tells points, once, beside what 
   assert.deepEqual(await saidBy(page, ".passing"), ["You are passing the fountain.", "You are passing the fountain.You are passing a kiosk."]);
   assert.deepEqual(await saidBy(page, ".now .text"), ["Turn left."]);
   assert.equal(await page.locator(".passing").getAttribute("aria-atomic"), "false", "what was told would be read again");
+});
+
+await claim("a guide that leads somebody else tells their points, and the page those of its user", async (server) => {
+  server.answer("login", 200, anna(kFountain));
+  server.answer("destination", 503, { error: "navigation does not answer" });
+  server.tell("path", kToOffice);
+  server.tell("instruction", instruction(1, "CONTINUE", "Go straight on."));
+  const page = (claims.shown = await opened(server));
+  await logIn(page);
+  await page.getByRole("button", { name: "Close" }).click();
+  await listenTo(page, ".passing");
+  server.tell("attention", [instruction(2, "ATTENTION", "You are passing a kiosk.")]);
+  await page.getByText("You are passing a kiosk.").waitFor();
+  await walk(page, server, along(2, 7, 1.5));
+  await page.getByText("You are passing the fountain.").waitFor();
+  server.tell("attention", [2, 3].map((number) => instruction(number, "ATTENTION", number === 2 ? "You are passing a kiosk." : "You are passing the fountain.")));
+  await pause(300);
+  assert.deepEqual((await saidBy(page, ".passing")).map((text) => text.length), [24, 53], "what both tell is told once");
 });
 
 /// The colour at a place of the plan, in metres, as it is on the screen.

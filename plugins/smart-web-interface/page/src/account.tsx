@@ -1,3 +1,4 @@
+import type { ComponentChildren } from "preact";
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { BuildingMap, Location, Me, Point } from "./model";
 import { shownLevel } from "./plan";
@@ -10,6 +11,7 @@ interface Props {
   location: Location | null;
   close: () => void;
   changed: (me: Me) => void;
+  children: ComponentChildren; // what is told meanwhile
 }
 
 const kChoices = [
@@ -18,7 +20,7 @@ const kChoices = [
   ["use_outdoor_navigation", "Outdoors", "I also go outdoors", "I stay indoors"],
 ] as const;
 
-export function Account({ me, map, location, close, changed }: Props) {
+export function Account({ me, map, location, close, changed, children }: Props) {
   const dialog = useRef<HTMLDialogElement>(null);
   const heading = useRef<HTMLHeadingElement>(null);
   const used = useRef<Element | null>(null);
@@ -55,6 +57,7 @@ export function Account({ me, map, location, close, changed }: Props) {
           <svg viewBox="0 0 24 24" aria-hidden="true"><path d="M6 6l12 12M18 6 6 18" /></svg>
         </button>
       </header>
+      {children}
       <p role="alert" class="fault">{fault}</p>
       <p role="status" class="done">{done}</p>
       {me.user ? <Profile me={me} map={map} location={location} busy={busy} ask={ask} /> : <LogIn busy={busy} ask={ask} />}

@@ -10,6 +10,7 @@ import { Search } from "./search";
 import { call, follow, open, pause_ms } from "./server";
 import { Now, Steps } from "./steps";
 import { inert, levelName } from "./text";
+import { useRestart, useTrip, type Trip } from "./trip";
 
 const kGuest: Me = { user: null, profile: null, notice: "" };
 const kTabs = [["guide", "Guide"], ["running", "What is running"]] as const;
@@ -53,10 +54,12 @@ function whyNoMap(map: BuildingMap | null, status: Status | null): string {
   return status?.mapFault ? `There is no map of the building: ${inert(status.mapFault)}.` : "Waiting for the map…";
 }
 
+const nameOf = (to: Destination): string => inert(to.label) || "a place without a name";
+
 function Whither({ said, to, map }: { said: string; to: Destination; map: BuildingMap | null }) {
   return (
     <p class="to">
-      <span>{said}</span> <strong>{inert(to.label) || "a place without a name"}</strong>, {levelName(to.level, map?.levels ?? [])}
+      <span>{said}</span> <strong>{nameOf(to)}</strong>, {levelName(to.level, map?.levels ?? [])}
     </p>
   );
 }
@@ -157,7 +160,6 @@ export function App() {
   const points = me.profile?.points ?? [];
   const path = status?.path === "connected" ? toldPath : null;
   const guide = status?.instructions === "connected" && connected ? instruction : null;
-  const passing = usePassing(points, location, map, guide !== null);
   const uncertain = useSettled(doubtOf(connected, status, location, guide));
   const certain = connected && uncertain === "";
   // Where nothing is known of the place, the steps stay where it was last.
@@ -168,6 +170,8 @@ export function App() {
   // Another page, or the console, may have chosen another room: where one is led is what the path says.
   const goal = useMemo(() => goalOf(path, map), [path, map]);
   const steps = useMemo(() => (path ? stepsOf(path, map, goal?.label ?? "") : []), [path, map, goal]);
+  const [trip, setTrip] = useTrip(goal, guide);
+  const passing = usePassing(points, location, map, guide !== null && !!trip?.mine && trip.user === me.user);
   const along = progress?.along ?? 0;
   const current = Math.max(0, steps.map((step) => step.at <= along + 0.5).lastIndexOf(true));
   const next = steps[current + 1] ?? steps[current] ?? null;
@@ -179,21 +183,38 @@ export function App() {
     if (guide?.kind === "NO_PATH" || guide?.kind === "ARRIVE") setWanted(null);
   }, [guide]);
 
-  const pick = async (to: Destination) => {
+  const send = async (to: Destination, more: Partial<Trip> = {}) => {
     setBusy(true);
     setFault("");
     setWanted(to);
-    // The list of rooms closes, and what had the focus may have been in it.
-    document.getElementById("panel")?.focus();
+    setTrip({ to, mine: true, user: me.user, begun: false, again: false, over: false, ...more });
     try {
       await call("destination", { x: to.x, y: to.y, level: to.level });
     } catch (error) {
       setWanted(null);
+      setTrip(trip && { ...trip, again: trip.again || !!more.again });
       setFault(`${to.label}: ${(error as Error).message}`);
     } finally {
       setBusy(false);
     }
   };
+  const pick = (to: Destination) => {
+    // The list of rooms closes, or the button goes, and what had the focus may have been in it.
+    document.getElementById(account ? "account" : tab === "guide" ? "panel" : "running")?.focus();
+    void send(to);
+  };
+  // Who logs in on the way is led on as who they are. Who logs out is not led on, by the guide.
+  useEffect(() => {
+    if (me === kGuest || !trip?.mine || trip.over || trip.user === me.user) return;
+    if (me.user) void send(trip.to, { begun: trip.begun, again: trip.again });
+    else setTrip({ ...trip, over: true });
+  }, [me === kGuest, me.user]);
+  const follows = connected && status?.path === "connected" && status.instructions === "connected";
+  const gone = follows && !!trip?.begun && !trip.over && !goal && !guide;
+  const restart = useRestart(gone, trip, () => void send(trip!.to, { begun: true, again: true }));
+  useEffect(() => {
+    if (restart === "not led") setWanted(null);
+  }, [restart]);
 
   if (!opened) return <main class="closed"><h1>FIONA</h1><p role="status">{held ? `${held} Trying again…` : "Opening…"}</p></main>;
   if (closed) {
@@ -209,6 +230,20 @@ export function App() {
   const lost = status?.instructions === "lost" || (status?.instructions === "unwired" && status.path === "lost");
   const unmapped = whyNoMap(map, status);
   const unguided = !connected ? "No guidance without a connection" : lost ? "No guidance: navigation was lost" : "";
+  const lead = (
+    <div class="lead">
+      <Doubt told={uncertain} connected={connected} location={location} />
+      <p role="alert" class="fault">{fault}</p>
+      <p role="status" class="notice">{restart === "led again" ? "Guidance was started again." : ""}</p>
+      <div class={restart === "not led" ? "fault" : "hidden"}>
+        <p role="alert">{restart === "not led" ? "Guidance was started again: you are not led any more." : ""}</p>
+        {restart === "not led" && trip && <button type="button" disabled={busy} onClick={() => pick(trip.to)}>Lead me on to {nameOf(trip.to)}</button>}
+      </div>
+      <Passing told={new Map([...passing.map((text) => ({ text, language: "" })), ...(guide ? attention : [])].map((one) => [inert(one.text), one.language]))} />
+      {!account && me.notice && <p role="status" class="notice">{me.notice}</p>}
+      <Now unknown={unguided} instruction={guide} next={next} ahead={next && progress ? next.at - along : null} />
+    </div>
+  );
   return (
     <div class={connected ? "app" : "app offline"}>
       <a class="skip" href="#panel" onClick={(event) => (event.preventDefault(), document.getElementById(tab === "guide" ? "panel" : "running")?.focus())}>
@@ -227,26 +262,14 @@ export function App() {
         </p>
         <Tabs tab={tab} choose={setTab} />
       </header>
-      <main>
+      <main class={tab === "guide" ? "guide" : ""}>
+        {lead}
         <div class="view" role="tabpanel" id="view-running" aria-labelledby="tab-running" hidden={tab !== "running"}>
           {tab === "running" && (
             <WhatIsRunning connected={connected} user={me.user} logIn={status?.login === "unwired" ? null : () => setAccount(true)} />
           )}
         </div>
         <div class="view guide" role="tabpanel" id="view-guide" aria-labelledby="tab-guide" hidden={tab !== "guide"}>
-          <div class="lead">
-            <Doubt told={uncertain} connected={connected} location={location} />
-            <p role="alert" class="fault">{fault}</p>
-            <Passing
-              told={
-                guide
-                  ? attention.map((one) => ({ key: one.number, text: inert(one.text), language: one.language }))
-                  : passing.map((text) => ({ key: text, text }))
-              }
-            />
-            {!account && me.notice && <p role="status" class="notice">{me.notice}</p>}
-            <Now unknown={unguided} instruction={guide} next={next} ahead={next && progress ? next.at - along : null} />
-          </div>
           {map && !unmapped ? (
             <Plan map={map} location={location} place={place} certain={certain} path={path} progress={progress} destination={goal ?? wanted} chosen={wanted} points={points} />
           ) : (
@@ -260,7 +283,12 @@ export function App() {
           </div>
         </div>
       </main>
-      {account && <Account me={me} map={map} location={location} close={() => setAccount(false)} changed={changed} />}
+      {account && (
+        <Account me={me} map={map} location={location} close={() => setAccount(false)} changed={changed}>
+          {/* All behind a dialog is silent. */}
+          {lead}
+        </Account>
+      )}
     </div>
   );
 }

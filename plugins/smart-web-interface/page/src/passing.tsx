@@ -47,11 +47,12 @@ export function usePassing(points: Point[], location: Location | null, map: Buil
   return led ? [] : told;
 }
 
-/// Each is announced by itself: those that are still shown are not read again.
-export function Passing({ told }: { told: { key: string | number; text: string; language?: string }[] }) {
+/// Texts with their languages. Each is announced by itself: those that are still shown are not read again, nor are those that a
+/// guide tells, too, whom another page of the same user has sent the destination.
+export function Passing({ told }: { told: Map<string, string> }) {
   return (
     <div role="status" aria-atomic={false} class="passing">
-      {told.map((one) => <p key={one.key} lang={one.language || undefined}>{one.text}</p>)}
+      {[...told].map(([text, language]) => <p key={text} lang={language || undefined}>{text}</p>)}
     </div>
   );
 }
