@@ -16,6 +16,7 @@
 #include <random>
 #include <string>
 
+#include "../damage.hpp"
 #include "../temporary_directory.hpp"
 #include "fiona/error.hpp"
 
@@ -31,7 +32,7 @@ class RecordStoreTest : public ::testing::Test {
   /// Why it does not open, or how a look into it ends; empty: it opens, and holds what `said` says.
   std::string refusal(std::map<std::string, std::string>* said = nullptr) const {
     try {
-      const RecordStore store(file_, "users");
+      const RecordStore store(file_, kind_);
       const auto all = store.all("account");
       if (said) *said = all;
       return {};
@@ -40,11 +41,12 @@ class RecordStoreTest : public ::testing::Test {
     }
   }
   void fill() const {
-    RecordStore store(file_, "users");
+    RecordStore store(file_, kind_);
     for (int i = 0; i < 40; ++i) store.put("account", "user" + std::to_string(i), std::string(100, 'a' + i % 26));
   }
   std::filesystem::path key() const { return file_.string() + ".key"; }
 
+  std::string kind_ = "users";
   tests::TemporaryDirectory folder_;
   std::filesystem::path file_ = folder_.path / "deep/users.db";
 };
@@ -133,45 +135,45 @@ TEST_F(RecordStoreTest, ANewDatabaseWhoseMakerDiedBeforeTheKeyHadItsNameOpens) {
   EXPECT_TRUE(std::filesystem::exists(key()));
 }
 
-TEST_F(RecordStoreTest, NoFlippedBitIsBelieved) {
-  fill();
-  std::map<std::string, std::string> whole;
-  ASSERT_EQ(refusal(&whole), "");
-  std::ifstream in(file_, std::ios::binary);
-  const std::string bytes((std::istreambuf_iterator<char>(in)), {});
-  std::mt19937 random(7);
-  int refused = 0;
-  for (int i = 0; i < 500; ++i) {
-    std::string damaged = bytes;
-    const std::size_t at = random() % damaged.size();
-    damaged[at] = static_cast<char>(damaged[at] ^ (1 << random() % 8));
+/// Of the users and of the profiles.
+class DamagedRecords : public RecordStoreTest, public ::testing::WithParamInterface<const char*> {
+ protected:
+  std::string said_of(const std::string& damaged) {
+    for (const char* ending : {"-wal", "-shm"}) std::filesystem::remove(file_.string() + ending);
     std::ofstream(file_, std::ios::binary | std::ios::trunc) << damaged;
-    std::map<std::string, std::string> found;
-    if (!refusal(&found).empty()) {
+    return damage_.in_time([&] { return refusal(&found_); });
+  }
+  void SetUp() override {
+    kind_ = GetParam();
+    fill();
+    ASSERT_EQ(refusal(&whole_), "");
+    std::ifstream in(file_, std::ios::binary);
+    bytes_.assign(std::istreambuf_iterator<char>(in), {});
+  }
+
+  tests::Damage damage_{500};
+  std::map<std::string, std::string> whole_, found_;
+  std::string bytes_;
+};
+
+TEST_P(DamagedRecords, NoFlippedBitIsBelieved) {
+  int refused = 0;
+  for (int i = 0; i < damage_.times(); ++i) {
+    if (!said_of(damage_.flipped(bytes_)).empty()) {
       ++refused;
     } else {
-      EXPECT_EQ(found, whole) << "byte " << at;
+      EXPECT_EQ(found_, whole_);
     }
-    for (const char* ending : {"-wal", "-shm"}) std::filesystem::remove(file_.string() + ending);
   }
-  EXPECT_GT(refused, 100) << "bits that carry something are most of it";
+  EXPECT_GT(refused, damage_.times() / 5) << "bits that carry something are most of it";
 }
 
-TEST_F(RecordStoreTest, NoCutIsTakenForLess) {
-  fill();
-  std::map<std::string, std::string> whole;
-  ASSERT_EQ(refusal(&whole), "");
-  const auto size = std::filesystem::file_size(file_);
-  std::mt19937 random(8);
-  for (int i = 0; i < 50; ++i) {
-    const std::filesystem::path copy = folder_.path / "copy";
-    std::filesystem::copy_file(file_, copy, std::filesystem::copy_options::overwrite_existing);
-    std::filesystem::resize_file(file_, random() % size);
-    EXPECT_NE(refusal(), "");
-    std::filesystem::rename(copy, file_);
-    for (const char* ending : {"-wal", "-shm"}) std::filesystem::remove(file_.string() + ending);
-  }
+TEST_P(DamagedRecords, NoCutIsTakenForLess) {
+  for (int i = 0; i < damage_.times(); ++i) EXPECT_NE(said_of(damage_.cut(bytes_)), "");
 }
+
+INSTANTIATE_TEST_SUITE_P(Of, DamagedRecords, ::testing::Values("users", "profiles"),
+                         [](const auto& tested) { return std::string(tested.param); });
 
 TEST_F(RecordStoreTest, AKilledProcessLosesNothingThatItWasToldIsKept) {
   RecordStore(file_, "users").put("account", "first", "1");
