@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
 #include <functional>
 #include <limits>
 #include <set>
@@ -89,6 +90,9 @@ void put(Object& object, const FieldDescriptor& field, T value) {
 
 class HostileValues : public ::testing::Test {
  protected:
+  ~HostileValues() override {
+    if (tried_ > 0) std::printf("%d values of %zu objects\n", tried_, objects().size());
+  }
   /// With this done to the field at the end of the path, and to nothing else.
   std::optional<std::string> refusal_of(const Descriptor& type, const Path& path,
                                         const std::function<void(Object&, const FieldDescriptor&)>& change) {
