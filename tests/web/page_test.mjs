@@ -16,6 +16,8 @@ mkdirSync(screenshots, { recursive: true });
 
 const kPassword = "canary-horse-battery";
 const kHeld_ms = Number(process.env.FIONA_HELD_MS ?? 3500); // by each localisation, while they are swapped
+const kFull = kHeld_ms >= 60000; // who asks for that has the machine for it
+const allowed = (bound_ms) => bound_ms * (kFull ? 1 : 3);
 const kPolicy =
   "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; " +
   "frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'";
@@ -232,8 +234,8 @@ try {
     console.log(`        ${gaps.length} positions through 3 swaps: gap ${inWords(gaps)}; from sensor to page ${inWords(ages)}`);
     assert.ok(gaps.length > 30 && ages.length > 30, "too few positions");
     // The bounds are 300 and 600 ms, and 150 ms, on a machine of its own; this one may be shared.
-    assert.ok(quantile(gaps, 0.99) <= 900 && gaps.at(-1) <= 1800, `gap ${inWords(gaps)}`);
-    assert.ok(quantile(ages, 0.9) <= 450, `from sensor to page ${inWords(ages)}`);
+    assert.ok(quantile(gaps, 0.99) <= allowed(300) && gaps.at(-1) <= allowed(600), `gap ${inWords(gaps)}`);
+    assert.ok(quantile(ages, kFull ? 0.99 : 0.9) <= allowed(150), `from sensor to page ${inWords(ages)}`);
   });
   await claim("an instruction that is made from a guess is told as uncertain", async () => {
     fiona("wire", "nav.location", "to", "bluetooth.location");
