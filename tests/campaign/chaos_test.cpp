@@ -1,7 +1,7 @@
 // Promise R35: a host with twenty components under load, and each second a fault by chance, while all oracles look on:
-// it answers; who has nothing to do with a fault notices nothing; nothing comes twice or in another's place; each
-// question has one outcome; no old value is shown for one of now; what was hit is back in time; nothing grows.
-// FIONA_CHAOS_S sets for how long, FIONA_SEED what happens.
+// it answers; who has nothing to do with a fault notices nothing, and does not grow; nothing comes twice or in
+// another's place; each question has one outcome; no old value is shown for one of now; what was hit is back in time;
+// nothing grows. FIONA_CHAOS_S sets for how long, FIONA_SEED what happens.
 #include <google/protobuf/dynamic_message.h>
 #include <gtest/gtest.h>
 #include <signal.h>
@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <fstream>
 #include <iostream>
+#include <numeric>
 #include <random>
 #include <set>
 
@@ -30,6 +31,11 @@ using namespace std::chrono_literals;
 constexpr auto kBackWithin = 8s;
 constexpr double kAnswersWithin_ms = 2000;
 constexpr double kGrowth_MiB = 32;
+/// Of a stream of 10 ms that no fault was about.
+constexpr double kCalmGap_ms = 10 + 20;
+/// Of each process of that stream, which lives through the whole run: with what an allocator holds for a while.
+constexpr double kCalmGrowth_MiB = 1;
+constexpr double kCalmGrowth_MiB_h = 1;
 
 /// The wall clock of all processes that are started while it lives, as far ahead of the machine's as it was told last
 /// (libfaketime). No library: they have the machine's.
@@ -424,6 +430,12 @@ class Chaos : public testing::Test {
     EXPECT_EQ(ok + seen.number("open"), seen.number("asked")) << fmt::format("{}", fmt::join(outcomes, ", "));
     EXPECT_EQ(seen.number("wrong"), 0U);
     longest_gap_ms = std::max(longest_gap_ms, seen.real("longest_gap_ms"));
+    EXPECT_LE(longest_gap_ms, allowed(kCalmGap_ms, full) + pulse.longest_ms()) << "of a stream that no fault was about";
+  }
+  static void expect_one_outcome_each(const Seen& seen, const std::string& witness) {
+    const auto outcomes = seen.numbers("outcomes");
+    const std::uint64_t ended = std::accumulate(outcomes.begin(), outcomes.end(), std::uint64_t{0});
+    EXPECT_EQ(ended + seen.number("open"), seen.number("asked")) << witness;
   }
   /// Of those that are there: one that has just been hit is looked at another time.
   void expect_no_doubles_and_nothing_old() {
@@ -433,6 +445,7 @@ class Chaos : public testing::Test {
           const Told told = ask(place.name, "testify");
           EXPECT_EQ(told.seen().number("backward"), 0U) << place.name << ": doubled, or out of order";
           EXPECT_EQ(told.seen().number("wrong"), 0U) << place.name << ": another's answer";
+          expect_one_outcome_each(told.seen(), place.name);
           witnessed += told.seen().number("asked") > 0 ? 1 : 0;
         }
         if (place.component == "lookout") {
@@ -442,6 +455,22 @@ class Chaos : public testing::Test {
           oldest_shown_ms = std::max(oldest_shown_ms, told.seen().real("oldest_shown_ms"));
         }
       });
+    }
+  }
+  /// Questions have 2 s: once nobody asks any more, none is left without an outcome.
+  void expect_no_open_questions() {
+    for (const Place& place : places) {
+      if (place.component == "witness") console->set(place.name, "asks=false");
+    }
+    for (const Place& place : places) {
+      if (place.component != "witness") continue;
+      std::uint64_t open = 1;
+      for (const auto end = Steady::now() + 5s; open > 0 && Steady::now() < end;) {
+        const Told told = ask(place.name, "testify");
+        open = told.seen().number("open");
+        expect_one_outcome_each(told.seen(), place.name);
+      }
+      EXPECT_EQ(open, 0U) << place.name << ": questions without an outcome";
     }
   }
   /// Who was not let go of when it was asked for: its group was just ending, or did not answer.
@@ -490,11 +519,34 @@ class Chaos : public testing::Test {
     heal();
   }
   Holdings held_by_host() { return holdings({host.id()}); }
+  /// Of the stream that no fault is about: they live through the whole run.
+  std::map<pid_t, Holdings> held_by_calm() {
+    std::map<pid_t, Holdings> all;
+    for (const std::string group : {"calm_a", "calm_b"}) all[process_of(group)] = holdings({process_of(group)});
+    return all;
+  }
+  std::string expect_calm_has_not_grown(std::chrono::duration<double, std::ratio<3600>> time) const {
+    std::string text;
+    for (const auto& [process, before] : warm_calm) {
+      const Holdings now = holdings({process});
+      const double growth_mib = now.resident_mib - before.resident_mib;
+      text += fmt::format("{:.1f} MiB {:+.2f}, descriptors {} {:+d}, threads {} {:+d}; ", before.resident_mib,
+                          growth_mib, before.descriptors, now.descriptors - before.descriptors, before.threads,
+                          now.threads - before.threads);
+      EXPECT_GT(now.threads, 0) << "it has ended";
+      EXPECT_LE(now.threads, before.threads);
+      EXPECT_LE(now.descriptors, before.descriptors);
+      if (!kKeepsWhatIsFreed) {
+        EXPECT_LE(growth_mib, kCalmGrowth_MiB + kCalmGrowth_MiB_h * time.count());
+      }
+    }
+    return text;
+  }
 
   const unsigned seed =
       static_cast<unsigned>(number_from("FIONA_SEED", static_cast<int>(std::random_device{}() % 1'000'000)));
   std::mt19937 random{seed};
-  const int seconds = number_from("FIONA_CHAOS_S", 45);
+  const int seconds = number_from("FIONA_CHAOS_S", 60);
   const bool full = number_from("FIONA_CHAOS_S", 0) > 0;
   const TemporaryDirectory directory;
   HostProcess host{directory.path};
@@ -506,6 +558,8 @@ class Chaos : public testing::Test {
   Steady::time_point host_killed{};
   Holdings warm;
   bool is_warm = false;
+  std::map<pid_t, Holdings> warm_calm;
+  Steady::time_point calm_warm{};
   int refused = 0;
   int loaded_anew = 0;
   std::uint64_t witnessed = 0;
@@ -531,11 +585,18 @@ TEST_F(Chaos, HurtsNobodyButWhomItHitsAndTheyComeBack) {
     if (!is_warm && second % 10 == 9 && second >= std::min(seconds / 3, 600)) {
       warm = held_by_host();
       is_warm = true;
+      if (warm_calm.empty()) {
+        warm_calm = held_by_calm();
+        calm_warm = Steady::now();
+      }
     }
   }
   heal();
   expect_calm();
   expect_no_doubles_and_nothing_old();
+  expect_no_open_questions();
+  const std::string calm_grew =
+      warm_calm.empty() ? "not looked at; " : expect_calm_has_not_grown(Steady::now() - calm_warm);
   const Holdings after = held_by_host();
   EXPECT_GT(witnessed, 0U);
   if (is_warm) {
@@ -549,14 +610,15 @@ TEST_F(Chaos, HurtsNobodyButWhomItHitsAndTheyComeBack) {
   for (const auto& [name, count] : made) texts.push_back(fmt::format("{} {}", count, name));
   std::cout << fmt::format(
       "{} s (seed {}): {}; {} changes were refused, {} instances loaded anew; the host answered within {:.0f} ms; "
-      "longest gap of a stream of 10 ms that no fault was about {:.1f} ms; oldest value given for one of now {:.1f} "
+      "longest gap of a stream of 10 ms that no fault was about {:.1f} ms; its processes {}oldest value given for "
+      "one of now {:.1f} "
       "ms; "
       "the host's descriptors {} {:+d}, threads {} {:+d}, memory {:.1f} MiB {:+.1f}; the machine stood still for "
       "{:.0f} "
       "ms at most\n",
-      seconds, seed, fmt::join(texts, ", "), refused, loaded_anew, longest_answer_ms, longest_gap_ms, oldest_shown_ms,
-      warm.descriptors, after.descriptors - warm.descriptors, warm.threads, after.threads - warm.threads,
-      warm.resident_mib, after.resident_mib - warm.resident_mib, pulse.longest_ms());
+      seconds, seed, fmt::join(texts, ", "), refused, loaded_anew, longest_answer_ms, longest_gap_ms, calm_grew,
+      oldest_shown_ms, warm.descriptors, after.descriptors - warm.descriptors, warm.threads,
+      after.threads - warm.threads, warm.resident_mib, after.resident_mib - warm.resident_mib, pulse.longest_ms());
 }
 
 TEST(SteppedClock, OneThatIsKilledWhileItLooksAtAFileKeepsNobodyElseWaiting) {

@@ -1,5 +1,6 @@
-// Promise R1: a component that ends its process hurts nobody else. Each kind of death of the zoo, in a group with a
-// station that others look at, beside traffic that must not notice. FIONA_DEATHS sets how often each kind.
+// Promises R1, R2 and R4: a component that ends its process, or hangs, hurts nobody else, and is found in time; what
+// cannot be loaded is refused in time. Each kind of the zoo, in a group with a station that others look at, beside
+// traffic that must not notice. FIONA_DEATHS sets how often each kind.
 #include <gtest/gtest.h>
 #include <poll.h>
 #include <sys/syscall.h>
@@ -11,7 +12,9 @@
 #include <fmt/format.h>
 
 #include "campaign.hpp"
+#include "fiona/error.hpp"
 #include "fiona/result.hpp"
+#include "os/limits.hpp"
 #include "os/process.hpp"
 
 namespace fiona::conformance {
@@ -21,6 +24,11 @@ constexpr double kSeen_ms = 50;
 constexpr double kLost_ms = 200;
 constexpr double kBack_ms = 500;
 constexpr double kLater_ms = 5;
+/// After 1.0 s of work it hangs; when that began, and that it is over, is seen at a look, every 100 ms each.
+constexpr double kHangs_ms = 1000 + 2 * 100;
+constexpr double kGone_ms = 2500;
+constexpr double kBadLoad_ms = 2000;
+constexpr int kMostRefusals = 10;  // of each kind
 
 /// When a process ends, as the kernel tells it.
 class Passing {
@@ -69,11 +77,14 @@ class Deaths : public testing::Test {
   }
   static double ms(std::int64_t from_ns, std::int64_t to_ns) { return static_cast<double>(to_ns - from_ns) / 1e6; }
 
-  /// One death in a group of its own, so that each is its first.
-  void die(const std::string& library, const std::string& group) {
+  /// A group of its own, so that each end is its first, with a station that others look at.
+  void open(const std::string& group) {
     system.load_in(group, "station", "station");
     for (const std::string lookout : {"inside", "outside"}) look(lookout, "station");
     for (const std::string lookout : {"inside", "outside"}) await_sight(lookout);
+  }
+  void die(const std::string& library, const std::string& group) {
+    open(group);
     const pid_t process = system.group(group).process();
     const Passing passing(process);
     const std::int64_t loaded_ns = now_ns();
@@ -83,59 +94,135 @@ class Deaths : public testing::Test {
     system.unload("patient");  // or it would die again
     system.eventually("the kernel tells it too", [&] { return passing.at_ns() > 0; });
     seen.add(ms(passing.at_ns(), seen_ns));
+    mend(group, process, passing.at_ns(), loaded_ns);
+  }
+  /// It hangs 20 ms after it was loaded, or when it is unloaded. For what it waits for a processor it is excused.
+  void hang(const std::string& library, const std::string& group) {
+    open(group);
+    const pid_t process = system.group(group).process();
+    const Passing passing(process);
+    load_patient(library, group);
+    const bool at_its_end = library == "blocks-in-destructor";
+    const std::int64_t begun_ns = now_ns() + (at_its_end ? 0 : 20'000'000);
+    if (at_its_end) system.unload("patient");
+    const auto before = os::time_waiting_for_cpu(process);
+    std::chrono::nanoseconds waited{0};
+    system.eventually("it is seen that it hangs", [&] {
+      waited = std::max(waited, os::time_waiting_for_cpu(process) - before);  // 0: it has gone
+      return system.instance("station").mode() == "failed";
+    });
+    const double waited_ms = static_cast<double>(waited.count()) / 1e6;
+    const double in_all_ms = ms(begun_ns, now_ns());
+    longest_hang_ms = std::max(longest_hang_ms, in_all_ms);
+    hung.add(in_all_ms - waited_ms);
+    if (!at_its_end) system.unload("patient");  // or it would hang again
+    system.eventually("it has gone", [&] { return passing.at_ns() > 0; });
+    gone.add(ms(begun_ns, passing.at_ns()) - waited_ms);
+    mend(group, process, passing.at_ns(), begun_ns);
+  }
+  /// It is back, active and looked at again, and those who look were told.
+  void mend(const std::string& group, pid_t process, std::int64_t ended_ns, std::int64_t since_ns) {
     system.eventually("it is back", [&] {
       const auto now = system.group(group);
       return now.alive() && now.process() != process && system.instance("station").mode() == "active";
     });
-    back.add(ms(passing.at_ns(), now_ns()));
+    back.add(ms(ended_ns, now_ns()));
     for (const std::string lookout : {"inside", "outside"}) {
       await_sight(lookout);
       const Sighting sight = take_sighting(system, lookout);
-      EXPECT_GE(sight.lost_ns, loaded_ns) << lookout << " was not told";
-      lost.add(std::max(0.0, ms(passing.at_ns(), sight.lost_ns)));
+      EXPECT_GE(sight.lost_ns, since_ns) << lookout << " was not told";
+      lost.add(std::max(0.0, ms(ended_ns, sight.lost_ns)));
     }
     system.unload("station");
+  }
+  void refuse(const std::string& library, const std::string& group) {
+    const std::int64_t begun_ns = now_ns();
+    EXPECT_THROW(load_patient(library, group), Error) << library << " was loaded";
+    refused.add(ms(begun_ns, now_ns()));
   }
   void tell(const std::string& what, double bound_ms, const Times& times) const {
     std::cout << times.text(what, bound_ms) << "\n";
     EXPECT_LE(times.longest(), allowed(bound_ms, full) + pulse.longest_ms()) << what;
   }
 
+  std::string next_cage() {
+    worst_ms = std::max(worst_ms, system.port("stopwatch.samples").latency_p99_ms());
+    return fmt::format("cage{}", ++cages);
+  }
+  void begin() {
+    system.eventually("traffic", [&] { return system.port("stopwatch.samples").messages() > 500; });
+    calm_ms = system.port("stopwatch.samples").latency_p99_ms();
+    take_sighting(system, "witness");
+  }
+  void expect_others_noticed_nothing() {
+    next_cage();
+    const Sighting witness = sighting(system, "witness");
+    const auto ok = static_cast<std::size_t>(Outcome::Ok);
+    ASSERT_GT(witness.outcomes.size(), ok);
+    EXPECT_EQ(witness.outcomes[ok] + witness.open, witness.asked) << "answers lost by who did not die";
+    EXPECT_EQ(system.port("stopwatch.samples").dropped(), 0U);
+    std::cout << fmt::format(
+        "{} groups; others: {} answers, {} messages, 0 lost; p99 of a message {:.2f} ms in calm, {:.2f} ms at worst "
+        "(bound + {:.0f} ms); the machine stood still for {:.0f} ms at most\n",
+        cages - 1, witness.outcomes[ok], system.port("stopwatch.samples").messages(), calm_ms, worst_ms, kLater_ms,
+        pulse.longest_ms());
+    EXPECT_LE(worst_ms, calm_ms + allowed(kLater_ms, full) + pulse.longest_ms());
+  }
+
+  const int rounds = number_from("FIONA_DEATHS", 1);
   const bool full = number_from("FIONA_DEATHS", 0) > 0;
   RunningSystem system{RunningSystem::RestartsGroups()};
   Pulse pulse;
-  Times seen, lost, back;
+  int cages = 0;
+  double calm_ms = 0, worst_ms = 0, longest_hang_ms = 0;
+  Times seen, lost, back, hung, gone, refused;
 };
 
 TEST_F(Deaths, OfEachKindAreSeenToldAndMendedAndNobodyElseNotices) {
-  system.eventually("traffic", [&] { return system.port("stopwatch.samples").messages() > 500; });
-  const double calm_ms = system.port("stopwatch.samples").latency_p99_ms();
-  take_sighting(system, "witness");
-  double worst_ms = 0;
-  int deaths = 0;
-  for (int round = 0; round < number_from("FIONA_DEATHS", 1); ++round) {
+  begin();
+  for (int round = 0; round < rounds; ++round) {
     for (const std::string library :
          {"reads-nowhere", "aborts", "overflows-stack", "frees-twice", "exits", "kills-itself", "throws-from-thread"}) {
-      die(library, fmt::format("cage{}", ++deaths));
+      die(library, next_cage());
       ASSERT_FALSE(HasFatalFailure());
-      worst_ms = std::max(worst_ms, system.port("stopwatch.samples").latency_p99_ms());
     }
   }
   tell("death seen", kSeen_ms, seen);
   tell("those who looked at it told", kLost_ms, lost);
   tell("group back, and active", kBack_ms, back);
-  const Sighting witness = sighting(system, "witness");
-  const auto ok = static_cast<std::size_t>(Outcome::Ok);
-  ASSERT_GT(witness.outcomes.size(), ok);
-  EXPECT_EQ(witness.outcomes[ok] + witness.open, witness.asked) << "answers lost by who did not die";
-  EXPECT_EQ(system.port("stopwatch.samples").dropped(), 0U);
-  std::cout << fmt::format(
-      "{} deaths; others: {} answers, {} messages, 0 lost; p99 of a message {:.2f} ms in calm, {:.2f} ms at worst "
-      "(bound "
-      "+ {:.0f} ms); the machine stood still for {:.0f} ms at most\n",
-      deaths, witness.outcomes[ok], system.port("stopwatch.samples").messages(), calm_ms, worst_ms, kLater_ms,
-      pulse.longest_ms());
-  EXPECT_LE(worst_ms, calm_ms + allowed(kLater_ms, full) + pulse.longest_ms());
+  expect_others_noticed_nothing();
+}
+
+TEST_F(Deaths, OfWhatHangsComeInTimeAndNobodyElseNotices) {
+  begin();
+  for (int round = 0; round < rounds; ++round) {
+    for (const std::string library :
+         {"loops", "locks-itself-out", "blocks-in-destructor", "stops-itself", "ignores-sigterm"}) {
+      hang(library, next_cage());
+      ASSERT_FALSE(HasFatalFailure());
+    }
+  }
+  tell("hang seen", kHangs_ms, hung);
+  tell("its process gone", kGone_ms, gone);
+  std::cout << fmt::format("with what they waited for a processor {:.0f} ms at most\n", longest_hang_ms);
+  tell("those who looked at it told", kLost_ms, lost);
+  tell("group back, and active", kBack_ms, back);
+  expect_others_noticed_nothing();
+}
+
+TEST_F(Deaths, OfWhatCannotBeLoadedAreRefusedInTimeAndNobodyElseNotices) {
+  begin();
+  for (int round = 0; round < std::min(rounds, kMostRefusals); ++round) {
+    for (const std::string library :
+         {"traps-when-opened", "throws-when-opened", "exits-when-opened", "hangs-when-opened", "missing-symbol",
+          "no-entry", "other-abi", "other-strings", "null-entry", "null-declare", "throws-in-factory"}) {
+      refuse(library, "");
+      refuse(library, next_cage());
+    }
+    refuse("blocks-in-constructor", next_cage());
+  }
+  tell("bad load refused", kBadLoad_ms, refused);
+  expect_others_noticed_nothing();
 }
 
 }  // namespace
