@@ -188,7 +188,8 @@ WordLine ready_words(const std::vector<std::string>& words) {
   WordLine line = frame_of(shown, "");
   for (std::size_t i = 0; i < words.size(); ++i) {
     for (std::string_view rest = words[i]; !rest.empty(); rest.remove_prefix(decode(rest).bytes)) {
-      if (!decode(rest).valid) throw LineError(line, places[i], {.what = "this word is not UTF-8"});
+      if (!decode(rest).valid)
+        throw LineError(line, places[i], {.what = "this word is not UTF-8", .expected = "UTF-8: see locale"});
     }
     WordLine::Item item;
     std::string_view value = words[i];

@@ -176,7 +176,8 @@ void HostProcess::wait_ready(int ready) {
   const ErrorCode failed = was_killed_ ? ErrorCode::Unreachable : ErrorCode::Failed;
   throw Error(code >= 1 && code <= 9 ? static_cast<ErrorCode>(code) : failed,
               ErrorText{.what = told.empty() ? fmt::format("the host ended before it was ready (exit code {})", code)
-                                             : "the host did not start: " + told});
+                                             : "the host did not start: " + told,
+                        .next = told.empty() ? "fiona doctor" : ""});
 }
 
 void HostProcess::read_said() {

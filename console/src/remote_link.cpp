@@ -138,7 +138,7 @@ class RemoteLink::Carrier {
     }
     if (!unread_.empty()) hand_to_console("");
     if (!closed_ || !unread_.empty()) return;
-    fail({.what = "the connection has ended"});
+    fail({.what = "the connection has ended", .next = "see whether the host still runs, on its machine: ls hosts"});
     end("the connection has ended");
   }
 
@@ -201,7 +201,7 @@ class RemoteLink::Carrier {
   void end(const std::string& reason) {
     over_ = true;
     if (reason_.empty()) reason_ = inert(reason.substr(0, kLongestReason));
-    fail({.what = "the host refuses this console: " + reason_}, ErrorCode::NotAllowed);
+    fail({.what = "the host refuses this console: " + reason_, .next = "ask whoever runs it"}, ErrorCode::NotAllowed);
     const std::lock_guard lock(link_.mutex_);
     link_.reason_ = reason_;
   }
@@ -266,9 +266,10 @@ void RemoteLink::carry(const RemoteAddress& host, const trust::KeyPair& keys, bo
   try {
     Carrier(*this, host, keys, control).run();
   } catch (const zmq::error_t& error) {
-    settle(
-        std::pair(ErrorCode::Unreachable, ErrorText{.what = fmt::format("no connection can be made: {}", error.what()),
-                                                    .where = "tcp://" + host.address}));
+    settle(std::pair(ErrorCode::Unreachable,
+                     ErrorText{.what = fmt::format("no connection can be made: {}", error.what()),
+                               .where = "tcp://" + host.address,
+                               .next = "see whether that is an address, and the limits: ulimit -a"}));
   }
   ::shutdown(far_, SHUT_RDWR);  // what has been handed over can still be read
 }

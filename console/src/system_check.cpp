@@ -112,7 +112,8 @@ class Checker {
     if (granted == nullptr || is_of_sandbox(granted->text) ||
         std::find(asked.begin(), asked.end(), granted->text) != asked.end())
       return;
-    throw line.error(*granted, {.what = fmt::format("{} has no use for the right '{}'", plugin.text, granted->text)});
+    throw line.error(*granted, {.what = fmt::format("{} has no use for the right '{}'", plugin.text, granted->text),
+                                .next = "leave it out"});
   }
 
   void check_found(const Line& line, const Word& plugin, const std::vector<KnownComponent>& found) const {
@@ -142,8 +143,9 @@ class Checker {
     if (line.arguments.empty() || instance.known.component == nullptr) return;
     const std::string& type = instance.known.component->parameters();
     if (type.empty())
-      throw line.error(line.arguments.front().name,
-                       {.what = fmt::format("{} has no parameters", instance.known.component->name())});
+      throw line.error(
+          line.arguments.front().name,
+          {.what = fmt::format("{} has no parameters", instance.known.component->name()), .next = "leave them out"});
     const std::unique_ptr<google::protobuf::Message> draft =
         instance.known.plugin->installed ? catalogue_.types_of(*instance.known.plugin).make(type) : nullptr;
     if (draft == nullptr) {
@@ -384,7 +386,8 @@ class Checker {
   void take_source(const Line& line) {
     const std::filesystem::path file = named_file(line.words, line.positional[0].text);
     if (!sourcing_.insert(file.lexically_normal().string()).second)
-      throw line.error(line.positional[0], {.what = "files source each other in a circle"});
+      throw line.error(line.positional[0],
+                       {.what = "files source each other in a circle", .next = "take one of them out"});
     try {
       check(read_text(file), file.string());
     } catch (const Error& error) {

@@ -56,9 +56,10 @@ bool VirtualTime::stands_too_long() {
 }
 
 Error VirtualTime::unwritable() {
-  const Error error(
-      ErrorCode::Failed,
-      {.what = "the delivery log cannot be written", .where = log_->file().string(), .found = log_->failure()});
+  const Error error(ErrorCode::Failed, {.what = "the delivery log cannot be written",
+                                        .where = log_->file().string(),
+                                        .found = log_->failure(),
+                                        .next = "make room or correct the rights there, then ask for it again"});
   record_to(nullptr);
   return error;
 }

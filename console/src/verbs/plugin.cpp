@@ -198,7 +198,11 @@ void plugin_describe(Session& session, const Line& line) {
     file << described.text;
     file.close();
     if (!file)
-      throw line.error(*out, {.what = "the interface cannot be written", .where = out->text}, ErrorCode::Failed);
+      throw line.error(*out,
+                       {.what = "the interface cannot be written",
+                        .where = out->text,
+                        .expected = "a folder that exists, may be written, and has room"},
+                       ErrorCode::Failed);
     return session.out.done(fmt::format("described {} in {}", library.string(), out->text), {{"file", out->text}});
   }
   Table facts({"fact", "value"});

@@ -190,7 +190,8 @@ void plan(Session& session, const Line& line) {
         alone ? find_verb(inner.verb.text)->handler(session, inner) : session.run(inner);
       });
       if (batch.changes.empty())
-        throw line.error(inner.verb, {.what = fmt::format("'{}' changes nothing", inner.verb.text)});
+        throw line.error(inner.verb, {.what = fmt::format("'{}' changes nothing", inner.verb.text),
+                                      .next = "there is nothing to do"});
       make(session, batch, false);
     }
   } catch (...) {

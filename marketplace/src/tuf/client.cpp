@@ -224,7 +224,8 @@ void Client::refresh() {
 
 TargetInfo Client::target(const std::string& path) {
   if (!state_->refreshed)
-    refuse(ErrorCode::Failed, {.what = "nothing is known of targets before refresh() has succeeded"});
+    refuse(ErrorCode::Failed,
+           {.what = "nothing is known of targets before refresh() has succeeded", .next = "refresh() first"});
   const auto lock = state_->locked();
   if (auto found = state_->search(path)) return std::move(*found);
   refuse(ErrorCode::NotFound, ErrorText{.what = "nobody who may has signed for a target " + path,
@@ -235,7 +236,8 @@ TargetInfo Client::target(const std::string& path) {
 std::map<std::string, std::vector<std::string>> Client::signers() const {
   std::map<std::string, std::vector<std::string>> found;
   if (!state_->refreshed)
-    refuse(ErrorCode::Failed, {.what = "nothing is known of roles before refresh() has succeeded"});
+    refuse(ErrorCode::Failed,
+           {.what = "nothing is known of roles before refresh() has succeeded", .next = "refresh() first"});
   const Targets& top = *state_->trusted->targets(std::string(kTargets), std::string(kRoot));
   for (const Delegation& delegation : top.delegations) {
     for (const auto& id : delegation.signers.key_ids) {

@@ -36,7 +36,10 @@ Json listed_as(const Json& role, std::string_view file) {
 
 std::string file_content_of(const filesystem::path& path) {
   const auto file = marketplace::open_regular(AT_FDCWD, path, path);
-  if (!file) refuse(ErrorCode::NotFound, ErrorText{.what = "there is no such file", .where = path.string()});
+  if (!file)
+    refuse(ErrorCode::NotFound, ErrorText{.what = "there is no such file",
+                                          .where = path.string(),
+                                          .next = "see what is there: ls " + path.parent_path().string()});
   return marketplace::read_all(file, Limits{}.targets_bytes, path);
 }
 

@@ -51,8 +51,9 @@ class DirectoryTransport final : public Transport {
     const bool inside = !path.empty() && relative.is_relative() && path.find('\0') == std::string::npos &&
                         std::ranges::none_of(relative, [](const auto& name) { return name == ".." || name == "."; });
     if (!inside) {
-      refuse(ErrorCode::NotAllowed,
-             ErrorText{.what = "the repository names a file outside of its directory", .where = path});
+      refuse(ErrorCode::NotAllowed, ErrorText{.what = "the repository names a file outside of its directory",
+                                              .where = path,
+                                              .next = "tell the keeper of the repository"});
     }
     return (base.starts_with(kFileScheme) ? percent_decoded(base.substr(kFileScheme.size())) : base) / relative;
   }
@@ -92,7 +93,8 @@ int ends(void*, curl_off_t, curl_off_t, curl_off_t, curl_off_t) {
 class CurlTransport final : public Transport {
  public:
   explicit CurlTransport(const Limits& limits) : limits_(limits), curl_(curl_easy_init(), curl_easy_cleanup) {
-    if (!curl_) refuse(ErrorCode::Failed, {.what = "libcurl cannot be used"});
+    if (!curl_)
+      refuse(ErrorCode::Failed, {.what = "libcurl cannot be used", .next = "see whether memory is short: free -m"});
   }
 
   bool fetch(const std::string& base, const std::string& path, std::uint64_t most, const Sink& sink) override {

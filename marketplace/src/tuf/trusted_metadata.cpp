@@ -184,7 +184,8 @@ void TrustedMetadata::require_delegated(const Targets& file, const std::string& 
   const Targets& owner = targets_.at(delegator);
   const auto delegation = std::ranges::find(owner.delegations, role, &Delegation::role);
   if (delegation == owner.delegations.end()) {
-    refuse(ErrorCode::BadSignature, {.what = fmt::format("{} does not delegate to {}", delegator, role)});
+    refuse(ErrorCode::BadSignature, {.what = fmt::format("{} does not delegate to {}", delegator, role),
+                                     .next = "tell the keeper of the repository"});
   }
   require_signatures(file, delegation->signers, owner.keys, fmt::format("the role '{}'", role));
 }
