@@ -9,7 +9,7 @@
 
 namespace fiona {
 
-/// The rules that an object's fields declare: range, number of elements, finiteness, covariance (options.proto).
+/// The rules that an object's fields declare: range, length, finiteness, covariance (options.proto), enumerators.
 /// Compiled once per type; checking costs a few nanoseconds per ruled field, and nothing where no field has a rule.
 class ObjectRules {
  public:
