@@ -1,5 +1,6 @@
 #include "failure.hpp"
 
+#include "fiona/readable_text.hpp"
 #include "os/message_stream.hpp"
 
 namespace fiona::host {
@@ -7,12 +8,12 @@ namespace fiona::host {
 control::Failure failure_of(const Error& error) {
   control::Failure failure;
   failure.set_code(static_cast<std::uint32_t>(error.code()));
-  failure.set_what(error.text().what);
-  failure.set_where(error.text().where);
-  failure.set_expected(error.text().expected);
-  failure.set_found(error.text().found);
-  failure.set_next(error.text().next);
-  for (const auto& name : error.text().near) failure.add_near(name);
+  failure.set_what(readable_text(error.text().what));
+  failure.set_where(readable_text(error.text().where));
+  failure.set_expected(readable_text(error.text().expected));
+  failure.set_found(readable_text(error.text().found));
+  failure.set_next(readable_text(error.text().next));
+  for (const auto& name : error.text().near) failure.add_near(readable_text(name));
   return failure;
 }
 
@@ -24,7 +25,7 @@ control::Failure failure_of_exception() {
     return failure_of(error);
   } catch (const std::exception& error) {
     failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
-    failure.set_what(error.what());
+    failure.set_what(readable_text(error.what()));
   } catch (...) {
     failure.set_code(static_cast<std::uint32_t>(ErrorCode::Failed));
     failure.set_what("something that is not a std::exception was thrown");

@@ -106,7 +106,7 @@ void FanOut::lease(bool held, const std::string& reason) {
     frame.wire() == 0 ? frame.set_wire(wire) : frame.add_also(wire);
   }
   frame.mutable_lease()->set_held(held);
-  frame.mutable_lease()->set_reason(reason);
+  frame.mutable_lease()->set_reason(told_reason(reason));
   link_->send(lane_, frame);
 }
 

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "fiona/readable_text.hpp"
+
 namespace fiona::host {
 
 std::optional<std::uint64_t> LineAllowance::take() {
@@ -26,7 +28,7 @@ void InstanceEvents::mode_changed(const std::string& instance, const std::string
   auto& changed = *message.mutable_mode_changed();
   changed.set_instance(instance);
   changed.set_mode(mode);
-  changed.set_reason(reason);
+  changed.set_reason(readable_text(reason));
   on_event_(std::move(message));
 }
 
@@ -35,7 +37,7 @@ void InstanceEvents::run_ended(const std::string& instance, int exit_code, const
   auto& ended = *message.mutable_run_ended();
   ended.set_instance(instance);
   ended.set_exit_code(exit_code);
-  ended.set_reason(reason);
+  ended.set_reason(readable_text(reason));
   on_event_(std::move(message));
 }
 
@@ -57,7 +59,7 @@ void InstanceEvents::logged(const std::string& instance, LogLevel level, std::st
   if (!dropped) return;
   if (*dropped > 0) tell(instance, LogLevel::Warning, text_of_dropped(*dropped));
   const bool is_long = text.size() > kLongestLine;
-  tell(instance, level, std::string(text.substr(0, kLongestLine)) + (is_long ? "…" : ""));
+  tell(instance, level, readable_text(text, kLongestLine) + (is_long ? "…" : ""));
 }
 
 void InstanceEvents::tell(const std::string& instance, LogLevel level, std::string text) {

@@ -10,6 +10,8 @@
 #include <string>
 #include <utility>
 
+#include "fiona/readable_text.hpp"
+
 namespace fiona::host {
 namespace {
 
@@ -21,6 +23,7 @@ constexpr std::size_t kInsideBytes = 4096;
 constexpr std::size_t kAliasFrom = kBlockBytes / 2;
 /// 4 MiB for each process that sends large messages.
 constexpr std::size_t kKeptBlocks = 16;
+constexpr std::size_t kMostReason = 4096;
 
 /// Blocks that wait to be used again, of this process.
 class Shelf {
@@ -261,6 +264,8 @@ std::pair<Block, std::uint8_t*> begin_record(const wire::Frame& frame, std::size
 }
 
 }  // namespace
+
+std::string told_reason(std::string_view reason) { return readable_text(reason, kMostReason); }
 
 Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size) {
   auto [block, end] = begin_record(frame, object_size);

@@ -107,6 +107,8 @@ class Payload {
   std::vector<Chunk> chunks_;
 };
 
+/// Why, as a peer is told it: a sentence of 4 KiB at most.
+std::string told_reason(std::string_view reason);
 /// A record: head, frame, and the object's bytes if it has any that travel inside.
 Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size);
 Block make_record(const wire::Frame& frame, const ObjectBytes& object);

@@ -197,7 +197,7 @@ void Links::count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32
 void Links::refuse(const Hop& from, std::uint64_t wire, const std::string& reason) {
   ++counters_.not_granted;
   wire::Frame frame = frame_for(wire);
-  frame.mutable_refused()->set_reason(reason);
+  frame.mutable_refused()->set_reason(told_reason(reason));
   from.link->tell(from.peer, frame);
 }
 
@@ -376,7 +376,7 @@ void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   std::unique_lock lock(mutex_);
   if (const auto relay = relays_.find(wire_id); relay != relays_.end()) {
     wire::Frame frame = frame_for(wire_id);
-    frame.mutable_closed()->set_reason(reason);
+    frame.mutable_closed()->set_reason(told_reason(reason));
     for (const Hop& hop : {relay->second.client.hop, relay->second.provider.hop}) {
       if (hop.link) hop.link->tell(hop.peer, frame);
     }

@@ -104,7 +104,7 @@ void Links::lose_relays(const std::string& endpoint, const std::string& name, co
     }
     const Hop& left = provider_gone ? relay.client.hop : relay.provider.hop;
     wire::Frame frame = frame_for(wire);
-    frame.mutable_closed()->set_reason(reason);
+    frame.mutable_closed()->set_reason(told_reason(reason));
     if (left.link) left.link->tell(left.peer, frame);
     note_ended(wire);
     it = relays_.erase(it);

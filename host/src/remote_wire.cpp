@@ -11,8 +11,6 @@
 namespace fiona::host {
 namespace {
 
-/// The most of a reason that is told to a peer.
-constexpr std::size_t kMostReason = 4096;
 /// Messages that wait for others which came with them.
 constexpr std::size_t kMostTogether = 64;
 constexpr const char* kAnswerTooLarge = "the answer is larger than a link carries (64 MiB)";
@@ -46,7 +44,7 @@ class RemoteWire::RemoteReply final : public ReplySink {
     auto& answer = *frame.mutable_answer();
     answer.set_id(id_);
     answer.set_outcome(static_cast<std::uint32_t>(outcome));
-    answer.set_reason(reason.substr(0, kMostReason));
+    answer.set_reason(told_reason(reason));
     const std::lock_guard lock(wire->mutex_);
     wire->served_.erase(id_);
     if (!wire->cut_) send(*wire, frame, object);
@@ -149,7 +147,7 @@ Outcome RemoteWire::deliver(Parcel parcel) {
 void RemoteWire::lease(bool held, const std::string& reason) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_lease()->set_held(held);
-  frame.mutable_lease()->set_reason(reason.substr(0, kMostReason));
+  frame.mutable_lease()->set_reason(told_reason(reason));
   const std::lock_guard lock(mutex_);
   if (!cut_) send_frame(frame);
 }
@@ -544,7 +542,7 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     if (std::exchange(cut_, true)) return;  // the link may have gone since
     if (tell) {
       wire::Frame frame = frame_for(wire_);
-      frame.mutable_closed()->set_reason(reason.substr(0, kMostReason));
+      frame.mutable_closed()->set_reason(told_reason(reason));
       send_frame(frame);
     }
     drained_ = nullptr;

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include "fiona/error.hpp"
+#include "fiona/readable_text.hpp"
 #include "runtime.hpp"
 
 namespace fiona::host {
@@ -32,7 +33,7 @@ class Runtime::CallReply final : public ReplySink {
     auto& ended = *message.mutable_call_ended();
     ended.set_run(run_);
     ended.set_outcome(static_cast<std::uint32_t>(outcome));
-    ended.set_reason(std::move(reason));
+    ended.set_reason(readable_text(reason));
     if (object) ended.set_type(object->GetDescriptor()->full_name());
     if (object) object->SerializeToString(ended.mutable_object());
     on_event_(std::move(message));

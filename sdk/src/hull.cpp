@@ -11,6 +11,7 @@
 
 #include "fiona/hull_probes.hpp"
 #include "fiona/port.hpp"
+#include "fiona/readable_text.hpp"
 #include "own_thread.hpp"
 
 namespace fiona {
@@ -233,7 +234,8 @@ void Hull::cancel_calls(bool on, std::optional<Pattern> pattern) {
   }
 }
 
-void Hull::fail(const std::string& reason) {
+void Hull::fail(const std::string& thrown) {
+  const std::string reason = readable_text(thrown);
   {
     const std::lock_guard lock(mutex_);
     if (mode_ == kModeFailed || mode_ == kModeShutdown) return;

@@ -119,6 +119,8 @@ Async<Result<control::Reply>> Master::ask(control::Request request, Duration dea
   if (const auto refusal = obstacle()) {
     calls_.finish(call, *refusal,
                   *refusal == Outcome::Rejected ? std::to_string(kMaxOpen) + " calls are open already" : "");
+  } else if (!control::Request().ParseFromString(request.SerializeAsString())) {
+    calls_.finish(call, Outcome::Rejected, "what it asks for holds text that is no UTF-8");
   } else {
     open_[number].call = call;
     hull_.events().asked(hull_.name(), number, request);

@@ -17,6 +17,7 @@
 #include "fiona/error.hpp"
 #include "fiona/options.pb.h"
 #include "fiona/params.hpp"
+#include "fiona/readable_text.hpp"
 #include "fiona/secrets.hpp"
 #include "fiona/units.hpp"
 
@@ -252,7 +253,7 @@ Value element_value(const Message& m, const FieldDescriptor& f, int i) {
       value.set_text((many ? r.GetRepeatedEnum(m, &f, i) : r.GetEnum(m, &f))->name());
       break;
     case FieldDescriptor::CPPTYPE_STRING:
-      value.set_text(many ? r.GetRepeatedString(m, &f, i) : r.GetString(m, &f));
+      value.set_text(readable_text(many ? r.GetRepeatedString(m, &f, i) : r.GetString(m, &f)));
       break;
     case FieldDescriptor::CPPTYPE_MESSAGE:
       value.set_message((many ? r.GetRepeatedMessage(m, &f, i) : r.GetMessage(m, &f)).ShortDebugString());

@@ -18,6 +18,15 @@ class Answerer final : public Component {
   void on_question(const Question& question, fiona::Reply<Reply> reply) {
     if (question.manner() == "drop") return;
     if (question.manner() == "throw") throw std::runtime_error("asked to throw");
+    if (question.manner() == "latin")
+      throw std::runtime_error(
+          "Stra\xdf"
+          "e");
+    if (question.manner() == "long") {
+      std::string reason = "x";
+      for (int i = 0; i < 5000; ++i) reason += "\u00fc";
+      return reply.reject(reason);
+    }
     if (question.manner() == "hang") std::this_thread::sleep_for(500ms);
     if (question.manner() == "error") return reply.reject("asked to refuse");
     const bool for_another = question.manner() == "second" && name() != "second";

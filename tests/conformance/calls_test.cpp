@@ -245,6 +245,27 @@ TEST_P(QueryCalls, HandlerThatThrowsAnythingButAnErrorFailsItsInstanceAndEndsThe
   EXPECT_EQ(system.instance("answerer").reason(), "asked to throw");
 }
 
+TEST_P(QueryCalls, HandlerThatThrowsTextThatIsNoUtf8FailsItsInstanceReadablyAndHurtsNobodyElse) {
+  system.load_in("apart", "answerer", "latin");
+  system.load_in("apart", "source", "neighbour");
+  system.wire("caller.echo", "latin.echo");
+  EXPECT_EQ(outcome_of("query", "manner=latin"), Outcome::Rejected);
+  system.eventually("failed", [&] { return system.instance("latin").mode() == "failed"; });
+  EXPECT_EQ(system.instance("latin").reason(), "Stra\ufffde");
+  const auto put_then = system.port("neighbour.newest").messages();
+  system.eventually("it lives on", [&] { return system.port("neighbour.newest").messages() > put_then; });
+}
+
+TEST_P(QueryCalls, ReasonThatIsTooLongIsCutAtACharacterAndTheNextAnswerComes) {
+  system.wire("caller.echo", "answerer.echo");
+  begin("query", "manner=long");
+  const std::string reason = end().payload();
+  const std::size_t most = GetParam() == Transport::Process ? 5000 : 2047;
+  ASSERT_EQ(reason.size(), 1 + 2 * most);
+  EXPECT_EQ(reason.substr(reason.size() - 2), "\u00fc");
+  EXPECT_EQ(outcome_of("query", "manner=promptly"), Outcome::Ok);
+}
+
 TEST_P(QueryCalls, ReceivedIdIsWrongTheSecondTime) {
   wire_all();
   ASSERT_EQ(outcome_of("request"), Outcome::Ok);

@@ -10,6 +10,7 @@
 #include "fiona/master.hpp"
 #include "fiona/message.hpp"
 #include "fiona/params.hpp"
+#include "fiona/readable_text.hpp"
 #include "fiona/rules.hpp"
 #include "fiona/sdk_test/objects.fiona.hpp"
 #include "fiona/testing/inline_executor.hpp"
@@ -28,6 +29,37 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 using ::testing::ThrowsMessage;
+
+// ---- text -----------------------------------------------------------------------------------------------------
+
+TEST(ReadableText, IsUtf8WhateverItIsMadeOf) {
+  EXPECT_EQ(readable_text("Stra\u00dfe \u20ac \U0001f600"), "Stra\u00dfe \u20ac \U0001f600");
+  EXPECT_EQ(readable_text(""), "");
+  EXPECT_EQ(readable_text("Stra\xdf"
+                          "e"),
+            "Stra\ufffde")
+      << "Latin-1";
+  EXPECT_EQ(readable_text("\xc3"), "\ufffd") << "the first half of a character";
+  EXPECT_EQ(readable_text("\xc0\xaf"), "\ufffd\ufffd") << "longer than it need be";
+  EXPECT_EQ(readable_text("\xe0\x80\xaf"), "\ufffd\ufffd\ufffd");
+  EXPECT_EQ(readable_text("\xed\xa0\x80"), "\ufffd\ufffd\ufffd") << "half of a pair";
+  EXPECT_EQ(readable_text("\xf4\x90\x80\x80"), "\ufffd\ufffd\ufffd\ufffd") << "above all characters";
+  EXPECT_EQ(readable_text("a\xe2\x82z"), "a\ufffd\ufffdz");
+  std::string bytes;
+  for (int first = 0; first < 256; ++first) {
+    for (int second = 0; second < 256; ++second) bytes += {static_cast<char>(first), static_cast<char>(second)};
+  }
+  Ruled one;
+  one.set_name(readable_text(bytes));
+  EXPECT_TRUE(Ruled().ParseFromString(one.SerializeAsString()));
+}
+
+TEST(ReadableText, EndsAtACharacter) {
+  EXPECT_EQ(readable_text("x\u00fc\u00fc", 4), "x\u00fc");
+  EXPECT_EQ(readable_text("x\u00fc\u00fc", 5), "x\u00fc\u00fc");
+  EXPECT_EQ(readable_text("\xff\xff", 5), "\ufffd");
+  EXPECT_EQ(readable_text("\u00fc", 1), "");
+}
 
 // ---- contracts ------------------------------------------------------------------------------------------------
 

@@ -36,6 +36,27 @@ class Chooser final : public Component {
   Probe<std::string> ended_{*this, "ended"};
 };
 
+/// Names what is named in Latin-1.
+class LatinChooser final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) hull().spawn(choose(), [] {});
+  }
+
+ private:
+  Async<> choose() {
+    const auto done = co_await master_.wire(
+        "K\xfc"
+        "che.place",
+        "gps.location");
+    ended_.set(std::string(to_string(done.outcome())) + ": " + done.reason());
+  }
+
+  Master master_{*this};
+  Probe<std::string> ended_{*this, "ended"};
+};
+
 class TwiceMaster final : public Component {
  public:
   using Component::Component;
@@ -74,6 +95,14 @@ TEST(Master, IsToldWhyItWasRefused) {
   bench.start();
   bench.advance(1ms);
   EXPECT_EQ(bench.probe<std::string>("ended"), "rejectedthere is no instance 'nav'");
+}
+
+TEST(Master, AsksForNothingWhoseNamesTheHostCouldNotRead) {
+  testing::Bench<LatinChooser> bench;
+  bench.start();
+  bench.advance(1ms);
+  EXPECT_TRUE(bench.take_requests().empty());
+  EXPECT_EQ(bench.probe<std::string>("ended"), "rejected: what it asks for holds text that is no UTF-8");
 }
 
 TEST(Master, StandsInTheInterface) {
