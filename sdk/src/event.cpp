@@ -77,7 +77,7 @@ void EventProvider::put_state(const Object& state) {
   }
 }
 
-/// False when the activation is over.
+/// False when the activation is over. One event that found no room was not the one that it is for.
 bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> event, TimePoint origin) {
   if (const auto violation = event_rules_.first_violation(*event)) {
     throw Error(ErrorCode::Failed, {.what = "its event was refused: " + *violation,
@@ -86,7 +86,7 @@ bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> e
   const std::size_t bytes = event->ByteSizeLong();
   const Outcome outcome = activation.client->event(Envelope{std::move(event), ++activation.fired, origin, bytes});
   if (outcome != Outcome::Ok) counters().dropped.fetch_add(1, std::memory_order_relaxed);
-  return activation.continuous;
+  return activation.continuous || outcome == Outcome::Rejected;
 }
 
 // ---- client ---------------------------------------------------------------------------------------------------
@@ -95,8 +95,12 @@ bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> e
 /// bounded; acknowledgement and end, of which there is one each, through its strand.
 class EventClient::Channel final : public ReplySink, public std::enable_shared_from_this<Channel> {
  public:
-  Channel(EventClient& client, ActivationId id)
-      : client_(client), id_(id), strand_(client.hull().shared_strand()), wire_(client.full_name() + "/event") {}
+  Channel(EventClient& client, ActivationId id, bool continuous)
+      : client_(client),
+        id_(id),
+        continuous_(continuous),
+        strand_(client.hull().shared_strand()),
+        wire_(client.full_name() + "/event") {}
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object>) override {
     if (ended_.exchange(true) || abandoned()) return;
@@ -135,11 +139,22 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
     const std::uint64_t sequence = parcel.envelope.sequence;
     std::uint64_t lost = sequence > last_sequence_ ? sequence - last_sequence_ - 1 : 0;
     last_sequence_ = sequence;
-    Outcome outcome = Outcome::Ok;  // without an object: refused on the way, and counted there
-    if (parcel.envelope.object) outcome = client_.inbox_.push(std::move(parcel));
-    if (outcome == Outcome::Rejected) ++lost;
+    const bool refused = !parcel.envelope.object;  // on the way, and counted there
+    const Outcome outcome = refused ? Outcome::Ok : client_.inbox_.push(std::move(parcel));
+    const bool full = outcome == Outcome::Rejected;
+    if (full) ++lost;
+    if ((full || refused) && !continuous_) make_again();
     if (lost > 0) client_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
     return outcome;
+  }
+  /// A provider in another process, or in virtual time, takes its only event for there: it is asked for another.
+  void make_again() {
+    strand_->post([self = shared_from_this()] {
+      EventClient& client = self->client_;
+      const auto found = client.activations_.find(self->id_);
+      const bool waits = found != client.activations_.end() && found->second.channel == self && !found->second.fired;
+      if (waits && client.connection() == Connection::Connected) client.make_again(self->id_);
+    });
   }
   void staged(const Object* object, std::string_view word, Job job) {
     Clock& clock = strand_->clock();
@@ -150,6 +165,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
 
   EventClient& client_;
   const ActivationId id_;
+  const bool continuous_;
   const std::shared_ptr<Strand> strand_;
   const std::string wire_;
   std::atomic<bool> ended_{false};
@@ -177,7 +193,7 @@ EventClient::~EventClient() {
 
 /// Makes the activation at the provider of this moment and gives it up at the one before.
 Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
-  const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id));
+  const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id, activation.continuous));
   Envelope envelope{activation.parameters, static_cast<std::uint64_t>(id), hull().clock().now(),
                     activation.parameters->ByteSizeLong()};
   const Outcome outcome = target_.deliver(Parcel{std::move(envelope), activation.channel, activation.continuous, 0})

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 
+#include <algorithm>
 #include <chrono>
 #include <map>
 
@@ -483,6 +484,31 @@ TEST_P(Event, SingleActivationFiresOnce) {
   ASSERT_EQ(outcome_of("activate", "every=1 single=true"), Outcome::Ok);
   EXPECT_EQ(outcome_of("event"), Outcome::Ok);
   EXPECT_EQ(outcome_of("event"), Outcome::WrongId) << "it is over";
+}
+
+TEST_P(Event, SingleActivationWhoseEventFindsNoRoomFiresWithALaterOne) {
+  constexpr std::size_t kSize = 600'000;
+  wire_all();
+  system.set("source", "period_ms=2");
+  system.state("source", "active");
+  const auto rings = system.watch("caller.rings");
+  ASSERT_EQ(outcome_of("activate_handled", "every=1 payload=500000 ring_ms=100"), Outcome::Ok);
+  system.eventually("no room", [&] { return system.port("caller.handled_bell").dropped() > 10; });
+  ASSERT_EQ(outcome_of("activate_handled", "every=1 single=true payload=" + std::to_string(kSize)), Outcome::Ok);
+  const auto dropped = system.port("caller.handled_bell").dropped();
+  system.eventually("its event has found none",
+                    [&] { return system.port("caller.handled_bell").dropped() > dropped + 10; });
+  system.state("source", "neutral");
+  system.set("caller", "ring_ms=0");
+  system.set("source", "period_ms=100");
+  system.state("source", "active");
+  system.wait_for(rings, [](const auto& one) { return one.payload() == std::to_string(kSize); });
+  const auto then = system.port("caller.rings").messages();
+  system.eventually("more", [&] { return system.port("caller.rings").messages() > then + 5; });
+  const auto later = system.take(rings);
+  EXPECT_TRUE(std::none_of(later.begin(), later.end(), [](const auto& one) {
+    return one.payload() == std::to_string(kSize);
+  })) << "once";
 }
 
 TEST_P(Event, TestKeepsStateInItsOwnCopyOfTheActivation) {
