@@ -32,6 +32,10 @@ std::string link_key(const std::string& provider_key, std::string_view client) {
   return keyed_hash(provider_key, joined("fiona link", client), kKeyBytes);
 }
 
+std::string memory_key(const std::string& host_key, const std::string& link_key) {
+  return keyed_hash(host_key, joined("fiona memory", link_key), kKeyBytes);
+}
+
 std::string link_proof(const std::string& link_key, LinkSide side, std::string_view client_nonce,
                        std::string_view provider_nonce) {
   const std::string_view role = side == LinkSide::Client ? "client" : "provider";

@@ -21,6 +21,8 @@ std::string random_bytes(std::size_t count);
 /// The key of the links from `client` to the process that has `provider_key`: that process makes it from the name that
 /// a client gives; the client has it from the host, who knows all keys.
 std::string link_key(const std::string& provider_key, std::string_view client);
+/// What is proved to know of a host's memory key over one link, so that a proof cannot be passed on over another.
+std::string memory_key(const std::string& host_key, const std::string& link_key);
 
 enum class LinkSide { Client, Provider };
 /// Shows knowledge of the key to whoever chose one of the two nonces: keyed BLAKE2b over side and nonces.

@@ -37,7 +37,7 @@ void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
   if (hello) {
     answer.mutable_challenge()->set_nonce(ours);
     answer.mutable_challenge()->set_proof(link_proof(key, LinkSide::Provider, nonce, ours));
-    answer.mutable_challenge()->set_memory_proof(memory_proof(LinkSide::Provider, nonce, ours));
+    answer.mutable_challenge()->set_memory_proof(memory_proof(key, LinkSide::Provider, nonce, ours));
     const std::lock_guard lock(mutex_);
     return send_plain(peer, answer);
   }
@@ -48,14 +48,15 @@ void LinkSocket::welcome(const std::string& peer, const wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
   forget_locked(name);  // a process has one link: what it leaves behind does not add up
   const auto added = add_peer(peer, name, true);
-  const std::string memory = memory_proof(LinkSide::Client, nonce, ours);
+  const std::string memory = memory_proof(key, LinkSide::Client, nonce, ours);
   if (!memory.empty() && same_proof(frame.proof().memory_proof(), memory)) added->memory.emplace();
 }
 
-/// Empty: it shares no memory.
-std::string LinkSocket::memory_proof(LinkSide side, const std::string& client_nonce,
+/// Of this link: passed on over another one it proves nothing. Empty: it shares no memory.
+std::string LinkSocket::memory_proof(const std::string& key, LinkSide side, const std::string& client_nonce,
                                      const std::string& provider_nonce) const {
-  return keys_.memory.empty() ? std::string() : link_proof(keys_.memory, side, client_nonce, provider_nonce);
+  if (keys_.memory.empty()) return {};
+  return link_proof(memory_key(keys_.memory, key), side, client_nonce, provider_nonce);
 }
 
 void LinkSocket::check_challenge(const wire::Frame& frame) {
@@ -68,8 +69,8 @@ void LinkSocket::check_challenge(const wire::Frame& frame) {
   answer.mutable_proof()->set_client(name_);
   answer.mutable_proof()->set_nonce(nonce_);
   answer.mutable_proof()->set_proof(link_proof(keys_.own, LinkSide::Client, nonce_, challenge.nonce()));
-  answer.mutable_proof()->set_memory_proof(memory_proof(LinkSide::Client, nonce_, challenge.nonce()));
-  const std::string memory = memory_proof(LinkSide::Provider, nonce_, challenge.nonce());
+  answer.mutable_proof()->set_memory_proof(memory_proof(keys_.own, LinkSide::Client, nonce_, challenge.nonce()));
+  const std::string memory = memory_proof(keys_.own, LinkSide::Provider, nonce_, challenge.nonce());
   const std::lock_guard lock(mutex_);
   send_plain("", answer);
   const auto provider = peers_.find("");

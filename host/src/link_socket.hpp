@@ -150,7 +150,8 @@ class LinkSocket {
   void shake_hands(const std::string& peer);
   void welcome(const std::string& peer, const wire::Frame& frame);
   void check_challenge(const wire::Frame& frame);
-  std::string memory_proof(LinkSide side, const std::string& client_nonce, const std::string& provider_nonce) const;
+  std::string memory_proof(const std::string& key, LinkSide side, const std::string& client_nonce,
+                           const std::string& provider_nonce) const;
   void on_memory(Peer& peer, const wire::Memory& told);
   void count_received(Peer& peer);
   void pay(Peer& peer);

@@ -276,6 +276,66 @@ INSTANTIATE_TEST_SUITE_P(Of, TwoLinks,
                            return name(one.param.first) + name(one.param.second);
                          });
 
+/// One who is trusted with a link to each of two processes, and not with their memory: it passes on to each what the
+/// other proves.
+TEST_F(ProvingLink, ProofOfTheMemoryKeyIsOfNoUseOverAnotherLink) {
+  const std::string memory(kKeyBytes, 'm');
+  const std::string own(kKeyBytes, 'r');
+  const std::string there = "ipc://@fiona-link-test-provider-" + std::to_string(::getpid());
+  const std::string here = "ipc://@fiona-link-test-relay-" + std::to_string(::getpid());
+  LinkSocket provider(pool, context, zmq::socket_type::router, counters, noted);
+  provider.listen(there, {kKey, memory});
+  zmq::socket_t relay(context, zmq::socket_type::router);
+  relay.set(zmq::sockopt::linger, 0);
+  relay.set(zmq::sockopt::rcvtimeo, 5000);
+  relay.bind(here);
+  Noted client_noted;
+  LinkCounters client_counters;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, client_counters, client_noted);
+  client.connect(here, "peer", {link_key(own, "peer"), memory});
+  RawPeer to_provider(context, there, "relay");
+  zmq::message_t identity;
+  const auto from_client = [&] {
+    zmq::message_t message;
+    EXPECT_TRUE(relay.recv(identity) && relay.recv(message));
+    wire::Frame frame;
+    const auto* in = static_cast<const std::uint8_t*>(message.data());
+    EXPECT_TRUE(frame.ParseFromArray(in + kRecordHead, in[0] | in[1] << 8));
+    return frame;
+  };
+  const auto to_client = [&](const wire::Frame& frame) {
+    const Block record = make_record(frame, nullptr, 0);
+    relay.send(identity, zmq::send_flags::sndmore);
+    relay.send(zmq::buffer(record.data(), record.size()), zmq::send_flags::none);
+  };
+
+  wire::Frame hello = from_client();
+  const std::string nonce = hello.hello().nonce();
+  hello.mutable_hello()->set_client("relay");
+  to_provider.send(hello);
+  wire::Frame challenge = to_provider.receive();
+  const std::string theirs = challenge.challenge().nonce();
+  EXPECT_FALSE(challenge.challenge().memory_proof().empty());
+  challenge.mutable_challenge()->set_proof(link_proof(link_key(own, "peer"), LinkSide::Provider, nonce, theirs));
+  to_client(challenge);
+  wire::Frame proof = from_client();
+  EXPECT_FALSE(proof.proof().memory_proof().empty());
+  proof.mutable_proof()->set_client("relay");
+  proof.mutable_proof()->set_proof(link_proof(link_key(kKey, "relay"), LinkSide::Client, nonce, theirs));
+  to_provider.send(proof);
+
+  wire::Frame offer;
+  offer.mutable_memory()->set_process(::getpid());
+  offer.mutable_memory()->set_file_descriptor(STDERR_FILENO);
+  to_provider.send(offer);
+  to_client(offer);
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 1 && client_noted.seen().size() == 1; }))
+      << "both take it for a frame that no wire of theirs has";
+  EXPECT_EQ(provider.peers(), 1U);
+  client.stop();
+  provider.stop();
+}
+
 TEST_F(ProvingLink, KeepsInOrderWhatZeroMqHasNoRoomFor) {
   constexpr std::size_t kMessages = 5'000;
   const std::string endpoint = "ipc://@fiona-link-test-full-" + std::to_string(::getpid());
