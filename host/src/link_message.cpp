@@ -5,8 +5,10 @@
 
 #include <algorithm>
 #include <cstring>
+#include <iterator>
 #include <mutex>
 #include <new>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -310,6 +312,7 @@ bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver, b
     rest.remove_prefix(kRecordHead);
     if (frame_size > rest.size() || object_size > rest.size() - frame_size) return false;
     if (!frame.ParseFromArray(rest.data(), static_cast<int>(frame_size))) return false;
+    if (static_cast<std::size_t>(frame.also_size()) > kMostAlso) return false;
     const auto inside = rest.substr(frame_size, object_size);
     rest.remove_prefix(frame_size + object_size);
     zmq::message_t* beside = rest.empty() && parts.size() == 2 ? &parts.back() : nullptr;
@@ -337,6 +340,7 @@ bool FrameReader::take(const wire::Frame& frame, std::string_view inside, zmq::m
 bool FrameReader::begin(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver) {
   // A wire's objects come one after the other: a second one before the first has ended is nobody's.
   if (frame.size() > kMaxObject || assemblies_.erase(frame.wire()) > 0) return false;
+  drop_ended(receiver);
   const auto wire = receiver.accepts(frame);
   if (!wire) return true;
   // Nor does it help to name another's wire first.
@@ -347,6 +351,17 @@ bool FrameReader::begin(const wire::Frame& frame, std::string_view inside, zmq::
   if (!add(assembly, inside, beside)) return false;
   assemblies_.emplace(frame.wire(), std::move(assembly));
   return true;
+}
+
+/// An object whose wires have ended since it began, and whose end may never come, is one that is not accepted.
+void FrameReader::drop_ended(Receiver& receiver) {
+  std::set<std::uint64_t> wires;
+  for (auto it = assemblies_.begin(); it != assemblies_.end();) {
+    const auto wire = receiver.accepts(it->second.frame);
+    const bool goes_on = wire && wires.insert(*wire).second;
+    if (goes_on) it->second.accepted_for = *wire;
+    it = goes_on ? std::next(it) : assemblies_.erase(it);
+  }
 }
 
 bool FrameReader::go_on(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver) {

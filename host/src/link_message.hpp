@@ -25,6 +25,8 @@ inline constexpr std::size_t kLocalChunkBytes = 1024 * 1024 + 16 * 1024;
 inline constexpr std::size_t kMaxObject = 64 * 1024 * 1024;
 /// An object up to this size travels inside its record and may share a ZeroMQ message with others.
 inline constexpr std::size_t kInlineBytes = 16 * 1024;
+/// Wires that one frame is for beside its own, at most: those of a push port to one process share what crosses.
+inline constexpr std::size_t kMostAlso = 4096;
 /// What a link or wire of another version is told.
 inline constexpr const char* kUnknownVersion = "unknown protocol version: this side speaks 1";
 /// A record begins with the lengths of its frame and of the object's bytes in it, 4 bytes each, little endian.
@@ -148,6 +150,7 @@ class FrameReader {
   };
   bool take(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
   bool begin(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
+  void drop_ended(Receiver& receiver);
   bool go_on(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
   bool add(Assembly& assembly, std::string_view inside, zmq::message_t* beside);
 

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cstring>
 #include <random>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -318,12 +319,12 @@ struct Nobody final : FrameReader::Receiver {
   int frames = 0;
 };
 
-bool read_chunk(FrameReader& reader, Nobody& nobody, const wire::Frame& frame, std::size_t bytes) {
+bool read_chunk(FrameReader& reader, FrameReader::Receiver& receiver, const wire::Frame& frame, std::size_t bytes) {
   const Block record = make_record(frame, nullptr, 0);
   std::vector<zmq::message_t> parts;
   parts.emplace_back(record.data(), record.size());
   parts.emplace_back(bytes);
-  return reader.read(parts, nobody);
+  return reader.read(parts, receiver);
 }
 
 wire::Frame first_of(std::uint64_t wire, std::size_t size) {
@@ -453,6 +454,58 @@ TEST(LinkChunks, SecondObjectOfAWireBeforeTheFirstHasEndedIsRefused) {
   EXPECT_TRUE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), kChunkBytes));
   EXPECT_FALSE(read_chunk(reader, nobody, first_of(1, 2 * kChunkBytes), kChunkBytes));
   EXPECT_EQ(reader.unfinished(), 0U);
+}
+
+/// Some wires, which end.
+struct Ending final : FrameReader::Receiver {
+  std::optional<std::uint64_t> accepts(const wire::Frame& frame) override {
+    if (wires.contains(frame.wire())) return frame.wire();
+    const auto other =
+        std::find_if(frame.also().begin(), frame.also().end(), [this](auto one) { return wires.contains(one); });
+    if (other != frame.also().end()) return *other;
+    ++refused;
+    return std::nullopt;
+  }
+  void on_frame(const wire::Frame&, const ObjectBytes&) override { ++frames; }
+  std::set<std::uint64_t> wires;
+  int refused = 0;
+  int frames = 0;
+};
+
+TEST(LinkChunks, UnfinishedObjectOfAWireThatHasEndedGoesWhenAnotherBegins) {
+  FrameReader reader;
+  Ending ending;
+  for (std::uint64_t wire = 1; wire <= 100; ++wire) {
+    ending.wires = {wire};
+    EXPECT_TRUE(read_chunk(reader, ending, first_of(wire, 2 * kChunkBytes), kChunkBytes));
+    EXPECT_EQ(reader.unfinished(), 1U);
+  }
+  EXPECT_EQ(ending.refused, 99) << "its credit is paid back as that of any that is not accepted";
+}
+
+TEST(LinkChunks, UnfinishedObjectStaysForTheWireThatIsLeftOfThoseThatItIsFor) {
+  FrameReader reader;
+  Ending ending;
+  ending.wires = {1, 2, 3};
+  wire::Frame first = first_of(1, 2 * kChunkBytes);
+  first.add_also(2);
+  EXPECT_TRUE(read_chunk(reader, ending, first, kChunkBytes));
+  ending.wires = {2, 3};
+  EXPECT_TRUE(read_chunk(reader, ending, first_of(3, 2 * kChunkBytes), kChunkBytes));
+  EXPECT_EQ(reader.unfinished(), 2U);
+  EXPECT_FALSE(read_chunk(reader, ending, first_of(2, 2 * kChunkBytes), kChunkBytes)) << "the other has not ended";
+  EXPECT_EQ(reader.unfinished(), 1U);
+}
+
+TEST(LinkChunks, FrameForMoreWiresThanOneMayBeForIsRefused) {
+  FrameReader reader;
+  Nobody nobody;
+  wire::Frame frame = first_of(1, 0);
+  for (std::uint64_t i = 0; i < kMostAlso; ++i) frame.add_also(2);
+  EXPECT_TRUE(read_chunk(reader, nobody, frame, 1));
+  frame.add_also(2);
+  EXPECT_FALSE(read_chunk(reader, nobody, frame, 1));
+  EXPECT_EQ(nobody.frames, 1);
 }
 
 TEST(LinkChunks, SecondObjectOfAWireIsRefusedThoughItNamesAnotherFirst) {
