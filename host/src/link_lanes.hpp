@@ -35,8 +35,8 @@ class PeerLanes {
     DropOldest,  ///< a full lane loses its oldest, counted
   };
   struct Item {
-    Block record;  ///< of a push, perhaps with those of the messages behind it
-    std::size_t messages = 1;
+    Block record;                            ///< of a push, perhaps with those of the messages behind it
+    std::size_t messages = 1;                ///< that are counted where they are lost
     std::shared_ptr<const Payload> payload;  ///< what does not travel in the record
     Rule rule = Rule::Control;
     std::size_t cost = 0;

@@ -219,6 +219,7 @@ PeerLanes::Item LinkSocket::item_for(const Lane& lane, wire::Frame& frame, const
   if (rule != Rule::Control) {
     item.cost = size + kFrameCost;
     frame.set_lane(lane.lane->id());
+    if (frame.has_request()) item.messages = 0;  // who has made it is told
   }
   if (size > kInlineBytes) {
     item.payload = payload_of(object, chunk_);

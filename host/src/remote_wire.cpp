@@ -15,6 +15,12 @@ namespace {
 constexpr std::size_t kMostTogether = 64;
 constexpr const char* kAnswerTooLarge = "the answer is larger than a link carries (64 MiB)";
 constexpr const char* kFull = "the answers before it have not been taken yet";
+constexpr const char* kQueueFull = "the provider's queue is full";
+constexpr const char* kIdInUse = "a request has the id of one that is still open";
+/// Sends that wait for room, of one wire, or of all that have ended.
+constexpr std::size_t kMostHeld = 2 * kLaneWindow;
+
+std::atomic<std::size_t> held_of_ended{0};  // bytes, of this process
 
 const Object& prototype_of(const google::protobuf::Descriptor& type) {
   return *google::protobuf::MessageFactory::generated_factory()->GetPrototype(&type);
@@ -107,7 +113,9 @@ RemoteWire::RemoteWire(std::shared_ptr<FanOut> fan_out, std::shared_ptr<LinkSock
       answers_(prototype_of(port.service().answer() ? *port.service().answer() : port.service().object())),
       admitted_(port.direction() == PortDirection::Provides || !port.service().is_push()) {}
 
-RemoteWire::~RemoteWire() = default;
+RemoteWire::~RemoteWire() {
+  if (cut_) held_of_ended -= held_bytes_;
+}
 
 void RemoteWire::ask(const std::string& token) {
   wire::Frame frame = frame_for(wire_);
@@ -422,6 +430,7 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   Outcome outcome = Outcome::Rejected;
   std::shared_ptr<ReplySink> reply;
   bool acknowledged = false;
+  bool waits = false;
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;  // the port may have gone since
@@ -435,14 +444,16 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
       Envelope envelope{object.object, request ? frame.request().id() : frame.object().sequence(),
                         TimePoint(Duration(told_ns(origin_ns))), object.bytes};
       Parcel parcel{std::move(envelope), reply, frame.request().continuous(), 0};
-      const bool may_wait = !request && port_.service().pattern() == SEND && !clock_.staging();
-      outcome = may_wait ? take_or_hold(std::move(parcel))
-                : end_   ? end_->push(std::move(parcel))
-                         : inbox_->push(std::move(parcel));
-      if (outcome == Outcome::Rejected) refusal = "the provider's queue is full";
+      const bool may_wait = port_.service().pattern() == SEND && !clock_.staging();
+      const auto taken = may_wait ? take_or_hold(std::move(parcel))
+                         : end_   ? end_->push(std::move(parcel))
+                                  : inbox_->push(std::move(parcel));
+      waits = !taken;
+      outcome = taken.value_or(Outcome::Ok);
+      if (outcome == Outcome::Rejected) refusal = kQueueFull;
     }
     if (outcome == Outcome::Rejected) port_.counters().refuse(refusal, clock_.now());
-    acknowledged = port_.service().pattern() == SEND;
+    acknowledged = port_.service().pattern() == SEND && !waits;
   }
   // An acknowledged send ends here, as does what was not taken; the rest is the provider's to answer.
   const bool ends = outcome != Outcome::Ok || acknowledged;
@@ -450,39 +461,65 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
 }
 
 /// What its sender was told is taken waits where the queue is full, and costs him his credit meanwhile: so he is told
-/// of what comes after it. Of one who sends without credit it is refused. Called with the lock held.
-Outcome RemoteWire::take_or_hold(Parcel parcel) {
-  const Outcome outcome = held_.empty() ? inbox_->push(parcel) : Outcome::Rejected;
-  const std::size_t bytes = Inbox::cost_of(parcel.envelope.bytes);
-  if (outcome != Outcome::Rejected || held_bytes_ > 2 * kLaneWindow) return outcome;
-  held_bytes_ += bytes;
+/// of what comes after it, and that waits behind it. Of one who sends without credit it is refused. None: it waits.
+/// Called with the lock held.
+std::optional<Outcome> RemoteWire::take_or_hold(Parcel parcel) {
+  const bool is_first = held_.empty();
+  if (is_first) {
+    const Outcome outcome = inbox_->push(parcel);
+    if (outcome != Outcome::Rejected || parcel.reply) return outcome;
+  }
+  if (held_bytes_ > kMostHeld) return Outcome::Rejected;
+  held_bytes_ += Inbox::cost_of(parcel.envelope.bytes);
   held_.push_back({std::move(parcel), link_->receipt()});
-  const bool is_first = held_.size() == 1;  // for others room is waited for already
+  // For others room is waited for already.
   if (is_first && has_room_for_held()) port_.hull().strand().post([self = shared_from_this()] { self->take_held(); });
-  return Outcome::Ok;
+  return std::nullopt;
 }
 
-/// For the first of them; false: `take_held` is called once there is. Called with the lock held.
+/// For the first of them; false: `take_held` is called once there is, though the wire may have ended by then. Called
+/// with the lock held.
 bool RemoteWire::has_room_for_held() {
-  const auto taken = [weak = weak_from_this()](std::size_t) {
-    if (const auto self = weak.lock()) self->take_held();
-  };
+  const auto taken = [self = shared_from_this()](std::size_t) { self->take_held(); };
   return inbox_->room(Inbox::cost_of(held_.front().parcel.envelope.bytes), weak_from_this(), taken).has_value();
 }
 
 void RemoteWire::take_held() {
-  std::vector<std::shared_ptr<const void>> paid;  // let go of outside the lock: the link is told
-  const std::lock_guard lock(mutex_);
-  while (!cut_ && !held_.empty()) {
-    const std::size_t bytes = Inbox::cost_of(held_.front().parcel.envelope.bytes);
-    if (inbox_->push(held_.front().parcel) == Outcome::Rejected) {
-      if (!has_room_for_held()) return;
-      continue;  // there is by now
+  std::vector<std::pair<Held, Outcome>> taken;  // answered, and let go of, outside the lock: the link is told
+  {
+    const std::lock_guard lock(mutex_);
+    while (!held_.empty()) {
+      Held& first = held_.front();
+      const bool given_up = first.parcel.reply && first.parcel.reply->abandoned();
+      const Outcome outcome = given_up ? Outcome::Cancelled : inbox_->push(first.parcel);
+      if (outcome == Outcome::Rejected) {
+        if (!has_room_for_held()) break;
+        continue;  // there is by now
+      }
+      const std::size_t bytes = Inbox::cost_of(first.parcel.envelope.bytes);
+      held_bytes_ -= bytes;
+      if (cut_) held_of_ended -= bytes;
+      taken.emplace_back(std::move(first), outcome);
+      held_.pop_front();
     }
-    held_bytes_ -= bytes;
-    paid.push_back(std::move(held_.front().receipt));
-    held_.pop_front();
   }
+  for (const auto& [held, outcome] : taken) {
+    if (held.parcel.reply) held.parcel.reply->answer(outcome, {}, nullptr);
+  }
+}
+
+/// The wire has ended. Its sender was told that they are taken: they still go, as far as wires that have ended keep no
+/// more than one may. Called with the lock held.
+std::deque<RemoteWire::Held> RemoteWire::end_held() {
+  if (held_of_ended == 0 || held_of_ended + held_bytes_ <= kMostHeld) {
+    held_of_ended += held_bytes_;
+    return {};
+  }
+  held_bytes_ = 0;
+  for (const Held& one : held_) {
+    if (!one.parcel.reply) port_.counters().refuse("its wire has ended before there was room", clock_.now());
+  }
+  return std::exchange(held_, {});
 }
 
 void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
@@ -537,6 +574,7 @@ void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object
 void RemoteWire::cut(const std::string& reason, bool tell) {
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open;
   std::vector<std::shared_ptr<ReplySink>> served;
+  std::deque<Held> dropped;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(cut_, true)) return;  // the link may have gone since
@@ -547,19 +585,18 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     }
     drained_ = nullptr;
     kept_.clear();
-    for (; !held_.empty(); held_.pop_front())
-      port_.counters().refuse("its wire has ended before there was room", clock_.now());
+    dropped = end_held();
     open.swap(open_);
     for (auto& [id, weak] : served_) {
       if (auto reply = weak.lock()) served.push_back(std::move(reply));
     }
     served_.clear();
   }
-  // What a client has sent has been accepted: it goes, though the wire does.
-  const bool sent = tell && port_.direction() == PortDirection::Requires && port_.service().pattern() == SEND;
-  const auto rest = sent ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;
+  // What a client has sent has been accepted: it goes, though the wire does, or is counted.
+  const bool sends = port_.direction() == PortDirection::Requires && port_.service().pattern() == SEND;
+  const auto rest = sends && tell ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;
   const std::size_t lost = fan_out_ ? (fan_out_->leave(wire_), 0) : link_->close_lane(lane_, rest);
-  if (sent) port_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
+  if (sends) port_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
   for (auto& [id, reply] : open) reply->answer(Outcome::Disconnected, reason, nullptr);
   for (auto& reply : served) reply->abandon();
 }

@@ -67,8 +67,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   /// [any thread] Another wire has taken the place of this one of a client: open requests end on it, and `drained` is
   /// called once there are none.
   void drain(std::function<void()> drained);
-  /// [any thread] After it returned nothing more reaches the port. Open requests end with Disconnected. `tell`: so does
-  /// the peer's end.
+  /// [any thread] After it returned nothing more reaches the port but sends that have come before and wait for room.
+  /// Open requests end with Disconnected. `tell`: so does the peer's end.
   void cut(const std::string& reason, bool tell = false);
 
  private:
@@ -77,6 +77,10 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
     wire::Frame frame;
     ParsedObject object;
   };
+  struct Held {
+    Parcel parcel;
+    std::shared_ptr<const void> receipt;  ///< its sender has no credit for it yet
+  };
   Outcome deliver_locked(Parcel parcel);
   Outcome request_locked(wire::Frame& frame, Parcel parcel);
   Outcome outcome_of(const LinkSocket::Sent& sent);
@@ -84,9 +88,10 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void handle_frame(const wire::Frame& frame, const ObjectBytes& object);
   void handle_object(const wire::Frame& frame, const ParsedObject& object);
   void take(const wire::Frame& frame, const ParsedObject& object);
-  Outcome take_or_hold(Parcel parcel);
+  std::optional<Outcome> take_or_hold(Parcel parcel);
   bool has_room_for_held();
   void take_held();
+  std::deque<Held> end_held();
   void take_in_turn(const Object* object, std::string_view word, Job job);
   std::function<void()> take_drained();
   void cancel(std::uint64_t id);
@@ -125,11 +130,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::atomic<bool> admitted_;  ///< set under the mutex
   std::deque<Kept> kept_;       ///< what came before `admit`
   std::size_t kept_bytes_ = 0;
-  struct Held {
-    Parcel parcel;
-    std::shared_ptr<const void> receipt;  ///< its sender has no credit for it yet
-  };
-  std::deque<Held> held_;  ///< sends that found the queue full: as much as their sender has credit for
+  std::deque<Held> held_;  ///< sends that found the queue full, or others waiting there, as far as there is credit
   std::size_t held_bytes_ = 0;
   std::function<void()> drained_;
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id

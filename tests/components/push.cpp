@@ -90,6 +90,8 @@ class Sink final : public Component {
     report();
   }
   void on_order(const Sample& sample) {
+    if (params_->order_ms() > 0)
+      std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->order_ms()));
     ++seen_;
     sum_ += static_cast<double>(sample.number());
     report();

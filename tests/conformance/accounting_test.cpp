@@ -4,6 +4,7 @@
 
 #include <signal.h>
 
+#include <algorithm>
 #include <sstream>
 
 #include "stopped_process.hpp"
@@ -136,6 +137,24 @@ TEST_P(AccountingOfTheKilled, SendsThatWereNotAcknowledgedAreToldAndThereAreNoOt
   ::kill(far, SIGKILL);
   const auto ended = counts(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
   EXPECT_EQ(ended.at("disconnected"), 300U) << "unknown: it may have had them, and could not say so";
+}
+
+TEST_P(AccountingOfTheKilled, SendsThatHaveNotLeftForItAreCountedAsDropped) {
+  constexpr std::uint64_t kSent = 50;
+  constexpr std::uint64_t kWaiting = 10;  // what waits for credit: 4 MiB of messages of 300 kB
+  system.load_client("sink", "sink");
+  system.load_provider("caller", "caller");
+  system.wire("caller.orders", "sink.orders");
+  const auto outcomes = system.watch("caller.outcome");
+  const pid_t far = system.far_process();
+  stop_process(far);
+  system.set("caller", "call=send_burst go=1 every=50 payload=300000");
+  const auto taken =
+      std::stoull(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
+  ::kill(far, SIGKILL);
+  const auto lost = std::min<std::uint64_t>(taken, kWaiting);  // all, where the wire was lost before
+  system.eventually("counted", [&] { return system.port("caller.orders").dropped() >= kSent - taken + lost; });
+  EXPECT_LE(system.port("caller.orders").dropped(), kSent);
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Accounting);

@@ -150,6 +150,16 @@ class WireProtocolCase(unittest.TestCase):
         self.assertEqual(frame.WhichOneof("what"), "answer")
         return frame.answer, data
 
+    def fill(self, count):
+        """A sink that works, with more orders sent than its queue holds: (link, wire, the sink's report, its wire)."""
+        self.load("sink", "sink", "far", order_ms=20.0)
+        link, wire, _ = self.attach("sink.orders", ORDER)
+        seen, report, _ = self.attach("sink.report", LAST, client="witness")
+        for number in range(1, count + 1):
+            frame = wire_pb2.Frame(wire=wire, object=wire_pb2.Object(sequence=number))
+            link.send(frame, test_pb2.Sample(number=number, payload=bytes(100_000)).SerializeToString())
+        return link, wire, seen, report
+
 
 class WireProtocol(WireProtocolCase):
     # ---- push
@@ -320,6 +330,24 @@ class WireProtocol(WireProtocolCase):
             self.assertEqual(lost, 0)
             sums[sample.number] = sample.value
             self.assertEqual(sample.value, sample.number * (sample.number + 1) / 2)
+
+    def test_a_send_that_is_acknowledged_waits_behind_those_that_are_not(self):
+        link, wire, seen, report = self.fill(60)
+        for handled in range(1, 62):
+            sample = self.next_object(seen, report)[1]
+            self.assertEqual((sample.number, sample.value), (handled, handled * (handled + 1) / 2))
+            if handled == 10:  # there is room for it, and not for those that wait
+                frame = wire_pb2.Frame(wire=wire, request=wire_pb2.Request(id=1))
+                link.send(frame, test_pb2.Sample(number=61).SerializeToString())
+        self.assertEqual((self.answer(link, wire)[0].outcome, self.port("sink.orders").refused), (OK, 0))
+
+    def test_sends_that_wait_for_room_are_taken_though_their_wire_has_ended(self):
+        link, wire, seen, report = self.fill(60)
+        link.send(wire_pb2.Frame(wire=wire, closed=wire_pb2.Closed(reason="done")))
+        link.next(wire)
+        while (sample := self.next_object(seen, report)[1]).number < 60:
+            pass
+        self.assertEqual((sample.value, self.port("sink.orders").refused), (60 * 61 / 2, 0))
 
     def test_times_that_no_clock_shows_are_taken_as_the_nearest_that_one_could(self):
         self.load("sink", "sink")
