@@ -436,8 +436,10 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
     if (cut_) return;  // the port may have gone since
     if (!request) last_sequence_ = frame.object().sequence();
     if (request) {
+      const auto [served, is_new] = served_.try_emplace(frame.request().id());
+      if (!is_new) return port_.counters().refuse(kIdInUse, clock_.now());  // an answer would be taken for the other's
       reply = std::make_shared<RemoteReply>(weak_from_this(), frame.request().id());
-      served_[frame.request().id()] = reply;
+      served->second = reply;
     }
     if (!object.refusal) {
       const auto origin_ns = request ? frame.request().origin_ns() : frame.object().origin_ns();

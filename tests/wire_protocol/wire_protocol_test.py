@@ -239,6 +239,17 @@ class WireProtocol(WireProtocolCase):
 
     # ---- query, send, event
 
+    def test_an_id_that_is_open_already_is_not_taken_for_another_request(self):
+        self.load("answerer", "oracle")
+        link, wire, _ = self.attach("oracle.echo", ECHO)
+        self.ask(link, wire, 1, manner="later", payload=b"first")
+        self.ask(link, wire, 1, payload=b"second")
+        answer, data = self.answer(link, wire)
+        self.assertEqual((answer.id, test_pb2.Reply.FromString(data).payload), (1, b"first"))
+        self.assertEqual(self.port("oracle.echo").refused, 1)
+        self.ask(link, wire, 2)
+        self.assertEqual(self.answer(link, wire)[0].id, 2)
+
     def test_each_question_has_one_outcome(self):
         self.load("answerer", "oracle", "far")
         link, wire, start = self.attach("oracle.echo", ECHO)
