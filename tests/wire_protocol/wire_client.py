@@ -129,9 +129,9 @@ class Link:
         proof = keyed_hash(key, b"client", nonce, challenge.nonce)
         self.send(wire_pb2.Frame(proof=wire_pb2.Proof(client=self.peer, nonce=nonce, proof=proof)))
 
-    def open(self, granted, version=VERSION, token=None):
-        """Opens a wire; returns the sequence number after which everything comes."""
-        opening = wire_pb2.Open(version=version, token=token or granted.token)
+    def open(self, granted, version=VERSION, token=None, each=False):
+        """Opens a wire, with `each` as one that answers `Room`; returns the sequence number after which everything comes."""
+        opening = wire_pb2.Open(version=version, token=token or granted.token, each=each)
         self.send(wire_pb2.Frame(wire=granted.wire, open=opening))
         frame, _ = self.next(granted.wire)
         if frame.HasField("refused"):

@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -237,6 +238,34 @@ class WireProtocol(WireProtocolCase):
             lost_in_all += lost
         self.assertGreater(lost_in_all, 0)
 
+    def test_a_provider_that_waits_asks_each_client_that_answers_for_room_and_puts_what_fits(self):
+        self.load("pourer", "pourer")
+        granted = self.control.attach("pourer.samples", "viewer", NEWEST)
+        link = self.link(granted)
+        link.open(granted, each=True)
+        other, others, _ = self.attach("pourer.samples", NEWEST, client="other")  # which does not say that it answers
+        count = control_pb2.Set(instance="pourer")
+        count.parameters.add(name="count", value=self.value(7))
+        count.parameters.add(name="payload", value=self.value(1000))
+        self.change(set=count)
+        for mode in ("neutral", "active"):
+            self.change(state=control_pb2.State(instance="pourer", mode=mode))
+        come, cost = 0, 0
+        for room in (1, 3, 3):  # messages
+            frame, _ = link.next(granted.wire)
+            self.assertEqual(frame.WhichOneof("what"), "room")
+            self.assertGreater(frame.room.bytes, 1000 + 256)
+            self.assertIn(cost, (0, frame.room.bytes))
+            cost = frame.room.bytes
+            with self.assertRaises(TimeoutError):
+                link.receive(0.05)
+            link.send(wire_pb2.Frame(wire=granted.wire, room=wire_pb2.Room(bytes=room * cost)))
+            for come in range(come + 1, come + room + 1):
+                frame, data = link.next(granted.wire)
+                self.assertEqual((frame.object.sequence, len(data) + 256), (come, cost))
+        for sequence in range(1, come + 1):
+            self.assertEqual(other.next(others)[0].object.sequence, sequence)
+
     # ---- query, send, event
 
     def test_an_id_that_is_open_already_is_not_taken_for_another_request(self):
@@ -436,12 +465,14 @@ class WireProtocol(WireProtocolCase):
         link, wire, _ = self.attach("oracle.echo", ECHO)
         link.socket.send(b"nonsense that is no record")
         link.socket.send_multipart([b"one", b"two", b"three"])
+        link.socket.send_multipart([wire_client.record(wire_pb2.Frame(wire=wire)), b"", struct.pack("<II", 0, 1)])
+        link.send(wire_pb2.Frame(memory=wire_pb2.Memory(process=os.getpid(), file_descriptor=2)))  # as a host's process might
         link.send(wire_pb2.Frame(wire=wire))              # of a kind that this version does not have
         link.send(wire_pb2.Frame(wire=wire + 1, cancel=wire_pb2.Cancel(id=1)))
         self.ask(link, wire, 1)
         self.assertEqual(self.answer(link, wire)[0].outcome, OK)
         links = self.status().links
-        self.assertEqual((links.garbled, links.not_granted), (2, 1))
+        self.assertEqual((links.garbled, links.not_granted), (3, 2))
 
     # ---- attaching
 
