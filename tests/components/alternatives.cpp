@@ -26,7 +26,8 @@ class Beacon final : public Paced {
     Fix fix;
     fix.set_source(hull().name());
     fix.set_number(++number_);
-    fix.set_is_valid(params_->valid());
+    const std::uint64_t each = params_->valid_each();
+    fix.set_is_valid(params_->valid() && (each == 0 || number_ % each == 1));
     fix.set_x(params_->x());
     fix.set_y(params_->y());
     fix.set_heading(params_->heading());

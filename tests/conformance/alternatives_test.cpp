@@ -232,6 +232,18 @@ TEST_P(Alternatives, PrescaleLeavesTheOrderOfEachProvidersMessages) {
   EXPECT_EQ(sources_of(heard()), "a b a") << heard();
 }
 
+TEST_P(Alternatives, WhatThePrescaleLeavesOutIsNotLookedAtForValidity) {
+  system.load_provider("beacon", "a", "silent=true period_ms=1 valid_each=3");
+  system.load_provider("beacon", "b", "period_ms=1");
+  system.load_client("navigator", "nav", "step=3");
+  system.wire_to_several("nav.fixes", {"a.fixes", "b.fixes"}, 0, 3);
+  until_heard("b");
+  system.set("a", "silent=false");
+  until_heard("a");
+  system.eventually("many of its", [&] { return runs_of(heard()).back().last > 300; });
+  EXPECT_EQ(sources_of(heard()), "b a") << heard();
+}
+
 TEST_P(Alternatives, TheNewOnesLastValueComesWithTheChangeOfAServiceThatSpeaksOnChange) {
   system.load_provider("beacon", "a", "once=true");
   system.load_provider("beacon", "b", "once=true");

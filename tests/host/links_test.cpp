@@ -3,11 +3,13 @@
 #include <gtest/gtest.h>
 
 #include <array>
+#include <atomic>
 #include <chrono>
 #include <fstream>
 #include <functional>
 #include <future>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 
@@ -17,6 +19,7 @@
 #include "fiona/component.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/localisation.fiona.hpp"
+#include "fiona/navigation.fiona.hpp"
 #include "leader_link.hpp"
 #include "link_keys.hpp"
 #include "links.hpp"
@@ -37,6 +40,16 @@ class BothEnds final : public Component {
   using Component::Component;
   Provides<localisation::LocationProvider> told{*this, "told"};
   Requires<localisation::LocationProvider> heard{*this, "heard"};
+  Provides<navigation::LevelMap> asked{*this, "asked", &BothEnds::on_question};
+  Requires<navigation::LevelMap> asks{*this, "asks"};
+  std::optional<Reply<navigation::CommLevelMap>> open;
+  std::atomic<int> asked_so_far{0};
+
+ private:
+  void on_question(const navigation::CommLevelMapRequest&, Reply<navigation::CommLevelMap> reply) {
+    open = std::move(reply);
+    ++asked_so_far;
+  }
 };
 
 struct NoEvents final : HullEvents {
@@ -108,6 +121,28 @@ TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCa
     peer.send(first, "x");
   }
   EXPECT_TRUE(becomes_true([&] { return links.status().garbled() == 50; })) << "each that meets an unfinished one";
+}
+
+TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesOnceNothingIsOpenOnIt) {
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
+  other.provide(1, kLinksToken, "both", ends->asked, 1, "both.asks");
+  const auto end = ends->asks.end_for("both.asked");
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, nullptr);
+  const auto wires = [&] {
+    wire::Adopted held;
+    links.add_held(held);
+    other.add_held(held);
+    return held.wires_size();
+  };
+  EXPECT_TRUE(hull.strand().call([&] { EXPECT_TRUE(ends->asks.request({})); }, 20s));
+  EXPECT_TRUE(becomes_true([&] { return ends->asked_so_far == 1; }));
+  links.retire(1);
+  EXPECT_EQ(wires(), 2) << "a request is open on it";
+  EXPECT_TRUE(hull.strand().call([&] { ends->open->answer(navigation::CommLevelMap()); }, 20s));
+  EXPECT_TRUE(becomes_true([&] { return wires() == 0; }));
+  links.release(hull, "the test is over");
+  other.release(hull, "the test is over");
+  other.stop();
 }
 
 std::size_t resident_bytes() {

@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cmath>
 #include <deque>
 #include <limits>
@@ -92,6 +93,21 @@ class OtherContract : public ::testing::Test {
   FileDescriptorProto file;
   std::deque<DescriptorPool> pools;
 };
+
+TEST_F(OtherContract, LeaseIsWhatItSaysOrThreePeriodsAndAtLeast300Ms) {
+  const auto lease_of = [this](std::uint32_t lease_ms, std::uint32_t period_ms) {
+    contract_of_file().set_lease_ms(lease_ms);
+    contract_of_file().set_period_ms(period_ms);
+    return std::chrono::duration_cast<std::chrono::milliseconds>(ServiceInfo(other()).lease()).count();
+  };
+  EXPECT_EQ(lease_of(0, 0), 0) << "none";
+  EXPECT_EQ(lease_of(100, 0), 100);
+  EXPECT_EQ(lease_of(100, 1000), 100);
+  EXPECT_EQ(lease_of(0, 1000), 3000);
+  EXPECT_EQ(lease_of(0, 101), 303);
+  EXPECT_EQ(lease_of(0, 100), 300);
+  EXPECT_EQ(lease_of(0, 20), 300);
+}
 
 TEST_F(OtherContract, SameFileFromAnotherPoolFits) { EXPECT_EQ(contract_difference(ours(), other()), std::nullopt); }
 
