@@ -30,9 +30,9 @@ Port::Port(Component& owner, std::string_view name, PortDirection direction, con
 bool Port::is_active() const { return served_.load(std::memory_order_acquire) && hull_.is_active(); }
 
 void Port::set_served(bool served) {
-  if (served_.exchange(served) == served) return;
+  if (served_.exchange(served) && served) return;
   if (served) return on_active();
-  on_inactive();
+  on_inactive();  // of one that never was active, too: nobody is to take it for one that is just quiet
   calls_.finish_all(Outcome::NotActive);
 }
 

@@ -117,6 +117,16 @@ TEST_P(PushNewest, ProviderThatIsSilentForLongerThanItsLeaseIsLostAndFoundAtItsN
   system.eventually("found", [&] { return system.port("sink.leased").connection() == control::CONNECTED; });
 }
 
+TEST_P(PushNewest, ProviderThatNeverWasActiveIsLostFromTheStart) {
+  system.load_provider("source", "idle", "neutral");
+  system.load_client("sink", "late");
+  system.wire("late.leased", "idle.leased");
+  system.eventually("lost", [&] { return system.port("late.leased").connection() == control::LOST; });
+  EXPECT_EQ(system.port("late.leased").reason(), "idle.leased is not active");
+  system.state("idle", "active");
+  system.eventually("found", [&] { return system.port("late.leased").connection() == control::CONNECTED; });
+}
+
 TEST_P(PushNewest, LeaseIsRenewedByStillValidAndNotByTheHull) {
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "period_ms=1 count=5 vouch=true");
