@@ -18,6 +18,11 @@ bool is_unused(const control::PortStatus& port) {
   return port.direction() == fiona::PROVIDES && port.clients().empty() && port.attached().empty();
 }
 
+/// It is wired to somebody who is there and says nothing just now, as before their first word: `expect` is for that.
+bool is_quiet(const control::PortStatus& port, const control::InstanceStatus* provider) {
+  return port.connection() == control::LOST && provider && provider->mode() != "failed" && provider->silent_s() <= 0;
+}
+
 /// That there are more than are named, and where.
 void add_rest(WhiteSpot& spot, const char* from, std::size_t count, std::string line) {
   if (count > kMostOfAKind)
@@ -106,8 +111,9 @@ std::vector<std::string> strict_spots(const control::System& system) {
   for (const auto& instance : system.instances()) {
     for (const auto& port : instance.ports()) {
       const std::string& wanted = port.peer().instance();
-      const bool waits_for_nobody = !wanted.empty() && find_instance(system, wanted) == nullptr;
-      if (is_unserved(port) && (!port.optional() || waits_for_nobody))
+      const auto* provider = wanted.empty() ? nullptr : find_instance(system, wanted);
+      const bool waits_for_nobody = !wanted.empty() && provider == nullptr;
+      if (is_unserved(port) && !is_quiet(port, provider) && (!port.optional() || waits_for_nobody))
         ports.push_back(instance.name() + "." + port.name());
     }
   }

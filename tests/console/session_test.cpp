@@ -687,6 +687,20 @@ TEST(WhiteSpots, StrictRefusesRequiredPortsThatAreNotOptional) {
   EXPECT_TRUE(strict_spots(system).empty());
 }
 
+TEST(WhiteSpots, StrictTakesWhoIsThereAndSaysNothingYet) {
+  control::System system = small_system();
+  auto& port = *system.mutable_instances(1)->mutable_ports(0);
+  port.mutable_peer()->set_instance(system.instances(0).name());
+  port.mutable_peer()->set_port("imu");
+  port.set_connection(control::LOST);
+  EXPECT_TRUE(strict_spots(system).empty());
+  system.mutable_instances(0)->set_silent_s(3);
+  EXPECT_EQ(strict_spots(system), std::vector<std::string>{"nav.imu"});
+  system.mutable_instances(0)->set_silent_s(0);
+  system.mutable_instances(0)->set_mode("failed");
+  EXPECT_EQ(strict_spots(system), std::vector<std::string>{"nav.imu"});
+}
+
 TEST(Endpoint, NobodyListeningIsUnreachableWithTheNextStep) {
   const TemporaryDirectory directory;
   Reactor reactor;
