@@ -247,8 +247,8 @@ TEST_P(QueryCalls, HandlerThatThrowsAnythingButAnErrorFailsItsInstanceAndEndsThe
 }
 
 TEST_P(QueryCalls, HandlerThatThrowsTextThatIsNoUtf8FailsItsInstanceReadablyAndHurtsNobodyElse) {
-  system.load_in("apart", "answerer", "latin");
-  system.load_in("apart", "source", "neighbour");
+  system.load_provider("answerer", "latin");
+  system.load_provider("source", "neighbour");
   system.wire("caller.echo", "latin.echo");
   EXPECT_EQ(outcome_of("query", "manner=latin"), Outcome::Rejected);
   system.eventually("failed", [&] { return system.instance("latin").mode() == "failed"; });
