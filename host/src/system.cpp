@@ -119,14 +119,15 @@ void System::deliver(const wire::GroupMessage& event) {
   on_event_(event);
 }
 
-/// Who is in a sandbox ends what is in it, and no run, unless it may change the system.
+/// Who is in a sandbox ends what is in it, and no run, unless it may change the system anyway.
 void System::deliver_from_child(const std::string& group, wire::GroupMessage event) {
   if (!event.has_run_ended() || may_end_run(group, event.run_ended().instance()))
     return deliver_from(group, std::move(event));
   const std::string& name = event.run_ended().instance();
   if (std::has_single_bit(++refused_ends_))
-    std::cerr << "'" << name << "' asked for the end of the run, which in a sandbox takes the right 'master': unload "
-              << name << ", then load it with master; refused so far: " << refused_ends_ << "\n";
+    std::cerr << "'" << name
+              << "' asked for the end of the run, which is not for a component in a sandbox: let fiona run "
+              << "--for T end it, or load it with unconfined; refused so far: " << refused_ends_ << "\n";
 }
 
 bool System::may_end_run(const std::string& group, const std::string& instance) const {

@@ -86,7 +86,7 @@ TEST_F(CapturedGroup, InASandboxEndsNoRun) {
     return said.find("asked for the end of the run") != std::string::npos;
   });
   testing::internal::GetCapturedStderr();
-  EXPECT_THAT(said, HasSubstr("'captor' asked for the end of the run, which in a sandbox takes the right 'master'"));
+  EXPECT_THAT(said, HasSubstr("'captor' asked for the end of the run, which is not for a component in a sandbox"));
   EXPECT_FALSE(runner.has_answer());
   EXPECT_EQ(console.instance("captor").mode(), "active");
 }
