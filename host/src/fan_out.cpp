@@ -93,7 +93,7 @@ Outcome FanOut::send(const Parcel& parcel, std::vector<std::uint64_t>& wires) {
   const auto sent = link_->send(lane_, frame_, parcel.envelope.object, LinkSocket::Rule::DropOldest, std::move(also));
   auto& counters = provider_.counters();
   if (sent.lost > 0) counters.dropped.fetch_add(sent.lost, std::memory_order_relaxed);
-  if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;
+  if (sent.what != LinkSocket::Sent::What::TooLarge) return Outcome::Ok;
   counters.refuse(LinkSocket::kTooLarge, provider_.hull().clock().now());
   return Outcome::Rejected;
 }

@@ -239,14 +239,14 @@ bool LinkSocket::refuses(std::size_t size) {
 
 LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const std::shared_ptr<const Object>& object,
                                   Rule rule, Wires also) {
-  if (!lane.peer) return {};
+  if (!lane.peer) return {Sent::What::Gone, 0};
   const std::size_t size = object ? object->ByteSizeLong() : 0;
   if (refuses(size)) return {Sent::What::TooLarge, 0};
   if (on_dealt_with_) rule = Rule::Control;
   PeerLanes::Item item = item_for(lane, frame, object, size, rule);
   item.also = std::move(also);
   const std::lock_guard lock(mutex_);
-  if (lane.peer->gone) return {};
+  if (lane.peer->gone) return {Sent::What::Gone, 0};
   ++lane.peer->counts.sent;
   const auto taken = offer(*lane.peer, *lane.lane, std::move(item));
   return {taken.ok ? Sent::What::Ok : Sent::What::Full, taken.lost};

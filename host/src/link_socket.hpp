@@ -72,7 +72,7 @@ class LinkSocket {
   using Rule = PeerLanes::Rule;
   using Wires = std::shared_ptr<const std::vector<std::uint64_t>>;
   struct Sent {
-    enum class What { Ok, Full, TooLarge };
+    enum class What { Ok, Full, TooLarge, Gone };
     What what = What::Ok;
     std::size_t lost = 0;  ///< older messages that had to go for it, once for each of their wires
   };

@@ -163,6 +163,7 @@ void RemoteWire::lease(bool held, const std::string& reason) {
 /// What becomes of a message that the link does not take; counted where it is too large for any link.
 Outcome RemoteWire::outcome_of(const LinkSocket::Sent& sent) {
   if (sent.what == LinkSocket::Sent::What::Ok) return Outcome::Ok;
+  if (sent.what == LinkSocket::Sent::What::Gone) return Outcome::Disconnected;
   if (sent.what == LinkSocket::Sent::What::TooLarge) port_.counters().refuse(LinkSocket::kTooLarge, clock_.now());
   return Outcome::Rejected;
 }

@@ -439,7 +439,7 @@ TEST_F(ProvingLink, LetsGoOfAPeerThatLeavesUnreadWhatNoCreditBounds) {
   for (; link.peers() == 1 && told < 1'000'000; ++told) link.tell("peer", frame);
   EXPECT_EQ(counters.overrun, 1U);
   EXPECT_LT(told * kFrameCost, 2 * kMostControl);
-  EXPECT_EQ(put(lane, 7, 10).what, LinkSocket::Sent::What::Ok) << "as to one that has gone";
+  EXPECT_EQ(put(lane, 7, 10).what, LinkSocket::Sent::What::Gone);
   peer.send(frame);
   EXPECT_TRUE(eventually([&] { return counters.unproven == 1; })) << "it is not heard any more";
   EXPECT_THAT(noted.seen(), ElementsAre());
