@@ -484,10 +484,9 @@ void ChildGroup::end_if_crowded(Time now) {
 
 /// Its strands may go on, but nobody can change it, look at it or unload it any more.
 void ChildGroup::end_if_silent(milliseconds passed) {
-  silent_ = unanswered_ ? silent_ + passed : milliseconds(0);
-  if (silent_ < kMostSilent) return;
+  if (!unanswered_ || (unanswered_->looked_at += passed) < kMostSilent) return;
   end_now(fmt::format("was ended: it did not answer for {} s",
-                      std::chrono::duration_cast<std::chrono::seconds>(silent_).count()));
+                      std::chrono::duration_cast<std::chrono::seconds>(kMostSilent).count()));
 }
 
 /// Without its way to D-Bus it is no use: it is started again with a new one, as often as any group.

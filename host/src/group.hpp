@@ -184,6 +184,7 @@ class ChildGroup final : public Group {
   struct Unanswered {
     std::uint64_t id = 0;
     Time since{};
+    std::chrono::milliseconds looked_at{0};  ///< of that the time in which it was
   };
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
   bool wait_readable(Time deadline) const;
@@ -230,8 +231,7 @@ class ChildGroup final : public Group {
   std::unique_ptr<os::SharedMemory> liveness_;
   std::unique_ptr<HangWatch> hangs_;  ///< none: nobody watches
   Time watched_{};
-  Time counted_{};                       ///< when its sockets were, last
-  std::chrono::milliseconds silent_{0};  ///< for how long it has owed an answer, while it was looked at
+  Time counted_{};       ///< when its sockets were, last
   os::Descriptor wake_;  ///< of both: a process that has ended may have left its socket to a child of its own
   std::uint64_t next_id_ = 1;
   std::optional<Unanswered> unanswered_;

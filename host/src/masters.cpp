@@ -1,7 +1,5 @@
 #include "masters.hpp"
 
-#include <algorithm>
-
 #include "access.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
@@ -24,7 +22,7 @@ void Masters::serve(const wire::Asked& asked) {
 
 void Masters::require_right(const std::string& name) const {
   const Model::Instance& one = system_.model().instance(name);
-  if (std::find(one.rights.begin(), one.rights.end(), "master") != one.rights.end()) return;
+  if (one.is_master()) return;
   throw Error(ErrorCode::NotAllowed,
               {.what = "'" + name + "' has not been granted the right 'master'",
                .where = name,

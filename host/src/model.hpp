@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -38,6 +39,8 @@ class Model {
     bool led = false;                          ///< of the system of the host that leads this one
 
     const ComponentInterface& interface() const { return package->component(component); }
+    /// Whether it may change the system that it is part of.
+    bool is_master() const { return std::find(rights.begin(), rights.end(), "master") != rights.end(); }
     /// What finds its package, and its component in it.
     std::string source() const;
     /// The mode that loading it brings it to.

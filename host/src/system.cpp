@@ -134,7 +134,7 @@ bool System::may_end_run(const std::string& group, const std::string& instance) 
   const ChildGroup* child = groups_.child(group);
   if (!child || !child->confinement().sandboxed()) return true;
   const Model::Instance* one = model_.find(instance);
-  return one && std::find(one->rights.begin(), one->rights.end(), "master") != one->rights.end();
+  return one && one->is_master();
 }
 
 /// Of a group of this host; none: of another host, which has looked at it.

@@ -122,15 +122,24 @@ TEST_P(Accounting, OfAcknowledgedSendsHasOneOutcomeForEach) {
                     [&] { return system.port("sink.orders").messages() == ended.at("ok"); });
 }
 
-class AccountingOfTheKilled : public Accounting {};
+class AccountingOfTheKilled : public Accounting {
+ protected:
+  /// A caller, and at the other end of its wire a sink whose process stands still; its outcomes.
+  std::uint64_t wire_to_one_that_is_stopped() {
+    system.load_client("sink", "sink");
+    system.load_provider("caller", "caller");
+    system.wire("caller.orders", "sink.orders");
+    const auto outcomes = system.watch("caller.outcome");
+    far = system.far_process();
+    stop_process(far);
+    return outcomes;
+  }
+
+  pid_t far = 0;
+};
 
 TEST_P(AccountingOfTheKilled, SendsThatWereNotAcknowledgedAreToldAndThereAreNoOthers) {
-  system.load_client("sink", "sink");
-  system.load_provider("caller", "caller");
-  system.wire("caller.orders", "sink.orders");
-  const auto outcomes = system.watch("caller.outcome");
-  const pid_t far = system.far_process();
-  stop_process(far);
+  const auto outcomes = wire_to_one_that_is_stopped();
   system.set("caller", "call=send_many go=1 every=300");
   system.eventually("sent", [&] { return system.read("caller.orders.rate").has_value; });
   ::kill(far, SIGKILL);
@@ -141,12 +150,7 @@ TEST_P(AccountingOfTheKilled, SendsThatWereNotAcknowledgedAreToldAndThereAreNoOt
 TEST_P(AccountingOfTheKilled, SendsThatHaveNotLeftForItAreCountedAsDropped) {
   constexpr std::uint64_t kSent = 50;
   constexpr std::uint64_t kOnTheirWay = 14;  // of 300 kB: as many as there is credit for
-  system.load_client("sink", "sink");
-  system.load_provider("caller", "caller");
-  system.wire("caller.orders", "sink.orders");
-  const auto outcomes = system.watch("caller.outcome");
-  const pid_t far = system.far_process();
-  stop_process(far);
+  const auto outcomes = wire_to_one_that_is_stopped();
   system.set("caller", "call=send_burst go=1 every=50 payload=300000");
   system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; });
   ::kill(far, SIGKILL);

@@ -69,27 +69,37 @@ void watch_some(RunningSystem& system) {
   system.watch("m4.newest.rate", now_and_then);
 }
 
-/// The delivery log of a random system after so much of its time.
-std::string deliveries(unsigned seed, std::size_t threads, const Placement& place, bool watched = false) {
-  const TemporaryDirectory directory;
-  const auto file = directory.path / "deliveries";
-  {
-    RunningSystem system(threads, 30s);
-    system.set("host", "clock=virtual deliveries=" + file.string());
-    for (int n = 0; n < kMinglers; ++n) {
-      system.load_in(place(n), "mingler", "m" + std::to_string(n),
-                     "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
+void expect_to_pass(RunningSystem& system, std::chrono::milliseconds time) {
+  const auto reply = system.let_pass(time);
+  EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
+}
+void live(RunningSystem& system) { expect_to_pass(system, 300ms); }
+void live_watched(RunningSystem& system) {
+  watch_some(system);
+  live(system);
+}
+/// Time stands while it is changed.
+void live_changed(RunningSystem& system) {
+  std::mt19937 random(7);
+  for (int round = 0; round < 8; ++round) {
+    expect_to_pass(system, 30ms);
+    for (int i = 0; i < 4; ++i) {
+      const unsigned client = random() % kMinglers, provider = (client + 1 + random() % (kMinglers - 1)) % kMinglers;
+      const bool push = random() % 2 == 0;
+      system.wire(fmt::format("m{}.{}", client, push ? "each_in" : "echo_in"),
+                  fmt::format("m{}.{}", provider, push ? "newest" : "echo"));
     }
-    wire_at_random(system, seed);
-    if (watched) watch_some(system);
-    const auto reply = system.let_pass(300ms);
-    EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
+    const std::string other = fmt::format("m{}", random() % kMinglers);
+    system.state(other, "neutral");
+    expect_to_pass(system, 5ms);
+    system.state(other, "active");
   }
-  return text_of_file(file);
+  expect_to_pass(system, 1ms);
 }
 
-/// The same of a system that is changed meanwhile: time stands while it is.
-std::string deliveries_of_one_that_is_changed(unsigned seed, std::size_t threads, const Placement& place) {
+/// The delivery log of a random system that has lived so.
+std::string deliveries(unsigned seed, std::size_t threads, const Placement& place,
+                       const std::function<void(RunningSystem&)>& lives = live) {
   const TemporaryDirectory directory;
   const auto file = directory.path / "deliveries";
   {
@@ -100,22 +110,7 @@ std::string deliveries_of_one_that_is_changed(unsigned seed, std::size_t threads
                      "seed=" + std::to_string(seed * 100 + static_cast<unsigned>(n)));
     }
     wire_at_random(system, seed);
-    std::mt19937 random(seed);
-    for (int round = 0; round < 8; ++round) {
-      const auto reply = system.let_pass(30ms);
-      EXPECT_TRUE(reply.has_met()) << reply.ShortDebugString();
-      for (int i = 0; i < 4; ++i) {
-        const unsigned client = random() % kMinglers, provider = (client + 1 + random() % (kMinglers - 1)) % kMinglers;
-        const bool push = random() % 2 == 0;
-        system.wire(fmt::format("m{}.{}", client, push ? "each_in" : "echo_in"),
-                    fmt::format("m{}.{}", provider, push ? "newest" : "echo"));
-      }
-      const std::string other = fmt::format("m{}", random() % kMinglers);
-      system.state(other, "neutral");
-      system.let_pass(5ms);
-      system.state(other, "active");
-    }
-    system.let_pass(1ms);
+    lives(system);
   }
   return text_of_file(file);
 }
@@ -159,17 +154,17 @@ TEST(VirtualTimeGroups, TheDeliveryLogIsTheSameInOneProcessAndInGroups) {
 }
 
 TEST(VirtualTimeProcess, TheDeliveryLogOfASystemThatIsChangedIsTheSameWithOneAndEightThreads) {
-  const std::string expected = deliveries_of_one_that_is_changed(1, 1, in_main);
+  const std::string expected = deliveries(1, 1, in_main, live_changed);
   ASSERT_GT(lines_of(expected), 1000U);
   for (const std::size_t threads : {1U, 8U, 8U}) {
-    EXPECT_EQ(first_difference(expected, deliveries_of_one_that_is_changed(1, threads, in_main)), "") << threads;
+    EXPECT_EQ(first_difference(expected, deliveries(1, threads, in_main, live_changed)), "") << threads;
   }
 }
 
 TEST(VirtualTimeGroups, TheDeliveryLogOfASystemThatIsChangedIsTheSameEverywhere) {
-  const std::string expected = deliveries_of_one_that_is_changed(2, 2, in_main);
+  const std::string expected = deliveries(2, 2, in_main, live_changed);
   for (const auto& place : {Placement(one_far), Placement(in_two_groups), Placement(in_three)}) {
-    EXPECT_EQ(first_difference(expected, deliveries_of_one_that_is_changed(2, 8, place)), "") << place(5);
+    EXPECT_EQ(first_difference(expected, deliveries(2, 8, place, live_changed)), "") << place(5);
   }
 }
 
@@ -206,8 +201,8 @@ TEST(VirtualTimeGroups, WaitingForRoomIsInTheDeliveryLogAndTheSameEverywhere) {
 TEST(VirtualTimeGroups, WatchingLeavesTheDeliveryLogAsItIs) {
   const std::string expected = deliveries(5, 2, in_three);
   ASSERT_GT(lines_of(expected), 1000U);
-  EXPECT_EQ(first_difference(expected, deliveries(5, 2, in_three, true)), "");
-  EXPECT_EQ(first_difference(expected, deliveries(5, 2, in_main, true)), "");
+  EXPECT_EQ(first_difference(expected, deliveries(5, 2, in_three, live_watched)), "");
+  EXPECT_EQ(first_difference(expected, deliveries(5, 2, in_main, live_watched)), "");
 }
 
 TEST(VirtualTimeGroups, TheDeliveryLogIsSortedByTimeWireAndNumber) {

@@ -314,19 +314,28 @@ TEST(SupervisedEnd, OfSupervisorAndHostTogetherLeavesNobody) {
   EXPECT_THAT(host.left(), testing::IsEmpty());
 }
 
+/// Whether one of the processes has opened the library.
+bool has_opened(const std::vector<pid_t>& processes, const std::string& library) {
+  return std::any_of(processes.begin(), processes.end(), [&](pid_t one) {
+    std::ifstream file("/proc/" + std::to_string(one) + "/maps");
+    const std::string maps{std::istreambuf_iterator<char>(file), {}};
+    return maps.find(library) != std::string::npos;
+  });
+}
+
 /// Its thread that would see the end of its host waits for a constructor which does not come back.
 TEST(SupervisedEnd, OfAGroupWhoseThreadIsStuckFollowsThatOfBoth) {
+  const std::string library = std::string(ZOO_DIRECTORY) + "/libblocks-in-constructor.so";
   SupervisedHost host;
   auto console = host.console();
-  const std::size_t before = host.left().size();
   control::Change change;
-  change.mutable_load()->set_plugin(std::string(ZOO_DIRECTORY) + "/libblocks-in-constructor.so");
+  change.mutable_load()->set_plugin(library);
   change.mutable_load()->set_instance("patient");
   change.mutable_load()->set_group("cage");
   console->begin(change);
   const auto begun = Steady::now();
-  while (host.left().size() == before && Steady::now() < begun + 20s) std::this_thread::sleep_for(5ms);
-  std::this_thread::sleep_for(300ms);
+  while (!has_opened(host.left(), library) && Steady::now() < begun + 20s) std::this_thread::sleep_for(5ms);
+  ASSERT_TRUE(has_opened(host.left(), library));
   ::kill(host.supervisor(), SIGSTOP);
   ::kill(host.host(), SIGKILL);
   ::kill(host.supervisor(), SIGKILL);

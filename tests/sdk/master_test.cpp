@@ -10,15 +10,27 @@ namespace fiona::sdk_test {
 
 using namespace std::chrono_literals;
 
-class Chooser final : public Component {
+/// Asks once it is active.
+class Asker : public Component {
  public:
   using Component::Component;
   void on_mode(std::string_view mode) override {
     if (mode == kModeActive) hull().spawn(choose(), [] {});
   }
 
+ protected:
+  virtual Async<> choose() = 0;
+
+  Master master_{*this};
+  Probe<std::string> ended_{*this, "ended"};
+};
+
+class Chooser final : public Asker {
+ public:
+  using Asker::Asker;
+
  private:
-  Async<> choose() {
+  Async<> choose() override {
     WireChoice choice;
     choice.otherwise = {"wifi.location"};
     choice.every = 2;
@@ -31,30 +43,21 @@ class Chooser final : public Component {
     const auto done = co_await master_.make(std::move(changes), 1s);
     ended_.set(std::string(to_string(done.outcome())) + done.reason());
   }
-
-  Master master_{*this};
-  Probe<std::string> ended_{*this, "ended"};
 };
 
 /// Names what is named in Latin-1.
-class LatinChooser final : public Component {
+class LatinChooser final : public Asker {
  public:
-  using Component::Component;
-  void on_mode(std::string_view mode) override {
-    if (mode == kModeActive) hull().spawn(choose(), [] {});
-  }
+  using Asker::Asker;
 
  private:
-  Async<> choose() {
+  Async<> choose() override {
     const auto done = co_await master_.wire(
         "K\xfc"
         "che.place",
         "gps.location");
     ended_.set(std::string(to_string(done.outcome())) + ": " + done.reason());
   }
-
-  Master master_{*this};
-  Probe<std::string> ended_{*this, "ended"};
 };
 
 class TwiceMaster final : public Component {
