@@ -14,6 +14,7 @@
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
+#include "fiona/readable_text.hpp"
 
 namespace fiona::host {
 namespace {
@@ -251,7 +252,7 @@ void ControlServer::serve_client(std::uint64_t id) {
   control::Request request;
   while (!exit_code_ && stream.next(request)) {
     // The journal tells who it was, and not who it says it was.
-    if (rights.is_remote()) request.set_author(rights.name + ": " + request.author().substr(0, kMaxAuthor));
+    if (rights.is_remote()) request.set_author(rights.name + ": " + readable_text(request.author(), kMaxAuthor));
     perform(id, request);
   }
   if (!stream.fault().empty()) refuse_garbled(id, stream.fault());
@@ -503,7 +504,7 @@ void ControlServer::write_record(const std::string& instance, const std::string&
   const auto dropped = allowance.take();
   if (!dropped) return;
   if (*dropped > 0) std::cerr << record_of(instance, text_of_dropped(*dropped));
-  std::cerr << record_of(instance, text.substr(0, Events::kLongestLine));
+  std::cerr << record_of(instance, readable_text(text, Events::kLongestLine + std::string_view("…").size()));
 }
 
 /// Whoever was given its client's end is told.

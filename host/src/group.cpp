@@ -44,6 +44,13 @@ milliseconds patience_with(const wire::GroupRequest& request) {
 
 /// One that owes an answer for longer than any request may take has lost whoever gives them.
 constexpr milliseconds kMostSilent{15'000};
+/// To end an instance is two calls of its life cycle.
+constexpr milliseconds kMostSilentAtEnd{25'000};
+
+milliseconds most_silent(const wire::GroupRequest& request) {
+  return request.has_destroy() ? kMostSilentAtEnd : kMostSilent;
+}
+
 /// Of the time since it was looked at last no more counts.
 constexpr milliseconds kMostBetween{250};
 /// Where a sandbox listens lies its one socket, while it is made under another name.
@@ -305,7 +312,9 @@ void ChildGroup::hand_to_supervisor(os::PacketSocket adoption, const std::string
   kept.liveness = copy(liveness_->descriptor());
   kept.output = copy(output_.read_end());
   kept.handle = copy(child_->descriptor());
-  if (!supervisor_->keep(kept)) std::cerr << "group '" << name() << "' ends with this host: its supervisor is gone\n";
+  if (supervisor_->keep(kept)) return;
+  adoption_end_ = std::move(adoption);
+  std::cerr << "group '" << name() << "' ends with this host: its supervisor is gone\n";
 }
 
 void ChildGroup::end_now(const std::string& why) {
@@ -484,9 +493,9 @@ void ChildGroup::end_if_crowded(Time now) {
 
 /// Its strands may go on, but nobody can change it, look at it or unload it any more.
 void ChildGroup::end_if_silent(milliseconds passed) {
-  if (!unanswered_ || (unanswered_->looked_at += passed) < kMostSilent) return;
+  if (!unanswered_ || (unanswered_->looked_at += passed) < unanswered_->most) return;
   end_now(fmt::format("was ended: it did not answer for {} s",
-                      std::chrono::duration_cast<std::chrono::seconds>(kMostSilent).count()));
+                      std::chrono::duration_cast<std::chrono::seconds>(unanswered_->most).count()));
 }
 
 /// Without its way to D-Bus it is no use: it is started again with a new one, as often as any group.
@@ -554,7 +563,7 @@ wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request, millis
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since + kRequest);
   wire::GroupRequest numbered = request;
   if (!unanswered_ && send(numbered)) {
-    unanswered_ = {numbered.id(), Steady::now()};
+    unanswered_ = {numbered.id(), Steady::now(), most_silent(numbered)};
     if (auto reply = wait_for(numbered.id(), unanswered_->since + deadline)) return std::move(*reply);
   }
   if (stream_->closed()) note_end();
@@ -571,15 +580,19 @@ void ChildGroup::ask_status() {
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since);  // which may have come by now
   wire::GroupRequest request;
   request.mutable_status();
-  if (!unanswered_ && send(request)) unanswered_ = {request.id(), Steady::now()};
+  if (!unanswered_ && send(request)) unanswered_ = {request.id(), Steady::now(), most_silent(request)};
+  is_asked_for_status_ = unanswered_.has_value();
 }
 
 std::optional<wire::GroupStatusReply> ChildGroup::status(milliseconds patience) {
   const auto reply = unanswered_ ? wait_for(unanswered_->id, unanswered_->since + patience) : std::nullopt;
+  is_asked_for_status_ = false;
   if (stream_->closed()) note_end();  // as asking may have shown already
   if (!reply || !reply->has_status()) return std::nullopt;
-  if (const std::size_t told = reply->ByteSizeLong(); told > kMostStatus * (1 + subjects_.instances())) {
-    end_now(fmt::format("was ended: what it tells of itself has {} MiB", told >> 20U));
+  const std::size_t most = kMostStatus * (1 + subjects_.instances());
+  if (const std::size_t told = reply->ByteSizeLong(); told > most) {
+    end_now(fmt::format("was ended: what it tells of itself, with all parameters, has {:.1f} MiB, of at most {}",
+                        static_cast<double>(told) / (1U << 20U), most >> 20U));
     return std::nullopt;
   }
   return reply->status();

@@ -157,6 +157,8 @@ class ChildGroup final : public Group {
   std::optional<Time> silent_since() const override;
   /// Somebody up the stack reads what it says.
   bool is_waited_for() const { return is_waited_for_; }
+  /// Somebody reads the answer to that next.
+  bool is_asked_for_status() const { return is_asked_for_status_; }
 
   /// Readable when it has said something, and when it has ended.
   int descriptor() const { return wake_.get(); }
@@ -184,7 +186,8 @@ class ChildGroup final : public Group {
   struct Unanswered {
     std::uint64_t id = 0;
     Time since{};
-    std::chrono::milliseconds looked_at{0};  ///< of that the time in which it was
+    std::chrono::milliseconds most{0};       ///< that it may take
+    std::chrono::milliseconds looked_at{0};  ///< of the time since, that in which it was
   };
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
   bool wait_readable(Time deadline) const;
@@ -218,7 +221,9 @@ class ChildGroup final : public Group {
   const std::shared_ptr<os::ProcessTemplate> copied_;
   const std::function<void()> meanwhile_;
   bool is_waited_for_ = false;
-  std::uint64_t adoption_ = 0;  ///< the request of it; 0: it could not be asked
+  bool is_asked_for_status_ = false;
+  os::PacketSocket adoption_end_;  ///< where nobody else keeps it: the group takes its closing for the host's end
+  std::uint64_t adoption_ = 0;     ///< the request of it; 0: it could not be asked
   std::optional<wire::Adopted> adopted_;
   std::vector<wire::GroupMessage> early_;  ///< what it says before it has told what it holds
   const Runtime::OnEvent on_event_;

@@ -133,7 +133,7 @@ void System::deliver_from_child(const std::string& group, wire::GroupMessage eve
 bool System::may_end_run(const std::string& group, const std::string& instance) const {
   const ChildGroup* child = groups_.child(group);
   if (!child || !child->confinement().sandboxed()) return true;
-  const Model::Instance* one = model_.find(instance);
+  const Model::Instance* one = creating_.name == instance ? creating_.made : model_.find(instance);
   return one && one->is_master();
 }
 

@@ -191,6 +191,16 @@ class System {
 
  private:
   using Wire = Connector::Wire;
+  /// Of an instance; `order` tells it from one that has its name later.
+  struct HangOfMain {
+    Hang hang;
+    std::optional<std::uint64_t> order;
+  };
+  /// What is being made just now, and part of the model once it is.
+  struct Creating {
+    std::string name;
+    const Model::Instance* made = nullptr;
+  };
   /// An instance on its way to its first mode.
   struct Making {
     std::uint64_t change = 0;
@@ -242,8 +252,9 @@ class System {
   void leave_group(const std::string& name);
   HangWatch::Parts parts() const;
   bool watches_main() const { return main_hangs_ && pool_->liveness()->page().used > 0; }
-  void give_up(const Hang& hang);
+  void give_up(const HangOfMain& found);
   void look_at_main(std::chrono::steady_clock::time_point now);
+  std::optional<std::uint64_t> order_of(const std::string& instance) const;
   void watch_others();
   void tell_ended(const ChildGroup& gone);
   void lose_if_gone(const std::string& group);
@@ -272,8 +283,9 @@ class System {
 
   // ---- system_instances.cpp
   control::Done load(const control::Load& request, const Model& next);
+  /// `within_ms`: a second more than its life-cycle calls have.
   void bring_up(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
-                Waits::Answer answer);
+                Waits::Answer answer, double within_ms = 11'000);
   void create(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
               std::uint64_t change = 0);
   control::Done told_of_load(const std::string& name, const Model& next);
@@ -374,6 +386,7 @@ class System {
   std::unique_ptr<Waits> waits_;
   std::weak_ptr<os::ProcessTemplate> template_;  ///< that groups are copies of, as long as there is one
   Groups groups_;
+  Creating creating_;
   std::map<std::string, Making> making_;  ///< by instance
   std::optional<Beside> candidate_;
   std::map<std::string, Beside> standbys_;  ///< by instance
@@ -390,9 +403,9 @@ class System {
   std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   OpenTaps taps_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
-  std::set<std::string> told_dead_;   ///< endpoints of groups whose end those know who use them
-  std::set<std::string> noted_dead_;  ///< and of those whose end has been dealt with
-  std::vector<Hang> found_hangs_;     ///< in `main`, not dealt with yet
+  std::set<std::string> told_dead_;      ///< endpoints of groups whose end those know who use them
+  std::set<std::string> noted_dead_;     ///< and of those whose end has been dealt with
+  std::vector<HangOfMain> found_hangs_;  ///< not dealt with yet
   std::chrono::steady_clock::time_point watched_others_{};
   std::uint64_t refused_ends_ = 0;  ///< of the run
   std::uint64_t next_tap_ = 1;

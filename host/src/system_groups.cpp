@@ -72,6 +72,7 @@ ChildGroup::Start System::start_of_group(const Model::Instance* first, const std
 
 Group& System::group(const std::string& name, const Model::Instance* first) {
   const std::string wanted = name.empty() ? std::string(kMainGroup) : name;
+  lose_if_gone(wanted);                              // before another one takes its place
   if (ending_.erase(wanted) > 0) end_group(wanted);  // who comes after the last one gets a process of its own
   if (Group* found = groups_.living(wanted)) return *found;
   if (Group* remote = remote_group(wanted)) return *remote;
@@ -146,7 +147,9 @@ HangWatch::Parts System::parts() const {
 }
 
 /// An instance of `main` does not come back. It cannot be ended; but nobody is to wait for it.
-void System::give_up(const Hang& hang) {
+void System::give_up(const HangOfMain& found) {
+  const Hang& hang = found.hang;
+  if (order_of(hang.instance) != found.order) return;  // it has come back since, and been unloaded
   ++kept_threads_;
   pool_->add_thread();
   if (!model_.find(hang.instance)) return;
@@ -160,7 +163,7 @@ void System::give_up(const Hang& hang) {
 std::vector<std::string> System::watch_groups() {
   const auto now = std::chrono::steady_clock::now();
   look_at_main(now);
-  for (const Hang& hang : std::exchange(found_hangs_, {})) give_up(hang);
+  for (const HangOfMain& found : std::exchange(found_hangs_, {})) give_up(found);
   for (auto* child : child_groups()) {
     child->watch(now);
     if (!child->alive()) lose(*child);
@@ -178,7 +181,15 @@ std::vector<std::string> System::watch_groups() {
 
 void System::look_at_main(std::chrono::steady_clock::time_point now) {
   if (!main_hangs_) return;
-  for (Hang& hang : main_hangs_->look(now, ::getpid())) found_hangs_.push_back(std::move(hang));
+  for (Hang& hang : main_hangs_->look(now, ::getpid())) {
+    const auto order = order_of(hang.instance);
+    found_hangs_.push_back({std::move(hang), order});
+  }
+}
+
+std::optional<std::uint64_t> System::order_of(const std::string& instance) const {
+  const Model::Instance* found = model_.find(instance);
+  return found ? std::optional(found->order) : std::nullopt;
 }
 
 /// While one group is waited for: another that hangs is ended, and who uses one that has ended is told. What else
@@ -191,7 +202,7 @@ void System::watch_others() {
   for (const auto& [name, one] : groups_.all()) {
     auto* child = dynamic_cast<ChildGroup*>(one.get());
     if (!child || !child->alive() || child->is_waited_for()) continue;
-    if (!child->silent_since()) child->serve();  // who has asked it reads its answer
+    if (!child->is_asked_for_status()) child->serve();  // else who has asked reads the answer
     child->watch(now);
     if (!child->alive()) tell_ended(*child);
   }
@@ -217,7 +228,8 @@ void System::lose(ChildGroup& gone) {
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   lose_what_is_made(gone.name(), gone.end());
   std::erase_if(standbys_, [&](const auto& one) { return one.second.made.group == gone.name(); });
-  tell_ended(gone);
+  // Also those that have come since it was told first: to be told twice changes nothing.
+  groups_.tell_ended(gone.endpoint(), reason);
   for (const std::string& name : model_.names_in(gone.name())) {
     if (lost_.emplace(name, Lost{reason}).second) tell_failed(name, reason);
   }

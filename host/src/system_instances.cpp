@@ -69,18 +69,18 @@ std::string System::name_of(const control::Load& request) const {
 /// it does not get there. Nobody waits meanwhile: what a component does in its life-cycle calls may take ten seconds.
 /// Throws Error if it cannot be made.
 void System::bring_up(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
-                      Waits::Answer answer) {
+                      Waits::Answer answer, double within_ms) {
   const std::uint64_t change = next_work_++;
   made_known(name);
   const auto begin = [&] {
     create(target, name, made, request, change);
     making_[name] = {change, target.name(), made.package};
   };
-  const auto expired =
-      failure_reply(ErrorCode::Unreachable,
-                    {.what = "'" + name + "' did not reach its mode in time", .where = name, .next = "show " + name});
-  constexpr double kWithin_ms = 11'000;  // a second more than its life-cycle calls have
-  waits_->work(kNobody, change, kWithin_ms, begin, end_of_mode(change), expired, std::move(answer));
+  const auto expired = failure_reply(
+      ErrorCode::Unreachable, {.what = fmt::format("'{}' did not reach its mode within {:g} s", name, within_ms / 1e3),
+                               .where = name,
+                               .next = "show " + name});
+  waits_->work(kNobody, change, within_ms, begin, end_of_mode(change), expired, std::move(answer));
 }
 
 /// What is being made in a group that has gone does not get there.
@@ -124,9 +124,12 @@ void System::create(Group& target, const std::string& name, const Model::Instanc
   c.set_mode(request.mode());
   c.set_change(change);
   if (target.name() == kMainGroup && options_.tries_libraries) trials_.require(made.package->name, made.package->files);
+  creating_ = {name, &made};
   try {
     target.request(std::move(create));
+    creating_ = {};
   } catch (const Error&) {
+    creating_ = {};
     const auto* child = dynamic_cast<const ChildGroup*>(&target);
     const std::string end = child ? child->end() : "";
     const std::string at = target.name();

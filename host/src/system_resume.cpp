@@ -259,6 +259,7 @@ void System::make_missing() {
     if (options_.supervisor) options_.supervisor->beat();
     settle();
     const std::string at = model_.instance(name).group;
+    lose_if_gone(at);
     if (supervision_.waits(at)) continue;  // it has ended of what was made in it
     try {
       Group& target = group(at);

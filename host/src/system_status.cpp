@@ -71,8 +71,9 @@ control::System System::snapshot() {
   }
   for (const auto& [name, interface] : interfaces) {
     auto& one = *all.add_interfaces();
-    one = *interface;
-    one.clear_descriptors();
+    one.set_abi(interface->abi());
+    one.set_planned(interface->planned());
+    *one.mutable_components() = interface->components();
   }
   add_hosts(all);
   for (auto& status : *all.mutable_groups()) status.set_instances(members[status.name()]);

@@ -151,7 +151,7 @@ void System::begin_upgrade(const control::Upgrade& request, Waits::Answer answer
   const Model::Instance& made = next.instance(name);
   control::Load load = next.load_of(name);
   load.set_mode(made.mode);
-  bring_up(group(made.group, &made), name, made, load, std::move(answer));
+  bring_up(group(made.group, &made), name, made, load, std::move(answer), kUpgradeStart_ms);
 }
 
 /// It has stood by: what has been changed meanwhile is changed in it, too.

@@ -7,6 +7,7 @@
 #include "failure.hpp"
 #include "field_compare.hpp"
 #include "fiona/error.hpp"
+#include "fiona/readable_text.hpp"
 #include "fiona/secrets.hpp"
 #include "names.hpp"
 
@@ -25,7 +26,14 @@ wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit, TimePo
   tapped.set_told_ns(now.time_since_epoch().count());
   if (!envelope.object) return tapped;
   tapped.set_type(envelope.object->GetDescriptor()->full_name());
-  WithoutSecrets(*envelope.object)->SerializeToString(tapped.mutable_object());
+  const WithoutSecrets shown(*envelope.object);
+  if (const auto* word = dynamic_cast<const probe::Text*>(&*shown)) {
+    probe::Text readable;  // of any bytes that a component takes for text
+    readable.set_value(readable_text(word->value(), kMostCopied));
+    readable.SerializeToString(tapped.mutable_object());
+  } else {
+    shown->SerializeToString(tapped.mutable_object());
+  }
   return tapped;
 }
 
@@ -65,7 +73,7 @@ std::string value_text(const Object& object) {
   } else {
     text = object.ShortDebugString();
   }
-  return text.size() <= kLongestText ? text : text.substr(0, kLongestText) + "…";
+  return readable_text(text, kLongestText) + (text.size() > kLongestText ? "…" : "");
 }
 
 }  // namespace

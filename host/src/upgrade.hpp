@@ -43,6 +43,8 @@ inline std::string beside_name(const std::string& instance) { return "/" + insta
 /// Before an upgrade is taken for good, where nobody says otherwise.
 inline constexpr double kUpgradeWatch_ms = 10'000;
 inline constexpr double kMostUpgradeWatch_ms = 3'600'000;
+/// In which the new version must be in its mode: the one that serves goes on meanwhile, and nothing else is changed.
+inline constexpr double kUpgradeStart_ms = 4'500;
 /// In which it must have said something; more where its services have a longer period.
 inline constexpr double kDelivers_ms = 2'000;
 inline constexpr double kMostDelivers_ms = 10'000;

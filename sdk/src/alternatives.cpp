@@ -58,7 +58,8 @@ std::vector<RequiredPort::Alternative> RequiredPort::alternatives() const {
   if (ends_.size() == 1) return all;
   for (const auto& end : ends_) {
     const Connection connection = end->silence_ ? Connection::Lost : end->connection_;
-    all.push_back({end->provider_, connection, end->is_fit() ? "" : end->unfitness(), end->is_fit(), end == serving_});
+    const bool serves = end == serving_ && end->is_live();
+    all.push_back({end->provider_, connection, end->is_fit() ? "" : end->unfitness(), end->is_fit(), serves});
   }
   return all;
 }

@@ -159,6 +159,8 @@ std::vector<Goal> in_one_process() {
       {"stream 64 B, one process / queue", 1 / 0.5, {64, 1'000'000, 0}, stream_to(1, 8000, here), queues(1, 8000)},
       {"stream 1 MiB to 8, one process / 8 queues", 1 / 0.8, kLargeStream, stream_to(8, 2, here), queues(8, 64)},
       {"wire to first message, one process / queue", 2.5, kRewired, by(wire_to_first_message, here), connect_to_queue},
+      {"rewire to first message, one process / queue", 2.5, kRewired, by(rewire_to_first_message, here),
+       connect_to_queue},
       {"probe set, nobody watches / lock and clock", 2.0, kSmall, set_of_probe, locked_store},
       {"piece of work, watched for hangs / not", 1.1, kSmall, watched_work, unwatched_work},
       {"plugin load / Boost.DLL", 2.0, {0, 20, 0}, plugin_load, bare_load},
@@ -184,6 +186,7 @@ std::vector<Goal> between_processes(const Medium& medium, const std::string& pla
       {"stream 1 MiB" + name, 1 / 0.85, kLargeStream, stream_to(1, 3, there), bare_stream(1)},
       {"stream 1 MiB to 8 there" + name, 1.0, {1024 * 1024, 200, 0}, stream_to(8, 3, there), bare_stream(8)},
       {"wire to first message" + name, 0.5, kRewired, by(wire_to_first_message, there), bare(connect_over_zeromq)},
+      {"rewire to first message" + name, 0.5, kRewired, by(rewire_to_first_message, there), bare(connect_over_zeromq)},
   };
 }
 

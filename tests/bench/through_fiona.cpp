@@ -1,7 +1,9 @@
 #include "through_fiona.hpp"
 
 #include <algorithm>
+#include <functional>
 #include <stdexcept>
+#include <utility>
 
 namespace fiona::bench {
 namespace {
@@ -60,8 +62,10 @@ Latency query(const Load& load, Transport transport) {
   return figures(system.wait_for(report, any, std::chrono::seconds(60)));
 }
 
-Latency wire_to_first_message(const Load& load, Transport transport) {
-  RunningSystem system(transport);
+namespace {
+
+/// Of what is wired to a pacer again and again, each time after `before`.
+Latency wired_to_pacer(RunningSystem& system, const Load& load, const std::function<void()>& before) {
   system.load_client("stopwatch", "stopwatch", "count=1");
   system.load_provider(
       "pacer", "pacer",
@@ -69,14 +73,33 @@ Latency wire_to_first_message(const Load& load, Transport transport) {
   const auto report = system.watch("stopwatch.report");
   std::vector<std::int64_t> latencies;
   for (std::size_t i = 0; i <= load.messages; ++i) {
+    before();
     const std::int64_t begun_ns = steady_ns();
     system.wire("stopwatch.samples", "pacer.samples");
     const auto first = system.wait_for(
         report, [&](const auto& sample) { return static_cast<std::int64_t>(sample.number()) > begun_ns; });
     if (i > 0) latencies.push_back(static_cast<std::int64_t>(first.number()) - begun_ns);  // the first makes the link
-    system.unwire("stopwatch.samples");
   }
   return summarise(std::move(latencies));
+}
+
+}  // namespace
+
+Latency wire_to_first_message(const Load& load, Transport transport) {
+  RunningSystem system(transport);
+  bool wired = false;
+  return wired_to_pacer(system, load, [&] {
+    if (std::exchange(wired, true)) system.unwire("stopwatch.samples");
+  });
+}
+
+Latency rewire_to_first_message(const Load& load, Transport transport) {
+  RunningSystem system(transport);
+  system.load_provider("pacer", "calm", "period_ms=10000 count=1000000000");
+  return wired_to_pacer(system, load, [&] {
+    system.wire("stopwatch.samples", "calm.samples");
+    await_connected(system, "stopwatch.samples");
+  });
 }
 
 Latency stream(const Load& load, std::size_t consumers, std::size_t window, Transport transport) {

@@ -5,8 +5,8 @@
 
 namespace fiona::bench {
 
-// What bare_limits.hpp measures of the bare limit, through two instances that a host has loaded and wired. The provider
-// is in `main`; the consumers there too, in a group, or on another host.
+// What bare_limits.hpp measures of the bare limit, through two instances that a host has loaded and wired. Both
+// are in `main`; or each in a group of its own; or the consumers on another host.
 using conformance::Transport;
 
 Latency push(const Load& load, Transport transport);
@@ -17,5 +17,7 @@ Latency query(const Load& load, Transport transport);
 Latency stream(const Load& load, std::size_t consumers, std::size_t window, Transport transport);
 /// From the command that wires to the consumer's first message.
 Latency wire_to_first_message(const Load& load, Transport transport);
+/// From the command that rewires from a provider that says nothing just now to the first message of the other one.
+Latency rewire_to_first_message(const Load& load, Transport transport);
 
 }  // namespace fiona::bench

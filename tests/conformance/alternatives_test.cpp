@@ -271,7 +271,9 @@ TEST_P(Alternatives, ANameThatNothingHasYetIsAWaitingAlternative) {
 TEST_P(Alternatives, APortThatOnlyWaitsSaysForWhom) {
   system.load_client("navigator", "nav");
   wire_fixes("fixes", {"a", "b"}, 50);
-  EXPECT_EQ(system.port("nav.fixes").connection(), control::WAITING);
+  const auto port = system.port("nav.fixes");
+  EXPECT_EQ(port.connection(), control::WAITING);
+  for (const auto& provider : port.providers()) EXPECT_FALSE(provider.serves()) << provider.provider().instance();
   EXPECT_EQ(reason(), "a.fixes: there is no instance 'a' yet; b.fixes: there is no instance 'b' yet");
   system.load_provider("beacon", "b", "period_ms=2");
   until_heard("b");

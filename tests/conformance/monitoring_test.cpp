@@ -72,6 +72,19 @@ TEST_P(Monitoring, ProbeIsReadOnceAlsoWhenNobodyWatches) {
   EXPECT_EQ(system.read("gauge.report").value(), 2.5);
 }
 
+TEST_P(Monitoring, LongTextIsListedUpToWhereACharacterOfItEnds) {
+  const auto letters = [](int count) {
+    std::string text;
+    for (int i = 0; i < count; ++i) text += "ü";
+    return text;
+  };
+  system.set("gauge", "word=a" + letters(100));
+  system.eventually("its first 200 bytes hold half a letter", [&] {
+    return system.instance("gauge").probes(3).value() == "a" + letters(99) + "…";
+  });
+  EXPECT_EQ(system.read("gauge.word").payload(), "a" + letters(100));
+}
+
 TEST_P(Monitoring, ProbeThatWasNeverSetHasNoValue) {
   EXPECT_FALSE(system.read("gauge.silent").has_value);
   EXPECT_EQ(system.instance("gauge").probes(5).age_ms(), -1);

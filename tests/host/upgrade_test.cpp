@@ -142,7 +142,7 @@ INSTANTIATE_TEST_SUITE_P(
     testing::Values(Bad{"dies_when_opened=1", "has ended group 'x' while it was loaded: killed by signal 6"},
                     Bad{"dies_in_start=1", "has ended group 'x' while it was loaded: killed by signal 6"},
                     Bad{"refuses=1", "the antenna does not fit"},
-                    Bad{"hangs_in_start=1", "'x' was stuck in its start for 10."},
+                    Bad{"hangs_in_start=1", "'x' did not reach its mode within 4.5 s"},
                     Bad{"silent=1", "its port leased says nothing, where the one before said "},
                     Bad{"silent=1 fails_after_ms=100", "the antenna fell off"},
                     Bad{"silent=1 dies_after_ms=100", "group 'x' killed by signal 6"},

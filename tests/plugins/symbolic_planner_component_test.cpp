@@ -114,7 +114,8 @@ TEST(SymbolicPlannerComponent, NamesThePlaceOfAFault) {
   EXPECT_EQ((*plan)->line(), 2u);
   EXPECT_EQ((*plan)->column(), 12u);
   EXPECT_EQ((*plan)->message(),
-            "problem 2:12: the problem is one of the domain 'bilding', and the domain given is 'building'");
+            "problem 2:12: the problem is one of the domain 'bilding', and the domain given is 'building'; give the "
+            "domain that it is one of, or correct its (:domain ...)");
 }
 
 TEST(SymbolicPlannerComponent, GrantsNoMoreTimeThanItsParameter) {

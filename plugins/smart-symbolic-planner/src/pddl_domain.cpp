@@ -42,7 +42,8 @@ class DomainReader {
   void add_type(const Word& word) {
     if (!task_.type_index.try_emplace(word.text, static_cast<Index>(task_.types.size())).second) return;
     if (task_.types.size() > kMostTypes)  // the first is `object`, which nobody wrote
-      in_.fail(word, "a domain has at most " + std::to_string(kMostTypes) + " types");
+      in_.fail(word, "a domain has at most " + std::to_string(kMostTypes) + " types",
+               "leave out those that no parameter has");
     task_.types.push_back(word.text);
     parents_.emplace_back();
   }
@@ -73,10 +74,13 @@ class DomainReader {
       for (const Word& child : children) {
         const Index child_index = task_.type_index.at(child.text);
         if (child_index == index && index != 0)
-          in_.fail(child, "the type " + quoted(child.text) + " is its own parent");
-        if (child_index == 0 && index != 0) in_.fail(child, "'object' is the kind of all types, and of no other kind");
+          in_.fail(child, "the type " + quoted(child.text) + " is its own parent",
+                   "take the parent away, or name another one");
+        if (child_index == 0 && index != 0)
+          in_.fail(child, "'object' is the kind of all types, and of no other kind", "declare it without a parent");
         parents_[child_index].push_back(index);
-        if (++parent_count_ > kMostParents) in_.fail(word, "the types have too many parents");
+        if (++parent_count_ > kMostParents)
+          in_.fail(word, "the types have too many parents", "name each parent once, and no parent's parent");
       }
     };
     if (!in_.take("(")) return parent(in_.name("a type, or '(either TYPE ...)'"));
@@ -105,7 +109,8 @@ class DomainReader {
     if (done.size() == parents_.size()) return;
     const auto cyclic = std::find_if(left.begin(), left.end(), [](std::size_t count) { return count > 0; });
     in_.fail(begin, {.what = "the type " + quoted(task_.types[static_cast<std::size_t>(cyclic - left.begin())]) +
-                             " is a kind of itself, by way of its parents"});
+                             " is a kind of itself, by way of its parents",
+                     .next = "take one of the parents on that way out"});
   }
 
   /// The first type sets: of each type, with what is a kind of it.
@@ -136,10 +141,12 @@ class DomainReader {
     terms_.typed_list(
         [&](const Word& word) {
           if (++count > kMostParameters)
-            in_.fail(word, quoted(of) + " has more than " + std::to_string(kMostParameters) + " parameters");
+            in_.fail(word, quoted(of) + " has more than " + std::to_string(kMostParameters) + " parameters",
+                     "make two of it");
           if (!names) return;
           if (std::find(names->begin(), names->end(), word.text) != names->end())
-            in_.fail(word, "the parameter " + quoted(word.text) + " is declared twice");
+            in_.fail(word, "the parameter " + quoted(word.text) + " is declared twice",
+                     "give one of them another name");
           names->push_back(word.text);
         },
         [&](Index set) { types.resize(count, set); }, true);
@@ -148,7 +155,8 @@ class DomainReader {
   Index symbol(List<Symbol>& symbols, LiftedTask::Names& names, const Word& name, std::string_view kind) {
     const auto index = static_cast<Index>(symbols.size());
     if (!names.try_emplace(name.text, index).second)
-      in_.fail(name, "the " + std::string(kind) + " " + quoted(name.text) + " is declared twice");
+      in_.fail(name, "the " + std::string(kind) + " " + quoted(name.text) + " is declared twice",
+               "take one out, or give it another name");
     symbols.emplace_back(task_.memory).name = name.text;
     parameters(name.text, nullptr, symbols.back().parameter_types);
     return index;
@@ -158,7 +166,8 @@ class DomainReader {
     while (!in_.take(")")) {
       in_.expect("(", "a predicate, '(NAME ...)', or ')'");
       const Word name = in_.name("the name of a predicate");
-      if (name == "=") in_.fail(name, "'=' is a predicate already, of every domain");
+      if (name == "=")
+        in_.fail(name, "'=' is a predicate already, of every domain", "take it out: with :equality it can be used");
       symbol(task_.predicates, task_.predicate_index, name, "predicate");
     }
   }
@@ -167,14 +176,15 @@ class DomainReader {
     while (!in_.take(")")) {
       if (in_.take("-")) {
         const Word type = in_.next();
-        if (type.text != "number") in_.fail(type, "a function has the type 'number', found " + quoted(type.text));
+        if (type.text != "number") in_.fail_expected(type, "'number', the type that functions have");
         continue;
       }
       in_.expect("(", "a function, '(NAME ...)', '- number' or ')'");
       const Word name = in_.name("the name of a function");
       const Index index = symbol(task_.functions, task_.function_index, name, "function");
       if (name.text != "total-cost") continue;
-      if (!task_.functions[index].parameter_types.empty()) in_.fail(name, "'total-cost' takes no arguments");
+      if (!task_.functions[index].parameter_types.empty())
+        in_.fail(name, "'total-cost' takes no arguments", "declare it as (total-cost)");
       task_.total_cost = index;
     }
   }
@@ -182,7 +192,7 @@ class DomainReader {
   void action() {
     const Word name = in_.name("the name of an action");
     if (!task_.action_index.try_emplace(name.text, static_cast<Index>(task_.actions.size())).second)
-      in_.fail(name, "the action " + quoted(name.text) + " is declared twice");
+      in_.fail(name, "the action " + quoted(name.text) + " is declared twice", "take one out, or give it another name");
     Action& action = task_.actions.emplace_back(task_.memory);
     action.name = name.text;
     terms_.use_parameters_of(&action);
@@ -190,11 +200,13 @@ class DomainReader {
     for (Word word = in_.next(); word.text != ")"; word = in_.next()) {
       const auto once = [&](bool& has) {
         if (std::exchange(has, true))
-          in_.fail(word, "a second " + quoted(word.text) + " of the action " + quoted(name.text));
+          in_.fail(word, "a second " + quoted(word.text) + " of the action " + quoted(name.text),
+                   "take one out, or make one of both with 'and'");
       };
       if (word == ":parameters") {
         once(has_parameters);
-        if (has_condition || has_effect) in_.fail(word, "':parameters' stands before what uses them");
+        if (has_condition || has_effect)
+          in_.fail(word, "':parameters' stands before what uses them", "move it to the front of the action");
         in_.expect("(", "the parameters, '(?NAME - TYPE ...)'");
         parameters(name.text, &action.parameters, action.parameter_types);
       } else if (word == ":precondition") {
@@ -219,7 +231,8 @@ class DomainReader {
   void effect(Action& action, bool adds, std::size_t depth) {
     const Word word = in_.next();
     if (depth > kDeepestNesting)
-      in_.fail(word, "effects are nested more than " + std::to_string(kDeepestNesting) + " deep");
+      in_.fail(word, "effects are nested more than " + std::to_string(kDeepestNesting) + " deep",
+               "write the inner 'and' as a part of the outer one");
     if (word == "and" && adds) {
       while (!in_.take(")")) {
         in_.expect("(", "an effect, '(...)', or ')'");
@@ -235,15 +248,16 @@ class DomainReader {
       atom_effect(action, word, adds);
     }
     if (action.added.size() + action.deleted.size() + action.costs.size() > kMostConditions)
-      in_.fail(word, "an action has at most " + std::to_string(kMostConditions) + " effects");
+      in_.fail(word, "an action has at most " + std::to_string(kMostConditions) + " effects", "make two actions of it");
   }
 
   void atom_effect(Action& action, const Word& word, bool adds) {
     if (!task_.predicate_index.contains(word.text)) {
-      if (word == "when") in_.fail(word, "'when' needs :conditional-effects, which is not supported");
-      if (word == "forall") in_.fail(word, "'forall' in an effect needs :conditional-effects, which is not supported");
+      if (word == "when") in_.fail(word, "'when' needs :conditional-effects, which is not supported", kTakes);
+      if (word == "forall")
+        in_.fail(word, "'forall' in an effect needs :conditional-effects, which is not supported", kTakes);
       if (word == "assign" || word == "decrease" || word == "scale-up" || word == "scale-down")
-        in_.fail(word, quoted(word.text) + " needs :numeric-fluents, which is not supported");
+        in_.fail(word, quoted(word.text) + " needs :numeric-fluents, which is not supported", kTakes);
     }
     if (!word.is_name() || word == "and" || word == "not" || word == "=")
       in_.fail_expected(word, adds ? "a predicate, 'and', 'not' or 'increase'" : "a predicate");
@@ -254,8 +268,9 @@ class DomainReader {
     in_.expect("(", "'(total-cost)'");
     const Word target = in_.next();
     if (target.text != "total-cost" || task_.total_cost == kNone)
-      in_.fail(target, task_.total_cost == kNone ? "'total-cost' is not declared: (:functions (total-cost) - number)"
-                                                 : "only 'total-cost' can be increased");
+      in_.fail(target,
+               task_.total_cost == kNone ? "'total-cost' is not declared" : "only 'total-cost' can be increased",
+               task_.total_cost == kNone ? kDeclareCost : "write (increase (total-cost) NUMBER)");
     in_.expect(")", "')' behind 'total-cost'");
     CostTerm cost;
     if (in_.take("(")) {
@@ -264,9 +279,9 @@ class DomainReader {
         cost.function = terms_.function(name);
         cost.is_function = true;
         if (cost.function.symbol == task_.total_cost)
-          in_.fail(name, "an action's cost cannot depend on the total cost");
+          in_.fail(name, "an action's cost cannot depend on the total cost", "name another function, or a number");
       } else {
-        in_.fail(name, "an action's cost is a number or one function, not a sum; write two 'increase'");
+        in_.fail(name, "an action's cost is a number or one function, not a sum", "write two 'increase'");
       }
     } else {
       cost.number = terms_.number(in_.next());

@@ -44,14 +44,17 @@ class ProblemReader {
   }
 
   void go_to(std::string_view keyword) {
-    if (!find(keyword)) in_.fail(0, {.what = "the problem has no section '(" + std::string(keyword) + " ...)'"});
+    if (!find(keyword))
+      in_.fail(0, {.what = "the problem has no section '(" + std::string(keyword) + " ...)'", .next = "add it"});
   }
 
   void domain() {
     const Word name = in_.name("the name of the domain");
     if (name.text != task_.domain_name)
-      in_.fail(name, "the problem is one of the domain " + quoted(name.text) + ", and the domain given is " +
-                         quoted(task_.domain_name));
+      in_.fail(name,
+               "the problem is one of the domain " + quoted(name.text) + ", and the domain given is " +
+                   quoted(task_.domain_name),
+               "give the domain that it is one of, or correct its (:domain ...)");
     in_.expect(")", "')'");
   }
 
@@ -70,7 +73,8 @@ class ProblemReader {
       } else {
         if (!word.is_name()) in_.fail_expected(word, "a predicate or '='");
         if (word == "at" && !task_.predicate_index.contains("at"))
-          in_.fail(word, "the predicate 'at' is not declared, and timed literals are not supported");
+          in_.fail(word, "the predicate 'at' is not declared, and timed literals are not supported",
+                   "declare it in the domain's :predicates");
         task_.init.push_back(terms_.predicate(word));
       }
     }
@@ -84,7 +88,7 @@ class ProblemReader {
     const Cost value = terms_.number(number);
     in_.expect(")", "')' behind the value");
     if (function.symbol == task_.total_cost) {
-      if (value != 0) in_.fail(number, "the total cost begins at 0");
+      if (value != 0) in_.fail(number, "the total cost begins at 0", "write 0, or take it out");
       return;
     }
     task_.values.emplace_back(function, value);
@@ -102,8 +106,7 @@ class ProblemReader {
     in_.expect("(", kExpected);
     const Word function = in_.next();
     if (function.text != "total-cost") in_.fail_expected(function, kExpected);
-    if (task_.total_cost == kNone)
-      in_.fail(function, "'total-cost' is not declared in the domain: (:functions (total-cost) - number)");
+    if (task_.total_cost == kNone) in_.fail(function, "'total-cost' is not declared in the domain", kDeclareCost);
     in_.expect(")", "')'");
     in_.expect(")", "')' behind the metric");
     task_.has_metric = true;

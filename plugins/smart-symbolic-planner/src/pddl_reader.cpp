@@ -59,7 +59,9 @@ PddlReader::Word PddlReader::next() {
   if (at_ == text_.size()) return {{}, begin};
   if (text_[at_] == '(' || text_[at_] == ')') return {text_.substr(at_++, 1), begin};
   for (; at_ < text_.size() && !ends_word(text_[at_]); ++at_) {
-    if (!belongs_to_word(text_[at_])) fail(at_, {.what = byte_text(text_[at_]) + " has no place in PDDL"});
+    if (!belongs_to_word(text_[at_]))
+      fail(at_, {.what = byte_text(text_[at_]) + " has no place in PDDL",
+                 .next = "take it out: words are of ASCII letters, digits, '-' and '_'"});
   }
   return {text_.substr(begin, at_ - begin), begin};
 }
@@ -99,19 +101,22 @@ PddlReader::Word PddlReader::variable(std::string_view what) {
 void PddlReader::skip_rest(std::size_t opened) {
   std::size_t depth = 1;
   for (Word word = next(); depth > 0; word = next()) {
-    if (word.text.empty()) fail(opened, {.what = "this '(' is never closed"});
+    if (word.text.empty()) fail(opened, {.what = "this '(' is never closed", .next = "add the ')' that is missing"});
     if (word == ")" && --depth == 0) return;
     if (word != "(") continue;
     ++depth;
     if (const Word inner = peek(); inner.is_keyword())
       fail(word.offset, {.what = "the section " + quoted(inner.text) + " begins inside the one of " +
-                                 place(opened).to_string() + ": a ')' is missing before it"});
+                                 place(opened).to_string() + ": a ')' is missing before it",
+                         .next = "add it"});
   }
 }
 
 void PddlReader::fail(std::size_t offset, ErrorText text) const { throw PddlError(place(offset), std::move(text)); }
 
-void PddlReader::fail(const Word& word, std::string what) const { fail(word.offset, {.what = std::move(what)}); }
+void PddlReader::fail(const Word& word, std::string what, std::string next) const {
+  fail(word.offset, {.what = std::move(what), .next = std::move(next)});
+}
 
 void PddlReader::fail_expected(const Word& word, std::string_view expected) const {
   fail(word.offset, {.what = word.text.empty() ? "the text ends too early" : quoted(word.text) + " has no place here",

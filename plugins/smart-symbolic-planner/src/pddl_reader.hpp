@@ -47,7 +47,8 @@ class PddlReader {
 
   Place place(std::size_t offset) const { return place_of(which_, text_, offset); }
   [[noreturn]] void fail(std::size_t offset, ErrorText text) const;
-  [[noreturn]] void fail(const Word& word, std::string what) const;
+  /// `next`: what whoever wrote the text does about it.
+  [[noreturn]] void fail(const Word& word, std::string what, std::string next) const;
   /// `word` is not what belongs there.
   [[noreturn]] void fail_expected(const Word& word, std::string_view expected) const;
 
@@ -65,5 +66,10 @@ std::pmr::string lower_case(std::string_view text, std::pmr::memory_resource* me
 
 /// A word as an error names it, cut where it is long.
 std::string quoted(std::string_view word);
+
+/// What to do where there is no cost, and where more is required than this planner has.
+inline constexpr const char* kDeclareCost = "declare it in the domain: (:functions (total-cost) - number)";
+inline constexpr const char* kTakes =
+    "this planner takes :strips, :typing, :negative-preconditions, :equality, :action-costs";
 
 }  // namespace fiona::planning

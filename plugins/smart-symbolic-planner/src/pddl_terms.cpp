@@ -36,15 +36,21 @@ List<PddlTerms::Section> PddlTerms::sections(std::string_view kind, std::string_
   name = in_.name("the name of the " + kind_text).text;
   in_.expect(")", "')'");
   for (Word open = in_.next(); open.text != ")"; open = in_.next()) {
-    if (open.text.empty()) in_.fail(begin.offset, {.what = "this '(' is never closed"});
+    if (open.text.empty())
+      in_.fail(begin.offset, {.what = "this '(' is never closed", .next = "add the ')' that is missing"});
     if (open.text != "(") in_.fail_expected(open, "a section, '(:...', or ')'");
     const Word keyword = in_.next();
     if (std::find(known.begin(), known.end(), keyword.text) == known.end()) {
-      in_.fail(keyword, keyword.is_keyword() ? "the section " + quoted(keyword.text) + " is not supported"
-                                             : quoted(keyword.text) + " begins no section");
+      std::string expected;
+      for (const std::string_view one : known) expected += (expected.empty() ? "one of " : ", ") + std::string(one);
+      in_.fail(keyword.offset,
+               {.what = keyword.is_keyword() ? "the section " + quoted(keyword.text) + " is not supported"
+                                             : quoted(keyword.text) + " begins no section",
+                .expected = std::move(expected)});
     }
     const bool again = std::any_of(all.begin(), all.end(), [&](const Section& s) { return s.keyword == keyword.text; });
-    if (again && keyword.text != repeated) in_.fail(keyword, "a second section " + quoted(keyword.text));
+    if (again && keyword.text != repeated)
+      in_.fail(keyword, "a second section " + quoted(keyword.text), "make one of both");
     all.push_back({keyword.text, open.offset, in_.offset()});
     in_.skip_rest(open.offset);
   }
@@ -56,9 +62,7 @@ void PddlTerms::requirements() {
   for (Word word = in_.next(); word.text != ")"; word = in_.next()) {
     if (!word.is_keyword()) in_.fail_expected(word, "a requirement, ':...', or ')'");
     if (std::find(kRequirements.begin(), kRequirements.end(), word.text) != kRequirements.end()) continue;
-    in_.fail(word.offset,
-             {.what = "the requirement " + quoted(word.text) + " is not supported",
-              .next = "this planner takes :strips, :typing, :negative-preconditions, :equality, :action-costs"});
+    in_.fail(word.offset, {.what = "the requirement " + quoted(word.text) + " is not supported", .next = kTakes});
   }
 }
 
@@ -86,12 +90,14 @@ void PddlTerms::objects() {
       [&](const Word& word) {
         const auto [place, is_new] =
             task_.object_index.try_emplace(word.text, static_cast<Index>(task_.objects.size()));
-        if (!is_new) in_.fail(word, "the object " + quoted(word.text) + " is declared twice");
+        if (!is_new)
+          in_.fail(word, "the object " + quoted(word.text) + " is declared twice",
+                   "take one out, or give it another name");
         task_.objects.push_back(word.text);
       },
       [&](Index set) {
         if (set >= task_.types.size())
-          in_.fail(in_.offset() - 1, {.what = "an object is of one type, not of 'either'"});
+          in_.fail(in_.offset() - 1, {.what = "an object is of one type, not of 'either'", .next = "name that one"});
         task_.object_types.resize(task_.objects.size(), set);
         untyped = task_.objects.size();
       },
@@ -101,11 +107,13 @@ void PddlTerms::objects() {
 Term PddlTerms::term() {
   const Word word = in_.next();
   if (word.is_variable()) {
-    if (!action_) in_.fail(word, "a variable has no place here, " + quoted(word.text));
+    if (!action_) in_.fail(word, "a variable has no place here, " + quoted(word.text), "name an object");
     const auto found = std::find(action_->parameters.begin(), action_->parameters.end(), word.text);
     if (found == action_->parameters.end())
-      in_.fail(word, "the variable " + quoted(word.text) + " is no parameter of the action '" +
-                         std::string(action_->name) + "'");
+      in_.fail(
+          word,
+          "the variable " + quoted(word.text) + " is no parameter of the action '" + std::string(action_->name) + "'",
+          "declare it in :parameters, or name one of those");
     return Term::parameter(static_cast<Index>(found - action_->parameters.begin()));
   }
   if (!word.is_name()) in_.fail_expected(word, action_ ? "a variable or an object" : "an object");
@@ -127,8 +135,10 @@ void PddlTerms::check_argument(const Term& term, const Word& word, const Symbol&
   }
   if (fits) return;
   const std::string kind = type < task_.types.size() ? "a " + quoted(task_.types[type]) : std::string("of other types");
-  in_.fail(word, quoted(word.text) + " is " + kind + ", which argument " + std::to_string(place + 1) + " of " +
-                     quoted(symbol.name) + " cannot be");
+  in_.fail(word,
+           quoted(word.text) + " is " + kind + ", which argument " + std::to_string(place + 1) + " of " +
+               quoted(symbol.name) + " cannot be",
+           "name one that fits, or declare that argument of another type");
 }
 
 Atom PddlTerms::atom(const Word& name, const LiftedTask::Names& names, const List<Symbol>& symbols,
@@ -142,13 +152,14 @@ Atom PddlTerms::atom(const Word& name, const LiftedTask::Names& names, const Lis
       quoted(name.text) + " takes " + std::to_string(wanted) + (wanted == 1 ? " argument" : " arguments");
   while (!in_.take(")")) {
     const Word word = in_.peek();
-    if (atom.term_count == wanted) in_.fail(word, takes + ", and here is one more");
+    if (atom.term_count == wanted) in_.fail(word, takes + ", and here is one more", "take it out");
     const Term argument = term();
     check_argument(argument, word, symbol, atom.term_count);
     task_.terms.push_back(argument);
     ++atom.term_count;
   }
-  if (atom.term_count != wanted) in_.fail(name, takes + ", and here are " + std::to_string(atom.term_count));
+  if (atom.term_count != wanted)
+    in_.fail(name, takes + ", and here are " + std::to_string(atom.term_count), "add what is missing");
   return atom;
 }
 
@@ -162,7 +173,8 @@ void PddlTerms::conditions(Conditions& into, std::size_t depth) {
 void PddlTerms::condition(Conditions& into, bool holds, std::size_t depth) {
   const Word word = in_.next();
   if (depth > kDeepestNesting)
-    in_.fail(word, "conditions are nested more than " + std::to_string(kDeepestNesting) + " deep");
+    in_.fail(word, "conditions are nested more than " + std::to_string(kDeepestNesting) + " deep",
+             "write the inner 'and' as a part of the outer one");
   if (word == "and") {
     if (!holds)
       in_.fail(word.offset, {.what = "'not' of 'and' is a disjunction, which needs :disjunctive-preconditions",
@@ -187,12 +199,13 @@ void PddlTerms::condition(Conditions& into, bool holds, std::size_t depth) {
     const auto refused =
         std::find_if(kRefused.begin(), kRefused.end(), [&](const auto& entry) { return entry.first == word.text; });
     if (refused != kRefused.end() && !task_.predicate_index.contains(word.text))
-      in_.fail(word, quoted(word.text) + " needs " + std::string(refused->second) + ", which is not supported");
+      in_.fail(word, quoted(word.text) + " needs " + std::string(refused->second) + ", which is not supported", kTakes);
     if (!word.is_name()) in_.fail_expected(word, "a predicate, 'and', 'not' or '='");
     (holds ? into.positive : into.negative).push_back(predicate(word));
   }
   if (action_ && into.size() > kMostConditions)
-    in_.fail(word, "an action has at most " + std::to_string(kMostConditions) + " conditions");
+    in_.fail(word, "an action has at most " + std::to_string(kMostConditions) + " conditions",
+             "make two actions of it");
 }
 
 Cost PddlTerms::number(const Word& word) const {
@@ -207,7 +220,8 @@ Cost PddlTerms::number(const Word& word) const {
     const Cost digit = word.text[i] - '0';
     if (i > point) digit_value /= 10;
     value = i < point ? value * 10 + digit * kCostUnit : value + digit * digit_value;
-    if (value > kMostCost) in_.fail(word, "the number " + quoted(word.text) + " is above 1e9");
+    if (value > kMostCost)
+      in_.fail(word, "the number " + quoted(word.text) + " is above 1e9", "give all costs in a larger unit");
   }
   return value;
 }
@@ -221,8 +235,10 @@ void PddlTerms::fail_unknown(const Word& word, std::string what, const LiftedTas
     if (names.size() < kMostCompared && name.size() <= kLongest) names.emplace_back(name);
   }
   std::sort(names.begin(), names.end());
-  in_.fail(word.offset, {.what = what + " " + quoted(word.text) + " is not declared",
-                         .near = nearest_names(word.text.substr(0, kLongest), names)});
+  ErrorText text{.what = what + " " + quoted(word.text) + " is not declared",
+                 .near = nearest_names(word.text.substr(0, kLongest), names)};
+  if (text.near.empty()) text.next = "declare it, or name one that is";
+  in_.fail(word.offset, std::move(text));
 }
 
 }  // namespace fiona::planning

@@ -1,4 +1,4 @@
-import { useMemo, useState } from "preact/hooks";
+import { useEffect, useMemo, useState } from "preact/hooks";
 import type { BuildingMap, Destination, Room } from "./model";
 import { levelName, roomName } from "./text";
 
@@ -25,6 +25,7 @@ export function Search({ map, access, busy, pick }: Props) {
   const [typed, setTyped] = useState("");
   const [open, setOpen] = useState(false);
   const [closed, setClosed] = useState(""); // who asked for that room may not go there
+  useEffect(() => setClosed(""), [access]);
   const rooms = useMemo(
     () =>
       map.rooms
@@ -47,6 +48,7 @@ export function Search({ map, access, busy, pick }: Props) {
     pick({ x: room.x, y: room.y, level: room.level, label: name });
     setOpen(false);
     setTyped("");
+    setClosed("");
   };
   return (
     <section class="search" aria-label="Destination">
