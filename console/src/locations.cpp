@@ -31,7 +31,7 @@ constexpr std::string_view kHostNameRule = "letters, digits, '-' and '_', at mos
 fs::path runtime_directory() {
   const std::string given = environment("XDG_RUNTIME_DIR");
   const fs::path directory =
-      given.empty() ? fs::path(fmt::format("/tmp/fiona-{}", ::getuid())) : fs::path(given) / "fiona";
+      given.empty() ? fs::path(fmt::format("/tmp/fiona-{}", ::geteuid())) : fs::path(given) / "fiona";
   int made = 0;
   do made = ::mkdir(directory.c_str(), 0700);
   while (made != 0 && errno == EINTR);
@@ -43,12 +43,12 @@ fs::path runtime_directory() {
   }
   struct stat status {};
   // lstat: in a shared directory somebody else may have put a link under this name.
-  const bool ours = ::lstat(directory.c_str(), &status) == 0 && S_ISDIR(status.st_mode) && status.st_uid == ::getuid();
+  const bool ours = ::lstat(directory.c_str(), &status) == 0 && S_ISDIR(status.st_mode) && status.st_uid == ::geteuid();
   if (!ours || (status.st_mode & 077U) != 0) {
     throw Error(ErrorCode::NotAllowed,
                 ErrorText{.what = "the run-time directory is not yours alone",
                           .where = directory.string(),
-                          .expected = fmt::format("a directory of user {} with mode 0700", ::getuid()),
+                          .expected = fmt::format("a directory of user {} with mode 0700", ::geteuid()),
                           .found = ours ? fmt::format("mode {:04o}", status.st_mode & 07777U)
                                         : fmt::format("user {}, {}", status.st_uid,
                                                       S_ISDIR(status.st_mode) ? "a directory" : "no directory"),

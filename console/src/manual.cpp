@@ -92,9 +92,9 @@ std::string environment_text() {
   constexpr std::array<std::pair<const char*, const char*>, 7> kVariables{{
       {"FIONA_STORE", "where packages are installed"},
       {"FIONA_MARKET", "the marketplace, a directory or an address, unless --from names one"},
-      {"FIONA_KEYS", "where the keys of hosts are"},
+      {"FIONA_KEYS", "where the keys of hosts and consoles are"},
       {"XDG_RUNTIME_DIR", "below it, fiona/NAME.sock of each host"},
-      {"XDG_STATE_HOME", "below it, fiona/history of the prompt"},
+      {"XDG_STATE_HOME", "below it, fiona/history of the prompt and fiona/NAME.journal of each host"},
       {"XDG_DATA_HOME", "below it, fiona/store, unless FIONA_STORE says otherwise"},
       {"XDG_CONFIG_HOME", "below it, fiona with the keys of hosts, unless FIONA_KEYS says otherwise"},
   }};

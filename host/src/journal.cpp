@@ -265,8 +265,10 @@ Journal::Told Journal::told_by(std::string_view text) {
     if (last[entry.number()] != at) continue;
     const bool happened = entry.state() == Entry::DONE || entry.state() == Entry::UNDONE;
     if (happened) told.changes.insert(told.changes.end(), entry.steps().begin(), entry.steps().end());
-    if (const auto undone = last.find(entry.undoes()); happened && entry.undoes() != 0 && undone != last.end())
-      records[undone->second].set_state(Entry::UNDONE);
+    // What is undone has happened before.
+    const auto undone = last.find(entry.undoes());
+    const bool undoes = happened && entry.undoes() != 0 && undone != last.end() && undone->second < at;
+    if (undoes && records[undone->second].state() == Entry::DONE) records[undone->second].set_state(Entry::UNDONE);
   }
   for (std::size_t at = 0; at < records.size(); ++at) {
     if (last[records[at].number()] == at) told.entries.push_back(std::move(records[at]));

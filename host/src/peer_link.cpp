@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "fiona/readable_text.hpp"
 #include "uninterrupted.hpp"
 
 namespace fiona::host {
@@ -295,7 +296,7 @@ void PeerLink::on_host_frame(const Hop& hop, const wire::HostFrame& host) {
   if (host.has_beat()) return offset_.heard(host.beat(), now_ns());
   if (host.has_message() && joined) return on_message(host.message());
   const std::lock_guard lock(mutex_);
-  if (host.has_refused() && !joined) end_ = host.refused().reason().substr(0, 500);
+  if (host.has_refused() && !joined) end_ = readable_text(host.refused().reason(), 500);
   if (host.has_gone() && joined) end_ = "host '" + peer_.name + "' has not heard us";
 }
 
@@ -307,7 +308,7 @@ void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
     same_run = !run_ || run_ == welcome.run();  // at first nothing is there that could be of another run
     run_ = welcome.run();
     tries_ = 0;
-    version_ = welcome.version().substr(0, 40);
+    version_ = readable_text(welcome.version(), 40);
   }
   around_.links.join(endpoint(), hop);
   beat();  // before any wire: its times need what this tells

@@ -9,6 +9,7 @@
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/params.hpp"
+#include "fiona/readable_text.hpp"
 #include "fiona/service.hpp"
 #include "system.hpp"
 
@@ -127,7 +128,7 @@ std::string System::fresh_group(const std::string& instance) const {
     return groups_.find(name) || !model_.names_in(name).empty() || name == kMainGroup || !host_of(name).empty();
   };
   std::string name = instance;
-  for (int number = 2; taken(name); ++number) name = fmt::format("{}-{}", instance.substr(0, 50), number);
+  for (int number = 2; taken(name); ++number) name = fmt::format("{}-{}", readable_text(instance, 50), number);
   return name;
 }
 

@@ -30,7 +30,6 @@ struct Unit {
 };
 
 constexpr double kDegree = std::numbers::pi / 180;
-constexpr double kStandardGravity = 9.80665;  // m/s^2, CGPM 1901
 
 constexpr std::array kUnits = {
     Unit{"ns", Dimension::Time, 1e-9},
@@ -50,7 +49,7 @@ constexpr std::array kUnits = {
     Unit{"m/s", Dimension::Speed, 1},
     Unit{"km/h", Dimension::Speed, 1 / 3.6},
     Unit{"m/s^2", Dimension::Acceleration, 1},
-    Unit{"g", Dimension::Acceleration, kStandardGravity},
+    Unit{"g", Dimension::Acceleration, kStandardGravity_mps2},
     Unit{"T", Dimension::MagneticField, 1},
     Unit{"uT", Dimension::MagneticField, 1e-6},
     Unit{"gauss", Dimension::MagneticField, 1e-4},

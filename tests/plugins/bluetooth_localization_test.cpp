@@ -423,7 +423,7 @@ TEST_F(Component, AnotherMapOfTheSameBuildingLosesNobody) {
   navigation::CommLevelMap map;
   map.set_version(7);
   add_wall(map, 12, -10, 12, 40);
-  bench_.answer_with<navigation::LevelMap>("map", [&](const navigation::CommLevelMapRequest&) { return map; });
+  bench_.answer_with<navigation::LevelMap>("levels", [&](const navigation::CommLevelMapRequest&) { return map; });
   bench_.start();
   bench_.advance(3s);
   for (int i = 0; i < 10; ++i) hear(6, 13);
@@ -437,7 +437,7 @@ TEST_F(Component, AnotherMapOfTheSameBuildingLosesNobody) {
 }
 
 TEST_F(Component, WallsComeFromTheLevelMap) {
-  bench_.answer_with<navigation::LevelMap>("map", [](const navigation::CommLevelMapRequest&) {
+  bench_.answer_with<navigation::LevelMap>("levels", [](const navigation::CommLevelMapRequest&) {
     navigation::CommLevelMap map;
     map.set_version(7);
     add_wall(map, 12, -10, 12, 40);
@@ -449,7 +449,7 @@ TEST_F(Component, WallsComeFromTheLevelMap) {
 }
 
 TEST_F(Component, StepsAgainstTrueNorthLeadAlongTheAxesOfATurnedMap) {
-  bench_.answer_with<navigation::LevelMap>("map", [](const navigation::CommLevelMapRequest&) {
+  bench_.answer_with<navigation::LevelMap>("levels", [](const navigation::CommLevelMapRequest&) {
     navigation::CommLevelMap map;
     map.set_version(7);
     map.mutable_reference()->set_reference_lat(48.4), map.mutable_reference()->set_reference_long(10.0);
@@ -477,7 +477,7 @@ TEST_F(Component, BeaconsStayWhereTheyAreWhenTheBuildingIsDrawnAroundAnotherOrig
   map.set_version(7);
   map.mutable_reference()->set_reference_lat(48.4), map.mutable_reference()->set_reference_long(10.0);
   map.mutable_reference()->set_reference_heading(90);  // its y axis points east, and x south
-  bench_.answer_with<navigation::LevelMap>("map", [&](const navigation::CommLevelMapRequest&) { return map; });
+  bench_.answer_with<navigation::LevelMap>("levels", [&](const navigation::CommLevelMapRequest&) { return map; });
   bench_.start();
   bench_.advance(3s);
   for (int i = 0; i < 15; ++i) hear(6, 13);
@@ -507,7 +507,7 @@ TEST_F(Component, WithoutABuildingTheFrameIsThatOfTheBeaconMap) {
 }
 
 TEST_F(Component, ALevelBetweenTwoIsTold) {
-  bench_.answer_with<navigation::LevelMap>("map", [](const navigation::CommLevelMapRequest&) {
+  bench_.answer_with<navigation::LevelMap>("levels", [](const navigation::CommLevelMapRequest&) {
     navigation::CommLevelMap map;
     map.set_version(7);
     map.set_name("hall");

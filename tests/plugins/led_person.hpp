@@ -104,7 +104,7 @@ struct Led {
   void tell_of_change(std::uint64_t version) {
     navigation::LevelMapVersion changed;
     changed.set_version(version);
-    ASSERT_GT(bench.fire<navigation::LevelMapChange>("change", changed), 0u) << "nobody watches the map";
+    ASSERT_GT(bench.fire<navigation::LevelMapChange>("map_change", changed), 0u) << "nobody watches the map";
   }
   void stand(const CommLocation& at, Duration time = 600ms) {
     for (Duration passed{}; passed < time; passed += 200ms) {

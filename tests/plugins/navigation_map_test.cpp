@@ -88,7 +88,7 @@ TEST(Navigation, AMapOfTheSameVersionIsNotAskedForAgain) {
 /// A rewire asks the next provider what the first one was asked: that of then, while another map is led by.
 TEST(Navigation, WhoServesNextTellsItsVersionWhateverIsKnown) {
   LedToC led;
-  const auto activations = led.bench.take_any("change");
+  const auto activations = led.bench.take_any("map_change");
   ASSERT_FALSE(activations.empty());
   const auto& asked = static_cast<const navigation::LevelMapVersion&>(*activations.back().object);
   EXPECT_EQ(asked.version(), 0u);
@@ -132,7 +132,7 @@ TEST(Navigation, AMapThatCannotBeReadIsAskedForEveryTwoSeconds) {
 
 TEST(Navigation, OnceNobodyTellsOfChangesAnyMoreTheMapIsAskedForAtEachDestination) {
   LedToC led;
-  led.unwire("change");
+  led.unwire("map_change");
   led.map = world::told(two_doors(kNoDoor).read());
   led.go_to(destination(25, 6, 0));
   led.stand(location(6, 1.5, 0, 90));

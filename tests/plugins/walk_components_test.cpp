@@ -69,7 +69,7 @@ TEST(StepHeadingComponent, TheMapsPlaceTellsTheDeclination) {
   navigation::CommLevelMap seattle;
   seattle.mutable_reference()->set_reference_lat(47.6);
   seattle.mutable_reference()->set_reference_long(-122.3);
-  bench.answer_with<navigation::LevelMap>("map", [&](const auto&) { return seattle; });
+  bench.answer_with<navigation::LevelMap>("levels", [&](const auto&) { return seattle; });
   bench.start();
   bench.advance(1s);
   for (int i = 0; i < 500; ++i) {

@@ -293,8 +293,8 @@ void add_localisation(Stage& stage, const std::string& beacons, const Errand& er
   stage.wire("ble.beacons", "phone.beacons");
   stage.wire("ble.steps", "steps.steps");
   stage.wire("ble.orientation", "steps.orientation");
-  stage.wire("ble.map", "map.levels");
-  stage.wire("ble.map_change", "map.change");
+  stage.wire("ble.levels", "map.levels");
+  stage.wire("ble.map_change", "map.map_change");
   stage.wire("referee.compass", "steps.orientation");
 }
 
@@ -321,7 +321,7 @@ Outcome lead(const Building& building, const std::string& file, const Errand& er
                                                       : "phone.truth";
   stage.wire("nav.location", located);
   stage.wire("nav.levels", "map.levels");
-  stage.wire("nav.change", "map.change");
+  stage.wire("nav.map_change", "map.map_change");
   stage.wire("nav.planner", "planner.plan");
   stage.wire("nav.profile", "referee.profile");
   stage.wire("referee.destination", "nav.destination");

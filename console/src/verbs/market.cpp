@@ -47,7 +47,7 @@ std::vector<std::string> names_in(const Line& line) {
   return names;
 }
 
-/// "install", "upgrade from 1.0.0": what a step does, for a plan.
+/// "install", "instead of 1.0.0": what a step does, for a plan.
 std::string step_text(const PlanStep& step) {
   switch (step.kind) {
     case StepKind::Install: return "install";
@@ -65,7 +65,7 @@ std::string done_text(const PlanStep& step) {
   switch (step.kind) {
     case StepKind::Install: return "installed " + package;
     case StepKind::Upgrade:
-    case StepKind::Downgrade: return fmt::format("installed {} in place of {}", package, step.previous_version);
+    case StepKind::Downgrade:
     case StepKind::Replace: return fmt::format("installed {} in place of {}", package, step.previous_version);
     case StepKind::Repair: return "repaired " + package;
     case StepKind::Remove: return "removed " + package;

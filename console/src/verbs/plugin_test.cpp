@@ -142,8 +142,8 @@ std::size_t test_contracts(Session& session, const PluginFiles& files, Confineme
   wrong += fault.empty() ? 0 : 1;
   const std::string done =
       fmt::format("loaded, each in a {} of its own, and reached their first mode", confined ? "sandbox" : "process");
-  table.add({fmt::format("{} components", interface.components_size()), "a host", fault.empty() ? "ok" : "wrong",
-             fault.empty() ? done : fault});
+  table.add({fmt::format("{} component{}", interface.components_size(), interface.components_size() == 1 ? "" : "s"),
+             "a host", fault.empty() ? "ok" : "wrong", fault.empty() ? done : fault});
   session.out.table(table, "");
   return wrong;
 }

@@ -4,11 +4,11 @@
 #include <numbers>
 
 #include <Eigen/Geometry>
+#include <fiona/units.hpp>
 
 namespace fiona::simulator {
 namespace {
 
-constexpr double kGravity_mps2 = 9.80665;
 constexpr double kTurn = 2.0 * std::numbers::pi;
 
 double radians(double degrees) { return degrees * std::numbers::pi / 180.0; }
@@ -103,7 +103,7 @@ ImuSample ImuModel::sample(const Truth& truth) {
   const double seconds = has_before_ ? static_cast<double>((truth.t - before_.t).count()) / 1000.0 : 0.0;
   double right_g = 0.0, ahead_g = 0.0, up_g = 0.0, left_turn_deg_s = 0.0;
   if (seconds > 0.0) {
-    const double scale = 1.0 / (seconds * kGravity_mps2);
+    const double scale = 1.0 / (seconds * kStandardGravity_mps2);
     const double slip = truth.speed_mps - before_.speed_mps;
     const double turn_rad = std::remainder(truth.heading_rad - before_.heading_rad, kTurn);
     ahead_g = slip * scale;

@@ -11,6 +11,7 @@
 #include <archive_entry.h>
 
 #include <fiona/error.hpp>
+#include <fiona/units.hpp>
 
 #include "fiona/simulator/survey.hpp"
 
@@ -22,7 +23,6 @@ using building::Building;
 /// Walks happen ten minutes apart, from 1 January 2026 on: dates are part of the format, and of the bytes.
 constexpr std::int64_t kFirstStart_ms = 1'767'225'600'000;
 constexpr std::int64_t kBetweenStarts_ms = 600'000;
-constexpr double kGravity_mps2 = 9.80665;
 constexpr double kDegree_rad = 3.14159265358979323846 / 180.0;
 constexpr double kMicroteslaPerGauss = 100.0;
 
@@ -91,7 +91,7 @@ void add_vector(std::vector<Row>& rows, char tag, std::int64_t t_ms, const std::
 void add_inertial(std::vector<Row>& rows, const Trace& trace) {
   for (const ImuSample& sample : trace.imu) {
     const std::int64_t t = sample.t.count();
-    add_vector(rows, 'A', t, sample.acceleration_g, kGravity_mps2);
+    add_vector(rows, 'A', t, sample.acceleration_g, kStandardGravity_mps2);
     add_vector(rows, 'M', t, sample.magnetic_gauss, kMicroteslaPerGauss);
     add_vector(rows, 'G', t, sample.rotation_deg_s, kDegree_rad);
     add_vector(rows, 'R', t, sample.rotation_vector, 1.0);

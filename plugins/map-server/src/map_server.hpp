@@ -66,7 +66,7 @@ class MapServer final : public Component {
   Provides<navigation::RasterMapInfoProvider> info_{*this, "info", &MapServer::on_info};
   Provides<navigation::CoordinateConversion> coordinates_{*this, "coordinates", &MapServer::on_coordinates};
   Provides<navigation::LevelMap> levels_{*this, "levels", &MapServer::on_levels};
-  Provides<navigation::LevelMapChange> change_{*this, "change", &MapServer::differs};
+  Provides<navigation::LevelMapChange> change_{*this, "map_change", &MapServer::differs};
   Probe<std::uint64_t> version_{*this, "version", {.doc = "of the map that is served now"}};
   Probe<std::uint64_t> failed_reads_{*this, "failed_reads", {.doc = "changes of the file that could not be read"}};
   Task look_{*this, "look", std::chrono::milliseconds(1000), &MapServer::look};

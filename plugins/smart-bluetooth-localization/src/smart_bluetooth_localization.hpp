@@ -56,7 +56,7 @@ class SmartBluetoothLocalization final : public Component {
       {.optional = true,
        .doc = "how the device is turned; goes into the location, less the bias that the walk showed"}};
   Requires<navigation::LevelMap> map_{
-      *this, "map", {.optional = true, .doc = "walls, rooms and stairs; without it nothing holds a walker back"}};
+      *this, "levels", {.optional = true, .doc = "walls, rooms and stairs; without it nothing holds a walker back"}};
   Requires<navigation::LevelMapChange> map_change_{
       *this,
       "map_change",

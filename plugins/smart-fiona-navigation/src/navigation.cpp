@@ -518,14 +518,15 @@ void Navigation::put_shown(localisation::CommLocation told, const ShownPosition:
     position.set_confidence(4, shown.covariance.yy_m2);
   }
   last_shown_ = std::move(told);
-  shown_.put(*last_shown_, origin);
+  shown_origin_ = origin;
+  shown_.put(*last_shown_, shown_origin_);
   shown_at_ = now();
 }
 
 /// Two localisations are out of step, and a swap between them leaves a gap: the last place fills it, with its own time.
 void Navigation::show_again() {
   if (!last_shown_ || now() - shown_at_ <= kShownCycle || now() - located_ > kLost) return;
-  shown_.put(*last_shown_, located_);
+  shown_.put(*last_shown_, shown_origin_);
   shown_at_ = now();
 }
 

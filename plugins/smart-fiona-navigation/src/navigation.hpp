@@ -101,7 +101,7 @@ class Navigation final : public Component {
       *this, "location", &Navigation::on_location, {.doc = "where the person is", .delivery = Delivery::Newest}};
   Requires<navigation::LevelMap> levels_{*this, "levels", {.doc = "the building"}};
   Requires<navigation::LevelMapChange> change_{
-      *this, "change", &Navigation::on_map_change, {.optional = true, .doc = "that a door was closed, or opened"}};
+      *this, "map_change", &Navigation::on_map_change, {.optional = true, .doc = "that the building has changed"}};
   Requires<navigation::PlanProvider> planner_{*this, "planner", {.doc = "the planner of tasks"}};
   Requires<hmi::ProfileProvider> profile_{
       *this,
@@ -135,6 +135,7 @@ class Navigation final : public Component {
   TimePoint located_{};
   std::optional<localisation::CommLocation> last_shown_;
   TimePoint shown_at_{};
+  TimePoint shown_origin_{};  ///< of what is shown
   bool uncertain_ = false;
   std::optional<std::pair<building::Point, TimePoint>> course_from_;
   std::optional<double> course_rad_;

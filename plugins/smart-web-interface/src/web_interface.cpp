@@ -19,10 +19,10 @@ namespace {
 using nlohmann::json;
 
 constexpr auto kDeadline = std::chrono::seconds(2);
-/// Attempts wait for each other: see the authenticator.
 constexpr auto kRewireDeadline = std::chrono::seconds(5);
 /// Many pages that look at the system ask the host once.
 constexpr auto kSystemKept = std::chrono::milliseconds(400);
+/// Attempts wait for each other: see the authenticator.
 constexpr auto kLoginDeadline = std::chrono::seconds(10);
 constexpr const char* kNothing = "null";  // as JSON
 constexpr std::string_view kAuthorityFile = "authority.crt";

@@ -10,7 +10,7 @@ namespace {
 using std::chrono::milliseconds;
 
 constexpr milliseconds kLongestGap{1000};
-constexpr double kGravity_mps2 = 9.80665;
+constexpr double kStandardGravity_mps2 = 9.80665;
 constexpr double kSmooth_s = 0.1;
 constexpr double kWeighing_s = 3.0;       // mean of the weight
 constexpr double kLeastWeighing_s = 0.5;  // before which it is not known
@@ -46,7 +46,7 @@ void RideDetector::feed(const ImuSample& sample) {
   const double off_g = smooth_g_ - weight_g_;
   const bool knows_weight = weighed_s_ >= kLeastWeighing_s;
   if (pulse_) {
-    const double change_mps = (norm_g - weight_g_) * kGravity_mps2 * dt_s;
+    const double change_mps = (norm_g - weight_g_) * kStandardGravity_mps2 * dt_s;
     pulse_->change_mps += change_mps;
     pulse_->middle_s_mps += change_mps * seconds(sample.time - pulse_->begun);
     if (sample.time - pulse_->begun > options_.longest_pulse) {  // the phone is held otherwise, and weighs otherwise

@@ -30,7 +30,7 @@ class StepHeading final : public Component {
       *this, "imu", &StepHeading::on_imu, {.doc = "of a device that a person carries"}};
   Requires<navigation::LevelMap> map_{
       *this,
-      "map",
+      "levels",
       {.optional = true,
        .doc = "of the building: its place says where magnetic north is; without it the parameter declination does"}};
   Provides<localisation::StepProvider> steps_{*this, "steps", {.doc = "each step, about 0.1 s after the foot fell"}};

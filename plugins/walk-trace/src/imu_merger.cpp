@@ -2,10 +2,11 @@
 
 #include <numbers>
 
+#include <fiona/units.hpp>
+
 namespace fiona::walk {
 namespace {
 
-constexpr double kStandardGravity = 9.80665;
 constexpr double kGaussPerMicrotesla = 0.01;
 constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
 
@@ -22,10 +23,11 @@ std::optional<MergedImu> ImuMerger::feed(const Event& event) {
   const auto* force = std::get_if<Accelerometer>(&event.data);
   if (force == nullptr || !rate_seen_ || !field_) return std::nullopt;
 
-  MergedImu sample{event.t_ms,
-                   {force->x / kStandardGravity, force->y / kStandardGravity, force->z / kStandardGravity},
-                   {},
-                   {field_->x * kGaussPerMicrotesla, field_->y * kGaussPerMicrotesla, field_->z * kGaussPerMicrotesla}};
+  MergedImu sample{
+      event.t_ms,
+      {force->x / kStandardGravity_mps2, force->y / kStandardGravity_mps2, force->z / kStandardGravity_mps2},
+      {},
+      {field_->x * kGaussPerMicrotesla, field_->y * kGaussPerMicrotesla, field_->z * kGaussPerMicrotesla}};
   for (int axis = 0; axis < 3; ++axis) {
     if (rate_count_ > 0) last_rate_[axis] = rate_sum_[axis] / rate_count_;
     sample.rate_dps[axis] = last_rate_[axis] * kDegreesPerRadian;

@@ -5,6 +5,9 @@
 
 namespace fiona {
 
+/// Standard gravity, 3rd CGPM 1901: how many m/s^2 one g is.
+inline constexpr double kStandardGravity_mps2 = 9.80665;
+
 /// What turns a number in unit `from` into one in unit `to`: `value * factor + offset`.
 struct UnitConversion {
   double factor = 1;
