@@ -544,7 +544,9 @@ void ChildGroup::take(const wire::GroupMessage& message) {
   const bool is_early = adoption_ != 0 && !adopted_;
   if (is_event && !is_early) pass_on(message);
   if (is_event && is_early && !is_bounded(message)) early_.push_back(message);
-  if (unanswered_ && message.id() == unanswered_->id) unanswered_.reset();
+  if (!unanswered_ || message.id() != unanswered_->id) return;
+  unanswered_.reset();
+  is_asked_for_status_ = false;
 }
 
 Error ChildGroup::unreachable() const {

@@ -4,6 +4,9 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 
+#include <chrono>
+#include <iostream>
+
 #include "fiona/error.hpp"
 #include "versions_fixture.hpp"
 
@@ -128,7 +131,11 @@ class UpgradeToABadOne : public Upgrade, public testing::WithParamInterface<Bad>
 
 TEST_P(UpgradeToABadOne, IsNotMadeAndSaysWhy) {
   build("version=2 " + GetParam().behaviour);
+  const auto begun = Steady::now();
   const Error error = refusal_of(upgrade_of());
+  const std::chrono::duration<double> took = Steady::now() - begun;
+  std::cout << "refused after " << took.count() << " s (5)\n";
+  EXPECT_LT(took.count(), 9) << "longer than a component that hangs in its start lives";
   EXPECT_EQ(error.text().what, "'x' was not upgraded to 0: the version before goes on");
   EXPECT_THAT(error.text().found, HasSubstr(GetParam().why));
   expect_first_goes_on();
