@@ -31,7 +31,7 @@ std::string wire_line(const control::Wire& wire) {
   for (const auto& other : wire.alternatives()) line += " else " + typed_port(other);
   if (wire.prescale() > 1) line += fmt::format(" every {}", wire.prescale());
   if (wire.has_hold_ms())
-    line += fmt::format(" hold={:g}{}", wire.hold_ms() / (wire.hold_ms() < 1000 ? 1 : 1000),
+    line += fmt::format(" hold={}{}", wire.hold_ms() / (wire.hold_ms() < 1000 ? 1 : 1000),
                         wire.hold_ms() < 1000 ? "ms" : "s");
   return line;
 }
@@ -149,6 +149,7 @@ void make(Session& session, const Line& line, control::Change change, const std:
   }
   control::Request request;
   *request.mutable_transact()->add_changes() = std::move(change);
+  request.mutable_transact()->set_dry_run(session.planning);
   const std::string place = line.words.origin.empty() ? "" : place_text(line.words, line.verb.place);
   // A component may need its time, and what others change comes first: given up half way it would be made all the same.
   tell(session, session.host().call_waiting(std::move(request)), otherwise, place);

@@ -58,7 +58,7 @@ bool is_main_mode(const control::InstanceStatus& instance) {
 
 std::string saved_system(const control::System& system) {
   std::string text;
-  if (system.clock() == "virtual") text += fmt::format("set host clock=virtual speed={:g}\n", system.speed());
+  if (system.clock() == "virtual") text += fmt::format("set host clock=virtual speed={}\n", system.speed());
   for (const auto& instance : system.instances()) {
     for (const std::string& line : split_lines(instance.comment())) text += "# " + inert(line) + "\n";
     text += line_of(load_of(instance)) + "\n";

@@ -42,9 +42,6 @@ std::vector<std::string> system_files_in(const std::filesystem::path& folder) {
   return files;
 }
 
-/// By one script, in all: a few that source each other twice would be as long as one likes.
-constexpr std::size_t kMostSourced = 1000;
-
 std::vector<Line> own_lines(const std::filesystem::path& file) {
   std::vector<Line> lines;
   for (const WordLine& words : split_script(read_text(file), file.string())) lines.push_back(read_line(words));

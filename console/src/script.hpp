@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <filesystem>
 #include <functional>
 #include <string>
@@ -8,6 +9,9 @@
 #include "session.hpp"
 
 namespace fiona::console {
+
+/// Files that one script sources, in all: a few that source each other twice would be as long as one likes.
+inline constexpr std::size_t kMostSourced = 1000;
 
 /// The text of a system file. Throws fiona::Error: NotFound, or Failed where it cannot be read.
 std::string read_text(const std::filesystem::path& file);

@@ -133,6 +133,8 @@ void Session::connect(const Endpoint& endpoint) {
   watches_->resume();
 }
 
+void Session::lose_host() { client_.reset(); }
+
 void Session::disconnect() {
   watches_->clear();
   client_.reset();
@@ -160,6 +162,10 @@ void Session::run(const Line& line) {
   } catch (const Error& error) {
     reactor.take_signal();  // what it has cut short is no failure
     rethrow_at(line, error);
+  } catch (const Interrupted&) {
+    throw;
+  } catch (const std::exception& problem) {  // of the standard library: a path that it refuses, for one
+    throw line.error(line.verb, {.what = problem.what(), .next = "help " + line.verb.text}, ErrorCode::Failed);
   }
 }
 

@@ -72,6 +72,8 @@ class Session {
   /// What is watched goes on there.
   void connect(const Endpoint& endpoint);
   void disconnect();
+  /// Until it is connected again, where what is watched goes on.
+  void lose_host();
   /// "the host has gone", and why, if that is known.
   std::string farewell() const { return client_ ? client_->farewell() : "the host has gone"; }
   bool connected() const { return client_ != nullptr && !client_->closed(); }

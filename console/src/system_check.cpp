@@ -43,11 +43,11 @@ class Checker {
   }
 
   CheckResult finish() {
-    for (const auto& [name, instance] : instances_) add_spots(name, instance);
+    for (const auto& [name, instance] : known_.instances) add_spots(name, instance);
     if (begun_)
       result_.errors.push_back(
           begun_->error(begun_->verb, {.what = "this transaction is not committed", .next = "commit"}));
-    result_.instances = instances_.size();
+    result_.instances = known_.instances.size();
     return std::move(result_);
   }
 
@@ -60,7 +60,7 @@ class Checker {
     static const std::map<std::string, void (Checker::*)(const Line&)> kChecks{
         {"load", &Checker::take_load},       {"unload", &Checker::take_unload}, {"wire", &Checker::take_wire},
         {"unwire", &Checker::take_unwire},   {"swap", &Checker::take_swap},     {"begin", &Checker::take_begin},
-        {"commit", &Checker::take_commit},   {"abort", &Checker::take_commit},  {"set", &Checker::take_set},
+        {"commit", &Checker::take_commit},   {"abort", &Checker::take_abort},   {"set", &Checker::take_set},
         {"state", &Checker::take_mode},      {"wait", &Checker::take_mode},     {"watch", &Checker::take_watch},
         {"record", &Checker::take_record},   {"get", &Checker::take_instance},  {"call", &Checker::take_call},
         {"send", &Checker::take_call},       {"source", &Checker::take_source}, {"expect", &Checker::take_expect},
@@ -82,17 +82,17 @@ class Checker {
     const std::string name = as != nullptr                ? as->text
                              : known.component != nullptr ? known.component->name()
                                                           : plugin.text.substr(plugin.text.rfind('/') + 1);
-    if (instances_.contains(name))
+    if (known_.instances.contains(name))
       throw line.error(as != nullptr ? *as : plugin, {.what = fmt::format("there is an instance '{}' already", name),
                                                       .next = "give it another name: as NAME"});
     if (name == "host")
       throw line.error(as != nullptr ? *as : plugin,
                        {.what = "'host' is the host's own name", .next = "give it another name: as NAME"});
-    instances_[name] = {known};
+    known_.instances[name] = {known};
     if (!is_path) check_found(line, plugin, found);
-    if (const Word* mode = line.clause("at")) check_mode(line, *mode, instances_[name]);
+    if (const Word* mode = line.clause("at")) check_mode(line, *mode, known_.instances[name]);
     check_rights(line, plugin, known);
-    check_parameters(line, instances_[name]);
+    check_parameters(line, known_.instances[name]);
   }
 
   /// What its manifest asks for, and what the operator alone gives: the host looks at those.
@@ -131,7 +131,7 @@ class Checker {
       throw line.error(plugin, {.what = fmt::format("'{}' means several components", plugin.text),
                                 .expected = fmt::format("{}", fmt::join(names, ", "))});
     }
-    if (!first->installed && !offered_.contains(first->name())) {
+    if (!first->installed && !known_.offered.contains(first->name())) {
       throw line.error(plugin,
                        {.what = fmt::format("the plugin '{}' is not installed; the marketplace has it", plugin.text),
                         .next = fmt::format("market install {}", first->name())},
@@ -166,10 +166,10 @@ class Checker {
 
   Instance& instance_of(const Line& line, const Word& word) {
     const std::string name = word.text.substr(0, word.text.find('.'));
-    const auto found = instances_.find(name);
-    if (found != instances_.end()) return found->second;
+    const auto found = known_.instances.find(name);
+    if (found != known_.instances.end()) return found->second;
     std::vector<std::string> known;
-    for (const auto& [other, instance] : instances_) known.push_back(other);
+    for (const auto& [other, instance] : known_.instances) known.push_back(other);
     throw line.error(
         word, {.what = fmt::format("no line above loads an instance '{}'", name), .near = nearest_names(name, known)},
         ErrorCode::NotFound);
@@ -209,7 +209,7 @@ class Checker {
                                 .expected = "each alternative once, the best first"});
       check_provider(line, required, *one);
     }
-    wired_.insert(client.text);
+    known_.wired.insert(client.text);
   }
 
   static void check_hold(const Line& line, const Word& hold, bool alone) {
@@ -257,7 +257,7 @@ class Checker {
 
   std::vector<std::string> providers_of(const std::string& service) const {
     std::vector<std::string> ports;
-    for (const auto& [name, instance] : instances_) {
+    for (const auto& [name, instance] : known_.instances) {
       if (instance.known.component == nullptr) continue;
       for (const auto& port : instance.known.component->ports()) {
         if (port.direction() == fiona::PROVIDES && port.service() == service) ports.push_back(name + "." + port.name());
@@ -282,11 +282,11 @@ class Checker {
 
   void take_unload(const Line& line) {
     instance_of(line, line.positional[0]);
-    instances_.erase(line.positional[0].text);
+    known_.instances.erase(line.positional[0].text);
   }
   void take_unwire(const Line& line) {
     port_of(line, line.positional[0]);
-    wired_.erase(line.positional[0].text);
+    known_.wired.erase(line.positional[0].text);
   }
   void take_swap(const Line& line) {
     instance_of(line, line.positional[0]);
@@ -295,10 +295,16 @@ class Checker {
   void take_begin(const Line& line) {
     if (begun_) throw line.error(line.verb, {.what = "a transaction has begun already", .next = "commit, or abort"});
     begun_ = line;
+    before_ = known_;
   }
   void take_commit(const Line& line) {
     if (!begun_) throw line.error(line.verb, {.what = "no transaction has begun", .next = "begin"});
     begun_.reset();
+  }
+  /// Nothing of it comes.
+  void take_abort(const Line& line) {
+    take_commit(line);
+    known_ = before_;
   }
   void take_set(const Line& line) {
     if (line.positional[0].text == "host") return check_host(line);
@@ -380,7 +386,7 @@ class Checker {
     for (std::size_t i = 1; i < line.positional.size() && line.positional[0].text == "install"; ++i) {
       for (const KnownComponent& known :
            catalogue_.find(line.positional[i].text.substr(0, line.positional[i].text.find('@'))))
-        offered_.insert(known.plugin->name());
+        known_.offered.insert(known.plugin->name());
     }
   }
   void take_source(const Line& line) {
@@ -388,6 +394,9 @@ class Checker {
     if (!sourcing_.insert(file.lexically_normal().string()).second)
       throw line.error(line.positional[0],
                        {.what = "files source each other in a circle", .next = "take one of them out"});
+    if (++sourced_ > kMostSourced)
+      throw line.error(line.positional[0], {.what = fmt::format("more than {} files are sourced", kMostSourced),
+                                            .next = "source parts of them one after the other"});
     try {
       check(read_text(file), file.string());
     } catch (const Error& error) {
@@ -401,16 +410,22 @@ class Checker {
     if (instance.known.component == nullptr) return;
     for (const auto& port : instance.known.component->ports()) {
       const std::string full = name + "." + port.name();
-      if (port.direction() == fiona::REQUIRES && !wired_.contains(full))
+      if (port.direction() == fiona::REQUIRES && !known_.wired.contains(full))
         result_.spots.push_back({full, port.service(), port.optional(), providers_of(port.service())});
     }
   }
 
   const Catalogue& catalogue_;
   CheckResult result_;
-  std::map<std::string, Instance> instances_;
-  std::set<std::string> wired_;
-  std::set<std::string> offered_;  // by `market install` lines above
+  /// What the lines so far have made.
+  struct Known {
+    std::map<std::string, Instance> instances{};
+    std::set<std::string> wired{};
+    std::set<std::string> offered{};  ///< by `market install` lines above
+  };
+  Known known_;
+  Known before_;  ///< the transaction that has begun
+  std::size_t sourced_ = 0;
   std::set<std::string> sourcing_;
   std::optional<Line> begun_;
 };

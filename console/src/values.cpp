@@ -156,7 +156,7 @@ std::string typed(const control::Value& value) {
       for (const auto& element : value.list().values()) {
         std::string text = typed(element);
         const bool breaks_list = element.kind_case() == control::Value::kText &&
-                                 text.find_first_of(",]") != std::string::npos && text[0] != '"';
+                                 text.find_first_of(",[]{}") != std::string::npos && text[0] != '"';
         out += (out.empty() ? "" : ", ") + (breaks_list ? in_quotes(element.text()) : text);
       }
       return "[" + out + "]";

@@ -17,7 +17,7 @@ std::vector<Shape> forms(std::initializer_list<std::string_view> texts) { return
 std::vector<Verb> composing_verbs() {
   return {
       {"load",
-       forms({"load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with RIGHT …] "
+       forms({"load PLUGIN [as NAME] [in GROUP|HOST/GROUP] [at MODE] [with RIGHT …] "
               "[PARAM=VALUE …]"}),
        "creates an instance of a plugin",
        "PLUGIN is publisher/name, name, name/component where a plugin has several, or the path of a library.\n"

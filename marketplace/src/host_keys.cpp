@@ -4,15 +4,18 @@
 #include <sodium/crypto_box.h>
 #include <sodium/crypto_scalarmult.h>
 #include <sodium/utils.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <sstream>
+#include <thread>
 
 #include "fiona/error.hpp"
 
@@ -159,11 +162,15 @@ KeyPair KeyDirectory::pair() const {
   return {*secret, open_of(*secret)};
 }
 
-void KeyDirectory::replace(const std::filesystem::path& file, const std::string& text) const {
+void KeyDirectory::make_directory() const {
   std::error_code ignored;
   std::filesystem::create_directories(directory_.parent_path(), ignored);
   if (::mkdir(directory_.c_str(), 0700) != 0 && errno != EEXIST)
     fail("the directory for keys cannot be made", directory_);
+}
+
+void KeyDirectory::replace(const std::filesystem::path& file, const std::string& text) const {
+  make_directory();
   const std::filesystem::path beside = file.string() + "." + std::to_string(::getpid());
   write_new(beside, text);
   if (::rename(beside.c_str(), file.c_str()) != 0) {
@@ -174,6 +181,34 @@ void KeyDirectory::replace(const std::filesystem::path& file, const std::string&
 }
 
 namespace {
+
+/// Who changes a list has it for itself, from reading it on: nobody's change is lost, a key that is forgotten least of
+/// all. Throws Error Unreachable where another one has it for longer than a change takes.
+class Changing {
+ public:
+  explicit Changing(const std::filesystem::path& directory)
+      : directory_(::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {
+    constexpr auto kMost = std::chrono::seconds(5);
+    constexpr auto kAgain = std::chrono::milliseconds(10);
+    if (directory_ < 0) fail("the directory for keys cannot be opened", directory);
+    const auto end = std::chrono::steady_clock::now() + kMost;
+    while (::flock(directory_, LOCK_EX | LOCK_NB) != 0) {
+      if (std::chrono::steady_clock::now() >= end) {
+        ::close(directory_);
+        throw Error(
+            ErrorCode::Unreachable,
+            {.what = "somebody else is changing the lists of keys", .where = directory.string(), .next = "try again"});
+      }
+      std::this_thread::sleep_for(kAgain);
+    }
+  }
+  ~Changing() { ::close(directory_); }
+  Changing(const Changing&) = delete;
+  Changing& operator=(const Changing&) = delete;
+
+ private:
+  const int directory_;
+};
 
 using Words = std::vector<std::string>;
 
@@ -301,6 +336,8 @@ std::vector<KnownHost> KeyDirectory::known() const {
 
 void KeyDirectory::allow(const std::string& name, const std::string& key) const {
   check_name_and_key(name, key);
+  make_directory();
+  const Changing changing(directory_);
   auto entries = read(kHosts, directory_ / kHosts.file);
   const Words added{name, Key::from_text(key)->text()};
   refuse_second(kHosts, entries, added);
@@ -310,6 +347,8 @@ void KeyDirectory::allow(const std::string& name, const std::string& key) const 
 
 void KeyDirectory::allow_console(const std::string& name, const std::string& key, Access level) const {
   check_name_and_key(name, key);
+  make_directory();
+  const Changing changing(directory_);
   auto entries = read(kConsoles, directory_ / kConsoles.file);
   const Words added{name, Key::from_text(key)->text(), access_name(level)};
   std::erase_if(entries, [&added](const Words& one) {
@@ -327,6 +366,8 @@ void KeyDirectory::know(const std::string& name, const std::string& address, con
                                    .expected = "ADDRESS:PORT",
                                    .found = address.substr(0, 80)});
   }
+  make_directory();
+  const Changing changing(directory_);
   auto entries = read(kKnown, directory_ / kKnown.file);
   const Words added{name, address, Key::from_text(key)->text()};
   // Two hosts of one user have one key, so a key may stand here twice.
@@ -336,6 +377,8 @@ void KeyDirectory::know(const std::string& name, const std::string& address, con
 }
 
 void KeyDirectory::forget(const std::string& name) const {
+  make_directory();
+  const Changing changing(directory_);
   std::vector<std::string> names;
   bool found = false;
   for (const List& list : {kHosts, kConsoles, kKnown}) {

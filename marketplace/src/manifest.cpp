@@ -281,8 +281,9 @@ bool comes_before(std::string_view a, std::string_view b) { return rank(a) != ra
 
 std::string_view library_path(std::string_view plugin) {
   constexpr std::string_view kEnding = ".so";
-  const std::size_t ending = plugin.find(kEnding);
-  return ending == std::string_view::npos ? std::string_view{} : plugin.substr(0, ending + kEnding.size());
+  if (plugin.ends_with(kEnding)) return plugin;
+  const std::string_view file = plugin.substr(0, plugin.rfind('/'));
+  return file.size() < plugin.size() && file.ends_with(kEnding) ? file : std::string_view{};
 }
 
 bool is_name(std::string_view text) {

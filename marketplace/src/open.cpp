@@ -117,6 +117,15 @@ void remove_old_packages(const filesystem::path& copy) {
 
 filesystem::path fetch_package(tuf::Client& client, const IndexEntry& entry, const filesystem::path& copy) {
   const tuf::TargetInfo target = client.target(target_path(entry.manifest()));
+  // The keys that people are shown are those of the role of that name, and of nobody else who may sign for the path.
+  if (target.signer != entry.manifest().publisher())
+    throw Error(ErrorCode::BadSignature,
+                ErrorText{.what = "the package was not signed by its publisher",
+                          .where = target.path,
+                          .expected = "a signature of the role '" + entry.manifest().publisher() + "'",
+                          .found = target.signer.empty() ? "one of the marketplace's keeper"
+                                                         : "one of the role '" + target.signer + "'",
+                          .next = "tell the publisher"});
   if (target.length == entry.size()) return client.download(target, copy);
   throw Error(ErrorCode::BadSignature,
               ErrorText{.what = "the marketplace's index and the publisher do not speak of the same package",

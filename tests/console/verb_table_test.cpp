@@ -210,7 +210,7 @@ TEST(Lines, AnUnknownVerbGetsTheNearestNames) {
 
 TEST(Lines, AMissingWordIsNamed) {
   EXPECT_EQ(refusal_of_line("load"),
-            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as INSTANCE] [in GROUP|HOST/GROUP] [at MODE] [with "
+            "column 1: load needs PLUGIN\n  expected: load PLUGIN [as NAME] [in GROUP|HOST/GROUP] [at MODE] [with "
             "RIGHT …] [PARAM=VALUE …]");
 }
 

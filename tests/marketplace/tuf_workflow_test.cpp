@@ -354,6 +354,19 @@ TEST_F(TufDelegations, ADelegatedRoleSpeaksForItsPaths) {
   EXPECT_EQ(trusted_version("acme"), 1);
 }
 
+TEST_F(TufDelegations, WhoHasSignedForATargetIsTold) {
+  sim.delegate("targets", "acme", {"acme/*"});
+  sim.delegate("targets", "other", {"other/*", "acme/nested"});
+  sim.delegate("other", "acme", {"acme/nested"});
+  sim.add_target("acme", "acme/steps", "content");
+  sim.add_target("targets", "acme/by-the-keeper", "content");
+  sim.publish_targets();
+  Client client{options()};
+  client.refresh();
+  EXPECT_EQ(client.target("acme/steps").signer, "acme");
+  EXPECT_EQ(client.target("acme/by-the-keeper").signer, "") << "whose name is no publisher's";
+}
+
 TEST_F(TufDelegations, TheSearchIsPreOrderAndDepthFirst) {
   sim.delegate("targets", "a", {"*"});
   sim.delegate("targets", "d", {"*"});

@@ -51,6 +51,20 @@ inline building::Route aside_through_a_door() {
   return route;
 }
 
+/// North for 10 m to the door of a lift, a metre to where it is taken, and on level 1 on to the north.
+inline building::Route by_a_lift() {
+  using building::Passage;
+  building::Route route;
+  route.points = {{.at = {0, 0}, .level = 0},
+                  {.at = {0, 9.5}, .level = 0},
+                  {.at = {0, 10.5}, .level = 0, .passage = Passage::Door},
+                  {.at = {0, 11}, .level = 0},
+                  {.at = {0, 11}, .level = 1, .passage = Passage::Lift},
+                  {.at = {0, 20}, .level = 1}};
+  route.length_m = 24;
+  return route;
+}
+
 /// East to stairs that lead north, east and back south to level 1, and on to the south.
 inline building::Route up_round_stairs() {
   using building::Passage;

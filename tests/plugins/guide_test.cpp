@@ -132,6 +132,69 @@ TEST(Guide, InTheRoomBesideThePathIsOffIt) {
   EXPECT_TRUE(guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(2.1)).off_path);
 }
 
+TEST(Guide, NobodyArrivesBeforeTheLastDoor) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  plan.plan.doors.push_back({.at = {0, 10}, .level = 0.0, .normal = {0, 1}});
+  building::Route route = through_a_door();
+  route.points.back().at.y_m = 10.9;  // a small room
+  for (const double sigma_m : {0.2, 2.5}) {
+    Guide guide(plan, route, "Room 7", false, at(0));
+    bool arrived = false;
+    for (double y_m = 5, t = 0; y_m < 9.6; y_m += 0.26, t += 0.2) {
+      arrived = arrived || guide.follow({{{0, y_m}, 0}, 0.0, sigma_m}, at(t)).arrived;
+    }
+    EXPECT_FALSE(arrived) << sigma_m;
+    for (double y_m = 9.6, t = 4; y_m < 11.5 && !arrived; y_m += 0.26, t += 0.2) {
+      arrived = guide.follow({{{0, y_m}, 0}, 0.0, sigma_m}, at(t)).arrived;
+    }
+    EXPECT_TRUE(arrived) << sigma_m;
+  }
+}
+
+TEST(Guide, WhoMayBeElsewhereIsToldThatTheyShouldBeNearAndNotSentAway) {
+  const LevelPlan plan;
+  Guide guide(plan, corner(), "Room 7", false, at(0));
+  std::vector<std::string> words;
+  for (double x_m = 10, t = 0; t < 40; x_m = std::min(x_m + 0.26, 20.0), t += 0.2) {
+    const auto advice = guide.follow({{{x_m, 20}, 0}, 90 * kDegree, 3.2}, at(t));
+    EXPECT_FALSE(advice.arrived);
+    if (words.empty() || words.back() != advice.instruction.text()) words.push_back(advice.instruction.text());
+  }
+  EXPECT_EQ(words.back(), "You should be near Room 7. It is not sure where you are.");
+  EXPECT_THAT(words, ::testing::Not(::testing::Contains(::testing::HasSubstr("Turn around"))));
+  EXPECT_TRUE(guide.follow({{{20, 20}, 0}, 90 * kDegree, 3.0}, at(41)).arrived) << "as sure as who tells no covariance";
+}
+
+TEST(Guide, WhoWaitsBeforeALiftsDoorKnowsForWhatAndHearsNothingMore) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  plan.plan.levels.push_back({1.0, 0.0, "First"});
+  Guide guide(plan, world::by_a_lift(), "Room 7", false, at(0));
+  double y_m = 2, t = 0;
+  std::string word;
+  for (; y_m < 8.8; y_m += 0.26, t += 0.2) word = guide.follow({{{0, y_m}, 0}, 0.0, 0.1}, at(t)).instruction.text();
+  EXPECT_EQ(word, "Go through the door. Behind it is the lift to First.");
+  for (const double until = t + 60; t < until; t += 0.2) {
+    const auto advice = guide.follow({{{0, y_m}, 0}, 0.0, 0.1}, at(t));
+    EXPECT_EQ(advice.instruction.text(), word) << t;
+  }
+}
+
+TEST(Guide, WhoRestsOnStairsIsNotSentBack) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  plan.plan.levels.push_back({1.0, 0.0, "First"});
+  Guide guide(plan, world::up_round_stairs(), "Room 7", false, at(0));
+  double t = 0;
+  for (double x_m = 1; x_m < 5; x_m += 0.26, t += 0.2) guide.follow({{{x_m, 0}, 0}, 90 * kDegree, 0.5}, at(t));
+  for (double y_m = 0; y_m < 2; y_m += 0.13, t += 0.2) guide.follow({{{5, y_m}, y_m / 8}, 0.0, 0.5}, at(t));
+  for (const double until = t + 60; t < until; t += 0.2) {
+    const auto advice = guide.follow({{{5, 2}, 0.25}, 0.0, 0.5}, at(t));
+    EXPECT_THAT(advice.instruction.text(), ::testing::Not(::testing::HasSubstr("Turn around"))) << t;
+  }
+}
+
 TEST(Guide, WhoStandsIsToldAgainUnderAnotherNumber) {
   const LevelPlan plan;
   Guide guide(plan, corner(), "Room 7", false, at(0));

@@ -321,6 +321,20 @@ TEST(Maneuvers, ATurnTowardsADoorThatIsNearIsToldWithTheDoor) {
               ::testing::ElementsAre(int{Instruction::TURN}, int{Instruction::DOOR}, int{Instruction::ARRIVE}));
 }
 
+TEST(Maneuvers, StepsToTheSideAndBackAreNoTurn) {
+  const auto turns = [](double aside_m) {
+    building::Route route;
+    for (const building::Point at : {building::Point{0, 0}, {0, 10}, {aside_m, 10}, {aside_m, 20}, {20, 20}})
+      route.points.push_back({at, 0.0});
+    std::vector<double> all_m;
+    for (const Maneuver& one : maneuvers(Path(route)))
+      if (one.kind == Instruction::TURN) all_m.push_back(one.at_m);
+    return all_m;
+  };
+  EXPECT_THAT(turns(1.2), ::testing::ElementsAre(21.2)) << "that at the end alone";
+  EXPECT_THAT(turns(2.0), ::testing::ElementsAre(10.0, 12.0, 22.0));
+}
+
 TEST(Maneuvers, StepsOnOneLevelLeadToNoOther) {
   building::Route route;
   route.points.push_back({.at = {0, 0}, .level = 1});

@@ -23,7 +23,8 @@ namespace {
 using google::protobuf::ServiceDescriptor;
 using Values = std::map<std::string, std::string, std::less<>>;
 
-// C++20 [lex.key] and [lex.digraph]; what protoc renames, or a namespace of that name would hide.
+// C++20 [lex.key] and [lex.digraph]; what protoc renames, or a namespace of that name would hide; targets that CMake
+// has.
 constexpr std::array kTaken{
     "alignas",   "alignof",  "and",       "asm",       "auto",      "bitand",   "bitor",    "bool",      "break",
     "case",      "catch",    "char",      "class",     "compl",     "concept",  "const",    "consteval", "constexpr",
@@ -34,7 +35,8 @@ constexpr std::array kTaken{
     "signed",    "sizeof",   "static",    "struct",    "switch",    "template", "this",     "throw",     "true",
     "try",       "typedef",  "typeid",    "typename",  "union",     "unsigned", "using",    "virtual",   "void",
     "volatile",  "while",    "xor",       "std",       "fiona",     "google",   "testing",  "test",      "main",
-    "plugin",    "params",   "component", "linux",     "unix"};
+    "plugin",    "params",   "component", "linux",     "unix",      "all",      "help",     "install",   "preinstall",
+    "clean"};
 
 std::string with_underscores(std::string_view name) {
   std::string text(name);

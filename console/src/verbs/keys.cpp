@@ -72,7 +72,10 @@ void keys(Session& session, const Line& line) {
   if (what == "make")
     return session.out.done(fmt::format("made the key pair of this user's hosts and consoles; others are given {}",
                                         keys.make().open.text()));
-  if (what == "show") return session.out.text(keys.pair().open.text());
+  if (what == "show") {
+    const std::string key = keys.pair().open.text();
+    return session.out.manner.json ? session.out.done(key, {{"key", key}}) : session.out.text(key);
+  }
   if (what == "allow") return allow(session, keys, line);
   if (what == "know") {
     keys.know(line.positional[1].text, line.positional[2].text, line.positional[3].text);

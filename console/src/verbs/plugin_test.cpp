@@ -119,6 +119,7 @@ std::string fault_in_host(Session& session, const fs::path& library, const fiona
       run_child(session.reactor, {.program = sibling_program("fiona").string(),
                                   .arguments = {"run", file.string(), "--headless", "-q"},
                                   .environment = {{"XDG_RUNTIME_DIR", (directory.path() / "run").string()},
+                                                  {"XDG_STATE_HOME", (directory.path() / "run").string()},
                                                   {"FIONA_STORE", store_of(session).directory().string()}},
                                   .deadline = std::chrono::steady_clock::now() + kHostRun,
                                   .on_err = keep});

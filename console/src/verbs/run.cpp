@@ -168,7 +168,7 @@ class StartedHost {
   }
   /// Waits for it, and connects to it. False: it does not come back.
   bool reconnect() {
-    session_.disconnect();
+    session_.lose_host();
     while (comes_back()) {
       session_.reactor.run_until([] { return false; }, std::chrono::steady_clock::now() + kRetryPeriod);
       if (!answers(launch_.socket)) continue;

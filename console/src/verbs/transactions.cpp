@@ -38,6 +38,10 @@ Batch collected(Session& session, const Run& run) {
 bool composes(const Line& line) {
   const std::string& name = line.verb.text;
   if (name == "begin" || name == "commit") return false;  // the whole file is one transaction
+  if (name == "abort")
+    throw line.error(line.verb,
+                     {.what = "'abort' drops what the lines since 'begin' have asked for, and all of a file is applied",
+                      .next = "take these lines out; or: source FILE"});
   const Verb& verb = *find_verb(line.verb.text);
   if (verb.access == Access::Observe && verb.in_transaction) return false;
   if (verb.in_transaction) return true;
@@ -77,7 +81,7 @@ void come_back(Session& session, const Endpoint& endpoint) {
   const auto pause = [&session] {
     session.reactor.run_until([] { return false; }, std::chrono::steady_clock::now() + kRetryPeriod);
   };
-  for (session.disconnect(); !session.connected(); pause()) {
+  for (session.lose_host(); !session.connected(); pause()) {
     try {
       if (endpoint.remote || answers(endpoint.socket)) session.connect(endpoint);
     } catch (const Error&) {  // it is not there yet
@@ -101,7 +105,7 @@ control::System after_trial(Session& session, const Endpoint& endpoint, double t
       if (system.taken_back() || now >= *end) return system;
       session.reactor.run_until([&session] { return !session.connected(); }, *end);
     } catch (const Error&) {  // it has ended meanwhile; where nobody follows, that is what is told
-      session.disconnect();
+      session.lose_host();
     }
   }
 }
@@ -181,7 +185,8 @@ void plan(Session& session, const Line& line) {
       const Verb& verb = *find_verb(inner.verb.text);
       const bool looks = verb.access == Access::Observe;
       const bool alone = inner.verb.text == "upgrade";  // no part of a transaction, but its change can be planned
-      if (!looks && !alone && !verb.in_transaction)
+      const bool bounds = inner.verb.text == "begin" || inner.verb.text == "commit" || inner.verb.text == "abort";
+      if (bounds || (!looks && !alone && !verb.in_transaction))
         throw line.error(inner.verb, {.what = fmt::format("'{}' is no change of the system: there is nothing to plan",
                                                           inner.verb.text),
                                       .expected = "a line that load, wire, set, apply, undo, market … begins",

@@ -179,7 +179,11 @@ struct Client::State {
       to_visit.pop_back();
       if (!visited.insert(next.role).second) continue;
       const Targets& targets = role(next.role, next.delegator);
-      if (const auto found = targets.targets.find(path); found != targets.targets.end()) return found->second;
+      if (const auto found = targets.targets.find(path); found != targets.targets.end()) {
+        TargetInfo target = found->second;
+        target.signer = next.delegator == kTargets ? next.role : std::string();
+        return target;
+      }
       std::vector<Visit> children;
       for (const Delegation& delegation : targets.delegations) {
         if (!delegation.covers(path)) continue;

@@ -120,7 +120,10 @@ void SmartBluetoothLocalization::on_orientation(const Received<localisation::Com
   newest_orientation_ = orientation;
 }
 
-void SmartBluetoothLocalization::on_map_change(const Fired<navigation::LevelMapVersion>&) { map_wanted_ = true; }
+void SmartBluetoothLocalization::on_map_change(const Fired<navigation::LevelMapVersion>& change) {
+  told_version_ = change->version();
+  map_wanted_ = true;
+}
 
 Async<> SmartBluetoothLocalization::look_for_map() {
   if (!change_told_ && map_change_.connection() == Connection::Connected) {
@@ -129,12 +132,14 @@ Async<> SmartBluetoothLocalization::look_for_map() {
     change_told_ = activated.outcome() == Outcome::Ok;
   }
   if (!map_wanted_ || map_.connection() != Connection::Connected) co_return;
+  told_version_.reset();
   const auto answer = co_await map_.query({});
   if (!answer) {
     log(LogLevel::Warning, "the level map was not told: " + std::string(answer.reason()));
     co_return;
   }
-  map_wanted_ = false;
+  // One that has changed on the way is asked for again.
+  map_wanted_ = told_version_ && *told_version_ != (*answer)->version();
   use(*answer);
 }
 

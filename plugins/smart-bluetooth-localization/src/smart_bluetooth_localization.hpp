@@ -89,6 +89,7 @@ class SmartBluetoothLocalization final : public Component {
   beacons::Validity validity_ = beacons::Validity::NoEvidence;
   std::uint64_t unknown_readings_ = 0, old_readings_ = 0;
   bool map_wanted_ = true, change_told_ = false;
+  std::optional<std::uint64_t> told_version_{};  ///< of a map that has changed since it was asked for
 };
 
 }  // namespace fiona::smart_bluetooth_localization

@@ -78,12 +78,11 @@ Guide::Advice Guide::follow(const Walker& walker, TimePoint now) {
 /// Who does not do what they were told is told again, of an earlier door, or to go back a little: on the move they are
 /// found better.
 Word Guide::choose(Situation& here, bool arrived) {
-  constexpr auto kRepeat = 5s;       // to who does not move
-  constexpr double kInLift_m = 1.0;  // so near to where a lift is taken one waits, as in its cabin
+  constexpr auto kRepeat = 5s;  // to who does not move
   constexpr auto kTurnsBack = 4s;
   Word word{arrived ? Phase::Arrived : phase_of(here), here.next, told_.last() ? told_.last()->repeated : 0};
   const bool is_same = told_.last() == word;
-  const bool waits = here.maneuver().kind == Instruction::LIFT && here.at_m > here.maneuver().at_m - kInLift_m;
+  const bool waits = here.waits() || word.phase == Phase::Near;
   const bool stays = is_same && here.now - std::max(here.moved_at, told_.since()) > kRepeat && !arrived && !waits;
   // Whatever they have been told meanwhile.
   const bool is_stuck = here.gets_nowhere && here.stands && !waits;
@@ -103,7 +102,9 @@ Word Guide::choose(Situation& here, bool arrived) {
 Phase Guide::phase_of(const Situation& here) {
   constexpr double kReach_m = 3.0;  // off the way to it
   const Maneuver& next = here.maneuver();
+  constexpr double kNearEnd_m = 2.0, kNoMoreNear_m = 4.0;
   if (starts(here)) return Phase::Start;
+  if (here.is_near_end(told_.was(Phase::Near) ? kNoMoreNear_m : kNearEnd_m)) return Phase::Near;
   if (next.changes_level() && here.at_m > next.at_m - 0.3) return Phase::Now;
   // A door that is further than it is told to be is not gone through now.
   const bool out_of_reach = next.is_door() && here.to_spot_m() > here.to_next_m() + kReach_m;
@@ -251,18 +252,19 @@ Instruction Guide::instruction(Phase phase, const Situation& here) const {
   const Maneuver& next = here.maneuver();
   const bool is_here = leads_to_path(phase) || phase == Phase::Start || phase == Phase::Arrived;
   Instruction made;
-  made.set_kind(phase == Phase::Arrived ? Instruction::ARRIVE
-                : phase == Phase::Start ? Instruction::START
-                : leads_to_path(phase)  ? Instruction::TURN
-                : phase == Phase::Ahead ? Instruction::CONTINUE
-                                        : next.kind);
+  made.set_kind(phase == Phase::Arrived                         ? Instruction::ARRIVE
+                : phase == Phase::Start                         ? Instruction::START
+                : leads_to_path(phase)                          ? Instruction::TURN
+                : phase == Phase::Ahead || phase == Phase::Near ? Instruction::CONTINUE
+                                                                : next.kind);
   made.set_distance(phase == Phase::Join ? here.off_m : is_here ? 0.0 : here.to_next_m());
   made.set_hour(hour(phase, here));
   made.set_level(path_.place(is_here ? here.at_m : next.at_m).level);
   made.set_language("en");
   if (phase != Phase::Now && phase != Phase::Announced) return made;
   if (next.to_level) made.set_to_level(*next.to_level);
-  if (const auto turn_rad = here.then_rad()) made.set_then_hour(hour_of(*turn_rad));
+  const auto turn_rad = here.then_rad();
+  if (turn_rad && hour_of(*turn_rad) != NextTurn::HOUR_12) made.set_then_hour(hour_of(*turn_rad));
   return made;
 }
 
@@ -292,13 +294,18 @@ std::string Guide::words(Phase phase, const Instruction& told, const Situation& 
              : is_straight ? "Go straight on to the path."
                            : "Turn " + direction + " to the path.";
     case Phase::Join: return "Turn " + direction + " now.";
+    case Phase::Near: return "You should be near " + destination_ + ". It is not sure where you are.";
     case Phase::Ahead:
       return next.kind == Instruction::ARRIVE ? "Go on for " + far + " to " + destination_ + "."
                                               : "Go straight on for " + far + ".";
     default: break;
   }
-  return maneuver_words(plan_.plan, next, told.hour(), path_.place(next.at_m).level,
-                        phase == Phase::Now ? std::nullopt : std::optional(here.to_next_m()), told.then_hour());
+  const std::string todo =
+      maneuver_words(plan_.plan, next, told.hour(), path_.place(next.at_m).level,
+                     phase == Phase::Now ? std::nullopt : std::optional(here.to_next_m()), told.then_hour());
+  // Who waits at its door is to know that it is a lift.
+  if (!here.is_lift_door()) return todo;
+  return todo + " Behind it is the lift to " + level_words(plan_.plan, *maneuvers_[here.next + 1].to_level) + ".";
 }
 
 std::string Guide::whole_way() const { return "To " + destination_ + ", " + metres(path_.route().length_m); }

@@ -62,6 +62,9 @@ class RouteReader {
         found_.push_back({Instruction::TURN, path_.at_m(i), path_.at_m(last), out, std::nullopt});
         before_ = out;
         i = last + 1;
+      } else if (before_ != Point{} && std::abs(clockwise_rad(before_, direction(i))) > kTurn_rad) {
+        before_ = out;  // to the side and back within a step or two: on the whole it goes straight on
+        i = last + 1;
       } else {
         before_ = direction(i);
         ++i;

@@ -39,6 +39,8 @@ constexpr const char* kNotSure =
 /// Without a compass the course tells where a person looks: over so much way, and for so long.
 constexpr double kCourse_m = 1.0;
 constexpr auto kCourseFor = 4s;
+constexpr double kFastest_mps = 4.0;  // who is faster was elsewhere before
+constexpr auto kLevelHolds = 10s;
 constexpr int kMostWaypoints = 4096;
 /// 95 % of two dimensions lie within so many standard deviations.
 constexpr double kRegionSigmas = 2.4477;
@@ -47,10 +49,11 @@ bool is_same(const building::RouteOptions& a, const building::RouteOptions& b) {
   return a.stairs == b.stairs && a.lift == b.lift && a.outdoors == b.outdoors && a.access == b.access;
 }
 
-/// Unknown is no certainty: as wide as a region is in which the place is just not told to be uncertain.
+/// Unknown is no certainty: as wide as a region is in which the place is just not told to be uncertain, and in which
+/// one can just arrive.
 Covariance covariance_of(const localisation::CommPosition& position, double uncertain_radius_m) {
   if (position.confidence_size() != 9) {
-    const double variance_m2 = std::pow(uncertain_radius_m / kRegionSigmas, 2);
+    const double variance_m2 = std::pow(std::min(uncertain_radius_m / kRegionSigmas, Situation::kMostThere_m), 2);
     return {variance_m2, 0.0, variance_m2};
   }
   return {std::max(0.0, position.confidence(0)), position.confidence(1), std::max(0.0, position.confidence(4))};
@@ -81,7 +84,9 @@ void Navigation::on_destination(const navigation::CommDestination& wish) {
   trip_ = Trip{.number = ++trips_, .wish = wish};
   plan_due_at_ = now();
   ask_for(wish.user_name(), wish.session());
-  said_.Clear();  // who asks again is answered again
+  // Who asks again is answered again; until there is a way, what led to the last destination holds no more.
+  if (std::exchange(said_, {}).kind() != Instruction::KIND_UNSPECIFIED) instructions_.put(said_);
+  turn_.put(hmi::NextTurn());
   const bool is_told_of_changes = watches_ && change_.connection() == Connection::Connected;
   if (!is_told_of_changes) map_due_at_ = now();
 }
@@ -394,12 +399,13 @@ void Navigation::end_guidance() {
 void Navigation::on_location(const Received<localisation::CommLocation>& told) {
   if (!told->is_valid() || !told->position().is_valid()) return;
   localisation::CommLocation location = *told;
+  if (!knows_level(*location.mutable_position())) return;
   move_to_map(*location.mutable_position());
   const localisation::CommPosition& position = location.position();
   const building::Point at{position.x(), position.y()};
   const Covariance covariance = covariance_of(position, params_->uncertain_radius());
   const ShownPosition::Shown shown = blender_.follow({at, position.z()}, covariance, now());
-  note_heading(location);
+  note_heading(location, shown.blending);
   std::optional<double> heading = course_rad_;
   if (location.orientation().is_valid()) {
     // Yaw goes counter-clockwise from magnetic north.
@@ -416,9 +422,29 @@ void Navigation::on_location(const Received<localisation::CommLocation>& told) {
   tell_passed_points();
 }
 
-void Navigation::note_heading(const localisation::CommLocation& location) {
+/// A place whose level is not told is on the last one that was, for a while.
+bool Navigation::knows_level(localisation::CommPosition& position) {
+  if (position.has_z()) {
+    level_told_ = now();
+    return true;
+  }
+  if (!std::exchange(told_of_level_, true))
+    log(LogLevel::Warning, "the location tells no level: nobody is led by that");
+  if (!walker_ || !level_told_ || now() - *level_told_ > kLevelHolds) return false;
+  position.set_z(walker_->place.level);
+  return true;
+}
+
+/// Where a place leaps nobody walks.
+void Navigation::note_heading(const localisation::CommLocation& location, bool leaps) {
   const Point at{location.position().x(), location.position().y()};
-  if (!course_from_ || now() - course_from_->second > kCourseFor) {
+  if (course_from_ && !leaps) {
+    const double way_m = length_m(at - course_from_->first);
+    leaps = way_m > kCourse_m && way_m > kFastest_mps * to_seconds(now() - course_from_->second);
+  }
+  if (leaps) {
+    course_from_ = {at, now()};
+  } else if (!course_from_ || now() - course_from_->second > kCourseFor) {
     if (course_from_) course_rad_.reset();
     course_from_ = {at, now()};
   } else if (const Point way = at - course_from_->first; length_m(way) > kCourse_m) {

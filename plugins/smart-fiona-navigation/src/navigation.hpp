@@ -76,7 +76,8 @@ class Navigation final : public Component {
   bool is_trip(std::uint64_t number) const { return trip_ && trip_->number == number; }
   bool is_due(const std::optional<TimePoint>& at) const { return at && now() >= *at; }
 
-  void note_heading(const localisation::CommLocation& location);
+  bool knows_level(localisation::CommPosition& position);
+  void note_heading(const localisation::CommLocation& location, bool leaps);
   void lead();
   void tell_passed_points();
   void say_again();
@@ -135,6 +136,8 @@ class Navigation final : public Component {
   TimePoint located_{};
   std::optional<localisation::CommLocation> last_shown_;
   TimePoint shown_at_{};
+  std::optional<TimePoint> level_told_{};
+  bool told_of_level_ = false;
   TimePoint shown_origin_{};  ///< of what is shown
   bool uncertain_ = false;
   std::optional<std::pair<building::Point, TimePoint>> course_from_;

@@ -25,13 +25,34 @@ bool Situation::is_in_front_of(const Maneuver& door) const {
 
 bool Situation::has_arrived() const {
   constexpr double kThere_m = 1.5;
-  constexpr double kMostThere_m = 3.0;
-  // Nobody has arrived who may be elsewhere.
   if (walker.sigma_m > kMostThere_m) return false;
   const PathPoint end = path.place(path.end_m());
+  // Who has not gone through the last door yet is led on.
+  const bool is_last = maneuver().kind == Instruction::ARRIVE;
+  if (!is_last && plan.behind_door(walker.place.at, end.at, end.level)) return false;
   const double there_m = std::clamp(walker.sigma_m, kThere_m, kMostThere_m);
   return distance_m(walker.place.at, end.at) <= there_m && std::abs(walker.place.level - end.level) < 0.3 &&
          !plan.walled(walker.place.at, end.at, end.level);
+}
+
+bool Situation::waits() const {
+  constexpr double kInLift_m = 1.0;  // so near to where a lift is taken one waits, as in its cabin
+  const Maneuver& todo = maneuver();
+  if (todo.kind == Instruction::LIFT) {
+    const bool has_door = next > 0 && is_lift_door(next - 1);
+    return at_m > (has_door ? maneuvers[next - 1].at_m : todo.at_m) - kInLift_m;
+  }
+  return is_lift_door() ? at_m > todo.at_m - kInLift_m : todo.changes_level() && at_m > todo.at_m;
+}
+
+bool Situation::is_lift_door(std::size_t index) const {
+  if (index + 1 >= maneuvers.size() || !maneuvers[index].is_door()) return false;
+  const Maneuver& behind = maneuvers[index + 1];
+  return behind.kind == Instruction::LIFT && behind.at_m - maneuvers[index].end_m <= kNow_m;
+}
+
+bool Situation::is_near_end(double within_m) const {
+  return maneuver().kind == Instruction::ARRIVE && to_next_m() < within_m && walker.sigma_m > kMostThere_m;
 }
 
 bool Situation::is_close_to_other_level() const {

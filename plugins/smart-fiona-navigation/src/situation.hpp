@@ -31,6 +31,8 @@ struct Situation {
   static constexpr double kAlong_rad = 30.0 * kDegree;
   static constexpr double kBeside_m = 1.2;  ///< who is further from a turn, a door or stairs has missed them
   static constexpr double kNow_m = 2.0;     ///< from there on something is to be done now
+  /// Nobody has arrived whose place is less sure: they may be elsewhere.
+  static constexpr double kMostThere_m = 3.0;
 
   const LevelPlan& plan;
   const Path& path;
@@ -59,6 +61,14 @@ struct Situation {
   bool is_in_front_of(const Maneuver& door) const;
   bool has_arrived() const;
 
+  /// From where on one who does nothing does what they were told: they wait for a lift, also before its door, or are on
+  /// their way to another level.
+  bool waits() const;
+  /// The next maneuver is the door of a lift.
+  bool is_lift_door() const { return is_lift_door(next); }
+  /// The end of the way is near, by a place that is not sure enough for it.
+  bool is_near_end(double within_m) const;
+
   /// Right behind the next maneuver there are stairs or a lift.
   bool is_close_to_other_level() const;
   /// The turn right behind the next maneuver, or to the door there, clockwise from how one arrives.
@@ -70,6 +80,9 @@ struct Situation {
   bool looks_elsewhere(building::Point direction) const;
   /// Whether a wall of the walker's level stands between two places.
   bool walled(building::Point a, building::Point b) const;
+
+ private:
+  bool is_lift_door(std::size_t index) const;
 };
 
 }  // namespace fiona::guidance

@@ -11,7 +11,7 @@ namespace fiona::guidance {
 
 /// What a walker is told of: how to begin, to come to the path, to turn along it or to go back a little; what is ahead,
 /// by how near it is; that they are there.
-enum class Phase { Start, Align, Join, Back, Ahead, Announced, Now, Arrived };
+enum class Phase { Start, Align, Join, Back, Ahead, Announced, Now, Near, Arrived };
 
 /// What an instruction's number stands for: while it holds, only distance and hour change.
 struct Word {

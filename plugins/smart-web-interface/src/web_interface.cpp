@@ -163,7 +163,8 @@ void WebInterface::on_instruction(const Received<hmi::Instruction>& instruction)
 }
 
 void WebInterface::on_map_change(const Fired<navigation::LevelMapVersion>& change) {
-  if (change->version() != map_version_) map_version_ = 0;
+  told_version_ = change->version();
+  if (*told_version_ != map_version_) map_version_ = 0;
 }
 
 /// What a guide has said that is gone holds no more, not even once it is back.
@@ -207,13 +208,15 @@ Async<> WebInterface::look_for_map() {
 }
 
 Async<> WebInterface::fetch_map() {
+  told_version_.reset();
   const auto map = co_await levels_.query({}, kDeadline);
   map_fault_ = map ? "" : map.outcome() == Outcome::Rejected ? first_line(map.reason()) : "it does not answer";
   if (!map) co_return;
-  map_version_ = (*map)->version();
+  // One that has changed on the way is asked for again.
+  map_version_ = told_version_ && *told_version_ != (*map)->version() ? 0 : (*map)->version();
   map_ = std::make_shared<const std::string>(map_json(**map));
   // In words: JavaScript's numbers end at 2^53.
-  board_.set("map", text_of({{"version", std::to_string(map_version_)}}));
+  board_.set("map", text_of({{"version", std::to_string((*map)->version())}}));
 }
 
 void WebInterface::on_call(ApiCall call, std::string from, Answer respond) {

@@ -109,9 +109,10 @@ class WebInterface final : public Component {
   std::unique_ptr<PageSessions> pages_;
   std::unique_ptr<LocalAuthority> authority_;  ///< null where only this machine is served
   std::unique_ptr<WebServer> server_;
-  std::shared_ptr<const std::string> map_;  ///< as JSON; null: there is none yet
-  std::uint64_t map_version_ = 0;           ///< 0: it is to be asked for
-  std::string map_fault_;                   ///< why the newest request for it gave none
+  std::shared_ptr<const std::string> map_;       ///< as JSON; null: there is none yet
+  std::uint64_t map_version_ = 0;                ///< 0: it is to be asked for
+  std::optional<std::uint64_t> told_version_{};  ///< of a map that has changed since it was asked for
+  std::string map_fault_;                        ///< why the newest request for it gave none
   std::optional<ActivationId> activation_;
   std::optional<std::pair<TimePoint, control::System>> system_;  ///< as it was a moment ago
 };

@@ -91,6 +91,7 @@ class KeyDirectory {
 
  private:
   std::filesystem::path pair_file() const { return directory_ / "host.key"; }
+  void make_directory() const;
   void replace(const std::filesystem::path& file, const std::string& text) const;
 
   const std::filesystem::path directory_;

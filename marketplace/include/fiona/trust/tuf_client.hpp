@@ -33,6 +33,7 @@ struct TargetInfo {
   std::uint64_t length = 0;                   ///< bytes
   std::map<std::string, std::string> hashes;  ///< lower-case hexadecimal digest by algorithm, at least one known here
   std::string custom;                         ///< JSON, or empty
+  std::string signer{};  ///< the role that has signed for it, where the top one delegates to that itself; else empty
 };
 
 /// Where files come from. Tests bring their own.
