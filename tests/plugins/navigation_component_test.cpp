@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -267,6 +268,55 @@ TEST(Navigation, WhoWasLostWhereThereIsNoWayHearsAgainThatThereIsNone) {
   EXPECT_EQ(led.last().kind(), Instruction::LOST);
   led.stand(location(5, 6, 0));
   EXPECT_EQ(led.last().kind(), Instruction::NO_PATH) << "and does not stop and wait for ever";
+}
+
+TEST(Navigation, HoursAreThoseInFrontOfThePersonHoweverTheyHoldTheDevice) {
+  constexpr double kDegree = std::numbers::pi / 180.0;
+  for (const double rises_deg : {0.0, 30.0, 60.0, 90.0, 100.0}) {
+    // Who looks east. Beyond the vertical the top points back, and the screen to the ground.
+    const bool is_beyond = rises_deg > 90;
+    CommLocation here = location(5, 6, 0, is_beyond ? 270 : 90);
+    here.mutable_orientation()->set_pitch(2 * std::numbers::pi - (is_beyond ? 180 - rises_deg : rises_deg) * kDegree);
+    here.mutable_orientation()->set_roll(is_beyond ? std::numbers::pi : 0.0);
+    Led led;
+    led.stand(here);
+    led.go_to(destination(9.5, 6, 0));
+    led.stand(here);
+    const auto said = led.said();
+    ASSERT_FALSE(said.empty());
+    EXPECT_EQ(said.back().hour(), hmi::NextTurn::HOUR_12) << rises_deg << ": " << said.back().text();
+  }
+}
+
+TEST(Navigation, AMotionFasterThanPeopleWalkIsNoCourse) {
+  Led led;
+  const auto without_compass = [](double x) {
+    CommLocation told = location(x, 6, 0, 0, 0.5);
+    told.mutable_orientation()->set_is_valid(false);
+    return told;
+  };
+  led.stand(without_compass(5));
+  led.go_to(destination(9.5, 6, 0));
+  for (double x = 5; x < 8; x += 0.26) led.stand(without_compass(x), 200ms);
+  led.said();
+  led.stand(without_compass(5.4), 200ms);  // a leap back
+  for (const auto& one : led.said()) EXPECT_THAT(one.text(), ::testing::Not(HasSubstr("Turn around")));
+}
+
+TEST(Navigation, APlaceWithoutALevelIsOnTheLastOneForAWhile) {
+  Led led;
+  CommLocation flat = location(5, 6, 0);
+  flat.mutable_position()->clear_z();
+  led.stand(flat);
+  led.go_to(destination(9.5, 6, 0));
+  led.stand(flat);
+  EXPECT_THAT(led.said().back().text(), HasSubstr("Your place is not known yet")) << "nobody has told a level";
+  led.stand(location(5, 6, 0));
+  led.said();
+  led.stand(flat);
+  for (const auto& one : led.said()) EXPECT_THAT(one.text(), ::testing::Not(HasSubstr("not known")));
+  led.stand(flat, 12s);
+  EXPECT_THAT(led.said().back().text(), HasSubstr("Your place is not known any more"));
 }
 
 TEST(Navigation, WhoAsksAgainIsAnsweredAgain) {

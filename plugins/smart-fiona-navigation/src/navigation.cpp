@@ -59,6 +59,22 @@ Covariance covariance_of(const localisation::CommPosition& position, double unce
   return {std::max(0.0, position.confidence(0)), position.confidence(1), std::max(0.0, position.confidence(4))};
 }
 
+/// Where who holds the device looks, counter-clockwise from magnetic north: to where its top points, or, as it is held
+/// upright and the top points to the ceiling, its back; between 45 and 70 degrees something of both. Of an attitude
+/// that turns by yaw, pitch and roll (CommOrientation).
+double looks_rad(const localisation::CommOrientation& orientation) {
+  constexpr double kTop_deg = 45.0, kBack_deg = 70.0;
+  const double cy = std::cos(orientation.yaw()), sy = std::sin(orientation.yaw());
+  const double cp = std::cos(orientation.pitch()), sp = std::sin(orientation.pitch());
+  const double cr = std::cos(orientation.roll()), sr = std::sin(orientation.roll());
+  const Point top{cy * cp, sy * cp};
+  const Point back{-cy * cr * sp - sy * sr, -sy * cr * sp + cy * sr};
+  const double rises_deg = std::asin(std::clamp(-sp, -1.0, 1.0)) * 180.0 / std::numbers::pi;
+  const double upright = std::clamp((rises_deg - kTop_deg) / (kBack_deg - kTop_deg), 0.0, 1.0);
+  const Point ahead = top * (1.0 - upright) + back * upright;
+  return std::atan2(ahead.y_m, ahead.x_m);
+}
+
 /// Why a call to another component gave nothing.
 template <class T>
 std::string reason_of(const Result<T>& result) {
@@ -408,8 +424,7 @@ void Navigation::on_location(const Received<localisation::CommLocation>& told) {
   note_heading(location, shown.blending);
   std::optional<double> heading = course_rad_;
   if (location.orientation().is_valid()) {
-    // Yaw goes counter-clockwise from magnetic north.
-    heading = declination_rad_ - location.orientation().yaw();
+    heading = declination_rad_ - looks_rad(location.orientation());
   }
   // What is shown moves over; guidance is to know at once.
   walker_ = Walker{{at, position.z()}, heading, covariance.sigma_m()};
