@@ -162,10 +162,10 @@ void Session::run(const Line& line) {
   } catch (const Error& error) {
     reactor.take_signal();  // what it has cut short is no failure
     rethrow_at(line, error);
-  } catch (const Interrupted&) {
-    throw;
-  } catch (const std::exception& problem) {  // of the standard library: a path that it refuses, for one
-    throw line.error(line.verb, {.what = problem.what(), .next = "help " + line.verb.text}, ErrorCode::Failed);
+  } catch (const std::filesystem::filesystem_error& problem) {  // of a path that cannot even be looked at
+    throw line.error(line.verb,
+                     {.what = problem.code().message(), .found = problem.path1().string(), .next = "give another path"},
+                     ErrorCode::Failed);
   }
 }
 
