@@ -166,7 +166,7 @@ class Exhaustion : public testing::Test {
     EXPECT_GT(crowd->size(), kFew) << "more than it could take";
     const std::uint64_t before = heard(console);
     const double share = share_of_cpu(listener != 0 ? listener : process, std::chrono::seconds(kStays_s));
-    EXPECT_LE(share, kShare) << "of one core, with 200 messages a second on it";
+    EXPECT_LE(share, allowed(kShare, kInFull)) << "of one core, with 200 messages a second on it";
     EXPECT_GT(heard(console), before + 50 * kStays_s) << "the wire goes on";
     crowd.reset();
     expect_answer(answers, share);
