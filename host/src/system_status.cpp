@@ -147,7 +147,9 @@ void System::complete_status(control::InstanceStatus& status) const {
   if (const auto standby = standbys_.find(status.name()); standby != standbys_.end())
     status.set_stands_by(standby->second.made.package->version);
   *status.mutable_rights() = {known.rights.begin(), known.rights.end()};
-  status.set_mode_at_load(known.mode_at_load);
+  // Of one that is away the mode that was asked for last would be lost to who saves the system: it is loaded at that.
+  const bool is_elsewhere = status.mode() == kModeFailed && known.mode != known.mode_after_load();
+  status.set_mode_at_load(is_elsewhere ? known.mode : known.mode_at_load);
   status.set_comment(known.comment);
   if (known.package->origin == Package::Origin::Path) status.set_library(known.package->library.string());
   for (auto& p : *status.mutable_ports()) {
