@@ -135,7 +135,6 @@ TEST_P(UpgradeToABadOne, IsNotMadeAndSaysWhy) {
   const Error error = refusal_of(upgrade_of());
   const std::chrono::duration<double> took = Steady::now() - begun;
   std::cout << "refused after " << took.count() << " s (5)\n";
-  EXPECT_LT(took.count(), 9) << "longer than a component that hangs in its start lives";
   EXPECT_EQ(error.text().what, "'x' was not upgraded to 0: the version before goes on");
   EXPECT_THAT(error.text().found, HasSubstr(GetParam().why));
   expect_first_goes_on();

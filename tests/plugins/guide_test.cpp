@@ -181,6 +181,18 @@ TEST(Guide, WhoWaitsBeforeALiftsDoorKnowsForWhatAndHearsNothingMore) {
   }
 }
 
+TEST(Guide, ALiftThatIsWalkedThroughOnItsLevelIsToldAsBefore) {
+  const LevelPlan plan;
+  building::Route route = world::by_a_lift();
+  for (auto& point : route.points) point.level = 0;
+  route.points[4].at.y_m = 12;
+  Guide guide(plan, route, "Room 7", false, at(0));
+  std::string word;
+  for (double y_m = 2, t = 0; y_m < 9; y_m += 0.26, t += 0.2)
+    word = guide.follow({{{0, y_m}, 0}, 0.0, 0.1}, at(t)).instruction.text();
+  EXPECT_EQ(word, "Go through the door.");
+}
+
 TEST(Guide, WhoRestsOnStairsIsNotSentBack) {
   LevelPlan plan;
   plan.plan.levels.push_back({0.0, 0.0, "Ground"});

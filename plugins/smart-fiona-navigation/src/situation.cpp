@@ -48,7 +48,8 @@ bool Situation::waits() const {
 bool Situation::is_lift_door(std::size_t index) const {
   if (index + 1 >= maneuvers.size() || !maneuvers[index].is_door()) return false;
   const Maneuver& behind = maneuvers[index + 1];
-  return behind.kind == Instruction::LIFT && behind.at_m - maneuvers[index].end_m <= kNow_m;
+  // One that is walked through on its level leads nowhere.
+  return behind.kind == Instruction::LIFT && behind.to_level && behind.at_m - maneuvers[index].end_m <= kNow_m;
 }
 
 bool Situation::is_near_end(double within_m) const {

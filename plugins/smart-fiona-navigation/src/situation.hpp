@@ -64,7 +64,7 @@ struct Situation {
   /// From where on one who does nothing does what they were told: they wait for a lift, also before its door, or are on
   /// their way to another level.
   bool waits() const;
-  /// The next maneuver is the door of a lift.
+  /// The next maneuver is the door of a lift to another level.
   bool is_lift_door() const { return is_lift_door(next); }
   /// The end of the way is near, by a place that is not sure enough for it.
   bool is_near_end(double within_m) const;
