@@ -95,6 +95,8 @@ class Model {
   std::vector<std::pair<control::PortName, control::PortName>> replaced_by(const control::Replace& swap) const;
   /// The provider's port fits the client's; throws Error WiringInvalid naming both services and who would fit.
   void require_fit(const control::PortName& client, const control::PortName& provider) const;
+  /// Whether an instance that is here could not be loaded while the client has this wire, which waits for its name.
+  bool keeps_out(const PortKey& client, const Wire& wire) const;
 
   /// The fewest steps that lead from one system to another, in an order in which they can be made.
   static std::vector<control::Change> difference(const Model& from, const Model& to);

@@ -71,6 +71,14 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
   for (auto it = leaving.rbegin(); it != leaving.rend(); ++it)
     steps.emplace_back().mutable_unload()->set_instance(it->second);
   if (from.clock_ != to.clock_) steps.push_back(to.clock_.change_from(from.clock_));
+  // A wire that waits for a name keeps out who has it and does not fit: it goes before that one comes.
+  std::set<PortKey> rewired;
+  for (const auto& [client, wire] : from.wires_) {
+    const auto next = to.wires_.find(client);
+    if (!kept.contains(client.first) || next == to.wires_.end() || !to.keeps_out(client, wire)) continue;
+    steps.push_back(next->second.change_for(client));
+    rewired.insert(client);
+  }
   for (const auto& [order, name] : coming) *steps.emplace_back().mutable_load() = to.load_of(name);
   for (const auto& name : kept) {
     if (auto change = parameters_between(from, to, name)) steps.push_back(std::move(*change));
@@ -78,7 +86,7 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
   for (const auto& [client, wire] : to.wires_) {
     const auto old = from.wires_.find(client);
     const bool there = kept.contains(client.first) && old != from.wires_.end() && old->second == wire;
-    if (!there) steps.push_back(wire.change_for(client));
+    if (!there && !rewired.contains(client)) steps.push_back(wire.change_for(client));
   }
   for (const auto& [name, one] : to.instances_) {
     if (one->led) continue;

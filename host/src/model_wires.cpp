@@ -118,6 +118,18 @@ void Model::require_fit(const control::PortName& client, const control::PortName
                                : "these provide " + name + ": " + fitting});
 }
 
+bool Model::keeps_out(const PortKey& client, const Wire& wire) const {
+  return std::any_of(wire.providers.begin(), wire.providers.end(), [&](const auto& provider) {
+    if (!find(provider.instance())) return false;
+    try {
+      require_fit(port_of(client), provider);
+      return false;
+    } catch (const Error&) {
+      return true;
+    }
+  });
+}
+
 std::string Model::providers_of(const std::string& service) const {
   std::vector<std::string> names;
   for (const auto& [name, one] : instances_) {

@@ -12,6 +12,7 @@ using namespace fiona::console;
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const std::string once = inert({reinterpret_cast<const char*>(data), size});
   if (inert(once) != once) std::abort();
+  if (display_width(once) > once.size()) std::abort();  // a code point of two columns has three bytes
   for (std::string_view rest = once; !rest.empty();) {
     const Character next = decode(rest);
     const bool control = next.code < 0x20 || (next.code >= 0x7f && next.code < 0xa0) ||

@@ -22,6 +22,8 @@ void check_object(const google::protobuf::Message& object) {
     if (fiona::console::inert_lines(text) != text) std::abort();
     // Asked for by its path, a field is told again.
     if (fiona::console::field_texts(object, {field.path}).empty()) std::abort();
+    (void)fiona::console::field_texts(object, {field.path + "[0]"});
+    if (fiona::console::check_path(*object.GetDescriptor(), field.path + ".no_field").exists) std::abort();
   }
   (void)fiona::console::object_json(object).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
@@ -51,6 +53,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     for (const auto& file : files.file()) {
       const std::string package = file.package().empty() ? "" : file.package() + ".";
       for (const auto& type : file.message_type()) check_type(types, *types.object(package + type.name()), rest);
+      for (const auto& service : file.service()) {
+        if (types.service(package + service.name()) == nullptr) std::abort();
+        (void)fiona::console::is_plain_value(service.name());
+      }
     }
   } catch (const fiona::Error&) {
   }

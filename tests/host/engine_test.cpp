@@ -410,6 +410,17 @@ TEST_P(Transactions, ManyAtOnceAreMadeInTheirOrderAndEachIsAnswered) {
   EXPECT_EQ(system.instance("one").mode(), "active");
 }
 
+TEST_P(Transactions, UndoLoadsAgainWhoseNameAWireThatItTakesBackWaitsFor) {
+  make({load("source", "source"), load("sink", "sink", group()), load("sink", "other"),
+        wire("sink.each", "source.newest")});
+  const auto before = whole();
+  make({unload("other"), wire("sink.each", "other.newest")});  // which a sink would not have
+  const auto reply = undo();
+  EXPECT_TRUE(reply.has_done()) << reply.failure().what();
+  EXPECT_EQ(whole(), before);
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+}
+
 TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
         set("source", "payload", 9)});
