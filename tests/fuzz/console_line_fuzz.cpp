@@ -30,7 +30,8 @@ void read_or_refuse(Read read) try {
   (void)error.is_in_secret({});
 }
 
-void check_word(const Word& word, const WordLine& line) {
+/// A word is read as what a verb may want there.
+void check_readers(const Word& word, const WordLine& line) {
   read_or_refuse([&] { require(duration_ms(word, line) >= 0); });
   read_or_refuse([&] { require(count_of(word, line) >= 1); });
   read_or_refuse([&] { require(!watched_name(word, line).port().empty()); });
@@ -38,6 +39,9 @@ void check_word(const Word& word, const WordLine& line) {
     const auto name = port_name(word, line);
     require(name.instance() + "." + name.port() == word.text);
   });
+}
+
+void check_value(const Word& word, const WordLine& line) {
   const auto value = value_of(word, line);
   const std::string text = typed(value);
   // Protobuf text may hold what a line cannot, like a joint of two physical lines; all else must come back.
@@ -48,7 +52,7 @@ void check_word(const Word& word, const WordLine& line) {
 
 void check_line(const WordLine& words) {
   if (words.empty()) return;
-  for (const auto& item : words.items) check_word(item.word, words);
+  for (const auto& item : words.items) check_value(item.word, words);
   const Line line = read_line(words);
   for (const auto& [keyword, given] : line.clauses)
     require(line.clause(keyword)->text == given.front().text && line.clause_words(keyword).size() == given.size());
@@ -74,9 +78,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   (void)continues(text);
   try {
     read_or_refuse([&] {
-      for (const WordLine& line : split_script(text, "fuzz")) read_or_refuse([&] { check_line(line); });
+      for (const WordLine& line : split_script(text, "fuzz")) check_line(line);
     });
-    read_or_refuse([&] { check_line(split_line(text)); });
+    read_or_refuse([&] {
+      const WordLine line = split_line(text);
+      if (!line.empty()) check_readers(line.items.back().word, line);
+      check_line(line);
+    });
     read_or_refuse([&] { check_line(ready_words(words_of(text))); });
   } catch (const fiona::Error&) {
   }
