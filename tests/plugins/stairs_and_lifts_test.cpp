@@ -61,7 +61,7 @@ struct House {
     }
     auto& edge = *plan.add_edges();
     edge.set_from(0), edge.set_to(1), edge.set_kind(kind);
-    if (kind == navigation::MapEdge::STAIRS) add_staircase(plan, far_m);
+    if (kind != navigation::MapEdge::LIFT) add_staircase(plan, far_m);
     filter.emplace(field, std::make_shared<const FloorPlan>(plan), map.accuracy(), map.radio().offset(),
                    FilterOptions{});
   }
@@ -121,6 +121,16 @@ TEST(BeaconFilter, WhoTakesStairsComesOutAtTheirEnd) {
   EXPECT_EQ(at.level, 1);
   EXPECT_NEAR(at.x_m, 16.0, 2.0);
   EXPECT_NEAR(at.y_m, 10.0, 1.5);
+}
+
+TEST(BeaconFilter, WhoStandsOnAnEscalatorIsCarriedToItsEnd) {
+  House house(navigation::MapEdge::ESCALATOR, 8.0);
+  house.stand_and_walk_east_to(11);
+  for (double x = 11; x < 18; x += 0.5) house.hear(x + 0.5, 10, x < 14 ? 0 : 1);
+  const Estimate at = house.filter->estimate();
+  EXPECT_EQ(at.level, 1);
+  EXPECT_NEAR(at.x_m, 18.0, 1.5);
+  EXPECT_NEAR(at.y_m, 10.0, 1.0);
 }
 
 TEST(BeaconFilter, NobodyWalksOnBelowStairsThatTheyClimb) {

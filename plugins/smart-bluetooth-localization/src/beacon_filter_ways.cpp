@@ -18,6 +18,7 @@ constexpr double kFoot_m = 0.5;       // of stairs, over which one may walk as o
 constexpr double kUnder = 0.6;        // of stairs, below which nobody stands upright
 /// Of a second: how fast lifts go, in levels, and people on stairs, in metres.
 constexpr double kSlowLift = 0.15, kFastLift = 0.5, kSlowOnStairs_mps = 0.3, kFastOnStairs_mps = 0.7;
+constexpr double kEscalator_mps = 0.5;  // EN 115-1: the usual nominal speed
 /// Steps on stairs are shorter than they seem by their swing.
 constexpr double kLeastOfStep = 0.4, kMostOfStep = 1.0;
 constexpr float kNearlyThere = 0.7f;
@@ -116,12 +117,13 @@ void BeaconFilter::carry(Particle& p, double rise_m) {
   p.weight *= std::max(options_.not_felt, std::exp(-0.5 * off * off));
 }
 
-/// Who stands takes a lift; whose steps are not known, stairs as well.
+/// Who stands takes a lift, or is carried on by an escalator; whose steps are not known takes stairs as well.
 void BeaconFilter::take_ways(double dt_s) {
   const double enters = -std::expm1(-options_.way_rate_per_s * dt_s);
   const bool stands = !steps_ || walked_m_ == 0.0;
   for (Particle& p : particles_) {
-    if (p.way >= 0 && (!steps_ || ways_[p.way].path->is_lift())) ride(p, dt_s);
+    const bool rides = p.way >= 0 && (!steps_ || ways_[p.way].path->is_lift() || ways_[p.way].path->conveys);
+    if (rides) ride(p, dt_s);
     for (std::size_t i = 0; stands && p.way < 0 && i < ways_.size(); ++i) {
       const bool may = (!steps_ || ways_[i].path->is_lift()) && is_before(p, i);
       if (may && random_.uniform() < enters) enter(p, i);
@@ -158,7 +160,9 @@ void BeaconFilter::ride(Particle& p, double dt_s) {
     const double levels = std::abs(ways_[taken].path->to_level - ways_[taken].path->from_level);
     p.pace = static_cast<float>(between(kSlowLift, kFastLift, random_.uniform()) / levels);
   }
-  move_on_way(p, p.pace * dt_s);
+  const FloorPlan::Way& way = *ways_[p.way].path;
+  const bool stands = steps_ && !way.is_lift();  // then the pace is that of steps
+  move_on_way(p, dt_s * (stands ? kEscalator_mps / way.length_m() : p.pace));
 }
 
 /// At its end one is on the level; in a lift it may go on as it went, or wait.

@@ -176,13 +176,19 @@ void FloorPlan::fill_buckets() {
 
 /// Stairs may go over nodes on landings: each chain of them from one whole level to the next is one way.
 void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
-  std::map<std::uint32_t, std::map<std::uint32_t, bool>> next;  // and whether by a lift
+  struct By {
+    bool lift = false, escalator = false;
+  };
+  std::map<std::uint32_t, std::map<std::uint32_t, By>> next;
   const auto nodes = static_cast<std::uint32_t>(map.nodes_size());
   for (const auto& edge : map.edges()) {
     if (!joins_levels(edge) || edge.from() >= nodes || edge.to() >= nodes) continue;
-    const bool by_lift = edge.kind() == navigation::MapEdge::LIFT;
-    next[edge.from()][edge.to()] |= by_lift;
-    if (!edge.one_way()) next[edge.to()][edge.from()] |= by_lift;
+    for (const auto& [from, to] : {std::pair(edge.from(), edge.to()), std::pair(edge.to(), edge.from())}) {
+      if (edge.one_way() && from != edge.from()) continue;
+      By& by = next[from][to];
+      by.lift |= edge.kind() == navigation::MapEdge::LIFT;
+      by.escalator |= edge.kind() == navigation::MapEdge::ESCALATOR;
+    }
   }
   for (const auto& [start, unused] : next) {
     const auto& from = map.nodes(static_cast<int>(start));
@@ -198,7 +204,9 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
           const auto& node = map.nodes(static_cast<int>(seen[j].first));
           way.path.insert(way.path.begin(), {node.x(), node.y(), node.level(), 0.0});
           if (j == 0) break;
-          way.by_lift = way.by_lift && next[seen[seen[j].second].first][seen[j].first];
+          const By& by = next[seen[seen[j].second].first][seen[j].first];
+          way.by_lift = way.by_lift && by.lift;
+          way.conveys = way.conveys || by.escalator;
         }
         for (std::size_t j = 1; j < way.path.size(); ++j) {
           const Way::Place& before = way.path[j - 1];
@@ -207,7 +215,7 @@ void FloorPlan::read_graph(const navigation::CommLevelMap& map) {
         ways_.push_back(std::move(way));
         continue;
       }
-      for (const auto& [to, by_lift] : next[seen[i].first]) {
+      for (const auto& [to, by] : next[seen[i].first]) {
         if (seen.size() == kMostSteps) break;
         if (std::none_of(seen.begin(), seen.end(), [node = to](const auto& one) { return one.first == node; }))
           seen.push_back({to, i});

@@ -24,6 +24,7 @@ class FloorPlan {
     int from_level, to_level;
     std::vector<Place> path;  ///< two or more, over landings
     bool by_lift = false;
+    bool conveys = false;  ///< an escalator is part of it: who stands there is carried on
     double length_m() const { return path.back().on_m; }
     /// Stairs that are drawn as a point lead nowhere in the plane: they are taken as a lift is.
     bool is_lift() const { return by_lift || length_m() < kShortestStairs_m; }
