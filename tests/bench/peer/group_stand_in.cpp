@@ -23,7 +23,7 @@ int main(int argc, char** argv) {
   if (::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address) != 0)
     return std::perror(address.sun_path), 1;
   if (!fiona::peer::hand_over(socket, argc, argv)) return std::perror("handing over"), 1;
-  ::close(fiona::peer::kGroupSocket);
+  ::close(fiona::peer::kFirstGroupDescriptor);
   char none = 0;
   static_cast<void>(::read(socket, &none, 1));  // until the group's process has ended
   return 0;

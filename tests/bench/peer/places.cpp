@@ -61,7 +61,10 @@ host::System::Options options(const std::string& name) {
   return {.name = name,
           .store = directory / "store",
           .directory = directory,
-          .plugins = std::filesystem::path(PEER_COMPONENTS_LIBRARY).parent_path()};
+          .plugins = std::filesystem::path(PEER_COMPONENTS_LIBRARY).parent_path(),
+          .ends_hung_groups = false,  // strands are lent to the harness' loops
+          .restarts_groups = false,
+          .tries_libraries = false};
 }
 
 std::filesystem::path keys_of(const std::string& name) { return run_directory() / (name + ".keys"); }
@@ -184,6 +187,8 @@ std::unique_ptr<std::thread> become_group() {
     const os::Descriptor from = listener->accept();
     std::vector<std::string> words = receive_hand_over(from.get());
     if (words.empty()) return;
+    // A group closes what it is not given: the stand-in waits at the place of the adoption, which there is none of.
+    ::dup3(from.get(), kLastGroupDescriptor, O_CLOEXEC);
     std::vector<char*> arguments;
     for (auto& word : words) arguments.push_back(word.data());
     fiona_group_main(static_cast<int>(arguments.size()), arguments.data());
