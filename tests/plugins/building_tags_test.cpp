@@ -568,6 +568,19 @@ TEST(Tags, TheEntranceLeadsOutUnlessOneStaysInside) {
   EXPECT_FALSE(house.route(inside, outside, {.outdoors = false}));
 }
 
+TEST(Tags, WhoIsBesideABuildingBeginsOnTheWayThatIsInSight) {
+  Osm osm;
+  osm.node(1, 0, 0).node(2, 10, 0).node(3, 20, 0).node(4, 20, 4).node(5, 10, 4).node(6, 0, 4);
+  osm.node(7, 10, 2, "door=yes level=0").node(8, 20, 2, "entrance=yes level=0");
+  osm.way(10, {1, 2, 7, 5, 6, 1}, "indoor=room level=0").way(11, {2, 3, 8, 4, 5, 7, 2}, "indoor=room level=0");
+  osm.node(50, 14, -4).node(51, 30, -4).way(50, {50, 51, 8}, "highway=footway level=0");
+  // Seen from the middle of the rooms: the door between them is nearer than the way.
+  const auto route = osm.read().route({{1, -3}, 0}, {{20, -6}, 0});
+  ASSERT_TRUE(route);
+  EXPECT_FALSE(uses(route, Passage::Door));
+  EXPECT_NEAR(route->length_m, std::hypot(3, 3) + 16, 0.1);
+}
+
 TEST(Tags, WhoStaysIndoorsTakesNoWayAroundTheBuilding) {
   Osm osm;
   osm.node(5, 0, 5, "entrance=yes level=0").node(6, 40, 5, "entrance=yes level=0").node(50, 20, -10);

@@ -26,14 +26,6 @@ constexpr std::size_t kMostEdgesOfBends = kMostEdges / 2;
 
 double lift_cost_s(double height_m) { return kLiftWait_s + height_m / kLiftPace_mps; }
 
-bool walls_between(const Plan& plan, Point a, Point b, double level) {
-  const auto on_level = std::equal_range(plan.walls.begin(), plan.walls.end(), Wall{{}, level, 0.0, false},
-                                         [](const Wall& left, const Wall& right) { return left.level < right.level; });
-  return std::any_of(on_level.first, on_level.second, [&](const Wall& wall) {
-    return !apart({a, b}, wall.segment) && crossing({a, b}, wall.segment).has_value();
-  });
-}
-
 /// Whether nothing of the room itself is between; walls may be.
 bool sees_within(const Room& room, Point a, Point b) {
   const Segment sight{a, b};
@@ -382,6 +374,14 @@ class GraphBuilder {
 };
 
 }  // namespace
+
+bool walls_between(const Plan& plan, Point a, Point b, double level) {
+  const auto on_level = std::equal_range(plan.walls.begin(), plan.walls.end(), Wall{{}, level, 0.0, false},
+                                         [](const Wall& left, const Wall& right) { return left.level < right.level; });
+  return std::any_of(on_level.first, on_level.second, [&](const Wall& wall) {
+    return !apart({a, b}, wall.segment) && crossing({a, b}, wall.segment).has_value();
+  });
+}
 
 bool sees(const Plan& plan, const Room& room, Point a, Point b) {
   if (distance_m(a, b) < kTouch_m) return true;

@@ -66,13 +66,18 @@ std::vector<Approach> approaches(const Plan& plan, const Graph& graph, const Pat
     }
   }
   if (!found.empty()) return found;
-  Approach nearest{kStart, kSnap_m};
   for (std::size_t i = 0; i < graph.nodes.size(); ++i) {
     const double length = distance_m(graph.nodes[i].at, place.at);
-    if (graph.nodes[i].level == place.level && length <= nearest.length_m) nearest = {i, length};
+    if (graph.nodes[i].level == place.level && length <= kSnap_m) found.push_back({i, length});
   }
-  if (nearest.node != kStart) found.push_back(nearest);
-  return found;
+  if (found.empty()) return found;
+  // Who is beside a building does not begin through its wall; but a place may err, and be taken for one outside.
+  const auto in_sight = [&](const Approach& one) {
+    return !walls_between(plan, place.at, graph.nodes[one.node].at, place.level);
+  };
+  const auto hidden = std::partition(found.begin(), found.end(), in_sight);
+  const auto end = hidden == found.begin() ? found.end() : hidden;
+  return {*std::min_element(found.begin(), end, [](const auto& a, const auto& b) { return a.length_m < b.length_m; })};
 }
 
 Permission::Permission(const Plan& plan, const Graph& graph, const PathPoint& from, const RouteOptions& options)

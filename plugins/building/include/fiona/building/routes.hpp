@@ -72,8 +72,8 @@ struct Route {
 /// times its edges and the walls near a line.
 Graph build_graph(const Plan& plan);
 
-/// Nearest node of the graph on the same level, for a start or goal outside of all rooms, is taken up to
-/// here.
+/// Nearest node of the graph on the same level, for a start or goal outside of all rooms, is taken up to here: one in
+/// sight, if there is any.
 inline constexpr double kSnap_m = 5.0;
 
 /// A node that one reaches straight from a place.
@@ -81,6 +81,9 @@ struct Approach {
   std::size_t node = 0;
   double length_m = 0.0;
 };
+
+/// Whether a wall of the level lies between two points.
+bool walls_between(const Plan& plan, Point a, Point b, double level);
 
 /// The nodes of the rooms around a place that are seen from there, else the nearest one on its level.
 std::vector<Approach> approaches(const Plan& plan, const Graph& graph, const PathPoint& place);
