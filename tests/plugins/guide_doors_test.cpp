@@ -167,6 +167,25 @@ TEST(Guide, WhoStandsBehindADoorAndTurnsAboutIsToldOfTheDoorAgain) {
   EXPECT_TRUE(told_again);
 }
 
+TEST(Guide, WhoSeemedToBeThroughADoorAndSurelyIsBeforeItsWallIsLedBackToIt) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  for (const double side : {-1.0, 1.0}) plan.plan.walls.push_back({.segment = {{side * 0.6, 10}, {side * 20, 10}}});
+  Guide guide(plan, around_a_corner(1.5), "Room 7", false, at(0));
+  double t = 0.0;
+  const auto told_at = [&](double x_m, double y_m, double heading) {
+    return guide.follow({{{x_m, y_m}, 0}, heading * kDegree, 0.5}, at(t += 0.8)).instruction;
+  };
+  for (const double y_m : {8.0, 9.0, 10.0, 11.0, 12.0}) told_at(0.4, y_m, 0);
+  EXPECT_EQ(told_at(1.5, 12, 90).kind(), Instruction::CONTINUE);
+  // They have walked along the wall instead: what is in sight of the path is before the door.
+  const Instruction said = told_at(2.5, 8.6, 90);
+  EXPECT_EQ(said.hour(), NextTurn::HOUR_7) << said.text();
+  EXPECT_EQ(said.distance(), 0.0);
+  for (const double y_m : {8.8, 9.0, 9.2}) told_at(0.3, y_m, 0);
+  EXPECT_EQ(told_at(0.3, 9.4, 0).kind(), Instruction::DOOR);
+}
+
 TEST(Guide, ATurnRightBehindADoorIsToldWithIt) {
   const LevelPlan plan;
   Guide guide(plan, around_a_corner(1.5), "Room 7", false, at(0));

@@ -123,6 +123,17 @@ TEST(Guide, BehindAWallIsOffThePath) {
   EXPECT_TRUE(guide.follow({{{1.0, 10}, 0}, 0.0, 0}, at(2.1)).off_path);
 }
 
+TEST(Guide, SurelyBehindAWallIsOffThePathAtOnce) {
+  LevelPlan plan;
+  plan.plan.levels.push_back({0.0, 0.0, "Ground"});
+  plan.plan.walls.push_back({.segment = {{1.5, 0}, {1.5, 19}}, .level = 0.0});
+  for (const auto& [sigma_m, off] : {std::pair{0.6, true}, std::pair{0.9, false}}) {
+    Guide guide(plan, corner(), "Room 7", false, at(0));
+    guide.follow({{{0, 10}, 0}, 0.0, sigma_m}, at(0));
+    EXPECT_EQ(guide.follow({{{3, 10.2}, 0}, 0.0, sigma_m}, at(0.2)).off_path, off) << sigma_m;
+  }
+}
+
 TEST(Guide, InTheRoomBesideThePathIsOffIt) {
   LevelPlan plan;
   plan.plan.levels.push_back({0.0, 0.0, "Ground"});

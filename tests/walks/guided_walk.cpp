@@ -199,7 +199,7 @@ class Referee final : public Component {
     if (!led_ || !is_placed()) return;
     led_->walk(believed(), {at_, level_});
     for (const Announcement& one : led_->take_passed()) {
-      if (const std::string wrong = one.fault(); !wrong.empty()) fault(wrong);
+      if (const std::string wrong = one.fault(); !wrong.empty()) note_wrong(outcome.untimely, wrong);
       outcome.announcements.push_back(one);
     }
   }
@@ -214,15 +214,17 @@ class Referee final : public Component {
   void on_path(const navigation::CommPath& path) {
     led_.reset();
     if (!path.is_valid() || path.waypoints().empty()) return;
-    if (std::string wrong = check_->fault_of(path); !wrong.empty()) fault(std::move(wrong));
+    if (std::string wrong = check_->fault_of(path); !wrong.empty()) fault(wrong);
     led_.emplace(*building_, *check_, path);
     note_progress();
   }
 
-  void fault(std::string text) {
-    if (outcome.faults.size() == kMostFaults) return;
+  void fault(const std::string& text) { note_wrong(outcome.faults, text); }
+
+  void note_wrong(std::vector<std::string>& list, const std::string& text) {
+    if (list.size() == kMostFaults) return;
     note("%6.1f s  ! %s", since_begun_s(), text.c_str());
-    outcome.faults.push_back("after " + std::to_string(std::lround(since_begun_s())) + " s " + std::move(text));
+    list.push_back("after " + std::to_string(std::lround(since_begun_s())) + " s " + text);
   }
 
   const Building* building_ = nullptr;

@@ -16,6 +16,9 @@ namespace {
 constexpr double kOffLevels = 0.6;
 constexpr double kOnLevel = 0.3;  // a height that a barometer tells is hardly ever a whole level
 
+/// Of a wall that is further away than so many standard deviations it is known on which side somebody is.
+constexpr double kSureOfSide = 2.0;
+
 bool is_at_lift(const Situation& here) {
   constexpr double kAtLift_m = 3.0;
   return std::any_of(here.maneuvers.begin(), here.maneuvers.end(), [&](const Maneuver& one) {
@@ -41,20 +44,26 @@ Path::Match PathTracker::match(const Situation& here) const {
   constexpr double kAhead_m = 10.0;      // who takes a short cut is still on the path
   constexpr double kUnsureOfSide = 0.5;  // of a wall: so many standard deviations
   const building::PathPoint& place = here.walker.place;
-  const auto level = here.plan.level_near(place.level, 0.1);
   const Path::Hidden behind_wall = [&](const building::PathPoint& on_path, Passage passage) {
-    const double away_m = distance_m(place.at, on_path.at);
-    // A wall that is nearer than the place is sure says little of the side that one is on.
-    const double unsure_m = kUnsureOfSide * here.walker.sigma_m;
     const bool in_plan = passage == Passage::Walk || passage == Passage::Lift;
-    if (!level || !in_plan || away_m <= std::max(0.3, unsure_m)) return false;
-    const Point nearer = place.at + (on_path.at - place.at) * (unsure_m / away_m);
-    return here.plan.walled(nearer, on_path.at, *level) || here.plan.behind_door(nearer, on_path.at, *level);
+    return in_plan && is_hidden(here, on_path.at, kUnsureOfSide);
   };
   const Path::Match near = here.path.match(place, least_m(here), at_m_ + kAhead_m, behind_wall);
   if (near.off_m <= 1.0 && near.off_levels <= kOffLevels && !near.hidden) return near;
   const Path::Match further = here.path.match(place, at_m_, here.path.end_m(), behind_wall);
   return further.off_m < 1.0 && further.off_levels < 0.3 && !further.hidden ? further : near;
+}
+
+/// A wall that is nearer than so many standard deviations of the place says little of the side that one is on.
+bool PathTracker::is_hidden(const Situation& here, Point on_path, double sigmas) {
+  constexpr double kLeast_m = 0.3;
+  const Point at = here.walker.place.at;
+  const auto level = here.plan.level_near(here.walker.place.level, 0.1);
+  const double away_m = distance_m(at, on_path);
+  const double unsure_m = sigmas * here.walker.sigma_m;
+  if (!level || away_m <= std::max(kLeast_m, unsure_m)) return false;
+  const Point nearer = at + (on_path - at) * (unsure_m / away_m);
+  return here.plan.walled(nearer, on_path, *level) || here.plan.behind_door(nearer, on_path, *level);
 }
 
 /// Who has been carried to the level that stairs or a lift lead to is not on those any more, though they are near.
@@ -69,7 +78,8 @@ double PathTracker::least_m(const Situation& here) const {
   return least_m;
 }
 
-/// Nobody runs: a place that leaps ahead, or back, may leap again. From one level to another nobody has walked.
+/// Nobody runs: a place that leaps ahead, or back, may leap again. From one level to another nobody has walked. But who
+/// is surely before a wall has not come through it.
 double PathTracker::steadied(double at_m, const Situation& here) const {
   constexpr double kForward_mps = 1.8;
   constexpr double kBackward_mps = 0.8;
@@ -78,7 +88,9 @@ double PathTracker::steadied(double at_m, const Situation& here) const {
   const bool on_same_level = std::abs(here.path.place(at_m).level - here.path.place(at_m_).level) < kOnLevel;
   if (here.walker.is_sure() || !walks || !on_same_level || !located_) return at_m;
   const double since_s = to_seconds(here.now - *located_);
-  return std::clamp(at_m, at_m_ - kBackward_mps * since_s, at_m_ + kForward_mps * since_s);
+  const double steady_m = std::clamp(at_m, at_m_ - kBackward_mps * since_s, at_m_ + kForward_mps * since_s);
+  const bool is_before_wall = at_m < steady_m && is_hidden(here, here.path.place(steady_m).at, kSureOfSide);
+  return is_before_wall ? at_m : steady_m;
 }
 
 /// A place moves by itself by about as much as it is unsure.
@@ -117,7 +129,10 @@ void PathTracker::note_whether_off(Situation& here, const Path::Match& match) {
   } else if (!off_since_ || (may_be_in_lift && here.stands)) {
     off_since_ = here.now;
   }
-  here.is_off = off_since_ && here.now - *off_since_ >= (may_be_in_lift ? kOffAtLift : kOffFor);
+  // Nobody is led on along a path that is surely behind a wall, not for a moment.
+  const bool surely_hidden = match.hidden && is_hidden(here, here.path.place(match.at_m).at, kSureOfSide);
+  const Duration off_for = surely_hidden ? 0s : may_be_in_lift ? kOffAtLift : kOffFor;
+  here.is_off = off_since_ && here.now - *off_since_ >= off_for;
 }
 
 }  // namespace fiona::guidance

@@ -18,6 +18,7 @@ class PathTracker {
  private:
   Path::Match match(const Situation& here) const;
   double least_m(const Situation& here) const;
+  static bool is_hidden(const Situation& here, building::Point on_path, double sigmas);
   double steadied(double at_m, const Situation& here) const;
   void note_motion(Situation& here);
   void note_progress(Situation& here);
