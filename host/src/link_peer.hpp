@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -24,6 +25,12 @@ inline constexpr std::size_t kGoesOnBelow_messages = 1;
 inline constexpr std::size_t kFrameRoom = 64 * 1024;
 /// Lanes whose credit is paid back together.
 inline constexpr std::size_t kLanesOwed = 16;
+
+/// A batch of so many small messages is one of a stream. To send it wakes a handful of threads one after the other, so
+/// that the next one waits until it is as large as `kFullBatch`, or for as long as `kCompany`.
+inline constexpr std::size_t kStream_messages = 16;
+inline constexpr std::size_t kFullBatch = 48 * 1024;
+inline constexpr std::chrono::microseconds kCompany{300};
 
 /// Reads, and sends what had to wait; outlives its socket while it is queued.
 struct LinkSocket::Turn final : Runnable {
@@ -147,6 +154,11 @@ class LinkSocket::Peer {
   std::atomic<bool> gone{false};  ///< written under the link's mutex
   FrameCounts counts;
   PeerLanes lanes;
+  struct Batch {
+    std::size_t messages = 0;
+    std::size_t bytes = 0;
+    bool may_wait = false;       ///< it follows another one of a stream, and the alarm is set
+  } batch;                       ///< the small messages that have come since the last one left
   std::optional<Crossing> held;  ///< ahead of the lanes: ZeroMQ has had no room for it
   const std::shared_ptr<PeerLanes::Lane> control;
   FrameReader reader;                ///< the reader's

@@ -1,6 +1,7 @@
 #include "link_socket.hpp"
 
 #include <algorithm>
+#include <system_error>
 
 #include "link_keys.hpp"
 #include "link_peer.hpp"
@@ -103,15 +104,22 @@ void LinkSocket::bound_parts() {
 }
 
 void LinkSocket::start() {
+  try {
+    if (!on_dealt_with_) alarm_ = std::make_unique<Alarm>(pool_, kCompany, [this] { pump_batches(); });
+  } catch (const std::system_error&) {  // no descriptor is left: each batch leaves at once
+  }
   watch_ = pool_.watch(socket_.get(zmq::sockopt::fd), [this] { take_turn(); });
   pool_.submit(turn_);  // what came before the watch gives no edge
 }
 
 void LinkSocket::stop(std::chrono::milliseconds linger) {
+  std::unique_ptr<Alarm> alarm;  // ended without the lock, for which it may wait
   {
     const std::lock_guard lock(mutex_);
     if (stopped_) return;
+    alarm = std::move(alarm_);
   }
+  alarm.reset();
   watch_.reset();
   {
     const std::lock_guard lock(turn_->mutex);
@@ -277,10 +285,33 @@ void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame 
 /// heard.
 PeerLanes::Taken LinkSocket::offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item) {
   if (peer.memory && item.payload && item.payload->size() >= kMemoryFrom) tell_locked(peer, peer.memory->offer());
+  const bool waits = waits_for_company(peer, item);
   const auto taken = peer.lanes.offer(lane, std::move(item));
-  pump(peer);
+  if (!waits) pump(peer);
   if (peer.lanes.control_bytes() > kMostControl && !on_dealt_with_ && !peer.gone.exchange(true)) ++counters_.overrun;
   return taken;
+}
+
+/// Of a stream, as long as it is followed by nothing else.
+bool LinkSocket::waits_for_company(Peer& peer, const PeerLanes::Item& item) {
+  const bool is_small_push = item.rule == Rule::DropOldest && !item.payload;
+  if (is_small_push) {
+    ++peer.batch.messages;
+    peer.batch.bytes += item.record.size();
+  }
+  return is_small_push && peer.batch.may_wait && peer.batch.bytes < kFullBatch;
+}
+
+void LinkSocket::end_batch(Peer& peer) {
+  peer.batch = {.may_wait = peer.batch.messages >= kStream_messages && alarm_};
+  if (peer.batch.may_wait) alarm_->set();
+}
+
+void LinkSocket::pump_batches() {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [identity, peer] : peers_) {
+    if (std::exchange(peer->batch.may_wait, false)) pump(*peer);
+  }
 }
 
 void LinkSocket::tell(const std::string& peer, wire::Frame& frame) {
@@ -329,6 +360,7 @@ bool LinkSocket::fill(Peer& peer) {
   PeerLanes::Outgoing out;
   while (peer.lanes.has_ready() && peer.gate->enter_or_wait() && peer.lanes.next(out)) {
     tried = true;
+    if (!out.payload) end_batch(peer);
     if (!send_out(peer, out)) break;
   }
   return tried;

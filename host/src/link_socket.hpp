@@ -12,6 +12,7 @@
 #include <vector>
 #include <zmq.hpp>
 
+#include "alarm.hpp"
 #include "fiona/control.pb.h"
 #include "fiona/message.hpp"
 #include "fiona/pool.hpp"
@@ -160,6 +161,9 @@ class LinkSocket {
   std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
   void forget_locked(const std::string& process);
   PeerLanes::Taken offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item);
+  static bool waits_for_company(Peer& peer, const PeerLanes::Item& item);
+  void end_batch(Peer& peer);
+  void pump_batches();
   void pump(Peer& peer);
   void pump_held();
   bool fill(Peer& peer);
@@ -187,6 +191,7 @@ class LinkSocket {
   zmq::socket_t socket_;
   std::shared_ptr<Turn> turn_;
   std::unique_ptr<Pool::Readable> watch_;
+  std::unique_ptr<Alarm> alarm_;
   std::unordered_map<std::string, std::shared_ptr<Peer>> peers_;
   std::vector<zmq::message_t> parts_;    ///< the reader's
   std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled

@@ -1,11 +1,22 @@
 #include "fiona/clock.hpp"
 
+#include <sys/timerfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdint>
+#include <system_error>
+
 namespace fiona {
 
 void Clock::stage(Staged staged) { staged.deliver(); }
 
 SystemClock::SystemClock(Origin origin)
-    : steady_start_(std::chrono::nanoseconds(origin.steady_ns)), start_(Duration(origin.start_ns)) {
+    : steady_start_(std::chrono::nanoseconds(origin.steady_ns)),
+      start_(Duration(origin.start_ns)),
+      alarm_(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC)) {
+  if (alarm_ < 0) throw std::system_error(errno, std::generic_category(), "timerfd_create");
   if (origin.steady_ns == 0) {
     steady_start_ = std::chrono::steady_clock::now();
     start_ = TimePoint(std::chrono::duration_cast<Duration>(std::chrono::system_clock::now().time_since_epoch()));
@@ -18,14 +29,17 @@ SystemClock::Origin SystemClock::origin() const {
           start_.time_since_epoch().count()};
 }
 
-SystemClock::~SystemClock() { SystemClock::stop(); }
+SystemClock::~SystemClock() {
+  SystemClock::stop();
+  ::close(alarm_);
+}
 
 void SystemClock::stop() {
   {
     const std::lock_guard lock(mutex_);
     stopping_ = true;
+    wake_at(start_);
   }
-  changed_.notify_all();
   if (thread_.joinable()) thread_.join();
 }
 
@@ -36,7 +50,7 @@ TimerId SystemClock::schedule(TimePoint at, const std::shared_ptr<Strand>& stran
   const TimerId id = next_id_++;
   entries_.emplace(Key{at, id}, Entry{strand, std::move(job)});
   times_.emplace(id, at);
-  if (at < wakes_at_) changed_.notify_all();
+  if (at < wakes_at_) wake_at(at);
   return id;
 }
 
@@ -57,7 +71,11 @@ void SystemClock::serve() {
     const auto first = entries_.begin();
     const TimePoint due = first == entries_.end() ? TimePoint::max() : first->first.first;
     if (now() < due) {
-      wait_until(due, lock);
+      wake_at(due);
+      lock.unlock();
+      std::uint64_t times = 0;
+      [[maybe_unused]] const auto read = ::read(alarm_, &times, sizeof times);  // early, where a signal comes
+      lock.lock();
       continue;
     }
     Entry entry = std::move(first->second);
@@ -71,11 +89,15 @@ void SystemClock::serve() {
 }
 
 /// Sleeps on though a timer is cancelled: most are, as the deadlines of calls that end in time, and the next one is
-/// later.
-void SystemClock::wait_until(TimePoint due, std::unique_lock<std::mutex>& lock) {
-  wakes_at_ = due;
-  due == TimePoint::max() ? changed_.wait(lock) : void(changed_.wait_until(lock, steady_start_ + (due - start_)));
-  wakes_at_ = TimePoint::min();
+/// later. Called with the lock held.
+void SystemClock::wake_at(TimePoint at) {
+  wakes_at_ = at;
+  const auto steady = steady_start_.time_since_epoch() + std::max(at - start_, Duration(0));
+  const auto ns = std::max<std::int64_t>(1, std::chrono::duration_cast<std::chrono::nanoseconds>(steady).count());
+  const std::int64_t second = 1'000'000'000;
+  const itimerspec once{{0, 0}, {ns / second, ns % second}};
+  const itimerspec never{};
+  ::timerfd_settime(alarm_, TFD_TIMER_ABSTIME, at == TimePoint::max() ? &never : &once, nullptr);
 }
 
 }  // namespace fiona

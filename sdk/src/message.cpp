@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <atomic>
 #include <cstddef>
+#include <cstdint>
 #include <mutex>
+#include <utility>
 
 namespace fiona {
 
@@ -23,8 +25,9 @@ struct ObjectPool::Cell {
   alignas(std::max_align_t) std::byte count[kCountBytes];
 };
 
-/// A stack of idle cells: any thread puts one on it without waiting, one at a time takes from it (so that none can have
-/// been taken and put back between a look and the exchange).
+/// Idle cells. Those that have come back lie on a stack, onto which any thread puts one without waiting; whoever takes
+/// one takes all of them at once, and the others lie on a stack of the takers' own. So the two, who mostly are
+/// different threads, write different cache lines.
 class ObjectPool::Shelf {
  public:
   explicit Shelf(const Object& prototype) : prototype_(prototype) {}
@@ -32,17 +35,19 @@ class ObjectPool::Shelf {
   std::shared_ptr<Object> take() {
     Cell* cell = pop();
     if (!cell) cell = new Cell(*this, prototype_);
-    users_.fetch_add(1, std::memory_order_relaxed);
     return {cell->message.get(), Clearing{cell}, InCell<Object>{cell}};
   }
   std::size_t idle() const {
     const std::lock_guard lock(taking_);
     std::size_t cells = 0;
-    for (const Cell* cell = top_.load(std::memory_order_acquire); cell; cell = cell->below) ++cells;
+    for (const Cell* stack : {own_, back_.load(std::memory_order_acquire)}) {
+      for (const Cell* cell = stack; cell; cell = cell->below) ++cells;
+    }
     return cells;
   }
-  void leave() {
-    if (users_.fetch_sub(1, std::memory_order_acq_rel) == 1) delete this;
+  /// Of the pool: nothing is taken any more.
+  void close() {
+    if (balance_.fetch_sub(taken_, std::memory_order_acq_rel) == taken_) delete this;
   }
 
  private:
@@ -71,38 +76,58 @@ class ObjectPool::Shelf {
   };
 
   ~Shelf() {
-    while (Cell* cell = pop()) delete cell;
+    for (Cell* stack : {own_, back_.load(std::memory_order_acquire)}) {
+      while (stack) delete std::exchange(stack, stack->below);
+    }
   }
   Cell* pop() {
     const std::lock_guard lock(taking_);
-    Cell* cell = top_.load(std::memory_order_acquire);
-    while (cell && !top_.compare_exchange_weak(cell, cell->below, std::memory_order_acquire)) {
-    }
-    if (cell) bytes_.fetch_sub(cell->cost(), std::memory_order_relaxed);
+    ++taken_;
+    if (!own_ || own_->largest > kLarge) take_back();
+    Cell* const cell = own_;
+    if (!cell) return nullptr;
+    own_ = cell->below;
+    if (own_) __builtin_prefetch(own_);  // it comes from another thread's cache
     return cell;
   }
+  /// The newest go before the others.
+  void take_back() {
+    back_bytes_.store(0, std::memory_order_relaxed);
+    Cell* const newest = back_.exchange(nullptr, std::memory_order_acquire);
+    if (!newest) return;
+    Cell* oldest = newest;
+    while (own_ && oldest->below) oldest = oldest->below;
+    if (own_) oldest->below = own_;
+    own_ = newest;
+  }
   void put_back(Cell* cell) {
-    const std::size_t cost = cell->cost();
-    if (bytes_.fetch_add(cost, std::memory_order_relaxed) + cost > kKeptBytes) {
-      bytes_.fetch_sub(cost, std::memory_order_relaxed);
+    const auto cost = static_cast<std::int64_t>(cell->cost());
+    if (back_bytes_.fetch_add(cost, std::memory_order_relaxed) + cost > static_cast<std::int64_t>(kKeptBytes)) {
+      back_bytes_.fetch_sub(cost, std::memory_order_relaxed);
       delete cell;
     } else {
-      cell->below = top_.load(std::memory_order_relaxed);
-      while (!top_.compare_exchange_weak(cell->below, cell, std::memory_order_release, std::memory_order_relaxed)) {
+      cell->below = back_.load(std::memory_order_relaxed);
+      while (!back_.compare_exchange_weak(cell->below, cell, std::memory_order_release, std::memory_order_relaxed)) {
       }
     }
-    leave();
+    if (balance_.fetch_add(1, std::memory_order_acq_rel) == -1) delete this;
   }
 
+  static constexpr std::size_t kCacheLine = 64;
+  static constexpr std::size_t kLarge = 64 * 1024;  ///< of these the newest is taken, which may still be in a cache
   const Object& prototype_;
+  // The takers'.
   mutable std::mutex taking_;
-  std::atomic<Cell*> top_{nullptr};
-  std::atomic<std::size_t> bytes_{0};  ///< cost of what is idle
-  std::atomic<std::size_t> users_{1};  ///< the pool, and each message that is out
+  Cell* own_ = nullptr;
+  std::int64_t taken_ = 0;
+  // Of those who put back.
+  alignas(kCacheLine) std::atomic<Cell*> back_{nullptr};
+  std::atomic<std::int64_t> back_bytes_{0};  ///< what those on the stack cost
+  std::atomic<std::int64_t> balance_{0};     ///< put back; once the pool is closed, less all that were taken
 };
 
 ObjectPool::ObjectPool(const Object& prototype) : shelf_(new Shelf(prototype)) {}
-ObjectPool::~ObjectPool() { shelf_->leave(); }
+ObjectPool::~ObjectPool() { shelf_->close(); }
 std::shared_ptr<Object> ObjectPool::acquire() { return shelf_->take(); }
 std::size_t ObjectPool::idle() const { return shelf_->idle(); }
 

@@ -17,6 +17,26 @@ using google::protobuf::Reflection;
 
 namespace {
 
+using Number = double (*)(const Reflection&, const Object&, const FieldDescriptor&);
+
+template <class T, T (Reflection::*get)(const Object&, const FieldDescriptor*) const>
+double number(const Reflection& reflect, const Object& object, const FieldDescriptor& field) {
+  return static_cast<double>((reflect.*get)(object, &field));
+}
+
+/// How the field's number is asked for; null where it has none.
+Number number_of(const FieldDescriptor& field) {
+  switch (field.cpp_type()) {
+    case FieldDescriptor::CPPTYPE_DOUBLE: return number<double, &Reflection::GetDouble>;
+    case FieldDescriptor::CPPTYPE_FLOAT: return number<float, &Reflection::GetFloat>;
+    case FieldDescriptor::CPPTYPE_INT32: return number<google::protobuf::int32, &Reflection::GetInt32>;
+    case FieldDescriptor::CPPTYPE_UINT32: return number<google::protobuf::uint32, &Reflection::GetUInt32>;
+    case FieldDescriptor::CPPTYPE_INT64: return number<google::protobuf::int64, &Reflection::GetInt64>;
+    case FieldDescriptor::CPPTYPE_UINT64: return number<google::protobuf::uint64, &Reflection::GetUInt64>;
+    default: return nullptr;
+  }
+}
+
 /// Calls `take` with the type of the field's numbers; nothing happens where it has none.
 template <class F>
 void with_number_type(const FieldDescriptor& field, F take) {
@@ -29,25 +49,6 @@ void with_number_type(const FieldDescriptor& field, F take) {
     case FieldDescriptor::CPPTYPE_UINT64: return take(google::protobuf::uint64());
     default: return;
   }
-}
-
-double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, double) {
-  return reflect.GetDouble(object, &field);
-}
-double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, float) {
-  return reflect.GetFloat(object, &field);
-}
-double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::int32) {
-  return reflect.GetInt32(object, &field);
-}
-double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::uint32) {
-  return reflect.GetUInt32(object, &field);
-}
-double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::int64) {
-  return static_cast<double>(reflect.GetInt64(object, &field));
-}
-double get(const Reflection& reflect, const Object& object, const FieldDescriptor& field, google::protobuf::uint64) {
-  return static_cast<double>(reflect.GetUInt64(object, &field));
 }
 
 std::optional<std::size_t> length_of(const Object& object, const Reflection& reflect, const FieldDescriptor& field) {
@@ -128,7 +129,11 @@ void ObjectRules::compile(const Descriptor& type) {
   for (int i = 0; i < type.field_count(); ++i) {
     const FieldDescriptor& field = *type.field(i);
     const auto& options = field.options();
-    FieldRule rule{&field, {}, {}, 0, 0, false, false, false};
+    FieldRule rule{.field = &field,
+                   .number = field.is_repeated() ? nullptr : number_of(field),
+                   .repeated = field.is_repeated(),
+                   .presence = field.has_presence(),
+                   .enumeration = is_enumeration(field)};
     if (options.HasExtension(fiona::min)) rule.min = options.GetExtension(fiona::min);
     if (options.HasExtension(fiona::max)) rule.max = options.GetExtension(fiona::max);
     rule.size = static_cast<int>(options.GetExtension(fiona::size));
@@ -139,7 +144,7 @@ void ObjectRules::compile(const Descriptor& type) {
     rule.nested = field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE;
     if (rule.nested) compile(*field.message_type());
     if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.covariance || rule.nested ||
-        is_enumeration(field))
+        rule.enumeration)
       rules.push_back(rule);
   }
   rules_[&type] = std::move(rules);
@@ -171,7 +176,7 @@ std::string ObjectRules::FieldRule::violation(double value, const std::string& n
 std::optional<std::string> ObjectRules::check_field(const Object& object, const Reflection& reflect,
                                                     const FieldRule& rule) const {
   const FieldDescriptor& field = *rule.field;
-  if (field.has_presence() && !reflect.HasField(object, &field)) return std::nullopt;
+  if (rule.presence && !reflect.HasField(object, &field)) return std::nullopt;
   if (rule.size > 0 || rule.max_size > 0) {
     const auto length = length_of(object, reflect, field);
     const std::string_view things = field.is_repeated() ? "elements" : "bytes";
@@ -182,15 +187,15 @@ std::optional<std::string> ObjectRules::check_field(const Object& object, const 
       return fmt::format("{} has {} {}, more than {}", field.name(), *length, things, rule.max_size);
     }
   }
-  if (is_enumeration(field)) return no_enumerator(object, reflect, field);
+  if (rule.enumeration) return no_enumerator(object, reflect, field);
   if (!rule.min && !rule.max && !rule.finite && !rule.covariance) return std::nullopt;
   std::optional<std::string> violation;
+  if (rule.number) {
+    const double value = rule.number(reflect, object, field);
+    if (!rule.allows(value)) violation = rule.violation(value, field.name());
+    return violation;
+  }
   with_number_type(field, [&](auto type) {
-    if (!field.is_repeated()) {
-      const double value = get(reflect, object, field, type);
-      if (!rule.allows(value)) violation = rule.violation(value, field.name());
-      return;
-    }
     int index = 0;
     for (const auto element : reflect.GetRepeatedFieldRef<decltype(type)>(object, &field)) {
       const auto value = static_cast<double>(element);
@@ -215,7 +220,7 @@ std::optional<std::string> ObjectRules::check_nested(const Object& object, const
     if (violation) violation = prefix + "." + *violation;
     return violation;
   };
-  if (!field.is_repeated()) {
+  if (!rule.repeated) {
     if (!reflect.HasField(object, &field)) return std::nullopt;
     return prefixed(check(reflect.GetMessage(object, &field), rules), field.name());
   }

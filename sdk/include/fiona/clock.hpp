@@ -86,16 +86,16 @@ class SystemClock final : public Clock {
   };
   using Key = std::pair<TimePoint, TimerId>;
   void serve();
-  void wait_until(TimePoint due, std::unique_lock<std::mutex>& lock);
+  void wake_at(TimePoint at);
 
   std::chrono::steady_clock::time_point steady_start_;
   TimePoint start_;
+  const int alarm_;  ///< a timerfd: to set it for an earlier time wakes no thread
   std::mutex mutex_;
-  std::condition_variable changed_;
   std::map<Key, Entry> entries_;
   std::map<TimerId, TimePoint> times_;
   TimerId next_id_ = 1;
-  TimePoint wakes_at_ = TimePoint::min();  ///< while the thread sleeps
+  TimePoint wakes_at_ = TimePoint::max();  ///< what the alarm is set for
   bool stopping_ = false;
   std::thread thread_;
 };

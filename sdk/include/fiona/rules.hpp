@@ -22,13 +22,19 @@ class ObjectRules {
   std::optional<std::string> first_violation(const Object& object) const;
 
  private:
+  using Number = double (*)(const google::protobuf::Reflection& reflect, const Object& object,
+                            const google::protobuf::FieldDescriptor& field);
   struct FieldRule {
     bool allows(double value) const;
     std::string violation(double value, const std::string& name) const;
 
     const google::protobuf::FieldDescriptor* field;
-    std::optional<double> min;
-    std::optional<double> max;
+    Number number = nullptr;  ///< of one that is not repeated
+    bool repeated = false;    ///< this and the next are asked for once: that costs as much as a number
+    bool presence = false;
+    bool enumeration = false;
+    std::optional<double> min{};
+    std::optional<double> max{};
     int size = 0;
     std::size_t max_size = 0;
     bool finite = false;
