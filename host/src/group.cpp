@@ -83,7 +83,7 @@ std::vector<std::string> clock_arguments(const Clock& clock) {
 
 /// Descriptors: of a group, without its links; of a host, for each group; of a process, for its links to and from each
 /// other one; what stays free for files of components and for consoles.
-constexpr std::size_t kGroupBase = 32;
+constexpr std::size_t kGroupBase = 34;
 constexpr std::size_t kPerGroup = 4;
 constexpr std::size_t kPerPeer = 3;
 constexpr std::size_t kReserve = 32;

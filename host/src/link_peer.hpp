@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
-#include <chrono>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -27,18 +26,23 @@ inline constexpr std::size_t kFrameRoom = 64 * 1024;
 inline constexpr std::size_t kLanesOwed = 16;
 
 /// A batch of so many small messages is one of a stream. To send it wakes a handful of threads one after the other, so
-/// that the next one waits until it is as large as `kFullBatch`, or for as long as `kCompany`.
+/// that the next one waits until it is as large as `kFullBatch`, or until the pool is told to run what is to run soon.
 inline constexpr std::size_t kStream_messages = 16;
 inline constexpr std::size_t kFullBatch = 48 * 1024;
-inline constexpr std::chrono::microseconds kCompany{300};
 
-/// Reads, and sends what had to wait; outlives its socket while it is queued.
+/// What a link does on a thread of the pool; outlives its socket while it is queued.
 struct LinkSocket::Turn final : Runnable {
-  explicit Turn(LinkSocket& l) : link(&l) {}
+  using What = void (LinkSocket::*)();
+  Turn(LinkSocket& l, What w) : what(w), link(&l) {}
   void run() override {
     const std::lock_guard lock(mutex);
-    if (link) link->take_turn();
+    if (link) (link->*what)();
   }
+  void end() {
+    const std::lock_guard lock(mutex);
+    link = nullptr;
+  }
+  const What what;
   std::mutex mutex;
   LinkSocket* link;
 };
@@ -157,7 +161,7 @@ class LinkSocket::Peer {
   struct Batch {
     std::size_t messages = 0;
     std::size_t bytes = 0;
-    bool may_wait = false;       ///< it follows another one of a stream, and the alarm is set
+    bool may_wait = false;       ///< it follows another one of a stream, and will leave soon
   } batch;                       ///< the small messages that have come since the last one left
   std::optional<Crossing> held;  ///< ahead of the lanes: ZeroMQ has had no room for it
   const std::shared_ptr<PeerLanes::Lane> control;

@@ -1,7 +1,6 @@
 #include "link_socket.hpp"
 
 #include <algorithm>
-#include <system_error>
 
 #include "link_keys.hpp"
 #include "link_peer.hpp"
@@ -41,7 +40,8 @@ LinkSocket::LinkSocket(Pool& pool, zmq::context_t& context, zmq::socket_type typ
       routed_(type == zmq::socket_type::router),
       secret_(random_bytes(kKeyBytes)),
       socket_(context, type),
-      turn_(std::make_shared<Turn>(*this)) {
+      turn_(std::make_shared<Turn>(*this, &LinkSocket::take_turn)),
+      batches_(std::make_shared<Turn>(*this, &LinkSocket::send_batches)) {
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::sndhwm, kSendMark);
   socket_.set(zmq::sockopt::rcvhwm, kReceiveMark);
@@ -104,28 +104,20 @@ void LinkSocket::bound_parts() {
 }
 
 void LinkSocket::start() {
-  try {
-    if (!on_dealt_with_) alarm_ = std::make_unique<Alarm>(pool_, kCompany, [this] { pump_batches(); });
-  } catch (const std::system_error&) {  // no descriptor is left: each batch leaves at once
-  }
   watch_ = pool_.watch(socket_.get(zmq::sockopt::fd), [this] { take_turn(); });
   pool_.submit(turn_);  // what came before the watch gives no edge
 }
 
 void LinkSocket::stop(std::chrono::milliseconds linger) {
-  std::unique_ptr<Alarm> alarm;  // ended without the lock, for which it may wait
   {
     const std::lock_guard lock(mutex_);
     if (stopped_) return;
-    alarm = std::move(alarm_);
   }
-  alarm.reset();
   watch_.reset();
-  {
-    const std::lock_guard lock(turn_->mutex);
-    turn_->link = nullptr;
-  }
+  turn_->end();
+  batches_->end();
   const std::lock_guard lock(mutex_);
+  for (const auto& [identity, peer] : peers_) pump(*peer);
   stopped_ = true;
   socket_.set(zmq::sockopt::linger, static_cast<int>(linger.count()));
   socket_.close();
@@ -302,12 +294,14 @@ bool LinkSocket::waits_for_company(Peer& peer, const PeerLanes::Item& item) {
   return is_small_push && peer.batch.may_wait && peer.batch.bytes < kFullBatch;
 }
 
+/// In virtual time nothing waits for company: what one round sends is there in the next.
 void LinkSocket::end_batch(Peer& peer) {
-  peer.batch = {.may_wait = peer.batch.messages >= kStream_messages && alarm_};
-  if (peer.batch.may_wait) alarm_->set();
+  const bool is_due = peer.batch.may_wait;
+  peer.batch = {.may_wait = peer.batch.messages >= kStream_messages && !on_dealt_with_};
+  if (peer.batch.may_wait && !is_due) pool_.submit_soon(batches_);
 }
 
-void LinkSocket::pump_batches() {
+void LinkSocket::send_batches() {
   const std::lock_guard lock(mutex_);
   for (const auto& [identity, peer] : peers_) {
     if (std::exchange(peer->batch.may_wait, false)) pump(*peer);

@@ -12,7 +12,6 @@
 #include <vector>
 #include <zmq.hpp>
 
-#include "alarm.hpp"
 #include "fiona/control.pb.h"
 #include "fiona/message.hpp"
 #include "fiona/pool.hpp"
@@ -163,7 +162,7 @@ class LinkSocket {
   PeerLanes::Taken offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item);
   static bool waits_for_company(Peer& peer, const PeerLanes::Item& item);
   void end_batch(Peer& peer);
-  void pump_batches();
+  void send_batches();
   void pump(Peer& peer);
   void pump_held();
   bool fill(Peer& peer);
@@ -189,9 +188,9 @@ class LinkSocket {
   std::mutex mutex_;        ///< the socket's, and the lanes'
   std::mutex drain_mutex_;  ///< one reader at a time keeps the order
   zmq::socket_t socket_;
-  std::shared_ptr<Turn> turn_;
+  std::shared_ptr<Turn> turn_;     ///< reads, and sends what had to wait for room
+  std::shared_ptr<Turn> batches_;  ///< sends what has waited for company
   std::unique_ptr<Pool::Readable> watch_;
-  std::unique_ptr<Alarm> alarm_;
   std::unordered_map<std::string, std::shared_ptr<Peer>> peers_;
   std::vector<zmq::message_t> parts_;    ///< the reader's
   std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled

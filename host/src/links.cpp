@@ -116,12 +116,14 @@ Hop Links::connect(const Endpoint& endpoint) {
     throw Error(ErrorCode::Unreachable,
                 {.what = "the other host is not connected", .where = endpoint.address, .next = "ls hosts"});
   }
+  auto receiver = std::make_unique<Receiver>(*this);
+  const auto link =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *receiver, on_dealt_with());
+  receiver->use(link);
+  link->connect(endpoint.address, endpoint.name, {endpoint.key, memory_key_});
   Peer& peer = peers_[endpoint.address];
-  peer.receiver = std::make_unique<Receiver>(*this);
-  peer.hop.link = std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::dealer, counters_, *peer.receiver,
-                                               on_dealt_with());
-  peer.receiver->use(peer.hop.link);
-  peer.hop.link->connect(endpoint.address, endpoint.name, {endpoint.key, memory_key_});
+  peer.receiver = std::move(receiver);
+  peer.hop.link = link;
   return peer.hop;
 }
 

@@ -53,9 +53,8 @@ void Runtime::call(const wire::Call& request) {
   } else {
     call_port(hull, request, reply);
   }
-  const auto within =
-      std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(request.within_ms()));
-  clock_.schedule(clock_.now() + within, hull.shared_strand(), [reply] {
+  const Duration within = from_milliseconds(request.within_ms());
+  clock_.schedule(saturating_sum(clock_.now(), within), hull.shared_strand(), [reply] {
     reply->answer(Outcome::Timeout, {}, nullptr);
     reply->abandon();
   });

@@ -28,14 +28,6 @@ struct Waits::Wait {
   std::string seen;  ///< the last value that did not meet the expectation
 };
 
-namespace {
-
-Duration from_ms(double ms) {
-  return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
-}
-
-}  // namespace
-
 control::Reply failure_reply(ErrorCode code, ErrorText text) {
   control::Reply reply;
   *reply.mutable_failure() = failure_of(Error(code, std::move(text)));
@@ -65,7 +57,7 @@ void Waits::time_out_after(const WaitPtr& wait, double within_ms, std::function<
   auto expire = [this, weak = std::weak_ptr(wait), reply = std::move(reply)] {
     if (const auto expired = weak.lock()) finish(expired, reply());
   };
-  const TimePoint at = wait->since + from_ms(within_ms);
+  const TimePoint at = saturating_sum(wait->since, from_milliseconds(within_ms));
   const TimerId timer =
       virtual_ ? virtual_->stop_at(at, std::move(expire)) : clock_.schedule(at, strand_, std::move(expire));
   {

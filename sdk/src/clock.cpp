@@ -38,7 +38,7 @@ void SystemClock::stop() {
   {
     const std::lock_guard lock(mutex_);
     stopping_ = true;
-    wake_at(start_);
+    wake_at(TimePoint::min());
   }
   if (thread_.joinable()) thread_.join();
 }
@@ -92,12 +92,12 @@ void SystemClock::serve() {
 /// later. Called with the lock held.
 void SystemClock::wake_at(TimePoint at) {
   wakes_at_ = at;
-  const auto steady = steady_start_.time_since_epoch() + std::max(at - start_, Duration(0));
-  const auto ns = std::max<std::int64_t>(1, std::chrono::duration_cast<std::chrono::nanoseconds>(steady).count());
-  const std::int64_t second = 1'000'000'000;
-  const itimerspec once{{0, 0}, {ns / second, ns % second}};
-  const itimerspec never{};
-  ::timerfd_settime(alarm_, TFD_TIMER_ABSTIME, at == TimePoint::max() ? &never : &once, nullptr);
+  const TimePoint time = now();
+  const Duration rest = at > time ? at - time : Duration(0);
+  const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(rest);
+  itimerspec once{{0, 0}, {seconds.count(), std::max<std::int64_t>(1, (rest - seconds).count())}};
+  if (at == TimePoint::max()) once = {};  // which sets it for never
+  ::timerfd_settime(alarm_, 0, &once, nullptr);
 }
 
 }  // namespace fiona

@@ -33,8 +33,7 @@ class ObjectPool::Shelf {
   explicit Shelf(const Object& prototype) : prototype_(prototype) {}
 
   std::shared_ptr<Object> take() {
-    Cell* cell = pop();
-    if (!cell) cell = new Cell(*this, prototype_);
+    Cell* const cell = pop();
     return {cell->message.get(), Clearing{cell}, InCell<Object>{cell}};
   }
   std::size_t idle() const {
@@ -76,29 +75,40 @@ class ObjectPool::Shelf {
   };
 
   ~Shelf() {
-    for (Cell* stack : {own_, back_.load(std::memory_order_acquire)}) {
-      while (stack) delete std::exchange(stack, stack->below);
-    }
+    take_back();
+    drop_own();
   }
   Cell* pop() {
     const std::lock_guard lock(taking_);
-    ++taken_;
     if (!own_ || own_->largest > kLarge) take_back();
-    Cell* const cell = own_;
-    if (!cell) return nullptr;
-    own_ = cell->below;
-    if (own_) __builtin_prefetch(own_);  // it comes from another thread's cache
+    Cell* cell = own_;
+    if (!cell) {
+      cell = new Cell(*this, prototype_);
+    } else {
+      own_ = cell->below;
+      own_bytes_ -= static_cast<std::int64_t>(cell->cost());
+      if (own_) __builtin_prefetch(own_);  // it comes from another thread's cache
+    }
+    ++taken_;
     return cell;
   }
-  /// The newest go before the others.
+  /// The newest go before the others, as long as they fit together; else the others go.
   void take_back() {
-    back_bytes_.store(0, std::memory_order_relaxed);
+    const std::int64_t bytes = back_bytes_.exchange(0, std::memory_order_relaxed);
     Cell* const newest = back_.exchange(nullptr, std::memory_order_acquire);
+    if (own_bytes_ + bytes > static_cast<std::int64_t>(kKeptBytes)) drop_own();
+    own_bytes_ += bytes;
     if (!newest) return;
     Cell* oldest = newest;
     while (own_ && oldest->below) oldest = oldest->below;
     if (own_) oldest->below = own_;
     own_ = newest;
+  }
+  void drop_own() {
+    while (own_) {
+      own_bytes_ -= static_cast<std::int64_t>(own_->cost());
+      delete std::exchange(own_, own_->below);
+    }
   }
   void put_back(Cell* cell) {
     const auto cost = static_cast<std::int64_t>(cell->cost());
@@ -119,6 +129,7 @@ class ObjectPool::Shelf {
   // The takers'.
   mutable std::mutex taking_;
   Cell* own_ = nullptr;
+  std::int64_t own_bytes_ = 0;  ///< what those on the stack cost, and what is about to come back and counted already
   std::int64_t taken_ = 0;
   // Of those who put back.
   alignas(kCacheLine) std::atomic<Cell*> back_{nullptr};

@@ -26,6 +26,8 @@ constexpr int kWorkPerLook = 16;
 constexpr std::uint64_t kWork = 0;
 /// What it gives at the times to look for work that no thread was told of.
 constexpr std::uint64_t kRound = 1;
+/// What it gives when it is time for what was to be done soon.
+constexpr std::uint64_t kSoon = 2;
 /// What it gives when nothing has happened.
 constexpr std::uint64_t kNothing = ~std::uint64_t{0};
 
@@ -35,6 +37,7 @@ constexpr std::int64_t kWakingNs = 20'000;
 /// Rounds are made at this pace, for to set a timer for each piece costs more than the piece.
 constexpr itimerspec kRounds{{0, 10'000'000}, {0, 10'000'000}};
 constexpr itimerspec kNoRounds{};
+constexpr itimerspec kInSoon{{0, 0}, {0, 300'000}};
 /// Rounds after the last such piece, until no more are made.
 constexpr int kIdleRounds = 20;
 constexpr std::int64_t kRunsInMean = 16;
@@ -91,15 +94,18 @@ struct Pool::Threads {
   void wake_one();
   bool takes_next();
   void set_rounds(const itimerspec& times) const;
+  void begin_soon();
   void control(int operation, std::uint64_t key, int descriptor, std::uint32_t events) const;
 
   const Descriptor epoll{checked(::epoll_create1(EPOLL_CLOEXEC), "epoll_create1")};
   const Descriptor word{checked(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")};
   const Descriptor timer{checked(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK), "timerfd_create")};
+  const Descriptor soon_timer{checked(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK), "timerfd_create")};
   std::mutex mutex;
   std::deque<std::shared_ptr<Runnable>> work;
+  std::vector<std::shared_ptr<Runnable>> soon;
   std::unordered_map<std::uint64_t, std::shared_ptr<Watch>> watches;
-  std::uint64_t next_key = kRound + 1;
+  std::uint64_t next_key = kSoon + 1;
   std::size_t idle = 0;  ///< threads that wait, or are about to
   bool told = false;     ///< and none of them has heard yet
   int rounds_left = 0;   ///< more than 0 while the timer runs
@@ -144,6 +150,11 @@ void Pool::Threads::set_rounds(const itimerspec& times) const {
   checked(::timerfd_settime(timer.number(), 0, &times, nullptr), "timerfd_settime");
 }
 
+/// Called with the lock held.
+void Pool::Threads::begin_soon() {
+  for (auto& runnable : std::exchange(soon, {})) work.push_back(std::move(runnable));
+}
+
 void Pool::Threads::serve() {
   std::unique_lock lock(mutex);
   while (!stopping) {
@@ -157,7 +168,8 @@ void Pool::Threads::serve() {
     idle -= rests ? 1 : 0;
     if (key == kWork) told = false;
     if (key == kRound && rounds_left > 0 && --rounds_left == 0) set_rounds(kNoRounds);
-    if (key > kRound && key != kNothing) call(key, lock);
+    if (key == kSoon) begin_soon();
+    if (key > kSoon && key != kNothing) call(key, lock);
   }
 }
 
@@ -205,6 +217,7 @@ Pool::Pool(std::size_t threads, std::shared_ptr<Liveness> liveness)
     : liveness_(std::move(liveness)), threads_(std::make_unique<Threads>()) {
   threads_->control(EPOLL_CTL_ADD, kWork, threads_->word.number(), EPOLLIN | EPOLLET);
   threads_->control(EPOLL_CTL_ADD, kRound, threads_->timer.number(), EPOLLIN | EPOLLET);
+  threads_->control(EPOLL_CTL_ADD, kSoon, threads_->soon_timer.number(), EPOLLIN | EPOLLET);
   if (threads == 0) threads = std::max(2U, std::thread::hardware_concurrency());
   for (std::size_t i = 0; i < threads; ++i) add_thread();
 }
@@ -228,6 +241,13 @@ void Pool::submit(std::shared_ptr<Runnable> runnable) {
   const std::lock_guard lock(threads_->mutex);
   threads_->work.push_back(std::move(runnable));
   if (!threads_->takes_next()) threads_->wake_one();
+}
+
+void Pool::submit_soon(std::shared_ptr<Runnable> runnable) {
+  const std::lock_guard lock(threads_->mutex);
+  threads_->soon.push_back(std::move(runnable));
+  if (threads_->soon.size() > 1) return;
+  checked(::timerfd_settime(threads_->soon_timer.number(), 0, &kInSoon, nullptr), "timerfd_settime");
 }
 
 class Pool::WatchGuard final : public Readable {
@@ -255,8 +275,8 @@ std::unique_ptr<Pool::Readable> Pool::watch(int descriptor, std::function<void()
   const auto watch = std::make_shared<Watch>(descriptor, std::move(ready));
   const std::lock_guard lock(threads_->mutex);
   const std::uint64_t key = threads_->next_key++;
-  threads_->watches.emplace(key, watch);
   threads_->control(EPOLL_CTL_ADD, key, descriptor, EPOLLIN | EPOLLONESHOT);
+  threads_->watches.emplace(key, watch);
   return std::make_unique<WatchGuard>(*threads_, key, watch);
 }
 

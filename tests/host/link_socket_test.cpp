@@ -98,6 +98,24 @@ TEST_F(ProvingLink, HearsAPeerThatKnowsTheKey) {
   EXPECT_EQ(link.process_of("peer"), "peer");
 }
 
+TEST_F(ProvingLink, TheLastMessageOfAStreamWaitsForCompanyAndNotForEver) {
+  Noted client_noted;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
+  client.connect("inproc://link", "peer", {link_key(kKey, "peer")});
+  const LinkSocket::Lane lane = client.open_lane("");
+  const auto push = [&] {
+    wire::Frame frame = frame_of(7);
+    client.send(lane, frame, std::make_shared<BytesValue>(), LinkSocket::Rule::DropOldest);
+  };
+  for (int i = 0; i < 40; ++i) push();  // which is a stream: they wait for the proof
+  EXPECT_TRUE(eventually([&] { return noted.seen().size() == 40; }));
+  for (std::size_t i = 41; i < 50; ++i) {
+    push();
+    EXPECT_TRUE(eventually([&] { return noted.seen().size() == i; })) << i;
+  }
+  client.stop();
+}
+
 TEST_F(ProvingLink, DropsAndCountsWhatComesBeforeTheProof) {
   RawPeer peer(context, "inproc://link", "peer");
   peer.send(frame_of(7));

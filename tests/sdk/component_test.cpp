@@ -229,6 +229,8 @@ TEST(SaturatingSum, EndsWithTheEndOfTime) {
   EXPECT_EQ(saturating_sum(TimePoint(5s), Duration::max() - 5s), TimePoint::max());
   EXPECT_EQ(saturating_sum(TimePoint(5s), 1s), TimePoint(6s));
   EXPECT_EQ(saturating_sum(TimePoint(5s), Duration::min()), TimePoint(5s) + Duration::min());
+  EXPECT_EQ(from_milliseconds(1.5), 1500us);
+  EXPECT_EQ(from_milliseconds(1e300), Duration::max());
 }
 
 // ---- a failed instance ----------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <deque>
 #include <thread>
 #include <vector>
 
@@ -69,6 +70,21 @@ TEST(MessagePool, CountsOneAsLargeAsItHasEverBeen) {
   for (int i = 0; i < 2; ++i) taken.push_back(pool.acquire());
   taken.clear();
   EXPECT_EQ(pool.idle(), 2U) << "they have the memory of what they were";
+}
+
+TEST(MessagePool, KeepsNoMoreOfManyThatComeBackWhileOthersAreTaken) {
+  ObjectPool pool(Number::default_instance());
+  const std::size_t fit = ObjectPool::kKeptBytes / (1024 * 1024);
+  std::deque<std::shared_ptr<Object>> out;
+  for (int i = 0; i < 60; ++i) {
+    out.push_back(pool.acquire());
+    static_cast<Number&>(*out.back()).mutable_payload()->assign(1024 * 1024, 'x');
+  }
+  while (out.size() > 2) {
+    for (int i = 0; i < 2; ++i) out.pop_front();
+    out.push_back(pool.acquire());
+    EXPECT_LE(pool.idle(), 2 * fit);
+  }
 }
 
 TEST(MessagePool, IsSharedByThreadsThatTakeAndLetGo) {

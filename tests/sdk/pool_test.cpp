@@ -71,6 +71,26 @@ TEST(Pool, RunsEachPieceOfWorkOnceWhoeverSubmitsIt) {
   EXPECT_TRUE(std::all_of(runs.begin(), runs.end(), [](const auto& count) { return count == 1; }));
 }
 
+TEST(Pool, RunsWhatIsToRunSoonOnceAndNotAtOnce) {
+  Pool pool(2);
+  for (int round = 0; round < 3; ++round) {
+    std::atomic<int> runs{0};
+    std::latch both(2);
+    const auto begun = std::chrono::steady_clock::now();
+    std::chrono::steady_clock::time_point first{};
+    for (int i = 0; i < 2; ++i) {
+      pool.submit_soon(std::make_shared<Work>([&] {
+        if (++runs == 1) first = std::chrono::steady_clock::now();
+        both.count_down();
+      }));
+    }
+    both.wait();
+    EXPECT_GE(first - begun, 300us);
+    std::this_thread::sleep_for(2ms);
+    EXPECT_EQ(runs, 2);
+  }
+}
+
 TEST(Pool, HasAllItsThreadsAtWorkWhenThereIsWorkForAll) {
   Pool pool(4);
   std::barrier all_four(4);

@@ -367,6 +367,16 @@ TEST_F(Strands, TimersOfTheSystemClockComeInTheirOrder) {
   EXPECT_THAT(order, ElementsAre(1, 2));
 }
 
+TEST_F(Strands, TimersOfAllTimesLeaveTheOthersTheirs) {
+  std::promise<void> past, later;
+  clock.schedule(TimePoint::max(), strand, [] { ADD_FAILURE(); });
+  clock.schedule(TimePoint::max() - 1ns, strand, [] { ADD_FAILURE(); });
+  clock.schedule(TimePoint::min(), strand, [&] { past.set_value(); });
+  clock.schedule(clock.now() + 20ms, strand, [&] { later.set_value(); });
+  EXPECT_EQ(past.get_future().wait_for(kLimit), std::future_status::ready);
+  EXPECT_EQ(later.get_future().wait_for(kLimit), std::future_status::ready);
+}
+
 // ---- tasks ----------------------------------------------------------------------------------------------------
 
 /// A clock that work can move: what a slow machine does to a task.

@@ -33,7 +33,7 @@ struct Outcome {
   double took_s = 0.0;
   int reroutes = 0;
   std::vector<std::string> faults{};          ///< instructions and paths that must not be
-  std::vector<std::string> untimely{};        ///< what was announced too early, too late, or once
+  std::vector<std::string> untimely{};        ///< what was announced too early, too late, or only once
   std::uint64_t instructions = 0;             ///< a hash of all that was said, and when
   std::vector<double> errors_m{};             ///< of the localisation, once a second from when the destination was sent
   int inside = 0;                             ///< seconds within the 95 % region of the place

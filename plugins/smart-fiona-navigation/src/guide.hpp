@@ -33,7 +33,7 @@ class Guide {
     hmi::Instruction instruction{};  ///< without number
     bool is_new = false;             ///< another instruction than the one before, to be numbered
     hmi::NextTurn turn{};
-    bool off_path = false;  ///< for some time: another path is needed
+    bool off_path = false;  ///< for some time, or surely: another path is needed
     bool arrived = false;
   };
   Advice follow(const Walker& walker, TimePoint now);

@@ -130,7 +130,8 @@ void PathTracker::note_whether_off(Situation& here, const Path::Match& match) {
     off_since_ = here.now;
   }
   // Nobody is led on along a path that is surely behind a wall, not for a moment.
-  const bool surely_hidden = match.hidden && is_hidden(here, here.path.place(match.at_m).at, kSureOfSide);
+  const bool surely_hidden =
+      match.hidden && !on_other_level && is_hidden(here, here.path.place(match.at_m).at, kSureOfSide);
   const Duration off_for = surely_hidden ? 0s : may_be_in_lift ? kOffAtLift : kOffFor;
   here.is_off = off_since_ && here.now - *off_since_ >= off_for;
 }

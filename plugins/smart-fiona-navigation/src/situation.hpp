@@ -44,7 +44,7 @@ struct Situation {
   // By PathTracker.
   double at_m = 0.0;          ///< of the path
   double off_m = 0.0;         ///< beside it
-  bool is_off = false;        ///< for some time
+  bool is_off = false;        ///< for some time, or surely
   bool gets_nowhere = false;  ///< along the path, however they move
   TimePoint moved_at{};
   bool stands = false;  ///< by a place that is less than sure: they neither go through a door nor are about to

@@ -193,7 +193,6 @@ std::string WebInterface::map_fault() const {
 void WebInterface::look() {
   connections_.set(server_->connections());
   board_.set("attention", attentions_.json(now()));
-  tell_status();
 }
 
 Async<> WebInterface::look_for_map() {

@@ -99,6 +99,8 @@ class WebInterface final : public Component {
   Trigger<None, Link> link_{
       *this, "link", &WebInterface::make_link, {.doc = "an address that opens the page, once, within ten minutes"}};
   Probe<std::uint64_t> connections_{*this, "connections", {.doc = "open connections of pages"}};
+  /// A provider whose process has died is back after a tenth of a second: whoever trusted it meanwhile is to know.
+  Task status_{*this, "status", std::chrono::milliseconds(50), &WebInterface::tell_status};
   Task look_{*this, "look", std::chrono::milliseconds(250), &WebInterface::look};
   /// Its own: a map server that does not answer is to hold up nothing else.
   Task map_task_{*this, "map", std::chrono::milliseconds(250), &WebInterface::look_for_map};

@@ -42,8 +42,8 @@ Received<T> received(const Envelope& envelope) {
 
 /// Messages of one type that are used again, each with the count of its owners: a fresh 1 MiB costs more in page faults
 /// than in copying, and a small one more in the allocator, whose memory wanders between threads, than in the rest of
-/// its way. Idle ones are kept: `kKeptBytes` of those that have come back since the last that had was taken, and as
-/// much of the others. [any thread]
+/// its way. Idle ones are kept: up to `kKeptBytes` of those that have come back lately, and as much of those that are
+/// to be taken next. [any thread]
 class ObjectPool {
  public:
   /// Serialised, as each message was at its largest, and `kMessageCost` for each.

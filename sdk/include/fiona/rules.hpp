@@ -30,7 +30,7 @@ class ObjectRules {
 
     const google::protobuf::FieldDescriptor* field;
     Number number = nullptr;  ///< of one that is not repeated
-    bool repeated = false;    ///< this and the next are asked for once: that costs as much as a number
+    bool repeated = false;    ///< with the next two asked for once: each costs as much as a number
     bool presence = false;
     bool enumeration = false;
     std::optional<double> min{};
