@@ -46,7 +46,8 @@ class ObjectPool::Shelf {
   }
   /// Of the pool: nothing is taken any more.
   void close() {
-    if (balance_.fetch_sub(taken_, std::memory_order_acq_rel) == taken_) delete this;
+    const std::int64_t taken = taken_;  // for whoever lets go of the last one ends the shelf
+    if (balance_.fetch_sub(taken, std::memory_order_acq_rel) == taken) delete this;
   }
 
  private:
