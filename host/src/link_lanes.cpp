@@ -33,13 +33,6 @@ std::size_t PeerLanes::Lane::drop_oldest() {
   return wires * messages;
 }
 
-bool PeerLanes::Lane::joins_last(const Item& item) const {
-  if (item.rule != Rule::DropOldest || item.payload || item.also || queue_.empty()) return false;
-  const Item& last = queue_.back();
-  return last.rule == item.rule && !last.payload && !last.also && last.wire == item.wire &&
-         last.record.size() + item.record.size() <= kTogetherBytes;
-}
-
 std::shared_ptr<PeerLanes::Lane> PeerLanes::open() {
   const auto lane = std::make_shared<Lane>(next_lane_++);
   lanes_.emplace(lane->id(), lane);
@@ -74,18 +67,31 @@ PeerLanes::Taken PeerLanes::offer(Lane& lane, Item item) {
     if (lost == 0) break;
     taken.lost += lost;
   }
+  const bool is_small_push = item.rule == Rule::DropOldest && !item.payload && !item.also;
+  if (taken.lost > 0 && is_small_push) {  // as `join` would have, had there been room
+    if (std::uint8_t* const place = join(lane, item.wire, item.cost, item.record.size())) {
+      std::memcpy(place, item.record.data(), item.record.size());
+      return taken;
+    }
+  }
   lane.waiting_ += item.cost;
   if (item.cost == 0) control_bytes_ += item.record.size() + kFrameCost;
-  if (lane.joins_last(item)) {
-    Item& last = lane.queue_.back();
-    last.record.append(item.record, kTogetherBytes);
-    last.cost += item.cost;
-    ++last.messages;
-  } else {
-    lane.queue_.push_back(std::move(item));
-  }
+  lane.queue_.push_back(std::move(item));
   update(lane);
   return taken;
+}
+
+std::uint8_t* PeerLanes::join(Lane& lane, std::uint64_t wire, std::size_t cost, std::size_t record_size) {
+  if (lane.closed_ || lane.queue_.empty() || lane.is_full(cost)) return nullptr;
+  Item& last = lane.queue_.back();
+  if (last.rule != Rule::DropOldest || last.payload || last.also || last.wire != wire) return nullptr;
+  if (last.record.size() + record_size > kTogetherBytes) return nullptr;
+  std::uint8_t* const place = last.record.extend(record_size, kTogetherBytes);
+  lane.waiting_ += cost;
+  last.cost += cost;
+  ++last.messages;
+  update(lane);
+  return place;
 }
 
 void PeerLanes::credit(std::uint64_t id, std::size_t bytes) {

@@ -65,6 +65,9 @@ class PeerLanes {
   enum class Rest { IsLost, Goes };
   std::size_t close(Lane& lane, Rest rest = Rest::IsLost);
   Taken offer(Lane& lane, Item item);
+  /// Room for a small message of a push behind those that wait in the lane already, and are for that wire alone; null:
+  /// there is none, and it is an item of its own.
+  std::uint8_t* join(Lane& lane, std::uint64_t wire, std::size_t cost, std::size_t record_size);
   void credit(std::uint64_t lane, std::size_t bytes);
   bool has_ready() const { return !small_.empty() || !large_.empty(); }
   /// What is to go next; false when nothing may.
@@ -101,7 +104,6 @@ class PeerLanes::Lane {
   bool may_go() const;
   bool is_full(std::size_t cost) const { return waiting_ > 0 && waiting_ + cost > kLaneWindow; }
   std::size_t drop_oldest();
-  bool joins_last(const Item& item) const;
 
   const std::uint64_t id_;
   std::deque<Item> queue_;

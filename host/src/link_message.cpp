@@ -140,15 +140,15 @@ Block::~Block() {
   is_pooled(capacity_) ? shelf().put_back(data_) : ::operator delete(data_);
 }
 
-void Block::append(const Block& more, std::size_t capacity) {
-  const std::size_t size = size_ + more.size_;
+std::uint8_t* Block::extend(std::size_t more, std::size_t capacity) {
+  const std::size_t size = size_ + more;
   if (size > capacity_) {
     Block grown(std::max(size, capacity));
     std::memcpy(grown.data_, data_, size_);
+    grown.size_ = size_;
     *this = std::move(grown);
   }
-  std::memcpy(data_ + (size - more.size_), more.data_, more.size_);
-  size_ = size;
+  return data_ + std::exchange(size_, size);
 }
 
 /// Takes what protobuf writes, in order: long strings as they lie in the object, the rest in blocks.
@@ -255,30 +255,37 @@ Payload::Payload(const ObjectBytes& object) : chunk_(kChunkBytes), size_(object.
 
 namespace {
 
-/// The record with room for the object at its end.
-std::pair<Block, std::uint8_t*> begin_record(const wire::Frame& frame, std::size_t object_size) {
-  const std::size_t frame_size = frame.ByteSizeLong();
-  Block block(kRecordHead + frame_size + object_size);
-  write_length(block.data(), frame_size);
-  write_length(block.data() + 4, object_size);
-  auto* end = frame.SerializeWithCachedSizesToArray(block.data() + kRecordHead);
-  return {std::move(block), end};
+/// All but the object: its place is returned.
+std::uint8_t* begin_record(std::uint8_t* to, const wire::Frame& frame, std::size_t object_size) {
+  write_length(to, static_cast<std::size_t>(frame.GetCachedSize()));
+  write_length(to + 4, object_size);
+  return frame.SerializeWithCachedSizesToArray(to + kRecordHead);
 }
 
 }  // namespace
 
 std::string told_reason(std::string_view reason) { return readable_text(reason, kMostReason); }
 
-Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size) {
-  auto [block, end] = begin_record(frame, object_size);
+std::size_t record_size(const wire::Frame& frame, std::size_t object_size) {
+  return kRecordHead + frame.ByteSizeLong() + object_size;
+}
+
+void write_record(std::uint8_t* to, const wire::Frame& frame, const Object* object, std::size_t object_size) {
+  std::uint8_t* const end = begin_record(to, frame, object_size);
   if (object) object->SerializeWithCachedSizesToArray(end);
-  return std::move(block);
+}
+
+Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size) {
+  Block block(record_size(frame, object_size));
+  write_record(block.data(), frame, object, object_size);
+  return block;
 }
 
 Block make_record(const wire::Frame& frame, const ObjectBytes& object) {
-  auto [block, end] = begin_record(frame, object.size());
-  object.each_piece([&out = end](std::string_view piece) { out = std::copy(piece.begin(), piece.end(), out); });
-  return std::move(block);
+  Block block(record_size(frame, object.size()));
+  std::uint8_t* end = begin_record(block.data(), frame, object.size());
+  object.each_piece([&end](std::string_view piece) { end = std::copy(piece.begin(), piece.end(), end); });
+  return block;
 }
 
 // ---- what is received -----------------------------------------------------------------------------------------
@@ -297,13 +304,46 @@ std::string ObjectBytes::to_string() const {
   return text;
 }
 
-/// Everything from the network is checked before use: lengths here, then protobuf, then the wire's own rules.
+namespace {
+
+/// The frame of a small object of a push, written as protobuf writes it, as most frames are: read without its parser,
+/// which costs as much as all the rest of the frame's way. False: it is another one, or written in another way.
+bool read_object_frame(std::string_view bytes, wire::Frame& frame) {
+  enum Type : std::uint32_t { Varint = 0, Fixed64 = 1, Delimited = 2 };  // protobuf's encoding, "Message structure"
+  constexpr auto tag = [](std::uint32_t field, Type type) { return field << 3 | type; };
+  google::protobuf::io::CodedInputStream in(reinterpret_cast<const std::uint8_t*>(bytes.data()),
+                                            static_cast<int>(bytes.size()));
+  std::uint64_t wire = 0;
+  std::uint64_t sequence = 0;
+  std::uint64_t origin_ns = 0;
+  std::uint64_t lane = 0;
+  int size = 0;
+  if (!in.ExpectTag(tag(wire::Frame::kWireFieldNumber, Varint)) || !in.ReadVarint64(&wire)) return false;
+  if (!in.ExpectTag(tag(wire::Frame::kObjectFieldNumber, Delimited))) return false;
+  const int begin = in.CurrentPosition() + 1;  // it is as short as its length is
+  if (!in.ReadVarintSizeAsInt(&size) || in.CurrentPosition() != begin) return false;
+  if (!in.ExpectTag(tag(wire::Object::kSequenceFieldNumber, Varint)) || !in.ReadVarint64(&sequence)) return false;
+  if (!in.ExpectTag(tag(wire::Object::kOriginNsFieldNumber, Fixed64)) || !in.ReadLittleEndian64(&origin_ns))
+    return false;
+  if (in.CurrentPosition() - begin != size) return false;
+  if (!in.ExpectTag(tag(wire::Frame::kLaneFieldNumber, Varint)) || !in.ReadVarint64(&lane)) return false;
+  if (in.CurrentPosition() != static_cast<int>(bytes.size())) return false;
+  frame.set_wire(wire);
+  frame.mutable_object()->set_sequence(sequence);
+  frame.mutable_object()->set_origin_ns(static_cast<std::int64_t>(origin_ns));
+  frame.set_lane(lane);
+  return true;
+}
+
+}  // namespace
+
+/// Everything from the network is checked before use: lengths and frames here, then the wire's own rules.
 bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver, bool lent) {
   if (parts.empty() || parts.size() > 2) return false;
   lent_ = lent;
   std::string_view rest = text_of(parts.front());
   scratch_->arena.Reset();
-  auto& frame = *google::protobuf::Arena::CreateMessage<wire::Frame>(&scratch_->arena);
+  auto& other = *google::protobuf::Arena::CreateMessage<wire::Frame>(&scratch_->arena);
   do {
     if (rest.size() < kRecordHead) return false;
     const auto* head = reinterpret_cast<const std::uint8_t*>(rest.data());
@@ -311,7 +351,9 @@ bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver, b
     const std::size_t object_size = read_length(head + 4);
     rest.remove_prefix(kRecordHead);
     if (frame_size > rest.size() || object_size > rest.size() - frame_size) return false;
-    if (!frame.ParseFromArray(rest.data(), static_cast<int>(frame_size))) return false;
+    const bool of_object = read_object_frame(rest.substr(0, frame_size), scratch_->of_object);
+    if (!of_object && !other.ParseFromArray(rest.data(), static_cast<int>(frame_size))) return false;
+    const wire::Frame& frame = of_object ? scratch_->of_object : other;
     if (static_cast<std::size_t>(frame.also_size()) > kMostAlso) return false;
     const auto inside = rest.substr(frame_size, object_size);
     rest.remove_prefix(frame_size + object_size);

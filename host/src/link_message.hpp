@@ -48,8 +48,9 @@ class Block {
   std::uint8_t* data() { return data_; }
   const std::uint8_t* data() const { return data_; }
   std::size_t size() const { return size_; }
-  /// Grows to `capacity` or more at once, so that many are added for few allocations.
-  void append(const Block& more, std::size_t capacity);
+  /// Room for `more` bytes behind the others. Grows to `capacity` or more at once, so that many are added for few
+  /// allocations.
+  std::uint8_t* extend(std::size_t more, std::size_t capacity);
 
  private:
   std::uint8_t* data_ = nullptr;
@@ -111,7 +112,10 @@ class Payload {
 
 /// Why, as a peer is told it: a sentence of 4 KiB at most.
 std::string told_reason(std::string_view reason);
-/// A record: head, frame, and the object's bytes if it has any that travel inside.
+/// A record: head, frame, and the object's bytes if it has any that travel inside. Its size, and writing it where there
+/// is room for so much: between the two the frame and the object must stay as they are.
+std::size_t record_size(const wire::Frame& frame, std::size_t object_size);
+void write_record(std::uint8_t* to, const wire::Frame& frame, const Object* object, std::size_t object_size);
 Block make_record(const wire::Frame& frame, const Object* object, std::size_t object_size);
 Block make_record(const wire::Frame& frame, const ObjectBytes& object);
 /// How many messages an object may come in that is too large for one.
@@ -158,6 +162,7 @@ class FrameReader {
   struct Scratch {
     alignas(8) char first[1024];
     google::protobuf::Arena arena{first, sizeof first};
+    wire::Frame of_object;  ///< in which nothing else is ever set
   };
   const std::size_t chunk_;
   const std::unique_ptr<Scratch> scratch_ = std::make_unique<Scratch>();

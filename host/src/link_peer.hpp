@@ -28,7 +28,7 @@ inline constexpr std::size_t kLanesOwed = 16;
 /// A batch of so many small messages is one of a stream. To send it wakes a handful of threads one after the other, so
 /// that the next one waits until it is as large as `kFullBatch`, or until the pool is told to run what is to run soon.
 inline constexpr std::size_t kStream_messages = 16;
-inline constexpr std::size_t kFullBatch = 48 * 1024;
+inline constexpr std::size_t kFullBatch = 80 * 1024;
 
 /// What a link does on a thread of the pool; outlives its socket while it is queued.
 struct LinkSocket::Turn final : Runnable {
@@ -158,11 +158,18 @@ class LinkSocket::Peer {
   std::atomic<bool> gone{false};  ///< written under the link's mutex
   FrameCounts counts;
   PeerLanes lanes;
+  /// The small messages of pushes that have come since the last ones left.
   struct Batch {
+    /// One more: whether it waits for company, as long as nothing else follows.
+    bool waits_with(std::size_t record_size) {
+      ++messages;
+      bytes += record_size;
+      return may_wait && bytes < kFullBatch;
+    }
     std::size_t messages = 0;
     std::size_t bytes = 0;
-    bool may_wait = false;       ///< it follows another one of a stream, and will leave soon
-  } batch;                       ///< the small messages that have come since the last one left
+    bool may_wait = false;  ///< it follows another one of a stream, and will leave soon
+  } batch;
   std::optional<Crossing> held;  ///< ahead of the lanes: ZeroMQ has had no room for it
   const std::shared_ptr<PeerLanes::Lane> control;
   FrameReader reader;                ///< the reader's

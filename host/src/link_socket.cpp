@@ -243,6 +243,7 @@ LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const st
   const std::size_t size = object ? object->ByteSizeLong() : 0;
   if (refuses(size)) return {Sent::What::TooLarge, 0};
   if (on_dealt_with_) rule = Rule::Control;
+  if (rule == Rule::DropOldest && object && !also && joined(lane, frame, *object, size)) return {};
   PeerLanes::Item item = item_for(lane, frame, object, size, rule);
   item.also = std::move(also);
   const std::lock_guard lock(mutex_);
@@ -250,6 +251,22 @@ LinkSocket::Sent LinkSocket::send(const Lane& lane, wire::Frame& frame, const st
   ++lane.peer->counts.sent;
   const auto taken = offer(*lane.peer, *lane.lane, std::move(item));
   return {taken.ok ? Sent::What::Ok : Sent::What::Full, taken.lost};
+}
+
+/// Of a small message of a stream: most find others that wait.
+bool LinkSocket::joined(const Lane& lane, wire::Frame& frame, const Object& object, std::size_t size) {
+  if (size > kTogetherBytes) return false;
+  frame.set_lane(lane.lane->id());
+  const std::size_t bytes = record_size(frame, size);
+  const std::lock_guard lock(mutex_);
+  Peer& peer = *lane.peer;
+  if (peer.gone) return false;
+  std::uint8_t* const place = peer.lanes.join(*lane.lane, frame.wire(), size + kFrameCost, bytes);
+  if (!place) return false;
+  write_record(place, frame, &object, size);
+  ++peer.counts.sent;
+  if (!peer.batch.waits_with(bytes)) pump(peer);
+  return true;
 }
 
 void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
@@ -277,21 +294,12 @@ void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame 
 /// heard.
 PeerLanes::Taken LinkSocket::offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item) {
   if (peer.memory && item.payload && item.payload->size() >= kMemoryFrom) tell_locked(peer, peer.memory->offer());
-  const bool waits = waits_for_company(peer, item);
+  const bool is_small_push = item.rule == Rule::DropOldest && !item.payload;
+  const bool waits = is_small_push && peer.batch.waits_with(item.record.size());
   const auto taken = peer.lanes.offer(lane, std::move(item));
   if (!waits) pump(peer);
   if (peer.lanes.control_bytes() > kMostControl && !on_dealt_with_ && !peer.gone.exchange(true)) ++counters_.overrun;
   return taken;
-}
-
-/// Of a stream, as long as it is followed by nothing else.
-bool LinkSocket::waits_for_company(Peer& peer, const PeerLanes::Item& item) {
-  const bool is_small_push = item.rule == Rule::DropOldest && !item.payload;
-  if (is_small_push) {
-    ++peer.batch.messages;
-    peer.batch.bytes += item.record.size();
-  }
-  return is_small_push && peer.batch.may_wait && peer.batch.bytes < kFullBatch;
 }
 
 /// In virtual time nothing waits for company: what one round sends is there in the next.

@@ -160,7 +160,7 @@ class LinkSocket {
   std::shared_ptr<Peer> add_peer(const std::string& identity, std::string process, bool proven);
   void forget_locked(const std::string& process);
   PeerLanes::Taken offer(Peer& peer, PeerLanes::Lane& lane, PeerLanes::Item item);
-  static bool waits_for_company(Peer& peer, const PeerLanes::Item& item);
+  bool joined(const Lane& lane, wire::Frame& frame, const Object& object, std::size_t size);
   void end_batch(Peer& peer);
   void send_batches();
   void pump(Peer& peer);

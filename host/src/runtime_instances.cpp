@@ -145,8 +145,7 @@ Hull::ModeDone Runtime::mode_set(std::uint64_t change) {
 }
 
 void Runtime::set_mode(const wire::SetMode& request) {
-  const std::chrono::duration<double, std::milli> asked(request.within_ms());
-  const Duration within = asked.count() > 0 ? std::chrono::duration_cast<Duration>(asked) : kLifeCycleDeadline;
+  const Duration within = request.within_ms() > 0 ? from_milliseconds(request.within_ms()) : kLifeCycleDeadline;
   find(request.instance()).hull->change_mode(request.mode(), within, mode_set(request.change()));
 }
 

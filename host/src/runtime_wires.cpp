@@ -79,10 +79,9 @@ void Runtime::arrange(const wire::Arrange& request, wire::Switched& switched) {
   RequiredPort& client = required(request.client());
   std::vector<std::string> providers;
   for (const auto& name : request.providers()) providers.push_back(text_of(name));
-  const std::chrono::duration<double, std::milli> hold(request.hold_ms());
   SwitchCost cost(client);
   cost.begin();
-  client.arrange(providers, std::chrono::duration_cast<Duration>(hold));
+  client.arrange(providers, from_milliseconds(request.hold_ms()));
   cost.end(switched);
   for (const std::uint64_t wire : request.retires()) retire(wire);
 }

@@ -14,10 +14,6 @@
 namespace fiona::host {
 namespace {
 
-Duration duration_of_ms(double ms) {
-  return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
-}
-
 wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit, TimePoint now) {
   wire::Tapped tapped;
   tapped.set_unit(unit);
@@ -41,13 +37,13 @@ TapTerms terms_of(const control::Watch& watch, const std::string& unit) {
   using Condition = control::Condition;
   TapTerms terms;
   terms.every = std::max(1U, watch.prescale());
-  terms.period = duration_of_ms(watch.min_period_ms());
+  terms.period = from_milliseconds(watch.min_period_ms());
   const Condition& condition = watch.condition();
   terms.changes = condition.kind_case() == Condition::kChanges;
   if (condition.kind_case() == Condition::kOlderThanMs) {
     if (!(condition.older_than_ms() > 0))
       throw Error(ErrorCode::Usage, {.what = "an age is above zero", .expected = "older than 500ms, for example"});
-    terms.older_than = duration_of_ms(condition.older_than_ms());
+    terms.older_than = from_milliseconds(condition.older_than_ms());
   }
   if (condition.kind_case() == Condition::kCompared) {
     terms.holds = [condition, unit](const Object& object) {

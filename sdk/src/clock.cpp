@@ -21,7 +21,12 @@ SystemClock::SystemClock(Origin origin)
     steady_start_ = std::chrono::steady_clock::now();
     start_ = TimePoint(std::chrono::duration_cast<Duration>(std::chrono::system_clock::now().time_since_epoch()));
   }
-  thread_ = std::thread([this] { serve(); });
+  try {
+    thread_ = std::thread([this] { serve(); });
+  } catch (...) {
+    ::close(alarm_);
+    throw;
+  }
 }
 
 SystemClock::Origin SystemClock::origin() const {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <chrono>
+#include <iterator>
 #include <utility>
 
 #include "fiona/clock.hpp"
@@ -133,6 +134,7 @@ void Inbox::wake(std::unique_lock<std::mutex>& lock) {
 
 /// Called with the strand's mutex held: the waiters run as jobs of the strand.
 void Inbox::notify_waiters(const Envelope& envelope) {
+  if (waiters_.empty()) return;
   for (auto& waiter : std::exchange(waiters_, {})) {
     post_locked([waiter = std::move(waiter), envelope] {
       if (const auto who = waiter.who.lock()) waiter.then(envelope);
@@ -189,14 +191,15 @@ void Inbox::empty_slot() {
 void Inbox::leave_mode() {
   {
     const std::lock_guard lock(strand_.mutex_);
-    const std::size_t left = queue_.size() + batch_.size();
-    for (const auto* waiting : {&queue_, &batch_}) {
-      for (const Parcel& parcel : *waiting) bytes_.fetch_sub(cost(parcel));
-    }
+    const auto drop = [this](const Parcel& parcel) {
+      bytes_.fetch_sub(cost(parcel));
+      port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
+    };
+    std::for_each(queue_.begin(), queue_.end(), drop);
+    std::for_each(batch_.begin(), batch_.end(), drop);
     queue_.clear();
     batch_.clear();
     batched_.store(0, std::memory_order_relaxed);
-    port_.counters().not_active.fetch_add(left, std::memory_order_relaxed);
     slot_.reset();
     slot_read_ = true;
   }
@@ -220,10 +223,10 @@ void Inbox::clear(Outcome outcome) {
 
 bool Inbox::refill() {
   const std::lock_guard lock(strand_.mutex_);
-  while (!queue_.empty() && batch_.size() < kBatch) {
-    batch_.push_back(std::move(queue_.front()));
-    queue_.pop_front();
-  }
+  const auto end = queue_.begin() + static_cast<std::ptrdiff_t>(std::min(queue_.size(), kBatch));
+  batch_.assign(std::make_reverse_iterator(std::make_move_iterator(end)),
+                std::make_reverse_iterator(std::make_move_iterator(queue_.begin())));
+  queue_.erase(queue_.begin(), end);
   batched_.store(batch_.size(), std::memory_order_relaxed);
   return !batch_.empty();
 }
@@ -286,8 +289,8 @@ void Inbox::handle() {
 
 /// What is in the handler's hands waits no longer: its place is free.
 void Inbox::begin_parcel() {
-  current_ = std::move(batch_.front());
-  batch_.pop_front();
+  current_ = std::move(batch_.back());
+  batch_.pop_back();
   batched_.store(batch_.size(), std::memory_order_relaxed);
   bytes_.fetch_sub(cost(*current_));
   tell_room();

@@ -37,7 +37,7 @@ constexpr std::int64_t kWakingNs = 20'000;
 /// Rounds are made at this pace, for to set a timer for each piece costs more than the piece.
 constexpr itimerspec kRounds{{0, 10'000'000}, {0, 10'000'000}};
 constexpr itimerspec kNoRounds{};
-constexpr itimerspec kInSoon{{0, 0}, {0, 300'000}};
+constexpr itimerspec kInSoon{{0, 0}, {0, 500'000}};
 /// Rounds after the last such piece, until no more are made.
 constexpr int kIdleRounds = 20;
 constexpr std::int64_t kRunsInMean = 16;

@@ -118,14 +118,12 @@ bool is_covariance(std::vector<double> matrix) {
 
 }  // namespace
 
-ObjectRules::ObjectRules(const Descriptor& type) {
-  compile(type);
-  root_ = &rules_.at(&type);
-}
+ObjectRules::ObjectRules(const Descriptor& type) : root_(compile(type)) {}
 
-void ObjectRules::compile(const Descriptor& type) {
-  if (!rules_.try_emplace(&type).second) return;
-  Rules rules;
+const ObjectRules::Rules& ObjectRules::compile(const Descriptor& type) {
+  const auto [entry, is_new] = rules_.try_emplace(&type);
+  Rules& rules = entry->second;  // stays where it is
+  if (!is_new) return rules;
   for (int i = 0; i < type.field_count(); ++i) {
     const FieldDescriptor& field = *type.field(i);
     const auto& options = field.options();
@@ -141,16 +139,15 @@ void ObjectRules::compile(const Descriptor& type) {
     rule.finite = is_floating(field) && !options.GetExtension(fiona::allow_not_finite);
     rule.covariance = field.is_repeated() && field.cpp_type() == FieldDescriptor::CPPTYPE_DOUBLE &&
                       options.GetExtension(fiona::covariance);
-    rule.nested = field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE;
-    if (rule.nested) compile(*field.message_type());
+    if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE) rule.nested = &compile(*field.message_type());
     if (rule.min || rule.max || rule.size > 0 || rule.max_size > 0 || rule.finite || rule.covariance || rule.nested ||
         rule.enumeration)
       rules.push_back(rule);
   }
-  rules_[&type] = std::move(rules);
+  return rules;
 }
 
-std::optional<std::string> ObjectRules::first_violation(const Object& object) const { return check(object, *root_); }
+std::optional<std::string> ObjectRules::first_violation(const Object& object) const { return check(object, root_); }
 
 std::optional<std::string> ObjectRules::check(const Object& object, const Rules& rules) const {
   if (rules.empty()) return std::nullopt;
@@ -215,14 +212,13 @@ std::optional<std::string> ObjectRules::check_field(const Object& object, const 
 std::optional<std::string> ObjectRules::check_nested(const Object& object, const Reflection& reflect,
                                                      const FieldRule& rule) const {
   const FieldDescriptor& field = *rule.field;
-  const Rules& rules = rules_.at(field.message_type());
   const auto prefixed = [&](std::optional<std::string> violation, const std::string& prefix) {
     if (violation) violation = prefix + "." + *violation;
     return violation;
   };
   if (!rule.repeated) {
     if (!reflect.HasField(object, &field)) return std::nullopt;
-    return prefixed(check(reflect.GetMessage(object, &field), rules), field.name());
+    return prefixed(check(reflect.GetMessage(object, &field), *rule.nested), field.name());
   }
   const int count = reflect.FieldSize(object, &field);
   if (rule.size > 0 && count != 0 && count != rule.size) {
@@ -232,7 +228,7 @@ std::optional<std::string> ObjectRules::check_nested(const Object& object, const
     return fmt::format("{} has {} elements, more than {}", field.name(), count, rule.max_size);
   }
   for (int i = 0; i < count; ++i) {
-    auto violation = check(reflect.GetRepeatedMessage(object, &field, i), rules);
+    auto violation = check(reflect.GetRepeatedMessage(object, &field, i), *rule.nested);
     if (violation) return prefixed(std::move(violation), fmt::format("{}[{}]", field.name(), i));
   }
   return std::nullopt;

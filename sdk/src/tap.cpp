@@ -34,7 +34,7 @@ void Tap::start(Sample sample) {
   {
     const std::lock_guard lock(mutex_);
     sample_ = std::move(sample);
-    if (terms_.older_than > Duration::zero()) wake_at(newest_.origin + terms_.older_than);
+    if (terms_.older_than > Duration::zero()) wake_at(saturating_sum(newest_.origin, terms_.older_than));
     if (sample_) next_ = clock_.now();
   }
   if (sample_) sample_now();
@@ -80,7 +80,7 @@ void Tap::take(const Envelope& envelope) {
     return wake_at(next_);
   }
   pending_.reset();
-  next_ = now + terms_.period;
+  next_ = saturating_sum(now, terms_.period);
   judge(envelope);
 }
 
@@ -106,7 +106,7 @@ void Tap::judge_age(const Envelope& envelope) {
   newest_ = envelope;
   const bool before = std::exchange(held_, is_old(clock_.now()));
   if (held_ && !before) pass_on(newest_);
-  if (!held_) wake_at(newest_.origin + terms_.older_than);
+  if (!held_) wake_at(saturating_sum(newest_.origin, terms_.older_than));
 }
 
 void Tap::pass_on(const Envelope& envelope) { watcher_->value({envelope, ++number_, skipped_}); }
@@ -153,10 +153,10 @@ void Tap::on_time() {
   if (terms_.older_than > Duration::zero()) {
     if (held_) return;
     held_ = is_old(clock_.now());
-    return held_ ? pass_on(newest_) : wake_at(newest_.origin + terms_.older_than);
+    return held_ ? pass_on(newest_) : wake_at(saturating_sum(newest_.origin, terms_.older_than));
   }
   if (!pending_) return;
-  next_ = clock_.now() + terms_.period;
+  next_ = saturating_sum(clock_.now(), terms_.period);
   const Envelope envelope = *std::exchange(pending_, std::nullopt);
   judge(envelope);
 }
@@ -171,7 +171,7 @@ void Tap::sample_now() {
   }
   const Duration period = terms_.period > Duration::zero() ? terms_.period : kSamplePeriod;
   const TimePoint now = clock_.now();
-  next_ += period;
+  next_ = saturating_sum(next_, period);
   if (next_ <= now) next_ += ((now - next_) / period + 1) * period;
   wake_at(next_);
 }

@@ -1,11 +1,17 @@
 // A group whose process a component has taken over: it speaks to the host as it likes.
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <sys/mman.h>
+#include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
+#include <string>
 #include <thread>
 
+#include "os/descriptor.hpp"
 #include "served_host.hpp"
 
 namespace fiona::host {
@@ -14,6 +20,24 @@ namespace {
 using conformance::ServedHost;
 using conformance::TestConsole;
 using testing::HasSubstr;
+
+/// What this process says to its standard error, to be looked at while it goes on.
+class StandardError {
+ public:
+  StandardError() { ::dup2(file_.get(), STDERR_FILENO); }
+  ~StandardError() { ::dup2(before_.get(), STDERR_FILENO); }
+  StandardError(const StandardError&) = delete;
+  StandardError& operator=(const StandardError&) = delete;
+  std::string said() const {
+    std::string text(static_cast<std::size_t>(::lseek(file_.get(), 0, SEEK_END)), '\0');
+    const ssize_t read = ::pread(file_.get(), text.data(), text.size(), 0);
+    return text.substr(0, static_cast<std::size_t>(std::max<ssize_t>(read, 0)));
+  }
+
+ private:
+  const os::Descriptor before_{::fcntl(STDERR_FILENO, F_DUPFD_CLOEXEC, 0)};
+  const os::Descriptor file_{::memfd_create("stderr", MFD_CLOEXEC)};
+};
 
 class CapturedGroup : public testing::Test {
  protected:
@@ -76,17 +100,14 @@ TEST_F(CapturedGroup, InASandboxEndsNoRun) {
   auto run = runner.request();
   run.mutable_run();
   runner.send(run);
-  testing::internal::CaptureStderr();
+  const StandardError error;
   load("ends-the-run");
-  std::string said;
   console.eventually("it was refused", [&] {
     console.snapshot();
-    said += testing::internal::GetCapturedStderr();
-    testing::internal::CaptureStderr();
-    return said.find("asked for the end of the run") != std::string::npos;
+    return error.said().find("asked for the end of the run") != std::string::npos;
   });
-  testing::internal::GetCapturedStderr();
-  EXPECT_THAT(said, HasSubstr("'captor' asked for the end of the run, which is not for a component in a sandbox"));
+  EXPECT_THAT(error.said(),
+              HasSubstr("'captor' asked for the end of the run, which is not for a component in a sandbox"));
   EXPECT_FALSE(runner.has_answer());
   EXPECT_EQ(console.instance("captor").mode(), "active");
 }

@@ -47,6 +47,15 @@ PeerLanes::Item item_of(std::uint64_t wire, std::size_t payload, Rule rule = Rul
   return item;
 }
 
+/// As the link puts a small message of a push. Returns what was lost for it.
+std::size_t put_small(PeerLanes& lanes, PeerLanes::Lane& lane, std::uint64_t wire) {
+  PeerLanes::Item item = item_of(wire, 64, Rule::DropOldest);
+  std::uint8_t* const place = lanes.join(lane, wire, item.cost, item.record.size());
+  if (!place) return lanes.offer(lane, std::move(item)).lost;
+  std::copy_n(item.record.data(), item.record.size(), place);
+  return 0;
+}
+
 /// Reads what lanes give out, as the peer would.
 class Reader final : public FrameReader::Receiver {
  public:
@@ -220,7 +229,7 @@ TEST(LinkLanes, SmallMessagesOfAPushThatWaitAreKeptTogetherAndCountedOneByOne) {
     }
   };
   const auto put_half = [&] {
-    for (std::uint64_t i = 0; i < kPut / 2; ++i) lost += lanes.offer(*lane, item_of(1, 64, Rule::DropOldest)).lost;
+    for (std::uint64_t i = 0; i < kPut / 2; ++i) lost += put_small(lanes, *lane, 1);
   };
   put_half();
   EXPECT_GT(lost, 0U);
@@ -238,8 +247,28 @@ TEST(LinkLanes, MessagesOfOtherWiresAreNotKeptWithThoseBeforeThem) {
   PeerLanes lanes;
   Reader reader;
   const auto lane = lanes.open();
-  for (const std::uint64_t wire : {1, 1, 2, 2, 1}) lanes.offer(*lane, item_of(wire, 64, Rule::DropOldest));
+  for (const std::uint64_t wire : {1, 1, 2, 2, 1}) put_small(lanes, *lane, wire);
   EXPECT_THAT(next_of(lanes, reader), ElementsAre("1", "1", "2", "2", "1"));
+}
+
+TEST(LinkLanes, NothingIsKeptWithWhatIsNoPushIsForOthersTooOrIsOfALaneThatHasEnded) {
+  PeerLanes lanes;
+  const auto lane = lanes.open();
+  EXPECT_EQ(lanes.join(*lane, 1, 64, 64), nullptr) << "nothing waits";
+  lanes.offer(*lane, item_of(1, 64, Rule::MustFit));
+  EXPECT_EQ(lanes.join(*lane, 1, 64, 64), nullptr);
+  auto shared = item_of(1, 64, Rule::DropOldest);
+  shared.also = std::make_shared<const std::vector<std::uint64_t>>(1, 2);
+  lanes.offer(*lane, std::move(shared));
+  EXPECT_EQ(lanes.join(*lane, 1, 64, 64), nullptr);
+  lanes.offer(*lane, item_of(1, kLaneWindow / 2, Rule::DropOldest));
+  EXPECT_EQ(lanes.join(*lane, 1, 64, 64), nullptr) << "its record is that of a chunk";
+  lanes.offer(*lane, item_of(1, 64, Rule::DropOldest));
+  EXPECT_EQ(lanes.join(*lane, 1, 64, kTogetherBytes), nullptr) << "more than are kept together";
+  EXPECT_EQ(lanes.join(*lane, 1, kLaneWindow, 64), nullptr) << "the lane is full";
+  EXPECT_NE(lanes.join(*lane, 1, 64, 64), nullptr);
+  lanes.close(*lane, PeerLanes::Rest::Goes);
+  EXPECT_EQ(lanes.join(*lane, 1, 64, 64), nullptr);
 }
 
 TEST(LinkLanes, WhatCostsNoCreditIsCountedWhileItWaits) {

@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <limits>
 #include <optional>
 #include <stdexcept>
 
@@ -231,6 +232,8 @@ TEST(SaturatingSum, EndsWithTheEndOfTime) {
   EXPECT_EQ(saturating_sum(TimePoint(5s), Duration::min()), TimePoint(5s) + Duration::min());
   EXPECT_EQ(from_milliseconds(1.5), 1500us);
   EXPECT_EQ(from_milliseconds(1e300), Duration::max());
+  EXPECT_EQ(from_milliseconds(-1e300), Duration::min());
+  EXPECT_EQ(from_milliseconds(std::numeric_limits<double>::quiet_NaN()), 0s);
 }
 
 // ---- a failed instance ----------------------------------------------------------------------------------------

@@ -128,7 +128,7 @@ class Inbox {
   std::atomic<std::size_t> batched_{0};   ///< the size of batch_, for others than the strand
 
   // strand only
-  std::deque<Parcel> batch_;
+  std::vector<Parcel> batch_;           ///< the next one last
   std::optional<Parcel> current_;       ///< what the handler, perhaps a coroutine, refers to
   std::shared_ptr<ActivityHold> hold_;  ///< of a coroutine
 };

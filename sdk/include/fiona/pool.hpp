@@ -19,7 +19,7 @@ class Pool final : public Executor {
   /// Wakes an idle thread; but what work of this pool submits first runs on the same thread after that work, where it
   /// usually ends within 20 us: at the latest 10 ms later, on another one, should it go on this time.
   void submit(std::shared_ptr<Runnable> runnable) override;
-  /// In 300 us, and wakes nobody before: for work that gets cheaper by what comes meanwhile.
+  /// In 500 us, and wakes nobody before: for work that gets cheaper by what comes meanwhile.
   void submit_soon(std::shared_ptr<Runnable> runnable);
   std::shared_ptr<Liveness> liveness() const override { return liveness_; }
 

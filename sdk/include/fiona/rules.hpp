@@ -39,11 +39,11 @@ class ObjectRules {
     std::size_t max_size = 0;
     bool finite = false;
     bool covariance = false;
-    bool nested = false;
+    const std::vector<FieldRule>* nested = nullptr;  ///< those of its fields
   };
   using Rules = std::vector<FieldRule>;
 
-  void compile(const google::protobuf::Descriptor& type);
+  const Rules& compile(const google::protobuf::Descriptor& type);
   std::optional<std::string> check(const Object& object, const Rules& rules) const;
   std::optional<std::string> check_field(const Object& object, const google::protobuf::Reflection& reflect,
                                          const FieldRule& rule) const;
@@ -51,7 +51,7 @@ class ObjectRules {
                                           const FieldRule& rule) const;
 
   std::unordered_map<const google::protobuf::Descriptor*, Rules> rules_;
-  const Rules* root_ = nullptr;
+  const Rules& root_;
 };
 
 }  // namespace fiona

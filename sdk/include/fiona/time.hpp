@@ -28,11 +28,13 @@ constexpr std::chrono::time_point<C, D> saturating_sum(std::chrono::time_point<C
   return duration > Time::max() - std::max(time, Time{}) ? Time::max() : time + duration;
 }
 
-/// So many milliseconds, or the longest that there is where that is less.
+/// So many milliseconds, or the longest that there is on that side of zero; what is no number (NaN) is none.
 constexpr Duration from_milliseconds(double ms) {
   constexpr double kMost_ms = 9e12;
-  return ms >= kMost_ms ? Duration::max()
-                        : std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
+  if (ms >= kMost_ms) return Duration::max();
+  if (ms <= -kMost_ms) return Duration::min();
+  if (ms != ms) return Duration::zero();
+  return std::chrono::duration_cast<Duration>(std::chrono::duration<double, std::milli>(ms));
 }
 
 /// Milliseconds since the timeline's epoch: the document's `T` attributes.
