@@ -4,6 +4,7 @@
 
 #include <time.h>
 
+#include <ctime>
 #include <functional>
 #include <future>
 #include <map>
@@ -332,6 +333,7 @@ TEST_F(Strands, CpuTimeIsWhatWorkTookOfACpuAndNotWhatItWaited) {
 
 TEST_F(Strands, CpuTimeOfManyShortRunsIsThatOfThoseMeasuredForAll) {
   std::chrono::nanoseconds spent{0};
+  const std::clock_t begun = std::clock();  // of the whole process
   for (int run = 0; run < 20'000; ++run) {
     ASSERT_TRUE(strand->call(
         [&spent] {
@@ -341,10 +343,11 @@ TEST_F(Strands, CpuTimeOfManyShortRunsIsThatOfThoseMeasuredForAll) {
         },
         kLimit));
   }
+  const std::chrono::duration<double> of_all{static_cast<double>(std::clock() - begun) / CLOCKS_PER_SEC};
   // What a run costs beside its work counts too.
   EXPECT_TRUE(comes_true([&] { return strand->cpu_time() > spent * 0.7; }))
       << to_seconds(strand->cpu_time()) << " of " << spent.count() * 1e-9;
-  EXPECT_LT(strand->cpu_time(), spent * 4);
+  EXPECT_LT(strand->cpu_time(), of_all * 1.5) << "for those that were measured may have been the dear ones";
 }
 
 TEST_F(Strands, PiecesOfWorkNeverOverlapAndKeepTheirOrder) {
