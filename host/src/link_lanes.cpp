@@ -67,8 +67,7 @@ PeerLanes::Taken PeerLanes::offer(Lane& lane, Item item) {
     if (lost == 0) break;
     taken.lost += lost;
   }
-  const bool is_small_push = item.rule == Rule::DropOldest && !item.payload && !item.also;
-  if (taken.lost > 0 && is_small_push) {  // as `join` would have, had there been room
+  if (taken.lost > 0 && !item.payload && !item.also) {  // as `join` would have, had there been room
     if (std::uint8_t* const place = join(lane, item.wire, item.cost, item.record.size())) {
       std::memcpy(place, item.record.data(), item.record.size());
       return taken;

@@ -65,8 +65,9 @@ class PeerLanes {
   enum class Rest { IsLost, Goes };
   std::size_t close(Lane& lane, Rest rest = Rest::IsLost);
   Taken offer(Lane& lane, Item item);
-  /// Room for a small message of a push behind those that wait in the lane already, and are for that wire alone; null:
-  /// there is none, and it is an item of its own.
+  /// Room for the record, of so many bytes, of a small message of a push behind those that wait in the lane already and
+  /// are for that wire alone: it is counted as offered, and to be written before anything else is done with the lane.
+  /// Null: there is none, and it is an item of its own.
   std::uint8_t* join(Lane& lane, std::uint64_t wire, std::size_t cost, std::size_t record_size);
   void credit(std::uint64_t lane, std::size_t bytes);
   bool has_ready() const { return !small_.empty() || !large_.empty(); }
