@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <chrono>
-#include <iterator>
 #include <utility>
 
 #include "fiona/clock.hpp"
@@ -13,8 +12,6 @@
 namespace fiona {
 namespace {
 
-/// Parcels that leave the queue at once, so that "drop the oldest" finds most of them still there.
-constexpr std::size_t kBatch = 64;
 /// How long an inbox is served before the strand looks at what else waits. Not on a virtual clock, where the order of
 /// things must not depend on how fast the machine is.
 constexpr std::chrono::milliseconds kTurn{2};
@@ -77,12 +74,12 @@ void Inbox::push_all(std::vector<Parcel>& parcels) {
 }
 
 /// Called with the strand's mutex held.
-Outcome Inbox::enqueue(Parcel parcel) {
+Outcome Inbox::enqueue(Parcel&& parcel) {
   const std::size_t bytes = cost(parcel);
   if (!make_room(bytes)) return Outcome::Rejected;
   bytes_.fetch_add(bytes, std::memory_order_relaxed);
   notify_waiters(parcel.envelope);
-  queue_.push_back(std::move(parcel));
+  queue_.push(std::move(parcel));
   return Outcome::Ok;
 }
 
@@ -99,13 +96,13 @@ void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
     slot_read_ = false;
     return note_arrival();
   }
-  for (const Parcel& old : queue_) {
+  queue_.for_each([this](const Parcel& old) {
     bytes_.fetch_sub(cost(old), std::memory_order_relaxed);
     port_.counters().superseded.fetch_add(1, std::memory_order_relaxed);
-  }
+  });
   queue_.clear();
   bytes_.fetch_add(cost(parcel), std::memory_order_relaxed);
-  queue_.push_back(std::move(parcel));
+  queue_.push(std::move(parcel));
   wake(lock);
 }
 
@@ -117,9 +114,8 @@ bool Inbox::make_room(std::size_t bytes) {
   };
   if (!port_.service().is_push()) return !full();
   while (full() && !queue_.empty()) {
-    bytes_.fetch_sub(cost(queue_.front()), std::memory_order_relaxed);
+    bytes_.fetch_sub(cost(queue_.pop()), std::memory_order_relaxed);
     port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
-    queue_.pop_front();
   }
   return true;
 }
@@ -195,8 +191,8 @@ void Inbox::leave_mode() {
       bytes_.fetch_sub(cost(parcel));
       port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
     };
-    std::for_each(queue_.begin(), queue_.end(), drop);
-    std::for_each(batch_.begin(), batch_.end(), drop);
+    queue_.for_each(drop);
+    batch_.for_each(drop);
     queue_.clear();
     batch_.clear();
     batched_.store(0, std::memory_order_relaxed);
@@ -207,26 +203,23 @@ void Inbox::leave_mode() {
 }
 
 void Inbox::clear(Outcome outcome) {
-  std::deque<Parcel> dropped;
+  ParcelQueue dropped;
   {
     const std::lock_guard lock(strand_.mutex_);
-    dropped.swap(queue_);
+    std::swap(dropped, queue_);
     slot_.reset();
     slot_read_ = true;
-    for (const Parcel& parcel : dropped) bytes_.fetch_sub(cost(parcel));
+    dropped.for_each([this](const Parcel& parcel) { bytes_.fetch_sub(cost(parcel)); });
   }
   tell_room();
-  for (const Parcel& parcel : dropped) {
+  dropped.for_each([outcome](const Parcel& parcel) {
     if (parcel.is_request()) parcel.reply->answer(outcome, {}, nullptr);
-  }
+  });
 }
 
 bool Inbox::refill() {
   const std::lock_guard lock(strand_.mutex_);
-  const auto end = queue_.begin() + static_cast<std::ptrdiff_t>(std::min(queue_.size(), kBatch));
-  batch_.assign(std::make_reverse_iterator(std::make_move_iterator(end)),
-                std::make_reverse_iterator(std::make_move_iterator(queue_.begin())));
-  queue_.erase(queue_.begin(), end);
+  queue_.take(batch_);
   batched_.store(batch_.size(), std::memory_order_relaxed);
   return !batch_.empty();
 }
@@ -283,14 +276,13 @@ void Inbox::handle() {
   hull.spawn(std::move(*coroutine), [this, since] {
     finish_parcel();
     begin_tasks(since);
-    drain(kBatch);
+    drain(ParcelQueue::kBlock);
   });
 }
 
 /// What is in the handler's hands waits no longer: its place is free.
 void Inbox::begin_parcel() {
-  current_ = std::move(batch_.back());
-  batch_.pop_back();
+  current_ = batch_.pop();
   batched_.store(batch_.size(), std::memory_order_relaxed);
   bytes_.fetch_sub(cost(*current_));
   tell_room();

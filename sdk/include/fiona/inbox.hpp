@@ -2,7 +2,6 @@
 
 #include <atomic>
 #include <cstddef>
-#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -11,6 +10,7 @@
 
 #include "fiona/async.hpp"
 #include "fiona/parcel.hpp"
+#include "fiona/parcel_queue.hpp"
 #include "fiona/port_options.hpp"
 #include "fiona/result.hpp"
 #include "fiona/strand.hpp"
@@ -93,7 +93,7 @@ class Inbox {
   };
   std::optional<std::size_t> room_for(std::size_t cost) const;
   void tell_room();
-  Outcome enqueue(Parcel parcel);
+  Outcome enqueue(Parcel&& parcel);
   void push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel);
   void wake(std::unique_lock<std::mutex>& lock);
   void notify_waiters(const Envelope& envelope);
@@ -116,7 +116,7 @@ class Inbox {
   std::vector<Task*> tasks_;  ///< that start on an arrival
 
   // guarded by the strand's mutex
-  std::deque<Parcel> queue_;
+  ParcelQueue queue_;
   std::optional<Newest> slot_;
   bool slot_read_ = true;
   bool ready_ = false;
@@ -128,7 +128,7 @@ class Inbox {
   std::atomic<std::size_t> batched_{0};   ///< the size of batch_, for others than the strand
 
   // strand only
-  std::vector<Parcel> batch_;           ///< the next one last
+  ParcelQueue::Block batch_;
   std::optional<Parcel> current_;       ///< what the handler, perhaps a coroutine, refers to
   std::shared_ptr<ActivityHold> hold_;  ///< of a coroutine
 };
