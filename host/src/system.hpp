@@ -54,6 +54,8 @@ class System {
     bool restarts_groups = true;      ///< those whose process has ended
     os::Limits group_limits{};        ///< of each group, other than `main`
     bool tries_libraries = true;      ///< in a process that is thrown away, before `main` opens them
+    /// That groups are copies of, as long as it lives; else the first one starts it, and the last one ends it.
+    std::weak_ptr<os::ProcessTemplate> group_template{};
     SupervisorLink* supervisor = nullptr;  ///< none: nobody starts this host again
     std::uint64_t restarts = 0;            ///< how often it has done so
     std::string restart_reason{};          ///< how the last one has ended
@@ -384,7 +386,7 @@ class System {
   std::unique_ptr<HangWatch> main_hangs_;      ///< none: nobody watches `main`
   std::size_t kept_threads_ = 0;
   std::unique_ptr<Waits> waits_;
-  std::weak_ptr<os::ProcessTemplate> template_;  ///< that groups are copies of, as long as there is one
+  std::weak_ptr<os::ProcessTemplate> template_{options_.group_template};
   Groups groups_;
   Creating creating_;
   std::map<std::string, Making> making_;  ///< by instance

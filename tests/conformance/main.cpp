@@ -9,6 +9,8 @@
 #include <utility>
 #include <vector>
 
+#include "system_fixture.hpp"
+
 namespace {
 
 /// The rows of the table, in their order, and the suites that each counts. A suite that is in none is a row of its own.
@@ -86,6 +88,7 @@ class PatternTable final : public testing::EmptyTestEventListener {
 
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
+  fiona::conformance::share_group_template();
   testing::UnitTest::GetInstance()->listeners().Append(new PatternTable);
   return RUN_ALL_TESTS();
 }

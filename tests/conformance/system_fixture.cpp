@@ -168,12 +168,28 @@ RunningSystem::RunningSystem(Transport transport, const std::string& other, host
   if (other_) join(other);
 }
 
+namespace {
+
+bool shares_template = false;
+
+/// One that a test has killed is followed by another.
+std::weak_ptr<os::ProcessTemplate> shared_template() {
+  static std::shared_ptr<os::ProcessTemplate> one;
+  if (!one || !one->lives()) one = std::make_shared<os::ProcessTemplate>(os::program_directory() / host::kGroupProgram);
+  return one;
+}
+
+}  // namespace
+
+void share_group_template() { shares_template = os::kCopiesProcesses; }
+
 host::System::Options RunningSystem::completed(host::System::Options options) const {
   options.name = "test";
   options.store = directory_.path / "store";
   options.directory = directory_.path;
   options.patience = std::chrono::seconds(10);  // how busy the machine is, no test is about
   if (other_) options.hosts = other_->led_from(directory_.path / "test");
+  if (shares_template && transport_ == Transport::Ipc) options.group_template = shared_template();
   return options;
 }
 

@@ -181,6 +181,10 @@ class RunningSystem {
   host::System system_;  ///< last: its threads use the rest until it has ended
 };
 
+/// From now on the groups of all systems that run over ipc are copies of one process, which ends with this one: to
+/// start it takes a sanitizer longer than many a test.
+void share_group_template();
+
 /// What most tests run in: a system whose wires go over the transport that the test is run for.
 class OverTransports : public ::testing::TestWithParam<Transport> {
  protected:

@@ -6,14 +6,19 @@
 #include <utility>
 #include <vector>
 
-#include "os/limits.hpp"
 #include "os/packet_socket.hpp"
 #include "os/process.hpp"
 
 namespace fiona::os {
 
-/// A sanitizer knows no copies other than those that fork() makes.
-inline constexpr bool kCopiesProcesses = kLimitsMemory;
+/// ThreadSanitizer knows no copies other than those that fork() makes.
+#if defined(__SANITIZE_THREAD__)
+inline constexpr bool kCopiesProcesses = false;
+#elif defined(__has_feature)
+inline constexpr bool kCopiesProcesses = !__has_feature(thread_sanitizer);
+#else
+inline constexpr bool kCopiesProcesses = true;
+#endif
 
 /// A process that has loaded all that those of its kind need, and waits. They are copies of it: they begin where it has
 /// come to, and share its memory as far as they do not write to it. Destruction ends it, and leaves the copies alone.
