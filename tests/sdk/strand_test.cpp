@@ -4,9 +4,12 @@
 
 #include <time.h>
 
+#include <deque>
 #include <functional>
 #include <future>
 #include <map>
+#include <numeric>
+#include <random>
 #include <thread>
 
 #include "fiona/local_wire.hpp"
@@ -212,6 +215,51 @@ TEST_F(Inboxes, FullPushInboxLosesItsOldestCounted) {
   EXPECT_THAT(receiver->seen(), ElementsAre(8, 9, 10));
   EXPECT_EQ(counters("each").dropped, 7U);
   EXPECT_EQ(counters("each").messages, 3U);
+}
+
+TEST_F(Inboxes, FullPushInboxLosesItsOldestOneByOneHoweverManyThereAre) {
+  constexpr std::uint64_t kFit = 10 * ParcelQueue::kBlock / 3, kPut = 3 * kFit;
+  constexpr std::size_t kBytes = Inbox::kMaxBytes / kFit - Inbox::cost_of(0);
+  std::vector<std::uint64_t> youngest;
+  for (std::uint64_t value = 1; value <= kPut; ++value) {
+    inbox("each").push(parcel(value, kBytes));
+    if (value > kPut - kFit) youngest.push_back(value);
+  }
+  EXPECT_EQ(inbox("each").depth(), kFit);
+  executor.help();
+  EXPECT_EQ(receiver->seen(), youngest);
+  EXPECT_EQ(counters("each").dropped, kPut - kFit);
+}
+
+TEST_F(Inboxes, QueueOfBlocksIsOneInOrderWhateverIsTakenFromIt) {
+  ParcelQueue queue;
+  ParcelQueue::Block taken;
+  std::deque<std::uint64_t> expected;
+  std::mt19937 chance(7);
+  std::uint64_t next = 0;
+  const auto expect_next = [&](const Parcel& parcel) {
+    ASSERT_EQ(parcel.envelope.sequence, expected.front());
+    expected.pop_front();
+  };
+  for (int i = 0; i < 2000; ++i) {
+    for (auto more = chance() % 100; more > 0; --more) {
+      queue.push(parcel(++next, 1));
+      expected.push_back(next);
+    }
+    ASSERT_EQ(queue.size(), expected.size());
+    for (auto fewer = chance() % 50; fewer > 0 && !queue.empty(); --fewer) expect_next(queue.pop());
+    if (chance() % 2 == 0) continue;
+    queue.take(taken);
+    ASSERT_LE(taken.size(), ParcelQueue::kBlock);
+    while (!taken.empty()) expect_next(taken.pop());
+    if (chance() % 20 > 0) continue;
+    std::uint64_t sum = 0;
+    queue.for_each([&sum](const Parcel& one) { sum += one.envelope.sequence; });
+    ASSERT_EQ(sum, std::accumulate(expected.begin(), expected.end(), std::uint64_t{0}));
+    queue.clear();
+    expected.clear();
+  }
+  EXPECT_GT(next, 50'000U);
 }
 
 TEST_F(Inboxes, FullSendInboxRefusesTheNewestAndLosesNothing) {

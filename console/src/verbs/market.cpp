@@ -140,16 +140,13 @@ void remark(Session& session, const Plan& plan, const Marketplace* market) {
   }
 }
 
-/// Whether it may be done. A plan that is what was typed and no more needs no question.
-bool is_agreed(Session& session, const Line& line, const Plan& plan, bool ask_always) {
-  if (line.has("-y") || (!plan.needs_consent() && !ask_always)) return true;
+/// Throws Error where it may not be done. A plan that is what was typed and no more needs no question.
+void require_consent(Session& session, const Line& line, const Plan& plan, bool ask_always) {
+  if (line.has("-y") || (!plan.needs_consent() && !ask_always)) return;
   show_plan(session, plan);
-  const std::optional<bool> answer = session.ask ? session.ask("Do this? (yes/no) ") : std::nullopt;
-  if (answer) return *answer;
-  throw line.error(line.verb,
-                   {.what = fmt::format("{} does more than was typed, and nobody is here to agree", plan.change),
-                    .next = "the same line with -y, if that is meant"},
-                   ErrorCode::NotAllowed);
+  require_yes(session, line, "Do this?", "nothing was changed",
+              {.what = fmt::format("{} does more than was typed, and nobody is here to agree", plan.change),
+               .next = "the same line with -y, if that is meant"});
 }
 
 void tell_done(Session& session, const Plan& plan) {
@@ -211,7 +208,7 @@ void carry_out(Session& session, const Line& line, const Marketplaces& from, boo
       if (plan.steps.empty()) session.out.text(fmt::format("'{}' changes nothing", plan.change));
       return;
     }
-    if (!is_agreed(session, line, plan, ask_always)) return session.out.text("nothing was changed");
+    require_consent(session, line, plan, ask_always);
     if (!marketplace::apply(plan, from, store.directory(), options)) continue;
     tell_done(session, plan);
     tell_running(session, plan);
@@ -486,6 +483,15 @@ marketplace::Marketplace opened_market(Session& session, const std::string& plac
   }
   tell_revoked(session, packages);
   return market;
+}
+
+void require_yes(Session& session, const Line& line, const std::string& question, const std::string& undone,
+                 ErrorText nobody) {
+  const std::optional<bool> answer = session.ask ? session.ask(question + " (yes/no) ") : std::nullopt;
+  if (!answer) throw line.error(line.verb, std::move(nobody), ErrorCode::NotAllowed);
+  if (!*answer)
+    throw line.error(line.verb, {.what = undone + ": you said no", .next = "the same line, should it be done"},
+                     ErrorCode::Failed);
 }
 
 std::string right_text(const std::string& right) {

@@ -16,6 +16,10 @@ marketplace::Marketplace chosen_market(Session& session, const Line& line);
 /// What a right lets a package do, in words: "speaks to the network (network)".
 std::string right_text(const std::string& right);
 
+/// Asks who is here. Throws Error where they say no, which is told as `undone`, or where there is nobody.
+void require_yes(Session& session, const Line& line, const std::string& question, const std::string& undone,
+                 ErrorText nobody);
+
 void market_search(Session& session, const Line& line);
 void market_info(Session& session, const Line& line);
 

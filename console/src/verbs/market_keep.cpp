@@ -10,6 +10,8 @@
 #include <fiona/marketplace/keeper.hpp>
 #include <fiona/marketplace/open.hpp>
 
+#include "market.hpp"
+
 namespace fiona::console::verbs {
 namespace {
 
@@ -218,13 +220,9 @@ void market_sign(Session& session, const Line& line) {
   const auto roles = marketplace::market_roles(market);
   if (!line.has("-y")) {
     show_roles(session, roles);
-    const std::optional<bool> answer = session.ask ? session.ask("Sign what is proposed? (yes/no) ") : std::nullopt;
-    if (!answer)
-      throw line.error(line.verb,
-                       {.what = "a root says who signs everything, and nobody is here to agree",
-                        .next = "fiona market keys DIR shows it; then the same line with -y"},
-                       ErrorCode::NotAllowed);
-    if (!*answer) return session.out.text("nothing was signed");
+    require_yes(session, line, "Sign what is proposed?", "nothing was signed",
+                {.what = "a root says who signs everything, and nobody is here to agree",
+                 .next = "fiona market keys DIR shows it; then the same line with -y"});
   }
   tell_root(session, marketplace::sign_root(market, roles), market);
 }
