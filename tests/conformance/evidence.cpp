@@ -5,7 +5,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
+#include <sstream>
 #include <vector>
 
 #include <fmt/format.h>
@@ -13,14 +13,17 @@
 #include "os/process.hpp"
 
 namespace fiona::conformance {
+
+/// Not by the stream's buffer itself, which throws where the process goes meanwhile.
+std::string text_of(const std::filesystem::path& file) {
+  std::ostringstream text;
+  text << std::ifstream(file, std::ios::binary).rdbuf();
+  return text.str();
+}
+
 namespace {
 
 namespace fs = std::filesystem;
-
-std::string text_of(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  return {std::istreambuf_iterator<char>(stream), {}};
-}
 
 /// A field of proc_pid_status(5), such as "State"; empty where the process has gone.
 std::string field_of(const fs::path& task, const std::string& name) {

@@ -92,9 +92,8 @@ class SupervisedHost {
     for (const auto& one : std::filesystem::directory_iterator("/proc")) {
       const std::string name = one.path().filename();
       if (name.find_first_not_of("0123456789") != std::string::npos) continue;
-      std::ifstream file(one.path() / "cmdline", std::ios::binary);
-      const std::string words{std::istreambuf_iterator<char>(file), {}};
-      if (words.find(directory_.path.string()) != std::string::npos) all.push_back(std::stoi(name));
+      if (text_of(one.path() / "cmdline").find(directory_.path.string()) != std::string::npos)
+        all.push_back(std::stoi(name));
     }
     return all;
   }

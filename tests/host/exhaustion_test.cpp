@@ -197,6 +197,15 @@ class Exhaustion : public testing::Test {
       return false;
     }
   }
+  /// Whether it can be made again, in a group of its own.
+  static bool loads(TestConsole& console, const std::string& component) {
+    try {
+      console.load(component, "other", "other");
+      return true;
+    } catch (const Error&) {  // the crowd's descriptors have not been closed yet
+      return false;
+    }
+  }
   /// The tcp port that the host has named after these words.
   static std::uint16_t port_said(const std::string& said, const std::string& words) {
     const auto begin = said.find(words);
@@ -239,7 +248,7 @@ TEST_F(Exhaustion, ByPeersOfItsLinksHurtsNobodyElse) {
   expect_well(
       host, *console, [&] { return std::make_unique<Crowd>(link_of(host, "main")); },
       [&] {
-        console->load("source", "other", "other");  // whose process connects to that link
+        if (!loads(*console, "source")) return false;  // whose process connects to that link
         console->change(TestConsole::wire_of("listener.samples", "other.newest"));
         const auto before = heard(*console);
         console->eventually("it is heard", [&] { return heard(*console) > before; });
@@ -255,7 +264,7 @@ TEST_F(Exhaustion, ByPeersOfAGroupsLinksHurtsNobodyElse) {
   expect_well(
       host, *console, [&] { return std::make_unique<Crowd>(link_of(host, "there")); },
       [&] {
-        console->load("listener", "other", "other");
+        if (!loads(*console, "listener")) return false;
         console->change(TestConsole::wire_of("other.samples", "source.newest"));
         console->eventually("it hears", [&] { return heard(*console, "other") > 0; });
         return true;

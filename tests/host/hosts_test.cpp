@@ -11,11 +11,11 @@
 
 #include <array>
 #include <fstream>
-#include <iterator>
 #include <set>
 #include <sstream>
 
 #include "cable.hpp"
+#include "evidence.hpp"
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
 #include "system_fixture.hpp"
@@ -52,9 +52,7 @@ pid_t group_of(pid_t host) {
   const std::string id = std::to_string(host);
   std::ifstream children("/proc/" + id + "/task/" + id + "/children");
   for (pid_t one = 0; children >> one;) {
-    std::ifstream file("/proc/" + std::to_string(one) + "/cmdline", std::ios::binary);
-    const std::string words{std::istreambuf_iterator<char>(file), {}};
-    if (words.find("--endpoint") != std::string::npos) return one;
+    if (text_of("/proc/" + std::to_string(one) + "/cmdline").find("--endpoint") != std::string::npos) return one;
   }
   return 0;
 }

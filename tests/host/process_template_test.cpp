@@ -11,9 +11,9 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <optional>
 
+#include "evidence.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -22,10 +22,7 @@ namespace {
 using testing::HasSubstr;
 using testing::Not;
 
-std::string words_of(pid_t process) {
-  std::ifstream file("/proc/" + std::to_string(process) + "/cmdline", std::ios::binary);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
+std::string words_of(pid_t process) { return text_of("/proc/" + std::to_string(process) + "/cmdline"); }
 
 /// The child of this process that the groups are copies of.
 std::optional<pid_t> template_process() {
@@ -49,7 +46,7 @@ std::string place_in(pid_t process) {
 class GroupCopies : public testing::Test {
  protected:
   void SetUp() override {
-    if (!os::kCopiesProcesses) GTEST_SKIP() << "under a sanitizer each group is a process that was started anew";
+    if (!os::kCopiesProcesses) GTEST_SKIP() << "under ThreadSanitizer each group is a process that was started anew";
     system.load_in("first", "source", "source", "period_ms=5");
     ASSERT_TRUE(template_process());
   }
@@ -120,9 +117,9 @@ TEST_F(GroupCopies, GoOnWithoutTheirTemplateOfWhichNothingIsLeft) {
 }
 
 TEST_F(GroupCopies, AreToldHowTheyEndedAsAnyOtherGroup) {
-  ::kill(system.group("first").process(), SIGSEGV);
-  system.eventually(
-      "told", [&] { return system.instance("source").reason().find("killed by signal 11") != std::string::npos; });
+  ::kill(system.group("first").process(), SIGKILL);
+  system.eventually("told",
+                    [&] { return system.instance("source").reason().find("killed by signal 9") != std::string::npos; });
 }
 
 TEST_F(GroupCopies, TakeTheirTemplateWithThemWhenTheLastOfThemEnds) {
