@@ -15,7 +15,7 @@
 namespace fiona::conformance {
 
 /// Not by the stream's buffer itself, which throws where the process goes meanwhile.
-std::string text_of(const std::filesystem::path& file) {
+std::string content_of(const std::filesystem::path& file) {
   std::ostringstream text;
   text << std::ifstream(file, std::ios::binary).rdbuf();
   return text.str();
@@ -46,7 +46,7 @@ std::vector<pid_t> children_of(pid_t process) {
 }
 
 std::string words_of(const fs::path& process) {
-  std::string words = text_of(process / "cmdline");
+  std::string words = content_of(process / "cmdline");
   std::replace(words.begin(), words.end(), '\0', ' ');
   return words;
 }
@@ -56,7 +56,7 @@ std::string wait_of(const fs::path& task) {
   std::string path;
   std::ifstream file(task / "stack");
   for (std::string line; std::getline(file, line);) path += " < " + line.substr(line.rfind(' ') + 1);
-  return text_of(task / "wchan") + path;
+  return content_of(task / "wchan") + path;
 }
 
 std::string threads_of(const fs::path& process) {

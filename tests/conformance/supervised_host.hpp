@@ -92,7 +92,7 @@ class SupervisedHost {
     for (const auto& one : std::filesystem::directory_iterator("/proc")) {
       const std::string name = one.path().filename();
       if (name.find_first_not_of("0123456789") != std::string::npos) continue;
-      if (text_of(one.path() / "cmdline").find(directory_.path.string()) != std::string::npos)
+      if (content_of(one.path() / "cmdline").find(directory_.path.string()) != std::string::npos)
         all.push_back(std::stoi(name));
     }
     return all;

@@ -52,7 +52,8 @@ pid_t group_of(pid_t host) {
   const std::string id = std::to_string(host);
   std::ifstream children("/proc/" + id + "/task/" + id + "/children");
   for (pid_t one = 0; children >> one;) {
-    if (text_of("/proc/" + std::to_string(one) + "/cmdline").find("--endpoint") != std::string::npos) return one;
+    if (conformance::content_of("/proc/" + std::to_string(one) + "/cmdline").find("--endpoint") != std::string::npos)
+      return one;
   }
   return 0;
 }

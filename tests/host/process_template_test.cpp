@@ -22,7 +22,7 @@ namespace {
 using testing::HasSubstr;
 using testing::Not;
 
-std::string words_of(pid_t process) { return text_of("/proc/" + std::to_string(process) + "/cmdline"); }
+std::string words_of(pid_t process) { return content_of("/proc/" + std::to_string(process) + "/cmdline"); }
 
 /// The child of this process that the groups are copies of.
 std::optional<pid_t> template_process() {

@@ -317,7 +317,7 @@ TEST(SupervisedEnd, OfSupervisorAndHostTogetherLeavesNobody) {
 /// Whether one of the processes has opened the library.
 bool has_opened(const std::vector<pid_t>& processes, const std::string& library) {
   return std::any_of(processes.begin(), processes.end(), [&](pid_t one) {
-    return text_of("/proc/" + std::to_string(one) + "/maps").find(library) != std::string::npos;
+    return content_of("/proc/" + std::to_string(one) + "/maps").find(library) != std::string::npos;
   });
 }
 

@@ -1,6 +1,6 @@
-# fiona_catalogue_hash(OUT FILE…): of all of the protos that generated code depends on: their text without comments,
-# documentation and blanks. As a script: cmake -P CatalogueHash.cmake FILE… prints it.
-function(fiona_catalogue_hash out)
+# fiona_abi_hash(OUT FILE…): of all of these protos or headers that compiled code depends on: their text without comments,
+# documentation and blanks. As a script: cmake -P AbiHash.cmake FILE… prints it.
+function(fiona_abi_hash out)
   set(all "")
   foreach(file ${ARGN})
     file(READ ${file} text)
@@ -23,6 +23,6 @@ if(CMAKE_SCRIPT_MODE_FILE)
       list(APPEND files ${CMAKE_ARGV${i}})
     endif()
   endforeach()
-  fiona_catalogue_hash(hash ${files})
+  fiona_abi_hash(hash ${files})
   message(${hash})
 endif()
