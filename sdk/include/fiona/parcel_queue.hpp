@@ -11,6 +11,8 @@ namespace fiona {
 
 /// Parcels in their order, in blocks. Who empties it takes a whole block by a swap: the lock is held for a moment
 /// however many they are, and who fills it hardly ever has to wait for that, which would cost more than a message.
+/// It has no lock and no bound of its own: an inbox holds its strand's mutex, and fills it up to `Inbox::kMaxBytes`. A
+/// block that has been taken is its taker's alone.
 class ParcelQueue {
  public:
   /// Parcels of a block: those that leave the queue at once, so that "drop the oldest" finds most of them still there.
