@@ -135,7 +135,7 @@ Candidates parameters(const Asked& asked) {
   } else if (const auto* instance = named_instance(asked)) {
     for (const auto& parameter : instance->parameters()) found.push_back(parameter.name());
   } else if (!asked.line.positional.empty() && asked.line.positional[0].text == "host") {
-    found = {"clock", "deliveries", "speed"};
+    found = {"clock", "deliveries", "speed", "start"};
   }
   return found;
 }

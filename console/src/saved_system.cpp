@@ -58,7 +58,10 @@ bool is_main_mode(const control::InstanceStatus& instance) {
 
 std::string saved_system(const control::System& system) {
   std::string text;
-  if (system.clock() == "virtual") text += fmt::format("set host clock=virtual speed={}\n", system.speed());
+  if (system.clock() == "virtual") {
+    const std::string start = system.clock_start().empty() ? "" : " start=" + system.clock_start();
+    text += fmt::format("set host clock=virtual{} speed={}\n", start, system.speed());
+  }
   for (const auto& instance : system.instances()) {
     for (const std::string& line : split_lines(instance.comment())) text += "# " + inert(line) + "\n";
     text += line_of(load_of(instance)) + "\n";

@@ -311,12 +311,12 @@ class Checker {
     check_parameters(line, instance_of(line, line.positional[0]));
   }
   void check_host(const Line& line) const {
-    const std::vector<std::string> known{"clock", "deliveries", "speed"};
+    const std::vector<std::string> known{"clock", "deliveries", "speed", "start"};
     for (const TypedArgument& argument : line.arguments) {
       if (std::find(known.begin(), known.end(), argument.name.text) == known.end())
         throw line.error(argument.name,
                          {.what = fmt::format("the host has no parameter '{}'", argument.name.text),
-                          .expected = "clock, deliveries, speed",
+                          .expected = "clock, deliveries, speed, start",
                           .near = nearest_names(argument.name.text, known)},
                          ErrorCode::NotFound);
       const bool sound =

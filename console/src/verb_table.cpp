@@ -102,9 +102,9 @@ std::vector<Verb> operating_verbs() {
   return {
       {"set", forms({"set INSTANCE PARAM=VALUE …"}), "changes parameters, all or none",
        "A number may carry a unit, which is converted: 200ms, 1.5m, 30deg.\n"
-       "The instance `host` is the host itself: set host clock=virtual speed=0 deliveries=FILE; deliveries names a "
-       "file there, which "
-       "takes administer, as does any parameter that is a path there.",
+       "The instance `host` is the host itself: set host clock=virtual start=TIME speed=0 deliveries=FILE; "
+       "TIME, as in 2024-05-31T09:30:00Z, is when a recording began that is to be played at its own times, else 0; "
+       "deliveries names a file there, which takes administer, as does any parameter that is a path there.",
        Access::Operate, verbs::set},
       {"get", forms({"get INSTANCE [PARAM]"}), "shows parameters with unit, range and default", "", Access::Observe,
        verbs::get},
@@ -177,7 +177,8 @@ std::vector<Verb> seeing_verbs() {
       {"record", forms({"record FILE INSTANCE.PORT|INSTANCE.PROBE … [for T]", "record stop [FILE]"}),
        "keeps what goes through ports in a file, each message with its time and type",
        "Any types. FILE, on this machine, is an MCAP file, which Foxglove, PlotJuggler and libraries in many languages "
-       "read; times are since 1970-01-01 UTC, of a virtual clock since it started. Passwords and other secrets are "
+       "read; times are since 1970-01-01 UTC, of a virtual clock that starts at 0 since then. Passwords and other "
+       "secrets are "
        "left out.\n"
        "At a prompt and in a system file it goes on while other lines run; `record stop` ends it. From a shell, Ctrl-C "
        "does. If it is killed, all but the last second can be read.",

@@ -75,6 +75,7 @@ Need need_of(const Request& request) {
     case Request::kDescribe: return {Access::Observe, "show"};
     case Request::kWatch: return {Access::Observe, "watch"};
     case Request::kUnwatch: return {Access::Observe, "watch stop"};
+    case Request::kNext: return {Access::Observe, "watch"};
     case Request::kRead: return {Access::Observe, "show"};
     case Request::kWaitMode: return {Access::Observe, "wait"};
     case Request::kExpect: return {Access::Observe, "expect"};

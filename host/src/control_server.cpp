@@ -361,7 +361,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
       *reply.mutable_description() = system_.types().describe(request.describe().name());
       return true;
     case Request::kWatch: start_watch(client, request); return false;
-    case Request::kRead: *reply.mutable_sample() = sample_of(system_.read(request.read().probe()), false); return true;
+    case Request::kRead: *reply.mutable_sample() = described_sample(system_.read(request.read().probe())); return true;
     case Request::kUnwatch: give_up(client, request.unwatch().watch()); return done("");
     case Request::kWaitMode: return start_wait_mode(client, request, reply);
     case Request::kExpect: start_expect(client, request); return false;
@@ -382,6 +382,7 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
       return done("");
     case Request::kUpgradeHost: begin_upgrade(client, request); return false;
     case Request::kQuit: end(request.quit().exit_code(), "quit"); return done("");
+    case Request::kNext: break;  // for components
     case Request::WHAT_NOT_SET: break;
   }
   throw Error(ErrorCode::Usage, {.what = "the request is empty, or newer than this host",
@@ -435,7 +436,7 @@ void ControlServer::go_on_with_upgrade() {
 void ControlServer::start_watch(std::uint64_t client, const control::Request& request) {
   const std::uint64_t tap = system_.new_tap();
   system_.tap(tap, request.watch());
-  watches_[tap] = Watched{client, request.id(), 0, 0, false, {}};
+  watches_[tap] = Watched{.client = client, .request = request.id()};
 }
 
 /// A watch ends, what is waited for is let go of, and what has not begun is not made: that is answered.
@@ -487,6 +488,7 @@ void ControlServer::on_event(const wire::GroupMessage& event) {
   if (event.has_tapped()) on_tapped(event.tapped());
   if (event.has_tap_ended()) on_tap_ended(event.tap_ended());
   if (event.has_asked()) masters_.serve(event.asked());
+  masters_.on_event(event);
   if (event.has_wire_lost()) on_wire_lost(event.wire_lost());
   if (event.has_logged()) write_record(event.logged().instance(), event.logged().text());
   // One that fails while it is being loaded is told to whoever loads it.
@@ -548,27 +550,17 @@ void ControlServer::send_sample(Watched& watch, Client& client, const wire::Tapp
   control::Reply reply;
   reply.set_id(watch.request);
   auto& sample = *reply.mutable_sample();
-  sample = sample_of(tapped, std::exchange(watch.described, watch.described || !tapped.type().empty()));
-  // What the tap left out, and what it said and was lost on the way. Of another version of the instance it begins anew.
-  if (tapped.number() <= watch.number) watch.number = watch.skipped = 0;
-  sample.set_skipped(tapped.skipped() - watch.skipped + tapped.number() - watch.number - 1);
-  watch.skipped = tapped.skipped();
-  watch.number = tapped.number();
+  const bool described = std::exchange(watch.described, watch.described || !tapped.type().empty());
+  sample = described ? sample_of(tapped, system_.clock().start()) : described_sample(tapped);
+  sample.set_skipped(watch.gaps.before(tapped));
   watch.held.reset();
   client.tell(reply);
 }
 
-control::Sample ControlServer::sample_of(const wire::Tapped& tapped, bool described) {
-  control::Sample sample;
-  const TimePoint origin{Duration(tapped.origin_ns())};
-  sample.set_type(tapped.type());
-  sample.set_object(tapped.object());
-  sample.set_unit(tapped.unit());
-  sample.set_sequence(tapped.sequence());
-  sample.set_time_s(to_seconds(origin - system_.clock().start()));
-  sample.set_origin_ns(tapped.origin_ns());
-  sample.set_age_ms(1e3 * to_seconds(TimePoint{Duration(tapped.told_ns())} - origin));
-  const auto object = described || tapped.type().empty() ? nullptr : system_.types().make(tapped.type());
+/// With what it takes to read it.
+control::Sample ControlServer::described_sample(const wire::Tapped& tapped) {
+  control::Sample sample = sample_of(tapped, system_.clock().start());
+  const auto object = tapped.type().empty() ? nullptr : system_.types().make(tapped.type());
   if (object) *sample.mutable_files() = Types::files_of(*object->GetDescriptor()->file());
   return sample;
 }

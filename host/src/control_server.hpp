@@ -51,10 +51,9 @@ class ControlServer {
   struct Watched {
     std::uint64_t client = 0;
     std::uint64_t request = 0;
-    std::uint64_t number = 0;  ///< of the last sample that was sent, as is the next
-    std::uint64_t skipped = 0;
+    Gaps gaps{};
     bool described = false;
-    std::optional<wire::Tapped> held;  ///< the newest, of a client that is slow
+    std::optional<wire::Tapped> held{};  ///< the newest, of a client that is slow
   };
   struct Outgoing {
     std::uint64_t client = 0;
@@ -90,7 +89,7 @@ class ControlServer {
   void on_tap_ended(const wire::TapEnded& ended);
   void send_held();
   void send_sample(Watched& watch, Client& client, const wire::Tapped& tapped);
-  control::Sample sample_of(const wire::Tapped& tapped, bool described);
+  control::Sample described_sample(const wire::Tapped& tapped);
   void begin_upgrade(std::uint64_t client, const control::Request& request);
   void go_on_with_upgrade();
   void poll_once(int lifeline, int signals, int most_ms = -1);

@@ -12,6 +12,7 @@
 
 #include "link_memory.hpp"
 #include "link_socket.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 
@@ -123,6 +124,7 @@ struct LinkSocket::Release {
   std::size_t bytes = 0;
 
   static void done(void*, void* hint) {
+    got_from_zmq();
     const std::unique_ptr<Release> self(static_cast<Release*>(hint));
     if (!self->gate) return;
     self->gate->bytes -= self->bytes;

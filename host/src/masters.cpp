@@ -30,19 +30,40 @@ void Masters::require_right(const std::string& name) const {
 }
 
 void Masters::perform(const wire::Asked& asked, const Rights& rights) {
+  using Request = control::Request;
+  control::Reply reply;
+  switch (asked.request().what_case()) {
+    case Request::kTransact: return transact(asked, rights);
+    case Request::kSnapshot:
+      *reply.mutable_system() = system_.snapshot();
+      reply.mutable_system()->clear_interfaces();
+      break;
+    case Request::kRead:
+      *reply.mutable_sample() = sample_of(system_.read(asked.request().read().probe()), system_.clock().start());
+      break;
+    case Request::kWatch:
+      watches_.watch(asked);
+      reply.mutable_done();
+      break;
+    case Request::kNext:
+      if (auto next = watches_.next(asked)) return answer(asked, *std::move(next));
+      return;
+    case Request::kUnwatch:
+      watches_.unwatch(asked.instance(), asked.request().unwatch().watch());
+      reply.mutable_done();
+      break;
+    default:
+      throw Error(
+          ErrorCode::NotAllowed,
+          {.what = "a component may ask for changes, for the system as it is, and for what there is to be seen of it",
+           .where = asked.instance(),
+           .next = "let a console do it"});
+  }
+  answer(asked, std::move(reply));
+}
+
+void Masters::transact(const wire::Asked& asked, const Rights& rights) {
   const control::Request& request = asked.request();
-  if (request.has_snapshot()) {
-    control::Reply reply;
-    *reply.mutable_system() = system_.snapshot();
-    reply.mutable_system()->clear_interfaces();
-    return answer(asked, std::move(reply));
-  }
-  if (!request.has_transact()) {
-    throw Error(ErrorCode::NotAllowed,
-                {.what = "a component may ask for changes and for the system as it is, and no more",
-                 .where = asked.instance(),
-                 .next = "let a console do it"});
-  }
   std::optional<std::chrono::milliseconds> within;
   if (request.deadline_ms() > 0) within = std::chrono::milliseconds(request.deadline_ms());
   const auto ended = [later = later_, alive = std::weak_ptr(self_), asked](control::Reply reply) {

@@ -97,7 +97,7 @@ void Model::unload(const control::Unload& request) {
 
 void Model::set_host(const control::Set& request) {
   ClockSettings next = clock_.changed(request);
-  if (next.is_virtual != clock_.is_virtual && !instances_.empty()) {
+  if (next.is_another_than(clock_) && !instances_.empty()) {
     throw Error(ErrorCode::NotAllowed,
                 {.what = fmt::format("{} instances live by the present clock", instances_.size()),
                  .next = "set host clock before the first load"});

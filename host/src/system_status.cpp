@@ -53,6 +53,7 @@ control::System System::snapshot() {
   all.set_restart_reason(options_.restart_reason);
   all.set_taken_back(options_.taken_back);
   all.set_clock(virtual_time_ ? "virtual" : "system");
+  if (virtual_time_ && clock_->start() != TimePoint{}) all.set_clock_start(text_of_time(clock_->start()));
   all.set_speed(virtual_time_ ? virtual_time_->clock().speed() : 1);
   if (virtual_time_) all.set_deliveries(virtual_time_->deliveries());
   all.set_time_s(to_seconds(clock_->now() - clock_->start()));

@@ -13,10 +13,9 @@ void System::set_clock(const ClockSettings& next) {
   const bool records_anew = next.deliveries != (virtual_time_ ? virtual_time_->deliveries() : "");
   std::shared_ptr<DeliveryLog> log;  // first: a file that cannot be written changes nothing
   if (records_anew && !next.deliveries.empty()) log = std::make_shared<DeliveryLog>(next.deliveries);
-  if (next.is_virtual != has_virtual_clock()) {
-    use_clock(has_virtual_clock() ? std::unique_ptr<Clock>(std::make_unique<SystemClock>())
-                                  : std::make_unique<VirtualClock>());
-  }
+  const bool stays = next.is_virtual == has_virtual_clock() && (!next.is_virtual || clock_->start() == next.start);
+  if (!stays && next.is_virtual) use_clock(std::make_unique<VirtualClock>(next.start));
+  if (!stays && !next.is_virtual) use_clock(std::make_unique<SystemClock>());
   if (!virtual_time_) return;
   virtual_time_->clock().set_speed(next.speed);
   if (records_anew) virtual_time_->record_to(std::move(log));

@@ -82,7 +82,7 @@ void RequiredPort::connected(WireEnd& end, Connection connection, std::string re
     end.connection_ = connection;
     end.reason_ = std::move(reason);
     end.silence_.reset();
-    end.valid_ = true;
+    end.flaw_ = {};
     end.heard_ = false;
     end.last_.reset();
   });
@@ -104,9 +104,10 @@ Outcome RequiredPort::take(WireEnd& end, Parcel parcel) {
   if (!owns(end)) return Outcome::Disconnected;
   if (keeps_last()) end.last_ = parcel.envelope;
   const bool served = serving_.get() == &end;
-  if (const bool valid = ends_.size() == 1 || says_valid(*parcel.envelope.object); !end.heard_ || valid != end.valid_) {
+  const std::string_view flaw = ends_.size() == 1 ? std::string_view() : flaw_of(parcel.envelope);
+  if (!end.heard_ || flaw != end.flaw_) {
     change(end, [&] {
-      end.valid_ = valid;
+      end.flaw_ = flaw;
       end.heard_ = true;
     });
     if (ends_.size() > 1) choose();
@@ -116,9 +117,12 @@ Outcome RequiredPort::take(WireEnd& end, Parcel parcel) {
   return inbox()->push(std::move(parcel));
 }
 
-bool RequiredPort::says_valid(const Object& object) const {
+/// Why who says this is not to serve; empty: he may.
+std::string_view RequiredPort::flaw_of(const Envelope& envelope) {
+  const Object& object = *envelope.object;
   const bool has_field = validity_ && object.GetDescriptor() == validity_->containing_type();
-  return !has_field || object.GetReflection()->GetBool(object, validity_);
+  if (has_field && !object.GetReflection()->GetBool(object, validity_)) return "says that it is not valid";
+  return inbox()->is_too_old(envelope) ? "says what is older than the port takes" : "";
 }
 
 // ---- the choice -----------------------------------------------------------------------------------------------
@@ -187,7 +191,7 @@ void RequiredPort::serve_only() {
   WireEnd& only = *ends_.front();
   const auto before = std::exchange(serving_, ends_.front());
   const bool changed = before != serving_;
-  only.valid_ = true;
+  only.flaw_ = {};
   if (only.provider_.empty()) only.reason_ = "unwired";
   const Connection connection = only.silence_ ? Connection::Lost : only.connection_;
   if (changed) use_target(only.target_);

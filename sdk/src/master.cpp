@@ -7,16 +7,17 @@
 #include "fiona/hull.hpp"
 
 namespace fiona {
-namespace {
 
-control::PortName port_name(std::string_view text) {
+control::PortName detail::port_name(std::string_view text) {
   control::PortName name;
   name.set_instance(std::string(text.substr(0, text.find('.'))));
   if (const auto dot = text.find('.'); dot != std::string_view::npos) name.set_port(std::string(text.substr(dot + 1)));
   return name;
 }
 
-double to_ms(Duration duration) { return std::chrono::duration<double, std::milli>(duration).count(); }
+namespace {
+
+using detail::port_name;
 
 /// A change of mode gives up a little before its caller does, so that the reason arrives.
 constexpr double kShareOfDeadline = 0.9;
@@ -25,12 +26,12 @@ constexpr double kLongestMs = std::numeric_limits<std::uint32_t>::max();
 
 control::Request transaction_of(const Changes& changes, Duration deadline, bool dry_run) {
   control::Request request;
-  request.set_deadline_ms(static_cast<std::uint32_t>(std::min(to_ms(deadline), kLongestMs)));
+  request.set_deadline_ms(static_cast<std::uint32_t>(std::min(1e3 * to_seconds(deadline), kLongestMs)));
   request.mutable_transact()->set_dry_run(dry_run);
   for (const auto& change : changes.list()) {
     auto& added = *request.mutable_transact()->add_changes() = change;
     if (added.has_state() && added.state().within_ms() <= 0)
-      added.mutable_state()->set_within_ms(kShareOfDeadline * to_ms(deadline));
+      added.mutable_state()->set_within_ms(kShareOfDeadline * 1e3 * to_seconds(deadline));
   }
   return request;
 }
@@ -53,7 +54,7 @@ Changes& Changes::wire(std::string_view client, std::string_view provider, const
   *wire.mutable_provider() = port_name(provider);
   for (const auto& other : choice.otherwise) *wire.add_alternatives() = port_name(other);
   if (choice.every > 1) wire.set_prescale(choice.every);
-  if (choice.hold) wire.set_hold_ms(to_ms(*choice.hold));
+  if (choice.hold) wire.set_hold_ms(1e3 * to_seconds(*choice.hold));
   return *this;
 }
 
@@ -113,7 +114,7 @@ std::optional<Outcome> Master::obstacle() const {
   return open_.size() >= kMaxOpen ? std::optional(Outcome::Rejected) : std::nullopt;
 }
 
-Async<Result<control::Reply>> Master::ask(control::Request request, Duration deadline) {
+Async<Result<control::Reply>> Master::ask(control::Request request, Duration deadline, Waits waits) {
   const auto call = std::make_shared<detail::Call>();
   const std::uint64_t number = ++last_number_;
   if (const auto refusal = obstacle()) {
@@ -125,8 +126,8 @@ Async<Result<control::Reply>> Master::ask(control::Request request, Duration dea
     open_[number].call = call;
     hull_.events().asked(hull_.name(), number, request);
   }
-  // Virtual time may be over before the host, which lives by the machine's, has looked at it.
-  detail::CallAwaiter ended(calls_, call, hull_.clock().staging() ? detail::Calls::kNoDeadline : deadline);
+  const bool is_bound = waits == Waits::ForTime || !hull_.clock().staging();
+  detail::CallAwaiter ended(calls_, call, is_bound ? deadline : detail::Calls::kNoDeadline);
   const Outcome outcome = co_await ended;
   const auto open = open_.extract(number);
   if (outcome != Outcome::Ok) co_return Result<control::Reply>(outcome, call->reason);

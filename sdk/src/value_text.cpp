@@ -19,6 +19,7 @@
 #include "fiona/params.hpp"
 #include "fiona/readable_text.hpp"
 #include "fiona/secrets.hpp"
+#include "fiona/typed_value.hpp"
 #include "fiona/units.hpp"
 
 namespace fiona::detail {

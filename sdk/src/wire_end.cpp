@@ -69,7 +69,7 @@ Connection WireEnd::connection() const {
 
 std::string WireEnd::unfitness() const {
   if (connection_ != Connection::Connected) return provider_.empty() ? reason_ : provider_ + ": " + reason_;
-  return silence_ ? *silence_ : reason_ + " says that it is not valid";
+  return silence_ ? *silence_ : reason_ + " " + std::string(flaw_);
 }
 
 }  // namespace fiona

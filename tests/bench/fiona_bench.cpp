@@ -29,6 +29,8 @@ namespace {
 using namespace fiona::bench;
 
 constexpr int kRounds = 5;
+/// What others may take of the processors in a round that counts.
+constexpr double kMostForeign = 0.05;
 
 struct Goal {
   std::string name;
@@ -105,25 +107,35 @@ struct Series {
     bare_us.push_back(bare_ns / 1e3);
   }
   bool tell(const std::string& name, double at_most, double foreign) const {
-    const bool ok = median(ratios) <= at_most;
+    const bool counts = foreign <= kMostForeign;
+    const bool ok = counts && median(ratios) <= at_most;
     std::printf("%-46s %5.2fx   <= %.2fx   %s   (%.2f us, limit %.2f us; others %.0f %%)\n", name.c_str(),
-                median(ratios), at_most, ok ? "ok" : "short", median(ours_us), median(bare_us), 100 * foreign);
+                median(ratios), at_most,
+                ok       ? "ok"
+                : counts ? "short"
+                         : "disturbed",
+                median(ours_us), median(bare_us), 100 * foreign);
     std::fflush(stdout);
     return ok;
   }
 };
 
-/// Ours and the limit in turns, so that a change of the machine's mood meets both.
+/// Ours and the limit in turns, so that a change of the machine's mood meets both. A round that others disturb is made
+/// anew, as long as there are not twice as many of those as are wanted; then the line is told, and does not count.
 bool tell(const Goal& goal) {
   Series p50, p99;
-  const Foreign others;
-  for (int round = 0; round < kRounds; ++round) {
+  double foreign = 0;
+  for (int made = 0, disturbed = 0; made < kRounds;) {
+    const Foreign others;
     const Latency bare = goal.bare(goal.load);
     const Latency ours = goal.ours(goal.load);
+    const double share = others.share();
+    if (share > kMostForeign && disturbed++ < 2 * kRounds) continue;
+    ++made;
+    foreign = std::max(foreign, share);
     p50.add(ours.median_ns, bare.median_ns);
     if (goal.p99_at_most > 0) p99.add(ours.p99_ns, bare.p99_ns);
   }
-  const double foreign = others.share();
   const bool ok = p50.tell(goal.name, goal.at_most, foreign);
   return (goal.p99_at_most == 0 || p99.tell(goal.name + ", p99", goal.p99_at_most, foreign)) && ok;
 }

@@ -31,7 +31,7 @@ class Beacon final : public Paced {
     fix.set_x(params_->x());
     fix.set_y(params_->y());
     fix.set_heading(params_->heading());
-    fixes_.put(fix);
+    fixes_.put(fix, now() - from_ms(params_->late_ms()));
     last_.put(fix);
   }
   void on_question(const Question& question, fiona::Reply<Reply> reply) {
@@ -137,6 +137,7 @@ class Navigator final : public Paced {
   Requires<Fixes> fixes_{*this, "fixes", &Navigator::on_fix, {.optional = true}};
   Requires<LastFixes> last_{*this, "last", &Navigator::on_last, {.optional = true}};
   Requires<Fixes> latest_{*this, "latest", {.optional = true}};
+  Requires<Fixes> fresh_{*this, "fresh", &Navigator::on_fix, {.optional = true, .max_age = 300ms}};
   Requires<Echo> echo_{*this, "echo", {.optional = true}};
   Requires<Order> orders_{*this, "orders", {.optional = true}};
   Probe<std::string> heard_probe_{*this, "heard"};

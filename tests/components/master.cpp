@@ -1,7 +1,9 @@
 // A component that may change the system.
 #include <algorithm>
+#include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "components.hpp"
 
@@ -53,6 +55,23 @@ class Boss final : public Component {
     } else if (call == "plan") {
       const auto planned = co_await master_.plan(Changes().wire(first, second), within);
       tell(number, planned.outcome(), planned ? std::to_string(planned->steps_size()) + " step" : planned.reason());
+    } else if (call == "read") {
+      const auto sample = co_await master_.read(first, within);
+      tell(number, sample.outcome(), sample ? shown(*sample) : sample.reason());
+    } else if (call == "watch") {
+      WatchTerms terms;
+      if (second.starts_with("above")) terms.when = when::above(std::stod(second.substr(5)));
+      if (second.starts_with("every")) terms.every = static_cast<std::uint32_t>(std::stoul(second.substr(5)));
+      if (second == "older") terms.when = when::older_than(100ms);
+      auto watch = co_await master_.watch(first, terms, within);
+      if (watch && second == "more") more_.push_back(std::move(watch.value()));
+      if (watch && second != "more") watch_.emplace(std::move(watch.value()));
+      tell(number, watch.outcome(), watch.reason());
+    } else if (call == "fetch") {
+      co_await fetch(number, within);
+    } else if (call == "let_go") {
+      watch_.reset();
+      tell(number, Outcome::Ok, "");
     } else if (call == "many") {
       for (int i = 0; i < 80; ++i) hull().spawn(one_of_many(first, second), [] {});
     } else {
@@ -69,6 +88,28 @@ class Boss final : public Component {
       tell(number, done.outcome(), note_of(done));
     }
   }
+  /// All that comes until nothing has come for so long: values, how many were missing, how it ended.
+  Async<> fetch(std::uint64_t number, Duration within) {
+    if (!watch_) co_return tell(number, Outcome::Rejected, "nothing is watched");
+    std::string text;
+    std::uint64_t values = 0, skipped = 0;
+    while (true) {
+      const auto seen = co_await watch_->next(within);
+      if (!seen) {
+        text = std::to_string(values) + " seen, " + std::to_string(skipped) + " missing: " + text + seen.reason();
+        co_return tell(number, seen.outcome(), text);
+      }
+      text += shown(*seen) + " ";
+      skipped += seen->skipped();
+      ++values;
+    }
+  }
+  static std::string shown(const control::Sample& sample) {
+    if (const auto number = value_of<double>(sample))
+      return std::to_string(*number).substr(0, std::to_string(*number).find('.'));
+    if (const auto text = value_of<std::string>(sample)) return *text;
+    return sample.type().empty() ? "nothing" : sample.type();
+  }
   Async<> one_of_many(std::string first, std::string second) {
     const auto done = co_await master_.wire(first, second, 10s);
     ++(done ? made_ : refused_);
@@ -82,6 +123,8 @@ class Boss final : public Component {
   int refused_ = 0;
   Params<BossParams> params_{*this, nullptr, &Boss::on_change};
   Master master_{*this};
+  std::optional<Watch> watch_{};
+  std::vector<Watch> more_{};
   Probe<std::string> ended_{*this, "ended"};
   Task hold_{*this, "hold", 5ms, &Boss::hold};
 };

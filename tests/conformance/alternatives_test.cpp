@@ -51,7 +51,8 @@ class Alternatives : public testing::TestWithParam<Transport> {
   }
   control::Done wire_fixes(const std::string& port, const std::vector<std::string>& beacons, double hold_ms) {
     std::vector<std::string> providers;
-    for (const auto& name : beacons) providers.push_back(name + "." + (port == "latest" ? "fixes" : port));
+    for (const auto& name : beacons)
+      providers.push_back(name + "." + (port == "latest" || port == "fresh" ? "fixes" : port));
     return system.wire_to_several("nav." + port, providers, hold_ms);
   }
   std::string heard() { return system.read("nav.heard").payload(); }
@@ -102,6 +103,19 @@ TEST_P(Alternatives, TheNextOneServesWhenAnObjectSaysThatItIsNotValidWhichDoesNo
   EXPECT_EQ(sources_of(heard()), "a b") << heard();
   EXPECT_EQ(system.port("nav.fixes").connection(), control::CONNECTED);
   EXPECT_EQ(system.port("nav.fixes").providers(0).reason(), "a.fixes says that it is not valid");
+}
+
+TEST_P(Alternatives, TheNextOneServesWhenTheFirstSaysWhatIsTooOldForThePort) {
+  wire_two("fresh", 50);
+  until_heard("a");
+  system.set("a", "late_ms=2000");
+  until_heard("b");
+  EXPECT_EQ(system.port("nav.fresh").connection(), control::CONNECTED);
+  EXPECT_EQ(system.port("nav.fresh").providers(0).reason(), "a.fixes says what is older than the port takes");
+  EXPECT_EQ(serving("fresh"), "b.fixes");
+  system.set("a", "late_ms=0");
+  until_heard("a");
+  EXPECT_EQ(sources_of(heard()), "a b a") << heard();
 }
 
 TEST_P(Alternatives, TheNextOneServesWhenTheFirstIsSilentForLongerThanItsLease) {

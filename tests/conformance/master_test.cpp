@@ -1,4 +1,5 @@
 // A component with the right `master` changes the system: in the host's process, in a group, on another host.
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
@@ -90,7 +91,7 @@ TEST_P(Masters, WithoutTheRightEachCallIsRejectedWithASentenceThatSaysHowToGrant
   console.load("beacon", "main", "a", "period_ms=2");
   console.load("navigator", "main", "nav");
   load_boss(false);
-  for (const std::string name : {"wire", "list", "plan"}) {
+  for (const std::string name : {"wire", "list", "plan", "read", "watch"}) {
     const std::string ended = call(name, "nav.fixes", "a.fixes");
     EXPECT_THAT(ended, StartsWith("rejected ")) << name;
     EXPECT_THAT(ended, HasSubstr("'boss' has not been granted the right 'master'")) << name;
@@ -118,10 +119,7 @@ TEST_P(Masters, ARefusalIsTheSentenceThatAConsoleGets) {
 
 TEST_P(Masters, OneThatIsNotActiveMayNotAsk) {
   load_system();
-  control::Change leave;
-  leave.mutable_state()->set_instance("boss");
-  leave.mutable_state()->set_mode("neutral");
-  console.change(leave);
+  console.state("boss", "neutral");
   EXPECT_EQ(call("wire", "nav.fixes", "a.fixes"), "not_active");
   EXPECT_EQ(console.peer_of("nav.fixes"), "");
 }
@@ -161,7 +159,115 @@ TEST_P(Masters, MoreCallsThanMayBeOpenAreRejectedAndTheOthersMade) {
   EXPECT_THAT(call("many", "nav.fixes", "a.fixes"), HasSubstr("64 made, 16 refused"));
 }
 
+/// What one sees of others, beside a gauge.
+class Watchers : public Masters {
+ protected:
+  void SetUp() override {
+    console.load("gauge", host.place(), "gauge", "level=1");
+    load_boss(true);
+  }
+  void level(double value) { console.set("gauge", fmt::format("level={}", value)); }
+  /// Until nothing more has come for a while: "timeout 2 seen, 0 missing: 1 2 ".
+  std::string fetched() { return call("fetch", "-", "-", "deadline_ms=300"); }
+};
+
+TEST_P(Watchers, AComponentReadsAProbeOnce) {
+  EXPECT_EQ(call("read", "gauge.level", "-", "deadline_ms=10000"), "ok 1");
+  EXPECT_EQ(call("read", "gauge.mode"), "ok active");
+  EXPECT_THAT(call("read", "gauge.levle"), HasSubstr("'gauge' has no"));
+}
+
+TEST_P(Watchers, AComponentIsToldEachValueOfAProbeInItsOrder) {
+  EXPECT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok");
+  level(2);
+  level(3);
+  EXPECT_EQ(fetched(), "timeout 3 seen, 0 missing: 1 2 3 ");
+  level(4);
+  EXPECT_EQ(fetched(), "timeout 1 seen, 0 missing: 4 ") << "a time that is over loses nothing";
+  EXPECT_EQ(call("watch", "gauge.level", "every2", "deadline_ms=10000"), "ok") << "in the place of the other one";
+  for (const double value : {5, 6, 7, 8}) level(value);
+  EXPECT_EQ(fetched(), "timeout 3 seen, 0 missing: 4 6 8 ");
+}
+
+TEST_P(Watchers, AComponentIsToldWhenAConditionBecomesTrue) {
+  EXPECT_EQ(call("watch", "gauge.level", "above5", "deadline_ms=10000"), "ok");
+  for (const double value : {2, 6, 7, 1, 8}) level(value);
+  EXPECT_EQ(fetched(), "timeout 2 seen, 0 missing: 6 8 ");
+  EXPECT_EQ(call("watch", "gauge.level", "older", "deadline_ms=10000"), "ok");
+  EXPECT_EQ(fetched(), "timeout 1 seen, 0 missing: 8 ");
+}
+
+TEST_P(Watchers, AComponentThatIsSlowKeepsTheNewestAndIsToldHowManyAreMissing) {
+  EXPECT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok");
+  for (int value = 2; value <= 100; ++value) level(value);
+  const std::string seen = fetched();
+  EXPECT_THAT(seen, StartsWith("timeout 64 seen, 36 missing: 37 38 "));
+  EXPECT_THAT(seen, EndsWith(" 99 100 "));
+}
+
+TEST_P(Watchers, AComponentThatPausesFindsWhatHasComeMeanwhile) {
+  EXPECT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok");
+  console.state("boss", "neutral");
+  level(2);
+  console.state("boss", "active");
+  EXPECT_EQ(fetched(), "timeout 2 seen, 0 missing: 1 2 ");
+}
+
+TEST_P(Watchers, AComponentWatchesAPushPort) {
+  console.load("beacon", "main", "a", "period_ms=20");
+  EXPECT_EQ(call("watch", "a.fixes", "-", "deadline_ms=10000"), "ok");
+  std::this_thread::sleep_for(200ms);  // it is fetched from what is kept
+  console.state("a", "neutral");
+  EXPECT_THAT(fetched(), HasSubstr("fiona.test.Fix fiona.test.Fix "));
+}
+
+TEST_P(Watchers, AComponentIsToldThatWhatItWatchesIsGone) {
+  EXPECT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok");
+  console.unload("gauge");
+  const std::string ended = fetched();
+  EXPECT_THAT(ended, StartsWith("rejected 1 seen, 0 missing: 1 ")) << "what had come before is not lost";
+  EXPECT_THAT(ended, HasSubstr("gauge"));
+  EXPECT_THAT(call("watch", "gauge.level", "-", "deadline_ms=10000"), StartsWith("rejected "));
+}
+
+TEST_P(Watchers, AWatchThatIsLetGoOfIsOver) {
+  EXPECT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok");
+  EXPECT_EQ(call("let_go"), "ok");
+  EXPECT_EQ(fetched(), "rejected nothing is watched");
+  for (int i = 0; i < 70; ++i) ASSERT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok") << i;
+}
+
+TEST_P(Watchers, AComponentHas64AtMost) {
+  for (int i = 0; i < 64; ++i) ASSERT_EQ(call("watch", "gauge.level", "more", "deadline_ms=10000"), "ok") << i;
+  EXPECT_THAT(call("watch", "gauge.level"), HasSubstr("it watches 64 things already"));
+}
+
+TEST_P(Watchers, AConditionThatDoesNotFitEndsTheWatch) {
+  EXPECT_EQ(call("watch", "gauge.mode", "above5", "deadline_ms=10000"), "ok");
+  const std::string ended = fetched();
+  EXPECT_THAT(ended, StartsWith("rejected 0 seen, 0 missing: "));
+  EXPECT_THAT(ended, HasSubstr("does not compare with this value"));
+}
+
+TEST(WatchOfAGroup, ThatEndsIsOverWithAReason) {
+  ServedHost host(Transport::Ipc);
+  TestConsole console(host);
+  console.load("gauge", "far", "gauge", "level=1");
+  control::Change boss = TestConsole::load_of("boss", "main");
+  boss.mutable_load()->add_rights("master");
+  console.change(boss);
+  console.set("boss", "call=watch first=gauge.level second=- go=1");
+  console.eventually("the watch", [&] { return console.read("boss.ended") == "1 ok"; });
+  console.set("boss", "call=fetch go=2");
+  ::kill(console.process_of("far"), SIGKILL);
+  std::string ended;
+  console.eventually("its end", [&] { return (ended = console.read("boss.ended")).starts_with("2 "); });
+  EXPECT_THAT(ended, StartsWith("2 rejected 1 seen, 0 missing: 1 "));
+  EXPECT_THAT(ended, HasSubstr("far"));
+}
+
 FIONA_OVER_EVERY_TRANSPORT(Masters);
+FIONA_OVER_EVERY_TRANSPORT(Watchers);
 
 TEST(MasterThatDies, LosesNothingOfWhatItAskedFor) {
   ServedHost host(Transport::Ipc);

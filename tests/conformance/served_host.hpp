@@ -150,6 +150,12 @@ class TestConsole {
     change(load_of(component, group, name, parameters));
   }
   void set(const std::string& instance, const std::string& parameters) { change(set_of(instance, parameters)); }
+  void state(const std::string& instance, const std::string& mode) {
+    control::Change one;
+    one.mutable_state()->set_instance(instance);
+    one.mutable_state()->set_mode(mode);
+    change(std::move(one));
+  }
   void unload(const std::string& instance) {
     control::Change one;
     one.mutable_unload()->set_instance(instance);

@@ -45,6 +45,26 @@ class Chooser final : public Asker {
   }
 };
 
+/// Looks at satellites until it is told that there is nothing more to be seen.
+class Looker final : public Asker {
+ public:
+  using Asker::Asker;
+
+ private:
+  Async<> choose() override {
+    const WatchTerms terms{.every = 2, .period = 50ms, .when = when::below(4)};
+    auto few = co_await master_.watch("gps.satellites.rate", terms);
+    std::string text;
+    while (true) {
+      const auto seen = co_await few->next(1s);
+      text +=
+          seen ? std::to_string(value_of<int>(*seen).value_or(-1)) + " " : std::string(to_string(seen.outcome())) + " ";
+      ended_.set(text);
+      if (!seen && seen.outcome() != Outcome::Timeout) co_return;
+    }
+  }
+};
+
 /// Names what is named in Latin-1.
 class LatinChooser final : public Asker {
  public:
@@ -90,6 +110,70 @@ TEST(Master, AsksForAllChangesAsOneTransactionAndIsTold) {
   EXPECT_LT(changes[3].state().within_ms(), 1000) << "its refusal arrives before the caller gives up";
   bench.advance(1ms);
   EXPECT_EQ(bench.probe<std::string>("ended"), "ok");
+}
+
+control::Sample sample_with(std::uint64_t number, const google::protobuf::Message& value) {
+  control::Sample sample;
+  sample.set_number(number);
+  sample.set_type(value.GetDescriptor()->full_name());
+  sample.set_object(value.SerializeAsString());
+  return sample;
+}
+
+TEST(Master, WatchesByTheTermsThatAreNamedAndFetchesOneValueAfterTheOther) {
+  testing::Bench<Looker> bench;
+  bench.start();
+  bench.advance(1ms);
+  auto requests = bench.take_requests();
+  ASSERT_EQ(requests.size(), 2U);
+  const control::Watch& watch = requests[0].watch();
+  EXPECT_EQ(watch.port().instance(), "gps");
+  EXPECT_EQ(watch.port().port(), "satellites.rate");
+  EXPECT_EQ(watch.prescale(), 2U);
+  EXPECT_EQ(watch.min_period_ms(), 50);
+  EXPECT_EQ(watch.condition().compared().comparison(), control::LESS);
+  EXPECT_EQ(watch.condition().compared().value().number(), 4);
+  EXPECT_EQ(requests[1].next().after(), 0U);
+
+  probe::Integer three;
+  three.set_value(3);
+  EXPECT_TRUE(bench.show(sample_with(7, three)));
+  bench.advance(1ms);
+  probe::Number two;
+  two.set_value(2.5);
+  EXPECT_TRUE(bench.show(sample_with(8, two)));
+  bench.advance(1ms);
+  probe::Text text;
+  text.set_value("x");
+  EXPECT_TRUE(bench.show(sample_with(9, text)));
+  bench.advance(1ms);
+  EXPECT_EQ(bench.probe<std::string>("ended"), "3 2 -1 ") << "a text is no number";
+  requests = bench.take_requests();
+  ASSERT_EQ(requests.size(), 3U);
+  EXPECT_EQ(requests[0].next().after(), 7U) << "what has arrived is kept no more";
+  EXPECT_EQ(requests[2].next().after(), 9U);
+}
+
+TEST(Master, GoesOnToWatchAfterItsDeadlineAndItsMode) {
+  testing::Bench<Looker> bench;
+  bench.start();
+  bench.advance(2500ms);
+  EXPECT_EQ(bench.probe<std::string>("ended"), "timeout timeout ");
+  for (const auto& request : bench.take_requests()) EXPECT_EQ(request.next().after(), 0U) << "nothing has arrived";
+}
+
+TEST(Master, LetsGoOfWhatItWatchesWithItself) {
+  std::vector<control::Request> requests;
+  {
+    testing::Bench<Looker> bench;
+    bench.start();
+    bench.advance(1ms);
+    bench.take_requests();
+    EXPECT_FALSE(bench.hull().shut_down(1s)) << "it has ended";
+    requests = bench.take_requests();
+  }
+  ASSERT_EQ(requests.size(), 1U);
+  EXPECT_EQ(requests[0].unwatch().watch(), 1U);
 }
 
 TEST(Master, IsToldWhyItWasRefused) {

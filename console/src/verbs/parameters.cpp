@@ -23,6 +23,9 @@ void get_host(Session& session, const control::System& system, const Line& line)
   Table table({"parameter", "value", "unit", "range", "default", "doc"});
   if (wanted.empty() || wanted == "clock")
     table.add({"clock", system.clock(), "", "system|virtual", "system", "what time the instances see"});
+  if (wanted.empty() || wanted == "start")
+    table.add({"start", system.clock_start().empty() ? "0" : system.clock_start(), "", "1970 .. 2039", "0",
+               "of a virtual clock: its first moment, for a recording that is played at its own times"});
   if (wanted.empty() || wanted == "speed")
     table.add({"speed",
                {fmt::format("{}", system.speed()), system.speed()},
@@ -34,7 +37,7 @@ void get_host(Session& session, const control::System& system, const Line& line)
     table.add({"deliveries", system.deliveries(), "", "", "",
                "of a virtual clock: the file in which each delivery is recorded"});
   if (table.empty()) {
-    const std::vector<std::string> known{"clock", "speed", "deliveries"};
+    const std::vector<std::string> known{"clock", "start", "speed", "deliveries"};
     throw line.error(line.positional[1],
                      {.what = fmt::format("the host has no parameter '{}'", wanted),
                       .expected = fmt::format("{}", fmt::join(known, ", ")),

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <google/protobuf/util/message_differencer.h>
+#include <google/protobuf/util/time_util.h>
 
 #include "fiona/hmi.fiona.hpp"
 #include "fiona/localisation.fiona.hpp"
@@ -100,6 +101,7 @@ void RecordingPlayer::on_start() {
                                    .next = "load recording-player as " + name() + " file=FILE.mcap from_s=0"});
   }
   begin_ns_ = first_ns + static_cast<std::uint64_t>(1e9 * params_->from_s());
+  if (params_->times() == AS_RECORDED) check_clock();
   connect(*recording);
   if (recording->is_cut()) log(LogLevel::Warning, "the recording is cut off: what is whole of it is played");
   recording_ = std::move(recording);
@@ -110,6 +112,31 @@ void RecordingPlayer::on_start() {
   damaged_.set(0);
   if (const auto records = recording_->damaged(); records > 0)
     tell_damage(fmt::format("{} of its records are garbled and left out", records));
+}
+
+/// At its own times it is played on a clock that is not beyond them, and that does not have to count for days until
+/// they come.
+void RecordingPlayer::check_clock() const {
+  constexpr std::uint64_t kLatest_ns = std::uint64_t{2'208'988'800} * 1'000'000'000;  // 2040, as the host's clock
+  const bool is_time = begin_ns_ < kLatest_ns;
+  const TimePoint begin = is_time ? recorded_begin() : TimePoint{};
+  if (is_time && now() <= begin && begin - now() < std::chrono::hours(24)) return;
+  const auto text_of = [](TimePoint time) {
+    using google::protobuf::util::TimeUtil;
+    return TimeUtil::ToString(TimeUtil::NanosecondsToTimestamp(time.time_since_epoch().count()));
+  };
+  if (!is_time) {
+    throw Error(ErrorCode::Failed, {.what = "the recording's own times are none",
+                                    .where = params_->file(),
+                                    .expected = "its first message before 2040",
+                                    .next = "load recording-player as " + name() + " file=FILE.mcap times=FROM_NOW"});
+  }
+  throw Error(ErrorCode::NotAllowed,
+              {.what = "the recording is of another time than the clock shows",
+               .where = params_->file(),
+               .expected = "a virtual clock that starts at " + text_of(begin) + ", or up to a day before",
+               .found = text_of(now()),
+               .next = "before the first load: set host clock=virtual start=" + text_of(begin)});
 }
 
 /// Those that are asked for, each of which must be there; empty: any.
@@ -196,10 +223,12 @@ void RecordingPlayer::refuse_two(const std::string& one, const std::string& othe
                            name(), one)});
 }
 
-/// Elsewhere than in active it pauses: what remains keeps its distance in time.
+/// Elsewhere than in active it pauses: what remains keeps its distance in time, or, at its own times, is passed over
+/// while it does.
 void RecordingPlayer::on_mode(std::string_view mode) {
   if (mode == kModeActive) {
-    begun_ = now() - played_;
+    begun_ = params_->times() == AS_RECORDED ? recorded_begin() : now() - played_;
+    resumed_ = now();
     next_message_.at(now());
   } else if (begun_) {
     next_message_.cancel();
@@ -212,7 +241,7 @@ void RecordingPlayer::play_next() {
   while (next_ || read_next()) {
     const TimePoint due = *begun_ + between(begin_ns_, next_->logged_ns);
     if (due > now()) return next_message_.at(due);
-    play(*next_);
+    if (params_->times() == FROM_NOW || due >= resumed_) play(*next_);
     next_.reset();
   }
   is_over_ ? end() : next_message_.at(now());  // others have their turn before what takes time goes on

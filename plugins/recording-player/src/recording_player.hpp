@@ -15,8 +15,9 @@
 
 namespace fiona::recording_player {
 
-/// Puts what a recording holds, each message as long after it became active as it had come after the first one. On a
-/// virtual clock that is as fast as the components behind it can work, and always the same.
+/// Puts what a recording holds, each message as long after it became active as it had come after the first one, or when
+/// it had come, on a clock that starts where the recording does. On a virtual clock that is as fast as the components
+/// behind it can work, and always the same.
 class RecordingPlayer final : public Component {
  public:
   explicit RecordingPlayer(Hull& hull);
@@ -38,6 +39,8 @@ class RecordingPlayer final : public Component {
   void play_next();
   void play(const McapReader::Message& message);
   bool read_next();
+  TimePoint recorded_begin() const { return TimePoint{Duration(static_cast<std::int64_t>(begin_ns_))}; }
+  void check_clock() const;
   void tell_damage(const std::string& what);
   void end();
 
@@ -57,6 +60,7 @@ class RecordingPlayer final : public Component {
   std::uint64_t begin_ns_ = 0;        ///< of what is played, on the recording's clock
   Duration played_{};                 ///< since then, while it pauses
   std::optional<TimePoint> begun_{};  ///< when that was, on the instance's; none: it pauses
+  TimePoint resumed_{};               ///< of messages at their own times, those before are passed over
 };
 
 }  // namespace fiona::recording_player

@@ -134,15 +134,16 @@ class OtherProcesses {
 /// sees the same messages and timers in the same order, however many threads there are, and however the instances are
 /// spread over processes (docs/architecture.md, Time).
 ///
-/// It starts at zero and held: nothing moves until `release`. Within an instant, work proceeds in rounds: all strands
-/// of all processes run until idle, then what they sent is delivered in the order (wire name, sequence) before any of
-/// them runs again, and so on until nothing is left; only then does time advance.
+/// It starts at zero, or where a recording began that is replayed, and held: nothing moves until `release`. Within an
+/// instant, work proceeds in rounds: all strands of all processes run until idle, then what they sent is delivered in
+/// the order (wire name, sequence) before any of them runs again, and so on until nothing is left; only then does time
+/// advance.
 class VirtualClock : public Clock {
  public:
-  VirtualClock() = default;
+  explicit VirtualClock(TimePoint start = {}) : start_(start), now_(start) {}
   ~VirtualClock() override;
   TimePoint now() const override;
-  TimePoint start() const override { return TimePoint{}; }
+  TimePoint start() const override { return start_; }
   TimerId schedule(TimePoint at, const std::shared_ptr<Strand>& strand, Job job) override;
   void cancel(TimerId timer) override;
   bool staging() const override { return true; }
@@ -217,7 +218,8 @@ class VirtualClock : public Clock {
   bool paced(TimePoint next);
   void pace();
 
-  TimePoint now_{};
+  const TimePoint start_;
+  TimePoint now_;
   std::map<Key, Entry> entries_;
   std::map<TimerId, Key> keys_;
   std::vector<Staged> staged_;

@@ -78,6 +78,9 @@ class Inbox {
   /// where nothing waits. Else `then` is called [any thread, holding nothing] when there is, as long as `who` lives.
   std::optional<std::size_t> room(std::size_t cost, std::weak_ptr<const void> who, OnRoom then);
 
+  /// [any thread] Whether it was true longer ago than the port's `max_age`.
+  bool is_too_old(const Envelope& envelope) const;
+
  private:
   friend class Strand;
   /// What a message costs in memory beside its serialised size: object, queue entry, shared count.
@@ -105,7 +108,6 @@ class Inbox {
   void handle();
   void begin_parcel();
   void finish_parcel();
-  bool is_too_old(const Envelope& envelope) const;
 
   Port& port_;
   Strand& strand_;

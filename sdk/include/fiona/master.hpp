@@ -13,13 +13,21 @@
 #include "fiona/async.hpp"
 #include "fiona/call.hpp"
 #include "fiona/control.pb.h"
-#include "fiona/params.hpp"
 #include "fiona/result.hpp"
+#include "fiona/typed_value.hpp"
+#include "fiona/watch.hpp"
 
 namespace fiona {
 
 class Component;
 class Hull;
+
+namespace detail {
+
+/// As it is typed: "nav.location", "nav.location.rate".
+control::PortName port_name(std::string_view text);
+
+}  // namespace detail
 
 /// What more there is to say of a wire.
 struct WireChoice {
@@ -49,18 +57,7 @@ class Changes {
   /// One parameter: a flag, a number with or without a unit, a text or the name of an enumerator.
   template <class T>
   Changes& set(std::string_view instance, std::string_view parameter, const T& value, std::string_view unit = {}) {
-    control::Value typed;
-    if constexpr (std::is_same_v<T, bool>) {
-      typed.set_flag(value);
-    } else if constexpr (std::is_integral_v<T> && std::is_unsigned_v<T>) {
-      detail::set_natural(typed, value);
-    } else if constexpr (std::is_integral_v<T>) {
-      typed.set_integer(static_cast<std::int64_t>(value));
-    } else if constexpr (std::is_floating_point_v<T>) {
-      typed.set_number(value);
-    } else {
-      typed.set_text(std::string(value));
-    }
+    control::Value typed = detail::typed_value(value);
     typed.set_unit(std::string(unit));
     return set_value(instance, parameter, std::move(typed));
   }
@@ -76,9 +73,9 @@ class Changes {
   std::vector<control::Change> list_;
 };
 
-/// Changes the system that the component is part of: the right `master` (document 2.1.3.8). A component that has this
-/// member asks for the right; its package's manifest says so too (`rights: "master"`), and who loads it grants it:
-/// `load fiona/chooser with master`.
+/// Changes the system that the component is part of, and looks at others: the right `master` (document 2.1.3.8
+/// and 2.1.3.9). A component that has this member asks for the right; its package's manifest says so too (`rights:
+/// "master"`), and who loads it grants it: `load fiona/chooser with master`.
 ///
 ///     fiona::Master master_{*this};
 ///     auto done = co_await master_.wire("nav.location", "wifi.location");
@@ -97,6 +94,7 @@ class Master {
   static constexpr std::size_t kMaxOpen = 64;
 
   explicit Master(Component& owner);
+  ~Master() { *self_ = nullptr; }
   Master(const Master&) = delete;
   Master& operator=(const Master&) = delete;
 
@@ -106,6 +104,18 @@ class Master {
   Async<Result<control::Planned>> plan(Changes changes, Duration deadline = kDefaultDeadline);
   /// The instances with their ports, wires, modes and parameters.
   Async<Result<control::System>> system(Duration deadline = kDefaultDeadline);
+
+  /// Begins to watch a probe or a push port of any instance: "gps.satellites", "nav.location.rate", "nav.location".
+  ///
+  ///     auto few = co_await master_.watch("gps.satellites", {.when = fiona::when::below(4)});
+  ///     while (few) {
+  ///       const auto seen = co_await few->next(10s);
+  ///       if (seen) co_await master_.swap("gps", "wifi");
+  ///       if (!seen && seen.outcome() != fiona::Outcome::Timeout) break;    // gps is gone, or this mode was left
+  ///     }
+  Async<Result<Watch>> watch(std::string_view what, const WatchTerms& terms = {}, Duration deadline = kDefaultDeadline);
+  /// A probe's value of now, also when nobody watches it.
+  Async<Result<control::Sample>> read(std::string_view probe, Duration deadline = kDefaultDeadline);
 
   // `make` with one change each.
 
@@ -130,11 +140,17 @@ class Master {
 
  private:
   friend class Hull;
+  friend class fiona::Watch;
+  /// What a call waits for: virtual time may be over before the host, which lives by the machine's, has looked at it.
+  enum class Waits { ForHost, ForTime };
   struct Open {
     std::shared_ptr<detail::Call> call;
     control::Reply reply;
   };
-  Async<Result<control::Reply>> ask(control::Request request, Duration deadline);
+  Async<Result<control::Reply>> ask(control::Request request, Duration deadline, Waits waits = Waits::ForHost);
+  Async<Result<Watch>> begin_watch(control::Request request, Duration deadline);
+  Async<Result<control::Sample>> read_by(control::Request request, Duration deadline);
+  void unwatch(std::uint64_t watch);
   std::optional<Outcome> obstacle() const;
   void take(std::uint64_t number, control::Reply reply);
 
@@ -142,6 +158,7 @@ class Master {
   detail::Calls calls_;
   std::map<std::uint64_t, Open> open_;
   std::uint64_t last_number_ = 0;
+  const std::shared_ptr<Master*> self_ = std::make_shared<Master*>(this);  ///< null once it is gone
 };
 
 }  // namespace fiona

@@ -19,9 +19,6 @@ class Hull;
 
 namespace detail {
 
-/// A number that an int64 cannot hold keeps all its digits, as they would be typed.
-void set_natural(control::Value& value, std::uint64_t number);
-
 /// A component's parameters without their type: the current values, the rules, the component's own check.
 class ParamsBase {
  public:

@@ -169,7 +169,7 @@ class RequiredPort : public Port {
   void serve(const std::shared_ptr<WireEnd>& chosen, bool again);
   void serve_only();
   void enter_unfit();
-  bool says_valid(const Object& object) const;
+  std::string_view flaw_of(const Envelope& envelope);
   /// Of a provider that has not pushed anything since it was connected nothing is known: it takes nobody's place.
   bool may_return(const WireEnd& end) const { return end.is_fit() && (end.heard_ || !is_push_); }
   void enter(Connection connection, std::string reason, std::string news = {});

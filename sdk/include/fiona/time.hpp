@@ -10,7 +10,8 @@ using Duration = std::chrono::nanoseconds;
 
 /// The time that components live in: read from the instance's clock (system, simulated or replayed), never from
 /// the operating system. It only grows. On the system clock it is Unix time at the host's start plus what has
-/// passed since, so it does not jump when the machine's clock is set; on a virtual clock it starts at zero.
+/// passed since, so it does not jump when the machine's clock is set; on a virtual clock it starts at zero, or at the
+/// Unix time that the clock was given: where a recording began that is replayed.
 struct Timeline {
   using duration = Duration;
   using rep = duration::rep;

@@ -50,7 +50,7 @@ class WireEnd final : public std::enable_shared_from_this<WireEnd> {
   friend class RequiredPort;
   // guarded by the port's mutex
   bool is_live() const { return connection_ == Connection::Connected && !silence_; }
-  bool is_fit() const { return is_live() && valid_; }
+  bool is_fit() const { return is_live() && flaw_.empty(); }
   std::string unfitness() const;
 
   RequiredPort& port_;
@@ -59,7 +59,7 @@ class WireEnd final : public std::enable_shared_from_this<WireEnd> {
   Connection connection_ = Connection::Unwired;
   std::string reason_ = "not wired";
   std::optional<std::string> silence_;  ///< why, of a provider that is silent
-  bool valid_ = true;                   ///< as its last object says
+  std::string_view flaw_{};             ///< of its last object; empty: none
   bool heard_ = false;                  ///< it has said something since it was connected
   TimePoint fit_since_{};               ///< and heard
   std::shared_ptr<Sink> target_;

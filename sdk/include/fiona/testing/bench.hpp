@@ -2,6 +2,7 @@
 
 #include <google/protobuf/text_format.h>
 
+#include <deque>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -171,9 +172,18 @@ class AnyBench : private HullEvents {
   }
 
   /// What the component, as master, has asked for since the last call. Each is answered as done, after `refuse_with` as
-  /// refused for that reason.
+  /// refused for that reason; the next value of what it watches, when it is shown one.
   std::vector<control::Request> take_requests() { return std::exchange(requests_, {}); }
   void refuse_with(std::string reason) { refusal_ = std::move(reason); }
+  /// Answers the oldest of the component's watches that waits for its next value. False: none does.
+  bool show(const control::Sample& sample) {
+    if (nexts_.empty()) return false;
+    control::Reply reply;
+    *reply.mutable_sample() = sample;
+    hull_.answer(nexts_.front(), std::move(reply));
+    nexts_.pop_front();
+    return true;
+  }
 
   std::string mode() const { return hull_.mode(); }
   std::string reason() const { return hull_.reason(); }
@@ -267,6 +277,7 @@ class AnyBench : private HullEvents {
   void logged(const std::string&, LogLevel, std::string_view text) override { log_.emplace_back(text); }
   void asked(const std::string&, std::uint64_t number, const control::Request& request) override {
     requests_.push_back(request);
+    if (request.has_next()) return nexts_.push_back(number);
     control::Reply reply;
     if (!refusal_.empty()) {
       reply.mutable_failure()->set_what(refusal_);
@@ -292,6 +303,7 @@ class AnyBench : private HullEvents {
   std::optional<std::pair<int, std::string>> run_end_;
   std::vector<std::string> log_;
   std::vector<control::Request> requests_;
+  std::deque<std::uint64_t> nexts_;
   std::string refusal_;
 };
 

@@ -1,0 +1,125 @@
+#include "component_watches.hpp"
+
+#include <algorithm>
+
+#include "fiona/error.hpp"
+#include "fiona/master.hpp"
+
+namespace fiona::host {
+namespace {
+
+/// Values that are kept for one watch, and their bytes where there is more than one.
+constexpr std::size_t kMostKept = 64;
+constexpr std::size_t kMostKeptBytes = 4 * 1024 * 1024;
+
+}  // namespace
+
+void ComponentWatches::watch(const wire::Asked& asked) {
+  const Id id{asked.instance(), asked.number()};
+  end(id);  // of one of its name before it
+  const auto own = std::count_if(watches_.begin(), watches_.end(),
+                                 [&](const auto& one) { return one.first.first == asked.instance(); });
+  if (own >= static_cast<std::ptrdiff_t>(Master::kMaxOpen)) {
+    throw Error(ErrorCode::Failed, {.what = "it watches " + std::to_string(own) + " things already",
+                                    .where = asked.instance(),
+                                    .expected = "at most " + std::to_string(Master::kMaxOpen),
+                                    .next = "let go of one before the next"});
+  }
+  Watch& made = watches_[id];
+  made.tap = system_.new_tap();
+  made.order = system_.model().instance(id.first).order;
+  of_tap_[made.tap] = id;
+  try {
+    system_.tap(made.tap, asked.request().watch());
+  } catch (...) {
+    end(id);
+    throw;
+  }
+}
+
+std::optional<control::Reply> ComponentWatches::next(const wire::Asked& asked) {
+  const control::Next& request = asked.request().next();
+  const auto found = watches_.find({asked.instance(), request.watch()});
+  if (found == watches_.end()) {
+    throw Error(ErrorCode::NotFound, {.what = "this watch is over", .where = asked.instance(), .next = "watch again"});
+  }
+  Watch& watch = found->second;
+  while (!watch.kept.empty() && watch.kept.front().number() <= request.after()) {
+    watch.kept_bytes -= watch.kept.front().object().size();
+    watch.kept.pop_front();
+  }
+  control::Reply reply;
+  if (!watch.kept.empty()) {
+    *reply.mutable_sample() = watch.kept.front();
+    return reply;
+  }
+  if (!watch.over) {
+    watch.waiting = asked;
+    return std::nullopt;
+  }
+  *reply.mutable_failure() = *watch.over;
+  end(found->first);
+  return reply;
+}
+
+void ComponentWatches::on_event(const wire::GroupMessage& event) {
+  if (event.has_tapped()) take(event.tapped());
+  if (event.has_mode_changed() && event.mode_changed().mode() == kModeFailed) forget(event.mode_changed().instance());
+  if (!event.has_tap_ended()) return;
+  const auto found = of_tap_.find(event.tap_ended().tap());
+  if (found == of_tap_.end()) return;
+  const Id id = found->second;
+  Watch& watch = watches_[id];
+  watch.over = event.tap_ended().failure();
+  if (!watch.waiting) return;
+  control::Reply reply;
+  *reply.mutable_failure() = *watch.over;
+  system_.answer(*watch.waiting, reply);
+  end(id);
+}
+
+void ComponentWatches::take(const wire::Tapped& tapped) {
+  const auto found = of_tap_.find(tapped.tap());
+  if (found == of_tap_.end()) return;
+  const Id id = found->second;
+  Watch& watch = watches_[id];
+  const Model::Instance* owner = system_.model().find(id.first);
+  if (!owner || owner->order != watch.order) return forget(id.first);
+  control::Sample sample = sample_of(tapped, system_.clock().start());
+  sample.set_number(++watch.last);
+  sample.set_skipped(watch.gaps.before(tapped));
+  watch.kept_bytes += sample.object().size();
+  watch.kept.push_back(std::move(sample));
+  while (watch.kept.size() > kMostKept || (watch.kept.size() > 1 && watch.kept_bytes > kMostKeptBytes))
+    drop_oldest(watch);
+  if (!watch.waiting) return;
+  control::Reply reply;
+  *reply.mutable_sample() = watch.kept.front();
+  system_.answer(*std::exchange(watch.waiting, std::nullopt), reply);
+}
+
+/// It is missing before the one behind it, with what was missing before itself.
+void ComponentWatches::drop_oldest(Watch& watch) {
+  const std::uint64_t missing = watch.kept.front().skipped() + 1;
+  watch.kept_bytes -= watch.kept.front().object().size();
+  watch.kept.pop_front();
+  watch.kept.front().set_skipped(watch.kept.front().skipped() + missing);
+}
+
+void ComponentWatches::end(const Id& id) {
+  const auto found = watches_.find(id);
+  if (found == watches_.end()) return;
+  system_.untap(found->second.tap);
+  of_tap_.erase(found->second.tap);
+  watches_.erase(found);
+}
+
+void ComponentWatches::forget(const std::string& instance) {
+  while (true) {
+    const auto found = watches_.lower_bound({instance, 0});
+    if (found == watches_.end() || found->first.first != instance) return;
+    end(Id(found->first));
+  }
+}
+
+}  // namespace fiona::host
