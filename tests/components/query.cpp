@@ -28,6 +28,7 @@ class Answerer final : public Component {
       return reply.reject(reason);
     }
     if (question.manner() == "hang") std::this_thread::sleep_for(500ms);
+    if (question.manner() == "stick") std::this_thread::sleep_for(6s);
     if (question.manner() == "error") return reply.reject("asked to refuse");
     const bool for_another = question.manner() == "second" && name() != "second";
     if (question.manner() == "never" || for_another) return kept_.push_back(std::move(reply));

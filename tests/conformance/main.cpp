@@ -16,7 +16,9 @@ namespace {
 /// The rows of the table, in their order, and the suites that each counts. A suite that is in none is a row of its own.
 const std::vector<std::pair<std::string, std::vector<std::string>>> kRows{
     {"shared rules", {"Rules", "Crowd"}},
-    {"pending calls", {"Calls", "FarProvider"}},
+    {"pending calls",
+     {"Calls", "FarProvider", "KilledProvider", "StoppedProvider", "HungProvider", "HungReceiver",
+      "ProviderThatIsCutOff"}},
     {"accounting", {"Accounting", "AccountingOfTheKilled"}},
     {"send", {"Send", "SendCalls"}},
     {"query", {"Query", "QueryCalls"}},
@@ -32,6 +34,8 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kRows{
     {"defects", {"Defects", "DefectsOfTheKilled"}},
 };
 
+constexpr const char* kNone = "-";  ///< of no transport
+
 /// "Over/Calls": "pending calls".
 std::string row_of(const std::string& suite) {
   const std::string name = suite.substr(suite.find('/') + 1);
@@ -39,6 +43,13 @@ std::string row_of(const std::string& suite) {
     if (std::find(suites.begin(), suites.end(), name) != suites.end()) return row;
   }
   return name;
+}
+
+/// "WhatItDoes/Tcp_Group": "Tcp".
+std::string transport_of(const std::string& test) {
+  const std::size_t slash = test.rfind('/');
+  if (slash == std::string::npos) return kNone;
+  return test.substr(slash + 1, test.find('_', slash) - slash - 1);
 }
 
 class PatternTable final : public testing::EmptyTestEventListener {
@@ -49,9 +60,7 @@ class PatternTable final : public testing::EmptyTestEventListener {
   };
 
   void OnTestEnd(const testing::TestInfo& test) override {
-    const std::string name = test.name();
-    const std::size_t slash = name.rfind('/');
-    Count& count = counts_[row_of(test.test_suite_name())][slash == std::string::npos ? kNone : name.substr(slash + 1)];
+    Count& count = counts_[row_of(test.test_suite_name())][transport_of(test.name())];
     ++(test.result()->Skipped() ? count.skipped : test.result()->Passed() ? count.passed : count.failed);
   }
 
@@ -79,7 +88,6 @@ class PatternTable final : public testing::EmptyTestEventListener {
     std::printf("\n");
   }
 
-  static constexpr const char* kNone = "-";  ///< of no transport
   static constexpr std::array<const char*, 4> kTransports{"Process", "Ipc", "Tcp", kNone};
   std::map<std::string, std::map<std::string, Count>> counts_;
 };
