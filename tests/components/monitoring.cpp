@@ -1,6 +1,7 @@
 // Probes of every kind.
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <utility>
 
 #include "components.hpp"
@@ -11,7 +12,10 @@ namespace fiona::test {
 class Gauge final : public Component {
  public:
   using Component::Component;
-  void on_start() override { show(); }
+  void on_start() override {
+    show();
+    std::this_thread::sleep_for(from_ms(params_->start_ms()));
+  }
 
  private:
   void on_change() {

@@ -1,5 +1,6 @@
 // Modes, activities and triggers.
 #include <stdexcept>
+#include <string>
 
 #include "components.hpp"
 
@@ -11,7 +12,10 @@ class Mover final : public Component {
   using Component::Component;
 
  private:
-  void look() { looks_.put(numbered(++looked_)); }
+  void look() {
+    sees_.set(hull().mode());
+    looks_.put(numbered(++looked_));
+  }
   Async<> steer() {
     if (params_->work_ms() > 0) {
       const auto most = from_ms(params_->work_ms());
@@ -43,6 +47,7 @@ class Mover final : public Component {
   int heading_ = 0;
   Modes modes_{*this, {{"drive", {"look", "steer"}}, {"park", {"look"}}, {"rest", {}}}};
   Params<MoverParams> params_{*this};
+  Probe<std::string> sees_{*this, "sees", {.doc = "the mode in which it finds itself"}};
   Provides<SampleNewest> looks_{*this, "looks"};
   Provides<SampleNewest> steers_{*this, "steers"};
   Provides<SampleNewest> outcome_{*this, "outcome"};

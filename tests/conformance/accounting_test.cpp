@@ -63,10 +63,16 @@ TEST_P(Accounting, OfAModeThatDoesNotServeThePortAddsUp) {
   put(100);
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
-  system.state("source", "active");
   system.state("sink", "neutral");
-  system.state("sink", "active");
+  system.state("source", "active");
   expect_sum("sink.each", 100);
+  EXPECT_EQ(system.read("sink.each.not_active").value(), 100);
+  system.state("sink", "active");
+  system.set("source", "count=150");
+  system.state("source", "neutral");
+  system.state("source", "active");
+  expect_sum("sink.each", 150);
+  EXPECT_EQ(system.port("sink.each").messages(), 50U);
 }
 
 TEST_P(Accounting, OfAWireThatIsCutHasAllUntilTheCutAndNothingAfterIt) {

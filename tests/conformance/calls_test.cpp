@@ -378,6 +378,13 @@ TEST_P(FarProvider, CallsThatWaitEndDisconnectedWhenItsProcessIsKilled) {
   EXPECT_EQ(outcome_of(begin("latest")), Outcome::Disconnected) << "and never the old value";
 }
 
+TEST_P(FarProvider, SendWhileThePortIsLostIsDisconnected) {
+  ::kill(far, SIGKILL);
+  system.eventually("lost", [&] { return system.port("caller.orders").connection() == control::LOST; });
+  EXPECT_EQ(outcome_of(begin("send")), Outcome::Disconnected);
+  EXPECT_EQ(outcome_of(begin("send_acknowledged")), Outcome::Disconnected);
+}
+
 TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsAtItsDeadline) {
   stop();
   EXPECT_EQ(outcome_of(begin("send_acknowledged", "deadline_ms=50")), Outcome::Timeout);
@@ -444,8 +451,9 @@ TEST_P(SendCalls, SeveralClientsSendToOneProvider) {
   system.eventually("both", [&] { return system.port("sink.orders").messages() == 2; });
 }
 
-TEST_P(SendCalls, SendWhileThePortWaitsOrIsLostIsDisconnected) {
+TEST_P(SendCalls, SendWhileThePortWaitsIsDisconnected) {
   system.wire("caller.orders", "nobody.orders");
+  EXPECT_EQ(system.port("caller.orders").connection(), control::WAITING);
   EXPECT_EQ(outcome_of("send"), Outcome::Disconnected);
   EXPECT_EQ(outcome_of("send_acknowledged"), Outcome::Disconnected);
 }

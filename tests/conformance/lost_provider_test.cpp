@@ -231,6 +231,8 @@ TEST_P(HungReceiver, HasWhatIsSentAcknowledgedUntilItIsLost) {
   ASSERT_EQ(outcome_of(begin("send")), Outcome::Ok);
   EXPECT_EQ(outcome_of(begin("send_acknowledged")), Outcome::Ok);
   expect_hung("sink", since_ns);
+  EXPECT_EQ(system().port("caller.orders").connection(), control::LOST);
+  EXPECT_EQ(outcome_of(begin("send")), Outcome::Disconnected);
   EXPECT_EQ(outcome_of(begin("send_acknowledged")), Outcome::Disconnected);
 }
 

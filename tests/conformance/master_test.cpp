@@ -53,6 +53,21 @@ class Masters : public testing::TestWithParam<Transport> {
   int calls = 0;
 };
 
+/// At its start, while a console asks for the same.
+TEST_P(Masters, AChangeToThePresentModeIsAnsweredToTheComponentItselfAndToAConsoleThatAsksMeanwhile) {
+  load_boss(true);
+  for (int i = 0; i < 20; ++i) {
+    control::Change to_active;
+    to_active.mutable_state()->set_instance("boss");
+    to_active.mutable_state()->set_mode("active");
+    console.begin(to_active);
+    console.begin(TestConsole::set_of("boss", "call=state first=boss second=active go=" + std::to_string(++calls)));
+    console.begin(to_active);
+    for (int answer = 0; answer < 3; ++answer) EXPECT_TRUE(console.receive().has_done());
+    EXPECT_EQ(end(), "ok boss is active");
+  }
+}
+
 TEST_P(Masters, AComponentWiresRewiresListsAndUnwires) {
   load_system();
   EXPECT_EQ(call("wire", "nav.fixes", "a.fixes"), "ok nav.fixes to a.fixes");

@@ -79,9 +79,8 @@ TEST_P(Monitoring, LongTextIsListedUpToWhereACharacterOfItEnds) {
     return text;
   };
   system.set("gauge", "word=a" + letters(100));
-  system.eventually("its first 200 bytes hold half a letter", [&] {
-    return system.instance("gauge").probes(3).value() == "a" + letters(99) + "…";
-  });
+  system.eventually("its first 200 bytes hold half a letter",
+                    [&] { return system.instance("gauge").probes(3).value() == "a" + letters(99) + "…"; });
   EXPECT_EQ(system.read("gauge.word").payload(), "a" + letters(100));
 }
 
@@ -334,6 +333,24 @@ TEST_P(Monitoring, WhatTheHullReadsIsNeverOld) {
   EXPECT_EQ(error.text().what, "gauge.handler_time is never old: the hull reads it when it is asked");
 }
 
+using MonitoringOfAStart = Monitoring;
+
+/// While its start takes long. A host that leads waits for those of others.
+TEST_P(MonitoringOfAStart, WorksInInit) {
+  const auto loaded = system.begin_load_client("gauge", "slow", "level=3 start_ms=3000");
+  const auto level = system.watch("slow.level");
+  const auto mode = system.watch("slow.mode");
+  EXPECT_EQ(next(mode).payload(), "init");
+  system.eventually("its start has shown it", [&] { return system.read("slow.level").value() == 3; });
+  EXPECT_EQ(system.wait_for(level, [](const auto& one) { return one.has_value; }).value(), 3);
+  EXPECT_EQ(next(system.watch("slow.handler_time")).unit, "ms");
+  EXPECT_EQ(system.read("slow.mode").payload(), "init");
+  EXPECT_FALSE(loaded->ended);
+  EXPECT_EQ(next(mode).payload(), "active");
+  system.eventually("it has started", [&] { return loaded->ended.load(); });
+}
+
+FIONA_OVER(MonitoringOfAStart, Transport::Process, Transport::Ipc);
 FIONA_OVER_EVERY_TRANSPORT(Monitoring);
 
 TEST(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {

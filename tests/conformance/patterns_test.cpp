@@ -8,6 +8,8 @@
 namespace fiona::conformance {
 namespace {
 
+using namespace std::chrono_literals;
+
 // A suite for each row of the table that is printed at the end; rules_test.cpp and the others have more of them.
 using Rules = OverTransports;
 using Send = OverTransports;
@@ -68,17 +70,42 @@ TEST_P(PushNewest, ServiceWithoutLastValueGivesALateSubscriberNothing) {
 }
 
 TEST_P(PushTimed, PushTimedProducesOnceAPeriodWhileActive) {
+  constexpr double kPeriod_ms = 20;
   system.load_client("sink", "sink");
   system.load_provider("source", "source", "count=1");
   system.wire("sink.timed", "source.timed");
-  system.eventually("produced", [&] { return system.port("sink.timed").messages() >= 10; });
-  const auto before = system.instance("source").tasks(0).runs();
+  const auto produced = system.watch("source.timed");
+  const auto first = system.wait_for(produced, [](const auto&) { return true; });
+  const auto missed_then = system.read("source.timed.overruns").value();
+  const auto last = system.wait_for(produced, [&](const auto& one) { return one.counted >= first.counted + 25; });
+  // Those that it was too late for have passed all the same.
+  const double periods = static_cast<double>(last.counted - first.counted);
+  const double most = periods + system.read("source.timed.overruns").value() - missed_then;
+  const double took_ms = static_cast<double>(last.sent_ns() - first.sent_ns()) / 1e6;
+  EXPECT_GT(took_ms, kPeriod_ms * periods / 2) << "by its own clock";
+  EXPECT_LT(took_ms, kPeriod_ms * most * 2) << "by its own clock";
+  system.eventually("they arrive", [&] { return system.port("sink.timed").messages() >= 10; });
   system.state("source", "neutral");
-  const auto after = system.instance("source").tasks(0).runs();
+  const auto runs = system.instance("source").tasks(0).runs();
   system.load_provider("source", "clockwork", "period_ms=1 count=100");
   system.eventually("time has passed", [&] { return system.port("clockwork.newest").messages() == 100; });
-  EXPECT_GE(after, before);
-  EXPECT_EQ(system.instance("source").tasks(0).runs(), after);
+  EXPECT_EQ(system.instance("source").tasks(0).runs(), runs);
+}
+
+/// On a clock that waits for all that has to be done, and so exactly.
+TEST(PushTimedVirtual, ProducesOnceAPeriodWhileActiveToTheInstant) {
+  RunningSystem system(2, 20s);
+  system.set("host", "clock=virtual");
+  system.load_in("", "source", "source", "count=1");
+  system.load_in("", "sink", "sink");
+  system.wire("sink.timed", "source.timed");
+  EXPECT_TRUE(system.let_pass(5ms).has_met());
+  const auto before = system.port("sink.timed").messages();
+  EXPECT_TRUE(system.let_pass(1000ms).has_met());
+  EXPECT_EQ(system.port("sink.timed").messages(), before + 50) << "the period is 20 ms";
+  system.state("source", "neutral");
+  EXPECT_TRUE(system.let_pass(1000ms).has_met());
+  EXPECT_EQ(system.port("sink.timed").messages(), before + 50);
 }
 
 TEST_P(PushNewest, LatestDoesNotConsume) {
@@ -103,6 +130,14 @@ TEST_P(PushNewest, LatestKeepsTheOldValueMarkedStaleUntilTheNewProviderSpeaks) {
   system.wait_for(report, [](const auto& s) { return s.number() == 5 && s.value() == 0; });
   system.wire("sink.latest", "second.newest");
   system.wait_for(report, [](const auto& s) { return s.number() == 5 && s.value() == 1; });
+  system.state("second", "active");
+  bool speaks = false;
+  const auto last = system.wait_for(report, [&](const auto& s) {
+    EXPECT_FALSE(speaks && s.value() == 1) << "stale again, at " << s.number();
+    speaks = s.value() == 0;
+    return s.number() == 7;
+  });
+  EXPECT_EQ(last.value(), 0) << "what the new one has said is not stale";
 }
 
 TEST_P(PushNewest, ProviderThatIsSilentForLongerThanItsLeaseIsLostAndFoundAtItsNextPut) {
@@ -148,14 +183,21 @@ TEST_P(PushNewest, ProviderThatLeavesItsModeIsLostToItsSubscribersAtOnce) {
   EXPECT_EQ(system.port("sink.leased").reason(), "source.leased is not active");
 }
 
-TEST_P(PushNewest, LateSubscriberToASilentProviderIsToldSo) {
+TEST_P(PushNewest, LateSubscriberToASilentProviderIsToldSoAndGetsNoValueUntilItSpeaks) {
   system.load_provider("source", "source", "period_ms=1 count=5");
   system.load_client("sink", "first");
   system.wire("first.leased", "source.leased");
   system.eventually("lost", [&] { return system.port("first.leased").connection() == control::LOST; });
   system.load_client("sink", "late");
+  const auto report = system.watch("late.report");
   system.wire("late.leased", "source.leased");
   system.eventually("lost", [&] { return system.port("late.leased").connection() == control::LOST; });
+  EXPECT_EQ(system.port("late.leased").messages(), 0U);
+  system.set("source", "count=6");
+  system.state("source", "neutral");
+  system.state("source", "active");
+  EXPECT_EQ(system.wait_for(report, [](const auto&) { return true; }).value(), 6)
+      << "the first value that it gets is the next one";
 }
 
 TEST_P(Query, QueryGetsItsAnswer) {

@@ -44,9 +44,9 @@ class State : public testing::TestWithParam<Transport> {
       return looked > looks + 5;
     });
   }
-  std::string refusal_of(const std::string& mode) {
+  std::string refusal_of(const std::string& mode, const std::string& name = "mover") {
     try {
-      system.state("mover", mode);
+      system.state(name, mode);
     } catch (const Error& error) {
       return error.text().what;
     }
@@ -201,10 +201,53 @@ TEST_P(State, EveryPairOfModesOfALivingInstanceIsAllowed) {
   }
 }
 
-TEST_P(State, ModesThatNobodyMayAskForAreRefused) {
-  for (const std::string mode : {"init", "failed", "shutdown", "drift"}) {
-    EXPECT_THAT(refusal_of(mode), HasSubstr("cannot go from drive to " + mode));
+TEST_P(State, ModesThatNobodyMayAskForAreRefusedFromEachMode) {
+  for (const std::string from : {"drive", "park", "rest", "neutral", "deactivated"}) {
+    system.state("mover", from);
+    for (const std::string to : {"init", "failed", "shutdown", "drift"}) {
+      EXPECT_THAT(refusal_of(to), HasSubstr("cannot go from " + from + " to " + to));
+      EXPECT_EQ(system.instance("mover").mode(), from);
+    }
   }
+}
+
+TEST_P(State, NoModeIsLeftFailedFor) {
+  EXPECT_EQ(system.call("mover.turn", "manner=throw").outcome(), "rejected");
+  system.eventually("failed", [&] { return system.instance("mover").mode() == "failed"; });
+  for (const std::string to :
+       {"drive", "park", "rest", "neutral", "deactivated", "init", "failed", "shutdown", "drift"}) {
+    EXPECT_THAT(refusal_of(to), HasSubstr("cannot go from failed to " + to));
+    EXPECT_EQ(system.instance("mover").mode(), "failed");
+  }
+}
+
+TEST_P(State, NoModeIsEnteredAfterShutdown) {
+  system.unload("mover");
+  for (const std::string to :
+       {"drive", "park", "rest", "neutral", "deactivated", "init", "failed", "shutdown", "drift"}) {
+    EXPECT_THAT(refusal_of(to), HasSubstr("mover")) << to;
+  }
+}
+
+using StateOfAStart = State;
+
+/// While its start takes long. A host that leads waits for those of others.
+TEST_P(StateOfAStart, InInitModesThatNobodyMayAskForAreRefusedAndTheOthersQueueBehindTheLoad) {
+  const auto loaded = system.begin_load_client("gauge", "slow", "start_ms=2000");
+  system.eventually("it begins", [&] { return system.instance("slow").mode() == "init"; });
+  for (const std::string to : {"init", "failed", "shutdown", "drift"}) {
+    EXPECT_THAT(refusal_of(to, "slow"), HasSubstr("cannot go from init to " + to));
+  }
+  std::vector<std::shared_ptr<LaterAnswer>> asked;
+  for (const std::string to : {"neutral", "active", "deactivated"}) asked.push_back(system.begin_state("slow", to));
+  EXPECT_EQ(system.instance("slow").mode(), "init");
+  EXPECT_FALSE(loaded->ended);
+  for (const auto& one : asked) {
+    system.eventually("answered", [&] { return one->ended.load(); });
+    EXPECT_FALSE(one->reply.has_failure()) << one->reply.ShortDebugString();
+  }
+  EXPECT_TRUE(loaded->ended);
+  EXPECT_EQ(system.instance("slow").mode(), "deactivated");
 }
 
 // ---- triggers (docs/patterns.md, Parameters) ------------------------------------------------------------------
@@ -291,6 +334,7 @@ TEST_P(Triggers, SendPortIsCalledByHand) {
 FIONA_OVER_EVERY_TRANSPORT(Triggers);
 
 FIONA_OVER_EVERY_TRANSPORT(State);
+FIONA_OVER(StateOfAStart, Transport::Process, Transport::Ipc);
 
 }  // namespace
 }  // namespace fiona::conformance

@@ -223,16 +223,32 @@ control::Failure RunningSystem::end_of(std::uint64_t id) {
   return ended_[id];
 }
 
-void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
-                            const std::string& parameters) {
-  control::Change change;
-  control::Load& request = *change.mutable_load();
+control::Load RunningSystem::load_of(const std::string& group, const std::string& component, const std::string& name,
+                                     const std::string& parameters) {
+  control::Load request;
   request.set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
   request.set_instance(name);
   request.set_group(group);
   if (parameters.starts_with("neutral")) request.set_mode("neutral");
   add_arguments(parameters, *request.mutable_parameters());
+  return request;
+}
+
+void RunningSystem::load_in(const std::string& group, const std::string& component, const std::string& name,
+                            const std::string& parameters) {
+  control::Change change;
+  *change.mutable_load() = load_of(group, component, name, parameters);
   system_.perform(change);
+}
+
+std::shared_ptr<LaterAnswer> RunningSystem::begin_load_client(const std::string& component, const std::string& name,
+                                                              const std::string& parameters) {
+  auto answer = std::make_shared<LaterAnswer>();
+  system_.begin_load(load_of(clients_group(), component, name, parameters), [answer](control::Reply reply) {
+    answer->reply = std::move(reply);
+    answer->ended = true;
+  });
+  return answer;
 }
 
 control::Reply RunningSystem::let_pass(std::chrono::milliseconds time) {
@@ -260,7 +276,7 @@ void RunningSystem::load_provider(const std::string& component, const std::strin
 }
 
 void RunningSystem::load_client(const std::string& component, const std::string& name, const std::string& parameters) {
-  load_in(transport_ == Transport::Process ? "" : "far", component, name, parameters);
+  load_in(clients_group(), component, name, parameters);
 }
 
 void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {

@@ -118,6 +118,9 @@ class RunningSystem {
   /// Into a group of this name.
   void load_in(const std::string& group, const std::string& component, const std::string& name,
                const std::string& parameters = "");
+  /// Where clients are loaded; the answer comes once it has started.
+  std::shared_ptr<LaterAnswer> begin_load_client(const std::string& component, const std::string& name,
+                                                 const std::string& parameters = "");
   void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
   /// To the first of these that is fit. A negative hold time: the usual one.
   control::Done wire_to_several(const std::string& client, const std::vector<std::string>& providers,
@@ -165,6 +168,9 @@ class RunningSystem {
                   std::chrono::milliseconds deadline = std::chrono::seconds(30));
 
  private:
+  static control::Load load_of(const std::string& group, const std::string& component, const std::string& name,
+                               const std::string& parameters);
+  std::string clients_group() const { return transport_ == Transport::Process ? "" : "far"; }
   void keep(const wire::GroupMessage& event);
   SeenSample seen(const wire::Tapped& tapped);
 
