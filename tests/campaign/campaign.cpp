@@ -5,10 +5,15 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <filesystem>
 #include <fstream>
+#include <map>
+#include <optional>
+#include <sstream>
 #include <string>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "fiona/error.hpp"
 
@@ -16,12 +21,45 @@ namespace fiona::conformance {
 
 namespace {
 
-long threads_of(const std::string& process) {
-  std::ifstream file(process + "/status");
+/// Of a file of /proc with a "name: number" in each line, sizes in KiB.
+double number_in(const std::string& path, const std::string& name) {
+  std::ifstream file(path);
   for (std::string line; std::getline(file, line);) {
-    if (line.starts_with("Threads:")) return std::stol(line.substr(8));
+    if (line.starts_with(name + ":")) return std::stod(line.substr(name.size() + 1));
   }
-  return 0;
+  throw Error(ErrorCode::NotFound, path + " has no " + name + ": the process is not there");
+}
+
+struct Process {
+  char state = 0;
+  pid_t parent = 0;
+};
+
+/// None: it has gone.
+std::optional<Process> process_of(pid_t id) {
+  std::ifstream file("/proc/" + std::to_string(id) + "/stat");
+  const std::string text((std::istreambuf_iterator<char>(file)), {});
+  std::istringstream rest(text.substr(std::min(text.size(), text.rfind(')') + 1)));
+  Process one;
+  if (!(rest >> one.state >> one.parent)) return std::nullopt;
+  return one;
+}
+
+/// Those that it has started, and those that these have, but for what has ended.
+std::vector<pid_t> descendants(pid_t of) {
+  std::multimap<pid_t, pid_t> children;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc")) {
+    const pid_t id = std::atoi(entry.path().filename().c_str());
+    const auto process = id > 0 ? process_of(id) : std::nullopt;
+    if (process && process->state != 'Z' && process->state != 'X') children.emplace(process->parent, id);
+  }
+  std::vector<pid_t> all{of};
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    const auto [begin, end] = children.equal_range(all[i]);
+    for (auto child = begin; child != end; ++child) all.push_back(child->second);
+  }
+  all.erase(all.begin());
+  return all;
 }
 
 }  // namespace
@@ -31,30 +69,40 @@ int number_from(const char* variable, int otherwise) {
   return text && *text ? std::atoi(text) : otherwise;
 }
 
-std::vector<pid_t> processes(host::System& system) {
+std::vector<pid_t> processes(RunningSystem& system) {
   std::vector<pid_t> all;
-  const auto snapshot = system.snapshot();
-  for (const auto& group : snapshot.groups()) all.push_back(group.process());
+  std::vector<std::string> elsewhere;
+  const auto snapshot = system.system().snapshot();
+  for (const auto& group : snapshot.groups())
+    group.process() != 0 ? all.push_back(group.process()) : elsewhere.push_back(group.name());
+  if (elsewhere.empty()) return all;
+  const pid_t far = system.far_process();
+  std::vector<pid_t> there = descendants(far);
+  there.push_back(far);
+  if (there.size() < elsewhere.size())
+    throw Error(ErrorCode::NotFound, fmt::format("the led host has {} processes for its groups {}", there.size(),
+                                                 fmt::join(elsewhere, ", ")));
+  all.insert(all.end(), there.begin(), there.end());
   return all;
 }
 
 Holdings holdings(const std::vector<pid_t>& processes) {
+  constexpr double kKib = 1024;
   Holdings all;
   for (const pid_t id : processes) {
     const std::string process = "/proc/" + std::to_string(id);
-    if (DIR* directory = ::opendir((process + "/fd").c_str())) {
-      while (const dirent* entry = ::readdir(directory)) {
-        ++all.descriptors;
-        char target[64] = {};
-        const ssize_t size = ::readlinkat(::dirfd(directory), entry->d_name, target, sizeof target - 1);
-        if (size > 0 && std::string(target).starts_with("socket:")) ++all.sockets;
-      }
-      ::closedir(directory);
+    DIR* directory = ::opendir((process + "/fd").c_str());
+    if (!directory) throw Error(ErrorCode::NotFound, process + " is not there, or is another user's");
+    while (const dirent* entry = ::readdir(directory)) {
+      ++all.descriptors;
+      char target[64] = {};
+      const ssize_t size = ::readlinkat(::dirfd(directory), entry->d_name, target, sizeof target - 1);
+      if (size > 0 && std::string(target).starts_with("socket:")) ++all.sockets;
     }
-    all.threads += threads_of(process);
-    long pages = 0, resident = 0, of_files = 0;
-    std::ifstream(process + "/statm") >> pages >> resident >> of_files;
-    all.resident_mib += static_cast<double>((resident - of_files) * ::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
+    ::closedir(directory);
+    all.threads += static_cast<long>(number_in(process + "/status", "Threads"));
+    all.resident_mib += number_in(process + "/status", "RssAnon") / kKib;
+    all.shared_mib += number_in(process + "/smaps_rollup", "Pss_Shmem") / kKib;
   }
   return all;
 }

@@ -32,11 +32,16 @@ struct Holdings {
   long descriptors = 0;
   long sockets = 0;  ///< of the descriptors
   long threads = 0;
-  double resident_mib = 0;  ///< other than pages of files, which come and go as they are read
+  double resident_mib = 0;  ///< other than pages of files, which come and go as they are read, and what is shared
+  double shared_mib = 0;    ///< memory that several processes have, each its part
+  double memory_mib() const { return resident_mib + shared_mib; }
 };
 
+/// Throws Error where one of them is not there.
 Holdings holdings(const std::vector<pid_t>& processes);
-std::vector<pid_t> processes(host::System& system);
+/// All of the system's, also those of the host that it leads, which tells nobody their numbers. Throws Error where one
+/// of its groups has none.
+std::vector<pid_t> processes(RunningSystem& system);
 
 /// The fields of a message of which the test does not link the type.
 class Seen {

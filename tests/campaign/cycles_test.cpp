@@ -54,12 +54,12 @@ TEST_P(Cycles, OfLoadWireUnwireUnloadLeaveNothingBehind) {
   Holdings warm;
   for (int i = 1; i <= cycles + kWarmUp; ++i) {
     run(i);
-    if (i == kWarmUp) warm = holdings(processes(system.system()));
+    if (i == kWarmUp) warm = holdings(processes(system));
   }
   Holdings after;
   try {
     system.eventually("what has ended is let go of", [&] {
-      after = holdings(processes(system.system()));
+      after = holdings(processes(system));
       return after.descriptors <= warm.descriptors && after.sockets <= warm.sockets;
     });
   } catch (const std::exception&) {  // told below

@@ -94,14 +94,14 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
   std::vector<double> took_ms;
   Holdings warm;
   for (int i = 0; i < rewires + kWarmUp; ++i) {
-    if (i == kWarmUp) warm = holdings(processes(system.system()));
+    if (i == kWarmUp) warm = holdings(processes(system));
     const bool question = pick(2) == 0;
     const int client = question ? kQuiet + pick(kWitnesses - kQuiet) : pick(kWitnesses);
     took_ms.push_back(rewire(client, question ? "echo" : "samples", pick(kTickers)));
     // Now and then time enough for samples to come, mostly none.
     system.serve_groups(std::chrono::milliseconds(pick(4)));
   }
-  const Holdings after = holdings(processes(system.system()));
+  const Holdings after = holdings(processes(system));
 
   for (int i = kQuiet; i < kWitnesses; ++i) system.set(witness(i), "asks=false");
   for (int i = 0; i < kTickers; ++i) system.set(ticker(i), "period_ms=10000");

@@ -44,6 +44,7 @@ void add_rewiring(Plugin& plugin);
 void add_alternatives(Plugin& plugin);
 void add_master(Plugin& plugin);
 void add_silence(Plugin& plugin);
+void add_standing(Plugin& plugin);
 void add_monitoring(Plugin& plugin);
 void add_virtual_time(Plugin& plugin);
 

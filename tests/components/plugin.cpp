@@ -12,6 +12,7 @@ FIONA_PLUGIN(plugin) {
   fiona::test::add_alternatives(plugin);
   fiona::test::add_master(plugin);
   fiona::test::add_silence(plugin);
+  fiona::test::add_standing(plugin);
   fiona::test::add_pattern_components(plugin);
   fiona::test::add_monitoring(plugin);
   fiona::test::add_virtual_time(plugin);

@@ -141,17 +141,12 @@ class Pacer final : public Paced {
     auto sample = samples_.make();
     sample->set_number(number_);
     sample->mutable_payload()->assign(params_->payload(), 'x');
-    const std::int64_t begun_ns = steady_ns();
-    sample->set_sent_ns(begun_ns);
+    sample->set_sent_ns(steady_ns());
     samples_.put(std::move(sample));
-    longest_ms_ = std::max(longest_ms_, static_cast<double>(steady_ns() - begun_ns) / 1e6);
-    longest_put_.set(longest_ms_);
   }
   std::uint64_t number_ = 0;
-  double longest_ms_ = 0;
   Params<SourceParams> params_{*this};
   Provides<SampleNewest> samples_{*this, "samples"};
-  Probe<double> longest_put_{*this, "longest_put", {.unit = "ms"}};
 };
 
 /// The receiving half: after `count` messages reports the median latency in `value`, the 99th percentile in `sent_ns`,
