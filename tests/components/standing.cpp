@@ -1,4 +1,5 @@
 // Who is left alone by clients that stand still, and those clients.
+#include <sys/resource.h>
 #include <time.h>
 
 #include <algorithm>
@@ -18,6 +19,13 @@ std::int64_t ran_ns() {
   timespec now{};
   ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
   return now.tv_sec * 1'000'000'000LL + now.tv_nsec;
+}
+
+/// How often this thread has let go of its processor to wait for something.
+long waits() {
+  rusage used{};
+  ::getrusage(RUSAGE_THREAD, &used);
+  return used.ru_nvcsw;
 }
 
 /// All threads of the process together: who waits for a lock waits for its holder to get a processor.
@@ -40,16 +48,19 @@ class Cost {
   void of(Call call) {
     const std::int64_t waited_before_ns = waited_for_cpu_ns();
     const std::int64_t ran_before_ns = ran_ns();
+    const long waits_before = waits();
     const std::int64_t begun_ns = steady_ns();
     call();
     const std::int64_t wall_ns = steady_ns() - begun_ns;
     const std::int64_t took_ns = ran_ns() - ran_before_ns;
     longest_ns_ = std::max(longest_ns_, wall_ns);
-    blocked_ns_ = std::max(blocked_ns_, wall_ns - took_ns - (waited_for_cpu_ns() - waited_before_ns));
+    // Else whoever lets this machine run has taken its processor away: it has waited for nothing.
+    if (waits() > waits_before)
+      blocked_ns_ = std::max(blocked_ns_, wall_ns - took_ns - (waited_for_cpu_ns() - waited_before_ns));
     ran_ns_.push_back(took_ns);
   }
   double longest_ms() const { return static_cast<double>(longest_ns_) / 1e6; }
-  /// The longest that one had no processor and nobody of the process waited for one.
+  /// The longest that one waited for something that is no processor.
   double blocked_ms() const { return static_cast<double>(blocked_ns_) / 1e6; }
   double ran_p99_ms() const {
     if (ran_ns_.empty()) return 0;
@@ -123,7 +134,8 @@ class Supplier final : public Paced {
   Provides<Bell> bell_{*this, "bell", &Supplier::ring};
   Provides<Echo> echo_{*this, "echo", &Supplier::on_question};
   Probe<double> longest_{*this, "longest", {.unit = "ms", .doc = "put or answer"}};
-  Probe<double> blocked_{*this, "blocked", {.unit = "ms", .doc = "the longest of them, beside what needs a processor"}};
+  Probe<double> blocked_{
+      *this, "blocked", {.unit = "ms", .doc = "the longest that one waited for something that is no processor"}};
   Probe<double> ran_p99_{*this, "ran_p99", {.unit = "ms", .doc = "of them, on a processor"}};
   Probe<std::uint64_t> waiting_{*this, "waiting", {.doc = "questions that are held"}};
   Task teller_{*this, "teller", 500ms, &Supplier::tell};
