@@ -3,12 +3,12 @@
 #include <time.h>
 
 #include <algorithm>
+#include <array>
 #include <deque>
 #include <filesystem>
 #include <fstream>
 #include <optional>
 #include <utility>
-#include <vector>
 
 #include "components.hpp"
 
@@ -57,23 +57,25 @@ class Cost {
     // Else whoever lets this machine run has taken its processor away: it has waited for nothing.
     if (waits() > waits_before)
       blocked_ns_ = std::max(blocked_ns_, wall_ns - took_ns - (waited_for_cpu_ns() - waited_before_ns));
-    ran_ns_.push_back(took_ns);
+    ++ran_[std::min(ran_.size() - 1, static_cast<std::size_t>(took_ns / kStep_ns))];
+    ++calls_;
   }
   double longest_ms() const { return static_cast<double>(longest_ns_) / 1e6; }
   /// The longest that one waited for something that is no processor.
   double blocked_ms() const { return static_cast<double>(blocked_ns_) / 1e6; }
   double ran_p99_ms() const {
-    if (ran_ns_.empty()) return 0;
-    auto all = ran_ns_;
-    const auto at = all.begin() + static_cast<std::ptrdiff_t>(all.size() * 99 / 100);
-    std::nth_element(all.begin(), at, all.end());
-    return static_cast<double>(*at) / 1e6;
+    std::uint64_t longer = calls_ / 100;
+    std::size_t at = ran_.size() - 1;
+    for (; at > 0 && ran_[at] <= longer; --at) longer -= ran_[at];
+    return static_cast<double>((static_cast<std::int64_t>(at) + 1) * kStep_ns) / 1e6;
   }
 
  private:
+  static constexpr std::int64_t kStep_ns = 10'000;
   std::int64_t longest_ns_ = 0;
   std::int64_t blocked_ns_ = 0;
-  std::vector<std::int64_t> ran_ns_;
+  std::uint64_t calls_ = 0;
+  std::array<std::uint64_t, 5'000> ran_{};  ///< calls by how long they ran: what is looked at must not grow by that
 };
 
 }  // namespace
@@ -88,10 +90,10 @@ class Supplier final : public Paced {
   void tick() override {
     if (number_ < params_->count()) put();
     if (params_->answers() && !held_.empty()) {
-      auto [answer, reply] = std::move(held_.front());
+      auto oldest = std::move(held_.front());
       held_.pop_front();
-      answer.mutable_payload()->resize(params_->payload());
-      cost_.of([&] { reply.answer(std::move(answer)); });
+      oldest.first.mutable_payload()->resize(params_->payload());
+      cost_.of([&] { oldest.second.answer(std::move(oldest.first)); });
     }
     again_after(params_->period_ms());
   }
