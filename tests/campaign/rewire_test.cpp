@@ -115,8 +115,15 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
   const auto pick = [&random](int below) { return std::uniform_int_distribution<int>(0, below - 1)(random); };
   std::vector<double> took_ms;
   Holdings warm;
+  double started_gap_ms = 0;
   for (int i = 0; i < rewires + warm_up; ++i) {
-    if (i == warm_up) warm = holdings(processes(system));
+    if (i == warm_up) {
+      warm = holdings(processes(system));
+      // Of how a system starts this does not tell: libraries are opened, links made.
+      for (int w = 0; w < kWitnesses; ++w)
+        started_gap_ms =
+            std::max(started_gap_ms, Seen(*ask(system, witness(w) + ".testify", "manner=gap")).real("longest_gap_ms"));
+    }
     const bool question = pick(2) == 0;
     const int client = question ? kQuiet + pick(kWitnesses - kQuiet) : pick(kWitnesses);
     took_ms.push_back(rewire(client, question ? "echo" : "samples", pick(kTickers)));
@@ -174,13 +181,15 @@ TEST_P(Rewire, UnderLoadLosesNothingDoublesNothingAndMixesNothing) {
   const double p50_ms = took_ms[took_ms.size() / 2], p99_ms = took_ms[took_ms.size() * 99 / 100];
   EXPECT_LE(p50_ms, allowed(5, full));
   EXPECT_LE(p99_ms, allowed(GetParam() == Transport::Tcp ? 250 : 50, full) + pulse.longest_ms());
-  EXPECT_LE(longest_gap_ms, kPeriod_ms + allowed(20, full) + pulse.longest_ms());
+  // A sample passes through threads of two processes, which beside other load each stand still for as long.
+  EXPECT_LE(longest_gap_ms, kPeriod_ms + allowed(20 + pulse.longest_ms(), full));
   std::cout << fmt::format(
       "{} rewires (seed {}), {} to another process: {} questions, {} samples; rewire p50 {:.2f} ms, p99 {:.2f} ms; "
-      "longest gap between samples {:.1f} ms (period {} ms); memory {:+.2f} MiB (bound {:.2f}), descriptors {:+d}; the "
+      "longest gap between samples {:.1f} ms (period {} ms), {:.1f} ms before; memory {:+.2f} MiB (bound {:.2f}), "
+      "descriptors {:+d}; the "
       "machine stood still for up to {:.1f} ms\n",
-      took_ms.size(), seed, moved, asked, heard, p50_ms, p99_ms, longest_gap_ms, kPeriod_ms, grown_mib, most_mib,
-      after.descriptors - warm.descriptors, pulse.longest_ms());
+      took_ms.size(), seed, moved, asked, heard, p50_ms, p99_ms, longest_gap_ms, kPeriod_ms, started_gap_ms, grown_mib,
+      most_mib, after.descriptors - warm.descriptors, pulse.longest_ms());
 }
 
 INSTANTIATE_TEST_SUITE_P(Over, Rewire, testing::Values(Transport::Process, Transport::Ipc, Transport::Tcp),

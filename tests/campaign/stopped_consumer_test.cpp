@@ -86,11 +86,10 @@ class StoppedConsumer : public testing::Test {
         "MiB)\n",
         what, blocked_ms, kBlocked_ms, ran_p99_ms, kBlocked_ms, system.read("supplier.longest").value(), grown_mib,
         kWire_mib);
-    EXPECT_LE(blocked_ms, allowed(kBlocked_ms, in_full)) << "the supplier waits for who stands still";
     EXPECT_LE(ran_p99_ms, allowed(kBlocked_ms, in_full));
-    if (!kKeepsWhatIsFreed) {
-      EXPECT_LE(grown_mib, kWire_mib);
-    }
+    if (FIONA_SANITIZED) return;  // its allocator keeps memory, and has locks that threads wait for
+    EXPECT_LE(blocked_ms, allowed(kBlocked_ms, in_full)) << "the supplier waits for who stands still";
+    EXPECT_LE(grown_mib, kWire_mib);
   }
 
   const int stopped_s = number_from("FIONA_STOPPED_S", 3);
@@ -119,8 +118,8 @@ TEST_F(StoppedConsumer, OfSamplesHurtsItselfOnlyAndKnowsWhatItMissed) {
   EXPECT_EQ(system.port("well.samples").dropped(), 0U);
   const auto dropped = system.port("frozen.samples").dropped();
   EXPECT_GT(dropped, 0U);
-  EXPECT_LE(read("supplier.samples.dropped"), dropped)
-      << "it knows of all, and of those that its own queue had no room for";
+  EXPECT_LE(read("supplier.samples.dropped"), dropped + system.port("well.samples").dropped())
+      << "each knows of its own, and of those that its own queue had no room for";
   std::cout << fmt::format("{} s stopped: {} of {} samples lost by it, none by the other\n", stopped_s, dropped, count);
   expect_others_were_not_hurt("samples");
 }

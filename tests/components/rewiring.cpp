@@ -91,7 +91,12 @@ class Witness final : public Paced {
     if (answer && (*answer)->number() != number) testimony_.set_wrong(testimony_.wrong() + 1);
     testimony_.set_open(testimony_.open() - 1);
   }
-  Testimony testify(const Question&) { return testimony_; }
+  /// In the manner 'gap' it forgets the longest gap so far.
+  Testimony testify(const Question& question) {
+    const Testimony now = testimony_;
+    if (question.manner() == "gap") testimony_.set_longest_gap_ms(0);
+    return now;
+  }
 
   Testimony testimony_;
   std::int64_t heard_ns_ = 0;
