@@ -504,7 +504,8 @@ class Run {
 
   void look_at_required(char name, const control::PortStatus& port) {
     const auto at = std::find(kRequired.begin(), kRequired.end(), port.name());
-    if (at == kRequired.end()) return require(port.connection() == control::UNWIRED, "what no script names has no wire");
+    if (at == kRequired.end())
+      return require(port.connection() == control::UNWIRED, "what no script names has no wire");
     const auto found = expected_.wires.find({name, static_cast<std::size_t>(at - kRequired.begin())});
     if (found == expected_.wires.end())
       return require(port.connection() == control::UNWIRED, "what has no wire has none");
