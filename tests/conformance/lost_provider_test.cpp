@@ -229,6 +229,14 @@ FIONA_OVER_PLACES(StoppedProvider, Place::Group, Place::OtherHost, Place::GroupO
 
 class HungProvider : public LostProvider {
  protected:
+  /// In `main` what still hangs at the end would be left behind on purpose.
+  void TearDown() override {
+    for (const std::string name : {"quiet", "answerer", "ringer", "sink"}) {
+      if (GetParam() != Place::Main) break;
+      system().eventually("it has come back", [&] { return system().read(name + ".queue_depth").value() == 0; });
+    }
+    LostProvider::TearDown();
+  }
   /// As its host sees it; its group is ended for it.
   void expect_hung(const std::string& name, std::int64_t since_ns) {
     if (GetParam() == Place::GroupOfOtherHost) return;  // that host has started it again

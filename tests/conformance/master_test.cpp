@@ -231,7 +231,8 @@ TEST_P(Watchers, AComponentThatPausesFindsWhatHasComeMeanwhile) {
 TEST_P(Watchers, AComponentWatchesAPushPort) {
   console.load("beacon", "main", "a", "period_ms=20");
   EXPECT_EQ(call("watch", "a.fixes", "-", "deadline_ms=10000"), "ok");
-  std::this_thread::sleep_for(200ms);  // it is fetched from what is kept
+  const std::uint64_t before = console.instance("a").ports(0).messages();
+  console.eventually("more is put", [&] { return console.instance("a").ports(0).messages() > before + 4; });
   console.state("a", "neutral");
   EXPECT_THAT(fetched(), HasSubstr("fiona.test.Fix fiona.test.Fix "));
 }
