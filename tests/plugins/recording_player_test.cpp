@@ -151,11 +151,12 @@ class RecordingPlayerTest : public ::testing::Test {
       put(writer, channel, 100'000'000ULL * static_cast<unsigned>(i), step(0.5 + 0.1 * i));
     writer.finish();
   }
-  static void put(McapWriter& writer, McapWriter::Channel channel, std::uint64_t at_ns, const pb::Message& object) {
+  static void put(McapWriter& writer, McapWriter::Channel channel, std::uint64_t at_ns, const pb::Message& object,
+                  std::chrono::nanoseconds age = 20ms) {
     const std::string data = object.SerializeAsString();
     writer.write({.channel = channel,
                   .logged_ns = kBegin_ns + at_ns,
-                  .published_ns = kBegin_ns + at_ns - 20'000'000,
+                  .published_ns = kBegin_ns + at_ns - static_cast<std::uint64_t>(age.count()),
                   .data = data});
   }
   std::unique_ptr<Player> player(const std::string& channels = "") {
@@ -197,6 +198,23 @@ TEST_F(RecordingPlayerTest, PutsEachMessageAtItsOwnTimeAndEndsTheRun) {
   EXPECT_EQ(bench->run_end()->first, 0);
   EXPECT_EQ(bench->run_end()->second, "end of recording " + path());
   EXPECT_EQ(bench->take<localisation::StepProvider>("steps").size(), 2U);
+}
+
+TEST_F(RecordingPlayerTest, KeepsAnOriginThatIsAheadOfTheClock) {
+  McapWriter writer(file_);
+  const auto channel = writer.add_channel("walk.steps", "fiona.localisation.CommStep",
+                                          files_of(*localisation::CommStep::descriptor()->file()));
+  put(writer, channel, 0, step(0.5));
+  put(writer, channel, 100'000'000, step(0.6), -7ms);
+  writer.finish();
+  const auto bench = player();
+  bench->advance(10s);
+  const TimePoint begun = bench->now();
+  bench->start();
+  bench->advance(100ms);
+  const auto steps = bench->take<localisation::StepProvider>("steps");
+  ASSERT_EQ(steps.size(), 2U);
+  EXPECT_EQ(steps[1].origin, begun + 107ms);
 }
 
 TEST_F(RecordingPlayerTest, HoldsWhereItIsToldTo) {

@@ -269,7 +269,8 @@ void RecordingPlayer::end() {
 }
 
 void RecordingPlayer::play(const McapReader::Message& message) {
-  const TimePoint origin = std::clamp(*begun_ + between(begin_ns_, message.published_ns), TimePoint{}, now());
+  // A sensor's clock may have been ahead of the recording's.
+  const TimePoint origin = std::max(*begun_ + between(begin_ns_, message.published_ns), TimePoint{});
   const std::int64_t shift_ms = to_milliseconds(*begun_) - static_cast<std::int64_t>(begin_ns_ / 1'000'000);
   for (Outlet* outlet : outlets_of_.at(message.channel)) {
     if (outlet->put(message.data, origin, shift_ms)) {
