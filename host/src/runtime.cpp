@@ -22,9 +22,10 @@ Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::stri
 
 Runtime::~Runtime() {
   links_.stop();
-  for (auto& [id, wire] : wires_) wire.local->cut();
+  const std::string reason = "the process ends";
+  for (auto& [id, wire] : wires_) wire.local->cut(reason);
   for (const auto& retired : retired_) {
-    if (const auto wire = retired.lock()) wire->cut();
+    if (const auto wire = retired.lock()) wire->cut(reason);
   }
   for (auto& [name, instance] : instances_) {
     // One whose handler still runs keeps its memory: the process ends soon.

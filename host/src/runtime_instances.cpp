@@ -156,6 +156,7 @@ void Runtime::give_up(const std::string& name, const std::string& reason) {
   instance.hangs = std::make_shared<std::atomic<bool>>(true);
   hull.strand().post([hangs = instance.hangs] { *hangs = false; });
   hull.fail(reason);
+  hull.stop_threads();
   links_.release(hull, reason);
   end_wires(hull, Connection::Lost, reason);
   for (Port* port : hull.ports()) {

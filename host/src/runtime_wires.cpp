@@ -91,7 +91,7 @@ void Runtime::cut(const wire::Cut& request) {
   if (found == wires_.end()) return links_.cut(request.wire(), request.reason());
   const auto client = found->second.client;
   client->set_target(nullptr);
-  found->second.local->cut();
+  found->second.local->cut(request.reason());
   retire(request.wire());
   client->set_connection(Connection::Unwired, request.reason());
 }
@@ -103,7 +103,7 @@ void Runtime::retire(std::uint64_t id) {
   if (found == wires_.end()) return links_.retire(id);
   if (found->second.provider) {
     found->second.provider->detach(*found->second.local);
-    found->second.local->cut();
+    found->second.local->cut("");  // a push: nothing is open on it
   } else {
     std::erase_if(retired_, [](const auto& wire) { return wire.expired(); });
     retired_.push_back(found->second.local);
@@ -126,7 +126,7 @@ void Runtime::end_wires(const Hull& hull, Connection now, const std::string& rea
     if (now == Connection::Lost) client->set_connection(now, reason);
   }
   for (const auto& retired : retired_) {
-    if (const auto wire = retired.lock()) wire->cut_from(hull);
+    if (const auto wire = retired.lock()) wire->cut_from(hull, reason);
   }
 }
 

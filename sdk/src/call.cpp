@@ -28,8 +28,10 @@ void Calls::finish(const std::shared_ptr<Call>& call, Outcome outcome, std::stri
   std::exchange(call->caller, {}).resume();
 }
 
-void Calls::finish_all(Outcome outcome, const std::string& reason) {
-  for (const auto& call : std::vector(waiting_)) finish(call, outcome, reason);
+void Calls::finish_all(Outcome outcome, const std::string& reason, std::uint64_t before) {
+  for (const auto& call : std::vector(waiting_)) {
+    if (call->since < before) finish(call, outcome, reason);
+  }
 }
 
 }  // namespace fiona::detail

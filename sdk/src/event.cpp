@@ -181,7 +181,9 @@ EventClient::EventClient(Component& owner, std::string_view name, const ServiceI
       handler_(std::move(handler)),
       parameter_rules_(service.object()),
       event_rules_(*service.answer()),
-      inbox_(*this, Delivery::Each, [this](const Parcel& parcel) { return on_event(parcel); }) {}
+      inbox_(*this, Delivery::Each, [this](const Parcel& parcel) { return on_event(parcel); }) {
+  inbox_.on_not_active([this](const Parcel& parcel) { on_missed(parcel); });
+}
 
 EventClient::~EventClient() {
   for (auto& [id, activation] : activations_) {
@@ -193,6 +195,7 @@ EventClient::~EventClient() {
 
 /// Makes the activation at the provider of this moment and gives it up at the one before.
 Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
+  activation.since = changes();
   const auto before = std::exchange(activation.channel, std::make_shared<Channel>(*this, id, activation.continuous));
   Envelope envelope{activation.parameters, static_cast<std::uint64_t>(id), hull().clock().now(),
                     activation.parameters->ByteSizeLong()};
@@ -208,6 +211,7 @@ Outcome EventClient::put_to_target(ActivationId id, Activation& activation) {
 Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const Object> parameters, bool continuous,
                                                          Duration within) {
   const auto call = std::make_shared<Call>();
+  call->since = changes();
   const ActivationId id{next_id_++};
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
@@ -234,14 +238,13 @@ Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const O
 
 Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within) {
   const auto call = std::make_shared<EventCall>();
+  call->since = changes();
   const auto found = activations_.find(id);
   if (found == activations_.end() || handler_) {
     calls().finish(call, Outcome::WrongId, handler_ ? "the port has a handler: events go there" : "");
   } else if (!found->second.events.empty()) {
     Activation& activation = found->second;
-    call->event = std::move(activation.events.front());
-    activation.events.pop_front();
-    kept_bytes_ -= call->event.bytes;
+    call->event = take_oldest(activation);
     if (activation.fired) activations_.erase(found);
     calls().finish(call, Outcome::Ok);
   } else if (const auto refusal = obstacle()) {
@@ -269,7 +272,7 @@ void EventClient::end(ActivationId id, Outcome outcome, const std::string& reaso
   if (found == activations_.end()) return;
   const Activation over = std::move(found->second);
   activations_.erase(found);
-  for (const Envelope& event : over.events) kept_bytes_ -= event.bytes;
+  for (const Envelope& event : over.events) kept_bytes_ -= Inbox::cost_of(event.bytes);
   if (over.channel) {
     over.channel->detach();
     over.channel->abandon();
@@ -307,13 +310,16 @@ void EventClient::make_again(ActivationId id) {
   if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) end(id, outcome, "the new provider refused it");
 }
 
-/// The provider that the activation was moved to does not serve the port in its mode. It does not say when it will: so
-/// it is asked.
+/// The provider that the activation was moved to does not serve the port in its mode, or this one had no mode, or no
+/// room, for the only event of a single one. Nobody says when that will be: so it is asked for, once this port is
+/// served.
 void EventClient::ask_again(ActivationId id, const std::shared_ptr<Channel>& refused) {
   const auto ask = [this, id, refused] {
     const auto found = activations_.find(id);
     const bool waits = found != activations_.end() && found->second.channel == refused;
-    if (waits && connection() == Connection::Connected) make_again(id);
+    if (!waits || connection() != Connection::Connected) return;
+    const bool serves = is_active() && !(begins_work() && hull().is_leaving(activity()));
+    serves ? make_again(id) : ask_again(id, refused);
   };
   hull().clock().schedule(hull().clock().now() + kAskAgain, hull().shared_strand(), ask);
 }
@@ -331,11 +337,12 @@ std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
     if (over) activations_.erase(found);
     return handler_(id, event);
   }
-  activation.fired = over;
   if (!activation.wait) {
-    keep(activation, event);
+    activation.fired = keep(activation, event) && over;
+    if (over && !activation.fired) ask_again(id, activation.channel);
     return std::nullopt;
   }
+  activation.fired = over;
   const auto wait = std::exchange(activation.wait, nullptr);
   wait->event = event;
   if (over) activations_.erase(found);
@@ -343,22 +350,56 @@ std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
   return std::nullopt;
 }
 
-/// Until somebody waits for it. When too much is kept the oldest of this activation goes, counted.
-void EventClient::keep(Activation& activation, const Envelope& event) {
-  activation.events.push_back(event);
-  kept_bytes_ += event.bytes;
-  while (kept_bytes_ > kMaxBytes && activation.events.size() > 1) {
-    kept_bytes_ -= activation.events.front().bytes;
-    activation.events.pop_front();
-    counters().dropped.fetch_add(1, std::memory_order_relaxed);
+/// Until somebody waits for it. When too much is kept the oldest go, counted, those of this activation before those of
+/// others; that of a single one, which has no other, stays. False: there is no room, and it is dropped itself.
+bool EventClient::keep(Activation& activation, const Envelope& event) {
+  const std::size_t cost = Inbox::cost_of(event.bytes);
+  const auto full = [&] { return kept_bytes_ > 0 && kept_bytes_ + cost > kMaxBytes; };
+  while (full() && drop_oldest(activation)) {
   }
+  if (full()) {
+    counters().dropped.fetch_add(1, std::memory_order_relaxed);
+    return false;
+  }
+  activation.events.push_back(event);
+  kept_bytes_ += cost;
+  return true;
 }
 
-void EventClient::on_connection(Connection connection) {
+bool EventClient::drop_oldest(Activation& own) {
+  Activation* from = own.events.empty() ? nullptr : &own;
+  if (!from) {
+    for (auto& [id, one] : activations_) {
+      if (!one.continuous || one.events.empty()) continue;
+      if (!from || one.events.front().origin < from->events.front().origin) from = &one;
+    }
+  }
+  if (!from) return false;
+  take_oldest(*from);
+  counters().dropped.fetch_add(1, std::memory_order_relaxed);
+  return true;
+}
+
+Envelope EventClient::take_oldest(Activation& activation) {
+  Envelope oldest = std::move(activation.events.front());
+  activation.events.pop_front();
+  kept_bytes_ -= Inbox::cost_of(oldest.bytes);
+  return oldest;
+}
+
+/// A single activation whose only event came in no mode for it is not over.
+void EventClient::on_missed(const Parcel& parcel) {
+  const ActivationId id{parcel.activation};
+  const auto found = activations_.find(id);
+  const bool waits = found != activations_.end() && !found->second.continuous && !found->second.fired;
+  if (waits) ask_again(id, found->second.channel);
+}
+
+void EventClient::on_connection(Connection connection, std::uint64_t change) {
   if (connection == Connection::Connected) {
     std::vector<ActivationId> ids;
     for (const auto& [id, activation] : activations_) {
-      if (!activation.fired) ids.push_back(id);
+      if (!activation.fired && activation.since < change) ids.push_back(id);
     }
     for (const ActivationId id : ids) {
       if (activations_.contains(id)) make_again(id);  // what one ends may have ended another
@@ -367,11 +408,11 @@ void EventClient::on_connection(Connection connection) {
   }
   if (connection == Connection::Waiting) return;
   for (auto& [id, activation] : activations_) {
-    if (!activation.channel) continue;
+    if (!activation.channel || activation.since >= change) continue;
     activation.channel->detach();
     activation.channel->abandon();
   }
-  calls().finish_all(Outcome::Disconnected, connection_reason());
+  calls().finish_all(Outcome::Disconnected, connection_reason(), change);
 }
 
 }  // namespace fiona::detail

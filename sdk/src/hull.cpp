@@ -242,13 +242,32 @@ void Hull::fail(const std::string& thrown) {
     mode_ = kModeFailed;
     mode_since_ = clock().now();
     reason_ = reason;
+    failed_.store(true, std::memory_order_release);
+    active_.store(false, std::memory_order_release);
   }
-  failed_.store(true, std::memory_order_release);
-  active_.store(false, std::memory_order_release);
   // Tasks and timers find the instance not active and fall silent; they are cancelled on the strand.
   strand_->post([this] { leave_activities(kModeFailed); });
   tell_mode();
   events().mode_changed(name_, std::string(kModeFailed), reason);
+}
+
+/// None: it has ended.
+void Hull::note_thread(const Task& task, std::optional<std::stop_source> stop) {
+  const std::lock_guard lock(mutex_);
+  threads_.erase(&task);
+  if (stop) threads_.emplace(&task, *stop);
+}
+
+void Hull::stop_threads() {
+  std::vector<std::stop_source> threads;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [task, stop] : threads_) threads.push_back(stop);
+  }
+  if (threads.empty()) return;
+  side_strand()->post([threads]() mutable {
+    for (auto& stop : threads) stop.request_stop();
+  });
 }
 
 std::optional<std::string> Hull::shut_down(Duration deadline) {
@@ -266,7 +285,10 @@ std::optional<std::string> Hull::shut_down(Duration deadline) {
     }
   };
   std::optional<std::string> runs;
-  if (!strand_->call(stop, deadline)) runs = "its handler";
+  if (!strand_->call(stop, deadline)) {
+    runs = "its handler";
+    stop_threads();
+  }
   for (std::size_t i = 0; !runs && i < threads->size(); ++i) {
     if (!threads->at(i).second->wait_for_end(until)) runs = "its task '" + threads->at(i).first + "'";
   }

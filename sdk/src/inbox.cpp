@@ -102,6 +102,7 @@ void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
   });
   queue_.clear();
   bytes_.fetch_add(cost(parcel), std::memory_order_relaxed);
+  notify_waiters(parcel.envelope);
   queue_.push(std::move(parcel));
   wake(lock);
 }
@@ -185,21 +186,28 @@ void Inbox::empty_slot() {
 }
 
 void Inbox::leave_mode() {
+  ParcelQueue dropped;
   {
     const std::lock_guard lock(strand_.mutex_);
-    const auto drop = [this](const Parcel& parcel) {
-      bytes_.fetch_sub(cost(parcel));
-      port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
-    };
-    queue_.for_each(drop);
-    batch_.for_each(drop);
-    queue_.clear();
-    batch_.clear();
+    std::swap(dropped, queue_);
     batched_.store(0, std::memory_order_relaxed);
     slot_.reset();
     slot_read_ = true;
   }
+  const auto batched = std::exchange(batch_, {});
+  const auto drop = [this](const Parcel& parcel) {
+    bytes_.fetch_sub(cost(parcel));
+    drop_not_active(parcel);
+  };
+  batched.for_each(drop);
+  dropped.for_each(drop);
   tell_room();
+}
+
+void Inbox::drop_not_active(const Parcel& parcel) {
+  port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
+  if (parcel.is_request()) parcel.reply->answer(Outcome::NotActive, "mode " + port_.hull().mode(), nullptr);
+  if (on_not_active_) on_not_active_(parcel);
 }
 
 void Inbox::clear(Outcome outcome) {
@@ -233,28 +241,29 @@ void Inbox::drain(std::size_t limit) {
   const bool timed = !strand_.clock_.staging();
   std::chrono::steady_clock::time_point begun{};
   for (std::size_t handled = 0; !current_; ++handled) {
-    if (batch_.empty() && !refill()) return;
-    if (timed && handled == 1) begun = std::chrono::steady_clock::now();
     const bool looks = timed && (handled % kLook == 0 ? handled > 0 : handled > 1 && std::has_single_bit(handled));
     const bool long_enough = looks && std::chrono::steady_clock::now() - begun > kTurn;
-    if (handled == limit || long_enough) {
-      std::unique_lock lock(strand_.mutex_);
-      wake(lock);
-      return;
-    }
+    if (handled == limit || long_enough) return go_on_later();
+    // Not before: what has been taken from the queue is not superseded any more.
+    if (batch_.empty() && !refill()) return;
+    if (timed && handled == 1) begun = std::chrono::steady_clock::now();
     begin_parcel();
     handle();
     if (strand_.closed_) return;
   }
 }
 
+void Inbox::go_on_later() {
+  std::unique_lock lock(strand_.mutex_);
+  if (!queue_.empty() || !batch_.empty()) wake(lock);
+}
+
 /// Ends the current parcel, or leaves it to the coroutine that the handler returned.
 void Inbox::handle() {
   Hull& hull = port_.hull();
   if (current_->reply && current_->reply->abandoned()) return finish_parcel();
-  if (!port_.is_active() || hull.is_leaving(port_.activity())) {
-    port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
-    if (current_->is_request()) current_->reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
+  if (!port_.is_active() || (port_.begins_work() && hull.is_leaving(port_.activity()))) {
+    drop_not_active(*current_);
     return finish_parcel();
   }
   if (is_too_old(current_->envelope)) {

@@ -25,6 +25,7 @@ Outcome LocalWire::deliver(Parcel parcel) {
   if (!inbox_) return Outcome::Disconnected;
   if (puts_++ % prescale_ != 0) return Outcome::Ok;
   room_.sent(Inbox::cost_of(parcel.envelope.bytes));
+  if (parcel.is_request() && inbox_->port().service().pattern() == QUERY) keep_open(parcel.reply);
   if (!clock_.staging()) return hand_over(std::move(parcel));
   if (parcel.is_request()) give_up_in_turn(parcel.reply);
   const Object* object = parcel.envelope.object.get();
@@ -120,14 +121,35 @@ void LocalWire::attached(std::uint64_t, Duration cycle) {
   if (end_) end_->set_cycle(cycle);
 }
 
-void LocalWire::cut() {
-  const std::lock_guard lock(mutex_);
-  inbox_ = nullptr;
+/// Called with the mutex held. As many as are open, and about as many more that are not any longer.
+void LocalWire::keep_open(const std::shared_ptr<ReplySink>& request) {
+  if (open_.size() >= most_open_) {
+    std::erase_if(open_, [](const auto& one) { return one.expired(); });
+    most_open_ = std::max(kLeastOpen, 2 * open_.size());
+  }
+  open_.push_back(request);
 }
 
-void LocalWire::cut_from(const Hull& hull) {
-  const std::lock_guard lock(mutex_);
-  if (inbox_ && &inbox_->port().hull() == &hull) inbox_ = nullptr;
+void LocalWire::cut(const std::string& reason) {
+  cut_if([](const Inbox&) { return true; }, reason);
+}
+
+void LocalWire::cut_from(const Hull& hull, const std::string& reason) {
+  cut_if([&hull](const Inbox& inbox) { return &inbox.port().hull() == &hull; }, reason);
+}
+
+/// Nobody else ends its open requests where the client's port has another provider by then.
+void LocalWire::cut_if(const std::function<bool(const Inbox&)>& is_meant, const std::string& reason) {
+  std::vector<std::weak_ptr<ReplySink>> open;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!inbox_ || !is_meant(*inbox_)) return;
+    inbox_ = nullptr;
+    open.swap(open_);
+  }
+  for (const auto& one : open) {
+    if (const auto request = one.lock()) request->answer(Outcome::Disconnected, reason, nullptr);
+  }
 }
 
 }  // namespace fiona

@@ -26,7 +26,7 @@ constexpr double kLongestMs = std::numeric_limits<std::uint32_t>::max();
 
 control::Request transaction_of(const Changes& changes, Duration deadline, bool dry_run) {
   control::Request request;
-  request.set_deadline_ms(static_cast<std::uint32_t>(std::min(1e3 * to_seconds(deadline), kLongestMs)));
+  request.set_deadline_ms(static_cast<std::uint32_t>(std::clamp(1e3 * to_seconds(deadline), 1.0, kLongestMs)));
   request.mutable_transact()->set_dry_run(dry_run);
   for (const auto& change : changes.list()) {
     auto& added = *request.mutable_transact()->add_changes() = change;
@@ -117,16 +117,18 @@ std::optional<Outcome> Master::obstacle() const {
 Async<Result<control::Reply>> Master::ask(control::Request request, Duration deadline, Waits waits) {
   const auto call = std::make_shared<detail::Call>();
   const std::uint64_t number = ++last_number_;
+  const bool is_bound = waits == Waits::ForTime || !hull_.clock().staging();
   if (const auto refusal = obstacle()) {
     calls_.finish(call, *refusal,
                   *refusal == Outcome::Rejected ? std::to_string(kMaxOpen) + " calls are open already" : "");
+  } else if (is_bound && deadline <= Duration::zero()) {
+    calls_.finish(call, Outcome::Timeout);  // what has not begun by then is not begun
   } else if (!control::Request().ParseFromString(request.SerializeAsString())) {
     calls_.finish(call, Outcome::Rejected, "what it asks for holds text that is no UTF-8");
   } else {
     open_[number].call = call;
     hull_.events().asked(hull_.name(), number, request);
   }
-  const bool is_bound = waits == Waits::ForTime || !hull_.clock().staging();
   detail::CallAwaiter ended(calls_, call, is_bound ? deadline : detail::Calls::kNoDeadline);
   const Outcome outcome = co_await ended;
   const auto open = open_.extract(number);

@@ -149,8 +149,7 @@ void Hull::set_mode(std::string_view mode, Duration deadline) {
 void Hull::withdraw(const std::shared_ptr<ModeChange>& change) {
   if (std::erase(changes_, change) == 0) return;
   const auto pending = pending_change();
-  const auto to_deactivated = [](const auto& other) { return other->to == kModeDeactivated; };
-  deactivated_ = mode() == kModeDeactivated || std::any_of(changes_.begin(), changes_.end(), to_deactivated);
+  deactivated_ = mode() == kModeDeactivated || waits_for_deactivation();
   const std::string by = pending ? ": blocked by " + pending->blocked_by : "";
   advance_changes();
   for (Task* task : tasks_) task->resume();
@@ -158,6 +157,10 @@ void Hull::withdraw(const std::shared_ptr<ModeChange>& change) {
                      {.what = "'" + name_ + "' did not change its mode to " + change->to + " in time" + by,
                       .where = name_,
                       .next = "state " + name_ + " deactivated, which cancels what waits"}));
+}
+
+bool Hull::waits_for_deactivation() const {
+  return std::any_of(changes_.begin(), changes_.end(), [](const auto& one) { return one->to == kModeDeactivated; });
 }
 
 void Hull::abandon_changes() {
@@ -233,15 +236,16 @@ void Hull::enter(std::string_view to) {
     if (mode() == kModeFailed) return;
     started_ = true;
   }
-  if (to != kModeDeactivated) deactivated_ = false;
+  deactivated_ = to == kModeDeactivated || waits_for_deactivation();
   leave_activities(to);
   {
     const std::lock_guard lock(mutex_);
+    if (mode_ == kModeFailed || mode_ == kModeShutdown) return;  // given up while it left the mode before
     mode_ = to;
     mode_since_ = clock().now();
+    active_.store(serves(to, ""), std::memory_order_release);
   }
   tell_mode();
-  active_.store(serves(to, ""), std::memory_order_release);
   for (Task* task : tasks_) {
     if (serves(to, task->activity())) task->start();
   }

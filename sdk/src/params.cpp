@@ -4,9 +4,11 @@
 #include <google/protobuf/descriptor.h>
 #include <google/protobuf/text_format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
+#include <vector>
 
 #include "fiona/component.hpp"
 #include "fiona/error.hpp"
@@ -54,26 +56,56 @@ std::pair<Message*, const FieldDescriptor*> locate(Message& root, const std::str
   }
 }
 
-const Message& located(const Message& root, const std::string& path, const FieldDescriptor** field) {
-  // `locate` creates nested messages on its way, so it works on a copy where the original must stay.
-  auto [message, found] = locate(const_cast<Message&>(root), path);
-  *field = found;
-  return *message;
-}
+using Visit =
+    std::function<void(const std::string& name, const Message&, const Message& other, const FieldDescriptor&)>;
 
-void for_each_leaf(const Message& message, const std::string& prefix,
-                   const std::function<void(const std::string&, const Message&, const FieldDescriptor&)>& visit) {
+/// Of two messages of one type, side by side.
+void for_each_leaf(const Message& message, const Message& other, const std::string& prefix, const Visit& visit) {
   const Descriptor& type = *message.GetDescriptor();
   for (int i = 0; i < type.field_count(); ++i) {
     const FieldDescriptor& field = *type.field(i);
     const std::string name = prefix + field.name();
     if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) {
-      for_each_leaf(message.GetReflection()->GetMessage(message, &field), name + ".", visit);
+      for_each_leaf(message.GetReflection()->GetMessage(message, &field),
+                    other.GetReflection()->GetMessage(other, &field), name + ".", visit);
     } else {
-      visit(name, message, field);
+      visit(name, message, other, field);
     }
   }
 }
+
+/// A stranger's package may bring any type: the fields of one that contains itself have no end, those of one whose
+/// fields have many levels hardly one.
+class BoundedFields {
+ public:
+  static void require(const Descriptor& type) { BoundedFields().visit(type); }
+
+ private:
+  static constexpr std::size_t kMost = 4096;
+
+  void visit(const Descriptor& type) {
+    if (std::find(path_.begin(), path_.end(), &type) != path_.end()) {
+      refuse("contains itself: " + type.full_name());
+    }
+    path_.push_back(&type);
+    for (int i = 0; i < type.field_count(); ++i) {
+      const FieldDescriptor& field = *type.field(i);
+      if (++fields_ > kMost) refuse("has more than " + std::to_string(kMost) + " fields");
+      if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) visit(*field.message_type());
+    }
+    path_.pop_back();
+  }
+  [[noreturn]] void refuse(const std::string& what) const {
+    const Descriptor& whole = *path_.front();
+    throw Error(ErrorCode::Usage, {.what = "the parameters' type " + what,
+                                   .where = whole.full_name(),
+                                   .expected = "fields that have an end, at most " + std::to_string(kMost),
+                                   .next = "correct it in " + whole.file()->name()});
+  }
+
+  std::vector<const Descriptor*> path_;
+  std::size_t fields_ = 0;
+};
 
 }  // namespace
 
@@ -93,10 +125,8 @@ void set_fields(Object& message, std::span<const control::Argument> changes) {
 
 std::vector<control::Argument> differences(const Object& values, const Object& others) {
   std::vector<control::Argument> changed;
-  for_each_leaf(values, "", [&](const std::string& name, const Message& holder, const FieldDescriptor& field) {
-    const FieldDescriptor* same = nullptr;
-    const Message& other = located(others, name, &same);
-    if (detail::field_text(holder, field) == detail::field_text(other, *same)) return;
+  for_each_leaf(values, others, "", [&](const auto& name, const auto& holder, const auto& other, const auto& field) {
+    if (detail::field_text(holder, field) == detail::field_text(other, field)) return;
     auto& one = changed.emplace_back();
     one.set_name(name);
     *one.mutable_value() = detail::field_value(holder, field);
@@ -104,12 +134,15 @@ std::vector<control::Argument> differences(const Object& values, const Object& o
   return changed;
 }
 
-void set_declared_defaults(Object& message) {
+namespace {
+
+void set_bounded_defaults(Object& message) {
   const Descriptor& type = *message.GetDescriptor();
   for (int i = 0; i < type.field_count(); ++i) {
     const FieldDescriptor& field = *type.field(i);
     if (field.cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE && !field.is_repeated()) {
-      set_declared_defaults(*message.GetReflection()->MutableMessage(&message, &field));
+      if (field.real_containing_oneof()) continue;  // none of its members is the default one
+      set_bounded_defaults(*message.GetReflection()->MutableMessage(&message, &field));
       continue;
     }
     const std::string& text = field.options().GetExtension(fiona::default_value);
@@ -120,6 +153,13 @@ void set_declared_defaults(Object& message) {
                                    .where = type.full_name(),
                                    .next = "correct (fiona.default_value) in " + type.file()->name()});
   }
+}
+
+}  // namespace
+
+void set_declared_defaults(Object& message) {
+  BoundedFields::require(*message.GetDescriptor());
+  set_bounded_defaults(message);
 }
 
 namespace detail {
@@ -184,18 +224,17 @@ std::shared_ptr<const Object> ParamsBase::snapshot() const {
 std::vector<control::ParameterStatus> ParamsBase::status() const {
   std::vector<control::ParameterStatus> all;
   const auto values = snapshot();
-  for_each_leaf(*values, "", [&](const std::string& name, const Message& holder, const FieldDescriptor& field) {
-    auto& one = all.emplace_back();
-    const FieldDescriptor* same = nullptr;
-    const Message& default_holder = located(*defaults_, name, &same);
-    one.set_name(name);
-    one.set_value(field_text(holder, field));
-    one.set_default_value(field_text(default_holder, field));
-    one.set_type(type_text(field));
-    one.set_unit(field.options().GetExtension(fiona::unit));
-    one.set_range(range_text(field));
-    one.set_doc(field.options().GetExtension(fiona::doc));
-  });
+  for_each_leaf(*values, *defaults_, "",
+                [&](const auto& name, const auto& holder, const auto& other, const auto& field) {
+                  auto& one = all.emplace_back();
+                  one.set_name(name);
+                  one.set_value(field_text(holder, field));
+                  one.set_default_value(field_text(other, field));
+                  one.set_type(type_text(field));
+                  one.set_unit(field.options().GetExtension(fiona::unit));
+                  one.set_range(range_text(field));
+                  one.set_doc(field.options().GetExtension(fiona::doc));
+                });
   return all;
 }
 

@@ -94,6 +94,7 @@ struct Pool::Threads {
   void wake_one();
   bool takes_next();
   void set_rounds(const itimerspec& times) const;
+  void end_round();
   void begin_soon();
   void control(int operation, std::uint64_t key, int descriptor, std::uint32_t events) const;
 
@@ -150,6 +151,13 @@ void Pool::Threads::set_rounds(const itimerspec& times) const {
   checked(::timerfd_settime(timer.number(), 0, &times, nullptr), "timerfd_settime");
 }
 
+/// The kernel begins the next one only when this one has been read. Called with the lock held.
+void Pool::Threads::end_round() {
+  std::uint64_t ticks = 0;
+  if (::read(timer.number(), &ticks, sizeof ticks) < 0) return;  // another thread has set it meanwhile
+  if (rounds_left > 0 && --rounds_left == 0) set_rounds(kNoRounds);
+}
+
 /// Called with the lock held.
 void Pool::Threads::begin_soon() {
   for (auto& runnable : std::exchange(soon, {})) work.push_back(std::move(runnable));
@@ -167,7 +175,7 @@ void Pool::Threads::serve() {
     lock.lock();
     idle -= rests ? 1 : 0;
     if (key == kWork) told = false;
-    if (key == kRound && rounds_left > 0 && --rounds_left == 0) set_rounds(kNoRounds);
+    if (key == kRound) end_round();
     if (key == kSoon) begin_soon();
     if (key > kSoon && key != kNothing) call(key, lock);
   }

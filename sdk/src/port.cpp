@@ -31,6 +31,7 @@ bool Port::is_active() const { return served_.load(std::memory_order_acquire) &&
 
 void Port::set_served(bool served) {
   if (served_.exchange(served) && served) return;
+  if (Inbox* in = inbox()) in->leave_mode();
   if (served) return on_active();
   on_inactive();  // of one that never was active, too: nobody is to take it for one that is just quiet
   calls_.finish_all(Outcome::NotActive);
@@ -45,9 +46,10 @@ bool Port::calls_are_cancelled() const { return cancelled_ || hull().calls_are_c
 
 std::optional<Outcome> Port::obstacle() const {
   if (calls_are_cancelled()) return Outcome::Cancelled;
-  if (!is_active()) return Outcome::NotActive;
-  return std::nullopt;
+  return absence();
 }
+
+std::optional<Outcome> Port::absence() const { return is_active() ? std::nullopt : std::optional(Outcome::NotActive); }
 
 std::string Port::full_name() const { return hull_.name() + "." + name_; }
 
@@ -64,8 +66,8 @@ RequiredPort::RequiredPort(Component& owner, std::string_view name, const Servic
   serving_->open_ = !keeps_last();
 }
 
-std::optional<Outcome> RequiredPort::obstacle() const {
-  if (const auto obstacle = Port::obstacle()) return obstacle;
+std::optional<Outcome> RequiredPort::absence() const {
+  if (!is_active()) return Outcome::NotActive;
   if (connection() == Connection::Unwired) return Outcome::Unwired;
   if (connection() == Connection::Lost) return Outcome::Disconnected;
   return std::nullopt;
@@ -77,9 +79,9 @@ void RequiredPort::enter(Connection connection, std::string reason, std::string 
   connection_.store(connection);
   since_ns_.store(hull().clock().now().time_since_epoch().count());
   on_entering(connection);
-  hull().strand().post([this, connection, news = std::move(news)] {
+  hull().strand().post([this, connection, change = ++changes_, news = std::move(news)] {
     if (!news.empty()) hull().events().logged(hull().name(), LogLevel::Warning, full_name() + ": " + news);
-    on_connection(connection);
+    on_connection(connection, change);
   });
 }
 

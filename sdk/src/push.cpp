@@ -230,19 +230,17 @@ void PushClient::on_entering(Connection connection) {
   connection == Connection::Connected ? inbox_.mark_stale() : inbox_.empty_slot();
 }
 
-void PushClient::on_connection(Connection connection) {
+void PushClient::on_connection(Connection connection, std::uint64_t change) {
   if (connection == Connection::Unwired || connection == Connection::Lost)
-    calls().finish_all(Outcome::Disconnected, connection_reason());
+    calls().finish_all(Outcome::Disconnected, connection_reason(), change);
 }
 
 /// As to one that subscribes now: a service that speaks only on change may have spoken meanwhile, and not again.
 void PushClient::on_active() { repeat_last(); }
 
-/// So that no old data enters with the next mode.
-void PushClient::on_inactive() { inbox_.leave_mode(); }
-
 Async<Result<Envelope>> PushClient::next(Duration within) {
   const auto call = std::make_shared<NextCall>();
+  call->since = changes();
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
   } else {

@@ -61,6 +61,7 @@ QueryClient::~QueryClient() {
 Outcome QueryClient::put_to_target(QueryId id, Open& open) {
   if (connection() == Connection::Unwired) return Outcome::Unwired;
   const TimePoint now = hull().clock().now();
+  open.since = changes();
   open.reply = std::make_shared<Reply>(*this, id);
   Envelope envelope{open.request, static_cast<std::uint64_t>(id), now, open.request->ByteSizeLong()};
   counters().count(now);
@@ -170,21 +171,24 @@ void QueryClient::end(QueryId id, Answer answer) {
   if (open.call) calls().finish(open.call, Outcome::Ok);
 }
 
-void QueryClient::end_all(const std::string& reason) {
+/// What is open since before that change of the connection.
+std::vector<QueryId> QueryClient::open_before(std::uint64_t change) const {
   std::vector<QueryId> ids;
-  for (const auto& [id, open] : open_) ids.push_back(id);
-  for (const QueryId id : ids) {
+  for (const auto& [id, open] : open_) {
+    if (!open.answer && open.since < change) ids.push_back(id);
+  }
+  return ids;
+}
+
+void QueryClient::end_all(std::uint64_t change, const std::string& reason) {
+  for (const QueryId id : open_before(change)) {
     if (open_.contains(id)) end_unanswered(id, Answer{Outcome::Disconnected, reason, nullptr});
   }
 }
 
 /// Puts what is open to the provider that the port is wired to now.
-void QueryClient::redirect() {
-  std::vector<QueryId> ids;
-  for (const auto& [id, open] : open_) {
-    if (!open.answer) ids.push_back(id);
-  }
-  for (const QueryId id : ids) {
+void QueryClient::redirect(std::uint64_t change) {
+  for (const QueryId id : open_before(change)) {
     const auto found = open_.find(id);
     if (found == open_.end()) continue;
     found->second.reply->abandon();
@@ -193,12 +197,12 @@ void QueryClient::redirect() {
   }
 }
 
-void QueryClient::on_connection(Connection connection) {
+void QueryClient::on_connection(Connection connection, std::uint64_t change) {
   if (connection == Connection::Waiting) return;
   const bool rewired = std::exchange(was_connected_, connection == Connection::Connected) && was_connected_;
-  if (rewired && at_rewire_ == AtRewire::Redirect) return redirect();
-  if (!was_connected_) return end_all(connection_reason());
-  if (rewired && at_rewire_ == AtRewire::Fail) end_all("the port was wired to another provider");
+  if (rewired && at_rewire_ == AtRewire::Redirect) return redirect(change);
+  if (!was_connected_) return end_all(change, connection_reason());
+  if (rewired && at_rewire_ == AtRewire::Fail) end_all(change, "the port was wired to another provider");
 }
 
 }  // namespace fiona::detail

@@ -60,6 +60,7 @@ class SendClient::Receipt final : public ReplySink, public std::enable_shared_fr
 
 Async<Result<Acknowledged>> SendClient::send_and_wait(std::shared_ptr<const Object> object, Duration within) {
   const auto call = std::make_shared<Call>();
+  call->since = changes();
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
   } else {
@@ -72,9 +73,9 @@ Async<Result<Acknowledged>> SendClient::send_and_wait(std::shared_ptr<const Obje
   co_return Acknowledged{};
 }
 
-void SendClient::on_connection(Connection connection) {
+void SendClient::on_connection(Connection connection, std::uint64_t change) {
   if (connection == Connection::Unwired || connection == Connection::Lost) {
-    calls().finish_all(Outcome::Disconnected, connection_reason());
+    calls().finish_all(Outcome::Disconnected, connection_reason(), change);
   }
 }
 

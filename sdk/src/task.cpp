@@ -188,6 +188,7 @@ void Task::launch() {
     return hull_.fail("task '" + name_ + "' gets no thread: " + error.code().message());
   }
   own_ = std::move(own);  // only of one that runs: a shutdown waits for its end
+  hull_.note_thread(*this, own_->stop);
   hold_ = std::make_shared<ActivityHold>(std::move(*hold));
 }
 
@@ -219,6 +220,7 @@ void Task::turn(const OwnThread& own, TimePoint since) {
 
 void Task::thread_has_ended(const std::optional<std::string>& failure) {
   thread_.join();
+  hull_.note_thread(*this, std::nullopt);
   own_.reset();
   if (failure) hull_.fail(*failure);
   hold_.reset();

@@ -54,10 +54,14 @@ void TriggerBase::run(const std::shared_ptr<const Object>& argument, std::shared
   hull_.strand().begins(Liveness::mark("trigger '" + name_ + "'"));
   hull_.guarded([&] { coroutine = handler_(*argument, std::move(reply)); });
   if (!coroutine) return;
-  auto hold = hull_.acquire(activity_, "trigger '" + name_ + "'");
-  auto held = hold ? std::make_shared<ActivityHold>(std::move(*hold)) : nullptr;
-  // The coroutine refers to the argument, which lives as long as this.
-  hull_.spawn(std::move(*coroutine), [argument, held = std::move(held)] {});
+  ActivityHold* held = nullptr;
+  if (auto hold = hull_.acquire(activity_, "trigger '" + name_ + "'")) {
+    held = holds_.emplace_back(std::make_shared<ActivityHold>(std::move(*hold))).get();
+  }
+  // The coroutine refers to the argument, which lives as long as this. The hold goes no later than the component: a job
+  // that the strand drops at its end may outlive the hull.
+  hull_.spawn(std::move(*coroutine),
+              [this, argument, held] { std::erase_if(holds_, [held](const auto& one) { return one.get() == held; }); });
 }
 
 }  // namespace fiona::detail

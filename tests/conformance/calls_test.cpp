@@ -519,6 +519,21 @@ TEST_P(Event, SingleActivationWhoseEventFindsNoRoomFiresWithALaterOne) {
   })) << "once";
 }
 
+TEST_P(Event, SingleActivationWhoseEventFindsItsClientInNoModeFiresWithALaterOne) {
+  wire_all();
+  system.set("source", "period_ms=5");
+  system.state("source", "active");
+  ASSERT_EQ(outcome_of("activate_handled", "every=200 single=true"), Outcome::Ok);
+  system.state("caller", "neutral");
+  system.eventually("missed", [&] { return system.read("caller.handled_bell.not_active").value() == 1; });
+  const auto rings = system.watch("caller.rings");
+  system.state("caller", "active");
+  system.wait_for(rings, [](const auto& one) { return one.number() == 1; });
+  const auto states_then = system.port("source.newest").messages();
+  system.eventually("more states", [&] { return system.port("source.newest").messages() > states_then + 250; });
+  EXPECT_EQ(system.port("caller.rings").messages(), 1U);
+}
+
 TEST_P(Event, TestKeepsStateInItsOwnCopyOfTheActivation) {
   wire_all();
   system.state("source", "active");

@@ -6,6 +6,7 @@
 #include <optional>
 #include <stdexcept>
 
+#include "fiona/local_wire.hpp"
 #include "fiona/sdk_test/objects.fiona.hpp"
 #include "fiona/testing/bench.hpp"
 #include "support.hpp"
@@ -122,6 +123,31 @@ class Onlooker final : public Component {
   Provides<Orders> orders_{*this, "orders", &Onlooker::on_order};
 };
 
+/// What its client hears of a request.
+struct Heard final : ReplySink {
+  void answer(Outcome result, std::string why, std::shared_ptr<const Object>) override {
+    if (text.empty()) text = std::string(to_string(result)) + ": " + why;
+  }
+  std::string text;
+};
+
+TEST(LocalWires, EndWhatIsOpenOnThemWhenTheyAreCut) {
+  testing::Bench<Answering> bench;
+  bench.start();
+  Inbox& inbox = *dynamic_cast<ProvidedPort&>(*bench.hull().find_port("by_reply")).inbox();
+  const auto wire = std::make_shared<LocalWire>("client.q<component.by_reply", inbox);
+  std::vector<std::shared_ptr<Heard>> heard;
+  for (int i = 0; i < 300; ++i) {
+    heard.push_back(std::make_shared<Heard>());
+    auto request = std::make_shared<Ruled>(named("keep", i < 299 ? 1 : 2));
+    EXPECT_EQ(wire->deliver({Envelope{std::move(request), 1, bench.now(), 10}, heard.back()}), Outcome::Ok);
+    bench.advance(1ms);
+  }
+  wire->cut("the provider hangs");
+  EXPECT_EQ(heard.front()->text, "ok: ");
+  EXPECT_EQ(heard.back()->text, "disconnected: the provider hangs");
+}
+
 TEST(Handlers, MayBeConst) {
   testing::Bench<Onlooker> bench;
   bench.start();
@@ -181,9 +207,17 @@ class Calling final : public Component {
   }
 
   std::vector<std::string> ended;
+  Async<> wait_newest(Duration within) {
+    const auto next = co_await handled.wait_update(within);
+    ended.push_back(std::string(to_string(next.outcome())) + std::to_string(next ? (*next)->value() : 0));
+  }
+  void on_number(const Number&) {}
+
   Requires<Questions> questions{*this, "questions"};
+  Requires<Questions> failing{*this, "failing", {.at_rewire = AtRewire::Fail}};
   Requires<Orders> orders{*this, "orders"};
   Requires<Numbers> slot{*this, "slot"};
+  Requires<Numbers> handled{*this, "handled", &Calling::on_number, {.delivery = Delivery::Newest}};
   Provides<Numbers> numbers{*this, "numbers"};
 };
 
@@ -216,6 +250,49 @@ TEST_F(ComponentsCalls, ThatAreCancelledHaveNoReasonAndSoHasASend) {
   bench.advance(1ms);
   EXPECT_THAT(ended(), ElementsAre("cancelled", "cancelled"));
   EXPECT_THAT(bench.take<Orders>("orders"), IsEmpty());
+}
+
+TEST_F(ComponentsCalls, WaitForTheNextOfAPortThatHandsOnlyTheNewestToItsHandler) {
+  on_strand(bench, [](Calling& calling) { calling.spawn(calling.wait_newest(1s)); });
+  bench.put<Numbers>("handled", numbered(7));
+  EXPECT_THAT(ended(), ElementsAre("ok7"));
+}
+
+TEST_F(ComponentsCalls, BegunAfterARewireAreNotEndedByIt) {
+  on_strand(bench, [](Calling& calling) {
+    calling.spawn([](Calling& of) -> Async<> {
+      of.ended.push_back("before " + std::string(to_string((co_await of.failing.query(named("a"), 1s)).outcome())));
+    }(calling));
+    calling.failing.end_for("bench")->set_connection(Connection::Connected, "on the bench again");
+    calling.spawn([](Calling& of) -> Async<> {
+      of.ended.push_back("after " + std::string(to_string((co_await of.failing.query(named("b"), 1s)).outcome())));
+    }(calling));
+  });
+  bench.advance(1ms);
+  EXPECT_THAT(ended(), ElementsAre("before disconnected"));
+  bench.advance(2s);
+  EXPECT_THAT(ended(), ElementsAre("after timeout"));
+}
+
+TEST_F(ComponentsCalls, BegunOnceAProviderIsBackAreNotEndedByItsLoss) {
+  on_strand(bench, [](Calling& calling) {
+    calling.slot.end_for("bench")->set_connection(Connection::Lost, "gone");
+    calling.slot.end_for("bench")->set_connection(Connection::Connected, "back");
+    calling.spawn(calling.wait(1s));
+  });
+  bench.put<Numbers>("slot", numbered(1));
+  EXPECT_THAT(ended(), ElementsAre("ok"));
+}
+
+TEST_F(ComponentsCalls, LatestSaysWhyThereIsNothingThoughCallsAreCancelled) {
+  on_strand(bench, [](Calling& calling) {
+    calling.cancel_calls();
+    EXPECT_EQ(calling.slot.latest().outcome(), Outcome::NoData);
+    calling.slot.end_for("bench")->set_connection(Connection::Lost, "gone");
+    EXPECT_EQ(calling.slot.latest().outcome(), Outcome::Disconnected);
+  });
+  bench.start(kModeDeactivated);
+  on_strand(bench, [](Calling& calling) { EXPECT_EQ(calling.slot.latest().outcome(), Outcome::NotActive); });
 }
 
 TEST_F(ComponentsCalls, OfAPutThatWaitsTakeAnObjectByValueWithItsOrigin) {
@@ -297,6 +374,105 @@ TEST(EventTest, ThatThrowsNoStdExceptionEndsItsActivationAlone) {
   EXPECT_THAT(bench.log(), ElementsAre("component.alarms: the test of the activation failed: threw something that is "
                                        "not a std::exception"));
   on_strand(bench, [](Undeterred& provider) { EXPECT_EQ(provider.alarms.activations(), 1U); });
+}
+
+// ---- events and modes -----------------------------------------------------------------------------------------
+
+/// Waits for a ring within a task, which holds its mode, or hears it with a handler.
+class Watchful final : public Component {
+ public:
+  using Component::Component;
+  using Component::spawn;
+  std::vector<std::string> rings;
+  EventMode mode = EventMode::Single;
+  Requires<Alarms> waited{*this, "waited"};
+  Requires<Alarms> heard{*this, "heard", &Watchful::on_ring};
+  Async<> activate_heard() { static_cast<void>(co_await heard.activate(mode, named("any"))); }
+  Async<> activate_waited() { kept = *(co_await waited.activate(mode, named("any"))); }
+  Async<> wait_for_ring() {
+    const auto ring = co_await waited.wait(kept, 60s);
+    rings.push_back(std::string(to_string(ring.outcome())) + (ring ? (*ring)->name() : ""));
+  }
+  ActivationId kept{};
+
+ private:
+  void on_ring(const Fired<Ruled>& ring) { rings.push_back("heard " + ring->name()); }
+  Async<> work() {
+    if (waits_) co_return;
+    waits_ = true;
+    co_await activate_waited();
+    co_await wait_for_ring();
+  }
+  bool waits_ = false;
+  Task task_{*this, "work", 10ms, &Watchful::work};
+};
+
+TEST(EventTest, ThatAModesEndWaitsForReachesWhoHoldsTheMode) {
+  testing::Bench<Watchful> bench;
+  bench.start();
+  bench.advance(20ms);
+  bool made = false;
+  bench.hull().change_mode(kModeNeutral, 10s, [&](const std::optional<Error>& error) { made = !error; });
+  bench.advance(1ms);
+  EXPECT_FALSE(made) << "its task holds the mode";
+  EXPECT_EQ(bench.fire<Alarms>("waited", named("ring")), 1U);
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().rings, ElementsAre("okring"));
+  EXPECT_TRUE(made);
+}
+
+TEST(EventTest, OfASingleActivationThatFindsItsClientInNoModeFiresWithALaterOne) {
+  testing::Bench<Watchful> bench;
+  bench.start();
+  on_strand(bench, [](Watchful& client) { client.spawn(client.activate_heard()); });
+  bench.start(kModeNeutral);
+  EXPECT_EQ(bench.fire<Alarms>("heard", named("one")), 1U);
+  bench.advance(5s);
+  bench.start();
+  bench.advance(1s);
+  EXPECT_EQ(bench.fire<Alarms>("heard", named("two")), 1U);
+  EXPECT_THAT(bench.component().rings, ElementsAre("heard two"));
+  EXPECT_EQ(bench.fire<Alarms>("heard", named("none")), 0U);
+}
+
+TEST(EventTest, ThatNobodyWaitsForIsKeptByWhatItTakesOfMemory) {
+  testing::Bench<Watchful> bench;
+  bench.component().mode = EventMode::Continuous;
+  bench.start();
+  bench.advance(20ms);
+  bench.component().mode = EventMode::Single;
+  on_strand(bench, [](Watchful& client) { client.spawn(client.activate_waited()); });
+  constexpr std::uint64_t kMore = 1000;
+  constexpr std::uint64_t kFit = detail::EventClient::kMaxBytes / Inbox::cost_of(0);
+  for (std::uint64_t i = 0; i < kFit + kMore; ++i) bench.fire<Alarms>("waited", Ruled());
+  EXPECT_NEAR(static_cast<double>(bench.hull().find_port("waited")->counters().dropped), kMore, 2);
+  on_strand(bench, [](Watchful& client) { client.spawn(client.wait_for_ring()); });
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().rings, Contains("ok")) << "the single one's is among those that are kept";
+}
+
+/// What waits in it gives it up when its mode is left.
+class GivesUp final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) spawn(wait());
+  }
+  Requires<Numbers> slot{*this, "slot"};
+
+ private:
+  Async<> wait() {
+    static_cast<void>(co_await slot.wait_update(1h));
+    hull().fail("it broke on its way out");
+  }
+};
+
+TEST(FailedInstance, StaysSoThoughItWasAboutToEnterAnotherMode) {
+  testing::Bench<GivesUp> bench;
+  bench.start();
+  EXPECT_THROW(bench.start(kModeNeutral), Error);
+  EXPECT_EQ(bench.mode(), kModeFailed);
+  EXPECT_EQ(bench.reason(), "it broke on its way out");
 }
 
 TEST(Stop, ThatThrowsIsToldToTheLog) {

@@ -574,5 +574,30 @@ TEST(LargeDefault, BeyondWhatItsFieldHoldsIsRefused) {
   EXPECT_THAT([&] { set_declared_defaults(message); }, ThrowsMessage<Error>(HasSubstr("18446744073709551615")));
 }
 
+TEST(DeclaredDefaults, OfATypeWhoseFieldsHaveNoEndAreRefused) {
+  Endless endless;
+  EXPECT_THAT([&] { set_declared_defaults(endless); },
+              ThrowsMessage<Error>(HasSubstr("contains itself: fiona.sdk_test.Endless")));
+  Wide wide;
+  EXPECT_THAT([&] { set_declared_defaults(wide); }, ThrowsMessage<Error>(HasSubstr("more than 4096 fields")));
+}
+
+TEST(DeclaredDefaults, LeaveAChoiceOpen) {
+  Either either;
+  set_declared_defaults(either);
+  EXPECT_EQ(either.which_case(), Either::WHICH_NOT_SET);
+}
+
+TEST(Differences, OfAChoiceTouchNeither) {
+  Either turned;
+  turned.mutable_turn()->set_angle(1);
+  Either set;
+  set.mutable_settings()->set_gain(1);
+  const auto changed = differences(turned, set);
+  EXPECT_EQ(changed.size(), 2U);
+  EXPECT_EQ(turned.turn().angle(), 1);
+  EXPECT_EQ(set.settings().gain(), 1);
+}
+
 }  // namespace
 }  // namespace fiona::sdk_test

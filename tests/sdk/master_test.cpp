@@ -2,9 +2,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <thread>
+
 #include "fiona/describe.hpp"
 #include "fiona/plugin.hpp"
+#include "fiona/pool.hpp"
 #include "fiona/testing/bench.hpp"
+#include "support.hpp"
 
 namespace fiona::sdk_test {
 
@@ -77,6 +82,17 @@ class LatinChooser final : public Asker {
         "che.place",
         "gps.location");
     ended_.set(std::string(to_string(done.outcome())) + ": " + done.reason());
+  }
+};
+
+/// Asks when its own time is over.
+class TooLate final : public Asker {
+ public:
+  using Asker::Asker;
+
+ private:
+  Async<> choose() override {
+    ended_.set(std::string(to_string((co_await master_.make(Changes().state("gps", "neutral"), -1s)).outcome())));
   }
 };
 
@@ -190,6 +206,32 @@ TEST(Master, AsksForNothingWhoseNamesTheHostCouldNotRead) {
   bench.advance(1ms);
   EXPECT_TRUE(bench.take_requests().empty());
   EXPECT_EQ(bench.probe<std::string>("ended"), "rejected: what it asks for holds text that is no UTF-8");
+}
+
+class CountedRequests final : public HullEvents {
+ public:
+  void mode_changed(const std::string&, const std::string&, const std::string&) override {}
+  void run_ended(const std::string&, int, const std::string&) override {}
+  void logged(const std::string&, LogLevel, std::string_view) override {}
+  void asked(const std::string&, std::uint64_t, const control::Request&) override { ++count; }
+  std::atomic<int> count{0};
+};
+
+TEST(Master, AsksForNothingWhoseTimeIsOver) {
+  SystemClock clock;
+  Pool pool(2);
+  CountedRequests requests;
+  {
+    Made<TooLate> late("late", pool, clock, requests);
+    late.hull.set_mode(kModeActive, kLimit);
+    const auto end = std::chrono::steady_clock::now() + kLimit;
+    while (!late.hull.read("ended").object && std::chrono::steady_clock::now() < end) std::this_thread::yield();
+    const auto ended = std::dynamic_pointer_cast<const probe::Text>(late.hull.read("ended").object);
+    ASSERT_TRUE(ended);
+    EXPECT_EQ(ended->value(), "timeout");
+  }
+  EXPECT_EQ(requests.count, 0);
+  clock.stop();
 }
 
 TEST(Master, StandsInTheInterface) {

@@ -25,6 +25,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using ::testing::ElementsAre;
+using ::testing::IsEmpty;
 
 // ---- virtual time ---------------------------------------------------------------------------------------------
 
@@ -163,12 +164,14 @@ class Receiver final : public Component {
  public:
   using Component::Component;
   std::chrono::milliseconds takes{0};  ///< a message, of the machine's time
+  std::function<void(std::uint64_t)> meanwhile = [](std::uint64_t) {};
   const std::vector<std::uint64_t>& seen() const { return seen_; }
 
  private:
   void on_number(const Number& number) {
     std::this_thread::sleep_for(takes);
     seen_.push_back(number.value());
+    meanwhile(number.value());
   }
   std::vector<std::uint64_t> seen_;
   Requires<Numbers> each_{*this, "each", &Receiver::on_number};
@@ -291,6 +294,41 @@ TEST_F(Inboxes, NewestKeepsOneAndCountsTheSuperseded) {
   executor.help();
   EXPECT_THAT(receiver->seen(), ElementsAre(10));
   EXPECT_EQ(counters("newest").superseded, 9U);
+}
+
+TEST_F(Inboxes, NewestHandlerHasTheNewestThoughItsTurnEndsBetweenTwo) {
+  std::uint64_t put = 1;
+  int late = 0;
+  receiver->meanwhile = [&](std::uint64_t value) {
+    late += value < put ? 1 : 0;
+    if (put > 2000) return;
+    inbox("newest").push(parcel(++put, 10));
+    receiver.hull.strand().post([&] { inbox("newest").push(parcel(++put, 10)); });
+  };
+  inbox("newest").push(parcel(put, 10));
+  executor.help();
+  EXPECT_EQ(late, 0);
+  EXPECT_EQ(receiver->seen().size() + counters("newest").superseded, put);
+}
+
+TEST_F(Inboxes, WhatIsLargeIsLostOldestFirstThoughTheHandlerIsAtWork) {
+  receiver->meanwhile = [this](std::uint64_t value) {
+    for (std::uint64_t more = 4; value == 1 && more <= 6; ++more) inbox("each").push(parcel(more, kMebibyte));
+  };
+  for (std::uint64_t value = 1; value <= 3; ++value) inbox("each").push(parcel(value, kMebibyte));
+  executor.help();
+  EXPECT_THAT(receiver->seen(), ElementsAre(1, 4, 5, 6));
+  EXPECT_EQ(counters("each").dropped, 2U);
+}
+
+TEST_F(Inboxes, WhatWaitedInOneModeReachesNoOtherThoughBothChangesComeAtOnce) {
+  const auto made = [](const std::optional<Error>& error) { EXPECT_FALSE(error); };
+  for (const std::string_view port : {"each", "newest", "orders"}) inbox(port).push(parcel(1, 10));
+  receiver.hull.change_mode(kModeNeutral, kLimit, made);
+  receiver.hull.change_mode(kModeActive, kLimit, made);
+  executor.help();
+  EXPECT_THAT(receiver->seen(), IsEmpty());
+  for (const std::string_view port : {"each", "newest", "orders"}) EXPECT_EQ(counters(port).not_active, 1U) << port;
 }
 
 TEST_F(Inboxes, ClosedStrandTakesNothing) {

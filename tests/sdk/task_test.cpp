@@ -463,6 +463,24 @@ TEST_F(FreeRunningTask, ThatDoesNotReturnIsLeftBehindByTheShutDown) {
   delete reader;  // which the hull has left to its thread
 }
 
+TEST_F(FreeRunningTask, IsAskedToStopThoughTheStrandHangs) {
+  std::promise<void> begun;
+  std::promise<void> stopped;
+  std::promise<void> release;
+  const auto life = make([&](const OwnThread& own) {
+    begun.set_value();
+    until_asked(own);
+    stopped.set_value();
+  });
+  hull->set_mode("reads", kLimit);
+  begun.get_future().wait();
+  hull->strand().post([&] { release.get_future().wait(); });
+  hull->fail("it hangs");
+  hull->stop_threads();
+  EXPECT_EQ(stopped.get_future().wait_for(kLimit), std::future_status::ready);
+  release.set_value();
+}
+
 /// While it lives no thread has room for its stack.
 class NoThreads {
  public:

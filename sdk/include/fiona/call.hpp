@@ -1,6 +1,8 @@
 #pragma once
 
 #include <coroutine>
+#include <cstdint>
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -21,6 +23,7 @@ struct Call {
   Outcome outcome = Outcome::NoData;
   std::string reason;
   bool ended = false;
+  std::uint64_t since = 0;  ///< `RequiredPort::changes` when it was put
 
  private:
   friend class Calls;
@@ -41,8 +44,10 @@ class Calls {
   void suspend(const std::shared_ptr<Call>& call, std::coroutine_handle<> caller, Duration within);
   /// Ends the call, if it has not ended, and resumes who waits for it.
   void finish(const std::shared_ptr<Call>& call, Outcome outcome, std::string reason = {});
-  /// Ends all that wait now; what they start while they are resumed is none of them.
-  void finish_all(Outcome outcome, const std::string& reason = {});
+  /// Ends all that wait now and were put before this change of the connection; what they start while they are resumed
+  /// is none of them.
+  void finish_all(Outcome outcome, const std::string& reason = {},
+                  std::uint64_t before = std::numeric_limits<std::uint64_t>::max());
   std::size_t size() const { return waiting_.size(); }
 
  private:

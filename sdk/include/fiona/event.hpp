@@ -93,7 +93,11 @@ class EventClient : public RequiredPort {
                                               Duration within);
   Async<Result<Envelope>> next_event(ActivationId id, Duration within);
   bool give_up(ActivationId id);
-  void on_connection(Connection connection) override;
+  void on_connection(Connection connection, std::uint64_t change) override;
+  void on_active() override { inbox_.leave_mode(); }
+  void on_inactive() override { inbox_.leave_mode(); }
+  /// Without a handler an event is kept, or ends a wait, which a change of mode may be waiting for.
+  bool begins_work() const override { return handler_ != nullptr; }
 
  private:
   class Channel;
@@ -105,6 +109,7 @@ class EventClient : public RequiredPort {
     std::shared_ptr<EventCall> wait;
     std::deque<Envelope> events;  ///< of a port without handler: that nobody has waited for yet
     bool fired = false;           ///< a single one: over, but for who has not asked for its event yet
+    std::uint64_t since = 0;      ///< `changes` when it was put to that provider
   };
   Outcome put_to_target(ActivationId id, Activation& activation);
   std::optional<Async<>> on_event(const Parcel& parcel);
@@ -112,7 +117,10 @@ class EventClient : public RequiredPort {
   void on_end(ActivationId id, const Channel& from, Outcome outcome, const std::string& reason);
   void make_again(ActivationId id);
   void ask_again(ActivationId id, const std::shared_ptr<Channel>& refused);
-  void keep(Activation& activation, const Envelope& event);
+  bool keep(Activation& activation, const Envelope& event);
+  bool drop_oldest(Activation& own);
+  Envelope take_oldest(Activation& activation);
+  void on_missed(const Parcel& parcel);
   void end(ActivationId id, Outcome outcome, const std::string& reason);
 
   const Handler handler_;

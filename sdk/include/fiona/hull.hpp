@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <set>
+#include <stop_token>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -110,6 +111,8 @@ class Hull {
 
   /// [any thread] Fails the instance with a reason; the first reason stays.
   void fail(const std::string& reason);
+  /// [any thread] Asks free running tasks to stop, where its strand hangs, which would have asked them.
+  void stop_threads();
 
   const std::string& name() const { return name_; }
   std::string mode() const;
@@ -223,6 +226,7 @@ class Hull {
   void add(detail::ProbeBase& probe);
   void add(Master& master);
   void add(Task& task);
+  void note_thread(const Task& task, std::optional<std::stop_source> stop);
   void require_name(std::string_view kind, std::string_view name) const;
   void require_free_name(std::string_view name) const;
   std::optional<std::string> thrown_by(const std::function<void()>& work);
@@ -236,6 +240,7 @@ class Hull {
   void cancel_for_deactivation();
   void advance_changes();
   void drop_changes();
+  bool waits_for_deactivation() const;
   void withdraw(const std::shared_ptr<ModeChange>& change);
   std::optional<PendingChange> blocked_by(const std::string& to) const;
   void release(std::uint64_t hold);
@@ -279,7 +284,8 @@ class Hull {
   TimePoint mode_since_;
   std::string reason_;
   std::optional<PendingChange> pending_;
-  std::optional<ErrorText> refusal_;  ///< what on_start threw, kept whole for whoever asked for the mode
+  std::map<const Task*, std::stop_source> threads_;  ///< of free running tasks
+  std::optional<ErrorText> refusal_;                 ///< what on_start threw, kept whole for whoever asked for the mode
   std::atomic<bool> active_{false};
   std::atomic<bool> failed_{false};
 };

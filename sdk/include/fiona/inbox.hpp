@@ -53,8 +53,11 @@ class Inbox {
   void mark_stale();
   /// [any thread] Empties the slot. What waits for a handler has arrived, and still reaches it.
   void empty_slot();
-  /// [strand] The port's mode is left: what waits here, and what is in the slot, is of that mode. Counted.
+  /// [strand] The port's mode is left, or entered: what waits here, and what is in the slot, is of the one before.
+  /// Counted; requests are answered with NotActive.
   void leave_mode();
+  /// Each parcel that finds no mode for it is told, on the strand. While the component is made.
+  void on_not_active(std::function<void(const Parcel&)> told) { on_not_active_ = std::move(told); }
   /// [any thread] Empties queue and slot; requests are answered with `outcome`.
   void clear(Outcome outcome);
 
@@ -105,7 +108,9 @@ class Inbox {
   void begin_tasks(TimePoint since);
   bool make_room(std::size_t bytes);
   bool refill();
+  void go_on_later();
   void handle();
+  void drop_not_active(const Parcel& parcel);
   void begin_parcel();
   void finish_parcel();
 
@@ -116,6 +121,7 @@ class Inbox {
   const std::uint32_t mark_;  ///< of its work
   const Duration max_age_;
   std::vector<Task*> tasks_;  ///< that start on an arrival
+  std::function<void(const Parcel&)> on_not_active_;
 
   // guarded by the strand's mutex
   ParcelQueue queue_;

@@ -9,6 +9,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "fiona/sink.hpp"
 #include "fiona/wire_end.hpp"
@@ -29,14 +30,18 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void lease(bool held, const std::string& reason) override;
   bool has_room(std::size_t bytes, const std::function<void()>& notice) override;
   void attached(std::uint64_t sequence, Duration cycle) override;
-  /// [any thread] After it returned nothing more reaches the inbox.
-  void cut();
+  /// [any thread] After it returned nothing more reaches the inbox; what is open on it has ended with Disconnected.
+  void cut(const std::string& reason);
   /// [any thread] Cuts it if it ends at a port of this hull.
-  void cut_from(const Hull& hull);
+  void cut_from(const Hull& hull, const std::string& reason);
   const std::string& name() const { return name_; }
 
  private:
+  static constexpr std::size_t kLeastOpen = 64;
+
   Outcome hand_over(Parcel parcel);
+  void keep_open(const std::shared_ptr<ReplySink>& request);
+  void cut_if(const std::function<bool(const Inbox&)>& is_meant, const std::string& reason);
   void stage(std::unique_lock<std::mutex>& lock, const Object* object, std::string_view word, Job deliver);
   void give_up_in_turn(const std::shared_ptr<ReplySink>& reply);
   std::optional<std::size_t> room_at_end(std::size_t cost);
@@ -49,6 +54,8 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   std::mutex mutex_;
   Inbox* inbox_;  ///< null once cut
   Clock& clock_;
+  std::vector<std::weak_ptr<ReplySink>> open_;  ///< requests of a query
+  std::size_t most_open_ = kLeastOpen;
   std::uint64_t puts_ = 0;
   std::uint64_t staged_ = 0;
   KnownRoom room_;

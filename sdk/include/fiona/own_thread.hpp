@@ -31,7 +31,8 @@ class OwnThread {
 
   /// The mode is about to be left, or the instance ends: return soon. Until then the change waits.
   bool stop_requested() const { return stop_.stop_requested(); }
-  /// The same, for what can be called back: a `std::stop_callback` may end a read that blocks. It runs on the strand.
+  /// The same, for what can be called back: a `std::stop_callback` may end a read that blocks. It runs on the strand,
+  /// or beside it where a handler hangs there.
   const std::stop_token& stop_token() const { return stop_; }
 
   /// Runs `job` on the strand, behind those before it; waits while as many wait as may. False, and it does not run,

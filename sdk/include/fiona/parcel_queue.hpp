@@ -17,6 +17,8 @@ class ParcelQueue {
  public:
   /// Parcels of a block: those that leave the queue at once, so that "drop the oldest" finds most of them still there.
   static constexpr std::size_t kBlock = 64;
+  /// Bytes of a block, unless its last parcel has more: large messages leave one by one, for the same reason.
+  static constexpr std::size_t kBlockBytes = 64 * 1024;
 
   /// What has been taken, from the oldest on.
   class Block {
@@ -27,6 +29,7 @@ class ParcelQueue {
     void clear() {
       parcels_.clear();
       next_ = 0;
+      bytes_ = 0;
     }
     template <class F>
     void for_each(const F& what) const {
@@ -35,9 +38,10 @@ class ParcelQueue {
 
    private:
     friend class ParcelQueue;
-    bool is_full() const { return parcels_.size() == kBlock; }
+    bool is_full() const { return parcels_.size() == kBlock || bytes_ >= kBlockBytes; }
     std::vector<Parcel> parcels_;
     std::size_t next_ = 0;
+    std::size_t bytes_ = 0;  ///< of all that it was given
   };
 
   bool empty() const { return size_ == 0; }
@@ -45,6 +49,7 @@ class ParcelQueue {
 
   void push(Parcel&& parcel) {
     if (blocks_.empty() || blocks_.back().is_full()) blocks_.push_back(std::exchange(spare_, {}));
+    blocks_.back().bytes_ += parcel.envelope.bytes;
     blocks_.back().parcels_.push_back(std::move(parcel));
     ++size_;
   }

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -51,6 +52,8 @@ class Port {
   PortCounters& counters() { return counters_; }
   /// Where messages arrive: of a push client, and of a send, query or event provider; null: none do.
   virtual Inbox* inbox() { return nullptr; }
+  /// [strand] Whether what arrives begins something, which it must not in a mode that is about to be left.
+  virtual bool begins_work() const { return true; }
 
   /// [strand] The instance shuts down: end what waits, let go of sinks.
   virtual void close() {}
@@ -67,6 +70,8 @@ class Port {
   virtual void on_inactive() {}
   /// [strand] Why a call cannot be made now, if so.
   std::optional<Outcome> obstacle() const;
+  /// [strand] The same, but that calls are cancelled.
+  virtual std::optional<Outcome> absence() const;
   detail::Calls& calls() { return calls_; }
 
  private:
@@ -104,7 +109,7 @@ class RequiredPort : public Port {
 
   RequiredPort(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
 
-  void close() override { on_connection(Connection::Unwired); }
+  void close() override { on_connection(Connection::Unwired, std::numeric_limits<std::uint64_t>::max()); }
 
   /// [any thread] Unwired, waiting, connected or lost.
   Connection connection() const { return connection_.load(); }
@@ -138,14 +143,17 @@ class RequiredPort : public Port {
   virtual void use_target(std::shared_ptr<Sink> /*target*/) {}
   /// [any thread] The connection changes, before anything more arrives.
   virtual void on_entering(Connection) {}
-  /// [strand] The connection has changed.
-  virtual void on_connection(Connection) {}
+  /// [strand] The connection has changed, for the `change`-th time. What was put since then is not concerned: the
+  /// strand may have been busy meanwhile.
+  virtual void on_connection(Connection, std::uint64_t /*change*/) {}
+  /// [any thread] How often it has changed. Asked before something is put, so that nothing which goes to the provider
+  /// of before is taken for a later one.
+  std::uint64_t changes() const { return changes_.load(); }
   /// [any thread] Of who serves.
   Result<Duration> provider_cycle() const;
   /// [strand] Hands the last value of who serves to the port once more, where the service has one.
   void repeat_last();
-  /// [strand] Why a call cannot be made now, if so.
-  std::optional<Outcome> obstacle() const;
+  std::optional<Outcome> absence() const override;
   /// [any thread] What there is to say of an outcome that comes from the connection; of another, nothing.
   std::string reason_for(Outcome outcome) const;
 
@@ -177,6 +185,7 @@ class RequiredPort : public Port {
   std::atomic<Connection> connection_{Connection::Unwired};
   std::atomic<std::int64_t> since_ns_{0};
   std::atomic<std::uint64_t> flaps_{0};
+  std::atomic<std::uint64_t> changes_{0};
   const bool is_push_;
   const google::protobuf::FieldDescriptor* const validity_;  ///< `is_valid` of its objects; null: they have none
 

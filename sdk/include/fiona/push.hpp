@@ -116,9 +116,8 @@ class PushClient : public RequiredPort {
   std::optional<Inbox::Newest> newest() { return inbox_.newest(); }
   bool has_handler() const { return inbox_.has_handler(); }
   void on_entering(Connection connection) override;
-  void on_connection(Connection connection) override;
+  void on_connection(Connection connection, std::uint64_t change) override;
   void on_active() override;
-  void on_inactive() override;
 
   struct NextCall : Call {
     std::optional<Envelope> envelope;
@@ -243,8 +242,7 @@ class Requires<S> : public detail::PushClient {
   Result<Received<ObjectType>> latest() {
     if (has_handler()) return {Outcome::Rejected, "the port has a handler: what arrives goes there"};
     const auto slot = newest();
-    const auto outcome = obstacle();
-    if (outcome && *outcome != Outcome::Cancelled) return *outcome;  // it does not wait: there is nothing to cancel
+    if (const auto outcome = absence()) return *outcome;  // it does not wait: there is nothing to cancel
     if (!slot) return Outcome::NoData;
     auto value = detail::received<ObjectType>(slot->envelope);
     value.stale = slot->stale;

@@ -41,7 +41,7 @@ class QueryClient : public RequiredPort {
   Async<Answer> ask_and_wait(std::shared_ptr<const Object> request, Duration within);
   bool give_up(QueryId id);
 
-  void on_connection(Connection connection) override;
+  void on_connection(Connection connection, std::uint64_t change) override;
 
  private:
   class Reply;
@@ -51,14 +51,16 @@ class QueryClient : public RequiredPort {
     std::optional<Answer> answer;
     std::shared_ptr<Call> call;  ///< of who waits for it
     TimerId deadline = 0;
+    std::uint64_t since = 0;  ///< `changes` when it was put
   };
   Outcome put_to_target(QueryId id, Open& open);
   void on_answer(QueryId id, const Reply& from, Answer answer);
   void end(QueryId id, Answer answer);
   void end_unanswered(QueryId id, Answer answer);
-  void end_all(const std::string& reason);
+  std::vector<QueryId> open_before(std::uint64_t change) const;
+  void end_all(std::uint64_t change, const std::string& reason);
   std::string reason_of(Outcome put) const;
-  void redirect();
+  void redirect(std::uint64_t change);
 
   const AtRewire at_rewire_;
   Target target_;

@@ -25,7 +25,7 @@ class SendClient : public RequiredPort {
   void use_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
   Outcome send_object(std::shared_ptr<const Object> object);
   Async<Result<Acknowledged>> send_and_wait(std::shared_ptr<const Object> object, Duration within);
-  void on_connection(Connection connection) override;
+  void on_connection(Connection connection, std::uint64_t change) override;
 
  private:
   class Receipt;

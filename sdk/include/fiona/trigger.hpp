@@ -7,10 +7,13 @@
 #include <string>
 #include <string_view>
 #include <type_traits>
+#include <vector>
 
 #include "fiona/query.hpp"
 
 namespace fiona {
+
+class ActivityHold;
 
 /// What an author may say of a trigger.
 struct TriggerOptions {
@@ -54,6 +57,7 @@ class TriggerBase {
   const ObjectRules rules_;
   const Handler handler_;
   const std::shared_ptr<std::atomic<int>> calls_ = std::make_shared<std::atomic<int>>(0);
+  std::vector<std::shared_ptr<ActivityHold>> holds_;  ///< of coroutines; strand only
 };
 
 template <class C, class A, class R, class F>
