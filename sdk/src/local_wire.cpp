@@ -138,7 +138,8 @@ void LocalWire::cut_from(const Hull& hull, const std::string& reason) {
   cut_if([&hull](const Inbox& inbox) { return &inbox.port().hull() == &hull; }, reason);
 }
 
-/// Nobody else ends its open requests where the client's port has another provider by then.
+/// Nobody else ends its open requests where the client's port has another provider by then. Who may still answer them is
+/// told that nobody waits.
 void LocalWire::cut_if(const std::function<bool(const Inbox&)>& is_meant, const std::string& reason) {
   std::vector<std::weak_ptr<ReplySink>> open;
   {
@@ -148,7 +149,10 @@ void LocalWire::cut_if(const std::function<bool(const Inbox&)>& is_meant, const 
     open.swap(open_);
   }
   for (const auto& one : open) {
-    if (const auto request = one.lock()) request->answer(Outcome::Disconnected, reason, nullptr);
+    const auto request = one.lock();
+    if (!request) continue;
+    request->answer(Outcome::Disconnected, reason, nullptr);
+    request->abandon();
   }
 }
 

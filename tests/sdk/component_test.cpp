@@ -146,6 +146,7 @@ TEST(LocalWires, EndWhatIsOpenOnThemWhenTheyAreCut) {
   wire->cut("the provider hangs");
   EXPECT_EQ(heard.front()->text, "ok: ");
   EXPECT_EQ(heard.back()->text, "disconnected: the provider hangs");
+  EXPECT_TRUE(bench.component().kept->abandoned());
 }
 
 TEST(Handlers, MayBeConst) {
