@@ -190,7 +190,7 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     if (one >= 0 && (wait_ms < 0 || one < wait_ms)) wait_ms = one;
   }
   if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;
-  system_.watch_time();
+  attempt([this] { system_.watch_time(); });
 
   if (waits[4].revents != 0) return end(130, "the host was told to end, by a signal");
   if (waits[3].revents != 0) {
@@ -200,19 +200,20 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     exit_code_ = 0;
     return;
   }
-  for (const auto& event : events_.take()) on_event(event);
-  for (const auto& work : work_.take()) work();
-  for (auto& [client, reply] : outgoing_.take()) send_last(client, reply);
-  if (waits[6].revents != 0) {
-    for (const auto& line : system_.serve_hosts()) std::cerr << line << "\n";
-  }
+  const auto tell = [](const std::vector<std::string>& lines) {
+    for (const auto& line : lines) std::cerr << line << "\n";
+  };
+  for (const auto& event : events_.take()) attempt([&] { on_event(event); });
+  for (const auto& work : work_.take()) attempt(work);
+  for (const auto& one : outgoing_.take()) attempt([&] { send_last(one.client, one.reply); });
+  if (waits[6].revents != 0) attempt([&] { tell(system_.serve_hosts()); });
   for (std::size_t i = 0; i < children.size(); ++i) {
-    if (waits[fixed + ids.size() + i].revents != 0) system_.serve_group(*children[i]);
+    if (waits[fixed + ids.size() + i].revents != 0) attempt([&] { system_.serve_group(*children[i]); });
   }
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
-    if (waits[fixed + i].revents != 0) serve_client(ids[i]);
+    if (waits[fixed + i].revents != 0) attempt([&] { serve_client(ids[i]); });
   }
-  for (const auto& line : system_.watch_groups()) std::cerr << line << "\n";
+  attempt([&] { tell(system_.watch_groups()); });
   if (system_.kept_threads() > System::kMostKeptThreads && !exit_code_) {
     end_reason_ = fmt::format("its components have kept {} threads", system_.kept_threads());
     std::cerr << "the host ends: " << end_reason_
@@ -220,9 +221,16 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     exit_code_ = static_cast<int>(ErrorCode::ComponentFailed);
     if (system_.supervisor()) system_.supervisor()->ends(end_reason_);
   }
-  send_held();
-  go_on_with_upgrade();
-  if (waits[0].revents != 0) accept_clients();
+  attempt([this] { send_held(); });
+  attempt([this] { go_on_with_upgrade(); });
+  if (waits[0].revents != 0) attempt([this] { accept_clients(); });
+}
+
+/// One piece of work, which ends neither the host nor its groups, whatever it throws. Told at the first, second,
+/// fourth, … time.
+void ControlServer::attempt(const std::function<void()>& work) {
+  const auto fault = fault_of(work);
+  if (fault && std::has_single_bit(++faults_)) std::cerr << *fault << "\n  so far: " << faults_ << "\n";
 }
 
 void ControlServer::accept_clients() {

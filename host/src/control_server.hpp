@@ -93,6 +93,7 @@ class ControlServer {
   void begin_upgrade(std::uint64_t client, const control::Request& request);
   void go_on_with_upgrade();
   void poll_once(int lifeline, int signals, int most_ms = -1);
+  void attempt(const std::function<void()>& work);
 
   // Mailboxes outlive the system, whose threads post to them until it is gone.
   Mailbox<wire::GroupMessage> events_;
@@ -112,6 +113,7 @@ class ControlServer {
   os::ReadPages read_pages_;
   std::uint64_t next_client_ = 1;
   std::uint64_t garbled_ = 0;  ///< connections closed for what came over them
+  std::uint64_t faults_ = 0;   ///< pieces of work that have thrown
   std::optional<int> exit_code_;
   std::string end_reason_;
   bool was_ended_ = false;

@@ -44,6 +44,15 @@ Error error_of(const control::Failure& failure) {
 
 void throw_failure(const control::Failure& failure) { throw error_of(failure); }
 
+std::optional<std::string> fault_of(const std::function<void()>& work) {
+  try {
+    work();
+    return std::nullopt;
+  } catch (...) {
+    return std::string("a fault of the host, which goes on: ") + error_of(failure_of_exception()).what();
+  }
+}
+
 Error too_large(const google::protobuf::MessageLite& message) {
   return Error(ErrorCode::Failed, {.what = "what there is to tell is too large",
                                    .expected = std::to_string(os::MessageStream::kMaxMessage) + " bytes at most",

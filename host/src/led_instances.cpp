@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <iostream>
+
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "link_keys.hpp"
@@ -187,7 +189,9 @@ void LedInstances::create(const wire::GroupRequest& request, const std::string& 
 
 void LedInstances::destroy_all() {
   for (const std::string& name : around_.model.names()) {
-    if (around_.model.instance(name).led) destroy(name);
+    const auto* one = around_.model.find(name);  // it may go with the end of the one before it
+    const auto fault = one && one->led ? fault_of([&] { destroy(name); }) : std::nullopt;
+    if (fault) std::cerr << name << ": " << *fault << "\n";
   }
 }
 

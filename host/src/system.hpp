@@ -355,6 +355,7 @@ class System {
   void set_clock(const ClockSettings& next);
 
   // ---- system_hosts.cpp
+  std::string serve_host(const HostChange& change);
   std::string host_of(const std::string& group) const;
   std::string host_of_instance(const std::string& name) const;
   void add_hosts(control::System& all);

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include "confinement.hpp"
+#include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "system.hpp"
@@ -162,19 +163,24 @@ void System::give_up(const HangOfMain& found) {
 
 std::vector<std::string> System::watch_groups() {
   const auto now = std::chrono::steady_clock::now();
+  std::vector<std::string> lines;
+  const auto attempt = [&lines](const std::function<void()>& work) {
+    if (auto fault = fault_of(work)) lines.push_back(std::move(*fault));
+  };
   look_at_main(now);
-  for (const HangOfMain& found : std::exchange(found_hangs_, {})) give_up(found);
+  for (const HangOfMain& found : std::exchange(found_hangs_, {})) attempt([&] { give_up(found); });
   for (auto* child : child_groups()) {
     child->watch(now);
     if (!child->alive()) lose(*child);
   }
   if (const auto copied = template_.lock(); copied && !copied->lives()) template_.reset();
-  for (const auto& work : made_.take()) work();
+  for (const auto& work : made_.take()) attempt(work);
   look_after_versions(now);
   groups_.end_retired();
-  std::vector<std::string> lines;
   for (const std::string& name : supervision_.take_due(now)) {
-    if (std::string line = start_again(name); !line.empty()) lines.push_back(std::move(line));
+    attempt([&] {
+      if (std::string line = start_again(name); !line.empty()) lines.push_back(std::move(line));
+    });
   }
   return lines;
 }

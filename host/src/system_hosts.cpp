@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include "failure.hpp"
 #include "system.hpp"
 
 namespace fiona::host {
@@ -21,31 +22,37 @@ std::string System::host_of_instance(const std::string& name) const {
 std::vector<std::string> System::serve_hosts() {
   std::vector<std::string> said;
   if (!hosts_) return said;
-  LeaderLink* leader = hosts_->leader();
   for (const auto& change : hosts_->changes()) {
-    switch (change.what) {
-      case HostChange::What::Request: leader->answer(change.session, led_.obey(change.request)); break;
-      case HostChange::What::Joined:
-        if (leader && !change.same_run) led_.destroy_all();
-        if (leader) model_.set_leader(change.host);
-        said.push_back(leader ? fmt::format("host '{}' leads this one", change.host) : on_host_joined(change));
-        break;
-      case HostChange::What::Lost:
-        leader ? model_.set_leader("") : on_host_lost(change.host, change.reason, false);
-        said.push_back(change.reason);
-        break;
-      case HostChange::What::Left:
-        leader->leave(change.session);
-        model_.set_leader("");
-        led_.destroy_all();
-        break;
-      case HostChange::What::GroupEnded:
-        on_remote_group_ended(change);
-        said.push_back(fmt::format("on host '{}': {}", change.host, change.reason));
-        break;
-    }
+    std::string line;
+    if (auto fault = fault_of([&] { line = serve_host(change); })) line = *fault;
+    if (!line.empty()) said.push_back(std::move(line));
   }
   return said;
+}
+
+/// What there is to tell people.
+std::string System::serve_host(const HostChange& change) {
+  LeaderLink* leader = hosts_->leader();
+  switch (change.what) {
+    case HostChange::What::Request: leader->answer(change.session, led_.obey(change.request)); break;
+    case HostChange::What::Joined:
+      if (!leader) return on_host_joined(change);
+      if (!change.same_run) led_.destroy_all();
+      model_.set_leader(change.host);
+      return fmt::format("host '{}' leads this one", change.host);
+    case HostChange::What::Lost:
+      leader ? model_.set_leader("") : on_host_lost(change.host, change.reason, false);
+      return change.reason;
+    case HostChange::What::Left:
+      leader->leave(change.session);
+      model_.set_leader("");
+      led_.destroy_all();
+      break;
+    case HostChange::What::GroupEnded:
+      on_remote_group_ended(change);
+      return fmt::format("on host '{}': {}", change.host, change.reason);
+  }
+  return "";
 }
 
 /// Of the leader's system, which alone may change it from here on.

@@ -145,9 +145,13 @@ control::Done System::unload(const control::Unload& request) {
   const std::string at = model_.instance(name).group;
   dispose_standby(name);
   lose_if_gone(at);
+  control::Done done;
+  if (!model_.find(name)) {  // of a leader: it has gone with its group
+    done.set_note(name + " has ended with " + at);
+    return done;
+  }
   if (!lost_.contains(name) && !groups_.silent(at)) group(at).require_answer();  // before anything is touched
   // First: a change of mode that waits in the instance is answered, before what it waits for ends with the wires.
-  control::Done done;
   std::string note = "unloaded " + name;
   wire::GroupRequest destroy;
   destroy.mutable_destroy()->set_instance(name);

@@ -10,14 +10,18 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <atomic>
 #include <fstream>
+#include <memory>
 #include <set>
 #include <sstream>
+#include <thread>
 
 #include "cable.hpp"
 #include "evidence.hpp"
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
+#include "os/unix_socket.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::host {
@@ -276,6 +280,56 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
   system.load_in("far/deep", "sink", "sink");
   system.wire("sink.each", "source.newest");
   system.eventually("flows again", [&] { return system.port("sink.each").messages() > 0; });
+}
+
+/// A host that is led, in the test's own process: what it does when is the test's to say.
+TEST_F(Hosts, GroupThatDiesWithItsLeaderHurtsNobodyElse) {
+  const trust::KeyDirectory keys(directory.path / "far-keys");
+  keys.make();
+  const std::filesystem::path plugins = std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path();
+  os::require_private_directory(directory.path / "far");
+  System far({.name = "far",
+              .store = directory.path / "far" / "store",
+              .directory = directory.path / "far",
+              .threads = 2,
+              .hosts = {keys.path(), "tcp://127.0.0.1:0", {}},
+              .plugins = plugins,
+              .restarts_groups = false,
+              .tries_libraries = false},
+             [](const wire::GroupMessage&) {});
+  const auto serve_far_while = [&](const auto& work) {
+    std::atomic<bool> done{false};
+    std::thread working([&] {
+      work();
+      done = true;
+    });
+    while (!done) {
+      far.serve_hosts();
+      for (auto* group : far.child_groups()) far.serve_group(*group);
+      std::this_thread::sleep_for(1ms);
+    }
+    working.join();
+  };
+  const trust::KeyDirectory own(directory.path / "test");
+  own.make();
+  keys.allow("test", own.pair().open.text());
+  const std::string address = far.listens().substr(std::string("tcp://").size());
+  const HostOptions options{own.path(), "", {PeerAddress::from_text("far=" + address + "=" + keys.pair().open.text())}};
+  auto leader = std::make_unique<RunningSystem>(options);
+  serve_far_while([&] {
+    leader->join("far");
+    for (const std::string name : {"a", "b", "c"}) leader->load_in("far/deep", "sink", name);
+  });
+  ASSERT_EQ(far.child_groups().size(), 1U);
+  const pid_t group = far.child_groups().front()->process();
+  leader.reset();
+  ::kill(group, SIGKILL);
+  const auto begin = Steady::now();
+  while (!far.model().names().empty() && ms_since(begin) < 20'000) {
+    far.serve_hosts();  // which finds the end of the group by itself
+    std::this_thread::sleep_for(1ms);
+  }
+  EXPECT_TRUE(far.model().names().empty());
 }
 
 TEST_F(Hosts, GroupOfAnotherHostEndsOnceTheLastInstanceHasLeftItAndStartsAnewWhenItIsNamedAgain) {
