@@ -90,7 +90,7 @@ std::vector<Hang> HangWatch::look(Time now, pid_t process, bool stopped) {
 Hang HangWatch::hang_of(const Liveness::Slot& slot, const Seen& seen) const {
   const std::string name = name_in(slot);
   const auto known = parts_(name);
-  Hang hang{known ? name : inert_name(name), "", seen.in_all};
+  Hang hang{known ? name : inert_name(name), "", seen.in_all, &slot};
   std::vector<std::string> texts = known.value_or(Part()).texts;
   texts.insert(texts.end(), std::begin(kLifeCycleCalls), std::end(kLifeCycleCalls));
   texts.insert(texts.end(), std::begin(kOtherCalls), std::end(kOtherCalls));

@@ -18,6 +18,7 @@ struct Hang {
   std::string instance;  ///< empty: the process as a whole
   std::string in;        ///< a port's name, "task 'ticker'", "its destructor"; empty: not known
   std::chrono::milliseconds time;
+  const Liveness::Slot* slot{};  ///< of the strand; null: of the process
 
   /// "stuck in imu for 1.0 s"; of a process "stood still for 0.7 s".
   std::string what() const;

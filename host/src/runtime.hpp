@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -38,6 +39,8 @@ class Runtime final {
   const std::string& endpoint() const { return links_.endpoint(); }
   /// [control thread] An instance does not come back from its work: it has failed, its wires are lost.
   void give_up(const std::string& instance, const std::string& reason);
+  /// Whether the strand is of one that was destroyed and had not come free: whoever has its name now is another one.
+  bool has_left(const Liveness::Slot* slot) const { return left_.contains(slot); }
   std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
   Links& links() { return links_; }
   /// [control thread] The host has gone, and `main` with it, which has listened there.
@@ -75,6 +78,7 @@ class Runtime final {
   void set_mode(const wire::SetMode& request);
   Hull::ModeDone mode_set(std::uint64_t change);
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
+  void leave(std::unique_ptr<Hull> hull);
 
   // ---- runtime_wires.cpp
   void wire_local(const wire::WireLocal& request, wire::Switched& switched);
@@ -107,6 +111,7 @@ class Runtime final {
   InstanceEvents events_;
   PluginLibraries& libraries_;
   std::map<std::string, std::unique_ptr<Instance>> instances_;
+  std::set<const Liveness::Slot*> left_;  ///< of strands that stay for ever, with what they hold
   std::map<std::uint64_t, Wire> wires_;
   std::vector<std::weak_ptr<LocalWire>> retired_;  ///< of requests that were on their way at a rewire
   Taps taps_;

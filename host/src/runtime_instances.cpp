@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstring>
 #include <future>
 #include <iostream>
 #include <memory>
@@ -124,7 +125,8 @@ void Runtime::create(const wire::Create& request) {
       hull.change_mode(mode, kLifeCycleDeadline, mode_set(request.change()));
     }
   } catch (const Error& error) {
-    if (hull.shut_down(kLifeCycleDeadline)) static_cast<void>(instance->hull.release());
+    thread.rests();
+    if (hull.shut_down(kLifeCycleDeadline)) leave(std::move(instance->hull));
     throw Error(error.code(), without_instance(error.text(), request.instance()));
   }
   instances_.emplace(request.instance(), std::move(instance));
@@ -173,9 +175,20 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   if (const auto runs = instance.hull->shut_down(instance.patience())) {
     reply.mutable_done()->set_note("'" + request.instance() + "' did not come free: " + *runs +
                                    " still runs, and its memory stays until the process ends");
-    static_cast<void>(instance.hull.release());
+    leave(std::move(instance.hull));
   }
   instances_.erase(request.instance());
+}
+
+/// It did not come free. What its strand is stuck in shows as work in its slot, which nobody gets after it.
+void Runtime::leave(std::unique_ptr<Hull> hull) {
+  const Hull& stays = *hull.release();
+  const Liveness::Page& page = pool_.liveness()->page();
+  const std::size_t used = std::min<std::size_t>(page.used, Liveness::kSlots);
+  for (const auto* slot = page.slots; slot != page.slots + used; ++slot) {
+    const bool its = std::strncmp(slot->name, stays.name().c_str(), sizeof slot->name - 1) == 0;
+    if (its && slot->work != 0) left_.insert(slot);
+  }
 }
 
 }  // namespace fiona::host

@@ -147,13 +147,16 @@ HangWatch::Parts System::parts() const {
   };
 }
 
-/// An instance of `main` does not come back. It cannot be ended; but nobody is to wait for it.
+/// An instance of `main` does not come back. It cannot be ended; but nobody is to wait for it. Who has its name may be
+/// another one by now, or live elsewhere, as the version that has taken its place does: that one is left alone.
 void System::give_up(const HangOfMain& found) {
   const Hang& hang = found.hang;
-  if (order_of(hang.instance) != found.order) return;  // it has come back since, and been unloaded
+  const bool has_left = groups_.main().has_left(hang.slot);
+  if (!has_left && order_of(hang.instance) != found.order) return;  // it has come back since, and been unloaded
   ++kept_threads_;
   pool_->add_thread();
-  if (!model_.find(hang.instance)) return;
+  const Model::Instance* one = model_.find(hang.instance);
+  if (has_left || !one || one->group != kMainGroup) return;
   groups_.main().give_up(hang.instance, hang.what());
   for (auto& [client, wire] : wires_) {
     const bool uses_it = client.first == hang.instance || wire.provider.instance() == hang.instance;

@@ -322,6 +322,15 @@ TEST_F(ZooGroup, ThatIsStuckInAPortIsNamedWithIt) {
   EXPECT_THAT(system.instance("slow").reason(), HasSubstr("group 'cage' was ended: 'slow' was stuck in newest for "));
 }
 
+/// It holds its thread for as long as it likes; whoever has its name next is another one.
+TEST_F(ZooGroup, ThatDoesNotComeFreeOfMainIsNotTakenForTheNextOfItsName) {
+  ASSERT_EQ(load("leaves-late.so", ""), std::nullopt);
+  system.unload("patient");
+  system.load_in("", "source", "patient");
+  system.eventually("its thread is replaced", [&] { return system.system().kept_threads() == 1; });
+  EXPECT_EQ(system.instance("patient").mode(), "active");
+}
+
 // ---- they take what they can get ------------------------------------------------------------------------------
 
 class ZooHog : public ZooGroup {};
