@@ -50,10 +50,11 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   return text;
 }
 
-/// Which it was: a host that is started again loads the same, where it is still there.
+/// Which it was: a host that is started again loads the same, where it is still there. And its name, which only its
+/// package tells where none was typed: that may be gone by the end of the load.
 void note_version(control::Load& load, const Model& after, const Packages& packages) {
-  const std::string name = load.instance().empty() ? packages.find(load.plugin()).component : load.instance();
-  load.set_version(after.load_of(name).version());
+  if (load.instance().empty()) load.set_instance(packages.find(load.plugin()).component);
+  load.set_version(after.load_of(load.instance()).version());
 }
 
 void add(control::Done& total, const control::Done& one, std::size_t steps) {
@@ -300,13 +301,14 @@ void Engine::begin_step(const TransactionPtr& transaction, const control::Change
       const auto self = alive.lock();
       if (!self || !*self) return;
       Engine& engine = **self;
-      if (reply.has_done()) {
+      control::Failure failure = reply.failure();
+      if (reply.has_ended()) failure.set_what("the run has ended");
+      try {
+        if (!reply.has_done()) throw_failure(failure);
         add(transaction->done, engine.end_step(*transaction, step, reply.done()), transaction->steps.size());
         ++transaction->at;
-      } else {
-        control::Failure failure = reply.failure();
-        if (reply.has_ended()) failure.set_what("the run has ended");
-        engine.step_failed(transaction, failure);
+      } catch (...) {
+        engine.step_failed(transaction, failure_of_exception());
       }
       engine.go_on(transaction);
     });

@@ -9,6 +9,17 @@
 namespace fiona::host {
 namespace {
 
+/// What it was asked for while its host was silent. What it refuses is gone already.
+void pay_owed(RemoteGroup& group) {
+  for (auto& request : group.take_owed()) {
+    try {
+      group.request(request);
+    } catch (const Error&) {
+      if (!group.alive()) group.owe(std::move(request));
+    }
+  }
+}
+
 /// None: its host has fallen silent again.
 std::optional<std::set<std::string>> instances_of(RemoteGroup& group) {
   wire::GroupRequest ask;
@@ -103,13 +114,7 @@ bool System::crosses(const PortKey& client, const Wire& wire, const std::string&
 
 /// Does what was asked for meanwhile, and finds out what is still there.
 void System::resume(RemoteGroup& group) {
-  for (auto& request : group.take_owed()) {
-    try {
-      group.request(request);
-    } catch (const Error&) {
-      if (!group.alive()) group.owe(std::move(request));  // what is refused is gone already
-    }
-  }
+  pay_owed(group);
   const auto there = instances_of(group);
   if (!there) return;
   for (const std::string& name : model_.names_in(group.name())) {
@@ -129,7 +134,7 @@ void System::resume(RemoteGroup& group) {
     destroy.mutable_destroy()->set_instance(name);
     group.owe(std::move(destroy));
   }
-  for (auto& request : group.take_owed()) group.request(std::move(request));
+  pay_owed(group);
 }
 
 void System::resume_wires(const std::string& host) {

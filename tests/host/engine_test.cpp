@@ -277,6 +277,22 @@ TEST_P(Transactions, ModeThatIsReachedMeanwhileIsNotTakenBackWithWhatFails) {
   EXPECT_EQ(system.instance("two").set_parameters_size(), 0);
 }
 
+TEST_P(Transactions, ALoadThatIsUnderWayGoesOnThoughItsLibraryIsTakenAway) {
+  const auto copied = [&](const std::string& name) {
+    std::filesystem::copy_file(std::filesystem::path(ZOO_DIRECTORY) / name, directory.path / name);
+    return directory.path / name;
+  };
+  const auto description = copied("throws.interface.textproto");
+  const auto library = copied("libthrows.so");
+  control::Change change = load("", "", group());
+  change.mutable_load()->set_plugin(library.string() + "/std-in-stop");  // as who types no name
+  const auto answered = begin({change});
+  std::filesystem::remove(library);
+  std::filesystem::remove(description);
+  await_done(answered);
+  EXPECT_EQ(system.instance("std-in-stop").mode(), "active");
+}
+
 TEST_P(Transactions, UndoOfAnUnloadGivesTheInstanceBackWithItsWiresParametersAndMode) {
   make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
         set("source", "payload", 9), state("source", "neutral")});
