@@ -177,8 +177,11 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     const bool writing = client->stream.unsent() > 0;
     waits.push_back({client->stream.descriptor(), static_cast<short>(writing ? POLLIN | POLLOUT : POLLIN), 0});
   }
-  const auto children = system_.child_groups();
-  for (const auto* child : children) waits.push_back({child->descriptor(), POLLIN, 0});
+  std::vector<std::string> groups;  // by name: what is done before one is served may have ended it
+  for (const auto* child : system_.child_groups()) {
+    groups.push_back(child->name());
+    waits.push_back({child->descriptor(), POLLIN, 0});
+  }
   const int groups_ms = system_.watches_groups() ? static_cast<int>(kWatchEvery.count()) : -1;
   const int usual_ms = system_.has_virtual_clock() ? kTimeWatch_ms : groups_ms;
   constexpr int kBeat_ms = static_cast<int>(SupervisorLink::kBeatEvery.count());
@@ -207,8 +210,8 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
   for (const auto& work : work_.take()) attempt(work);
   for (const auto& one : outgoing_.take()) attempt([&] { send_last(one.client, one.reply); });
   if (waits[6].revents != 0) attempt([&] { tell(system_.serve_hosts()); });
-  for (std::size_t i = 0; i < children.size(); ++i) {
-    if (waits[fixed + ids.size() + i].revents != 0) attempt([&] { system_.serve_group(*children[i]); });
+  for (std::size_t i = 0; i < groups.size(); ++i) {
+    if (waits[fixed + ids.size() + i].revents != 0) attempt([&] { system_.serve_group(groups[i]); });
   }
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
     if (waits[fixed + i].revents != 0) attempt([&] { serve_client(ids[i]); });

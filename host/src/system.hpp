@@ -179,6 +179,7 @@ class System {
   std::size_t kept_threads() const { return kept_threads_; }
   static constexpr std::size_t kMostKeptThreads = 4;
   void serve_group(ChildGroup& group);  ///< passes on what it has said; notes its end
+  void serve_group(const std::string& name);
   /// A wire has been lost on its client's side.
   void on_wire_lost(std::uint64_t wire, const std::string& reason);
 

@@ -226,6 +226,11 @@ void System::serve_group(ChildGroup& group) {
   if (!group.serve()) lose(group);
 }
 
+/// Which may have ended meanwhile.
+void System::serve_group(const std::string& name) {
+  if (ChildGroup* group = groups_.child(name)) serve_group(*group);
+}
+
 /// A request may have found its end before its socket was polled.
 void System::lose_if_gone(const std::string& name) {
   ChildGroup* child = groups_.child(name);

@@ -14,11 +14,15 @@ void System::set_clock(const ClockSettings& next) {
   std::shared_ptr<DeliveryLog> log;  // first: a file that cannot be written changes nothing
   if (records_anew && !next.deliveries.empty()) log = std::make_shared<DeliveryLog>(next.deliveries);
   const bool stays = next.is_virtual == has_virtual_clock() && (!next.is_virtual || clock_->start() == next.start);
+  std::optional<Waits::Runs> runs;
+  if (!stays)
+    runs = waits_->leave(Error(ErrorCode::Failed, {.what = "the clock that was waited by has been changed",
+                                                   .next = "ask again: it is waited by the one of now"}));
   if (!stays && next.is_virtual) use_clock(std::make_unique<VirtualClock>(next.start));
   if (!stays && !next.is_virtual) use_clock(std::make_unique<SystemClock>());
-  if (!virtual_time_) return;
-  virtual_time_->clock().set_speed(next.speed);
-  if (records_anew) virtual_time_->record_to(std::move(log));
+  if (virtual_time_) virtual_time_->clock().set_speed(next.speed);
+  if (virtual_time_ && records_anew) virtual_time_->record_to(std::move(log));
+  if (runs) waits_->take(std::move(*runs));  // last: it lets time go on
 }
 
 void System::settle() {

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <iterator>
 #include <vector>
 
 #include "failure.hpp"
@@ -282,6 +284,32 @@ bool Waits::drop(std::uint64_t owner, std::optional<std::uint64_t> id) {
 
 void Waits::end(std::uint64_t owner, std::uint64_t id, const control::Reply& reply) {
   for (const auto& wait : of(owner, id)) finish(wait, reply);
+}
+
+Waits::Runs Waits::leave(const Error& error) {
+  Runs runs;
+  std::vector<WaitPtr> left;
+  {
+    const std::lock_guard lock(mutex_);
+    runs.end = end_;
+    runs.told = told_;
+    std::copy_if(waits_.begin(), waits_.end(), std::back_inserter(left), [](const auto& wait) { return wait->is_run; });
+  }
+  for (const auto& wait : left) {
+    runs.open.push_back({wait->owner, wait->id, wait->answer});
+    finish(wait, std::nullopt);
+  }
+  fail_all(error);
+  return runs;
+}
+
+void Waits::take(Runs runs) {
+  {
+    const std::lock_guard lock(mutex_);
+    end_ = std::move(runs.end);
+    told_ = std::move(runs.told);
+  }
+  for (auto& one : runs.open) run(one.owner, one.id, std::move(one.answer));
 }
 
 void Waits::fail_all(const Error& error) {

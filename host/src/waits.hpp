@@ -46,6 +46,21 @@ class Waits {
   bool drop(std::uint64_t owner, std::optional<std::uint64_t> id = std::nullopt);
   /// One ends now, with this reply.
   void end(std::uint64_t owner, std::uint64_t id, const control::Reply& reply);
+  /// Who waits for the end of the run, on whatever clock, and what there is to say of it.
+  struct Runs {
+    struct Run {
+      std::uint64_t owner = 0;
+      std::uint64_t id = 0;
+      Answer answer{};
+    };
+    std::vector<Run> open{};
+    std::optional<control::Reply> end{};
+    std::set<std::uint64_t> told{};
+  };
+  /// They wait here no more; every other wait ends with this error.
+  Runs leave(const Error& error);
+  /// They wait here from now on.
+  void take(Runs runs);
   /// Nothing can be waited for: every wait ends with this error.
   void fail_all(const Error& error);
   /// The run has ended: every wait is answered. Who is there and does not wait for that is told at the next `run` or

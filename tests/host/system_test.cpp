@@ -8,6 +8,7 @@
 
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
+#include "stopped_process.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::host {
@@ -377,6 +378,29 @@ TEST(HostClock, ChangesBeforeTheFirstLoadAndAfterTheLastUnloadOnly) {
   EXPECT_EQ(system.system().snapshot().clock(), "system");
 }
 
+TEST(HostClock, WhoWaitsForTheEndOfTheRunGoesOnWaitingWhenItChangesAndOthersAreTold) {
+  const auto later = [](const std::shared_ptr<conformance::LaterAnswer>& of) {
+    return [of](control::Reply reply) {
+      of->reply = std::move(reply);
+      of->ended = true;
+    };
+  };
+  const auto run = std::make_shared<conformance::LaterAnswer>(), sleep = std::make_shared<conformance::LaterAnswer>();
+  RunningSystem system;
+  control::Sleep request;
+  request.set_duration_ms(3'600'000);
+  system.system().waits().run(1, 1, later(run));
+  system.system().waits().sleep(2, 2, request, later(sleep));
+  set_host(system, "clock", "virtual");
+  ASSERT_TRUE(sleep->ended);
+  EXPECT_EQ(sleep->reply.failure().what(), "the clock that was waited by has been changed");
+  EXPECT_FALSE(run->ended);
+  system.load_provider("source", "source", "period_ms=10");
+  system.eventually("time goes on for the run", [&] { return system.port("source.newest").messages() > 10; });
+  system.system().waits().end_run(3, "over");
+  EXPECT_EQ(run->reply.ended().exit_code(), 3);
+}
+
 TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
   RunningSystem system;
   const auto error = error_of([&] { set_host(system, "clock", "sundial"); });
@@ -384,6 +408,8 @@ TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
   EXPECT_EQ(error->code(), ErrorCode::Usage);
   EXPECT_THAT(error->text().expected, HasSubstr("clock=system, clock=virtual"));
 }
+
+// ---- what takes long ------------------------------------------------------------------------------------------
 
 // ---- death of a group -----------------------------------------------------------------------------------------
 
