@@ -301,11 +301,13 @@ void ControlServer::drop_client(std::uint64_t id) {
 }
 
 void ControlServer::send(std::uint64_t id, const control::Reply& reply) {
-  if (const auto tap = expect_taps_.find({id, reply.id()}); tap != expect_taps_.end()) {
+  const auto client = clients_.find(id);
+  const auto tap = expect_taps_.find({id, reply.id()});
+  const bool goes_on = client != clients_.end() && client->second->open.contains(reply.id());
+  if (tap != expect_taps_.end() && !goes_on) {
     system_.untap(tap->second);
     expect_taps_.erase(tap);
   }
-  const auto client = clients_.find(id);
   if (client != clients_.end()) client->second->tell(reply);
 }
 
@@ -338,6 +340,11 @@ void ControlServer::perform(std::uint64_t client, const control::Request& reques
     if (asking.open.size() >= kMaxOpen && !request.has_unwatch()) {
       throw Error(ErrorCode::Failed, {.what = "this console waits for " + std::to_string(kMaxOpen) + " answers already",
                                       .next = "watch stop"});
+    }
+    if (asking.open.contains(request.id())) {
+      throw Error(ErrorCode::Usage, {.what = "a request of this number is open already, and goes on",
+                                     .found = std::to_string(request.id()),
+                                     .next = "give each request of a connection a number of its own"});
     }
     system_.settle();
     answered = dispatch(client, request, reply);

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <atomic>
 
 #include "failure.hpp"
@@ -33,11 +34,14 @@ wire::Tapped tapped_of(const Envelope& envelope, const std::string& unit, TimePo
   return tapped;
 }
 
+/// Of what the hull samples each value is work, which no watch is to fill a thread with.
+constexpr double kLeastPeriod_ms = 1;
+
 TapTerms terms_of(const control::Watch& watch, const std::string& unit) {
   using Condition = control::Condition;
   TapTerms terms;
   terms.every = std::max(1U, watch.prescale());
-  terms.period = from_milliseconds(watch.min_period_ms());
+  if (watch.min_period_ms() > 0) terms.period = from_milliseconds(std::max(kLeastPeriod_ms, watch.min_period_ms()));
   const Condition& condition = watch.condition();
   terms.changes = condition.kind_case() == Condition::kChanges;
   if (condition.kind_case() == Condition::kOlderThanMs) {

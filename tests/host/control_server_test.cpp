@@ -119,6 +119,20 @@ TEST_F(ControlServerTest, AChangeThatHasBegunGoesOnAndThatIsTold) {
   EXPECT_TRUE(console->receive().has_done());
 }
 
+TEST_F(ControlServerTest, ARequestOfTheNumberOfOneThatIsOpenIsRefusedAndThatOneGoesOn) {
+  auto request = console->request();
+  auto& expect = *request.mutable_expect();
+  *expect.mutable_port() = conformance::port_name("source.newest");
+  expect.set_field("number");
+  expect.set_comparison(control::GREATER_OR_EQUAL);
+  expect.mutable_value()->set_integer(100);
+  expect.set_within_ms(60'000);
+  console->send(request);
+  console->send(request);
+  EXPECT_THAT(refusal(*console), HasSubstr("a request of this number is open already"));
+  EXPECT_TRUE(console->receive().has_met());
+}
+
 TEST_F(ControlServerTest, WhatIsWaitedForIsLetGoOf) {
   auto wait = console->request();
   wait.mutable_sleep()->set_duration_ms(3'600'000);

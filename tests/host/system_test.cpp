@@ -411,6 +411,22 @@ TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
 
 // ---- what takes long ------------------------------------------------------------------------------------------
 
+TEST(LongWork, ATapOfWhatIsSampledKeepsToAPeriodThatLeavesTimeForOtherWork) {
+  RunningSystem system;
+  system.load_provider("source", "source", "period_ms=10");
+  control::Watch terms;
+  terms.set_min_period_ms(1e-6);
+  const auto tap = system.watch("source.newest.rate", terms);
+  const auto begun = std::chrono::steady_clock::now();
+  system.eventually("some values",
+                    [&] { return std::chrono::steady_clock::now() - begun > std::chrono::milliseconds(200); });
+  system.system().untap(tap);
+  const auto took_ms = (std::chrono::steady_clock::now() - begun).count() / 1'000'000;
+  const auto seen = system.take(tap);
+  EXPECT_GT(seen.size(), 10U);
+  EXPECT_LE(seen.back().counted, static_cast<std::uint64_t>(took_ms + 1));
+}
+
 // ---- death of a group -----------------------------------------------------------------------------------------
 
 class Death : public testing::Test {
