@@ -7,6 +7,12 @@
 #include "fiona/unicode.hpp"
 
 namespace fiona::host {
+namespace {
+
+/// How long a change of mode may hold up those that wait behind it.
+constexpr double kMostModeChange_ms = 3'600'000;
+
+}  // namespace
 
 void require_name(const std::string& name, std::string_view kind) {
   if (unicode::is_name(name) && name != kHostItself) return;
@@ -108,6 +114,12 @@ void Model::set_host(const control::Set& request) {
 /// Whether the component may go there, only its life cycle can tell.
 void Model::state(const control::State& request) {
   require_own(request.instance());
+  if (request.within_ms() > kMostModeChange_ms) {
+    throw Error(ErrorCode::Usage, {.what = "the time for a change of mode is out of range",
+                                   .where = request.instance(),
+                                   .expected = "up to 1h",
+                                   .found = fmt::format("{:g} ms", request.within_ms())});
+  }
   auto draft = std::make_shared<Instance>(instance(request.instance()));
   draft->mode = request.mode() == "deactivated" ? "neutral" : request.mode();
   instances_[request.instance()] = std::move(draft);

@@ -262,6 +262,7 @@ class System {
   void tell_ended(const ChildGroup& gone);
   void lose_if_gone(const std::string& group);
   void lose(ChildGroup& gone);
+  void tell_group_ended(const std::string& group, const std::string& reason);
   void tell_failed(const std::string& instance, const std::string& reason);
 
   // ---- system_supervision.cpp

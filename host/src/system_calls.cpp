@@ -10,6 +10,11 @@ namespace {
 constexpr double kModeDeadline_ms = 10'000;
 constexpr double kGrace_ms = 1'000;
 
+/// What was begun in a group does not outlive its process.
+bool is_end_of(const std::string& group, const wire::GroupMessage& event) {
+  return event.has_group_ended() && event.group_ended().group() == group;
+}
+
 }  // namespace
 
 void System::state(std::uint64_t owner, std::uint64_t id, const control::State& request, Waits::Answer answer) {
@@ -20,14 +25,20 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
   const std::uint64_t change = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
   const auto begin = [&] { target.request(mode_request(name, request.mode(), change, within_ms)); };
+  const auto end_of = [made = end_of_mode(change, name + " is " + request.mode()), name,
+                       group = target.name()](const wire::GroupMessage& event) {
+    if (!is_end_of(group, event)) return made(event);
+    return std::optional(failure_reply(
+        ErrorCode::ComponentFailed,
+        {.what = "'" + name + "' has ended: " + event.group_ended().reason(), .where = name, .next = "show " + name}));
+  };
   // The instance itself withdraws a change that is blocked; this is for one that hangs.
   const auto expired =
       failure_reply(ErrorCode::Unreachable,
                     {.what = "'" + name + "' did not change its mode in time: a handler still runs, or it has ended",
                      .where = name,
                      .next = "show " + name});
-  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of_mode(change, name + " is " + request.mode()), expired,
-               std::move(answer));
+  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
 }
 
 wire::GroupRequest System::mode_request(const std::string& name, const std::string& mode, std::uint64_t change,
@@ -76,8 +87,15 @@ void System::call(std::uint64_t owner, std::uint64_t id, const control::Call& re
     call.mutable_call()->set_within_ms(within_ms);
     target.request(std::move(call));
   };
-  const auto end_of = [this, run, begun](const wire::GroupMessage& event) {
+  const auto end_of = [this, run, begun, group = target.name()](const wire::GroupMessage& event) {
     std::optional<control::Reply> reply;
+    if (is_end_of(group, event)) {
+      wire::CallEnded ended;
+      ended.set_run(run);
+      ended.set_outcome(static_cast<std::uint32_t>(Outcome::Disconnected));
+      ended.set_reason(event.group_ended().reason());
+      *reply.emplace().mutable_called() = called(ended, begun);
+    }
     const bool ends = event.has_call_ended() && event.call_ended().run() == run;
     if (ends) *reply.emplace().mutable_called() = called(event.call_ended(), begun);
     return reply;

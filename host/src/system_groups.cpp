@@ -251,12 +251,17 @@ void System::lose(ChildGroup& gone) {
   attachments_.lose(gone.name(), reason);
   if (virtual_time_) virtual_time_->forget(gone.endpoint());  // from here on it goes on without it
   lose_wires(gone.name(), reason);
-  wire::GroupMessage event;
-  event.mutable_group_ended()->set_group(gone.name());
-  event.mutable_group_ended()->set_reason(reason);
-  tell_leader(event);
+  tell_group_ended(gone.name(), reason);
   forget_led(gone.name());
   start_again_later(gone.name(), reason);
+}
+
+/// Whoever waits for something in it, and the leader.
+void System::tell_group_ended(const std::string& group, const std::string& reason) {
+  wire::GroupMessage event;
+  event.mutable_group_ended()->set_group(group);
+  event.mutable_group_ended()->set_reason(reason);
+  deliver(event);
 }
 
 void System::tell_failed(const std::string& instance, const std::string& reason) {

@@ -103,6 +103,7 @@ void System::on_host_lost(const std::string& host, const std::string& reason, bo
     group->end(reason);
     group->take_owed();
     taps_.lose(group->name(), reason);
+    tell_group_ended(group->name(), reason);
   }
 }
 
@@ -167,6 +168,7 @@ void System::on_remote_group_ended(const HostChange& change) {
     }
     taps_.lose(group->name(), change.reason);
     lose_wires(group->name(), change.reason);
+    tell_group_ended(group->name(), change.reason);
     start_again_later(group->name(), change.reason);
   }
 }

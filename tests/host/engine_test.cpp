@@ -293,6 +293,16 @@ TEST_P(Transactions, ALoadThatIsUnderWayGoesOnThoughItsLibraryIsTakenAway) {
   EXPECT_EQ(system.instance("std-in-stop").mode(), "active");
 }
 
+TEST_P(Transactions, AChangeOfModeForWhichNobodyWouldWaitIsRefused) {
+  make({load("source", "source", group())});
+  control::Change change = state("source", "neutral");
+  change.mutable_state()->set_within_ms(3'600'001);
+  const auto reply = transact({change});
+  EXPECT_EQ(reply.failure().what(), "the time for a change of mode is out of range");
+  EXPECT_EQ(reply.failure().expected(), "up to 1h");
+  EXPECT_EQ(system.instance("source").mode(), "active");
+}
+
 TEST_P(Transactions, UndoOfAnUnloadGivesTheInstanceBackWithItsWiresParametersAndMode) {
   make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
         set("source", "payload", 9), state("source", "neutral")});

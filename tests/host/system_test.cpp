@@ -481,6 +481,37 @@ TEST_F(Death, EndsPendingQueriesDisconnected) {
   system.wait_for(outcome, [](const auto& s) { return s.value() == static_cast<double>(Outcome::Disconnected); });
 }
 
+TEST_F(Death, EndsChangesOfModeThatAreUnderWay) {
+  load_far("toiler", "toiler");
+  system.set("toiler", "stubborn=true");
+  const auto change = system.begin_state("toiler", "rest", 600'000);
+  kill_far();
+  system.eventually(
+      "its answer", [&] { return change->ended.load(); }, std::chrono::seconds(5));
+  EXPECT_EQ(change->reply.failure().what(), "'toiler' has ended: group 'far' killed by signal 9 (Killed)");
+  EXPECT_EQ(change->reply.failure().next(), "show toiler");
+}
+
+TEST_F(Death, EndsCallsByHandDisconnected) {
+  load_far("answerer", "answerer");
+  std::atomic<bool> ended{false};
+  control::Reply reply;
+  control::Call request;
+  request.mutable_target()->set_instance("answerer");
+  request.mutable_target()->set_port("echo");
+  conformance::add_arguments("manner=never", *request.mutable_arguments());
+  request.set_within_ms(600'000);
+  system.system().call(1, 1, request, [&](control::Reply told) {
+    reply = std::move(told);
+    ended = true;
+  });
+  kill_far();
+  system.eventually(
+      "its end", [&] { return ended.load(); }, std::chrono::seconds(5));
+  EXPECT_EQ(reply.called().outcome(), "disconnected");
+  EXPECT_EQ(reply.called().reason(), "group 'far' killed by signal 9 (Killed)");
+}
+
 TEST_F(Death, IsNoticedByARequestThatFindsIt) {
   load_far("source", "source");
   kill_far();
