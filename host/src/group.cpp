@@ -32,20 +32,20 @@ constexpr milliseconds kWaitingRequest{3'000};
 constexpr milliseconds kRequest{2'000};
 constexpr std::chrono::seconds kReadyDeadline{5};
 
+/// One that owes an answer for longer than any request may take has lost whoever gives them.
+constexpr milliseconds kMostSilent{15'000};
+/// To end an instance is two calls of its life cycle.
+constexpr milliseconds kMostSilentAtEnd{25'000};
+
 milliseconds patience_with(const wire::GroupRequest& request) {
   switch (request.what_case()) {
-    case wire::GroupRequest::kCreate:
-    case wire::GroupRequest::kDestroy: return kLifeCycleRequest;
+    case wire::GroupRequest::kCreate: return kLifeCycleRequest;
+    case wire::GroupRequest::kDestroy: return kMostSilentAtEnd;
     case wire::GroupRequest::kSetParameters:
     case wire::GroupRequest::kWireRequire: return kWaitingRequest;
     default: return kRequest;
   }
 }
-
-/// One that owes an answer for longer than any request may take has lost whoever gives them.
-constexpr milliseconds kMostSilent{15'000};
-/// To end an instance is two calls of its life cycle.
-constexpr milliseconds kMostSilentAtEnd{25'000};
 
 milliseconds most_silent(const wire::GroupRequest& request) {
   return request.has_destroy() ? kMostSilentAtEnd : kMostSilent;

@@ -172,14 +172,16 @@ control::Done System::unload(const control::Unload& request) {
   return done;
 }
 
-/// What there is to say of it. A process that ends meanwhile has destroyed it too.
+/// What there is to say of it. A process that ends meanwhile has destroyed it too, and so has one that knows of none:
+/// it came to its end when nobody waited for that any more.
 std::string System::destroyed(Group& target, wire::GroupRequest destroy) {
   try {
     const auto reply = target.request(std::move(destroy));
     return reply.done().note().empty() || !host_of(target.name()).empty() ? "" : "; " + reply.done().note();
-  } catch (const Error&) {
-    if (target.alive()) throw;
-    return "; " + target.name() + " has ended";
+  } catch (const Error& error) {
+    if (!target.alive()) return "; " + target.name() + " has ended";
+    if (error.code() != ErrorCode::NotFound) throw;
+    return "; it had ended already";
   }
 }
 

@@ -67,6 +67,25 @@ std::vector<std::string> heard_ports(const Model& model, const std::string& name
   return {ports.begin(), ports.end()};
 }
 
+/// An entry that its map does not have for as long as this lives.
+template <class Map>
+class Without {
+ public:
+  Without(Map& map, const std::string& key) : map_(map), taken_(map.extract(key)) {}
+  ~Without() {
+    if (taken_) map_.insert(std::move(taken_));
+  }
+  Without(const Without&) = delete;
+  Without& operator=(const Without&) = delete;
+  bool was_there() const { return static_cast<bool>(taken_); }
+  /// It does not come back.
+  void forget() { taken_ = {}; }
+
+ private:
+  Map& map_;
+  typename Map::node_type taken_;
+};
+
 std::optional<control::Reply> reply_of(Deliveries& check, const wire::GroupMessage& event) {
   std::optional<control::Reply> reply;
   const auto why = check.note(event);
@@ -232,7 +251,7 @@ Group& System::candidate_group() {
 void System::wire_candidate(const Model& next, bool sends_too) {
   const std::string& name = candidate_->name;
   candidate_group();
-  auto lost = lost_.extract(name);  // of the one that serves
+  const Without of_the_one_that_serves(lost_, name);
   for (const auto& [client, wanted] : next.wires()) {
     if (client.first != name || candidate_->wires.contains(client)) continue;
     if (!sends_too && sends(next.instance(name), client.second)) continue;
@@ -240,7 +259,6 @@ void System::wire_candidate(const Model& next, bool sends_too) {
     for (const auto& provider : wanted.providers)
       candidate_->wires.emplace(client, open_for_candidate(port_of(client), provider, next));
   }
-  if (!lost.empty()) lost_.insert(std::move(lost));
 }
 
 /// As with the one that serves: one that does not open waits.
@@ -263,21 +281,17 @@ control::Done System::take_over(bool keeps) {
   const Model::Instance old = model_.instance(name);
   const Model::Instance& made = next.instance(name);
   candidate_group();
-  auto lost = lost_.extract(name);
+  Without lost(lost_, name);
   control::Done done;
-  try {
-    switch_clients(name, next, done);
-  } catch (...) {
-    if (!lost.empty()) lost_.insert(std::move(lost));
-    throw;
-  }
+  switch_clients(name, next, done);
   // Those of the one go before those of the other come, so that nothing is done twice.
   for (const auto& [client, wire] : wires_) {
     if (client.first == name && sends(old, client.second))
       connector_.disconnect(port_of(client), wire, "another version serves");
   }
   wire_candidate(next, true);
-  hand_over(next, old, keeps && lost.empty());
+  hand_over(next, old, keeps && !lost.was_there());
+  lost.forget();
   done.set_note(fmt::format("{} in place of {}{}", version_text(made), old.package->version,
                             made.group == kMainGroup ? "" : ", in " + made.group));
   return done;
