@@ -155,10 +155,13 @@ void Engine::told_back(const Watched& watched, const control::Failure& why, cons
   watched.answer(told);
 }
 
-/// Nothing has been changed: the one that served serves.
+/// Nothing has been changed: the one that served serves. Nobody watches it any more, so that nothing is to stand by for
+/// it, and it is started again as any other.
 void Engine::upgrade_failed(const TransactionPtr& transaction, const control::Failure& why) {
   system_.drop_candidate();
   const control::Upgrade& upgrade = transaction->steps.front().upgrade();
+  const bool is_left = system_.stands_by(upgrade.instance()) && !watched_.contains(upgrade.instance());
+  if (is_left) system_.leave_to_supervision(upgrade.instance());
   const Error cause = error_of(why);
   ErrorText text = cause.text();
   text.found = text.what + (text.found.empty() ? "" : ": " + text.found);

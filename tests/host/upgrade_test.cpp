@@ -225,6 +225,28 @@ TEST_F(Upgrade, IsUndoneAtOnceWhileTheOldOneStandsBy) {
   EXPECT_THAT(end_of(answer).done().warnings(0), HasSubstr("another upgrade of it has begun meanwhile"));
 }
 
+TEST_F(Upgrade, ThatFailsWhileTheOneBeforeIsWatchedLeavesNothingThatStandsBy) {
+  build("version=2");
+  const auto first = begin(upgrade_of(60'000));
+  system.eventually("it serves", [&] {
+    serve();
+    return system.instance("x").group() == "x";
+  });
+  build("version=3 refuses=1");
+  static_cast<void>(refusal_of(upgrade_of()));
+  EXPECT_THAT(end_of(first).done().warnings(0), HasSubstr("another upgrade of it has begun meanwhile"));
+  EXPECT_EQ(system.instance("x").stands_by(), "");
+  system.eventually("the first process has gone", [&] {
+    serve();
+    return groups() == std::vector<std::string>{"apart", "main", "x"};
+  });
+  ::kill(system.group("x").process(), SIGKILL);
+  system.eventually("it is started again", [&] {
+    serve();
+    return system.instance("x").restarts() == 1 && system.instance("x").mode() == "active";
+  });
+}
+
 TEST_F(Upgrade, OfOneThatEndsAgainAndAgainMendsIt) {
   build("version=2 dies_after_ms=30");
   make([&] {
