@@ -21,13 +21,14 @@ struct Passage {
   std::map<std::uint64_t, std::string> coming;
 };
 
-Passage passage_between(const Model& from, const Model& to) {
+/// `keeps`: not where another clock comes, which takes all who lived by the one before with it.
+Passage passage_between(const Model& from, const Model& to, bool keeps) {
   Passage passage;
   for (const std::string& name : from.names()) {
     const Model::Instance& one = from.instance(name);
     if (one.led) continue;
     const Model::Instance* same = to.find(name);
-    if (same && is_same(one, *same)) {
+    if (keeps && same && is_same(one, *same)) {
       passage.kept.insert(name);
     } else {
       passage.leaving[one.order] = name;
@@ -62,7 +63,7 @@ control::Change state_of(const std::string& name, const std::string& mode) {
 }  // namespace
 
 std::vector<control::Change> Model::difference(const Model& from, const Model& to) {
-  const auto [kept, leaving, coming] = passage_between(from, to);
+  const auto [kept, leaving, coming] = passage_between(from, to, !to.clock_.is_another_than(from.clock_));
   std::vector<control::Change> steps;
   for (const auto& [client, wire] : from.wires_) {
     const bool goes = kept.contains(client.first) && !to.wires_.contains(client);

@@ -303,6 +303,15 @@ TEST_P(Transactions, AChangeOfModeForWhichNobodyWouldWaitIsRefused) {
   EXPECT_EQ(system.instance("source").mode(), "active");
 }
 
+TEST_P(Transactions, WholeWithAnotherClockKeepsNothing) {
+  make({load("source", "source"), load("sink", "sink", group()), load("source", "spare")});
+  control::Change clock = set_text("host", "clock", "virtual");
+  const auto reply = transact({clock, load("source", "source"), load("sink", "sink", group())}, true);
+  ASSERT_TRUE(reply.has_done()) << reply.failure().what();
+  EXPECT_EQ(system.system().snapshot().clock(), "virtual");
+  EXPECT_THAT(whole(), ElementsAre("set host clock", "load source", "load sink"));
+}
+
 TEST_P(Transactions, UndoOfAnUnloadGivesTheInstanceBackWithItsWiresParametersAndMode) {
   make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest"),
         set("source", "payload", 9), state("source", "neutral")});
