@@ -1,6 +1,7 @@
 #include "component_watches.hpp"
 
 #include <algorithm>
+#include <vector>
 
 #include "fiona/error.hpp"
 #include "fiona/master.hpp"
@@ -16,7 +17,7 @@ constexpr std::size_t kMostKeptBytes = 4 * 1024 * 1024;
 
 void ComponentWatches::watch(const wire::Asked& asked) {
   const Id id{asked.instance(), asked.number()};
-  end(id);  // of one of its name before it
+  end_left(id.first);
   const auto own = std::count_if(watches_.begin(), watches_.end(),
                                  [&](const auto& one) { return one.first.first == asked.instance(); });
   if (own >= static_cast<std::ptrdiff_t>(Master::kMaxOpen)) {
@@ -27,7 +28,7 @@ void ComponentWatches::watch(const wire::Asked& asked) {
   }
   Watch& made = watches_[id];
   made.tap = system_.new_tap();
-  made.order = system_.model().instance(id.first).order;
+  made.life = system_.life_of(id.first);
   of_tap_[made.tap] = id;
   try {
     system_.tap(made.tap, asked.request().watch());
@@ -39,6 +40,7 @@ void ComponentWatches::watch(const wire::Asked& asked) {
 
 std::optional<control::Reply> ComponentWatches::next(const wire::Asked& asked) {
   const control::Next& request = asked.request().next();
+  end_left(asked.instance());
   const auto found = watches_.find({asked.instance(), request.watch()});
   if (found == watches_.end()) {
     throw Error(ErrorCode::NotFound, {.what = "this watch is over", .where = asked.instance(), .next = "watch again"});
@@ -69,6 +71,7 @@ void ComponentWatches::on_event(const wire::GroupMessage& event) {
   const auto found = of_tap_.find(event.tap_ended().tap());
   if (found == of_tap_.end()) return;
   const Id id = found->second;
+  if (is_left(id)) return end(id);
   Watch& watch = watches_[id];
   watch.over = event.tap_ended().failure();
   if (!watch.waiting) return;
@@ -82,9 +85,8 @@ void ComponentWatches::take(const wire::Tapped& tapped) {
   const auto found = of_tap_.find(tapped.tap());
   if (found == of_tap_.end()) return;
   const Id id = found->second;
+  if (is_left(id)) return end(id);
   Watch& watch = watches_[id];
-  const Model::Instance* owner = system_.model().find(id.first);
-  if (!owner || owner->order != watch.order) return forget(id.first);
   control::Sample sample = sample_of(tapped, system_.clock().start());
   sample.set_number(++watch.last);
   sample.set_skipped(watch.gaps.before(tapped));
@@ -112,6 +114,20 @@ void ComponentWatches::end(const Id& id) {
   system_.untap(found->second.tap);
   of_tap_.erase(found->second.tap);
   watches_.erase(found);
+}
+
+/// By one of its name before it.
+bool ComponentWatches::is_left(const Id& id) const {
+  const auto found = watches_.find(id);
+  return found != watches_.end() && found->second.life != system_.life_of(id.first);
+}
+
+void ComponentWatches::end_left(const std::string& instance) {
+  std::vector<Id> left;
+  for (auto one = watches_.lower_bound({instance, 0}); one != watches_.end() && one->first.first == instance; ++one) {
+    if (is_left(one->first)) left.push_back(one->first);
+  }
+  for (const Id& id : left) end(id);
 }
 
 void ComponentWatches::forget(const std::string& instance) {

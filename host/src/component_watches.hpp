@@ -31,7 +31,7 @@ class ComponentWatches {
   using Id = std::pair<std::string, std::uint64_t>;  ///< of the component that watches, and its number
   struct Watch {
     std::uint64_t tap = 0;
-    std::uint64_t order = 0;  ///< of who watches, among all that were loaded
+    std::string life{};  ///< of who watches
     Gaps gaps{};
     std::deque<control::Sample> kept{};  ///< the first may have been told, and not have arrived
     std::size_t kept_bytes = 0;
@@ -41,6 +41,8 @@ class ComponentWatches {
   };
 
   void take(const wire::Tapped& tapped);
+  bool is_left(const Id& id) const;
+  void end_left(const std::string& instance);
   static void drop_oldest(Watch& watch);
   void end(const Id& id);
   void forget(const std::string& instance);

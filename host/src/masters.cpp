@@ -66,10 +66,12 @@ void Masters::transact(const wire::Asked& asked, const Rights& rights) {
   const control::Request& request = asked.request();
   std::optional<std::chrono::milliseconds> within;
   if (request.deadline_ms() > 0) within = std::chrono::milliseconds(request.deadline_ms());
-  const auto ended = [later = later_, alive = std::weak_ptr(self_), asked](control::Reply reply) {
-    later([alive, asked, reply = std::move(reply)] {
+  // Each life counts its requests from 1: to the one after it the answer would be that to a request of its own.
+  const auto ended = [later = later_, alive = std::weak_ptr(self_), asked,
+                      life = system_.life_of(asked.instance())](control::Reply reply) {
+    later([alive, asked, life, reply = std::move(reply)] {
       const auto self = alive.lock();
-      if (self && *self) (*self)->answer(asked, reply);
+      if (self && *self && (*self)->system_.life_of(asked.instance()) == life) (*self)->answer(asked, reply);
     });
   };
   engine_.transact("component " + asked.instance(), request.transact(), ended, within, rights);

@@ -122,6 +122,8 @@ class System {
   /// Whether it was the instance of this name that asked, as far as its own host can tell; an instance that another
   /// host leads asks that one.
   bool has_asked(const wire::Asked& asked) const;
+  /// Tells the life of an instance from that of others of its name, before it or after it; empty: there is none.
+  std::string life_of(const std::string& instance) const;
 
   control::System snapshot();
   const Types& types() const { return types_; }

@@ -129,6 +129,13 @@ bool System::has_asked(const wire::Asked& asked) const {
   return asked.group().empty() ? !host_of(one->group).empty() : one->group == asked.group();
 }
 
+/// Loaded again it has another place in the order, started again or in another version another process.
+std::string System::life_of(const std::string& instance) const {
+  const Model::Instance* one = model_.find(instance);
+  const Group* at = one ? groups_.find(one->group) : nullptr;
+  return at ? std::to_string(one->order) + " " + at->endpoint() : "";
+}
+
 void System::answer(const wire::Asked& asked, const control::Reply& reply) {
   const Model::Instance* one = model_.find(asked.instance());
   Group* at = one ? groups_.living(one->group) : nullptr;

@@ -143,5 +143,27 @@ TEST_F(ControlServerTest, WhatIsWaitedForIsLetGoOf) {
   EXPECT_TRUE(console->ask(stop).has_done());  // there is nothing any more
 }
 
+/// Each life of a component counts what it asks for from 1.
+TEST(MastersTest, TheAnswerToOneThatHasGoneIsNotTakenForOneToTheNextOfItsName) {
+  ServedHost host;
+  TestConsole console(host);
+  for (const std::string name : {"lazy", "busy"}) console.load("toiler", "main", name, "stubborn=true");
+  const auto begin_by_boss = [&console](const std::string& toiler) {
+    control::Change load = TestConsole::load_of("boss", "main", "boss");
+    load.mutable_load()->add_rights("master");
+    console.change(load);
+    console.set("boss", "call=state second=rest deadline_ms=20000 go=1 first=" + toiler);
+    console.eventually("it is under way", [&] { return console.instance(toiler).has_pending(); });
+  };
+  begin_by_boss("lazy");
+  console.unload("boss");
+  begin_by_boss("busy");
+  console.set("lazy", "stubborn=false");
+  console.eventually("the first is answered", [&] { return console.instance("lazy").mode() == "rest"; });
+  console.set("busy", "stubborn=false");
+  console.eventually("its own is answered", [&] { return !console.read("boss.ended").empty(); });
+  EXPECT_THAT(console.read("boss.ended"), HasSubstr("busy is rest"));
+}
+
 }  // namespace
 }  // namespace fiona::host
