@@ -314,6 +314,7 @@ class System {
   void wire_candidate(const Model& next, bool sends_too);
   Wire open_for_candidate(const control::PortName& client, const control::PortName& provider, const Model& next);
   void switch_clients(const std::string& name, const Model& next, control::Done& done);
+  void switch_back(const std::string& name);
   void hand_over(const Model& next, const Model::Instance& old, bool keeps);
   void untap_candidate();
   void dispose_later(Beside version);
@@ -340,6 +341,7 @@ class System {
                     const Wire& old, control::Done& done);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
+  void take_back_wires(const control::PortName& client, const std::vector<Wire>& made);
   void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
   control::Done unwire(const control::Unwire& request);
   std::string connect_waiting(const std::string& provider, const Model& next);

@@ -289,7 +289,12 @@ control::Done System::take_over(bool keeps) {
     if (client.first == name && sends(old, client.second))
       connector_.disconnect(port_of(client), wire, "another version serves");
   }
-  wire_candidate(next, true);
+  try {
+    wire_candidate(next, true);
+  } catch (...) {
+    switch_back(name);
+    throw;
+  }
   hand_over(next, old, keeps && !lost.was_there());
   lost.forget();
   done.set_note(fmt::format("{} in place of {}{}", version_text(made), old.package->version,
@@ -315,6 +320,21 @@ void System::switch_clients(const std::string& name, const Model& next, control:
       if (lives) one->second = open_or_wait(port_of(one->first), before.provider, model_, one->second, ignored);
     }
     throw;
+  }
+}
+
+/// The one that has served until now serves on: those who use it, and what it sends, have their wires to it again.
+void System::switch_back(const std::string& name) {
+  const Model::Instance& served = model_.instance(name);
+  const bool lives = groups_.living(served.group);
+  for (auto& [client, wire] : wires_) {
+    const bool uses_it = client.first != name && wire.provider.instance() == name && !lost_.contains(client.first);
+    const bool is_sent_by_it = client.first == name && sends(served, client.second);
+    if (!uses_it && !is_sent_by_it) continue;
+    control::Done ignored;
+    if (!lives) wire.reason = "'" + name + "' is lost";
+    if (lives)
+      wire = open_or_wait(port_of(client), wire.provider, model_, uses_it ? wire : Wire{wire.provider}, ignored);
   }
 }
 

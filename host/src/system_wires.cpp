@@ -18,6 +18,17 @@ std::string waiting_warning(const control::PortName& client, const std::string& 
          (near.empty() ? "" : fmt::format("; did you mean {}?", fmt::join(near, ", ")));
 }
 
+wire::GroupRequest arrangement(const control::PortName& client, const std::vector<control::PortName>& providers,
+                               double hold_ms, const std::vector<std::uint64_t>& retires) {
+  wire::GroupRequest request;
+  auto& arrange = *request.mutable_arrange();
+  *arrange.mutable_client() = client;
+  arrange.mutable_providers()->Add(providers.begin(), providers.end());
+  arrange.set_hold_ms(hold_ms);
+  arrange.mutable_retires()->Add(retires.begin(), retires.end());
+  return request;
+}
+
 }  // namespace
 
 control::Done System::wire(const control::Wire& request, const Model& next) {
@@ -73,17 +84,37 @@ control::Done System::wire_several(const control::PortName& client, const Model&
     if (one.id != 0) retires.push_back(one.id);
   }
   control::Done done;
-  arrange(client, meanwhile, wanted.hold_ms, {}, next, nullptr);
   std::vector<Wire> now;
-  for (const auto& provider : wanted.providers) {
-    const Wire* known = wire_to(key_of(client), provider);
-    const bool stays = known && known->reason.empty() && as_before;
-    now.push_back(stays ? *known : open_or_wait(client, provider, next, known ? *known : Wire{provider}, done));
+  try {
+    arrange(client, meanwhile, wanted.hold_ms, {}, next, nullptr);
+    for (const auto& provider : wanted.providers) {
+      const Wire* known = wire_to(key_of(client), provider);
+      const bool stays = known && known->reason.empty() && as_before;
+      now.push_back(stays ? *known : open_or_wait(client, provider, next, known ? *known : Wire{provider}, done));
+    }
+    arrange(client, wanted.providers, wanted.hold_ms, retires, next, &done);
+  } catch (...) {
+    take_back_wires(client, now);
+    throw;
   }
-  arrange(client, wanted.providers, wanted.hold_ms, retires, next, &done);
   wires_.erase(key_of(client));
   for (Wire& one : now) wires_.emplace(key_of(client), std::move(one));
   return done;
+}
+
+/// The port has the providers that it had, over the wires that there are to them; a process that does not answer does
+/// that once it comes to it.
+void System::take_back_wires(const control::PortName& client, const std::vector<Wire>& made) {
+  const auto [first, last] = wires_.equal_range(key_of(client));
+  for (const Wire& one : made) {
+    const auto same = [&](const auto& old) { return key_of(old.second.provider) == key_of(one.provider); };
+    const auto known = std::find_if(first, last, same);
+    if (known != last) known->second = one;
+    if (known == last) connector_.disconnect(client, one, "it was not wired so");
+  }
+  const Model::Wire before = model_.wire_of(client) ? *model_.wire_of(client) : Model::Wire{};
+  Group* at = groups_.living(model_.instance(client.instance()).group);
+  if (at) at->inform(arrangement(client, before.providers, before.hold_ms, {}));
 }
 
 System::Wire System::open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
@@ -112,13 +143,8 @@ void System::await_provider(const control::PortName& client, const Wire& wire, c
 
 void System::arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                      const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost) {
-  wire::GroupRequest request;
-  auto& arrange = *request.mutable_arrange();
-  *arrange.mutable_client() = client;
-  arrange.mutable_providers()->Add(providers.begin(), providers.end());
-  arrange.set_hold_ms(hold_ms);
-  arrange.mutable_retires()->Add(retires.begin(), retires.end());
-  const auto reply = group_of(client.instance(), model).request(std::move(request));
+  Group& at = group_of(client.instance(), model);
+  const auto reply = at.request(arrangement(client, providers, hold_ms, retires));
   if (!cost || retires.empty()) return;
   Connector::add_cost(*cost, reply.switched(), static_cast<std::uint32_t>(retires.size()));
 }
