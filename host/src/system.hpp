@@ -228,6 +228,8 @@ class System {
     bool is_back = false;                  ///< it has served before, and has nothing to prove
     std::optional<std::chrono::steady_clock::time_point> rests_at{};  ///< what it was asked is answered by then
   };
+  /// How often a wire is tried again whose processes could be asked.
+  static constexpr std::chrono::seconds kOpensWaiting{1};
   static constexpr std::uint64_t kNobody = 0;  ///< the owner of waits that no client has
 
   // ---- system.cpp
@@ -275,6 +277,8 @@ class System {
   void make_again(Group& target, const std::string& name);
   void made_again(const std::string& name, std::uint64_t change, const control::Reply& reply);
   void is_back(const std::string& name);
+  bool is_reached(const std::string& name) const;
+  void open_waiting(std::chrono::steady_clock::time_point now);
   void open_again(const std::string& instance, const control::PortName& client, const Model::Wire& wanted);
 
   // ---- system_resume.cpp
@@ -416,6 +420,7 @@ class System {
   std::set<std::string> noted_dead_;     ///< and of those whose end has been dealt with
   std::vector<HangOfMain> found_hangs_;  ///< not dealt with yet
   std::chrono::steady_clock::time_point watched_others_{};
+  std::chrono::steady_clock::time_point opened_waiting_{};
   std::uint64_t refused_ends_ = 0;  ///< of the run
   std::uint64_t next_tap_ = 1;
   std::uint64_t next_work_ = 1;

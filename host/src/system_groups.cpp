@@ -179,6 +179,7 @@ std::vector<std::string> System::watch_groups() {
   if (const auto copied = template_.lock(); copied && !copied->lives()) template_.reset();
   for (const auto& work : made_.take()) attempt(work);
   look_after_versions(now);
+  open_waiting(now);
   groups_.end_retired();
   for (const std::string& name : supervision_.take_due(now)) {
     attempt([&] {

@@ -150,15 +150,44 @@ void System::open_again(const std::string& instance, const control::PortName& cl
   if (lost_.contains(client.instance())) return;
   const bool is_new = client.instance() == instance;
   control::Done ignored;
+  const auto [first, last] = wires_.equal_range(key_of(client));
+  for (auto wire = first; is_new && wire != last; ++wire) wire->second.id = 0;  // nobody knows it any more
   try {
     if (is_new && wanted.providers.size() > 1) arrange(client, wanted.providers, wanted.hold_ms, {}, model_, nullptr);
-    const auto [first, last] = wires_.equal_range(key_of(client));
     for (auto wire = first; wire != last; ++wire) {
       const bool was_lost = wire->second.provider.instance() == instance && !wire->second.reason.empty();
-      if (is_new) wire->second.id = 0;  // nobody knows it any more
       if (is_new || was_lost) wire->second = open_or_wait(client, wire->second.provider, model_, wire->second, ignored);
     }
-  } catch (const Error&) {  // its process has ended meanwhile, which is noted where that is seen
+  } catch (const Error&) {  // its process has ended meanwhile, which is noted where that is seen, or is tried again
+  }
+}
+
+/// Whether a request to its process would be answered, as far as is known.
+bool System::is_reached(const std::string& name) const {
+  const Model::Instance* one = model_.find(name);
+  if (!one || lost_.contains(name) || making_.contains(name)) return false;
+  const Group* at = groups_.living(one->group);
+  return at && !at->silent_since();
+}
+
+/// A wire that did not open waits for an instance that is not there, or for a process that owed an answer just then:
+/// nobody tells when it has given that, so it is tried again. On virtual time the instant would be the machine's.
+void System::open_waiting(std::chrono::steady_clock::time_point now) {
+  if (virtual_time_ || now - opened_waiting_ < kOpensWaiting) return;
+  opened_waiting_ = now;
+  for (auto& [key, wire] : wires_) {
+    const Model::Wire* wanted = wire.id == 0 ? model_.wire_of(port_of(key)) : nullptr;
+    if (!wanted || !is_reached(key.first) || !is_reached(wire.provider.instance())) continue;
+    const auto [first, last] = wires_.equal_range(key);
+    const bool none = std::all_of(first, last, [](const auto& one) { return one.second.id == 0; });
+    try {
+      if (none && wanted->providers.size() > 1)
+        arrange(port_of(key), wanted->providers, wanted->hold_ms, {}, model_, nullptr);
+      control::Done ignored;
+      wire = connector_.connect(port_of(key), wire.provider, model_, 0, ignored);
+    } catch (const Error& error) {
+      wire.reason = error.text().what;
+    }
   }
 }
 

@@ -411,6 +411,20 @@ TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
 
 // ---- what takes long ------------------------------------------------------------------------------------------
 
+TEST(LongWork, AWireToAGroupThatDoesNotAnswerIsOpenedOnceItDoes) {
+  RunningSystem system;
+  system.load_in("far", "source", "source");
+  system.load_in("", "source", "other");
+  system.load_in("", "sink", "sink");
+  const pid_t far = system.group("far").process();
+  conformance::stop_process(far);
+  system.wire_to_several("sink.each", {"source.newest", "other.newest"});
+  const auto first = [&] { return system.port("sink.each").providers(0); };
+  EXPECT_EQ(first().connection(), control::WAITING);
+  ::kill(far, SIGCONT);
+  system.eventually("it is opened", [&] { return first().connection() == control::CONNECTED; });
+}
+
 TEST(LongWork, ATapOfWhatIsSampledKeepsToAPeriodThatLeavesTimeForOtherWork) {
   RunningSystem system;
   system.load_provider("source", "source", "period_ms=10");
