@@ -327,6 +327,12 @@ void Engine::begin_step(const TransactionPtr& transaction, const control::Change
 
 control::Done Engine::end_step(const Transaction& transaction, const control::Change& step, const control::Done& done) {
   if (step.has_load()) return system_.end_load(step.load());
+  // Others of its instance may have been asked for at the same time: what it takes back is the mode of now.
+  Model after = system_.model();
+  if (transaction.is_aside() && after.find(step.state().instance())) {
+    after.make(step, system_.packages());
+    journal_.set_reverse(transaction.entry, Model::difference(after, system_.model()));
+  }
   system_.note_state(step.state());
   // Made beside the one that is under way: what takes that back is not to take back this.
   const bool beside = current_ && current_.get() != &transaction;

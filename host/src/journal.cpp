@@ -189,6 +189,11 @@ control::JournalEntry* Journal::find(std::uint64_t number) {
   return found == entries_.rend() ? nullptr : &*found;
 }
 
+void Journal::set_reverse(std::uint64_t number, const std::vector<control::Change>& reverse) {
+  control::JournalEntry* entry = find(number);
+  if (entry) entry->mutable_reverse()->Assign(reverse.begin(), reverse.end());
+}
+
 void Journal::end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason,
                   const Model* whole) {
   control::JournalEntry* entry = find(number);
@@ -203,8 +208,14 @@ void Journal::end(std::uint64_t number, control::JournalEntry::State state, cons
 }
 
 const control::JournalEntry* Journal::last_done() const {
-  const auto found = std::find_if(entries_.rbegin(), entries_.rend(), [](const auto& one) {
-    return one.state() == control::JournalEntry::DONE && one.undoes() == 0 && one.reverse_size() > 0;
+  const auto is_being_undone = [this](const control::JournalEntry& entry) {
+    return std::any_of(entries_.begin(), entries_.end(), [&entry](const auto& one) {
+      return one.state() == control::JournalEntry::UNDER_WAY && one.undoes() == entry.number();
+    });
+  };
+  const auto found = std::find_if(entries_.rbegin(), entries_.rend(), [&](const auto& one) {
+    return one.state() == control::JournalEntry::DONE && one.undoes() == 0 && one.reverse_size() > 0 &&
+           !is_being_undone(one);
   });
   return found == entries_.rend() ? nullptr : &*found;
 }

@@ -49,10 +49,12 @@ class Journal {
   /// Numbers the entry and writes it as under way. Throws Error: Failed when it cannot be written, NotAllowed when it
   /// would be too large to be read again. Then nothing is begun.
   std::uint64_t begin(control::JournalEntry entry);
+  /// What takes the entry back is known only by now; written with its end.
+  void set_reverse(std::uint64_t number, const std::vector<control::Change>& reverse);
   /// Writes how the entry of this number ended. `whole`: the system as it is meant to be from here on, which takes the
   /// place of a file that has grown; null: it has in it what another entry has made so far.
   void end(std::uint64_t number, control::JournalEntry::State state, const std::string& reason, const Model* whole);
-  /// What `undo` takes back: the newest that is done, changed something and has not been taken back.
+  /// What `undo` takes back: the newest that is done, changed something, and has not been taken back or is about to be.
   const control::JournalEntry* last_done() const;
   const std::deque<control::JournalEntry>& entries() const { return entries_; }
 

@@ -303,6 +303,31 @@ TEST_P(Transactions, AChangeOfModeForWhichNobodyWouldWaitIsRefused) {
   EXPECT_EQ(system.instance("source").mode(), "active");
 }
 
+TEST_P(Transactions, UndosOfChangesOfModeTakeBackOneEach) {
+  make({load("source", "source", group())});
+  make({set("source", "payload", 9)});
+  make({state("source", "neutral")});
+  std::vector<control::Reply> answers;
+  for (int i = 0; i < 2; ++i)
+    engine.undo("test", {}, [&answers](const control::Reply& reply) { answers.push_back(reply); });
+  eventually("both answers", [&] { return answers.size() == 2; });
+  for (const auto& answer : answers) EXPECT_TRUE(answer.has_done()) << answer.failure().what();
+  EXPECT_EQ(system.instance("source").mode(), "active");
+  EXPECT_EQ(system.instance("source").set_parameters_size(), 0);
+}
+
+TEST_P(Transactions, UndoOfAModeGivesBackTheOneBeforeItThoughBothWereAskedForAtOnce) {
+  make({load("mover", "mover", group())});
+  const auto first = begin({state("mover", "park")});
+  const auto second = begin({state("mover", "rest")});
+  await_done(first);
+  await_done(second);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.instance("mover").mode(), "park");
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.instance("mover").mode(), "drive");
+}
+
 TEST_P(Transactions, WholeWithAnotherClockKeepsNothing) {
   make({load("source", "source"), load("sink", "sink", group()), load("source", "spare")});
   control::Change clock = set_text("host", "clock", "virtual");
