@@ -49,7 +49,7 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
       HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_, std::move(on_event), post});
   if (!options.listen.empty()) {
     zap_ = std::make_unique<Zap>(context_, Zap::hosts(keys_), std::move(on_log));
-    leader_ = std::make_unique<LeaderLink>(*around_, options.listen);
+    leader_ = std::make_unique<LeaderLink>(*around_, keys_, options.listen);
   }
   for (const auto& peer : options.peers) peers_.push_back(std::make_unique<PeerLink>(*around_, peer));
   thread_ = std::thread([this] { serve(); });

@@ -17,7 +17,8 @@ constexpr int kUnheard_ms = 3000;
 
 }  // namespace
 
-LeaderLink::LeaderLink(const HostSurroundings& around, const std::string& address) : around_(around) {
+LeaderLink::LeaderLink(const HostSurroundings& around, trust::KeyDirectory keys, const std::string& address)
+    : around_(around), keys_(std::move(keys)) {
   link_ = std::make_shared<LinkSocket>(around_.pool, around_.context, zmq::socket_type::router,
                                        around_.links.counters(), *this);
   auto& socket = link_->socket();
@@ -93,10 +94,15 @@ void LeaderLink::leave(std::uint64_t number) {
 }
 
 void LeaderLink::keep(const std::vector<trust::AllowedHost>& allowed) {
-  const std::string name = leader();
-  const bool kept =
-      std::any_of(allowed.begin(), allowed.end(), [&name](const auto& host) { return host.name == name; });
-  if (!name.empty() && !kept) end("host '" + name + "' is no longer allowed to connect");
+  std::string name, key;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!session_ || session_->over) return;
+    name = session_->name;
+    key = session_->key;
+  }
+  const auto is_it = [&](const auto& host) { return host.name == name && host.key.text() == key; };
+  if (std::none_of(allowed.begin(), allowed.end(), is_it)) end("host '" + name + "' is no longer allowed to connect");
 }
 
 void LeaderLink::forgive(Steady::duration time) {
@@ -164,17 +170,35 @@ void LeaderLink::on_host_frame(std::uint64_t session, wire::HostFrame host) {
   if (host.has_gone() || host.has_request()) around_.on_change(std::move(change));
 }
 
+/// By the list of now: the connection may be older than that. Empty: its key is not there any more.
+std::string LeaderLink::name_of(const std::string& peer, const std::string& key) const {
+  {
+    const std::lock_guard lock(mutex_);
+    if (session_ && !session_->over && session_->peer == peer) return session_->name;
+  }
+  try {
+    for (const auto& one : keys_.allowed()) {
+      if (one.key.text() == key) return one.name;
+    }
+  } catch (const Error&) {  // a list that cannot be read lets nobody new in
+  }
+  return "";
+}
+
 void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello) {
-  const std::string name = link_->process_of(peer);
+  const std::string key = link_->process_of(peer);
+  const std::string name = name_of(peer, key);
   wire::HostFrame frame;
   bool resumes = false;
   bool again = false;
   {
     const std::lock_guard lock(mutex_);
-    resumes = session_ && session_->name == name && session_->run == hello.run();
+    resumes = session_ && session_->name == name && session_->key == key && session_->run == hello.run();
     again = resumes && !session_->over && session_->peer == peer;
     const auto lease = kLeadLease - (session_ ? Steady::now() - session_->heard : kLeadLease);
-    if (hello.version() != wire::VERSION_1) {
+    if (name.empty()) {
+      frame.mutable_refused()->set_reason("its key is no longer in the list of hosts that may connect");
+    } else if (hello.version() != wire::VERSION_1) {
       frame.mutable_refused()->set_reason("it speaks another version of the protocol");
     } else if (session_ && !resumes && lease > Steady::duration::zero()) {
       const std::string which = session_->name == name ? "another run of '" : "'";
@@ -188,8 +212,8 @@ void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello)
     const std::lock_guard delivering(delivering_);
     {
       const std::lock_guard lock(mutex_);
-      session_ = Session{++sessions_, peer, link_->open_lane(peer), name, hello.run(), Steady::now(), Steady::now(),
-                         false,       ""};
+      session_ = Session{++sessions_, peer,          link_->open_lane(peer), name,  key,
+                         hello.run(), Steady::now(), Steady::now(),          false, ""};
       if (!resumes) offset_ = std::make_unique<ClockOffset>();
     }
     // Without the lock: links have locks of their own, under which ports tell the leader what is tapped.

@@ -16,7 +16,7 @@ namespace fiona::host {
 class LeaderLink final : public LinkSocket::Receiver {
  public:
   /// Listens at "tcp://ADDRESS:PORT"; port 0: one that is free. Throws Error with the system's reason.
-  LeaderLink(const HostSurroundings& around, const std::string& address);
+  LeaderLink(const HostSurroundings& around, trust::KeyDirectory keys, const std::string& address);
   ~LeaderLink() override;
 
   /// With the port that was chosen.
@@ -47,6 +47,7 @@ class LeaderLink final : public LinkSocket::Receiver {
     std::string peer;       ///< on the socket
     LinkSocket::Lane lane;  ///< of answers and events, in their order
     std::string name;       ///< in the allow-list
+    std::string key;        ///< and its key there
     std::uint64_t run = 0;
     std::chrono::steady_clock::time_point heard{};
     std::chrono::steady_clock::time_point since{};
@@ -58,6 +59,7 @@ class LeaderLink final : public LinkSocket::Receiver {
   void on_frame(const std::string& peer, const wire::Frame& given, const ObjectBytes& object) override;
   void on_refused(const std::string&) override {}
   void on_host_frame(std::uint64_t session, wire::HostFrame host);
+  std::string name_of(const std::string& peer, const std::string& key) const;
   void on_hello(const std::string& peer, const wire::HostHello& hello);
   void turn_away(const std::string& peer, const wire::HostFrame& frame);
   void say(const wire::GroupMessage& message, std::uint64_t session);
@@ -66,6 +68,7 @@ class LeaderLink final : public LinkSocket::Receiver {
   std::int64_t now_ns() const { return around_.clock.now().time_since_epoch().count(); }
 
   const HostSurroundings& around_;
+  const trust::KeyDirectory keys_;
   std::string address_;
   std::shared_ptr<LinkSocket> link_;
   std::unique_ptr<ClockOffset> offset_ = std::make_unique<ClockOffset>();

@@ -169,7 +169,7 @@ void RemoteConsoles::begin(const std::string& id, const control::ConsoleHello& h
   Console console;
   try {
     for (const auto& one : keys_.consoles()) {
-      if (one.name != property("User-Id")) continue;
+      if (one.key.text() != property("User-Id")) continue;
       console.rights = {hello.control() ? one.level : std::min(one.level, Access::Observe), one.level, one.name,
                         one.key.text()};
     }

@@ -1,5 +1,6 @@
 #include "zap.hpp"
 
+#include <algorithm>
 #include <vector>
 
 #include "fiona/error.hpp"
@@ -13,23 +14,20 @@ constexpr std::chrono::seconds kTellEvery{5};
 constexpr std::size_t kParts = 7;
 
 template <class Entries>
-std::string name_in(const Entries& list, const trust::Key& key) {
-  for (const auto& one : list) {
-    if (one.key == key) return one.name;
-  }
-  return "";
+bool is_in(const Entries& list, const trust::Key& key) {
+  return std::any_of(list.begin(), list.end(), [&key](const auto& one) { return one.key == key; });
 }
 
 }  // namespace
 
 Zap::Policy Zap::hosts(trust::KeyDirectory keys) {
-  const auto name_of = [keys = std::move(keys)](const trust::Key& key) { return name_in(keys.allowed(), key); };
-  return {name_of, "host", "fiona keys allow NAME KEY"};
+  const auto has = [keys = std::move(keys)](const trust::Key& key) { return is_in(keys.allowed(), key); };
+  return {has, "host", "fiona keys allow NAME KEY"};
 }
 
 Zap::Policy Zap::consoles(trust::KeyDirectory keys) {
-  const auto name_of = [keys = std::move(keys)](const trust::Key& key) { return name_in(keys.consoles(), key); };
-  return {name_of, "console", "fiona keys allow NAME KEY as observe"};
+  const auto has = [keys = std::move(keys)](const trust::Key& key) { return is_in(keys.consoles(), key); };
+  return {has, "console", "fiona keys allow NAME KEY as observe"};
 }
 
 Zap::Zap(zmq::context_t& context, Policy policy, OnRefused on_refused)
@@ -39,10 +37,10 @@ Zap::Zap(zmq::context_t& context, Policy policy, OnRefused on_refused)
 }
 
 /// Empty, with the reason, for one who is not let in. A list that cannot be read lets nobody in.
-std::string Zap::name_of(const std::string& credentials, std::string& why) const {
+std::string Zap::user_of(const std::string& credentials, std::string& why) const {
   const auto key = trust::Key::from_bytes(credentials);
   try {
-    if (const std::string name = key ? policy_.name_of(*key) : ""; !name.empty()) return name;
+    if (key && policy_.has(*key)) return key->text();
     why = "its key is not in the list of " + policy_.noun + "s that may connect";
   } catch (const Error& error) {
     why = error.text().what + " (" + error.text().where + ")";
@@ -74,10 +72,10 @@ void Zap::serve() {
     }
     parts.resize(kParts);
     std::string why = "it speaks " + parts[5] + ", not CURVE";
-    const std::string name = parts[5] == "CURVE" ? name_of(parts[6], why) : "";
-    if (name.empty()) note_refusal(parts[3], parts[6], why);
+    const std::string user = parts[5] == "CURVE" ? user_of(parts[6], why) : "";
+    if (user.empty()) note_refusal(parts[3], parts[6], why);
     const std::vector<std::string> answer{
-        "1.0", parts[1], name.empty() ? "400" : "200", name.empty() ? "not allowed" : "OK", name, ""};
+        "1.0", parts[1], user.empty() ? "400" : "200", user.empty() ? "not allowed" : "OK", user, ""};
     for (std::size_t i = 0; i < answer.size(); ++i) {
       sent(socket_, zmq::buffer(answer[i]), i + 1 < answer.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
     }

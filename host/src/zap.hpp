@@ -12,16 +12,16 @@
 namespace fiona::host {
 
 /// Answers libzmq's question who may connect (ZAP 1.0, rfc.zeromq.org/spec/27): the keys of a list, which is read anew
-/// for each connection. Whoever is let in is known by the list's name for him.
+/// for each connection. Whoever is let in is known by his key, for as long as the
+/// connection lasts: the list may give his name to another one meanwhile.
 class Zap {
  public:
   using OnRefused = std::function<void(const std::string& text)>;
   /// Whom it lets in.
   struct Policy {
-    std::function<std::string(const trust::Key&)>
-        name_of;          ///< empty: not in the list. Throws Error if that cannot be read
-    std::string noun;     ///< "host"
-    std::string command;  ///< what lets one in, but for its key
+    std::function<bool(const trust::Key&)> has;  ///< it is in the list. Throws Error if that cannot be read
+    std::string noun;                            ///< "host"
+    std::string command;                         ///< what lets one in, but for its key
   };
   static Policy hosts(trust::KeyDirectory keys);
   static Policy consoles(trust::KeyDirectory keys);
@@ -36,7 +36,7 @@ class Zap {
   std::uint64_t refused() const { return refused_.load(); }
 
  private:
-  std::string name_of(const std::string& credentials, std::string& why) const;
+  std::string user_of(const std::string& credentials, std::string& why) const;
   void note_refusal(const std::string& address, const std::string& credentials, const std::string& why);
 
   const Policy policy_;

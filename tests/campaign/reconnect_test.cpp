@@ -187,7 +187,7 @@ class Servers {
   void come(int count, const std::string& port) {
     const std::lock_guard lock(mutex_);
     for (int i = 0; i < count; ++i)
-      links_.push_back(std::make_unique<host::LeaderLink>(around_, "tcp://" + address_of(i) + ":" + port));
+      links_.push_back(std::make_unique<host::LeaderLink>(around_, keys_, "tcp://" + address_of(i) + ":" + port));
   }
   void go() {
     const std::lock_guard lock(mutex_);

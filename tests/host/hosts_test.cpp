@@ -162,6 +162,16 @@ TEST_F(Hosts, ForgottenKeyLosesItsSession) {
   system.eventually("out", [&] { return system.host("far").state() != "joined"; });
 }
 
+TEST_F(Hosts, ReplacedKeyLosesItsSessionThoughItsNameIsAllowed) {
+  OtherHost other(directory.path, "far");
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  const std::string next = trust::KeyDirectory(directory.path / "next").make().open.text();
+  trust::KeyDirectory(other.keys()).forget("test");
+  trust::KeyDirectory(other.keys()).allow("test", next);
+  system.eventually("out", [&] { return system.host("far").state() != "joined"; });
+}
+
 TEST_F(Hosts, HostWithAnotherKeyThanThePeerOptionSaysGetsNothing) {
   OtherHost other(directory.path, "far");
   HostOptions options = other.led_from(directory.path / "test");

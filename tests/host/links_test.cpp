@@ -188,7 +188,7 @@ TEST_F(LinksOfAProcess, AHostHoldsNothingWhileItTellsWhoLeads) {
     answered.set_value(asked.wait_for(5s) == std::future_status::ready);
   };
   const HostSurroundings around{"led", 1, ours.pair(), pool, clock, links, context, {}, on_change};
-  leader = std::make_unique<LeaderLink>(around, "tcp://127.0.0.1:0");
+  leader = std::make_unique<LeaderLink>(around, ours, "tcp://127.0.0.1:0");
   std::atomic<bool> ends_now{false};
   std::thread serving([&] {
     std::array<zmq::pollitem_t, 1> waits{{{zap.socket().handle(), 0, ZMQ_POLLIN, 0}}};

@@ -263,6 +263,17 @@ TEST_F(Remote, AForgottenKeyLosesItsSessionAndIsToldWhy) {
   EXPECT_EQ(client->farewell(), "the host has gone: what its key may do has been changed");
 }
 
+TEST_F(Remote, AKeyThatWasReplacedGetsNothingOfTheOneThatHasItsNameNow) {
+  RawConsole replaced(host, allowed(Access::Observe));
+  EXPECT_TRUE(replaced.receive().has_welcome());
+  const std::string next = trust::KeyDirectory(directory.path / "next").make().open.text();
+  host.keys().forget("office");
+  host.keys().allow_console("office", next, Access::Administer);
+  EXPECT_EQ(replaced.last_words(), "what its key may do has been changed");
+  replaced.hello();  // over the same connection
+  EXPECT_EQ(replaced.last_words(), "its key is no longer in the list of consoles that may connect");
+}
+
 TEST_F(Remote, ALongRequestAndALongAnswerArriveWhole) {
   allowed(Access::Observe);
   const auto client = connect(false);
