@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cstdlib>
 
 #include "fiona/error.hpp"
 #include "fiona/marketplace/manifest.hpp"
@@ -24,6 +25,12 @@ std::vector<std::string> openings(const Model::Instance& one) {
   std::vector<std::string> found;
   std::copy_if(one.rights.begin(), one.rights.end(), std::back_inserter(found), &marketplace::opens_sandbox);
   return found;
+}
+
+/// What whoever may read a folder could connect to in it, as the user: this host's consoles come in without a proof.
+void hide_sockets(wire::Confinement& confinement, const std::filesystem::path& of_host) {
+  confinement.add_hidden(of_host);
+  if (const char* const of_user = std::getenv("XDG_RUNTIME_DIR"); of_user && *of_user) confinement.add_hidden(of_user);
 }
 
 bool is_unsigned(const Package& package) { return package.origin == Package::Origin::Unsigned; }
@@ -65,6 +72,7 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
   if (!package.share.empty()) confinement.add_readable(package.share);
   confinement.add_readable(links);
   confinement.add_socket_folders(own);
+  hide_sockets(confinement, links.parent_path());
   for (const std::string& right : openings(first)) {
     const std::string what = right.substr(right.find(':') + 1);
     if (right == "network") confinement.set_network(true);

@@ -195,6 +195,7 @@ void confine(const fiona::wire::Confinement& confinement, fiona::wire::Ready& re
   reach.writable.assign(confinement.writable().begin(), confinement.writable().end());
   reach.socket_folders.assign(confinement.socket_folders().begin(), confinement.socket_folders().end());
   reach.devices.assign(confinement.devices().begin(), confinement.devices().end());
+  reach.hidden.assign(confinement.hidden().begin(), confinement.hidden().end());
   reach.network = confinement.network();
   if (!confinement.buses().empty()) reach.readable.emplace_back(confinement.buses());
   const std::string bus = "unix:path=" + confinement.buses() + "/";

@@ -105,19 +105,81 @@ TEST(Sandbox, OnlyReadsTheNodesOfTheSystemsDevices) {
   EXPECT_EQ(told_by_confined({}, look), "");
 }
 
-TEST(Sandbox, ConnectsToASocketThatItIsGranted) {
-  const tests::TemporaryDirectory place;
+sockaddr_un address_of(const std::filesystem::path& path) {
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
-  (place.path / "socket").string().copy(address.sun_path, sizeof address.sun_path - 1);
-  const Descriptor listener(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-  ASSERT_EQ(::bind(listener.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
-  ASSERT_EQ(::listen(listener.get(), 1), 0);
-  const auto connect = [&address] {
-    const Descriptor client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    return outcome_of(::connect(client.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address));
+  path.string().copy(address.sun_path, sizeof address.sun_path - 1);
+  return address;
+}
+
+Descriptor listen_at(const std::filesystem::path& path) {
+  Descriptor listener(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  const sockaddr_un address = address_of(path);
+  EXPECT_EQ(::bind(listener.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0) << path;
+  EXPECT_EQ(::listen(listener.get(), 8), 0);  // nobody accepts
+  return listener;
+}
+
+std::string connects_to(const std::filesystem::path& path) {
+  const Descriptor client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  const sockaddr_un address = address_of(path);
+  return outcome_of(::connect(client.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address));
+}
+
+TEST(Sandbox, ConnectsToASocketThatItIsGranted) {
+  const tests::TemporaryDirectory place;
+  const auto socket = place.path / "socket";
+  const Descriptor listener = listen_at(socket);
+  EXPECT_EQ(told_by_confined({.devices = {socket}}, [&] { return connects_to(socket); }), "done");
+}
+
+/// As the run-time folder of its host is, whichever way it is granted what holds that.
+class SandboxOfHidden : public testing::Test {
+ protected:
+  SandboxOfHidden() {
+    std::filesystem::create_directories(folder / "own");
+    listener = listen_at(folder / "socket");
+    beside = listen_at(place.path / "there" / "socket");
+    std::filesystem::create_directory_symlink(place.path / "there", place.path / "link");
+  }
+  std::string told(Reach reach, const std::function<std::string()>& act) {
+    reach.hidden = {folder};
+    return told_by_confined(reach, act);
+  }
+  const tests::TemporaryDirectory place;
+  const std::filesystem::path folder = place.path / "there" / "hidden";
+  Descriptor listener, beside;
+};
+
+TEST_F(SandboxOfHidden, FindsNoSocketThereBelowAFolderThatItReads) {
+  const auto look = [this] { return connects_to(folder / "socket") + "; " + connects_to(folder / "../socket"); };
+  EXPECT_EQ(told({.readable = {place.path / "there"}}, look), "No such file or directory; done");
+  EXPECT_EQ(told({.readable = {place.path / "there/"}}, look), "No such file or directory; done");
+  EXPECT_EQ(told({.writable = {place.path / "there"}}, look), "No such file or directory; done");
+}
+
+TEST_F(SandboxOfHidden, FindsNoSocketThereWhereThatIsWhatItReads) {
+  const auto look = [this] { return connects_to(folder / "socket"); };
+  EXPECT_EQ(told({.readable = {folder}}, look), "No such file or directory");
+  EXPECT_EQ(told({.readable = {folder / ""}}, look), "No such file or directory");
+}
+
+TEST_F(SandboxOfHidden, FindsNoSocketThereOverALink) {
+  const auto link = place.path / "link";
+  const auto look = [&] { return connects_to(link / "hidden" / "socket") + "; " + connects_to(link / "socket"); };
+  EXPECT_EQ(told({.readable = {link}}, look), "No such file or directory; done");
+}
+
+TEST_F(SandboxOfHidden, FindsWhatItIsGrantedInThereAndMakesNothingBesideIt) {
+  const auto make = [this] {
+    const Descriptor made(::open((folder / "file").c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600));
+    const std::string said = outcome_of(made.get());
+    const Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    const sockaddr_un address = address_of(folder / "own" / "socket");
+    return said + "; " + outcome_of(::bind(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address));
   };
-  EXPECT_EQ(told_by_confined({.devices = {address.sun_path}}, connect), "done");
+  const std::string said = told({.writable = {place.path / "there"}, .socket_folders = {folder / "own"}}, make);
+  EXPECT_EQ(said, "Read-only file system; done");
 }
 
 /// The mounts alone: where there is no Landlock they are all that keeps it from writing.

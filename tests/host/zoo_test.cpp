@@ -462,6 +462,7 @@ class ZooEscape : public ZooGroup {
     ::dup2(::open(of_host(".key").c_str(), O_RDONLY | O_CLOEXEC), kLeaked);
     listen_at(of_host(".sock"), false);
     listen_at("fiona-zoo-" + std::to_string(::getpid()), true);
+    listen_at(system.directory() / "main.sock", false);
   }
   ~ZooEscape() override {
     ::close(kLeaked);
@@ -492,6 +493,11 @@ class ZooEscape : public ZooGroup {
 
 TEST_F(ZooEscape, OutOfASandboxDoesNotSucceed) { EXPECT_THAT(escapes("confined"), StartsWith("0 of ")); }
 
+/// It would be let in there as who runs the system.
+TEST_F(ZooEscape, OutOfASandboxThatReadsWhereItsHostListensDoesNotSucceed) {
+  EXPECT_THAT(escapes("confined read:" + system.directory().string()), StartsWith("0 of "));
+}
+
 /// And, where the kernel's Landlock has no scopes, abstract sockets of the user's programs: they are of the network
 /// that it was granted.
 TEST_F(ZooEscape, OutOfASandboxWithANetworkFindsThatAndNothingElse) {
@@ -507,9 +513,9 @@ TEST_F(ZooEscape, OutOfASandboxWithANetworkFindsThatAndNothingElse) {
 TEST_F(ZooEscape, OutOfAGroupThatIsNoneSucceedsManyTimes) {
   const std::string found = escapes("");
   EXPECT_GE(std::stoi(found), 20) << found;
-  for (const std::string sure :
-       {"/etc/passwd", "a file of the host", "fork", "kill the host", "inet", "a unix socket", "an abstract socket",
-        "the host's environment variables", "a file in memory", "a file where it listens"}) {
+  for (const std::string sure : {"/etc/passwd", "a file of the host", "fork", "kill the host", "inet", "a unix socket",
+                                 "an abstract socket", "the host's control socket", "the host's environment variables",
+                                 "a file in memory", "a file where it listens"}) {
     EXPECT_THAT(found, HasSubstr(sure));
   }
 }

@@ -22,6 +22,7 @@ struct Reach {
   std::vector<std::filesystem::path> writable{};        ///< folders
   std::vector<std::filesystem::path> socket_folders{};  ///< in which it makes sockets, and no files
   std::vector<std::filesystem::path> devices{};         ///< files, sockets included, that are opened to read and write
+  std::vector<std::filesystem::path> hidden{};          ///< folders that are empty, wherever any of these holds them
   std::vector<PrivateCopy> copies{};                    ///< in folders of their own, which have nothing else
   bool network = false;
 };

@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <fstream>
+#include <iterator>
 #include <map>
 #include <system_error>
 
@@ -40,16 +41,40 @@ void require_mounted(bool holds, const std::string& what) {
   if (!holds) throw std::system_error(errno, std::generic_category(), what);
 }
 
-/// A part of the old file system, kept by a descriptor, which the new root cannot hide.
+/// A part of the old file system, kept by a descriptor, which the new root cannot hide. Without one: an empty folder
+/// over what lies in another part.
 struct Part {
   fs::path path;
   Descriptor descriptor;
   unsigned long flags;
 };
 
+bool is_in(const fs::path& folder, const fs::path& path) {
+  const fs::path below = path.lexically_relative(folder);
+  return !below.empty() && *below.begin() != "..";
+}
+
 void add(std::vector<Part>& parts, const fs::path& path, unsigned long flags) {
   Descriptor descriptor(::open(path.c_str(), O_PATH | O_CLOEXEC));
   if (descriptor) parts.push_back({path, std::move(descriptor), flags});
+}
+
+/// Of what is open there, whatever links the way to it has led over.
+fs::path real_path(const Descriptor& open) { return fs::read_symlink("/proc/self/fd/" + std::to_string(open.get())); }
+
+/// To read a folder is to connect to the sockets in it, which no flag of a mount prevents.
+void add_covers(std::vector<Part>& parts, const fs::path& hidden) {
+  const Descriptor folder(::open(hidden.c_str(), O_PATH | O_DIRECTORY | O_CLOEXEC));
+  if (!folder) return;
+  std::vector<Part> covers;
+  for (const Part& part : parts) {
+    if (!part.descriptor) continue;
+    const fs::path real = real_path(folder), of_part = real_path(part.descriptor);
+    if (!is_in(of_part, real)) continue;
+    const fs::path below = real.lexically_relative(of_part);
+    covers.push_back({below == "." ? part.path : part.path / below, {}, 0});
+  }
+  std::move(covers.begin(), covers.end(), std::back_inserter(parts));
 }
 
 std::vector<Part> parts_of(const Reach& reach) {
@@ -64,6 +89,7 @@ std::vector<Part> parts_of(const Reach& reach) {
   for (const auto& path : reach.writable) add(parts, path, MS_NODEV | MS_NOEXEC);
   for (const auto& path : reach.socket_folders) add(parts, path, MS_NODEV | MS_NOEXEC);
   for (const auto& path : reach.devices) add(parts, path, MS_RDONLY);
+  for (const auto& path : reach.hidden) add_covers(parts, path);
   // What lies in another comes after it.
   std::stable_sort(parts.begin(), parts.end(),
                    [](const Part& a, const Part& b) { return a.path.native().size() < b.path.native().size(); });
@@ -130,6 +156,20 @@ void bind(const Part& part) {
   mount_part(source, target, part.flags);
 }
 
+/// What else is in reach there comes into it yet.
+void cover(const Part& part) {
+  const fs::path target = fs::path(kNewRoot) / part.path.relative_path();
+  fs::create_directories(target);
+  constexpr unsigned long kFlags = MS_NOSUID | MS_NODEV | MS_NOEXEC;
+  require_mounted(::mount("fiona", target.c_str(), "tmpfs", kFlags, "mode=0755,size=64k") == 0, part.path);
+}
+
+void close_cover(const Part& part) {
+  const fs::path target = fs::path(kNewRoot) / part.path.relative_path();
+  constexpr unsigned long kReadOnly = MS_BIND | MS_REMOUNT | MS_RDONLY | MS_NOSUID | MS_NODEV | MS_NOEXEC;
+  require_mounted(::mount(nullptr, target.c_str(), nullptr, kReadOnly, nullptr) == 0, part.path);
+}
+
 /// Folders with nothing but the copies, over what may be there.
 void put_copies(const std::vector<PrivateCopy>& copies) {
   constexpr std::uint64_t kRounding = 64U << 10U;
@@ -163,8 +203,11 @@ std::string enter_namespaces(const Reach& reach) {
   require_mounted(::mount(nullptr, "/", nullptr, MS_REC | MS_PRIVATE, nullptr) == 0, "private mounts");
   const std::vector<Part> parts = parts_of(reach);
   require_mounted(::mount("fiona", kNewRoot, "tmpfs", MS_NOSUID | MS_NODEV, "size=1m,mode=0755") == 0, "a new root");
-  for (const Part& part : parts) bind(part);
+  for (const Part& part : parts) part.descriptor ? bind(part) : cover(part);
   put_copies(reach.copies);
+  for (const Part& part : parts) {
+    if (!part.descriptor) close_cover(part);
+  }
   for (const char* link : kSystemLinks) {
     if (fs::is_symlink(link)) fs::create_symlink(fs::read_symlink(link), std::string(kNewRoot) + link);
   }

@@ -274,6 +274,7 @@ std::vector<Escape> sockets() {
                     (::socketpair(AF_INET, SOCK_STREAM, 0, ends) != 0 && errno != EAFNOSUPPORT);
            }},
           {"a unix socket", [] { return connects(of_host(".sock"), false); }},
+          {"the host's control socket", [] { return connects(zoo::link_folder() + "/../../main.sock", false); }},
           {"an abstract socket", [] { return connects("fiona-zoo-" + std::to_string(kHost), true); }}};
 }
 
