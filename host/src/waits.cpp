@@ -111,7 +111,7 @@ void Waits::expect(std::uint64_t owner, std::uint64_t id, const control::Expect&
   try {
     begin();
   } catch (...) {
-    finish(wait, std::nullopt);
+    if (!finish(wait, std::nullopt)) return;  // it has been answered meanwhile, and nobody is answered twice
     throw;
   }
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : 1e3 * to_seconds(kDefaultDeadline);
@@ -170,19 +170,19 @@ void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const 
   try {
     begin();
   } catch (...) {
-    finish(wait, std::nullopt);
+    if (!finish(wait, std::nullopt)) return;  // it has been answered meanwhile, and nobody is answered twice
     throw;
   }
   let_run(wait);  // a virtual clock finds it under way, and not idle
 }
 
 /// Whoever ends a wait first holds the clock, on the thread where it happened: before time can go on.
-void Waits::finish(const WaitPtr& wait, std::optional<control::Reply> reply) {
+bool Waits::finish(const WaitPtr& wait, std::optional<control::Reply> reply) {
   bool running = false;
   TimerId timer = 0;
   {
     const std::lock_guard lock(mutex_);
-    if (wait->ended) return;
+    if (wait->ended) return false;
     wait->ended = true;
     running = wait->running;
     timer = wait->timer;
@@ -190,9 +190,10 @@ void Waits::finish(const WaitPtr& wait, std::optional<control::Reply> reply) {
   }
   if (virtual_ && running) virtual_->hold();
   cancel(timer);
-  if (!reply) return;
+  if (!reply) return true;
   reply->set_id(wait->id);
   wait->answer(std::move(*reply));
+  return true;
 }
 
 std::optional<control::Reply> Waits::reply_to_mode(const Wait& wait, const wire::ModeChanged& changed) const {

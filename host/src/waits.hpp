@@ -76,7 +76,8 @@ class Waits {
 
   WaitPtr add(std::uint64_t owner, std::uint64_t id, Answer answer);
   void time_out_after(const WaitPtr& wait, double within_ms, std::function<control::Reply()> reply);
-  void finish(const WaitPtr& wait, std::optional<control::Reply> reply);
+  /// False: it had ended before.
+  bool finish(const WaitPtr& wait, std::optional<control::Reply> reply);
   void end_all(const control::Reply& reply);
   std::vector<WaitPtr> of(std::uint64_t owner, std::optional<std::uint64_t> id);
   double elapsed_ms(const Wait& wait) const;

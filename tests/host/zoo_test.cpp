@@ -30,6 +30,7 @@
 namespace fiona::host {
 namespace {
 
+using namespace std::chrono_literals;
 using conformance::RunningSystem;
 using testing::HasSubstr;
 using testing::IsSupersetOf;
