@@ -226,6 +226,8 @@ int main(int argc, char** argv) {
   fiona::os::leave_no_core_file();
   fiona::os::keep_freed_memory();
   fiona::os::keep_spare_descriptor();
+  // Whoever reads what it says may go first. A handler, unlike SIG_IGN, is not handed down to what it starts.
+  ::signal(SIGPIPE, [](int) {});
   fiona::os::wait_for_no_reader();
   try {
     flags = parse(argc, argv, description);

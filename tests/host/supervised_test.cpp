@@ -314,6 +314,20 @@ TEST(SupervisedEnd, OfSupervisorAndHostTogetherLeavesNobody) {
   EXPECT_THAT(host.left(), testing::IsEmpty());
 }
 
+/// As where `fiona run` was killed, and nobody else has the other end of what it had for its standard error.
+TEST(SupervisedEnd, OfWhoReadsWhatIsSaidIsNotThatOfTheHost) {
+  std::array<int, 2> said{};
+  ASSERT_EQ(::pipe2(said.data(), O_CLOEXEC), 0);
+  const os::Descriptor write_end(said[1]);
+  ::close(said[0]);
+  // It says at its start that its journal is elsewhere.
+  SupervisedHost host({"--journal", "/proc/nowhere/kept.journal"}, os::program_directory(), write_end.get());
+  EXPECT_THAT(host.said_ready(), testing::StartsWith("READY"));
+  load_pair(*host.console(), 0);
+  ::kill(host.supervisor(), SIGTERM);
+  EXPECT_EQ(host.wait_for_end(), "exited with code 130");
+}
+
 /// Whether one of the processes has opened the library.
 bool has_opened(const std::vector<pid_t>& processes, const std::string& library) {
   return std::any_of(processes.begin(), processes.end(), [&](pid_t one) {
