@@ -2,6 +2,7 @@
 // comes over that socket, and ends when the socket closes.
 #include <fcntl.h>
 #include <poll.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <google/protobuf/stubs/logging.h>
@@ -290,7 +291,14 @@ void end_without_host(bool adoptable, bool sandboxed) {
   }).detach();
 }
 
+/// Who ends all processes of a session or service at once means the host too, which ends its groups in order. Handlers,
+/// unlike signals that are ignored or blocked, are not handed down to what components start.
+void leave_the_end_to_the_host() {
+  for (const int one : {SIGINT, SIGTERM}) ::signal(one, [](int) {});
+}
+
 int be_group(const Words& words) {
+  leave_the_end_to_the_host();
   const std::string endpoint = value_of(words, "--endpoint");
   auto stream = std::make_unique<fiona::os::MessageStream>(fiona::os::Descriptor(kGroupSocket));
   const auto welcome = welcome_from(*stream);

@@ -340,6 +340,7 @@ std::optional<int> Supervisor::host_ended(Time now) {
   int code = kFailed;
   const std::string end = host_->end();
   if (std::sscanf(end.c_str(), "exited with code %d", &code) != 1) code = kFailed;
+  if (stopping_ && end == os::text_of_end(SIGTERM)) code = kInterrupted;  // it had not come so far as to hear it
   const bool never_ready = !said_ready_.starts_with("READY\n");
   reason_ = !why_.empty() ? why_ : !said_why_.empty() ? said_why_ : end;
   if (never_ready && !said_ready_.empty()) reason_ += ": " + said_ready_.substr(0, said_ready_.find('\n'));

@@ -510,6 +510,15 @@ TEST_F(ZooEscape, OutOfASandboxWithANetworkFindsThatAndNothingElse) {
   EXPECT_THAT(found, StartsWith(abi < kWithScopes ? "4 of " : "3 of ")) << found;
 }
 
+/// What is told to end is its host, which ends its groups in order.
+TEST_F(ZooGroup, TakesNoNoticeOfASignalThatEndsProcesses) {
+  system.load_in("cage", "source", "one", "period_ms=10");
+  for (const int one : {SIGTERM, SIGINT}) ::kill(system.group("cage").process(), one);
+  system.wire("sink.newest", "one.newest");
+  system.eventually("messages", [&] { return system.port("sink.newest").messages() > 3; });
+  EXPECT_EQ(system.instance("one").mode(), "active");
+}
+
 /// That nothing was found above is because of the sandbox.
 TEST_F(ZooEscape, OutOfAGroupThatIsNoneSucceedsManyTimes) {
   const std::string found = escapes("");

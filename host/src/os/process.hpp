@@ -20,9 +20,10 @@ namespace fiona::os {
 /// It leads a process group, and at its end so do end the programs that it has started and that are still in that.
 class ChildProcess {
  public:
-  /// Starts `program`. Of the descriptors only those of `inherited` reach it, each (ours, its number there).
-  /// `clean`: of our environment it has the language alone. `variables` ("NAME=VALUE") it has besides. `shown_as`: its
-  /// name among the processes, where that of the file says nothing. Throws Error if it cannot be started.
+  /// Starts `program`, with no signal blocked. Of the descriptors only those of `inherited` reach it, each (ours, its
+  /// number there). `clean`: of our environment it has the language alone. `variables` ("NAME=VALUE") it has besides.
+  /// `shown_as`: its name among the processes, where that of the file says nothing. Throws Error if it cannot be
+  /// started.
   ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
                const std::vector<std::pair<int, int>>& inherited, bool clean = false,
                std::vector<std::string> variables = {}, const std::filesystem::path& shown_as = {});
