@@ -74,7 +74,7 @@ constexpr int kAdoptionSocket = 6;
 
 std::vector<std::string> clock_arguments(const Clock& clock) {
   const auto* system = dynamic_cast<const SystemClock*>(&clock);
-  if (!system) return {"--clock", "virtual"};
+  if (!system) return {"--clock", "virtual", "--clock-start", std::to_string(clock.start().time_since_epoch().count())};
   const auto origin = system->origin();
   return {"--clock",        "system",
           "--clock-origin", std::to_string(origin.steady_ns),

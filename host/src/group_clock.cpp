@@ -24,7 +24,8 @@ class GroupClock::Lines final : public DeliveryRecorder {
   wire::ClockReport lines;
 };
 
-GroupClock::GroupClock(os::Descriptor socket) : stream_(std::move(socket)), lines_(std::make_shared<Lines>()) {
+GroupClock::GroupClock(os::Descriptor socket, TimePoint start)
+    : VirtualClock(start), stream_(std::move(socket)), lines_(std::make_shared<Lines>()) {
   shared_ = true;
 }
 

@@ -22,8 +22,8 @@ class GroupClock final : public VirtualClock {
  public:
   using Frames = std::function<std::map<std::string, FrameCounts>()>;
 
-  /// `socket`: to the host's ClockMaster.
-  explicit GroupClock(os::Descriptor socket);
+  /// `socket`: to the host's ClockMaster, whose clock starts at `start`.
+  GroupClock(os::Descriptor socket, TimePoint start);
   ~GroupClock() override;
   void stop() override;
 

@@ -153,11 +153,13 @@ std::string value_of(const Words& words, std::string_view flag) {
 }
 
 std::unique_ptr<fiona::Clock> make_clock(const Words& words) {
+  const std::int64_t start_ns = std::stoll(value_of(words, "--clock-start"));
   if (value_of(words, "--clock") == "virtual") {
-    return std::make_unique<GroupClock>(fiona::os::Descriptor(kClockSocket));
+    return std::make_unique<GroupClock>(fiona::os::Descriptor(kClockSocket),
+                                        fiona::TimePoint(fiona::Duration(start_ns)));
   }
-  return std::make_unique<fiona::SystemClock>(fiona::SystemClock::Origin{std::stoll(value_of(words, "--clock-origin")),
-                                                                         std::stoll(value_of(words, "--clock-start"))});
+  return std::make_unique<fiona::SystemClock>(
+      fiona::SystemClock::Origin{std::stoll(value_of(words, "--clock-origin")), start_ns});
 }
 
 /// The key of this process's links, the first thing that the host says.

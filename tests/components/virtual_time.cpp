@@ -16,7 +16,10 @@ namespace fiona::test {
 class Mingler final : public Component {
  public:
   using Component::Component;
-  void on_start() override { mix(params_->seed()); }
+  void on_start() override {
+    mix(params_->seed());
+    began_.set(to_seconds(clock_start() - TimePoint()));
+  }
   void on_mode(std::string_view mode) override {
     if (mode != kModeActive) return;
     last_.put(sample());
@@ -141,6 +144,7 @@ class Mingler final : public Component {
 
   std::uint64_t state_ = 0;
   Params<MinglerParams> params_{*this};
+  Probe<double> began_{*this, "began", {.unit = "s", .doc = "its clock, since 1970"}};
   std::vector<fiona::Reply<Reply>> never_;
   std::vector<std::pair<Reply, fiona::Reply<Reply>>> waiting_;
   Provides<SampleNewest> newest_{*this, "newest"};

@@ -401,6 +401,16 @@ TEST(HostClock, WhoWaitsForTheEndOfTheRunGoesOnWaitingWhenItChangesAndOthersAreT
   EXPECT_EQ(run->reply.ended().exit_code(), 3);
 }
 
+/// What a component counts from there is the same in whatever group it is.
+TEST(HostClock, BeganForTheComponentsOfAGroupWhenItDidForThoseOfMain) {
+  RunningSystem system;
+  system.set("host", "clock=virtual start=1970-01-02T00:00:00Z");
+  for (const std::string group : {"", "far"}) {
+    system.load_in(group, "mingler", "in_" + group);
+    EXPECT_EQ(system.instance("in_" + group).probes(0).value(), "86400");
+  }
+}
+
 TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
   RunningSystem system;
   const auto error = error_of([&] { set_host(system, "clock", "sundial"); });
