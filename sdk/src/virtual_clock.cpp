@@ -158,9 +158,11 @@ bool VirtualClock::released() const {
 void VirtualClock::release() {
   {
     const std::lock_guard lock(mutex_);
-    ++releases_;
-    pace_virtual_ = now_;
-    pace_real_ = std::chrono::steady_clock::now();
+    // Who comes while time runs is no new beginning: what has passed since the last event would be lost.
+    if (++releases_ == 1) {
+      pace_virtual_ = now_;
+      pace_real_ = std::chrono::steady_clock::now();
+    }
   }
   proceed();
 }

@@ -4,6 +4,7 @@
 
 #include <time.h>
 
+#include <atomic>
 #include <deque>
 #include <functional>
 #include <future>
@@ -145,6 +146,22 @@ TEST(VirtualClock, StandsWhileHeld) {
   EXPECT_EQ(clock.now(), TimePoint{});
   EXPECT_EQ(producer.hull.find_port("numbers")->counters().messages, 0U)
       << "even what is due at zero waits for release";
+}
+
+/// A run goes on beside calls, changes of mode and waits, each of which lets time run until it is answered.
+TEST(VirtualClock, KeepsItsPaceThoughOthersComeAndGoWhileTimeRuns) {
+  VirtualClock clock;
+  clock.set_speed(1);
+  std::atomic<bool> over{false};
+  clock.stop_at(TimePoint(20ms), [&over] { over = true; });
+  clock.release();
+  const auto end = std::chrono::steady_clock::now() + 10s;
+  while (!over && std::chrono::steady_clock::now() < end) {
+    clock.release();
+    clock.hold();
+  }
+  EXPECT_TRUE(over);
+  clock.stop();
 }
 
 TEST(VirtualClock, CancelledStopDoesNotRun) {
