@@ -166,7 +166,8 @@ MainGroup::MainGroup(Pool& pool, Clock& clock, PluginLibraries& libraries, std::
                      Runtime::OnEvent on_event)
     : Group("main"),
       clock_(dynamic_cast<VirtualClock*>(&clock)),
-      runtime_(pool, clock, libraries, std::move(endpoint), {link_key(), std::move(memory_key)}, std::move(on_event)) {}
+      runtime_(pool, clock, libraries, std::move(endpoint), {link_key(), std::move(memory_key)},
+               Runtime::Watched::ByNobody, std::move(on_event)) {}
 
 /// What was sent or staged on this thread, which is no strand's, is seen by a virtual clock once it looks.
 wire::GroupMessage MainGroup::perform(const wire::GroupRequest& request, milliseconds) {

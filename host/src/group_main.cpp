@@ -315,7 +315,7 @@ int be_group(const Words& words) {
   fiona::Pool pool(std::stoul(value_of(words, "--threads")), liveness);
   Mailbox<fiona::wire::GroupMessage> events;
   fiona::host::PluginLibraries libraries(welcome.confinement().sandboxed());
-  Runtime runtime(pool, *clock, libraries, endpoint, {welcome.key(), welcome.memory_key()},
+  Runtime runtime(pool, *clock, libraries, endpoint, {welcome.key(), welcome.memory_key()}, Runtime::Watched::ByItsHost,
                   [&events, follower](fiona::wire::GroupMessage event) {
                     // Counted first: virtual time waits until the host has seen what was counted, so that none may be
                     // dropped. What one instant puts bounds them.

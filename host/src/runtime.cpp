@@ -6,9 +6,10 @@
 namespace fiona::host {
 
 Runtime::Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, LinkKeys keys,
-                 OnEvent on_event)
+                 Watched watched, OnEvent on_event)
     : pool_(pool),
       clock_(clock),
+      watched_(watched),
       on_event_(std::move(on_event)),
       events_(on_event_),
       libraries_(libraries),

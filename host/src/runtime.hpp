@@ -29,7 +29,10 @@ class Runtime final {
  public:
   using OnEvent = InstanceEvents::OnEvent;
 
-  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, LinkKeys keys, OnEvent on_event);
+  /// Who ends this process when a component in it never comes to be.
+  enum class Watched { ByItsHost, ByNobody };
+  Runtime(Pool& pool, Clock& clock, PluginLibraries& libraries, std::string endpoint, LinkKeys keys, Watched watched,
+          OnEvent on_event);
   ~Runtime();
   Runtime(const Runtime&) = delete;
   Runtime& operator=(const Runtime&) = delete;
@@ -107,6 +110,7 @@ class Runtime final {
 
   Pool& pool_;
   Clock& clock_;
+  const Watched watched_;
   const OnEvent on_event_;
   InstanceEvents events_;
   PluginLibraries& libraries_;

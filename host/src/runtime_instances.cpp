@@ -8,6 +8,7 @@
 #include <future>
 #include <iostream>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <thread>
 
@@ -20,42 +21,76 @@
 namespace fiona::host {
 namespace {
 
-/// Of threads that constructors have ended a process keeps as many; with the next it ends.
-constexpr int kMostEnded = 4;
-std::atomic<int> ended_threads{0};
+/// Of threads that constructors have ended, or do not give back, a process keeps as many; with the next it ends.
+constexpr int kMostKept = 4;
+std::atomic<int> kept_threads{0};
 
-/// On a thread of its own, which a constructor may end (pthread_exit): the one that does all for this process could not
-/// be replaced. A forced unwind cannot be stopped, and who catches it and goes on ends the process: so that thread
-/// stays where it is.
-void create_on_own_thread(Hull& hull, const Plugin::Entry& entry) {
-  const auto made = std::make_shared<std::promise<void>>();  // shared: a thread that stays has it for ever
-  std::future<void> result = made->get_future();
-  bool ended = false;
-  std::thread maker([&, made] {
-    try {
-      hull.create(entry.make);
-    } catch (const abi::__forced_unwind&) {
-      std::cerr << "component '" << entry.name << "' has ended the thread that it was made on\n";
-      if (++ended_threads > kMostEnded) std::abort();
-      ended = true;
-      made->set_exception(std::make_exception_ptr(
-          std::runtime_error("it has ended the thread that it was made on (pthread_exit, or a cancellation)")));
-      while (true) ::pause();
-    } catch (...) {
-      const auto error = std::current_exception();  // none: of another language
-      return made->set_exception(
-          error ? error : std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception")));
-    }
-    made->set_value();
-  });
+void keep_thread() {
+  if (++kept_threads > kMostKept) std::abort();
+}
+
+/// Shared with the thread that it is made on, which may have it for ever.
+struct Making {
+  std::promise<void> made;
+  bool ended = false;  ///< by its constructor: the thread
+};
+
+/// A forced unwind cannot be stopped, and who catches it and goes on ends the process: so that thread stays where it
+/// is.
+void make_here(Hull& hull, const Plugin::Entry& entry, Making& making) {
+  try {
+    hull.create(entry.make);
+  } catch (const abi::__forced_unwind&) {
+    std::cerr << "component '" << entry.name << "' has ended the thread that it was made on\n";
+    keep_thread();
+    making.ended = true;
+    making.made.set_exception(std::make_exception_ptr(
+        std::runtime_error("it has ended the thread that it was made on (pthread_exit, or a cancellation)")));
+    while (true) ::pause();
+  } catch (...) {
+    const auto error = std::current_exception();  // none: of another language
+    return making.made.set_exception(
+        error ? error : std::make_exception_ptr(std::runtime_error("threw something that is not a std::exception")));
+  }
+  making.made.set_value();
+}
+
+/// By the rule for all that hangs, where nobody else can look: who does is the thread that waits. Empty: it is made.
+std::string stuck(const std::future<void>& result, const std::string& instance) {
+  constexpr std::chrono::milliseconds kLook{25};
+  const auto liveness = std::make_shared<Liveness>();
+  Liveness::Place place(liveness, instance);
+  place.begins(Liveness::mark(kItsConstructor));
+  HangWatch watch(liveness->page(), [](const std::string&) -> std::optional<HangWatch::Part> { return std::nullopt; });
+  while (result.wait_for(kLook) == std::future_status::timeout) {
+    const auto hangs = watch.look(std::chrono::steady_clock::now(), ::getpid());
+    if (!hangs.empty()) return hangs.front().what();
+  }
+  return {};
+}
+
+/// On a thread of its own, which a constructor may end (pthread_exit) or keep: the one that does all for this process
+/// could not be replaced. What a constructor that still runs has in hand is left to it.
+void create_on_own_thread(std::unique_ptr<Hull>& hull, const Plugin::Entry& entry, Runtime::Watched watched) {
+  const auto making = std::make_shared<Making>();
+  std::future<void> result = making->made.get_future();
+  std::thread maker([&hull = *hull, entry, making] { make_here(hull, entry, *making); });
+  const std::string stuck_in = watched == Runtime::Watched::ByNobody ? stuck(result, hull->name()) : "";
+  if (!stuck_in.empty()) {
+    maker.detach();
+    keep_thread();
+    static_cast<void>(hull.release());
+    throw std::runtime_error("it was " + stuck_in);
+  }
   result.wait();
-  ended ? maker.detach() : maker.join();
+  making->ended ? maker.detach() : maker.join();
   result.get();
 }
 
-void make_component(Hull& hull, const Plugin::Entry& entry, const std::string& library) {
+void make_component(std::unique_ptr<Hull>& hull, const Plugin::Entry& entry, const std::string& library,
+                    Runtime::Watched watched) {
   try {
-    create_on_own_thread(hull, entry);
+    create_on_own_thread(hull, entry, watched);
   } catch (const Error&) {
     throw;
   } catch (...) {
@@ -85,12 +120,12 @@ std::pair<const Plugin::Entry&, const ComponentInterface&> component_of(const Pl
 }
 
 /// Until it has its parameters.
-void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& packaged, const wire::Create& request,
-              Liveness::Place& thread) {
+void bring_up(std::unique_ptr<Hull>& hull, const Plugin::Entry& entry, const ComponentInterface& packaged,
+              const wire::Create& request, Liveness::Place& thread, Runtime::Watched watched) {
   thread.begins(Liveness::mark(kItsConstructor));
-  make_component(hull, entry, request.library());
+  make_component(hull, entry, request.library(), watched);
   thread.rests();
-  const auto difference = interface_difference(interface_of(hull, entry.name, entry.doc), packaged);
+  const auto difference = interface_difference(interface_of(*hull, entry.name, entry.doc), packaged);
   if (!difference.empty()) {
     throw Error(ErrorCode::Failed,
                 {.what = "component '" + request.component() + "' is not what its package says: " + difference,
@@ -98,7 +133,7 @@ void bring_up(Hull& hull, const Plugin::Entry& entry, const ComponentInterface& 
                  .next = "install the package again, or ask the publisher to pack it again"});
   }
   const std::vector<control::Argument> parameters(request.parameters().begin(), request.parameters().end());
-  hull.set_parameters(parameters, kDefaultDeadline);
+  hull->set_parameters(parameters, kDefaultDeadline);
 }
 
 }  // namespace
@@ -117,7 +152,7 @@ void Runtime::create(const wire::Create& request) {
       std::make_unique<Hull>(request.instance(), Hull::Surroundings{pool_, clock_, events_, request.share()});
   Hull& hull = *instance->hull;
   try {
-    bring_up(hull, entry, packaged, request, thread);
+    bring_up(instance->hull, entry, packaged, request, thread, watched_);
     const std::string mode = request.mode().empty() ? hull.main_modes().front() : request.mode();
     if (request.change() == 0) {
       hull.set_mode(mode, kLifeCycleDeadline);
@@ -126,7 +161,7 @@ void Runtime::create(const wire::Create& request) {
     }
   } catch (const Error& error) {
     thread.rests();
-    if (hull.shut_down(kLifeCycleDeadline)) leave(std::move(instance->hull));
+    if (instance->hull && hull.shut_down(kLifeCycleDeadline)) leave(std::move(instance->hull));
     throw Error(error.code(), without_instance(error.text(), request.instance()));
   }
   instances_.emplace(request.instance(), std::move(instance));

@@ -316,6 +316,14 @@ TEST_F(ZooGroup, ThatEndsItsThreadInItsConstructorIsRefusedAndNothingElseHappens
   expect_others_go_on();
 }
 
+TEST_F(ZooGroup, IsNotMainWhichRefusesAConstructorThatNeverReturns) {
+  const auto error = load("blocks-in-constructor.so", "");
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->code(), ErrorCode::ComponentFailed);
+  EXPECT_THAT(error->text().what, HasSubstr("cannot be made: it was stuck in its constructor for "));
+  expect_others_go_on();
+}
+
 TEST_F(ZooGroup, ThatIsStuckInAPortIsNamedWithIt) {
   system.load_in("cage", "sink", "slow", "work_ms=10000");
   system.wire("slow.newest", "source.newest");
