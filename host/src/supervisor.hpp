@@ -30,13 +30,14 @@ class Supervisor {
     std::string after_end{};               ///< why there is no host any more of which the first one is the next
     os::Descriptor ready{};                ///< gets what the first host says of its start
     os::Descriptor lifeline{};             ///< its end ends all
-    /// A host that has said nothing for so long hangs. Longer than a call of a component's life cycle may take.
-    milliseconds hang{15'000};
+    /// A host that has said nothing for so long hangs. Longer than the end of an instance in `main` may take, which is
+    /// two calls of its life cycle.
+    milliseconds hang{25'000};
   };
   /// A build that is on trial, to say that it is alive.
   static constexpr milliseconds kFirstSign{4000};
   /// For a host to end in whose place another one takes.
-  static constexpr milliseconds kMakesWayWithin{15'000};
+  static constexpr milliseconds kMakesWayWithin{25'000};
   /// How long a build is on trial, where nobody has said.
   static constexpr milliseconds kTrial{10'000};
   /// For the host to end in, then for whatever is left.
