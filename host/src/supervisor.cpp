@@ -232,8 +232,7 @@ void Supervisor::take(os::Packet& packet) {
   std::from_chars(text.data() + blank + 1, text.data() + end, process);
   const std::string_view word = text.substr(0, blank);
   if (word == SupervisorLink::kUpgrade) {
-    trial_ = milliseconds(process);
-    return begin_upgrade(Steady::now());
+    return begin_upgrade(milliseconds(process), Steady::now());
   }
   if (word == SupervisorLink::kEnds) said_why_ = text.substr(end + 1);
   if (word == SupervisorLink::kDrop) kept_.erase(process);
@@ -271,11 +270,12 @@ void Supervisor::end_if_hung(Time now) {
 }
 
 /// The one that runs is not touched before it is known that the other can be started.
-void Supervisor::begin_upgrade(Time now) {
+void Supervisor::begin_upgrade(milliseconds trial, Time now) {
   if (check_ || makes_way_ || stopping_) return;
   if (tried_until_) return refuse_upgrade("the last upgrade is still on trial");
   try {
     check_ = std::make_unique<ProgramCheck>(program_.path(), now);
+    asked_trial_ = trial;
   } catch (const Error& error) {
     refuse_upgrade(program_.path().string() + ": " + error.text().what + ": " + error.text().found);
   }
@@ -289,6 +289,7 @@ void Supervisor::look_at_check(Time now) {
   if (!verdict->empty()) return refuse_upgrade(program_.path().string() + " --version " + *verdict);
   program_.forget_refusal();
   makes_way_ = now + kMakesWayWithin;
+  trial_ = asked_trial_;
   outgoing_.push_back({std::string(SupervisorLink::kMakeWay)});
   pass_on();
 }
@@ -350,6 +351,7 @@ std::optional<int> Supervisor::host_ended(Time now) {
   check_.reset();
   tried_until_.reset();
   const bool made_way = std::exchange(makes_way_, std::nullopt).has_value();
+  if (!made_way) trial_ = kTrial;  // what was said was of another build
   link_.close();
   ready_.reset();
   lifeline_.reset();

@@ -77,7 +77,7 @@ class Supervisor {
   void serve_host();
   void take(os::Packet& packet);
   void pass_on();
-  void begin_upgrade(Time now);
+  void begin_upgrade(milliseconds trial, Time now);
   void look_at_check(Time now);
   void look_at_trial(Time now);
   void refuse_upgrade(const std::string& why);
@@ -95,9 +95,10 @@ class Supervisor {
   std::optional<Time> makes_way_;        ///< until then the host ends for the one after it
   std::optional<Time> tried_until_;      ///< a build that is on trial
   milliseconds trial_ = kTrial;
-  bool heard_ = false;        ///< of this host
-  bool taken_back_ = false;   ///< the next one is of the build before
-  std::uint64_t starts_ = 0;  ///< of hosts
+  milliseconds asked_trial_ = kTrial;  ///< of the program that is checked
+  bool heard_ = false;                 ///< of this host
+  bool taken_back_ = false;            ///< the next one is of the build before
+  std::uint64_t starts_ = 0;           ///< of hosts
   Supervision supervision_;
   std::unique_ptr<os::ChildProcess> host_;
   os::PacketSocket link_;

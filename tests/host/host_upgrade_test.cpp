@@ -270,6 +270,20 @@ TEST_F(HostUpgrade, ABuildThatHasStoodItsTrialIsTheOneThatIsStartedAgain) {
   expect_no_gap("killed after its trial");
 }
 
+/// It comes into use because a host has died, and nobody has said anything of it.
+TEST_F(HostUpgrade, ABuildThatNobodyHasAskedForHasATrialOfItsOwn) {
+  installed.install("fiona-host");
+  upgrade(1ms);
+  const ino_t second = program_of(host.host());
+  console->eventually("its file is held", [&] { return is_held(second); });
+  installed.install("fiona-host");
+  console = host.kill_host();
+  ASSERT_EQ(program_of(host.host()), file_of(installed.host()));
+  console = host.kill_host();
+  EXPECT_EQ(program_of(host.host()), second);
+  EXPECT_TRUE(console->snapshot().taken_back());
+}
+
 TEST_F(HostUpgrade, NeedsASupervisorAndTheMachinesTime) {
   console->unload("witness");
   console->unload("sink");
