@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <iostream>
 #include <tuple>
 
 #include "fiona/error.hpp"
@@ -19,7 +20,14 @@ DeliveryLog::DeliveryLog(std::filesystem::path file) : file_(std::move(file)), o
                                       .next = "name a file in a folder that the host may write to"});
 }
 
-DeliveryLog::~DeliveryLog() { write(); }
+/// What was delivered last is written now: whoever asked for the log would take it for whole.
+DeliveryLog::~DeliveryLog() {
+  write();
+  if (std::fclose(out_.release()) != 0) note_failure();
+  if (failure_.empty() || told_) return;
+  std::cerr << fmt::format("the delivery log {} cannot be written: {}; it is not whole: make room, then run it again\n",
+                           file_.string(), failure_);
+}
 
 void DeliveryLog::delivered(TimePoint at, std::string_view wire, std::uint64_t sequence, std::string_view what) {
   const std::lock_guard lock(mutex_);
@@ -44,11 +52,17 @@ void DeliveryLog::write() {
   }
   lines_.clear();
   const bool written = std::fwrite(text.data(), 1, text.size(), out_.get()) == text.size();
-  if (!written && failure_.empty()) failure_ = std::strerror(errno);
+  // What stayed in memory would be found to have no room only when nobody waits for time any more.
+  if (!written || std::fflush(out_.get()) != 0) note_failure();
+}
+
+void DeliveryLog::note_failure() {
+  if (failure_.empty()) failure_ = std::strerror(errno);
 }
 
 std::string DeliveryLog::failure() const {
   const std::lock_guard lock(mutex_);
+  told_ = told_ || !failure_.empty();
   return failure_;
 }
 
