@@ -67,7 +67,10 @@ wire::Confinement confinement_of(const Model::Instance& first, const std::filesy
   for (const auto& file : package.files) {
     const bool is_typed = file.blake2b().empty();  // by its path
     confinement.add_readable(is_typed ? file.path() : std::filesystem::path(file.path()).parent_path().string());
-    if (!is_typed) *confinement.add_libraries() = file;
+    if (is_typed) continue;
+    auto& library = *confinement.add_libraries();
+    library = file;
+    library.clear_descriptors();  // what it declares needs more room than a group's papers have
   }
   if (!package.share.empty()) confinement.add_readable(package.share);
   confinement.add_readable(links);
