@@ -146,16 +146,18 @@ int Supervisor::wait_ms(Time now) const {
   if (tried_until_) until = std::min(until, *tried_until_);
   if (stopping_) until = std::min(until, *stopping_);
   if (check_) until = std::min(until, check_->until());
+  if (crowded_) until = std::min(until, now + os::PacketSocket::kCrowded);
   return static_cast<int>(std::max<std::int64_t>(0, std::chrono::ceil<milliseconds>(until - now).count()));
 }
 
 std::optional<int> Supervisor::look(int signals) {
+  const bool waits_for_room = !outgoing_.empty() && !crowded_;
   // Of a number below 0 poll takes no notice.
   std::vector<pollfd> waits{{stopping_ ? -1 : options_.lifeline.get(), POLLIN, 0},
                             {signals, POLLIN, 0},
                             {host_ ? host_->descriptor() : -1, POLLIN, 0},
                             {ready_.get(), POLLIN, 0},
-                            {link_.descriptor(), static_cast<short>(outgoing_.empty() ? POLLIN : POLLIN | POLLOUT), 0},
+                            {link_.descriptor(), static_cast<short>(waits_for_room ? POLLIN | POLLOUT : POLLIN), 0},
                             {check_ ? check_->descriptor() : -1, POLLIN, 0}};
   for (const auto& [process, kept] : kept_) {
     if (kept.orphan && kept.end.empty()) waits.push_back({kept.descriptors[3].get(), POLLIN, 0});
@@ -245,6 +247,7 @@ void Supervisor::take(os::Packet& packet) {
 }
 
 void Supervisor::pass_on() {
+  crowded_ = false;
   while (link_ && !outgoing_.empty()) {
     const Outgoing& next = outgoing_.front();
     std::string_view text = next.text;
@@ -253,7 +256,9 @@ void Supervisor::pass_on() {
       text = kept->second.text;
       for (const auto& one : kept->second.descriptors) descriptors.push_back(one.get());
     }
-    if (!text.empty() && link_.send(text, descriptors) == os::PacketSocket::Sent::Full) return;
+    const auto sent = text.empty() ? os::PacketSocket::Sent::Yes : link_.send(text, descriptors);
+    crowded_ = sent == os::PacketSocket::Sent::Crowded;
+    if (crowded_ || sent == os::PacketSocket::Sent::Full) return;
     outgoing_.pop_front();
   }
 }

@@ -116,6 +116,7 @@ class Supervisor {
   std::string reason_;
   std::map<pid_t, Kept> kept_;
   std::deque<Outgoing> outgoing_;
+  bool crowded_ = false;  ///< it waits, but not for room
 };
 
 }  // namespace fiona::host

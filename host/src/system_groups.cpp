@@ -41,7 +41,8 @@ wire::Confinement System::confinement_of_group(const Model::Instance* first,
   if (first) confinement = confinement_of(*first, folder.parent_path(), folder);
   confinement.set_memory(options_.group_limits.memory);
   confinement.set_threads(options_.group_limits.threads);
-  confinement.set_descriptors(options_.group_limits.descriptors);
+  const std::uint64_t descriptors = options_.group_limits.descriptors;
+  confinement.set_descriptors(confinement.sandboxed() ? os::descriptors_of_stranger(descriptors) : descriptors);
   return confinement;
 }
 

@@ -11,6 +11,8 @@
 #include <fstream>
 #include <string>
 
+#include "os/process.hpp"
+
 namespace fiona::os {
 namespace {
 
@@ -47,6 +49,14 @@ void leave_no_core_file() {
   set(RLIMIT_CORE, 0);
   // core(5): a program that takes cores over a pipe is not bound by the limit, but gets no memory.
   std::ofstream("/proc/self/coredump_filter") << "0";
+}
+
+std::uint64_t descriptors_of_stranger(std::uint64_t wanted) {
+  constexpr std::uint64_t kUnderWay = 300;  // one message more than may be is let through, with 253; the rest is ours
+  constexpr std::uint64_t kLeast = 64;
+  const std::uint64_t ours = descriptor_limit();
+  const std::uint64_t others = kUnderWay + kLastDescriptors;
+  return std::min(wanted, ours > others + kLeast ? ours - others : kLeast);
 }
 
 void limit(const Limits& limits) {

@@ -29,6 +29,11 @@ inline constexpr bool kLimitsMemory = true;
 /// Whatever ends this process, and those that it starts, nothing of what they hold, passwords say, goes into a file.
 void leave_no_core_file();
 
+/// Of so many descriptors those that a process of a stranger may have. What a user's processes have under way in
+/// sockets is counted for all of them, and held against the limit of whoever sends (unix(7), ETOOMANYREFS): a stranger
+/// who may have as many as this process could leave it none to send.
+std::uint64_t descriptors_of_stranger(std::uint64_t wanted);
+
 /// [before the first thread] Holds this process to them where the kernel does so by itself: what it asks for beyond its
 /// memory is refused; it leaves no core, opens few more descriptors than it may, and no program that it starts inherits
 /// any. What is left, memory that it shares, threads, CPU time, is for who watches it.

@@ -8,6 +8,7 @@
 #include <cerrno>
 #include <cstdint>
 #include <cstring>
+#include <thread>
 
 #include "fiona/error.hpp"
 
@@ -75,7 +76,8 @@ PacketSocket::Sent PacketSocket::send(std::string_view text, const std::vector<i
   do sent = ::sendmsg(socket_.get(), &message, MSG_NOSIGNAL | MSG_DONTWAIT);
   while (sent < 0 && errno == EINTR);
   if (sent >= 0) return Sent::Yes;
-  return errno == EAGAIN || errno == EWOULDBLOCK || errno == ETOOMANYREFS ? Sent::Full : Sent::Gone;
+  if (errno == ETOOMANYREFS) return Sent::Crowded;
+  return errno == EAGAIN || errno == EWOULDBLOCK ? Sent::Full : Sent::Gone;
 }
 
 bool PacketSocket::send_within(std::chrono::milliseconds time, std::string_view text,
@@ -83,7 +85,12 @@ bool PacketSocket::send_within(std::chrono::milliseconds time, std::string_view 
   const auto deadline = std::chrono::steady_clock::now() + time;
   while (true) {
     const Sent sent = send(text, descriptors);
-    if (sent != Sent::Full) return sent == Sent::Yes;
+    if (sent == Sent::Yes || sent == Sent::Gone) return sent == Sent::Yes;
+    if (sent == Sent::Crowded) {
+      if (std::chrono::steady_clock::now() >= deadline) return false;
+      std::this_thread::sleep_for(kCrowded);
+      continue;
+    }
     if (!wait_for(socket_.get(), POLLOUT, deadline)) return false;
   }
 }

@@ -23,7 +23,10 @@ class PacketSocket {
   static constexpr std::size_t kMaxText = 64 * 1024;  ///< bytes
   static constexpr std::size_t kMaxDescriptors = 8;   ///< of one packet
   enum class Got { Packet, Nothing, End };
-  enum class Sent { Yes, Full, Gone };
+  /// Crowded: the processes of this user have too many descriptors under way (unix(7), ETOOMANYREFS). Nobody tells when
+  /// that is over, and there is room in the socket all the while.
+  enum class Sent { Yes, Full, Crowded, Gone };
+  static constexpr std::chrono::milliseconds kCrowded{10};  ///< after which it is worth another try
 
   PacketSocket() = default;
   explicit PacketSocket(Descriptor socket);
