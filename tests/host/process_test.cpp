@@ -5,8 +5,10 @@
 #include <gtest/gtest.h>
 
 #include <signal.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <fstream>
 #include <string>
 
@@ -30,6 +32,20 @@ TEST(ChildProcess, IsToldWhatThisProcessHearsByADescriptor) {
   const ChildProcess child("/bin/sleep", {"60"}, {});
   ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
   EXPECT_EQ(told_of(child.id(), "SigBlk"), "0000000000000000");
+}
+
+/// As a copy of it that has not come so far as to leave its group.
+TEST(ChildProcess, IsEndedWithWhatIsStillInItsGroup) {
+  ChildProcess child("/bin/sleep", {"60"}, {});
+  const pid_t other = ::fork();
+  if (other == 0) {
+    while (true) ::pause();
+  }
+  ASSERT_EQ(::setpgid(other, child.id()), 0);
+  child.end_group();
+  EXPECT_EQ(::waitpid(other, nullptr, WNOHANG), -1);
+  EXPECT_EQ(errno, ECHILD);
+  EXPECT_EQ(child.end(), "killed by signal 9 (Killed)");
 }
 
 }  // namespace

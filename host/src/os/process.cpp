@@ -173,6 +173,18 @@ void ChildProcess::kill() {
   ::kill(-id_, SIGKILL);
 }
 
+void ChildProcess::end_group() {
+  kill();
+  const auto until = std::chrono::steady_clock::now() + std::chrono::milliseconds(kGoesWithin_ms);
+  while (std::chrono::steady_clock::now() < until) {
+    int status = 0;
+    const pid_t one = ::waitpid(-id_, &status, WNOHANG);
+    if (one < 0) return;
+    if (one == id_) end_ = text_of_end(status);
+    if (one == 0) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+}
+
 std::size_t descriptor_limit() {
   rlimit limit{};
   ::getrlimit(RLIMIT_NOFILE, &limit);

@@ -43,6 +43,9 @@ class ChildProcess {
   /// Whether it has been stopped, by SIGSTOP or from a terminal, and not gone on since.
   bool is_stopped() const;
   void kill();
+  /// Likewise, and waits half a second at most until it has ended, with each child of ours that is still in its process
+  /// group.
+  void end_group();
 
  private:
   pid_t id_ = -1;

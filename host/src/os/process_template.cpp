@@ -97,6 +97,7 @@ std::unique_ptr<ChildProcess> ProcessTemplate::copy(const std::vector<std::strin
     if (auto made = announced()) return made;
     process_.kill();  // a copy that it has made nevertheless announces itself, or closes its end of the socket
     if (auto made = announced()) return made;
+    process_.end_group();  // or one that had not left it yet would stay, as a child of ours that nobody waits for
   }
   socket_.close();
   return nullptr;
