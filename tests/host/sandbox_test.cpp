@@ -17,6 +17,7 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <functional>
 #include <string>
 
@@ -180,6 +181,27 @@ TEST_F(SandboxOfHidden, FindsWhatItIsGrantedInThereAndMakesNothingBesideIt) {
   };
   const std::string said = told({.writable = {place.path / "there"}, .socket_folders = {folder / "own"}}, make);
   EXPECT_EQ(said, "Read-only file system; done");
+}
+
+/// It has made the link itself, before it was started again.
+TEST(Sandbox, FindsNothingBehindALinkThatItHasMadeOfWhatItIsGranted) {
+  const tests::TemporaryDirectory place, secrets;
+  std::ofstream(secrets.path / "key") << "the key";
+  std::filesystem::create_directory(place.path / "real");
+  std::ofstream(place.path / "real" / "key") << "a map";
+  std::filesystem::create_directory_symlink(secrets.path, place.path / "maps");
+  const auto look = [&] {
+    std::string said;
+    for (const char* one : {"maps", "real"}) {
+      const Descriptor file(::open((place.path / one / "key").c_str(), O_RDONLY | O_CLOEXEC));
+      said += outcome_of(file.get()) + "; ";
+    }
+    return said;
+  };
+  const Reach reach{.readable = {place.path / "maps", place.path / "real"}, .writable = {place.path}};
+  EXPECT_EQ(told_by_confined(reach, look), "No such file or directory; done; ");
+  const Reach both{.writable = {place.path, place.path / "maps", place.path / "real"}};
+  EXPECT_EQ(told_by_confined(both, look), "No such file or directory; done; ");
 }
 
 /// The mounts alone: where there is no Landlock they are all that keeps it from writing.

@@ -1,5 +1,6 @@
 // A file system of its own: what is in reach, and the system's libraries.
 #include <fcntl.h>
+#include <linux/openat2.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/mount.h>
@@ -54,8 +55,31 @@ bool is_in(const fs::path& folder, const fs::path& path) {
   return !below.empty() && *below.begin() != "..";
 }
 
-void add(std::vector<Part>& parts, const fs::path& path, unsigned long flags) {
-  Descriptor descriptor(::open(path.c_str(), O_PATH | O_CLOEXEC));
+/// Whether somebody who may write to these folders could have made a link of a part of the way.
+bool leads_through(const std::vector<fs::path>& folders, const fs::path& path) {
+  fs::path way;
+  return std::any_of(path.begin(), path.end(), [&](const fs::path& step) {
+    std::error_code ignored;
+    const fs::path real = fs::weakly_canonical(way /= step, ignored);
+    return std::any_of(folders.begin(), folders.end(),
+                       [&](const fs::path& folder) { return is_in(fs::weakly_canonical(folder, ignored), real); });
+  });
+}
+
+/// openat2(2), of Linux 5.6.
+Descriptor open_without_links(const fs::path& path) {
+  open_how how{};
+  how.flags = O_PATH | O_CLOEXEC;
+  how.resolve = RESOLVE_NO_SYMLINKS;
+  return Descriptor(static_cast<int>(::syscall(SYS_openat2, AT_FDCWD, path.c_str(), &how, sizeof how)));
+}
+
+/// What was granted in a folder that it may write to is that, and not what it has made a link to before it was started
+/// again.
+void add(std::vector<Part>& parts, const fs::path& path, unsigned long flags,
+         const std::vector<fs::path>& writable = {}) {
+  Descriptor descriptor =
+      leads_through(writable, path) ? open_without_links(path) : Descriptor(::open(path.c_str(), O_PATH | O_CLOEXEC));
   if (descriptor) parts.push_back({path, std::move(descriptor), flags});
 }
 
@@ -77,6 +101,11 @@ void add_covers(std::vector<Part>& parts, const fs::path& hidden) {
   std::move(covers.begin(), covers.end(), std::back_inserter(parts));
 }
 
+std::vector<fs::path> others_than(const fs::path& one, std::vector<fs::path> folders) {
+  std::erase(folders, one);
+  return folders;
+}
+
 std::vector<Part> parts_of(const Reach& reach) {
   std::vector<Part> parts;
   for (const char* file : kSystemFiles) add(parts, file, MS_RDONLY | MS_NODEV);
@@ -85,8 +114,8 @@ std::vector<Part> parts_of(const Reach& reach) {
   }
   // The device is written to all the same, and nobody changes its node's rights, which are everybody's.
   for (const char* device : kSystemDevices) add(parts, device, MS_RDONLY);
-  for (const auto& path : reach.readable) add(parts, path, MS_RDONLY | MS_NODEV);
-  for (const auto& path : reach.writable) add(parts, path, MS_NODEV | MS_NOEXEC);
+  for (const auto& path : reach.readable) add(parts, path, MS_RDONLY | MS_NODEV, reach.writable);
+  for (const auto& path : reach.writable) add(parts, path, MS_NODEV | MS_NOEXEC, others_than(path, reach.writable));
   for (const auto& path : reach.socket_folders) add(parts, path, MS_NODEV | MS_NOEXEC);
   for (const auto& path : reach.devices) add(parts, path, MS_RDONLY);
   for (const auto& path : reach.hidden) add_covers(parts, path);
