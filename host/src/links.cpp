@@ -321,11 +321,18 @@ void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shar
     }
     return;
   }
-  // One crossing, one parse, for all the subscribers here.
+  // One crossing, one parse, for all the subscribers here. They are of one port, and so of one type: else a provider
+  // could have an object of one type taken for one of another.
   std::optional<ParsedObject> parsed;
+  const google::protobuf::Descriptor* type = nullptr;
   const auto take = [&](const std::shared_ptr<RemoteWire>& one) {
     if (!one) return;
-    if (!parsed) parsed = one->parse_object(object);
+    const auto& its_type = one->port().service().object();
+    if (!parsed) {
+      parsed = one->parse_object(object);
+      type = &its_type;
+    }
+    if (type != &its_type) return void(++counters_.not_granted);
     one->on_object(frame, *parsed);
   };
   take(wire);

@@ -40,6 +40,7 @@ class BothEnds final : public Component {
   using Component::Component;
   Provides<localisation::LocationProvider> told{*this, "told"};
   Requires<localisation::LocationProvider> heard{*this, "heard"};
+  Requires<localisation::OrientationProvider> turned{*this, "turned"};
   Provides<navigation::LevelMap> asked{*this, "asked", &BothEnds::on_question};
   Requires<navigation::LevelMap> asks{*this, "asks"};
   std::optional<Reply<navigation::CommLevelMap>> open;
@@ -66,6 +67,43 @@ bool becomes_true(F fits) {
   return fits();
 }
 
+/// Another process, by hand: it opens whatever it is asked to, and says what it likes before.
+class ProviderByHand final : public LinkSocket::Receiver {
+ public:
+  using OnFrame = std::function<void(const wire::Frame&)>;
+
+  explicit ProviderByHand(
+      const std::string& endpoint, OnFrame on_frame = [](const auto&) {})
+      : on_frame_(std::move(on_frame)) {
+    link_->listen(endpoint, {kLinksKey});
+  }
+  ~ProviderByHand() override { link_->stop(); }
+
+  std::optional<std::uint64_t> accepts(const std::string&, const wire::Frame& frame) override { return frame.wire(); }
+  void on_frame(const std::string& peer, const wire::Frame& frame, const ObjectBytes&) override {
+    if (frame.has_open() && !lane_.peer) lane_ = link_->open_lane(peer);
+    on_frame_(frame);
+    wire::Frame opened = frame_for(frame.wire());
+    opened.mutable_opened();
+    if (frame.has_open()) link_->send(lane_, opened);
+  }
+  void on_refused(const std::string&) override {}
+  void send(wire::Frame frame) { link_->send(lane_, frame); }
+  void send(wire::Frame frame, std::shared_ptr<const Object> object) {
+    frame.mutable_object()->set_sequence(1);
+    link_->send(lane_, frame, object, LinkSocket::Rule::MustFit);
+  }
+
+ private:
+  const OnFrame on_frame_;
+  LinkCounters counters_;
+  Pool pool_{1};
+  zmq::context_t context_;
+  LinkSocket::Lane lane_;
+  const std::shared_ptr<LinkSocket> link_ =
+      std::make_shared<LinkSocket>(pool_, context_, zmq::socket_type::router, counters_, *this);
+};
+
 class LinksOfAProcess : public testing::Test {
  protected:
   LinksOfAProcess() {
@@ -82,6 +120,11 @@ class LinksOfAProcess : public testing::Test {
     clock.stop();
   }
   std::string at(const std::string& name) const { return "ipc://" + (directory.path / name).string(); }
+  /// To the process that listens at "other".
+  void require(std::uint64_t wire, RequiredPort& client) {
+    const auto end = client.end_for("other.port");
+    links.require(wire, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, nullptr);
+  }
 
   TemporaryDirectory directory;
   SystemClock clock;
@@ -143,6 +186,18 @@ TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesOnceNothingIsOpenOnIt)
   links.release(hull, "the test is over");
   other.release(hull, "the test is over");
   other.stop();
+}
+
+TEST_F(LinksOfAProcess, AnObjectForWiresOfSeveralTypesGoesToThoseOfTheFirstOneAlone) {
+  ProviderByHand other(at("other"));
+  require(1, ends->heard);
+  require(2, ends->turned);
+  wire::Frame frame = frame_for(1);
+  frame.add_also(2);
+  other.send(frame, std::make_shared<localisation::CommLocation>());
+  EXPECT_TRUE(becomes_true([&] { return ends->heard.counters().messages == 1 && links.status().not_granted() == 1; }));
+  EXPECT_EQ(ends->turned.counters().messages, 0U);
+  links.release(hull, "the test is over");
 }
 
 std::size_t resident_bytes() {
