@@ -21,8 +21,9 @@ namespace {
 constexpr std::size_t kPooledFrom = kBlockBytes / 2;
 /// Of a chunk's bytes, those that are copied into its record.
 constexpr std::size_t kInsideBytes = 4096;
-/// A string of this size is sent from where it lies: the pieces of an object are not much smaller than blocks.
-constexpr std::size_t kAliasFrom = kBlockBytes / 2;
+/// A string of this part of a chunk is sent from where it lies. Of smaller ones, each a chunk, an object could come in
+/// more chunks than it may (`most_chunks`).
+constexpr std::size_t kAliasFrom_ofChunk = 4;
 /// 4 MiB for each process that sends large messages.
 constexpr std::size_t kKeptBlocks = 16;
 constexpr std::size_t kMostReason = 4096;
@@ -154,12 +155,12 @@ std::uint8_t* Block::extend(std::size_t more, std::size_t capacity) {
 /// Takes what protobuf writes, in order: long strings as they lie in the object, the rest in blocks.
 class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream {
  public:
-  explicit Writer(std::vector<Block>& blocks) : blocks_(blocks) {}
+  Writer(std::vector<Block>& blocks, std::size_t alias_from) : blocks_(blocks), alias_from_(alias_from) {}
 
   bool AllowsAliasing() const override { return true; }
   bool WriteAliasedRaw(const void* data, int size) override {
     std::string_view rest(static_cast<const char*>(data), static_cast<std::size_t>(size));
-    if (rest.size() >= kAliasFrom) {
+    if (rest.size() >= alias_from_) {
       end_own();
       segments_.push_back(rest);
       shown_ += rest.size();
@@ -206,6 +207,7 @@ class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream 
   }
 
   std::vector<Block>& blocks_;
+  const std::size_t alias_from_;
   std::vector<std::string_view> segments_;
   std::size_t shown_ = 0;  ///< bytes of the segments
   std::size_t begin_ = 0;  ///< in the last block: what is in no segment yet
@@ -214,7 +216,7 @@ class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream 
 
 Payload::Payload(std::shared_ptr<const Object> object, std::size_t chunk)
     : object_(std::move(object)), chunk_(chunk), size_(object_->ByteSizeLong()) {
-  Writer writer(blocks_);
+  Writer writer(blocks_, chunk_ / kAliasFrom_ofChunk);
   {
     google::protobuf::io::CodedOutputStream coded(&writer);
     coded.EnableAliasing(true);
@@ -240,14 +242,21 @@ void Payload::cut(const std::vector<std::string_view>& segments) {
   if (!inside.empty()) chunks_.push_back({std::move(inside), {}});
 }
 
+/// In whole chunks, whatever pieces it has come in: where it goes next there may be fewer.
 Payload::Payload(const ObjectBytes& object) : chunk_(kChunkBytes), size_(object.size()) {
   std::vector<std::string_view> copies;
+  for (std::size_t at = 0; at < size_; at += chunk_) {
+    const Block& copy = blocks_.emplace_back(std::min(size_ - at, chunk_));
+    copies.emplace_back(reinterpret_cast<const char*>(copy.data()), copy.size());
+  }
+  std::size_t at = 0;
   object.each_piece([&](std::string_view piece) {
     while (!piece.empty()) {
-      Block& copy = blocks_.emplace_back(std::min(piece.size(), kChunkBytes));
-      std::memcpy(copy.data(), piece.data(), copy.size());
-      copies.emplace_back(reinterpret_cast<const char*>(copy.data()), copy.size());
-      piece.remove_prefix(copy.size());
+      Block& copy = blocks_[at / chunk_];
+      const std::size_t part = std::min(piece.size(), copy.size() - at % chunk_);
+      std::memcpy(copy.data() + at % chunk_, piece.data(), part);
+      piece.remove_prefix(part);
+      at += part;
     }
   });
   cut(copies);
@@ -379,18 +388,34 @@ bool FrameReader::take(const wire::Frame& frame, std::string_view inside, zmq::m
   return true;
 }
 
+/// Whether there were any.
+template <class F>
+bool FrameReader::drop(Receiver& receiver, F which) {
+  return std::erase_if(assemblies_, [&](const auto& one) {
+           const bool goes = which(one);
+           if (goes) receiver.on_dropped(one.second.frame);
+           return goes;
+         }) > 0;
+}
+
 bool FrameReader::begin(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver) {
+  if (frame.size() > kMaxObject) return false;
+  const auto is_refused = [&](auto which) {
+    if (!drop(receiver, which)) return false;
+    receiver.on_dropped(frame);
+    return true;
+  };
   // A wire's objects come one after the other: a second one before the first has ended is nobody's.
-  if (frame.size() > kMaxObject || assemblies_.erase(frame.wire()) > 0) return false;
+  if (is_refused([&](const auto& one) { return one.first == frame.wire(); })) return false;
   drop_ended(receiver);
   const auto wire = receiver.accepts(frame);
   if (!wire) return true;
   // Nor does it help to name another's wire first.
-  if (std::erase_if(assemblies_, [&](const auto& one) { return one.second.accepted_for == *wire; }) > 0) return false;
+  if (is_refused([&](const auto& one) { return one.second.accepted_for == *wire; })) return false;
   Assembly assembly;
   assembly.frame = frame;
   assembly.accepted_for = *wire;
-  if (!add(assembly, inside, beside)) return false;
+  if (!add(assembly, inside, beside)) return receiver.on_dropped(frame), false;
   assemblies_.emplace(frame.wire(), std::move(assembly));
   return true;
 }
@@ -401,6 +426,7 @@ void FrameReader::drop_ended(Receiver& receiver) {
   for (auto it = assemblies_.begin(); it != assemblies_.end();) {
     const auto wire = receiver.accepts(it->second.frame);
     const bool goes_on = wire && wires.insert(*wire).second;
+    if (wire && !goes_on) receiver.on_dropped(it->second.frame);
     if (goes_on) it->second.accepted_for = *wire;
     it = goes_on ? std::next(it) : assemblies_.erase(it);
   }
@@ -410,6 +436,7 @@ bool FrameReader::go_on(const wire::Frame& frame, std::string_view inside, zmq::
   const auto found = assemblies_.find(frame.wire());
   if (found == assemblies_.end()) return true;  // of an object that is not accepted
   if (!add(found->second, inside, beside)) {
+    receiver.on_dropped(found->second.frame);
     assemblies_.erase(found);
     return false;
   }

@@ -133,6 +133,8 @@ class FrameReader {
     /// The wire of this peer's that an object in several chunks is for; none: it is not to be put together.
     virtual std::optional<std::uint64_t> accepts(const wire::Frame& frame) = 0;
     virtual void on_frame(const wire::Frame& frame, const ObjectBytes& object) = 0;
+    /// An object that was accepted has been dropped before it was whole.
+    virtual void on_dropped(const wire::Frame&) {}
   };
 
   /// Chunks are of this size at most.
@@ -154,6 +156,8 @@ class FrameReader {
   };
   bool take(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
   bool begin(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
+  template <class F>
+  bool drop(Receiver& receiver, F which);
   void drop_ended(Receiver& receiver);
   bool go_on(const wire::Frame& frame, std::string_view inside, zmq::message_t* beside, Receiver& receiver);
   bool add(Assembly& assembly, std::string_view inside, zmq::message_t* beside);

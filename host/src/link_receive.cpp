@@ -77,9 +77,12 @@ class LinkSocket::Incoming final : public FrameReader::Receiver {
 
   std::optional<std::uint64_t> accepts(const wire::Frame& frame) override {
     if (const auto wire = link_.receiver_.accepts(peer_.identity, frame)) return wire;
+    on_dropped(frame);
+    return std::nullopt;
+  }
+  void on_dropped(const wire::Frame& frame) override {
     link_.count_received(peer_);
     arrived(frame, frame.size());
-    return std::nullopt;
   }
   void on_frame(const wire::Frame& frame, const ObjectBytes& object) override {
     if (frame.has_credit()) {

@@ -418,14 +418,14 @@ google::protobuf::ListValue mixed_object(const std::vector<std::size_t>& sizes) 
 /// Passes the payload through a reader.
 class Assembled final : public FrameReader::Receiver {
  public:
-  Assembled(const Payload& payload, google::protobuf::Message& object) : object_(object) {
+  Assembled(const Payload& payload, google::protobuf::Message& object) : reader_(payload.chunk()), object_(object) {
     wire::Frame frame = first_of(1, payload.chunks().size() > 1 ? payload.size() : 0);
     for (const auto& chunk : payload.chunks()) {
       Block record = make_record(frame, ObjectBytes(chunk.inside));
       std::vector<zmq::message_t> parts;
       parts.emplace_back(record.data(), record.size());
       if (!chunk.beside.empty()) parts.emplace_back(chunk.beside.data(), chunk.beside.size());
-      EXPECT_LE(chunk.size(), kChunkBytes);
+      EXPECT_LE(chunk.size(), payload.chunk());
       EXPECT_TRUE(reader_.read(parts, *this));
       frame = more_of(1);
     }
@@ -454,6 +454,41 @@ TEST(LinkPayload, EveryMixtureOfFieldsArrivesAsItWas) {
     EXPECT_EQ(Assembled(payload, arrived).frames, payload.size() > 0 ? 1 : 0);
     ASSERT_EQ(arrived.SerializeAsString(), object->SerializeAsString());
   }
+}
+
+TEST(LinkPayload, WhateverAnObjectIsMadeOfItComesInNoMoreChunksThanItMay) {
+  constexpr std::size_t kString = 128 * 1024;
+  std::vector<std::size_t> mixed;
+  for (int i = 0; i < 10; ++i) mixed.insert(mixed.end(), {5'000, kString});
+  const std::vector<std::size_t> strings(73, kString);
+  for (const std::size_t chunk : {kChunkBytes, kLocalChunkBytes}) {
+    std::vector<std::size_t> at_the_bound;
+    for (int i = 0; i < 40; ++i) at_the_bound.insert(at_the_bound.end(), {4'100, chunk / 4});
+    for (const auto& sizes : {mixed, strings, at_the_bound}) {
+      const auto object = std::make_shared<google::protobuf::ListValue>(mixed_object(sizes));
+      const Payload payload(object, chunk);
+      EXPECT_LE(payload.chunks().size(), most_chunks(payload.size(), chunk)) << chunk << " " << sizes.size();
+      google::protobuf::ListValue arrived;
+      EXPECT_EQ(Assembled(payload, arrived).frames, 1);
+      EXPECT_TRUE(arrived.SerializeAsString() == object->SerializeAsString());
+    }
+  }
+}
+
+TEST(LinkPayload, WhatHasComeInManyPiecesIsPassedOnInWholeChunks) {
+  std::vector<zmq::message_t> pieces;
+  const std::size_t most = most_chunks(20 * kChunkBytes);
+  std::string sent;
+  for (std::size_t i = 0; i < most; ++i) {
+    const std::string piece(20 * kChunkBytes / most, static_cast<char>('a' + i % 26));
+    pieces.emplace_back(piece.data(), piece.size());
+    sent += piece;
+  }
+  const Payload payload{ObjectBytes(pieces, sent.size())};
+  EXPECT_EQ(payload.chunks().size(), (sent.size() + kChunkBytes - 1) / kChunkBytes);
+  std::string passed_on;
+  for (const auto& chunk : payload.chunks()) passed_on.append(chunk.inside).append(chunk.beside);
+  EXPECT_TRUE(passed_on == sent);
 }
 
 TEST(LinkPayload, LongStringsAreSentFromWhereTheObjectHasThem) {

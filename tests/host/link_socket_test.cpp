@@ -447,6 +447,24 @@ TEST_F(ProvingLink, CountsWhatIsGarbledAndGoesOn) {
   EXPECT_EQ(counters.garbled, 3U);
 }
 
+TEST_F(ProvingLink, OwesForAnObjectThatItDropsBeforeItIsWhole) {
+  RawPeer peer(context, "inproc://link", "peer");
+  peer.prove(kKey);
+  wire::Frame first = frame_of(7);
+  first.set_size(2 * kLocalChunkBytes);
+  first.set_lane(3);
+  wire::Frame empty;
+  empty.set_wire(7);
+  empty.mutable_more();
+  peer.send(first, "x");
+  peer.send(empty);
+  const wire::Frame answer = peer.receive();
+  ASSERT_TRUE(answer.has_credit());
+  EXPECT_THAT(answer.credit().lane(), ElementsAre(3));
+  EXPECT_THAT(answer.credit().bytes(), ElementsAre(2 * kLocalChunkBytes + kFrameCost));
+  EXPECT_EQ(counters.garbled, 1U);
+}
+
 TEST_F(ProvingLink, LetsGoOfAPeerThatLeavesUnreadWhatNoCreditBounds) {
   RawPeer peer(context, "inproc://link", "peer", "peer", 1);
   peer.prove(kKey);
