@@ -172,13 +172,13 @@ class Links {
   std::condition_variable answered_;  ///< a requirement has its answer
   std::map<std::uint64_t, Grant> grants_;
   std::map<std::uint64_t, Requirement> requirements_;
+  LinkCounters counters_;
   std::map<std::uint64_t, Relay> relays_;
   std::map<RelayWay, std::weak_ptr<RelayLane>> relay_lanes_;
   std::map<std::string, Peer> peers_;  ///< by endpoint
   /// By client process and provider.
   std::map<std::tuple<LinkSocket*, std::string, const Port*>, std::weak_ptr<FanOut>> fan_outs_;
   std::deque<std::uint64_t> ended_;  ///< wires whose last frames may still come
-  LinkCounters counters_;
   std::unique_ptr<Receiver> receiver_;
   std::shared_ptr<LinkSocket> server_;
 };

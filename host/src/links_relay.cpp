@@ -8,15 +8,23 @@ namespace fiona::host {
 
 class Links::RelayLane {
  public:
-  explicit RelayLane(const Hop& to) : link_(to.link), lane_(to.link->open_lane(to.peer)) {}
+  RelayLane(const Hop& to, LinkCounters& counters)
+      : link_(to.link), lane_(to.link->open_lane(to.peer)), counters_(counters) {}
   RelayLane(const RelayLane&) = delete;
   RelayLane& operator=(const RelayLane&) = delete;
-  ~RelayLane() { link_->close_lane(lane_); }
+  ~RelayLane() {
+    const std::size_t lost = link_->close_lane(lane_, rest_);
+    if (rest_ == PeerLanes::Rest::Goes) counters_.overrun += lost;
+  }
   const LinkSocket::Lane& lane() const { return lane_; }
+  /// A wire has ended behind what waits here: it goes before it, as it would have gone from who sent it.
+  void keep_rest() { rest_ = PeerLanes::Rest::Goes; }
 
  private:
   const std::shared_ptr<LinkSocket> link_;
   const LinkSocket::Lane lane_;
+  LinkCounters& counters_;
+  PeerLanes::Rest rest_ = PeerLanes::Rest::IsLost;
 };
 
 void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint) {
@@ -63,6 +71,9 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
   for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
   if (frame.has_closed() || frame.has_refused()) {
     for (const auto& [to, passed] : ways) note_ended(passed.wire());
+    for (const auto& [to, passed] : ways) {
+      if (to->lane) to->lane->keep_rest();
+    }
     for (const auto& [to, passed] : ways) relays_.erase(passed.wire());
   }
   if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
@@ -81,7 +92,7 @@ void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, 
     auto& known = relay_lanes_[{from.link.get(), from.peer, frame.lane(), to.hop.link.get(), to.hop.peer}];
     to.lane = known.lock();
     if (!to.lane) {
-      known = to.lane = std::make_shared<RelayLane>(to.hop);
+      known = to.lane = std::make_shared<RelayLane>(to.hop, counters_);
       std::erase_if(relay_lanes_, [](const auto& entry) { return entry.second.expired(); });
     }
     for (const std::uint64_t other : frame.also()) {

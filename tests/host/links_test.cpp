@@ -200,6 +200,40 @@ TEST_F(LinksOfAProcess, AnObjectForWiresOfSeveralTypesGoesToThoseOfTheFirstOneAl
   links.release(hull, "the test is over");
 }
 
+TEST_F(LinksOfAProcess, SendsThatAreToBePassedOnGoThoughTheirWireHasEndedBehindThem) {
+  constexpr std::size_t kSends = 100;  // of 64 KiB each: more than there is credit for
+  std::promise<void> goes_on;
+  std::atomic<std::size_t> come{0};
+  std::atomic<bool> closed{false};
+  ProviderByHand other(at("other"), [&, waits = goes_on.get_future().share()](const wire::Frame& frame) {
+    if (frame.has_object()) waits.wait();
+    come += frame.has_object() ? 1 : 0;
+    closed = closed || (frame.has_closed() && come == kSends);
+  });
+  links.relay(1, kLinksToken, "peer", {at("other"), "both", link_key(kLinksKey, "both")});
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  wire::Frame open = frame_for(1);
+  open.mutable_open()->set_version(wire::VERSION_1);
+  open.mutable_open()->set_token(kLinksToken);
+  peer.send(open);
+  EXPECT_TRUE(peer.receive().has_opened());
+  wire::Frame sent = frame_for(1);
+  sent.mutable_object();
+  sent.set_lane(1);
+  const std::string object(64 * 1024, 'x');
+  for (std::size_t i = 0; i < kSends; ++i) peer.send(sent, object);
+  wire::Frame end = frame_for(1);
+  end.mutable_closed();
+  peer.send(end);
+  const auto before = links.status().not_granted();
+  peer.send(frame_for(7));  // of nobody: once it is refused, what was before it has been passed on
+  EXPECT_TRUE(becomes_true([&] { return links.status().not_granted() > before; }));
+  goes_on.set_value();
+  EXPECT_TRUE(becomes_true([&] { return closed.load(); })) << come << " have come";
+  EXPECT_EQ(links.status().overrun(), 0U);
+}
+
 std::size_t resident_bytes() {
   std::ifstream file("/proc/self/statm");
   std::size_t pages = 0;
