@@ -231,20 +231,35 @@ void RemoteWire::on_object(const wire::Frame& frame, const ParsedObject& object)
   if (!keep(frame, object)) handle_object(frame, object);
 }
 
-/// Keeps what a push puts before `admit`; it loses its oldest beyond what a lane holds, as it would in any other queue.
+/// Keeps what comes of a push before `admit`. Of its objects the oldest are lost beyond what a lane holds, as they
+/// would be in any other queue; of a lease, and of a question for room, which is not put again, the last one stays.
 bool RemoteWire::keep(const wire::Frame& frame, const ParsedObject& object) {
   if (admitted_) return false;
   const std::lock_guard lock(mutex_);
   if (admitted_) return false;
-  if (!frame.has_object() && !frame.has_lease() && !frame.has_lost() && !frame.has_room()) return true;
-  kept_bytes_ += object.bytes + kFrameCost;
-  kept_.push_back({frame, object});
-  while (kept_bytes_ > kLaneWindow && kept_.size() > 1) {
-    kept_bytes_ -= kept_.front().object.bytes + kFrameCost;
-    port_.counters().dropped.fetch_add(kept_.front().frame.has_object() ? 1 : 0, std::memory_order_relaxed);
-    kept_.pop_front();
+  if (frame.has_lost()) return false;  // which is counted at once
+  if (!frame.has_object() && !frame.has_lease() && !frame.has_room()) return true;
+  if (frame.has_object()) {
+    make_room_in_kept(object.bytes + kFrameCost);
+  } else {
+    std::erase_if(kept_, [&](const Kept& one) { return one.frame.what_case() == frame.what_case(); });
   }
+  kept_.push_back({frame, object});
   return true;
+}
+
+/// Called with the lock held.
+void RemoteWire::make_room_in_kept(std::size_t cost) {
+  for (auto it = kept_.begin(); it != kept_.end() && kept_bytes_ + cost > kLaneWindow;) {
+    if (!it->frame.has_object()) {
+      ++it;
+      continue;
+    }
+    kept_bytes_ -= it->object.bytes + kFrameCost;
+    port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
+    it = kept_.erase(it);
+  }
+  kept_bytes_ += cost;
 }
 
 void RemoteWire::admit() {

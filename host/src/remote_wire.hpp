@@ -85,6 +85,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   Outcome request_locked(wire::Frame& frame, Parcel parcel);
   Outcome outcome_of(const LinkSocket::Sent& sent);
   bool keep(const wire::Frame& frame, const ParsedObject& object);
+  void make_room_in_kept(std::size_t cost);
   void handle_frame(const wire::Frame& frame, const ObjectBytes& object);
   void handle_object(const wire::Frame& frame, const ParsedObject& object);
   void take(const wire::Frame& frame, const ParsedObject& object);
@@ -129,8 +130,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   bool each_ = false;
   std::atomic<bool> admitted_;  ///< set under the mutex
   std::deque<Kept> kept_;       ///< what came before `admit`
-  std::size_t kept_bytes_ = 0;
-  std::deque<Held> held_;  ///< sends that found the queue full, or others waiting there, as far as there is credit
+  std::size_t kept_bytes_ = 0;  ///< of its objects
+  std::deque<Held> held_;       ///< sends that found the queue full, or others waiting there, as far as there is credit
   std::size_t held_bytes_ = 0;
   std::function<void()> drained_;
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open_;  ///< requests of ours, by id

@@ -1,5 +1,6 @@
 // The links of one process, whatever a peer does on the way.
 #include <gmock/gmock.h>
+#include <google/protobuf/wrappers.pb.h>
 #include <gtest/gtest.h>
 
 #include <array>
@@ -40,6 +41,7 @@ class BothEnds final : public Component {
   using Component::Component;
   Provides<localisation::LocationProvider> told{*this, "told"};
   Requires<localisation::LocationProvider> heard{*this, "heard"};
+  Requires<localisation::LocationProvider> noticed{*this, "noticed", &BothEnds::on_location};
   Requires<localisation::OrientationProvider> turned{*this, "turned"};
   Provides<navigation::LevelMap> asked{*this, "asked", &BothEnds::on_question};
   Requires<navigation::LevelMap> asks{*this, "asks"};
@@ -47,6 +49,7 @@ class BothEnds final : public Component {
   std::atomic<int> asked_so_far{0};
 
  private:
+  void on_location(const localisation::CommLocation&) {}
   void on_question(const navigation::CommLevelMapRequest&, Reply<navigation::CommLevelMap> reply) {
     open = std::move(reply);
     ++asked_so_far;
@@ -197,6 +200,25 @@ TEST_F(LinksOfAProcess, AnObjectForWiresOfSeveralTypesGoesToThoseOfTheFirstOneAl
   other.send(frame, std::make_shared<localisation::CommLocation>());
   EXPECT_TRUE(becomes_true([&] { return ends->heard.counters().messages == 1 && links.status().not_granted() == 1; }));
   EXPECT_EQ(ends->turned.counters().messages, 0U);
+  links.release(hull, "the test is over");
+}
+
+TEST_F(LinksOfAProcess, AQuestionForRoomThatComesBeforeTheWireIsOpenIsAnsweredWhateverComesBehindIt) {
+  std::promise<void> answered;
+  ProviderByHand* asks = nullptr;
+  ProviderByHand other(at("other"), [&](const wire::Frame& frame) {
+    if (frame.has_room()) answered.set_value();
+    if (!frame.has_open()) return;
+    wire::Frame question = frame_for(frame.wire());
+    question.mutable_room()->set_bytes(1);
+    asks->send(question);
+    auto large = std::make_shared<google::protobuf::BytesValue>();
+    large->mutable_value()->assign(kLaneWindow + 1, 'x');
+    asks->send(frame_for(frame.wire()), std::move(large));
+  });
+  asks = &other;
+  require(1, ends->noticed);
+  EXPECT_EQ(answered.get_future().wait_for(5s), std::future_status::ready);
   links.release(hull, "the test is over");
 }
 
