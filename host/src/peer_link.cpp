@@ -152,6 +152,17 @@ void PeerLink::close(State next, const std::string& reason, Steady::time_point o
   std::shared_ptr<LinkSocket> ended;
   bool was_joined = false;
   {
+  {
+    const std::lock_guard lock(mutex_);
+    ended = std::move(link_);
+    lane_ = {};
+  }
+  if (ended) {
+    // libzmq's own thread waits for ever where it has something to tell and the monitor is gone.
+    zmq_socket_monitor(ended->socket().handle(), nullptr, 0);
+    ended->stop(linger);
+  }
+  monitor_.close();
     const std::lock_guard lock(mutex_);
     was_joined = state_ == State::Joined;
     tried_ = true;
@@ -159,21 +170,15 @@ void PeerLink::close(State next, const std::string& reason, Steady::time_point o
     end_.reset();
     no_handshake_ = false;
     closed_ = false;
-    ended = std::move(link_);
-    lane_ = {};
     open_at_ = open_at;
   }
   enter(next, reason);
   answered_.notify_all();
-  if (ended) {
-    // libzmq's own thread waits for ever where it has something to tell and the monitor is gone.
-    zmq_socket_monitor(ended->socket().handle(), nullptr, 0);
-    ended->stop(linger);
-  }
-  monitor_.close();
   if (!was_joined) return;
-  around_.links.part(endpoint(), reason);
-  around_.on_change({.what = HostChange::What::Lost, .host = peer_.name, .reason = reason, .group = {}, .request = {}});
+  // A welcome may have come until the socket ended: then nobody has said why.
+  const std::string& why = reason.empty() ? has_ended() : reason;
+  around_.links.part(endpoint(), why);
+  around_.on_change({.what = HostChange::What::Lost, .host = peer_.name, .reason = why, .group = {}, .request = {}});
 }
 
 void PeerLink::enter(State state, const std::string& reason) {
@@ -200,8 +205,7 @@ void PeerLink::tick(Steady::time_point now) {
   }
   if (joined && closed_) {
     lock.unlock();
-    return close(State::Silent, "the connection to host '" + peer_.name + "' has ended",
-                 now + by_chance(kAfterSession));
+    return close(State::Silent, has_ended(), now + by_chance(kAfterSession));
   }
   if (!joined && (closed_ || no_handshake_ || now > give_up_at_)) {
     const State same = state_;

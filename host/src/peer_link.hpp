@@ -127,6 +127,7 @@ class PeerLink {
   mutable std::mutex mutex_;
   std::condition_variable answered_;
   std::unique_ptr<Incoming> incoming_;  ///< of the newest socket
+  std::string has_ended() const { return "the connection to host '" + peer_.name + "' has ended"; }
   std::shared_ptr<LinkSocket> link_;
   LinkSocket::Lane lane_;  ///< of what is asked, in its order
   zmq::socket_t monitor_;

@@ -6,6 +6,7 @@
 #include <array>
 #include <atomic>
 #include <chrono>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <future>
@@ -18,13 +19,16 @@
 
 #include "../temporary_directory.hpp"
 #include "fiona/component.hpp"
+#include "fiona/error.hpp"
 #include "fiona/hull.hpp"
 #include "fiona/localisation.fiona.hpp"
 #include "fiona/navigation.fiona.hpp"
 #include "leader_link.hpp"
 #include "link_keys.hpp"
 #include "links.hpp"
+#include "peer_link.hpp"
 #include "raw_peer.hpp"
+#include "uninterrupted.hpp"
 #include "zap.hpp"
 
 namespace fiona::host {
@@ -325,6 +329,95 @@ TEST_F(LinksOfAProcess, AHostHoldsNothingWhileItTellsWhoLeads) {
   leader->stop();
   ends_now = true;
   serving.join();
+}
+
+/// Stands still for those who ask from other threads than the one that it was made on.
+class StandingClock final : public Clock {
+ public:
+  explicit StandingClock(Clock& clock) : clock_(clock) {}
+  TimePoint now() const override {
+    while (std::this_thread::get_id() != owner_ && !goes_on) is_asked = true;
+    return clock_.now();
+  }
+  TimePoint start() const override { return clock_.start(); }
+  TimerId schedule(TimePoint at, const std::shared_ptr<Strand>& strand, Job job) override {
+    return clock_.schedule(at, strand, std::move(job));
+  }
+  void cancel(TimerId timer) override { clock_.cancel(timer); }
+  mutable std::atomic<bool> is_asked{false};
+  std::atomic<bool> goes_on{false};
+
+ private:
+  Clock& clock_;
+  const std::thread::id owner_ = std::this_thread::get_id();
+};
+
+/// A host that another one leads, by hand.
+class HostByHand {
+ public:
+  HostByHand(const std::filesystem::path& directory, zmq::context_t& context)
+      : leaders_(directory / "leaders"), own_(directory / "own"), socket_(context, zmq::socket_type::router) {
+    leaders_.make();
+    own_.make();
+    socket_.set(zmq::sockopt::linger, 0);
+    socket_.set(zmq::sockopt::curve_server, true);
+    socket_.set(zmq::sockopt::curve_secretkey, own_.pair().secret.bytes());
+    socket_.bind("tcp://127.0.0.1:*");
+  }
+  PeerAddress address() const { return {"by-hand", socket_.get(zmq::sockopt::last_endpoint), own_.pair().open}; }
+  trust::KeyPair leaders_keys() const { return leaders_.pair(); }
+  /// Says welcome to whatever has come.
+  void answer() {
+    wire::HostFrame welcome;
+    welcome.mutable_welcome()->set_run(2);
+    zmq::message_t identity;
+    while (received(socket_, identity)) {
+      for (zmq::message_t rest; received(socket_, rest);) continue;
+      leader_ = identity.to_string();
+      say(welcome);
+    }
+  }
+  void say(const wire::HostFrame& what) {
+    wire::Frame frame;
+    *frame.mutable_host() = what;
+    const Block record = make_record(frame, nullptr, 0);
+    sent(socket_, zmq::buffer(leader_), zmq::send_flags::sndmore);
+    sent(socket_, zmq::buffer(record.data(), record.size()));
+  }
+
+ private:
+  trust::KeyDirectory leaders_;
+  trust::KeyDirectory own_;
+  zmq::socket_t socket_;
+  std::string leader_;
+};
+
+TEST_F(LinksOfAProcess, AHostThatIsWelcomedWhileItGivesUpIsNotJoinedWithoutAConnection) {
+  HostByHand other(directory.path, context);
+  StandingClock standing(clock);
+  std::optional<HostChange> last;
+  const auto on_change = [&](HostChange change) { last = std::move(change); };
+  const HostSurroundings around{"ours", 1, other.leaders_keys(), pool, standing, links, context, {}, on_change};
+  PeerLink peer(around, other.address());
+  EXPECT_TRUE(becomes_true([&] {
+    peer.tick(std::chrono::steady_clock::now());
+    other.answer();
+    return standing.is_asked.load();
+  }));
+  auto given_up = std::async(std::launch::async, [&] { peer.tick(std::chrono::steady_clock::now() + 1h); });
+  given_up.wait_for(100ms);  // it waits for who reads the welcome; where it has not come so far, there is a connection
+  standing.goes_on = true;
+  given_up.get();
+  try {
+    peer.request("main", {}, 1s);
+    ADD_FAILURE() << "nobody has answered";
+  } catch (const Error& error) {
+    EXPECT_EQ(peer.joined(), error.text().what == "host 'by-hand' does not answer") << error.text().what;
+  }
+  ASSERT_TRUE(last);
+  EXPECT_EQ(peer.joined(), last->what == HostChange::What::Joined);
+  EXPECT_EQ(peer.joined(), last->reason.empty()) << last->reason;
+  peer.stop();
 }
 
 }  // namespace
