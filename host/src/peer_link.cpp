@@ -361,7 +361,7 @@ Error PeerLink::unreachable() const {
 }
 
 wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request,
-                                     std::chrono::seconds deadline) {
+                                     std::chrono::milliseconds deadline) {
   wire::Frame frame;
   frame.mutable_host();
   const auto host = std::make_shared<wire::HostFrame>();

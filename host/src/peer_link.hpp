@@ -93,7 +93,7 @@ class PeerLink {
   /// [control thread] Asks the host for something in one of its groups. Throws Error Unreachable when it is not
   /// joined, leaves, or does not answer in time.
   wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request,
-                             std::chrono::seconds deadline);
+                             std::chrono::milliseconds deadline);
   bool joined() const;
   /// Joined, or the first try to connect to it has ended.
   bool was_tried() const;

@@ -6,8 +6,8 @@
 namespace fiona::host {
 namespace {
 
-/// More than a host gives a group of its own, for the way; and before one that was silent is asked for its status
-/// again.
+/// More than a host gives a group of its own, for the way, but where it only asks for its status; and before one that
+/// was silent is asked for that again.
 constexpr std::chrono::seconds kWay{1};
 constexpr std::chrono::seconds kPause{2};
 
@@ -27,7 +27,7 @@ std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseco
   wire::GroupRequest request;
   request.mutable_status();
   try {
-    const auto reply = perform(request, patience);
+    const auto reply = ask(request, patience);
     if (reply.has_failure()) throw_failure(reply.failure());
     silent_since_.reset();
     return reply.status();
@@ -39,9 +39,12 @@ std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseco
 }
 
 wire::GroupMessage RemoteGroup::perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) {
+  return ask(request, deadline + kWay);
+}
+
+wire::GroupMessage RemoteGroup::ask(const wire::GroupRequest& request, std::chrono::milliseconds patience) {
   if (supervisor_) supervisor_->beat();
-  if (end_.empty())
-    return peer_.request(group_, request, std::chrono::duration_cast<std::chrono::seconds>(deadline) + kWay);
+  if (end_.empty()) return peer_.request(group_, request, patience);
   throw Error(ErrorCode::Unreachable,
               {.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls hosts"});
 }

@@ -40,6 +40,7 @@ class RemoteGroup final : public Group {
 
  private:
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
+  wire::GroupMessage ask(const wire::GroupRequest& request, std::chrono::milliseconds patience);
 
   PeerLink& peer_;
   const std::string group_;

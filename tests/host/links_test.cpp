@@ -28,6 +28,7 @@
 #include "links.hpp"
 #include "peer_link.hpp"
 #include "raw_peer.hpp"
+#include "remote_group.hpp"
 #include "uninterrupted.hpp"
 #include "zap.hpp"
 
@@ -417,6 +418,24 @@ TEST_F(LinksOfAProcess, AHostThatIsWelcomedWhileItGivesUpIsNotJoinedWithoutAConn
   ASSERT_TRUE(last);
   EXPECT_EQ(peer.joined(), last->what == HostChange::What::Joined);
   EXPECT_EQ(peer.joined(), last->reason.empty()) << last->reason;
+  peer.stop();
+}
+
+TEST_F(LinksOfAProcess, AGroupOfAnotherHostIsAskedForItsStatusNoLongerThanThereIsPatience) {
+  HostByHand other(directory.path, context);
+  const auto on_change = [](const HostChange&) {};
+  const HostSurroundings around{"ours", 1, other.leaders_keys(), pool, clock, links, context, {}, on_change};
+  PeerLink peer(around, other.address());
+  ASSERT_TRUE(becomes_true([&] {
+    peer.tick(std::chrono::steady_clock::now());
+    other.answer();
+    return peer.joined();
+  }));
+  RemoteGroup group("by-hand", peer, "main", nullptr);
+  const auto begun = std::chrono::steady_clock::now();
+  EXPECT_FALSE(group.status(1ms));
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, 1s) << "which requests have for the way";
+  EXPECT_TRUE(group.silent_since());
   peer.stop();
 }
 
