@@ -381,6 +381,7 @@ class System {
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
   bool crosses(const PortKey& client, const Wire& wire, const std::string& host);
   void resume(RemoteGroup& group);
+  void resume_late(std::chrono::steady_clock::time_point now);
   void resume_wires(const std::string& host);
   void on_remote_group_ended(const HostChange& change);
 
@@ -409,6 +410,7 @@ class System {
   std::set<std::pair<std::string, std::string>> beside_;  ///< group, instance; guarded by beside_mutex_
   Mailbox<std::function<void()>> made_;                   ///< what is to be done when one has been made again, or not
   std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
+  std::map<std::string, std::chrono::steady_clock::time_point> resume_at_;  ///< hosts that have not said what is there
   Supervision supervision_;
   std::vector<KeptGroup> kept_;  ///< until they are adopted
   std::string memory_key_;       ///< by which the processes of this host share memory, but for sandboxes

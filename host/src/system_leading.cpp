@@ -9,6 +9,9 @@
 namespace fiona::host {
 namespace {
 
+/// A host that has joined and does not answer is asked again so much later: who asks it waits.
+constexpr std::chrono::seconds kAskAgain{5};
+
 /// What it was asked for while its host was silent. What it refuses is gone already.
 void pay_owed(RemoteGroup& group) {
   for (auto& request : group.take_owed()) {
@@ -20,7 +23,7 @@ void pay_owed(RemoteGroup& group) {
   }
 }
 
-/// None: its host has fallen silent again.
+/// None: its host has fallen silent again, or does not answer now.
 std::optional<std::set<std::string>> instances_of(RemoteGroup& group) {
   wire::GroupRequest ask;
   ask.mutable_status();
@@ -28,8 +31,8 @@ std::optional<std::set<std::string>> instances_of(RemoteGroup& group) {
   try {
     const auto reply = group.request(std::move(ask));
     for (const auto& one : reply.status().instances()) there.insert(one.name());
-  } catch (const Error&) {
-    if (!group.alive()) return std::nullopt;
+  } catch (const Error& error) {
+    if (!group.alive() || error.code() == ErrorCode::Unreachable) return std::nullopt;
   }
   return there;
 }
@@ -117,7 +120,10 @@ bool System::crosses(const PortKey& client, const Wire& wire, const std::string&
 void System::resume(RemoteGroup& group) {
   pay_owed(group);
   const auto there = instances_of(group);
-  if (!there) return;
+  if (!there) {
+    if (group.alive()) resume_at_[group.host()] = std::chrono::steady_clock::now() + kAskAgain;
+    return;
+  }
   for (const std::string& name : model_.names_in(group.name())) {
     const auto lost = lost_.find(name);
     if (lost == lost_.end() || !lost->second.away) continue;
@@ -136,6 +142,21 @@ void System::resume(RemoteGroup& group) {
     group.owe(std::move(destroy));
   }
   pay_owed(group);
+}
+
+/// Hosts that have joined and did not answer then: what they hold is away until they do.
+void System::resume_late(std::chrono::steady_clock::time_point now) {
+  std::vector<std::string> due;
+  for (const auto& [host, at] : resume_at_) {
+    if (at <= now) due.push_back(host);
+  }
+  for (const std::string& host : due) {
+    resume_at_.erase(host);
+    for (auto* group : groups_.of_host(host)) {
+      if (group->end().empty()) resume(*group);
+    }
+    resume_wires(host);
+  }
 }
 
 void System::resume_wires(const std::string& host) {
