@@ -191,10 +191,13 @@ void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello)
   wire::HostFrame frame;
   bool resumes = false;
   bool again = false;
+  bool late = false;
   {
     const std::lock_guard lock(mutex_);
     resumes = session_ && session_->name == name && session_->key == key && session_->run == hello.run();
     again = resumes && !session_->over && session_->peer == peer;
+    // Of connections that it has given up: the socket reads them in turn, and not in their order.
+    late = resumes && hello.beat().now_ns() < session_->said_hello_ns;
     const auto lease = kLeadLease - (session_ ? Steady::now() - session_->heard : kLeadLease);
     if (name.empty()) {
       frame.mutable_refused()->set_reason("its key is no longer in the list of hosts that may connect");
@@ -207,13 +210,22 @@ void LeaderLink::on_hello(const std::string& peer, const wire::HostHello& hello)
     }
   }
   if (frame.has_refused()) return turn_away(peer, frame);
+  if (late) return link_->drop(peer);
   if (!again) {
     end("host '" + name + "' has connected anew");
     const std::lock_guard delivering(delivering_);
     {
       const std::lock_guard lock(mutex_);
-      session_ = Session{++sessions_, peer,          link_->open_lane(peer), name,  key,
-                         hello.run(), Steady::now(), Steady::now(),          false, ""};
+      session_ = Session{.number = ++sessions_,
+                         .peer = peer,
+                         .lane = link_->open_lane(peer),
+                         .name = name,
+                         .key = key,
+                         .run = hello.run(),
+                         .said_hello_ns = hello.beat().now_ns(),
+                         .heard = Steady::now(),
+                         .since = Steady::now(),
+                         .reason = {}};
       if (!resumes) offset_ = std::make_unique<ClockOffset>();
     }
     // Without the lock: links have locks of their own, under which ports tell the leader what is tapped.

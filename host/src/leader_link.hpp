@@ -49,6 +49,7 @@ class LeaderLink final : public LinkSocket::Receiver {
     std::string name;       ///< in the allow-list
     std::string key;        ///< and its key there
     std::uint64_t run = 0;
+    std::int64_t said_hello_ns = 0;  ///< on its own timeline
     std::chrono::steady_clock::time_point heard{};
     std::chrono::steady_clock::time_point since{};
     bool over = false;  ///< kept for whoever resumes

@@ -288,48 +288,107 @@ TEST_F(LinksOfAProcess, WhoAsksWithoutReadingTheAnswersTakesNoMemory) {
   EXPECT_LT(resident_bytes(), before + 64 * 1024 * 1024);
 }
 
+/// A host that may be led, and what its leader says to it by hand.
+class LedHost {
+ public:
+  using OnChange = std::function<void(const HostChange&)>;
+
+  LedHost(const std::filesystem::path& directory, Pool& pool, Clock& clock, Links& links, zmq::context_t& context,
+          OnChange on_change)
+      : ours_(directory / "ours"), leaders_(directory / "leaders"), context_(context) {
+    ours_.make();
+    leaders_.make();
+    ours_.allow("leader", leaders_.pair().open.text());
+    zap_.emplace(context, Zap::hosts(ours_), [](const std::string&) {});
+    around_.emplace(HostSurroundings{"led", 1, ours_.pair(), pool, clock, links, context, {}, std::move(on_change)});
+    link_.emplace(*around_, ours_, "tcp://127.0.0.1:0");
+    serving_ = std::thread([this] { serve(); });
+  }
+  ~LedHost() {
+    link_->stop();
+    ends_ = true;
+    serving_.join();
+  }
+  LeaderLink& link() { return *link_; }
+  /// The leader connects.
+  zmq::socket_t connect() {
+    zmq::socket_t socket(context_, zmq::socket_type::dealer);
+    socket.set(zmq::sockopt::linger, 0);
+    socket.set(zmq::sockopt::rcvtimeo, 5000);
+    socket.set(zmq::sockopt::curve_serverkey, ours_.pair().open.bytes());
+    socket.set(zmq::sockopt::curve_publickey, leaders_.pair().open.bytes());
+    socket.set(zmq::sockopt::curve_secretkey, leaders_.pair().secret.bytes());
+    socket.connect(link_->address());
+    return socket;
+  }
+  static void say_hello(zmq::socket_t& socket, std::int64_t now_ns = 0, wire::Version version = wire::VERSION_1) {
+    wire::Frame frame;
+    auto& hello = *frame.mutable_host()->mutable_hello();
+    hello.set_version(version);
+    hello.set_run(1);
+    hello.mutable_beat()->set_now_ns(now_ns);
+    const Block record = make_record(frame, nullptr, 0);
+    sent(socket, zmq::buffer(record.data(), record.size()));
+  }
+
+ private:
+  void serve() {
+    std::array<zmq::pollitem_t, 1> waits{{{zap_->socket().handle(), 0, ZMQ_POLLIN, 0}}};
+    while (!ends_) {
+      if (zmq::poll(waits, 10ms) > 0) zap_->serve();
+    }
+  }
+
+  trust::KeyDirectory ours_;
+  trust::KeyDirectory leaders_;
+  zmq::context_t& context_;
+  std::optional<Zap> zap_;
+  std::optional<HostSurroundings> around_;
+  std::optional<LeaderLink> link_;
+  std::atomic<bool> ends_{false};
+  std::thread serving_;
+};
+
+/// What a host says next to who leads it.
+wire::HostFrame said_to(zmq::socket_t& socket) {
+  zmq::message_t message;
+  wire::Frame frame;
+  if (!uninterrupted([&] { return socket.recv(message); })) return {};
+  const auto* in = static_cast<const std::uint8_t*>(message.data());
+  return frame.ParseFromArray(in + kRecordHead, in[0] | in[1] << 8) ? frame.host() : wire::HostFrame();
+}
+
 TEST_F(LinksOfAProcess, AHostHoldsNothingWhileItTellsWhoLeads) {
-  const trust::KeyDirectory ours(directory.path / "ours");
-  const trust::KeyDirectory leaders(directory.path / "leaders");
-  ours.make();
-  leaders.make();
-  ours.allow("leader", leaders.pair().open.text());
-  Zap zap(context, Zap::hosts(ours), [](const std::string&) {});
-  std::unique_ptr<LeaderLink> leader;
+  LedHost* led = nullptr;
   std::future<std::string> asked;
   std::promise<bool> answered;
-  const auto on_change = [&](const HostChange& change) {
+  LedHost host(directory.path, pool, clock, links, context, [&](const HostChange& change) {
     if (change.what != HostChange::What::Joined) return;
-    asked = std::async(std::launch::async, [&] { return leader->leader(); });
+    asked = std::async(std::launch::async, [&] { return led->link().leader(); });
     answered.set_value(asked.wait_for(5s) == std::future_status::ready);
-  };
-  const HostSurroundings around{"led", 1, ours.pair(), pool, clock, links, context, {}, on_change};
-  leader = std::make_unique<LeaderLink>(around, ours, "tcp://127.0.0.1:0");
-  std::atomic<bool> ends_now{false};
-  std::thread serving([&] {
-    std::array<zmq::pollitem_t, 1> waits{{{zap.socket().handle(), 0, ZMQ_POLLIN, 0}}};
-    while (!ends_now) {
-      if (zmq::poll(waits, 10ms) > 0) zap.serve();
-    }
   });
-  zmq::socket_t socket(context, zmq::socket_type::dealer);
-  socket.set(zmq::sockopt::linger, 0);
-  socket.set(zmq::sockopt::curve_serverkey, ours.pair().open.bytes());
-  socket.set(zmq::sockopt::curve_publickey, leaders.pair().open.bytes());
-  socket.set(zmq::sockopt::curve_secretkey, leaders.pair().secret.bytes());
-  socket.connect(leader->address());
-  wire::Frame hello;
-  hello.mutable_host()->mutable_hello()->set_version(wire::VERSION_1);
-  hello.mutable_host()->mutable_hello()->set_run(1);
-  const Block record = make_record(hello, nullptr, 0);
-  sent(socket, zmq::buffer(record.data(), record.size()));
+  led = &host;
+  zmq::socket_t leader = host.connect();
+  LedHost::say_hello(leader);
   auto whether = answered.get_future();
   ASSERT_EQ(whether.wait_for(20s), std::future_status::ready);
   EXPECT_TRUE(whether.get());
   EXPECT_EQ(asked.get(), "leader");
-  leader->stop();
-  ends_now = true;
-  serving.join();
+}
+
+TEST_F(LinksOfAProcess, AHelloOfAConnectionThatItsLeaderHasGivenUpTakesNothingOver) {
+  std::atomic<int> changes{0};
+  LedHost host(directory.path, pool, clock, links, context, [&](const HostChange&) { ++changes; });
+  zmq::socket_t later = host.connect();
+  LedHost::say_hello(later, 200);
+  EXPECT_TRUE(said_to(later).has_welcome());
+  zmq::socket_t earlier = host.connect();
+  LedHost::say_hello(earlier, 100);
+  LedHost::say_hello(earlier, 100, static_cast<wire::Version>(99));
+  EXPECT_TRUE(said_to(earlier).has_refused()) << "and nothing before that";
+  EXPECT_EQ(changes, 1) << "it was joined";
+  LedHost::say_hello(earlier, 300);
+  EXPECT_TRUE(said_to(earlier).has_welcome()) << "one that comes anew resumes";
 }
 
 /// Stands still for those who ask from other threads than the one that it was made on.
