@@ -15,7 +15,7 @@ namespace {
 constexpr std::chrono::milliseconds kTick{50};
 /// How often a leader is looked up in the allow-list again.
 constexpr std::chrono::seconds kCheckEvery{1};
-/// Requests of a leader that may wait; further ones get no answer.
+/// Requests of a leader that may wait; further ones get no answer, nor do those above `kMostUnread` bytes.
 constexpr std::size_t kMaxChanges = 10'000;
 
 std::uint64_t random_number() {
@@ -43,10 +43,16 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
   }
   const auto post = [this](HostChange change) {
     const bool droppable = change.what == HostChange::What::Request;
+    if (droppable && (unread_ += change.request.ByteSizeLong()) > kMostUnread) return;
     changes_.push(std::move(change), droppable ? kMaxChanges : SIZE_MAX);
   };
+  const auto tell = [this, on_event = std::move(on_event)](wire::GroupMessage event) {
+    const bool is_counted = !event.has_tapped();
+    on_event(std::move(event));
+    if (is_counted) changes_.wake();  // for `changes`, once it has been dealt with
+  };
   around_ = std::make_unique<HostSurroundings>(
-      HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_, std::move(on_event), post});
+      HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_, tell, post});
   if (!options.listen.empty()) {
     zap_ = std::make_unique<Zap>(context_, Zap::hosts(keys_), std::move(on_log));
     leader_ = std::make_unique<LeaderLink>(*around_, keys_, options.listen);
@@ -101,6 +107,12 @@ void HostLinks::check_leader(std::chrono::steady_clock::time_point now) {
   } catch (const Error&) {
     return;
   }
+}
+
+std::deque<HostChange> HostLinks::changes() {
+  for (const auto& peer : peers_) peer->was_read();
+  unread_ = 0;
+  return changes_.take();
 }
 
 PeerLink* HostLinks::peer(const std::string& name) {

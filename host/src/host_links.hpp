@@ -38,9 +38,10 @@ class HostLinks {
 
   /// Ends the connections: no frame comes any more, and none goes.
   void stop();
-  /// Readable when `changes` has something.
+  /// Readable when `changes` is to be called.
   int descriptor() const { return changes_.descriptor(); }
-  std::deque<HostChange> changes() { return changes_.take(); }
+  /// Also that what has been said by then has been dealt with.
+  std::deque<HostChange> changes();
   /// Null where there is none of that name.
   PeerLink* peer(const std::string& name);
   const std::vector<std::unique_ptr<PeerLink>>& peers() const { return peers_; }
@@ -57,6 +58,7 @@ class HostLinks {
   const trust::KeyDirectory keys_;
   zmq::context_t context_;
   Mailbox<HostChange> changes_;
+  std::atomic<std::size_t> unread_{0};  ///< bytes of a leader's requests
   std::unique_ptr<HostSurroundings> around_;
   std::unique_ptr<Zap> zap_;
   std::unique_ptr<LeaderLink> leader_;

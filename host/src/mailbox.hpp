@@ -31,6 +31,9 @@ class Mailbox {
     signal();
   }
 
+  /// [any thread] Has the reader look, though nothing may wait here.
+  void wake() { signal(); }
+
   /// [any thread] For what may be dropped where too much waits, but not the newest of its `key`.
   void push_newest(std::uint64_t key, T value, std::size_t bytes) {
     {

@@ -23,6 +23,8 @@ constexpr PeerLink::Pause kAfterRefusal{5000, 1000};
 /// the time of the handshake, and as much again for the first words.
 constexpr std::chrono::milliseconds kConnect{1000};
 constexpr std::chrono::milliseconds kHelloEvery{400};
+/// What an event costs beside its bytes.
+constexpr std::size_t kPerEvent = 256;
 /// How long the last word of a host that ends may take to leave.
 constexpr std::chrono::milliseconds kFarewell{200};
 
@@ -150,8 +152,6 @@ void PeerLink::open() {
 void PeerLink::close(State next, const std::string& reason, Steady::time_point open_at,
                      std::chrono::milliseconds linger) {
   std::shared_ptr<LinkSocket> ended;
-  bool was_joined = false;
-  {
   {
     const std::lock_guard lock(mutex_);
     ended = std::move(link_);
@@ -163,6 +163,8 @@ void PeerLink::close(State next, const std::string& reason, Steady::time_point o
     ended->stop(linger);
   }
   monitor_.close();
+  bool was_joined = false;
+  {
     const std::lock_guard lock(mutex_);
     was_joined = state_ == State::Joined;
     tried_ = true;
@@ -338,6 +340,7 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
     if (pending != pending_.end()) pending->second = std::move(message);
     return answered_.notify_all();
   }
+  if (says_too_much(message)) return;
   if (message.has_group_ended()) {
     return around_.on_change({.what = HostChange::What::GroupEnded,
                               .host = peer_.name,
@@ -346,6 +349,15 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
                               .request = {}});
   }
   around_.on_event(std::move(message));
+}
+
+/// Then the session ends.
+bool PeerLink::says_too_much(const wire::GroupMessage& message) {
+  if (message.has_tapped() || (unread_ += message.ByteSizeLong() + kPerEvent) <= kMostUnread) return false;
+  const std::lock_guard lock(mutex_);
+  end_ = "host '" + peer_.name + "' has said more than " + std::to_string(kMostUnread >> 20U) +
+         " MiB that nobody had asked for, faster than it could be read";
+  return true;
 }
 
 bool PeerLink::was_tried() const {

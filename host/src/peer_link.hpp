@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <functional>
@@ -24,6 +25,10 @@ inline constexpr std::chrono::milliseconds kBeatEvery{200};
 inline constexpr std::chrono::milliseconds kSilence{1000};
 /// How long one that led, and went silent, keeps others from leading.
 inline constexpr std::chrono::milliseconds kLeadLease{1500};
+
+/// What another host may say, and nobody has come to yet: it costs no credit. Of taps the newest is kept, whatever
+/// there is of them.
+inline constexpr std::size_t kMostUnread = 64U << 20U;
 
 /// No wire: what hosts say to each other.
 inline constexpr std::uint64_t kHostsOwn = 0;
@@ -97,6 +102,8 @@ class PeerLink {
   bool joined() const;
   /// Joined, or the first try to connect to it has ended.
   bool was_tried() const;
+  /// [control thread] What it has said so far has been dealt with.
+  void was_read() { unread_ = 0; }
   control::HostStatus status() const;
 
  private:
@@ -117,8 +124,10 @@ class PeerLink {
   void on_host_frame(const Hop& hop, const wire::HostFrame& host);
   void on_welcome(const Hop& hop, const wire::HostWelcome& welcome);
   void on_message(const wire::GroupMessage& message);
+  bool says_too_much(const wire::GroupMessage& message);
   void enter(State state, const std::string& reason);
   Error unreachable() const;
+  std::string has_ended() const { return "the connection to host '" + peer_.name + "' has ended"; }
   std::int64_t now_ns() const { return around_.clock.now().time_since_epoch().count(); }
 
   const HostSurroundings& around_;
@@ -127,7 +136,6 @@ class PeerLink {
   mutable std::mutex mutex_;
   std::condition_variable answered_;
   std::unique_ptr<Incoming> incoming_;  ///< of the newest socket
-  std::string has_ended() const { return "the connection to host '" + peer_.name + "' has ended"; }
   std::shared_ptr<LinkSocket> link_;
   LinkSocket::Lane lane_;  ///< of what is asked, in its order
   zmq::socket_t monitor_;
@@ -150,6 +158,7 @@ class PeerLink {
   std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;
   std::uint64_t session_ = 0;
   std::uint64_t next_id_ = 1;
+  std::atomic<std::size_t> unread_{0};  ///< bytes
   std::minstd_rand random_;
 };
 

@@ -498,5 +498,41 @@ TEST_F(LinksOfAProcess, AGroupOfAnotherHostIsAskedForItsStatusNoLongerThanThereI
   peer.stop();
 }
 
+TEST_F(LinksOfAProcess, AHostThatSaysMoreThanIsReadLosesItsSession) {
+  HostByHand other(directory.path, context);
+  std::atomic<std::size_t> heard{0};
+  std::mutex mutex;
+  std::string lost;
+  const auto on_event = [&](const wire::GroupMessage&) { ++heard; };
+  const auto on_change = [&](const HostChange& change) {
+    const std::lock_guard lock(mutex);
+    if (change.what == HostChange::What::Lost) lost = change.reason;
+  };
+  const HostSurroundings around{"ours", 1, other.leaders_keys(), pool, clock, links, context, on_event, on_change};
+  PeerLink peer(around, other.address());
+  const auto now_joined = [&] {
+    peer.tick(std::chrono::steady_clock::now());
+    other.answer();
+    return peer.joined();
+  };
+  ASSERT_TRUE(becomes_true(now_joined));
+  wire::HostFrame said;
+  said.mutable_message()->mutable_logged()->set_text(std::string(512 * 1024, 'x'));
+  for (std::size_t i = 1; i <= 200; ++i) {
+    other.say(said);
+    ASSERT_TRUE(becomes_true([&] { return now_joined() && heard == i; })) << i;
+    if (i % 100 == 0) peer.was_read();
+  }
+  for (std::size_t i = 0; i < 200; ++i) other.say(said);
+  EXPECT_TRUE(becomes_true([&] {
+    peer.tick(std::chrono::steady_clock::now());
+    const std::lock_guard lock(mutex);
+    return !lost.empty();
+  }));
+  EXPECT_THAT(lost, testing::StartsWith("host 'by-hand' has said more than 64 MiB"));
+  EXPECT_LT((heard - 200) * 512 * 1024, kMostUnread);
+  peer.stop();
+}
+
 }  // namespace
 }  // namespace fiona::host
