@@ -20,17 +20,31 @@ void await_connected(RunningSystem& system, const std::string& port) {
   system.eventually("connected", [&] { return system.port(port).connection() == control::CONNECTED; });
 }
 
+/// What became of the messages, as far as ports, hosts and links know.
+std::string traces(RunningSystem& system, const std::vector<std::string>& ports) {
+  std::string text = "messages, of them dropped, and the connection:";
+  for (const auto& name : ports) {
+    const auto port = system.port(name);
+    text += " " + name + " " + std::to_string(port.messages()) + " " + std::to_string(port.dropped()) + " " +
+            control::Connection_Name(port.connection());
+  }
+  const auto now = system.system().snapshot();
+  for (const auto& host : now.hosts()) {
+    text += "; host " + host.name() + ": " + host.state() + " for " + std::to_string(host.since_s()) + " s";
+  }
+  for (const auto& group : now.groups()) {
+    text += "; links of " + group.name() + ": " + std::to_string(group.links().not_granted()) + " not granted, " +
+            std::to_string(group.links().garbled()) + " garbled";
+  }
+  return text;
+}
+
 /// The report of a series; where it does not come, an error that says what became of the messages.
 conformance::SeenSample report_of(RunningSystem& system, std::uint64_t report, const std::vector<std::string>& ports) {
   try {
     return system.wait_for(report, any, std::chrono::seconds(30));
   } catch (const std::exception&) {
-    std::string text = "the series does not end; messages and of them dropped:";
-    for (const auto& name : ports) {
-      const auto port = system.port(name);
-      text += " " + name + " " + std::to_string(port.messages()) + " " + std::to_string(port.dropped());
-    }
-    throw std::runtime_error(text);
+    throw std::runtime_error("the series does not end; " + traces(system, ports));
   }
 }
 
