@@ -284,12 +284,12 @@ control::Done System::take_over(bool keeps) {
   Without lost(lost_, name);
   control::Done done;
   switch_clients(name, next, done);
-  // Those of the one go before those of the other come, so that nothing is done twice.
-  for (const auto& [client, wire] : wires_) {
-    if (client.first == name && sends(old, client.second))
-      connector_.disconnect(port_of(client), wire, "another version serves");
-  }
   try {
+    // Those of the one go before those of the other come, so that nothing is done twice.
+    for (const auto& [client, wire] : wires_) {
+      if (client.first == name && sends(old, client.second))
+        connector_.disconnect(port_of(client), wire, "another version serves");
+    }
     wire_candidate(next, true);
   } catch (...) {
     switch_back(name);

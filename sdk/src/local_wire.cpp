@@ -138,8 +138,8 @@ void LocalWire::cut_from(const Hull& hull, const std::string& reason) {
   cut_if([&hull](const Inbox& inbox) { return &inbox.port().hull() == &hull; }, reason);
 }
 
-/// Nobody else ends its open requests where the client's port has another provider by then. Who may still answer them is
-/// told that nobody waits.
+/// Nobody else ends its open requests where the client's port has another provider by then. Who may still answer them
+/// is told that nobody waits.
 void LocalWire::cut_if(const std::function<bool(const Inbox&)>& is_meant, const std::string& reason) {
   std::vector<std::weak_ptr<ReplySink>> open;
   {

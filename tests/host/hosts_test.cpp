@@ -11,6 +11,7 @@
 
 #include <array>
 #include <atomic>
+#include <cstring>
 #include <fstream>
 #include <memory>
 #include <set>
@@ -21,8 +22,11 @@
 #include "evidence.hpp"
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
+#include "fiona/trust/host_keys.hpp"
+#include "link_message.hpp"
 #include "os/unix_socket.hpp"
 #include "system_fixture.hpp"
+#include "uninterrupted.hpp"
 
 namespace fiona::host {
 namespace {
@@ -433,6 +437,116 @@ TEST_F(Hosts, WhatIsUnloadedWhileItsHostIsSilentIsGoneWhenThatIsBack) {
   system.join("far");
   system.load_in("far", "sink", "sink");
   EXPECT_EQ(system.instance("sink").mode(), "active") << "the name is free again";
+}
+
+/// By hand: it does what it is asked for, and may fall silent, or be held up.
+class HostByHand {
+ public:
+  explicit HostByHand(const std::filesystem::path& directory)
+      : keys_(directory / "by-hand"), socket_(context_, zmq::socket_type::router) {
+    keys_.make();
+    socket_.set(zmq::sockopt::linger, 0);
+    socket_.set(zmq::sockopt::curve_server, true);
+    socket_.set(zmq::sockopt::curve_secretkey, keys_.pair().secret.bytes());
+    socket_.bind("tcp://127.0.0.1:*");
+    address_ = socket_.get(zmq::sockopt::last_endpoint);
+    thread_ = std::thread([this] { serve(); });
+  }
+  ~HostByHand() {
+    ends_ = true;
+    thread_.join();
+  }
+  HostOptions led_from(const std::filesystem::path& keys) const {
+    trust::KeyDirectory(keys).make();
+    return {keys, "", {{"far", address_, keys_.pair().open}}};
+  }
+
+  std::atomic<bool> is_silent{false};
+  std::atomic<bool> is_held_up{false};  ///< until it has been asked for its status, and has not answered
+
+ private:
+  void serve() {
+    while (!ends_) {
+      std::array<zmq::pollitem_t, 1> waits{{{socket_.handle(), 0, ZMQ_POLLIN, 0}}};
+      zmq::poll(waits, 50ms);
+      for (zmq::message_t identity, record; received(socket_, identity) && received(socket_, record);) {
+        if (!is_silent) hear(identity.to_string(), record.to_string());
+      }
+      wire::HostFrame frame;
+      frame.mutable_beat();
+      if (!is_silent) say(frame);
+    }
+  }
+  void hear(const std::string& who, std::string_view records) {
+    while (records.size() >= kRecordHead) {
+      const auto length = [&](std::size_t at) {
+        std::uint32_t bytes = 0;
+        std::memcpy(&bytes, records.data() + at, sizeof bytes);
+        return bytes;
+      };
+      const std::size_t frame_size = length(0);
+      const std::size_t object_size = length(4);
+      wire::Frame frame;
+      frame.ParseFromArray(records.data() + kRecordHead, static_cast<int>(frame_size));
+      wire::HostFrame host = frame.host();
+      if (object_size > 0)
+        host.ParseFromArray(records.data() + kRecordHead + frame_size, static_cast<int>(object_size));
+      records.remove_prefix(kRecordHead + frame_size + object_size);
+      if (host.has_hello()) welcome(who);
+      if (host.has_request()) obey(host.request().request());
+    }
+  }
+  void welcome(const std::string& who) {
+    leader_ = who;
+    wire::HostFrame frame;
+    frame.mutable_welcome()->set_run(1);
+    say(frame);
+  }
+  void obey(const wire::GroupRequest& request) {
+    if (request.has_create()) instances_.insert(request.create().instance());
+    wire::HostFrame frame;
+    auto& reply = *frame.mutable_message();
+    reply.set_id(request.id());
+    reply.mutable_done();
+    if (request.has_status()) {
+      if (is_held_up.exchange(false)) return;
+      for (const auto& name : instances_) {
+        auto& one = *reply.mutable_status()->add_instances();
+        one.set_name(name);
+        one.set_mode("active");
+      }
+    }
+    say(frame);
+  }
+  void say(const wire::HostFrame& what) {
+    wire::Frame frame;
+    *frame.mutable_host() = what;
+    const Block record = make_record(frame, nullptr, 0);
+    sent(socket_, zmq::buffer(leader_), zmq::send_flags::sndmore);
+    sent(socket_, zmq::buffer(record.data(), record.size()));
+  }
+
+  trust::KeyDirectory keys_;
+  zmq::context_t context_;
+  zmq::socket_t socket_;
+  std::string address_;
+  std::string leader_;
+  std::set<std::string> instances_;
+  std::atomic<bool> ends_{false};
+  std::thread thread_;
+};
+
+TEST_F(Hosts, InstancesOfAHostThatIsBackAndHeldUpAreThereOnceItSaysSo) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "sink", "sink");
+  other.is_silent = true;
+  system.eventually("silent", [&] { return system.host("far").state() == "silent"; });
+  other.is_held_up = true;
+  other.is_silent = false;
+  system.eventually("it is asked what it has", [&] { return !other.is_held_up; });
+  system.eventually("its instance is back", [&] { return system.instance("sink").mode() == "active"; });
 }
 
 TEST_F(Hosts, ForeignBytesOnThePortChangeNothing) {

@@ -5,6 +5,8 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 
+#include "runtime.hpp"
+#include "supervisor.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -15,6 +17,12 @@ using host::Supervision;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
+
+/// Two calls of its life cycle, on the thread that would say that the host is alive.
+TEST(Supervision, OfAHostWaitsLongerThanTheEndOfAnInstanceMayTake) {
+  EXPECT_GT(host::Supervisor::Options{}.hang, 2 * host::kLifeCycleDeadline);
+  EXPECT_GT(host::Supervisor::kMakesWayWithin, 2 * host::kLifeCycleDeadline);
+}
 
 // ---- when -----------------------------------------------------------------------------------------------------
 

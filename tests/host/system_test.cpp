@@ -421,6 +421,18 @@ TEST(HostClock, UnknownParameterIsToldWhichThereAre) {
 
 // ---- what takes long ------------------------------------------------------------------------------------------
 
+TEST(LongWork, AnInstanceThatEndedOnceNobodyWaitedForThatAnyMoreCanBeUnloaded) {
+  RunningSystem system;
+  for (const std::string name : {"sink", "source"}) system.load_in("far", name, name);
+  wire::GroupRequest late;
+  late.mutable_destroy()->set_instance("sink");
+  system.system().child_groups().at(0)->request(late);
+  system.unload("sink");
+  EXPECT_EQ(system.system().snapshot().instances_size(), 1);
+  system.load_in("far", "sink", "sink");
+  EXPECT_EQ(system.instance("sink").mode(), "active");
+}
+
 TEST(LongWork, AWireToAGroupThatDoesNotAnswerIsOpenedOnceItDoes) {
   RunningSystem system;
   system.load_in("far", "source", "source");
@@ -428,11 +440,11 @@ TEST(LongWork, AWireToAGroupThatDoesNotAnswerIsOpenedOnceItDoes) {
   system.load_in("", "sink", "sink");
   const pid_t far = system.group("far").process();
   conformance::stop_process(far);
-  system.wire_to_several("sink.each", {"source.newest", "other.newest"});
-  const auto first = [&] { return system.port("sink.each").providers(0); };
-  EXPECT_EQ(first().connection(), control::WAITING);
+  const auto done = system.wire_to_several("sink.each", {"source.newest", "other.newest"});
+  EXPECT_THAT(done.warnings(0), HasSubstr("sink.each waits for source.newest: group 'far' does not answer"));
   ::kill(far, SIGCONT);
-  system.eventually("it is opened", [&] { return first().connection() == control::CONNECTED; });
+  system.eventually("it is opened",
+                    [&] { return system.port("sink.each").providers(0).connection() == control::CONNECTED; });
 }
 
 TEST(LongWork, ATapOfWhatIsSampledKeepsToAPeriodThatLeavesTimeForOtherWork) {

@@ -240,6 +240,7 @@ TEST_F(Upgrade, ThatFailsWhileTheOneBeforeIsWatchedLeavesNothingThatStandsBy) {
     serve();
     return groups() == std::vector<std::string>{"apart", "main", "x"};
   });
+  build("version=2");  // which is what it is started with
   ::kill(system.group("x").process(), SIGKILL);
   system.eventually("it is started again", [&] {
     serve();
