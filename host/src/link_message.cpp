@@ -21,8 +21,9 @@ namespace {
 constexpr std::size_t kPooledFrom = kBlockBytes / 2;
 /// Of a chunk's bytes, those that are copied into its record.
 constexpr std::size_t kInsideBytes = 4096;
-/// A string of this part of a chunk is sent from where it lies. Of smaller ones, each a chunk, an object could come in
-/// more chunks than it may (`most_chunks`).
+/// A string of so many bytes is sent from where it lies, as a chunk of its own; where there are more of them than an
+/// object may have chunks (`most_chunks`), one of this part of a chunk.
+constexpr std::size_t kAliasFrom = 128 * 1024;
 constexpr std::size_t kAliasFrom_ofChunk = 4;
 /// 4 MiB for each process that sends large messages.
 constexpr std::size_t kKeptBlocks = 16;
@@ -216,7 +217,15 @@ class Payload::Writer final : public google::protobuf::io::ZeroCopyOutputStream 
 
 Payload::Payload(std::shared_ptr<const Object> object, std::size_t chunk)
     : object_(std::move(object)), chunk_(chunk), size_(object_->ByteSizeLong()) {
-  Writer writer(blocks_, chunk_ / kAliasFrom_ofChunk);
+  write(kAliasFrom);
+  if (chunks_.size() <= most_chunks(size_, chunk_)) return;
+  chunks_.clear();
+  blocks_.clear();
+  write(chunk_ / kAliasFrom_ofChunk);
+}
+
+void Payload::write(std::size_t alias_from) {
+  Writer writer(blocks_, alias_from);
   {
     google::protobuf::io::CodedOutputStream coded(&writer);
     coded.EnableAliasing(true);

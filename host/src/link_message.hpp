@@ -101,6 +101,7 @@ class Payload {
 
  private:
   class Writer;
+  void write(std::size_t alias_from);
   void cut(const std::vector<std::string_view>& segments);
 
   const std::shared_ptr<const Object> object_;  ///< whose strings the chunks may show
