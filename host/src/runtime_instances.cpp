@@ -11,6 +11,7 @@
 #include <optional>
 #include <stdexcept>
 #include <thread>
+#include <vector>
 
 #include "failure.hpp"
 #include "fiona/describe.hpp"
@@ -215,9 +216,11 @@ void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {
   instances_.erase(request.instance());
 }
 
-/// It did not come free. What its strand is stuck in shows as work in its slot, which nobody gets after it.
+/// It did not come free, and stays until the process ends. What its strand is stuck in shows as work in its slot, which
+/// nobody gets after it.
 void Runtime::leave(std::unique_ptr<Hull> hull) {
-  const Hull& stays = *hull.release();
+  static auto& all_that_stay = *new std::vector<std::unique_ptr<Hull>>;  // never destroyed
+  const Hull& stays = *all_that_stay.emplace_back(std::move(hull));
   const Liveness::Page& page = pool_.liveness()->page();
   const std::size_t used = std::min<std::size_t>(page.used, Liveness::kSlots);
   for (const auto* slot = page.slots; slot != page.slots + used; ++slot) {
