@@ -58,6 +58,7 @@ class RawPeer {
   void send(const Message& message) {
     for (std::size_t i = 0; i < message.size(); ++i) {
       const auto more = i + 1 < message.size() ? zmq::send_flags::sndmore : zmq::send_flags::none;
+      given_to_zmq();
       uninterrupted([&] { return socket_.send(zmq::buffer(message[i]), more); });
     }
   }
@@ -66,6 +67,7 @@ class RawPeer {
     zmq::message_t answer;
     wire::Frame frame;
     if (!uninterrupted([&] { return socket_.recv(answer); })) throw std::runtime_error("nothing has come");
+    got_from_zmq();
     const auto* in = static_cast<const std::uint8_t*>(answer.data());
     const std::size_t size = in[0] | in[1] << 8;
     if (!frame.ParseFromArray(in + kRecordHead, static_cast<int>(size))) throw std::runtime_error("this is no frame");
