@@ -126,9 +126,9 @@ void LinkSocket::dispatch(const std::string& identity) {
   counters_.received_messages.fetch_add(1, std::memory_order_relaxed);
   counters_.received_bytes.fetch_add(bytes, std::memory_order_relaxed);
   if (!peer && curve_ && routed_ && !parts_.empty()) {
-    const char* user = zmq_msg_gets(parts_.front().handle(), "User-Id");
+    const std::string user = property_of(parts_.front(), "User-Id");
     const std::lock_guard lock(mutex_);
-    if (user && *user) peer = add_peer(identity, user, true);
+    if (!user.empty()) peer = add_peer(identity, user, true);
   }
   const bool heard = peer && peer->proven && !peer->gone;
   if (!heard && curve_) return void(++counters_.unproven);
