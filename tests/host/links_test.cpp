@@ -301,7 +301,7 @@ class LedHost {
     ours_.allow("leader", leaders_.pair().open.text());
     zap_.emplace(context, Zap::hosts(ours_), [](const std::string&) {});
     around_.emplace(HostSurroundings{"led", 1, ours_.pair(), pool, clock, links, context, {}, std::move(on_change)});
-    link_.emplace(*around_, ours_, "tcp://127.0.0.1:0");
+    link_ = std::make_unique<LeaderLink>(*around_, ours_, "tcp://127.0.0.1:0");
     serving_ = std::thread([this] { serve(); });
   }
   ~LedHost() {
@@ -344,7 +344,7 @@ class LedHost {
   zmq::context_t& context_;
   std::optional<Zap> zap_;
   std::optional<HostSurroundings> around_;
-  std::optional<LeaderLink> link_;
+  std::unique_ptr<LeaderLink> link_;
   std::atomic<bool> ends_{false};
   std::thread serving_;
 };
