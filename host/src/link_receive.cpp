@@ -37,7 +37,7 @@ bool LinkSocket::drain() {
     {
       const std::lock_guard lock(mutex_);
       if (stopped_) return false;
-      if (!receive(peer)) return pump_held() && has_input();  // reading may have told of room
+      if (!receive(peer)) return pump_held(), false;  // reading may have told of room
     }
     dispatch(peer);
   }

@@ -342,24 +342,23 @@ void LinkSocket::tell_locked(Peer& peer, const std::optional<wire::Memory>& memo
 void LinkSocket::pump(Peer& peer) {
   if (stopped_ || !peer.proven || peer.gone || !fill(peer)) return;
   // Sending, also in vain, may have consumed the descriptor's edge for messages that wait, or for room.
-  pump_held();
   if (has_input()) pool_.submit(turn_);
+  pump_held();
 }
 
-/// Those for which ZeroMQ had no room, and may have some by now. Whether anything was tried.
-bool LinkSocket::pump_held() {
-  if (stopped_ || !has_held_) return false;
+/// Those for which ZeroMQ had no room, and may have some by now.
+void LinkSocket::pump_held() {
+  if (stopped_ || !has_held_) return;
   has_held_ = false;
   for (const auto& [identity, peer] : peers_) {
     if (peer->held) fill(*peer);
   }
-  return true;
 }
 
 /// Whether anything was tried.
 bool LinkSocket::fill(Peer& peer) {
-  bool tried = peer.held.has_value();
-  if (tried && !cross(peer, *std::exchange(peer.held, std::nullopt))) return true;
+  if (peer.held && !cross(peer, *std::exchange(peer.held, std::nullopt))) return true;
+  bool tried = false;
   PeerLanes::Outgoing out;
   while (peer.lanes.has_ready() && peer.gate->enter_or_wait() && peer.lanes.next(out)) {
     tried = true;

@@ -164,7 +164,7 @@ class LinkSocket {
   void end_batch(Peer& peer);
   void send_batches();
   void pump(Peer& peer);
-  bool pump_held();
+  void pump_held();
   bool fill(Peer& peer);
   bool send_out(Peer& peer, PeerLanes::Outgoing& out);
   bool cross(Peer& peer, Crossing crossing);
