@@ -52,7 +52,7 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
 
 /// Which it was: a host that is started again loads the same, where it is still there. And its name, which only its
 /// package tells where none was typed: that may be gone by the end of the load.
-void note_version(control::Load& load, const Model& after, const Packages& packages) {
+void note_identity(control::Load& load, const Model& after, const Packages& packages) {
   if (load.instance().empty()) load.set_instance(packages.find(load.plugin()).component);
   load.set_version(after.load_of(load.instance()).version());
 }
@@ -202,7 +202,7 @@ void Engine::plan(Transaction& transaction) const {
       for (auto& step : after.steps_of(request.changes(i))) {
         if (auto warning = warning_of(step, after)) transaction.warnings.push_back(std::move(*warning));
         after.make(step, system_.packages());
-        if (step.has_load() && !request.whole()) note_version(*step.mutable_load(), after, system_.packages());
+        if (step.has_load() && !request.whole()) note_identity(*step.mutable_load(), after, system_.packages());
         transaction.steps.push_back(std::move(step));
       }
     } catch (...) {

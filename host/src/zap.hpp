@@ -12,8 +12,8 @@
 namespace fiona::host {
 
 /// Answers libzmq's question who may connect (ZAP 1.0, rfc.zeromq.org/spec/27): the keys of a list, which is read anew
-/// for each connection. Whoever is let in is known by his key, for as long as the
-/// connection lasts: the list may give his name to another one meanwhile.
+/// for each connection. Whoever is let in is known by his key for as long as the connection lasts: the list may give
+/// his name to another one meanwhile.
 class Zap {
  public:
   using OnRefused = std::function<void(const std::string& text)>;

@@ -155,15 +155,19 @@ TEST_F(LinksOfAProcess, AWireThatIsLostWhileItIsBeingOpenedIsNotShownAsConnected
   other.stop();
 }
 
-TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCallsThem) {
-  links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
-  RawPeer peer(context, at("links"), "peer");
-  peer.prove(kLinksKey);
-  wire::Frame open = frame_for(1);
+void open_by_hand(RawPeer& peer, std::uint64_t wire) {
+  wire::Frame open = frame_for(wire);
   open.mutable_open()->set_version(wire::VERSION_1);
   open.mutable_open()->set_token(kLinksToken);
   peer.send(open);
   EXPECT_TRUE(peer.receive().has_opened());
+}
+
+TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCallsThem) {
+  links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  open_by_hand(peer, 1);
   for (std::uint64_t i = 0; i < 100; ++i) {
     wire::Frame first = frame_for(1000 + i);
     first.add_also(1);
@@ -240,11 +244,7 @@ TEST_F(LinksOfAProcess, SendsThatAreToBePassedOnGoThoughTheirWireHasEndedBehindT
   links.relay(1, kLinksToken, "peer", {at("other"), "both", link_key(kLinksKey, "both")});
   RawPeer peer(context, at("links"), "peer");
   peer.prove(kLinksKey);
-  wire::Frame open = frame_for(1);
-  open.mutable_open()->set_version(wire::VERSION_1);
-  open.mutable_open()->set_token(kLinksToken);
-  peer.send(open);
-  EXPECT_TRUE(peer.receive().has_opened());
+  open_by_hand(peer, 1);
   wire::Frame sent = frame_for(1);
   sent.mutable_object();
   sent.set_lane(1);

@@ -1,11 +1,15 @@
 // Contracts, rules, parameters, units, names: what is decided on values alone.
 #include <gmock/gmock.h>
+#include <google/protobuf/descriptor.pb.h>
+#include <google/protobuf/dynamic_message.h>
 #include <gtest/gtest.h>
 
 #include <chrono>
 #include <cmath>
 #include <deque>
 #include <limits>
+#include <memory>
+#include <string>
 
 #include "fiona/contract.hpp"
 #include "fiona/master.hpp"
@@ -578,8 +582,27 @@ TEST(DeclaredDefaults, OfATypeWhoseFieldsHaveNoEndAreRefused) {
   Endless endless;
   EXPECT_THAT([&] { set_declared_defaults(endless); },
               ThrowsMessage<Error>(HasSubstr("contains itself: fiona.sdk_test.Endless")));
-  Wide wide;
-  EXPECT_THAT([&] { set_declared_defaults(wide); }, ThrowsMessage<Error>(HasSubstr("more than 4096 fields")));
+}
+
+/// Eight fields of eight fields, four times over.
+TEST(DeclaredDefaults, OfATypeWithFarTooManyFieldsAreRefused) {
+  google::protobuf::FileDescriptorProto file;
+  file.set_name("wide.proto");
+  for (const char level : {'A', 'B', 'C', 'D'}) {
+    auto& type = *file.add_message_type();
+    type.set_name(std::string(1, level));
+    for (int i = 1; i <= 8; ++i) {
+      auto& field = *type.add_field();
+      field.set_name("field_" + std::to_string(i));
+      field.set_number(i);
+      field.set_type(level < 'D' ? field.TYPE_MESSAGE : field.TYPE_DOUBLE);
+      if (level < 'D') field.set_type_name("." + std::string(1, static_cast<char>(level + 1)));
+    }
+  }
+  google::protobuf::DescriptorPool pool;
+  google::protobuf::DynamicMessageFactory factory;
+  const std::unique_ptr<Object> wide(factory.GetPrototype(pool.BuildFile(file)->message_type(0))->New());
+  EXPECT_THAT([&] { set_declared_defaults(*wide); }, ThrowsMessage<Error>(HasSubstr("more than 4096 fields")));
 }
 
 TEST(DeclaredDefaults, LeaveAChoiceOpen) {
