@@ -428,9 +428,12 @@ TEST(EventTest, OfASingleActivationThatFindsItsClientInNoModeFiresWithALaterOne)
   on_strand(bench, [](Watchful& client) { client.spawn(client.activate_heard()); });
   bench.start(kModeNeutral);
   EXPECT_EQ(bench.fire<Alarms>("heard", named("one")), 1U);
+  EXPECT_THAT(bench.take_any("heard"), SizeIs(1));
   bench.advance(5s);
+  EXPECT_THAT(bench.take_any("heard"), IsEmpty()) << "it would find the client in no mode again";
   bench.start();
   bench.advance(1s);
+  EXPECT_THAT(bench.take_any("heard"), SizeIs(1)) << "its provider takes it for over, and is asked once more";
   EXPECT_EQ(bench.fire<Alarms>("heard", named("two")), 1U);
   EXPECT_THAT(bench.component().rings, ElementsAre("heard two"));
   EXPECT_EQ(bench.fire<Alarms>("heard", named("none")), 0U);
