@@ -15,6 +15,7 @@ void LinkSocket::take_turn() {
   {
     const std::lock_guard lock(mutex_);
     if (stopped_) return;
+    tries_soon_ = false;
     for (const auto& [identity, peer] : peers_) {
       if (peer->debts->due()) pay_locked(*peer);
       pump(*peer);
@@ -37,7 +38,7 @@ bool LinkSocket::drain() {
     {
       const std::lock_guard lock(mutex_);
       if (stopped_) return false;
-      if (!receive(peer)) return pump_held(), false;  // reading may have told of room
+      if (!receive(peer)) return has_held_ && look_again();  // reading may have told of room
     }
     dispatch(peer);
   }

@@ -341,24 +341,27 @@ void LinkSocket::tell_locked(Peer& peer, const std::optional<wire::Memory>& memo
 /// Called with the mutex held, as is what follows.
 void LinkSocket::pump(Peer& peer) {
   if (stopped_ || !peer.proven || peer.gone || !fill(peer)) return;
-  // Sending, also in vain, may have consumed the descriptor's edge for messages that wait, or for room.
-  if (has_input()) pool_.submit(turn_);
-  pump_held();
+  if (look_again()) pool_.submit(turn_);
 }
 
-/// Those for which ZeroMQ had no room, and may have some by now.
-void LinkSocket::pump_held() {
-  if (stopped_ || !has_held_) return;
-  has_held_ = false;
-  for (const auto& [identity, peer] : peers_) {
-    if (peer->held) fill(*peer);
+/// Whatever is done with ZeroMQ, also in vain, may take its descriptor's edge, for messages that wait as for room. So
+/// input is looked for last, and what is held even then is tried again soon: it has lost its edge by that look, maybe.
+/// True: there is input.
+bool LinkSocket::look_again() {
+  if (has_held_) {
+    has_held_ = false;
+    for (const auto& [identity, peer] : peers_) {
+      if (peer->held && !peer->gone) fill(*peer);
+    }
+    if (has_held_ && !std::exchange(tries_soon_, true)) pool_.submit_soon(turn_);
   }
+  return has_input();
 }
 
 /// Whether anything was tried.
 bool LinkSocket::fill(Peer& peer) {
-  if (peer.held && !cross(peer, *std::exchange(peer.held, std::nullopt))) return true;
-  bool tried = false;
+  bool tried = peer.held.has_value();
+  if (tried && !cross(peer, *std::exchange(peer.held, std::nullopt))) return true;
   PeerLanes::Outgoing out;
   while (peer.lanes.has_ready() && peer.gate->enter_or_wait() && peer.lanes.next(out)) {
     tried = true;
@@ -431,7 +434,7 @@ void LinkSocket::send_plain(const std::string& peer, const wire::Frame& frame) {
       sent(socket_, zmq::buffer(record.data(), record.size()));
   } catch (const zmq::error_t&) {  // it has gone again
   }
-  if (has_input()) pool_.submit(turn_);
+  if (look_again()) pool_.submit(turn_);
 }
 
 bool LinkSocket::has_input() {

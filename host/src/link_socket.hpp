@@ -164,7 +164,7 @@ class LinkSocket {
   void end_batch(Peer& peer);
   void send_batches();
   void pump(Peer& peer);
-  void pump_held();
+  bool look_again();
   bool fill(Peer& peer);
   bool send_out(Peer& peer, PeerLanes::Outgoing& out);
   bool cross(Peer& peer, Crossing crossing);
@@ -196,7 +196,8 @@ class LinkSocket {
   std::shared_ptr<const void> receipt_;  ///< the reader's: of what is being handled
   Peer* sender_ = nullptr;               ///< the reader's, with what the receipt is for
   std::pair<std::uint64_t, std::size_t> arrived_;
-  bool has_held_ = false;  ///< there may be peers for which ZeroMQ had no room
+  bool has_held_ = false;    ///< there may be peers for which ZeroMQ had no room
+  bool tries_soon_ = false;  ///< what is held
   bool curve_ = false;
   std::size_t chunk_ = kLocalChunkBytes;
   bool stopped_ = false;

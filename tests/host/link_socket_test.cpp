@@ -375,6 +375,41 @@ TEST_F(ProvingLink, KeepsInOrderWhatZeroMqHasNoRoomFor) {
   provider.stop();
 }
 
+TEST_F(ProvingLink, HearsAllWhileItsOwnFindNoRoomInZeroMq) {
+  constexpr std::size_t kBursts = 100;
+  constexpr std::size_t kBurst = 6;
+  const std::string endpoint = "ipc://@fiona-link-test-both-" + std::to_string(::getpid());
+  LinkSocket provider(pool, context, zmq::socket_type::router, counters, noted);
+  provider.socket().set(zmq::sockopt::sndhwm, 1);  // the gate lets two in
+  provider.listen(endpoint, {kKey});
+  Noted client_noted;
+  LinkSocket client(pool, context, zmq::socket_type::dealer, counters, client_noted);
+  client.socket().set(zmq::sockopt::sndhwm, 1);
+  client.socket().set(zmq::sockopt::routing_id, "peer");
+  client.connect(endpoint, "peer", {link_key(kKey, "peer")});
+  ASSERT_TRUE(eventually([&] { return client.peers() == 1 && provider.peers() == 1; }));
+  const auto object = std::make_shared<BytesValue>();
+  object->mutable_value()->assign(17 * 1024, 'x');  // each crosses alone
+  const auto lane = client.open_lane("");
+  const auto lane_back = provider.open_lane("peer");
+  const auto burst = [&](LinkSocket& from, const LinkSocket::Lane& on) {
+    for (std::size_t i = 0; i < kBurst; ++i) {
+      wire::Frame frame = frame_of(i);
+      from.send(on, frame, object, LinkSocket::Rule::Control);
+    }
+  };
+  for (std::size_t i = 1; i <= kBursts; ++i) {
+    std::thread other([&] { burst(provider, lane_back); });
+    burst(client, lane);
+    other.join();
+    ASSERT_TRUE(eventually([&] { return noted.seen().size() == i * kBurst; })) << i << ": " << noted.seen().size();
+    ASSERT_TRUE(eventually([&] { return client_noted.seen().size() == i * kBurst; }))
+        << i << ": " << client_noted.seen().size();
+  }
+  client.stop();
+  provider.stop();
+}
+
 /// A signal every now and then for each thread but its own, as a profiler sends them.
 class SignalStorm {
  public:
