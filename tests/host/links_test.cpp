@@ -1,6 +1,6 @@
 // The links of one process, whatever a peer does on the way.
 #include <gmock/gmock.h>
-#include <google/protobuf/wrappers.pb.h>
+#include <google/protobuf/type.pb.h>
 #include <gtest/gtest.h>
 
 #include <array>
@@ -221,8 +221,8 @@ TEST_F(LinksOfAProcess, AQuestionForRoomThatComesBeforeTheWireIsOpenIsAnsweredWh
     wire::Frame question = frame_for(frame.wire());
     question.mutable_room()->set_bytes(1);
     asks->send(question);
-    auto large = std::make_shared<google::protobuf::BytesValue>();
-    large->mutable_value()->assign(kLaneWindow + 1, 'x');
+    auto large = std::make_shared<google::protobuf::Field>();
+    large->mutable_default_value()->assign(kLaneWindow + 1, 'x');  // one field that a location has not
     asks->send(frame_for(frame.wire()), std::move(large));
   });
   asks = &other;
