@@ -182,6 +182,12 @@ EventClient::EventClient(Component& owner, std::string_view name, const ServiceI
       parameter_rules_(service.object()),
       event_rules_(*service.answer()),
       inbox_(*this, Delivery::Each, [this](const Parcel& parcel) { return on_event(parcel); }) {
+  if (options.delivery != Delivery::Each) {
+    throw Error(ErrorCode::Usage, {.what = "port '" + std::string(name) + "' asks for the newest event only",
+                                   .where = service.name(),
+                                   .expected = "each: no event stands for the one before it",
+                                   .next = "leave its delivery out"});
+  }
   inbox_.on_not_active([this](const Parcel& parcel) { on_missed(parcel); });
 }
 
@@ -242,6 +248,8 @@ Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within
   const auto found = activations_.find(id);
   if (found == activations_.end() || handler_) {
     calls().finish(call, Outcome::WrongId, handler_ ? "the port has a handler: events go there" : "");
+  } else if (calls_are_cancelled() || !is_active()) {
+    calls().finish(call, *obstacle());
   } else if (!found->second.events.empty()) {
     Activation& activation = found->second;
     call->event = take_oldest(activation);
@@ -322,6 +330,17 @@ void EventClient::ask_again(ActivationId id, const std::shared_ptr<Channel>& ref
     serves ? make_again(id) : ask_again(id, refused);
   };
   hull().clock().schedule(hull().clock().now() + kAskAgain, hull().shared_strand(), ask);
+}
+
+/// What is kept is of the mode before. That of a single activation, which has no other, is asked for again.
+void EventClient::leave_mode() {
+  inbox_.leave_mode();
+  for (auto& [id, activation] : activations_) {
+    for (; !activation.events.empty(); take_oldest(activation)) {
+      counters().not_active.fetch_add(1, std::memory_order_relaxed);
+    }
+    if (std::exchange(activation.fired, false)) ask_again(id, activation.channel);
+  }
 }
 
 /// Whichever provider it is of: it had arrived before the activation moved to another.

@@ -89,11 +89,12 @@ void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
       port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
       return;
     }
-    port_.counters().count_arrival(parcel.envelope.origin, port_.hull().clock());
-    if (slot_ && !slot_read_) port_.counters().superseded.fetch_add(1, std::memory_order_relaxed);
+    PortCounters& counters = port_.counters();
+    counters.count_arrival(parcel.envelope.origin, port_.hull().clock());
+    if (slot_ && !slot_read_) counters.supersede_arrived();
+    slot_read_ = !waiters_.empty();
     notify_waiters(parcel.envelope);
     slot_ = Newest{std::move(parcel.envelope), false};
-    slot_read_ = false;
     return note_arrival();
   }
   queue_.for_each([this](const Parcel& old) {
@@ -312,7 +313,11 @@ std::optional<std::size_t> Inbox::room_for(std::size_t cost) const {
 /// The wish is there before the room is looked at, as the room is made before the wishes are: one sees the other.
 std::optional<std::size_t> Inbox::room(std::size_t cost, std::weak_ptr<const void> who, OnRoom then) {
   const std::lock_guard lock(strand_.mutex_);
-  std::erase_if(room_wishes_, [](const RoomWish& wish) { return wish.who.expired(); });
+  // One each: who asks again before he has his answer, as only a peer that keeps to nothing does, gets the last one.
+  const auto is_his = [&who](const RoomWish& wish) {
+    return !wish.who.owner_before(who) && !who.owner_before(wish.who);
+  };
+  std::erase_if(room_wishes_, [&](const RoomWish& wish) { return wish.who.expired() || is_his(wish); });
   room_wished_ = true;
   const auto room = room_for(cost);
   if (!room) room_wishes_.push_back({cost, std::move(who), std::move(then)});

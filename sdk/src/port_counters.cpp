@@ -34,9 +34,14 @@ void PortCounters::count_arrival(TimePoint origin, const Clock& clock) {
   constexpr float kManyHz = 1000;
   constexpr std::uint64_t kOneOf = 16;
   const bool many = rate_hz.load(std::memory_order_relaxed) > kManyHz;
-  if (many && messages.load(std::memory_order_relaxed) % kOneOf != 0) return;
+  if (many && window_messages_ % kOneOf != 0) return;
   const TimePoint now = clock.now();
   latencies.add(now - origin, now);
+}
+
+void PortCounters::supersede_arrived() {
+  superseded.fetch_add(1, std::memory_order_relaxed);
+  messages.fetch_sub(1, std::memory_order_relaxed);
 }
 
 void PortCounters::refuse(std::string reason, TimePoint now) {

@@ -89,12 +89,7 @@ Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration
     return id;
   }
   open_.erase(id);
-  return {outcome, reason_of(outcome)};
-}
-
-/// Why a request could not be put.
-std::string QueryClient::reason_of(Outcome put) const {
-  return put == Outcome::Rejected ? "the queue to the provider is full" : reason_for(put);
+  return {outcome, reason_for(outcome)};
 }
 
 Async<QueryClient::Answer> QueryClient::answer_to(QueryId id, Duration within) {
@@ -102,6 +97,8 @@ Async<QueryClient::Answer> QueryClient::answer_to(QueryId id, Duration within) {
   const auto found = open_.find(id);
   if (calls_are_cancelled()) {
     calls().finish(call, Outcome::Cancelled);
+  } else if (!is_active()) {
+    calls().finish(call, Outcome::NotActive);
   } else if (found == open_.end()) {
     calls().finish(call, Outcome::WrongId);
   } else if (found->second.answer) {
@@ -193,7 +190,7 @@ void QueryClient::redirect(std::uint64_t change) {
     if (found == open_.end()) continue;
     found->second.reply->abandon();
     const Outcome outcome = put_to_target(id, found->second);
-    if (outcome != Outcome::Ok) end(id, Answer{outcome, reason_of(outcome), nullptr});
+    if (outcome != Outcome::Ok) end(id, Answer{outcome, reason_for(outcome), nullptr});
   }
 }
 

@@ -50,6 +50,15 @@ TEST_P(Accounting, OfAHandlerThatIsTooSlowForEachAddsUp) {
   EXPECT_GT(system.port("sink.each").dropped(), 0U);
 }
 
+TEST_P(Accounting, OfASlotThatNobodyReadsAddsUp) {
+  put(100);
+  system.load_client("caller", "caller");
+  system.wire("caller.samples", "source.newest");
+  system.state("source", "active");
+  expect_sum("caller.samples", 100);
+  EXPECT_EQ(system.port("caller.samples").superseded(), 99U);
+}
+
 TEST_P(Accounting, OfAHandlerThatTakesTheNewestAddsUp) {
   put(200);
   system.load_client("sink", "sink", "work_ms=10");

@@ -213,15 +213,29 @@ TEST_F(Pacing, WhoWishesForRoomIsToldThoughAnotherHasTakenItInBetween) {
   };
   fill();
   const auto who = std::make_shared<int>();
+  const auto other = std::make_shared<int>();
   std::vector<std::size_t> told;
   const auto takes_it = [&](std::size_t room) {
     told.push_back(room);
     fill();
   };
   ASSERT_FALSE(inbox.room(1, who, takes_it));
-  ASSERT_FALSE(inbox.room(1, who, [&](std::size_t room) { told.push_back(room); }));
+  ASSERT_FALSE(inbox.room(1, other, [&](std::size_t room) { told.push_back(room); }));
   inbox.clear(Outcome::Disconnected);
   EXPECT_THAT(told, ElementsAre(Inbox::kMaxBytes, Inbox::kMaxBytes));
+}
+
+TEST_F(Pacing, WhoWishesForRoomAgainBeforeHeIsToldHasOneWish) {
+  Inbox& inbox = *sipper.hull.find_port("each")->inbox();
+  const auto large = std::make_shared<const Number>(number(1, Inbox::kMaxBytes));
+  inbox.push(Parcel{Envelope{large, 1, {}, large->ByteSizeLong()}, nullptr});
+  const auto who = std::make_shared<int>();
+  std::vector<int> told;
+  for (int i = 1; i <= 1000; ++i) {
+    ASSERT_FALSE(inbox.room(1, who, [&told, i](std::size_t) { told.push_back(i); }));
+  }
+  inbox.clear(Outcome::Disconnected);
+  EXPECT_THAT(told, ElementsAre(1000));
 }
 
 TEST(PacingOnThreads, NothingIsLostAndNobodyWaitsForEver) {

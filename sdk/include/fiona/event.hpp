@@ -94,8 +94,8 @@ class EventClient : public RequiredPort {
   Async<Result<Envelope>> next_event(ActivationId id, Duration within);
   bool give_up(ActivationId id);
   void on_connection(Connection connection, std::uint64_t change) override;
-  void on_active() override { inbox_.leave_mode(); }
-  void on_inactive() override { inbox_.leave_mode(); }
+  void on_active() override { leave_mode(); }
+  void on_inactive() override { leave_mode(); }
   /// Without a handler an event is kept, or ends a wait, which a change of mode may be waiting for.
   bool begins_work() const override { return handler_ != nullptr; }
 
@@ -121,6 +121,7 @@ class EventClient : public RequiredPort {
   bool drop_oldest(Activation& own);
   Envelope take_oldest(Activation& activation);
   void on_missed(const Parcel& parcel);
+  void leave_mode();
   void end(ActivationId id, Outcome outcome, const std::string& reason);
 
   const Handler handler_;

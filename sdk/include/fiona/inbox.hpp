@@ -29,6 +29,7 @@ class Inbox {
 
   /// Bytes that may wait, unless a single message is larger (docs/architecture.md, The way of a message).
   static constexpr std::size_t kMaxBytes = 4 * 1024 * 1024;
+  static constexpr const char* kFull = "the provider's queue is full";
 
   Inbox(Port& port, Delivery delivery, Handler handler, Duration max_age = {});
   ~Inbox();

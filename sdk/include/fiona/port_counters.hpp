@@ -15,7 +15,7 @@ class Clock;
 
 /// Counters of a port, written on its strand or link, read by anyone.
 struct PortCounters {
-  std::atomic<std::uint64_t> messages{0};    ///< put, or received
+  std::atomic<std::uint64_t> messages{0};    ///< put, or received; of a slot: read, or not overwritten yet
   std::atomic<std::uint64_t> superseded{0};  ///< overwritten by a newer value before anyone read them
   std::atomic<std::uint64_t> dropped{0};     ///< lost to a full queue or an outage, or too old
   std::atomic<std::uint64_t> refused{0};     ///< failed the check of size, range or finiteness: `refuse`
@@ -29,6 +29,8 @@ struct PortCounters {
   void count(TimePoint origin);
   /// [strand] One more message that has arrived. Of many a second the latency of some is taken.
   void count_arrival(TimePoint origin, const Clock& clock);
+  /// [any thread] One that has arrived is overwritten before anyone read it.
+  void supersede_arrived();
   /// [any thread] One more was refused, for this reason.
   void refuse(std::string reason, TimePoint now);
   struct Refusal {

@@ -59,7 +59,6 @@ class QueryClient : public RequiredPort {
   void end_unanswered(QueryId id, Answer answer);
   std::vector<QueryId> open_before(std::uint64_t change) const;
   void end_all(std::uint64_t change, const std::string& reason);
-  std::string reason_of(Outcome put) const;
   void redirect(std::uint64_t change);
 
   const AtRewire at_rewire_;
