@@ -86,6 +86,7 @@ void RequiredPort::enter(Connection connection, std::string reason, std::string 
 }
 
 std::string RequiredPort::reason_for(Outcome outcome) const {
+  if (outcome == Outcome::Rejected) return "the queue to the provider is full";
   return outcome == Outcome::Unwired || outcome == Outcome::Disconnected ? connection_reason() : "";
 }
 

@@ -4,11 +4,14 @@
 
 namespace fiona::detail {
 
+/// Why it must not be sent; counted.
+std::optional<std::string> SendClient::refusal_of(const Object& object) {
+  auto violation = rules_.first_violation(object);
+  if (violation) counters().refuse(*violation, hull().clock().now());
+  return violation;
+}
+
 Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt) {
-  if (auto violation = rules_.first_violation(*object)) {
-    counters().refuse(*std::move(violation), hull().clock().now());
-    return Outcome::Rejected;
-  }
   if (connection() == Connection::Unwired) return Outcome::Unwired;
   Envelope envelope{std::move(object), ++sequence_, hull().clock().now(), 0};
   envelope.bytes = envelope.object->ByteSizeLong();
@@ -22,6 +25,7 @@ Outcome SendClient::put_to_target(std::shared_ptr<const Object> object, std::sha
 Outcome SendClient::send_object(std::shared_ptr<const Object> object) {
   if (calls_are_cancelled()) return Outcome::Cancelled;
   if (!is_active()) return Outcome::NotActive;
+  if (refusal_of(*object)) return Outcome::Rejected;
   return put_to_target(std::move(object), nullptr);
 }
 
@@ -61,16 +65,20 @@ class SendClient::Receipt final : public ReplySink, public std::enable_shared_fr
 Async<Result<Acknowledged>> SendClient::send_and_wait(std::shared_ptr<const Object> object, Duration within) {
   const auto call = std::make_shared<Call>();
   call->since = changes();
+  const auto receipt = std::make_shared<Receipt>(*this, call, sequence_ + 1);
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
+  } else if (const auto violation = refusal_of(*object)) {
+    calls().finish(call, Outcome::Rejected, "the message was refused: " + *violation);
   } else {
-    const Outcome put = put_to_target(std::move(object), std::make_shared<Receipt>(*this, call, sequence_ + 1));
-    if (put != Outcome::Ok) calls().finish(call, put);
+    const Outcome put = put_to_target(std::move(object), receipt);
+    if (put != Outcome::Ok) calls().finish(call, put, reason_for(put));
   }
   CallAwaiter ended(calls(), call, within);
   const Outcome outcome = co_await ended;
-  if (outcome != Outcome::Ok) co_return Result<Acknowledged>(outcome, call->reason);
-  co_return Acknowledged{};
+  if (outcome == Outcome::Ok) co_return Acknowledged{};
+  receipt->abandon();
+  co_return Result<Acknowledged>(outcome, call->reason);
 }
 
 void SendClient::on_connection(Connection connection, std::uint64_t change) {

@@ -154,7 +154,7 @@ class RequiredPort : public Port {
   /// [strand] Hands the last value of who serves to the port once more, where the service has one.
   void repeat_last();
   std::optional<Outcome> absence() const override;
-  /// [any thread] What there is to say of an outcome that comes from the connection; of another, nothing.
+  /// [any thread] What there is to say of the outcome of a call that could not be made.
   std::string reason_for(Outcome outcome) const;
 
  private:

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <memory>
+#include <optional>
+#include <string>
 #include <string_view>
 #include <type_traits>
 
@@ -29,6 +31,7 @@ class SendClient : public RequiredPort {
 
  private:
   class Receipt;
+  std::optional<std::string> refusal_of(const Object& object);
   Outcome put_to_target(std::shared_ptr<const Object> object, std::shared_ptr<ReplySink> receipt);
 
   Target target_;
@@ -75,7 +78,8 @@ class Requires<S> : public detail::SendClient {
   /// a provider in another process has no room for waits there, and makes this queue full. Counted is what is lost so.
   Outcome send(ObjectType object) { return send_object(std::make_shared<const ObjectType>(std::move(object))); }
   /// [strand] Ends when the provider's hull has it, or with the reason why it has not (Rejected: its queue is full).
-  /// After Timeout and Disconnected the provider may have it all the same.
+  /// What still waits for room there when the call ends goes no further; but after Timeout and Disconnected the
+  /// provider may have taken it before it heard of that.
   Async<Result<Acknowledged>> send_acknowledged(ObjectType object, Duration deadline = kDefaultDeadline) {
     return send_and_wait(std::make_shared<const ObjectType>(std::move(object)), deadline);
   }
