@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cctype>
 #include <cstdio>
 #include <exception>
@@ -191,13 +192,16 @@ void Hull::set_parameters(std::span<const control::Argument> changes, Duration d
         ErrorCode::NotFound,
         {.what = "'" + name_ + "' has no parameters", .where = name_, .next = "show " + name_ + " tells what it has"});
   }
-  // A copy: what has begun goes on after the deadline, when the caller's own are gone.
+  // A copy: what has begun goes on after the deadline, when the caller's own are gone. It is taken back then.
   const auto kept = std::make_shared<std::vector<control::Argument>>(changes.begin(), changes.end());
-  const auto apply = [this, kept] {
+  const auto decided = std::make_shared<std::atomic<bool>>(false);
+  const auto apply = [this, kept, decided] {
     strand_->begins(Liveness::mark(kItsParameters));
+    const auto former = params_->snapshot();
     params_->apply(*kept);
+    if (decided->exchange(true)) params_->take_back(former);
   };
-  if (!strand_->call(apply, deadline)) {
+  if (!strand_->call(apply, deadline) && !decided->exchange(true)) {
     throw Error(ErrorCode::Unreachable, {.what = "'" + name_ + "' did not take the parameters in time: it is busy",
                                          .where = name_,
                                          .next = "show " + name_});

@@ -216,6 +216,15 @@ void ParamsBase::take(std::shared_ptr<const Object> values) {
   }
 }
 
+void ParamsBase::take_back(std::shared_ptr<const Object> former) {
+  try {
+    take(std::move(former));
+  } catch (const std::exception& error) {
+    hull_.events().logged(hull_.name(), LogLevel::Error,
+                          std::string("parameters that came too late could not be taken back: ") + error.what());
+  }
+}
+
 std::shared_ptr<const Object> ParamsBase::snapshot() const {
   const std::lock_guard lock(mutex_);
   return current_;

@@ -5,8 +5,10 @@
 #include <limits>
 #include <optional>
 #include <stdexcept>
+#include <thread>
 
 #include "fiona/local_wire.hpp"
+#include "fiona/pool.hpp"
 #include "fiona/sdk_test/objects.fiona.hpp"
 #include "fiona/testing/bench.hpp"
 #include "support.hpp"
@@ -241,6 +243,23 @@ TEST_F(ComponentsCalls, MayHaveNoDeadlineAtAll) {
   EXPECT_THAT(ended(), ElementsAre("ok"));
 }
 
+TEST_F(ComponentsCalls, ReceiveInAModeThatDoesNotServeThePortIsNotActiveAndTheIdStaysValid) {
+  std::optional<QueryId> id;
+  const auto receive = [&id](Calling& of) -> Async<> {
+    const auto answer = co_await of.questions.receive(*id, 1s);
+    of.ended.push_back(std::string(to_string(answer.outcome())));
+  };
+  on_strand(bench, [&](Calling& calling) { id = *calling.questions.request(named("any"), 1h); });
+  bench.start(kModeNeutral);
+  on_strand(bench, [&](Calling& calling) { calling.spawn(receive(calling)); });
+  bench.advance(1ms);
+  EXPECT_THAT(ended(), ElementsAre("not_active"));
+  bench.start();
+  on_strand(bench, [&](Calling& calling) { calling.spawn(receive(calling)); });
+  bench.advance(2s);
+  EXPECT_THAT(ended(), ElementsAre("timeout"));
+}
+
 TEST_F(ComponentsCalls, ThatAreCancelledHaveNoReasonAndSoHasASend) {
   on_strand(bench, [](Calling& calling) {
     calling.cancel_calls();
@@ -455,6 +474,48 @@ TEST(EventTest, ThatNobodyWaitsForIsKeptByWhatItTakesOfMemory) {
   EXPECT_THAT(bench.component().rings, Contains("ok")) << "the single one's is among those that are kept";
 }
 
+TEST(EventTest, ThatIsKeptIsOfItsMode) {
+  testing::Bench<Watchful> bench;
+  bench.component().mode = EventMode::Continuous;
+  bench.start();
+  bench.advance(20ms);
+  bench.fire<Alarms>("waited", named("one"));  // by its task, which waits
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().rings, ElementsAre("okone"));
+  bench.fire<Alarms>("waited", named("old"));
+  bench.start(kModeNeutral);
+  on_strand(bench, [](Watchful& client) { client.spawn(client.wait_for_ring()); });
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().rings, ElementsAre("okone", "not_active"));
+  EXPECT_EQ(bench.hull().find_port("waited")->counters().not_active, 1U);
+  bench.start();
+  on_strand(bench, [](Watchful& client) { client.spawn(client.wait_for_ring()); });
+  bench.advance(1ms);
+  bench.fire<Alarms>("waited", named("new"));
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().rings, ElementsAre("okone", "not_active", "oknew"));
+}
+
+TEST(EventTest, ThatIsKeptOfASingleActivationIsAskedForAgainInTheNextMode) {
+  testing::Bench<Watchful> bench;
+  bench.start();
+  bench.advance(20ms);
+  bench.fire<Alarms>("waited", named("one"));
+  bench.advance(1ms);
+  on_strand(bench, [](Watchful& client) { client.spawn(client.activate_waited()); });
+  bench.advance(1ms);
+  EXPECT_EQ(bench.fire<Alarms>("waited", named("old")), 1U);
+  bench.start(kModeNeutral);
+  bench.start();
+  bench.take_any("waited");
+  bench.advance(1s);
+  EXPECT_THAT(bench.take_any("waited"), SizeIs(1)) << "its provider takes it for over, and is asked once more";
+  on_strand(bench, [](Watchful& client) { client.spawn(client.wait_for_ring()); });
+  EXPECT_EQ(bench.fire<Alarms>("waited", named("new")), 1U);
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().rings, ElementsAre("okone", "oknew"));
+}
+
 /// What waits in it gives it up when its mode is left.
 class GivesUp final : public Component {
  public:
@@ -508,6 +569,37 @@ TEST(LoadLine, ParametersAreInPlaceAtTheStartAndNoChange) {
   EXPECT_EQ(bench.component().changes, 0);
   bench.set("gain", 0.25);
   EXPECT_EQ(bench.component().changes, 1);
+}
+
+TEST(LateParameters, AreTakenBack) {
+  class Slow final : public Component {
+   public:
+    using Component::Component;
+    void changed() {
+      seen.push_back(params->gain());
+      if (slow) std::this_thread::sleep_for(300ms);
+      slow = false;
+    }
+    bool slow = false;
+    std::vector<double> seen;
+    Params<Settings> params{*this, nullptr, &Slow::changed};
+  };
+  SystemClock clock;
+  Pool pool(1);
+  KeptEvents events;
+  Made<Slow> slow("slow", pool, clock, events);
+  slow.hull.set_mode(kModeActive, kLimit);
+  std::vector<control::Argument> gain(1);
+  gain[0].set_name("gain");
+  gain[0].mutable_value()->set_number(0.75);
+  slow.hull.set_parameters(gain, kLimit);
+  slow->slow = true;
+  gain[0].mutable_value()->set_number(0.25);
+  EXPECT_THROW(slow.hull.set_parameters(gain, 20ms), Error);
+  slow.hull.strand().call([] {}, kLimit);
+  EXPECT_THAT(slow->seen, ElementsAre(0.75, 0.25, 0.75));
+  EXPECT_EQ(slow->params->gain(), 0.75) << "whoever was told that it failed finds nothing changed";
+  clock.stop();
 }
 
 // ---- timers ---------------------------------------------------------------------------------------------------
@@ -640,6 +732,15 @@ TEST(Names, ThatCannotBeTypedAreRefusedWhereTheComponentIsMade) {
   EXPECT_EQ(refusal_of_names<SpacedTrigger>(), "'a b' is no name for a trigger");
   EXPECT_EQ(refusal_of_names<SpacedTask>(), "'a b' is no name for a task");
   EXPECT_EQ(refusal_of_names<SpacedMode>(), "'two two' is no name for a mode");
+}
+
+struct NewestEvents final : Component {
+  using Component::Component;
+  Requires<Alarms> alarms{*this, "alarms", {.delivery = Delivery::Newest}};
+};
+
+TEST(Ports, OfEventsThatAskForTheNewestOnlyAreRefusedWhereTheComponentIsMade) {
+  EXPECT_EQ(refusal_of_names<NewestEvents>(), "port 'alarms' asks for the newest event only");
 }
 
 TEST(Names, OfTwoTasksAndTwoListsOfModesAreRefusedToo) {

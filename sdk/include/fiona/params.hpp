@@ -31,6 +31,8 @@ class ParamsBase {
   /// the whole draft, then the switch. Throws Error naming field, value and rule, or what `changed` throws; the values
   /// are then as before.
   void apply(std::span<const control::Argument> changes);
+  /// [strand] To the values before that; `changed` is told again.
+  void take_back(std::shared_ptr<const Object> former);
 
   /// [any thread] The values of this moment.
   std::shared_ptr<const Object> snapshot() const;
