@@ -29,7 +29,7 @@ std::string load_line(const control::Load& load) {
 std::string wire_line(const control::Wire& wire) {
   std::string line = fmt::format("wire {} to {}", typed_port(wire.client()), typed_port(wire.provider()));
   for (const auto& other : wire.alternatives()) line += " else " + typed_port(other);
-  if (wire.prescale() > 1) line += fmt::format(" every {}", wire.prescale());
+  if (wire.prescale() > 0) line += fmt::format(" every {}", wire.prescale());
   if (wire.has_hold_ms())
     line += fmt::format(" hold={}{}", wire.hold_ms() / (wire.hold_ms() < 1000 ? 1 : 1000),
                         wire.hold_ms() < 1000 ? "ms" : "s");

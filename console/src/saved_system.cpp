@@ -42,7 +42,7 @@ std::string wire_lines(const control::InstanceStatus& instance) {
     change.mutable_wire()->mutable_client()->set_instance(instance.name());
     change.mutable_wire()->mutable_client()->set_port(port.name());
     *change.mutable_wire()->mutable_provider() = port.peer();
-    change.mutable_wire()->set_prescale(port.prescale());
+    if (port.prescale() > 1) change.mutable_wire()->set_prescale(port.prescale());
     add_alternatives(port, *change.mutable_wire());
     lines += line_of(change) + "\n";
   }

@@ -50,6 +50,31 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   return text;
 }
 
+/// Make before break: whom somebody serves is not wired to nobody by a name that has a letter wrong. Who says
+/// `unwire` before means it.
+void require_somebody_serves(const Model& before, const Model& after, const control::Transact& request) {
+  for (const auto& [client, wire] : after.wires()) {
+    const auto unwires = [&key = client](const auto& one) {
+      return one.has_unwire() && key_of(one.unwire().client()) == key;
+    };
+    if (std::any_of(request.changes().begin(), request.changes().end(), unwires)) continue;
+    const auto old = before.wires().find(client);
+    if (old == before.wires().end() || old->second == wire) continue;
+    const auto is_there = [&](const control::PortName& one) { return after.find(one.instance()) != nullptr; };
+    const auto serves = std::find_if(old->second.providers.begin(), old->second.providers.end(), is_there);
+    if (serves == old->second.providers.end()) continue;
+    if (std::any_of(wire.providers.begin(), wire.providers.end(), is_there)) continue;
+    const std::string name = client.first + "." + client.second;
+    const std::string& missing = wire.providers.front().instance();
+    const auto near = nearest_names(missing, after.names());
+    throw Error(ErrorCode::NotFound,
+                {.what = "there is no instance '" + missing + "': " + name + " stays wired to " + text_of(*serves),
+                 .where = name,
+                 .expected = near.empty() ? "" : fmt::format("{}", fmt::join(near, ", ")),
+                 .next = "unwire " + name + ", if it is to wait for it"});
+  }
+}
+
 /// Which it was: a host that is started again loads the same, where it is still there. And its name, which only its
 /// package tells where none was typed: that may be gone by the end of the load.
 void note_identity(control::Load& load, const Model& after, const Packages& packages) {
@@ -216,6 +241,12 @@ void Engine::plan(Transaction& transaction) const {
     const bool may_all = transaction.rights.level >= trust::Access::Administer || transaction.is_undo;
     if (const auto need = may_all ? std::nullopt : need_of(transaction.before, after))
       require(transaction.rights, *need);
+  } catch (...) {
+    transaction.failure = failure_of_exception();
+    return;
+  }
+  try {
+    if (!request.whole() && !transaction.is_undo) require_somebody_serves(transaction.before, after, request);
   } catch (...) {
     transaction.failure = failure_of_exception();
     return;

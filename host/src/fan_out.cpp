@@ -9,6 +9,14 @@ void FanOut::join(std::uint64_t wire, std::uint64_t sequence, std::uint32_t pres
   members_[wire] = Member{sequence, std::max(1U, prescale), 0, each, {}};
 }
 
+void FanOut::set_prescale(std::uint64_t wire, std::uint32_t prescale) {
+  const std::lock_guard lock(mutex_);
+  const auto member = members_.find(wire);
+  if (member == members_.end()) return;
+  member->second.prescale = std::max(1U, prescale);
+  member->second.puts = 0;
+}
+
 void FanOut::leave(std::uint64_t wire) {
   {
     const std::lock_guard lock(mutex_);

@@ -16,12 +16,15 @@ class FanOut final : public Sink {
  public:
   FanOut(std::shared_ptr<LinkSocket> link, LinkSocket::Lane lane, detail::PushProvider& provider)
       : link_(std::move(link)), lane_(std::move(lane)), provider_(provider) {}
-  ~FanOut() override { link_->close_lane(lane_); }
+  /// What has been put before the last wire ended goes ahead of its end.
+  ~FanOut() override { link_->close_lane(lane_, PeerLanes::Rest::Goes); }
 
   const LinkSocket::Lane& lane() const { return lane_; }
   /// [any thread] The wire receives what is put after `sequence`, every `prescale`-th, the first of it included.
   /// `each`: to a handler that receives each one, and that a put may wait for.
   void join(std::uint64_t wire, std::uint64_t sequence, std::uint32_t prescale, bool each);
+  /// [any thread] From the next put on.
+  void set_prescale(std::uint64_t wire, std::uint32_t prescale);
   /// [any thread]
   void leave(std::uint64_t wire);
   /// [any thread] For this wire only.

@@ -12,6 +12,7 @@
 #include <cstring>
 #include <fstream>
 #include <map>
+#include <utility>
 
 #include "fiona/error.hpp"
 
@@ -132,9 +133,9 @@ Journal::~Journal() {
 
 void Journal::sync_until_closed() {
   std::unique_lock lock(mutex_);
-  while (!closed_) {
+  while (dirty_ || !closed_) {
     wake_.wait(lock, [this] { return dirty_ || closed_; });
-    dirty_ = false;
+    if (!std::exchange(dirty_, false)) continue;
     os::Descriptor copy(::fcntl(descriptor_.get(), F_DUPFD_CLOEXEC, 0));
     lock.unlock();
     if (copy) ::fdatasync(copy.get());

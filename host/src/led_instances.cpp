@@ -98,6 +98,7 @@ void LedInstances::check(const wire::GroupRequest& request) const {
     case Request::kWireProvide:
       require_led(request.wire_provide().provider().instance());
       return number(request.wire_provide().wire());
+    case Request::kSetPrescale: return number(request.set_prescale().wire());
     case Request::kWireRequire:
       require_led(request.wire_require().client().instance());
       number(request.wire_require().replaces());

@@ -17,7 +17,7 @@ void LinkSocket::shake_hands(const std::string& peer) {
   if (parts_.size() == 1) reader.read(parts_, single);
   if (routed_ && (single.frame.has_hello() || single.frame.has_proof())) return welcome(peer, single.frame);
   if (!routed_ && single.frame.has_challenge()) return check_challenge(single.frame);
-  if (!routed_ && single.frame.has_refused()) return receiver_.on_refused(single.frame.refused().reason());
+  if (!routed_ && single.frame.has_refused()) return receiver_.on_refused(told_reason(single.frame.refused().reason()));
   ++counters_.unproven;
 }
 

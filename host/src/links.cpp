@@ -13,6 +13,11 @@ namespace {
 
 /// Wires that have ended are remembered, so that what was under way is not taken for a stranger's.
 constexpr std::size_t kEndedKept = 256;
+/// How long a client that is being rewired waits for the last messages of a provider that may hang.
+constexpr std::chrono::milliseconds kEndPatience{100};
+
+/// Why a peer says no: what it sends is its own, and may be anything.
+std::string said(const std::string& reason) { return reason.empty() ? "no reason was given" : told_reason(reason); }
 
 }  // namespace
 
@@ -311,8 +316,8 @@ void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shar
     return end.provides ? nullptr : end.wire;
   };
   if (wire && frame.has_opened()) return note_answer(frame.wire(), "", frame.opened());
-  if (wire && frame.has_refused()) return note_answer(frame.wire(), frame.refused().reason());
-  if (wire && frame.has_closed()) return on_closed(frame.wire(), frame.closed().reason());
+  if (wire && frame.has_refused()) return note_answer(frame.wire(), said(frame.refused().reason()));
+  if (wire && frame.has_closed()) return on_closed(frame.wire(), said(frame.closed().reason()));
   if (frame.also().empty() || !frame.has_object()) {
     const bool kept = wire && together && frame.also().empty() && together->begin(wire, ports_in_use_, frame, object);
     if (wire && !kept) wire->on_frame(frame, object);
@@ -414,7 +419,24 @@ void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   requirement.client->set_connection(Connection::Unwired, reason);
 }
 
-void Links::retire(std::uint64_t wire_id) {
+/// All that the provider has put until then comes first. Not in virtual time, where a put takes until the next round:
+/// there the cut is between two of them, whatever the transport.
+void Links::await_end(std::uint64_t wire_id, RemoteWire& wire, const std::string& reason) {
+  if (clock_) return;
+  std::unique_lock lock(mutex_);
+  const auto has_ended = [&] {
+    const auto found = requirements_.find(wire_id);
+    return found == requirements_.end() || found->second.lost ||
+           found->second.client->connection() != Connection::Connected;
+  };
+  if (has_ended()) return;
+  lock.unlock();
+  wire.ask_for_end(reason);
+  lock.lock();
+  answered_.wait_for(lock, kEndPatience, has_ended);
+}
+
+void Links::retire(std::uint64_t wire_id, bool drains) {
   std::shared_ptr<RemoteWire> wire;
   {
     const std::lock_guard lock(mutex_);
@@ -423,8 +445,12 @@ void Links::retire(std::uint64_t wire_id) {
     found->second.retired = true;
     wire = found->second.wire;
   }
-  if (wire->port().service().is_push()) return cut(wire_id, "another provider has taken its place");
-  wire->drain([this, wire_id] { cut(wire_id, "another provider has taken its place"); });
+  constexpr const char* kReplaced = "another provider has taken its place";
+  if (wire->port().service().is_push()) {
+    if (drains) await_end(wire_id, *wire, kReplaced);
+    return cut(wire_id, kReplaced);
+  }
+  wire->drain([this, wire_id] { cut(wire_id, kReplaced); });
 }
 
 void Links::release(const Hull& hull, const std::string& reason) {
@@ -446,6 +472,16 @@ void Links::release(const Hull& hull, const std::string& reason) {
 void Links::peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason) {
   lose(endpoint, name, reason);
   server_->forget(name);
+}
+
+void Links::set_prescale(std::uint64_t wire, std::uint32_t prescale) {
+  const std::lock_guard lock(mutex_);
+  const auto found = grants_.find(wire);
+  if (found == grants_.end()) {
+    throw Error(ErrorCode::NotFound, {.what = "the wire is not provided here any more", .next = "ls wires"});
+  }
+  found->second.prescale = std::max(1U, prescale);
+  if (found->second.wire) found->second.wire->set_prescale(found->second.prescale);
 }
 
 void Links::add_held(wire::Adopted& adopted) {

@@ -64,14 +64,17 @@ class Links {
   void relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint);
   /// Ends a wire on this side and tells the peer.
   void cut(std::uint64_t wire, const std::string& reason);
-  /// Another wire has taken this one's place at its client: it goes once its open requests have ended.
-  void retire(std::uint64_t wire);
+  /// Another wire takes this one's place at its client: it goes once its open requests have ended. `drains`, of a push
+  /// that still serves: once all that its provider has put has come, which is waited for, but not for one that hangs.
+  void retire(std::uint64_t wire, bool drains);
   /// [control thread] The ports of `hull` are going: so does what is left of their wires. After it returned no thread
   /// of a link uses them.
   void release(const Hull& hull, const std::string& reason);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
   /// Of all ends that are here, other than of wires within the process.
+  /// Of a push that is provided here.
+  void set_prescale(std::uint64_t wire, std::uint32_t prescale);
   void add_held(wire::Adopted& adopted);
   /// Ends the wires of processes that are no group's.
   void cut_attached(const std::string& reason);
@@ -148,6 +151,7 @@ class Links {
   const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
   void forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
                const std::shared_ptr<const Payload>& payload);
+  void await_end(std::uint64_t wire, RemoteWire& of, const std::string& reason);
   std::optional<std::string> loss_of(std::uint64_t wire);
   void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
   void lose(const std::string& endpoint, const std::string& name, const std::string& reason);

@@ -70,11 +70,15 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
       object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
   for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
   if (frame.has_closed() || frame.has_refused()) {
-    for (const auto& [to, passed] : ways) note_ended(passed.wire());
     for (const auto& [to, passed] : ways) {
       if (to->lane) to->lane->keep_rest();
     }
-    for (const auto& [to, passed] : ways) relays_.erase(passed.wire());
+    for (const auto& [to, passed] : ways) {
+      // The provider answers the client's end with its own, behind all that was on its way.
+      if (to == &relays_.at(passed.wire()).provider) continue;
+      note_ended(passed.wire());
+      relays_.erase(passed.wire());
+    }
   }
   if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
   if (ending.empty()) return nullptr;

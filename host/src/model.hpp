@@ -57,8 +57,13 @@ class Model {
 
     bool uses(const std::string& instance) const;
     bool operator==(const Wire& other) const;
-    /// What makes it so.
-    control::Change change_for(const PortKey& client) const;
+    Wire with_prescale(std::uint32_t other) const {
+      Wire changed = *this;
+      changed.prescale = other;
+      return changed;
+    }
+    /// What makes it so. `before`: the client's wire until then; null: none.
+    control::Change change_for(const PortKey& client, const Wire* before) const;
   };
 
   const Instance* find(const std::string& name) const;

@@ -77,7 +77,7 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
   for (const auto& [client, wire] : from.wires_) {
     const auto next = to.wires_.find(client);
     if (!kept.contains(client.first) || next == to.wires_.end() || !to.keeps_out(client, wire)) continue;
-    steps.push_back(next->second.change_for(client));
+    steps.push_back(next->second.change_for(client, &wire));
     rewired.insert(client);
   }
   for (const auto& [order, name] : coming) *steps.emplace_back().mutable_load() = to.load_of(name);
@@ -86,8 +86,9 @@ std::vector<control::Change> Model::difference(const Model& from, const Model& t
   }
   for (const auto& [client, wire] : to.wires_) {
     const auto old = from.wires_.find(client);
-    const bool there = kept.contains(client.first) && old != from.wires_.end() && old->second == wire;
-    if (!there && !rewired.contains(client)) steps.push_back(wire.change_for(client));
+    const Wire* before = kept.contains(client.first) && old != from.wires_.end() ? &old->second : nullptr;
+    const bool there = before && *before == wire;
+    if (!there && !rewired.contains(client)) steps.push_back(wire.change_for(client, before));
   }
   for (const auto& [name, one] : to.instances_) {
     if (one->led) continue;

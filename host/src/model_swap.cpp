@@ -42,7 +42,7 @@ std::vector<control::Change> Model::steps_of(const control::Change& change) cons
       all.erase(std::remove_if(one + 1, all.end(), [&](const auto& other) { return text_of(other) == name; }),
                 all.end());
     }
-    steps.push_back(moved.change_for(client));
+    steps.push_back(moved.change_for(client, &wire));
   }
   if (!steps.empty()) return steps;
   throw Error(ErrorCode::NotFound,

@@ -57,14 +57,15 @@ bool Model::Wire::operator==(const Wire& other) const {
          prescale == other.prescale && hold_ms == other.hold_ms;
 }
 
-control::Change Model::Wire::change_for(const PortKey& client) const {
+control::Change Model::Wire::change_for(const PortKey& client, const Wire* before) const {
   control::Change change;
   control::Wire& request = *change.mutable_wire();
   *request.mutable_client() = port_of(client);
   *request.mutable_provider() = providers.front();
   request.mutable_alternatives()->Add(providers.begin() + 1, providers.end());
-  if (prescale > 1) request.set_prescale(prescale);
-  if (providers.size() > 1 && hold_ms != kHold_ms) request.set_hold_ms(hold_ms);
+  // What is not named stays as it is.
+  if (prescale != (before ? before->prescale : 1)) request.set_prescale(prescale);
+  if (providers.size() > 1 && hold_ms != (before ? before->hold_ms : kHold_ms)) request.set_hold_ms(hold_ms);
   return change;
 }
 
@@ -76,8 +77,12 @@ const Model::Wire* Model::wire_of(const control::PortName& client) const {
 void Model::wire(const control::Wire& request) {
   port(request.client(), REQUIRES);
   require_own(request.client().instance());
-  Wire made{{request.provider()}, std::max(1U, request.prescale())};
+  // The subscription is the port's: it survives its provider.
+  Wire made = wire_of(request.client()) ? *wire_of(request.client()) : Wire{};
+  made.providers.assign(1, request.provider());
   made.providers.insert(made.providers.end(), request.alternatives().begin(), request.alternatives().end());
+  if (request.prescale() > 0) made.prescale = request.prescale();
+  if (made.providers.size() == 1) made.hold_ms = Wire::kHold_ms;
   if (request.has_hold_ms()) made.hold_ms = request.hold_ms();
   check_alternatives(request, made);
   for (const auto& provider : made.providers) {

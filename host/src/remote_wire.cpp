@@ -15,7 +15,6 @@ namespace {
 constexpr std::size_t kMostTogether = 64;
 constexpr const char* kAnswerTooLarge = "the answer is larger than a link carries (64 MiB)";
 constexpr const char* kFull = "the answers before it have not been taken yet";
-constexpr const char* kQueueFull = "the provider's queue is full";
 constexpr const char* kIdInUse = "a request has the id of one that is still open";
 /// Sends that wait for room, of one wire, or of all that have ended.
 constexpr std::size_t kMostHeld = 2 * kLaneWindow;
@@ -299,8 +298,9 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
     case wire::Frame::kAnswer: return on_answer(frame.answer(), object);
     case wire::Frame::kLease: {
       const bool held = frame.lease().held();
+      if (!end_) return;  // of a push alone
       return take_in_turn(nullptr, held ? kSpeaks : kSilent,
-                          [self = shared_from_this(), held, reason = frame.lease().reason()] {
+                          [self = shared_from_this(), held, reason = told_reason(frame.lease().reason())] {
                             const std::lock_guard lock(self->mutex_);
                             if (self->end_ && !self->cut_) self->end_->set_lease(held, reason);
                           });
@@ -468,7 +468,7 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
                                   : inbox_->push(std::move(parcel));
       waits = !taken;
       outcome = taken.value_or(Outcome::Ok);
-      if (outcome == Outcome::Rejected) refusal = kQueueFull;
+      if (outcome == Outcome::Rejected) refusal = Inbox::kFull;
     }
     if (outcome == Outcome::Rejected) port_.counters().refuse(refusal, clock_.now());
     acknowledged = port_.service().pattern() == SEND && !waits;
@@ -574,7 +574,7 @@ void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object
   }
   auto outcome =
       static_cast<Outcome>(std::min<std::uint32_t>(answer.outcome(), static_cast<std::uint32_t>(Outcome::Rejected)));
-  std::string reason = answer.reason();
+  std::string reason = told_reason(answer.reason());
   std::shared_ptr<Object> parsed;
   if (outcome == Outcome::Ok && answer_rules_) {
     parsed = answers_.acquire();
@@ -589,14 +589,23 @@ void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object
   if (const auto notice = take_drained()) notice();
 }
 
+void RemoteWire::ask_for_end(const std::string& reason) {
+  wire::Frame frame = frame_for(wire_);
+  frame.mutable_closed()->set_reason(told_reason(reason));
+  const std::lock_guard lock(mutex_);
+  if (cut_ || std::exchange(asked_for_end_, true)) return;
+  send_frame(frame);
+}
+
 void RemoteWire::cut(const std::string& reason, bool tell) {
+  if (fan_out_) fan_out_->leave(wire_);  // before its end is told: nothing comes behind that
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open;
   std::vector<std::shared_ptr<ReplySink>> served;
   std::deque<Held> dropped;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(cut_, true)) return;  // the link may have gone since
-    if (tell) {
+    if (tell && !asked_for_end_) {
       wire::Frame frame = frame_for(wire_);
       frame.mutable_closed()->set_reason(told_reason(reason));
       send_frame(frame);
@@ -613,7 +622,7 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
   // What a client has sent has been accepted: it goes, though the wire does, or is counted.
   const bool sends = port_.direction() == PortDirection::Requires && port_.service().pattern() == SEND;
   const auto rest = sends && tell ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;
-  const std::size_t lost = fan_out_ ? (fan_out_->leave(wire_), 0) : link_->close_lane(lane_, rest);
+  const std::size_t lost = fan_out_ ? 0 : link_->close_lane(lane_, rest);
   if (sends) port_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
   for (auto& [id, reply] : open) reply->answer(Outcome::Disconnected, reason, nullptr);
   for (auto& reply : served) reply->abandon();

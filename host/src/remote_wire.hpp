@@ -49,6 +49,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   /// before the first message leaves.
   /// `each`: as the client says when it opens it, see FanOut::join.
   void open(std::uint32_t prescale, bool each);
+  void set_prescale(std::uint32_t prescale) {
+    if (fan_out_) fan_out_->set_prescale(wire_, prescale);
+  }
   /// [any thread] Towards the peer.
   Outcome deliver(Parcel parcel) override;
   void lease(bool held, const std::string& reason) override;
@@ -67,6 +70,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   /// [any thread] Another wire has taken the place of this one of a client: open requests end on it, and `drained` is
   /// called once there are none.
   void drain(std::function<void()> drained);
+  /// [any thread] Tells the provider of a push that its wire is to end. It says so too, behind all that it has put.
+  void ask_for_end(const std::string& reason);
   /// [any thread] After it returned nothing more reaches the port but sends that have come before and wait for room.
   /// Open requests end with Disconnected. `tell`: so does the peer's end.
   void cut(const std::string& reason, bool tell = false);
@@ -126,6 +131,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::mutex mutex_;
   bool cut_ = false;
   bool drains_ = false;  ///< takes no more: another wire has its place
+  bool asked_for_end_ = false;
   std::uint32_t prescale_ = 1;
   bool each_ = false;
   std::atomic<bool> admitted_;  ///< set under the mutex

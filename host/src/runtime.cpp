@@ -55,6 +55,7 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
     case Request::kSetMode: return set_mode(request.set_mode());
     case Request::kWireLocal: return wire_local(request.wire_local(), *reply.mutable_switched());
     case Request::kWireProvide: return wire_provide(request.wire_provide());
+    case Request::kSetPrescale: return set_prescale(request.set_prescale());
     case Request::kWireRequire: return wire_require(request.wire_require(), *reply.mutable_switched());
     case Request::kWireRelay: return wire_relay(request.wire_relay());
     case Request::kAwait: return await(request.await());

@@ -86,12 +86,13 @@ class Runtime final {
   // ---- runtime_wires.cpp
   void wire_local(const wire::WireLocal& request, wire::Switched& switched);
   void wire_provide(const wire::WireProvide& request);
+  void set_prescale(const wire::SetPrescale& request);
   void wire_require(const wire::WireRequire& request, wire::Switched& switched);
   void wire_relay(const wire::WireRelay& request);
   void await(const wire::Await& request);
   void arrange(const wire::Arrange& request, wire::Switched& switched);
   void cut(const wire::Cut& request);
-  void retire(std::uint64_t wire);
+  void retire(std::uint64_t wire, bool drains = false);
   void end_wires(const Hull& hull, Connection now, const std::string& reason);
   ProvidedPort& provided(const control::PortName& name);
   RequiredPort& required(const control::PortName& name);

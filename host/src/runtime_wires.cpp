@@ -7,14 +7,12 @@
 namespace fiona::host {
 namespace {
 
-/// How long a port has neither the old wire nor the new one, on the machine's clock, and what it loses meanwhile.
+/// How long a port has neither the old wire nor the new one, on the machine's clock, and what it loses while one takes
+/// the other's place.
 class SwitchCost {
  public:
-  explicit SwitchCost(Port& client) : client_(client) {}
-  void begin() {
-    dropped_ = client_.counters().dropped;
-    since_ = std::chrono::steady_clock::now();
-  }
+  explicit SwitchCost(Port& client) : client_(client), dropped_(client.counters().dropped) {}
+  void old_one_has_gone() { since_ = std::chrono::steady_clock::now(); }
   void end(wire::Switched& switched) const {
     switched.set_gap_ns(std::chrono::nanoseconds(std::chrono::steady_clock::now() - since_).count());
     switched.set_lost(client_.counters().dropped - dropped_);
@@ -22,8 +20,8 @@ class SwitchCost {
 
  private:
   Port& client_;
-  std::uint64_t dropped_ = 0;
-  std::chrono::steady_clock::time_point since_{};
+  const std::uint64_t dropped_;
+  std::chrono::steady_clock::time_point since_ = std::chrono::steady_clock::now();
 };
 
 }  // namespace
@@ -37,10 +35,10 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
   auto local = push ? std::make_shared<LocalWire>(name, end, request.prescale())
                     : std::make_shared<LocalWire>(name, *provider.inbox());
   SwitchCost cost(client);
-  cost.begin();
   // The new one first: a request that is being made has somewhere to go at every moment.
   if (!push) end->set_target(local);
-  retire(request.replaces());
+  retire(request.replaces(), true);
+  cost.old_one_has_gone();
   end->set_connection(Connection::Connected, provider.full_name());
   if (push) push->attach(local);
   wires_[request.wire()] = Wire{std::move(local), push, end, &provider.hull(), request.prescale()};
@@ -52,17 +50,26 @@ void Runtime::wire_provide(const wire::WireProvide& request) {
                  request.attached() ? request.client().instance() : text_of(request.client()), request.attached());
 }
 
+/// Nothing is opened or let go of: no message is lost, or comes twice.
+void Runtime::set_prescale(const wire::SetPrescale& request) {
+  const auto found = wires_.find(request.wire());
+  if (found == wires_.end()) return links_.set_prescale(request.wire(), request.prescale());
+  found->second.prescale = request.prescale();
+  if (found->second.provider) found->second.local->set_prescale(request.prescale());
+}
+
 void Runtime::wire_require(const wire::WireRequire& request, wire::Switched& switched) {
   RequiredPort& client = required(request.client());
-  SwitchCost cost(client);
+  std::optional<SwitchCost> cost;
   const auto let_go = [&] {
-    cost.begin();
-    retire(request.replaces());
+    cost.emplace(client);
+    retire(request.replaces(), true);
+    cost->old_one_has_gone();
   };
   links_.require(request.wire(), request.token(), client.end_for(text_of(request.provider())),
                  {request.endpoint(), request.name(), request.key()}, request.replaces(), request.resumes_every(),
                  let_go);
-  cost.end(switched);
+  cost->end(switched);
 }
 
 void Runtime::wire_relay(const wire::WireRelay& request) {
@@ -80,7 +87,6 @@ void Runtime::arrange(const wire::Arrange& request, wire::Switched& switched) {
   std::vector<std::string> providers;
   for (const auto& name : request.providers()) providers.push_back(text_of(name));
   SwitchCost cost(client);
-  cost.begin();
   client.arrange(providers, from_milliseconds(request.hold_ms()));
   cost.end(switched);
   for (const std::uint64_t wire : request.retires()) retire(wire);
@@ -98,9 +104,9 @@ void Runtime::cut(const wire::Cut& request) {
 
 /// Lets go of a wire whose client goes on with another one, or with none. What is on its way over a local wire still
 /// reaches the provider and ends there; a push has its cut here.
-void Runtime::retire(std::uint64_t id) {
+void Runtime::retire(std::uint64_t id, bool drains) {
   const auto found = wires_.find(id);
-  if (found == wires_.end()) return links_.retire(id);
+  if (found == wires_.end()) return links_.retire(id, drains);
   if (found->second.provider) {
     found->second.provider->detach(*found->second.local);
     found->second.local->cut("");  // a push: nothing is open on it

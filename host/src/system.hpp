@@ -339,6 +339,7 @@ class System {
 
   // ---- system_wires.cpp
   control::Done wire(const control::Wire& request, const Model& next);
+  control::Done set_prescale(const control::PortName& client, const Model::Wire& before, const Model::Wire& wanted);
   control::Done wire_one(const control::PortName& client, const Model& next);
   control::Done wire_several(const control::PortName& client, const Model& next);
   Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,

@@ -41,12 +41,37 @@ control::Done System::wire(const control::Wire& request, const Model& next) {
     done.set_note("wired so already");
     return done;
   }
+  if (before && all_well && before->with_prescale(wanted.prescale) == wanted)
+    return set_prescale(request.client(), *before, wanted);
   const bool several = wanted.providers.size() > 1 || (before && before->providers.size() > 1);
   control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next);
   std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") +
                      text_of(request.provider());
   for (const auto& provider : request.alternatives()) note += " else " + text_of(provider);
   done.set_note(note);
+  return done;
+}
+
+/// The wires stay as they are.
+control::Done System::set_prescale(const control::PortName& client, const Model::Wire& before,
+                                   const Model::Wire& wanted) {
+  const auto [first, last] = wires_.equal_range(key_of(client));
+  const auto tell = [&](const Wire& wire, std::uint32_t prescale) {
+    wire::GroupRequest request;
+    request.mutable_set_prescale()->set_wire(wire.id);
+    request.mutable_set_prescale()->set_prescale(prescale);
+    group_of(wire.provider.instance(), model_).request(std::move(request));
+  };
+  for (auto one = first; one != last; ++one) {
+    try {
+      tell(one->second, wanted.prescale);
+    } catch (...) {
+      for (auto told = first; told != one; ++told) tell(told->second, before.prescale);
+      throw;
+    }
+  }
+  control::Done done;
+  done.set_note(fmt::format("{} takes every {}", text_of(client), wanted.prescale));
   return done;
 }
 

@@ -14,11 +14,17 @@ LocalWire::LocalWire(std::string name, Inbox& inbox)
 
 LocalWire::LocalWire(std::string name, std::shared_ptr<WireEnd> end, std::uint32_t prescale)
     : name_(std::move(name)),
-      prescale_(std::max(1U, prescale)),
       end_(std::move(end)),
+      prescale_(std::max(1U, prescale)),
       inbox_(end_->port().inbox()),
       clock_(end_->port().hull().clock()),
       room_name_(name_ + "/room") {}
+
+void LocalWire::set_prescale(std::uint32_t prescale) {
+  const std::lock_guard lock(mutex_);
+  prescale_ = std::max(1U, prescale);
+  puts_ = 0;
+}
 
 Outcome LocalWire::deliver(Parcel parcel) {
   std::unique_lock lock(mutex_);
@@ -33,7 +39,8 @@ Outcome LocalWire::deliver(Parcel parcel) {
     const std::lock_guard inner(self->mutex_);
     const auto reply = parcel.reply;
     const Outcome outcome = self->hand_over(std::move(parcel));
-    if (reply && outcome != Outcome::Ok) reply->answer(outcome, {}, nullptr);
+    if (reply && outcome != Outcome::Ok)
+      reply->answer(outcome, outcome == Outcome::Rejected ? Inbox::kFull : "", nullptr);
   });
   return Outcome::Ok;
 }
@@ -61,7 +68,7 @@ Outcome LocalWire::hand_over(Parcel parcel) {
   if (end_) return end_->push(std::move(parcel));
   const auto receipt = inbox_->port().service().pattern() == SEND ? parcel.reply : nullptr;
   const Outcome outcome = inbox_->push(std::move(parcel));
-  if (receipt) receipt->answer(outcome, {}, nullptr);
+  if (receipt) receipt->answer(outcome, outcome == Outcome::Rejected ? Inbox::kFull : "", nullptr);
   return outcome;
 }
 

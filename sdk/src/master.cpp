@@ -53,7 +53,7 @@ Changes& Changes::wire(std::string_view client, std::string_view provider, const
   *wire.mutable_client() = port_name(client);
   *wire.mutable_provider() = port_name(provider);
   for (const auto& other : choice.otherwise) *wire.add_alternatives() = port_name(other);
-  if (choice.every > 1) wire.set_prescale(choice.every);
+  if (choice.every > 0) wire.set_prescale(choice.every);
   if (choice.hold) wire.set_hold_ms(1e3 * to_seconds(*choice.hold));
   return *this;
 }

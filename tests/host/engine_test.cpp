@@ -362,6 +362,40 @@ TEST_P(Transactions, PlanShowsTheStepsAndWhatTakesThemBackAndChangesNothing) {
   EXPECT_EQ(whole(), before);
 }
 
+TEST_P(Transactions, ARewireKeepsTheSubscriptionAsItIs) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group())});
+  control::Change seldom = wire("sink.each", "one.newest");
+  seldom.mutable_wire()->set_prescale(5);
+  make({seldom});
+  make({wire("sink.each", "two.newest")});
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "two");
+  EXPECT_EQ(system.port("sink.each").prescale(), 5U);
+  control::Change each = wire("sink.each", "two.newest");
+  each.mutable_wire()->set_prescale(1);
+  make({each});
+  EXPECT_EQ(system.port("sink.each").prescale(), 1U);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.port("sink.each").prescale(), 5U);
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_TRUE(undo().has_done());
+  EXPECT_EQ(system.port("sink.each").connection(), control::UNWIRED);
+}
+
+TEST_P(Transactions, WhoIsServedIsNotWiredToNobody) {
+  make({load("source", "source"), load("sink", "sink", group()), wire("sink.each", "source.newest")});
+  const auto before = whole();
+  const auto refused = transact({wire("sink.each", "sourse.newest")});
+  ASSERT_TRUE(refused.has_failure());
+  EXPECT_EQ(refused.failure().what(), "there is no instance 'sourse': sink.each stays wired to source.newest");
+  EXPECT_THAT(refused.failure().expected(), HasSubstr("source"));
+  EXPECT_EQ(whole(), before);
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+  make({wire("sink.each", "sourse.newest"), load("source", "sourse")});
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "sourse") << "which comes with the same changes";
+  make({unwire("sink.each"), wire("sink.each", "salt.newest")});
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+}
+
 TEST_P(Transactions, SwapMovesAllClientsAndTellsWhatItCost) {
   make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), load("sink", "other"),
         wire("sink.each", "one.newest"), wire("other.each", "one.newest")});
@@ -474,7 +508,7 @@ TEST_P(Transactions, UndoLoadsAgainWhoseNameAWireThatItTakesBackWaitsFor) {
   make({load("source", "source"), load("sink", "sink", group()), load("sink", "other"),
         wire("sink.each", "source.newest")});
   const auto before = whole();
-  make({unload("other"), wire("sink.each", "other.newest")});  // which a sink would not have
+  make({unload("other"), unwire("sink.each"), wire("sink.each", "other.newest")});  // which a sink would not have
   const auto reply = undo();
   EXPECT_TRUE(reply.has_done()) << reply.failure().what();
   EXPECT_EQ(whole(), before);

@@ -191,13 +191,54 @@ TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesOnceNothingIsOpenOnIt)
   };
   EXPECT_TRUE(hull.strand().call([&] { EXPECT_TRUE(ends->asks.request({})); }, 20s));
   EXPECT_TRUE(becomes_true([&] { return ends->asked_so_far == 1; }));
-  links.retire(1);
+  links.retire(1, true);
   EXPECT_EQ(wires(), 2) << "a request is open on it";
   EXPECT_TRUE(hull.strand().call([&] { ends->open->answer(navigation::CommLevelMap()); }, 20s));
   EXPECT_TRUE(becomes_true([&] { return wires() == 0; }));
   links.release(hull, "the test is over");
   other.release(hull, "the test is over");
   other.stop();
+}
+
+TEST_F(LinksOfAProcess, APushThatIsReplacedHasBroughtAllThatWasPutBefore) {
+  constexpr std::uint64_t kPuts = 2'000;
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
+  other.provide(1, kLinksToken, "both", ends->told, 1, "both.heard");
+  const auto end = ends->heard.end_for("both.told");
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, nullptr);
+  EXPECT_TRUE(hull.strand().call(
+      [&] {
+        for (std::uint64_t i = 0; i < kPuts; ++i) ends->told.put(localisation::CommLocation());
+      },
+      20s));
+  links.retire(1, true);
+  const auto& counters = ends->heard.counters();
+  EXPECT_EQ(counters.messages + counters.superseded, kPuts);
+  EXPECT_EQ(counters.dropped, 0U);
+  EXPECT_EQ(ends->told.subscribers(), 0U);
+  other.release(hull, "the test is over");
+  other.stop();
+}
+
+TEST_F(LinksOfAProcess, AProviderThatDoesNotEndAWireThatIsReplacedIsNotWaitedForLong) {
+  ProviderByHand other(at("other"));
+  require(1, ends->heard);
+  const auto begin = std::chrono::steady_clock::now();
+  links.retire(1, true);
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, 10s);
+  other.send(frame_for(1), std::make_shared<localisation::CommLocation>());
+  EXPECT_EQ(ends->heard.counters().messages, 0U);
+}
+
+TEST_F(LinksOfAProcess, APeersSentencesAreCutToWhatASentenceMayHave) {
+  ProviderByHand other(at("other"));
+  require(1, ends->noticed);
+  wire::Frame silent = frame_for(1);
+  silent.mutable_lease()->set_reason(std::string(500'000, 'x'));
+  other.send(silent);
+  EXPECT_TRUE(becomes_true([&] { return ends->noticed.connection() == Connection::Lost; }));
+  EXPECT_LT(ends->noticed.connection_reason().size(), 5'000U);
+  links.release(hull, "the test is over");
 }
 
 TEST_F(LinksOfAProcess, AnObjectForWiresOfSeveralTypesGoesToThoseOfTheFirstOneAlone) {

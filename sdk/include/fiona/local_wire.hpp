@@ -30,6 +30,8 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void lease(bool held, const std::string& reason) override;
   bool has_room(std::size_t bytes, const std::function<void()>& notice) override;
   void attached(std::uint64_t sequence, Duration cycle) override;
+  /// [any thread] From the next put on.
+  void set_prescale(std::uint32_t prescale);
   /// [any thread] After it returned nothing more reaches the inbox; what is open on it has ended with Disconnected.
   void cut(const std::string& reason);
   /// [any thread] Cuts it if it ends at a port of this hull.
@@ -49,9 +51,9 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void has_been_told(std::size_t room);
 
   const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
-  const std::uint32_t prescale_;
   const std::shared_ptr<WireEnd> end_;  ///< of a push
   std::mutex mutex_;
+  std::uint32_t prescale_;
   Inbox* inbox_;  ///< null once cut
   Clock& clock_;
   std::vector<std::weak_ptr<ReplySink>> open_;  ///< requests of a query

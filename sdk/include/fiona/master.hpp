@@ -32,8 +32,8 @@ control::PortName port_name(std::string_view text);
 /// What more there is to say of a wire.
 struct WireChoice {
   std::vector<std::string> otherwise = {};  ///< who serves while those before are not fit, in their order
-  std::uint32_t every = 1;                  ///< each n-th message of a push
-  std::optional<Duration> hold = {};        ///< before a better one serves again; none: 3 s
+  std::uint32_t every = 0;                  ///< each n-th message of a push; 0: as so far, or 1
+  std::optional<Duration> hold = {};        ///< before a better one serves again; none: as so far, or 3 s
 };
 
 /// Changes of the system that are made together, each what a line of the console asks for. Ports are named as there:
