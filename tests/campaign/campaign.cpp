@@ -70,19 +70,12 @@ int number_from(const char* variable, int otherwise) {
 }
 
 std::vector<pid_t> processes(RunningSystem& system) {
-  std::vector<pid_t> all;
-  std::vector<std::string> elsewhere;
-  const auto snapshot = system.system().snapshot();
-  for (const auto& group : snapshot.groups())
-    group.process() != 0 ? all.push_back(group.process()) : elsewhere.push_back(group.name());
-  if (elsewhere.empty()) return all;
-  const pid_t far = system.far_process();
-  std::vector<pid_t> there = descendants(far);
-  there.push_back(far);
-  if (there.size() < elsewhere.size())
-    throw Error(ErrorCode::NotFound, fmt::format("the led host has {} processes for its groups {}", there.size(),
-                                                 fmt::join(elsewhere, ", ")));
-  all.insert(all.end(), there.begin(), there.end());
+  std::vector<pid_t> all = descendants(::getpid());
+  all.push_back(::getpid());
+  for (const auto& group : system.system().snapshot().groups()) {
+    if (group.process() == 0 || std::find(all.begin(), all.end(), group.process()) != all.end()) continue;
+    throw Error(ErrorCode::NotFound, "the process of group '" + group.name() + "' is none of this system's");
+  }
   return all;
 }
 

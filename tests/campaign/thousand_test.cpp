@@ -40,7 +40,7 @@ double proportional_mib(pid_t process) {
   for (std::string line; std::getline(file, line);) {
     if (line.starts_with("Pss:")) return std::stod(line.substr(4)) / 1024;
   }
-  return 0;
+  throw Error(ErrorCode::NotFound, fmt::format("/proc/{}/smaps_rollup says no Pss", process));
 }
 
 double processor_s(pid_t process) {

@@ -16,7 +16,7 @@ class Station final : public Paced {
   void tick() override {
     ++number_;
     samples_.put(sample(params_->payload()));
-    last_.put(sample(0));
+    if (number_ == 1) last_.put(sample(0));  // no more: who joins later has what is kept, or nothing
     again_after(params_->period_ms());
   }
   void produce() {
