@@ -286,11 +286,18 @@ TEST_P(Calls, WaitForAnUpdateGoesOnOnTheNewProviderWhenItIsRewired) {
 TEST_P(Calls, OpenQueryFinishesOnTheOldProviderWhenItIsRewired) {
   wire_all();
   system.load_provider("answerer", "second");
-  begin("query", "manner=later");
+  begin("query", "manner=never");
+  const unsigned open = go;
+  system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
   system.wire("caller.echo", "second.echo");
-  EXPECT_EQ(outcome(), Outcome::Ok);
-  EXPECT_EQ(system.port("second.echo").messages(), 0U);
-  EXPECT_EQ(outcome_of("query"), Outcome::Ok);
+  begin("query", "manner=promptly");
+  EXPECT_EQ(system.wait_for(outcomes, [](const auto&) { return true; }).number(), go) << "the open one has not ended";
+  EXPECT_EQ(system.port("second.echo").messages(), 1U);
+  EXPECT_EQ(system.read("answerer.abandoned").value(), 0);
+  EXPECT_EQ(system.call("answerer.echo", "manner=release").outcome(), "ok");
+  const SeenSample ended = end_of(open);
+  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Ok);
+  EXPECT_EQ(ended.payload(), std::to_string(open));
   EXPECT_EQ(system.port("second.echo").messages(), 1U);
 }
 
