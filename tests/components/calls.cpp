@@ -84,7 +84,7 @@ class Caller final : public Component {
       const auto second = co_await echo_.query(std::move(question), within);
       report(number, second.outcome(), std::string(to_string(first.outcome())));
     } else if (call == "request") {
-      const auto id = echo_.request(std::move(question));
+      const auto id = echo_.request(std::move(question), within);
       if (id) request_ = *id;
       report(number, id.outcome(), id.reason());
     } else if (call == "receive") {

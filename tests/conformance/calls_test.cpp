@@ -220,12 +220,19 @@ TEST_P(Calls, ThatWaitEndCancelledByEachOfTheThreeFlagsAndSoDoNewOnesUntilItIsTa
 
 TEST_P(QueryCalls, CancelledReceiveLeavesTheIdValid) {
   wire_all();
-  ASSERT_EQ(outcome_of("request", "manner=later"), Outcome::Ok);
+  ASSERT_EQ(outcome_of("request", "manner=never"), Outcome::Ok);
   const unsigned asked = go;
-  system.set("caller", "cancel=port");
-  EXPECT_EQ(outcome_of("receive"), Outcome::Cancelled);
-  system.set("caller", "cancel=none");
+  system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
+  for (const std::string flag : {"port", "pattern", "instance"}) {
+    begin("receive");
+    system.set("caller", "cancel=" + flag);
+    EXPECT_EQ(outcome(), Outcome::Cancelled) << flag;
+    EXPECT_EQ(outcome_of("receive"), Outcome::Cancelled) << "a new one, " << flag;
+    system.set("caller", "cancel=none");
+  }
+  EXPECT_EQ(system.read("answerer.abandoned").value(), 0) << "it is still wanted";
   begin("receive");
+  EXPECT_EQ(system.call("answerer.echo", "manner=release").outcome(), "ok");
   EXPECT_EQ(end().payload(), std::to_string(asked));
 }
 
