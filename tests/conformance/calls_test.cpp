@@ -41,6 +41,15 @@ class Calls : public testing::TestWithParam<Transport> {
     begin(call, parameters);
     return outcome();
   }
+  /// It goes on to put states, and puts none of them to an activation any more.
+  void eventually_lets_go(const std::string& source) {
+    system.eventually(source + " lets go of its activations", [&] {
+      const double tested = system.read(source + ".tested").value();
+      const auto put = system.port(source + ".newest").messages();
+      system.eventually("more states", [&] { return system.port(source + ".newest").messages() > put + 10; });
+      return system.read(source + ".tested").value() == tested;
+    });
+  }
   void wire_all() {
     system.wire("caller.samples", "quiet.newest");
     system.wire("caller.echo", "answerer.echo");
@@ -593,6 +602,10 @@ TEST_P(Calls, EventWaitGoesOnOnTheNewProviderWhenItIsRewired) {
   begin("event");
   system.wire("caller.bell", "second.bell");
   EXPECT_EQ(outcome(), Outcome::Ok) << "of the second, for the first puts nothing for 10 s";
+  system.set("source", "period_ms=5");
+  system.state("source", "neutral");
+  system.state("source", "active");
+  eventually_lets_go("source");
 }
 
 TEST_P(Event, ActivationMovesToTheNewProvider) {
@@ -603,6 +616,7 @@ TEST_P(Event, ActivationMovesToTheNewProvider) {
   ASSERT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
   system.wait_for(rings, [](const auto& one) { return one.number() == 1; });
   system.wire("caller.handled_bell", "second.bell");
+  eventually_lets_go("source");
   system.state("source", "neutral");
   const auto so_far = system.port("caller.rings").messages();
   system.eventually("events of the new provider", [&] { return system.port("caller.rings").messages() > so_far + 5; });
