@@ -44,6 +44,39 @@ class State : public testing::TestWithParam<Transport> {
       return looked > looks + 5;
     });
   }
+  /// What waits at the gate holds the activity `steer` until it is opened.
+  void load_gate() {
+    system.load_provider("source", "keeper", "neutral");
+    system.wire("mover.gate", "keeper.newest");
+  }
+  void open_gate() { system.state("keeper", "active"); }
+  void wait_until_held() {
+    system.eventually("it waits at the gate", [&] { return system.read("mover.held").value() == 1; });
+  }
+  std::shared_ptr<LaterAnswer> begin_held_turn() {
+    const auto turn = system.begin_call("mover.turn_later", "degrees=7 manner=held", 60'000);
+    wait_until_held();
+    return turn;
+  }
+  void expect_blocked(const LaterAnswer& change, const std::string& by) {
+    system.eventually("blocked by " + by,
+                      [&] { return change.ended || system.instance("mover").pending().blocked_by() == by; });
+    expect_runs("looks");
+    EXPECT_EQ(system.instance("mover").pending().blocked_by(), by);
+    EXPECT_FALSE(change.ended) << change.reply.ShortDebugString();
+    EXPECT_EQ(system.instance("mover").mode(), "drive");
+  }
+  void expect_parked(const LaterAnswer& change) {
+    system.eventually("the change", [&] { return change.ended.load(); });
+    EXPECT_EQ(change.reply.done().note(), "mover is park");
+    EXPECT_EQ(system.instance("mover").mode(), "park");
+  }
+  void expect_held_by(const std::string& holder) {
+    const auto change = system.begin_state("mover", "park");
+    expect_blocked(*change, holder);
+    open_gate();
+    expect_parked(*change);
+  }
   std::string refusal_of(const std::string& mode, const std::string& name = "mover") {
     try {
       system.state(name, mode);
@@ -101,6 +134,24 @@ TEST_P(State, ChangeWaitsForTheActivityThatItLeavesAndSaysWhatBlocksIt) {
   system.eventually("the change", [&] { return change->ended.load(); });
   EXPECT_EQ(change->reply.done().note(), "mover is park");
   EXPECT_EQ(system.instance("mover").mode(), "park");
+}
+
+TEST_P(State, HandlerOfAPushThatIsACoroutineHoldsTheActivityOfItsPort) {
+  load_gate();
+  system.load_provider("source", "source", "neutral count=1");
+  system.wire("mover.notices", "source.newest");
+  system.state("source", "active");
+  wait_until_held();
+  expect_held_by("the handler of 'notices'");
+}
+
+TEST_P(State, HandlerOfAQueryThatIsACoroutineHoldsTheActivityOfItsPort) {
+  load_gate();
+  const auto question = system.begin_call("mover.echo", "number=5", 60'000);
+  wait_until_held();
+  expect_held_by("the handler of 'echo'");
+  system.eventually("its answer", [&] { return question->ended.load(); });
+  EXPECT_EQ(question->reply.called().outcome(), "ok");
 }
 
 TEST_P(State, RequestsQueueInOrderAndEachIsAnswered) {
@@ -274,6 +325,11 @@ TEST_P(Triggers, CoroutineAnswersLaterAndHoldsItsActivity) {
   system.load_provider("source", "source", "neutral");
   system.wire("mover.orders", "source.newest");
   EXPECT_EQ(heading_of(system.call("mover.turn_later", "degrees=7")), 7);
+  load_gate();
+  const auto turn = begin_held_turn();
+  expect_held_by("trigger 'turn_later'");
+  system.eventually("its answer", [&] { return turn->ended.load(); });
+  EXPECT_EQ(heading_of(turn->reply.called()), 14);
 }
 
 TEST_P(Triggers, ErrorRejectsTheCallWithItsTextAndTheInstanceGoesOn) {
