@@ -154,6 +154,32 @@ TEST_P(State, HandlerOfAQueryThatIsACoroutineHoldsTheActivityOfItsPort) {
   EXPECT_EQ(question->reply.called().outcome(), "ok");
 }
 
+TEST_P(State, ChangeWaitsForTheFirstOfTwoHoldersThoughTheOtherEnds) {
+  hold_steering();
+  load_gate();
+  const auto turn = begin_held_turn();
+  const auto change = system.begin_state("mover", "park");
+  expect_blocked(*change, "task 'steer'");
+  open_gate();
+  system.eventually("the turn ends", [&] { return turn->ended.load(); });
+  expect_blocked(*change, "task 'steer'");
+  system.state("source", "active");
+  expect_parked(*change);
+}
+
+TEST_P(State, ChangeThatTheFirstOfTwoHoldersLetsGoIsBlockedByTheOther) {
+  hold_steering();
+  load_gate();
+  const auto turn = begin_held_turn();
+  const auto change = system.begin_state("mover", "park");
+  expect_blocked(*change, "task 'steer'");
+  system.state("source", "active");
+  expect_blocked(*change, "trigger 'turn_later'");
+  EXPECT_FALSE(turn->ended);
+  open_gate();
+  expect_parked(*change);
+}
+
 TEST_P(State, RequestsQueueInOrderAndEachIsAnswered) {
   hold_steering();
   const auto first = system.begin_state("mover", "park");
