@@ -90,6 +90,12 @@ class Caller final : public Component {
     } else if (call == "receive") {
       const auto answer = co_await echo_.receive(request_, within);
       report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "receive_by_default") {
+      const auto answer = co_await echo_.receive(request_);
+      report(number, answer.outcome(), answer.reason());
+    } else if (call == "event_by_default") {
+      const auto event = co_await bell_.wait(activation_);
+      report(number, event.outcome(), event.reason());
     } else if (call == "activate" || call == "activate_handled") {
       Threshold threshold;
       threshold.set_every(params_->every());
