@@ -268,6 +268,47 @@ TEST_P(QueryCalls, CancelledReceiveLeavesTheIdValid) {
   EXPECT_EQ(end().payload(), std::to_string(asked));
 }
 
+TEST_P(QueryCalls, ReplyThatIsKeptAndDroppedLaterAnswersSo) {
+  wire_all();
+  begin("query", "manner=never");
+  const unsigned open = go;
+  system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
+  begin("query", "manner=promptly");
+  EXPECT_EQ(system.wait_for(outcomes, [](const auto&) { return true; }).number(), go) << "the open one has not ended";
+  EXPECT_EQ(system.call("answerer.echo", "manner=forget").outcome(), "ok");
+  const SeenSample ended = end_of(open);
+  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Rejected);
+  EXPECT_EQ(ended.payload(), "no answer");
+}
+
+TEST_P(QueryCalls, ProviderIsToldOfEachRequestThatItsClientGaveUp) {
+  wire_all();
+  int given_up = 0;
+  const auto begin_open = [&] {
+    begin("query", "manner=never");
+    system.eventually("it is kept", [&] { return system.read("answerer.open").value() == given_up + 1; });
+    EXPECT_EQ(system.read("answerer.abandoned").value(), given_up);
+  };
+  const auto expect_told = [&](const std::string& why) {
+    ++given_up;
+    system.eventually("told: " + why, [&] { return system.read("answerer.abandoned").value() == given_up; });
+  };
+  for (const std::string flag : {"port", "pattern", "instance"}) {
+    begin_open();
+    system.set("caller", "cancel=" + flag);
+    EXPECT_EQ(outcome(), Outcome::Cancelled) << flag;
+    expect_told(flag);
+    system.set("caller", "cancel=none");
+  }
+  for (const std::string mode : {"neutral", "deactivated"}) {
+    begin_open();
+    system.state("caller", mode);
+    EXPECT_EQ(outcome(), mode == "neutral" ? Outcome::NotActive : Outcome::Cancelled);
+    expect_told(mode);
+    system.state("caller", "active");
+  }
+}
+
 TEST_P(QueryCalls, ManyRequestsMayBeOpenAndAnswersComeInAnyOrder) {
   wire_all();
   begin("query", "manner=later");
