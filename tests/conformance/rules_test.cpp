@@ -50,8 +50,24 @@ TEST_P(Rules, AStartNeverBlocksOnAMissingPeer) {
     EXPECT_EQ(system.port("caller." + port).connection(), control::WAITING) << port;
     EXPECT_TRUE(system.port("caller." + port).optional()) << port;
   }
+}
+
+TEST_P(Rules, AStartNeverBlocksOnTheMissingPeerOfAPortThatIsRequired) {
+  system.load_client("asker", "unwired");
+  EXPECT_EQ(system.instance("unwired").mode(), "active");
+  EXPECT_EQ(system.port("unwired.echo").connection(), control::UNWIRED);
   system.load_client("asker", "asker", "neutral");
   EXPECT_FALSE(system.port("asker.echo").optional());
+  system.wire("asker.echo", "nobody.echo");
+  const auto outcomes = system.watch("asker.outcome");
+  system.state("asker", "active");
+  EXPECT_EQ(system.instance("asker").mode(), "active");
+  EXPECT_EQ(system.port("asker.echo").connection(), control::WAITING);
+  EXPECT_EQ(system.wait_for(outcomes, [](const auto&) { return true; }).value(),
+            static_cast<double>(Outcome::Disconnected))
+      << "it works, and is told";
+  system.load_provider("answerer", "nobody");
+  system.wait_for(outcomes, [](const auto& one) { return one.value() == static_cast<double>(Outcome::Ok); });
 }
 
 /// A listener that hears messages of every pattern, many at once.
