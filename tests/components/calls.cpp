@@ -1,5 +1,6 @@
 // Every call that waits.
 #include <map>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
@@ -59,6 +60,8 @@ class Caller final : public Component {
       std::uint64_t asked = 0;
       for (; params_->call() == call; ++asked) static_cast<void>(co_await failing_echo_.query(question, within));
       report(number, Outcome::Ok, std::to_string(asked));
+    } else if (call == "throw") {
+      throw std::runtime_error("asked to throw");
     } else if (call == "discard") {
       report(number, echo_.discard(request_), "");
     } else if (call == "send_burst") {

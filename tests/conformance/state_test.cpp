@@ -1,6 +1,7 @@
 // Modes and activities (docs/patterns.md, State). They are the same whichever process the component is in.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include "fiona/error.hpp"
 #include "system_fixture.hpp"
@@ -251,6 +252,32 @@ TEST_P(State, FailedLeadsToShutdownOnlyAndKeepsItsReason) {
   EXPECT_EQ(system.instance("mover").mode(), "drive");
 }
 
+TEST_P(State, AnExceptionLeadsToFailedFromEachMode) {
+  for (const std::string mode : {"active", "neutral", "deactivated"}) {
+    system.load_client("caller", "caller");
+    system.state("caller", mode);
+    ASSERT_EQ(system.instance("caller").mode(), mode);
+    system.set("caller", "call=throw go=1");
+    system.eventually("failed from " + mode, [&] { return system.instance("caller").mode() == "failed"; });
+    EXPECT_EQ(system.instance("caller").reason(), "asked to throw") << mode;
+    EXPECT_EQ(system.instance("mover").mode(), "drive") << "nobody else";
+    system.unload("caller");
+  }
+}
+
+class StateOfTheKilled : public State {};
+
+TEST_P(StateOfTheKilled, TheEndOfAGroupLeadsToFailedFromEachMode) {
+  for (const std::string mode : {"neutral", "deactivated"}) {
+    system.load_client("mover", mode);
+    system.state(mode, mode);
+  }
+  ::kill(system.far_process(), SIGKILL);
+  for (const std::string name : {"mover", "neutral", "deactivated"}) {
+    system.eventually(name + " has failed", [&] { return system.instance(name).mode() == "failed"; });
+  }
+}
+
 TEST_P(State, UnloadJumpsTheQueueAndAnswersWhoWaitsInIt) {
   hold_steering();
   const auto change = system.begin_state("mover", "park");
@@ -417,6 +444,7 @@ FIONA_OVER_EVERY_TRANSPORT(Triggers);
 
 FIONA_OVER_EVERY_TRANSPORT(State);
 FIONA_OVER(StateOfAStart, Transport::Process, Transport::Ipc);
+FIONA_OVER(StateOfTheKilled, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
 }  // namespace fiona::conformance
