@@ -560,12 +560,25 @@ class FarProvider : public testing::TestWithParam<Transport> {
     system.set("caller", "call=" + call + " go=" + std::to_string(++go) + (parameters.empty() ? "" : " " + parameters));
     return go;
   }
-  Outcome outcome_of(unsigned number) {
-    const auto report = system.wait_for(outcomes, [&](const SeenSample& one) { return one.number() == number; });
-    return static_cast<Outcome>(static_cast<int>(report.value()));
+  SeenSample end_of(unsigned number) {
+    return system.wait_for(outcomes, [&](const SeenSample& one) { return one.number() == number; });
   }
+  Outcome outcome_of(unsigned number) { return static_cast<Outcome>(static_cast<int>(end_of(number).value())); }
   void stop() { stop_process(far); }
   void go_on() { ::kill(far, SIGCONT); }
+  /// The far source puts states again, and none of them to an activation.
+  void expect_none_activated() {
+    system.eventually("no activation at the source", [&] {
+      try {
+        const double tested = system.read("source.tested").value();
+        const auto put = system.port("source.newest").messages();
+        system.eventually("more states", [&] { return system.port("source.newest").messages() > put + 10; });
+        return system.read("source.tested").value() == tested;
+      } catch (const Error&) {  // a host that stood still for long has to join again
+        return false;
+      }
+    });
+  }
 
   RunningSystem system{GetParam()};
   pid_t far = 0;
@@ -600,6 +613,63 @@ TEST_P(FarProvider, SendWhileThePortIsLostIsDisconnected) {
   EXPECT_EQ(outcome_of(begin("send_acknowledged")), Outcome::Disconnected);
 }
 
+TEST_P(FarProvider, ActivateThatWaitsEndsAtItsDeadlineAndThereIsNoActivation) {
+  stop();
+  EXPECT_EQ(outcome_of(begin("activate", "deadline_ms=50")), Outcome::Timeout);
+  go_on();
+  expect_none_activated();
+}
+
+TEST_P(FarProvider, ActivateThatWaitsEndsCancelledByEachOfTheThreeFlagsAndThereIsNoActivation) {
+  stop();
+  for (const std::string flag : {"port", "pattern", "instance"}) {
+    const unsigned waits = begin("activate");
+    system.set("caller", "cancel=" + flag);
+    EXPECT_EQ(outcome_of(waits), Outcome::Cancelled) << flag;
+    system.set("caller", "cancel=none");
+  }
+  go_on();
+  expect_none_activated();
+}
+
+TEST_P(FarProvider, ActivateThatWaitsEndsNotActiveWhenTheCallerLeavesItsMode) {
+  stop();
+  const unsigned waits = begin("activate");
+  system.state("caller", "neutral");
+  EXPECT_EQ(outcome_of(waits), Outcome::NotActive);
+  go_on();
+  expect_none_activated();
+}
+
+TEST_P(FarProvider, ActivateThatWaitsEndsDisconnectedWhenItIsUnwired) {
+  stop();
+  const unsigned waits = begin("activate");
+  system.unwire("caller.bell");
+  const SeenSample ended = end_of(waits);
+  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Disconnected);
+  EXPECT_EQ(ended.payload(), "unwired") << "not because it stands still";
+  go_on();
+  expect_none_activated();
+}
+
+TEST_P(FarProvider, ActivateThatWaitsEndsDisconnectedWhenItsProcessIsKilled) {
+  stop();
+  const unsigned waits = begin("activate");
+  ::kill(far, SIGKILL);
+  EXPECT_EQ(outcome_of(waits), Outcome::Disconnected);
+}
+
+TEST_P(FarProvider, ActivateThatWaitsEndsOnTheNewProviderWhenItIsRewired) {
+  system.load_provider("source", "second");
+  stop();
+  const unsigned waits = begin("activate");
+  system.wire("caller.bell", "second.bell");
+  EXPECT_EQ(outcome_of(waits), Outcome::Ok);
+  EXPECT_EQ(outcome_of(begin("event")), Outcome::Ok);
+  go_on();
+  expect_none_activated();
+}
+
 TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsAtItsDeadline) {
   stop();
   EXPECT_EQ(outcome_of(begin("send_acknowledged", "deadline_ms=50")), Outcome::Timeout);
@@ -626,7 +696,9 @@ TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsDisconnectedWhenItIsUnwired) {
   stop();
   const unsigned waits = begin("send_acknowledged");
   system.unwire("caller.orders");
-  EXPECT_EQ(outcome_of(waits), Outcome::Disconnected);
+  const SeenSample ended = end_of(waits);
+  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Disconnected);
+  EXPECT_EQ(ended.payload(), "unwired") << "not because it stands still";
 }
 
 TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsOnTheOldProviderWhenItIsRewired) {
