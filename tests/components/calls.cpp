@@ -1,5 +1,7 @@
 // Every call that waits.
 #include <map>
+#include <optional>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
@@ -59,6 +61,8 @@ class Caller final : public Component {
       std::uint64_t asked = 0;
       for (; params_->call() == call; ++asked) static_cast<void>(co_await failing_echo_.query(question, within));
       report(number, Outcome::Ok, std::to_string(asked));
+    } else if (call == "throw") {
+      throw std::runtime_error("asked to throw");
     } else if (call == "discard") {
       report(number, echo_.discard(request_), "");
     } else if (call == "send_burst") {
@@ -84,12 +88,18 @@ class Caller final : public Component {
       const auto second = co_await echo_.query(std::move(question), within);
       report(number, second.outcome(), std::string(to_string(first.outcome())));
     } else if (call == "request") {
-      const auto id = echo_.request(std::move(question));
+      const auto id = echo_.request(std::move(question), within);
       if (id) request_ = *id;
       report(number, id.outcome(), id.reason());
     } else if (call == "receive") {
       const auto answer = co_await echo_.receive(request_, within);
       report(number, answer.outcome(), answer ? std::to_string((*answer)->number()) : answer.reason());
+    } else if (call == "receive_by_default") {
+      const auto answer = co_await echo_.receive(request_);
+      report(number, answer.outcome(), answer.reason());
+    } else if (call == "event_by_default") {
+      const auto event = co_await bell_.wait(activation_);
+      report(number, event.outcome(), event.reason());
     } else if (call == "activate" || call == "activate_handled") {
       Threshold threshold;
       threshold.set_every(params_->every());
@@ -160,6 +170,78 @@ class Caller final : public Component {
   Provides<SampleNewest> ring_report_{*this, "rings"};
 };
 
-void add_calls(Plugin& plugin) { plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome"); }
+/// Makes the calls that its parameters name as a caller does, from a thread of its own.
+class ThreadCaller final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  void on_change() {
+    samples_.cancel_calls(params_->cancel() == "port");
+    echo_.cancel_calls(params_->cancel() == "port");
+    bell_.cancel_calls(params_->cancel() == "port");
+    cancel_calls(params_->cancel() == "instance");
+    if (params_->cancel() != "pattern") return;
+    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT}) cancel_calls(true, pattern);
+  }
+  void work(const OwnThread& own) {
+    const auto params = params_.snapshot();
+    if (params->go() == std::exchange(gone_, params->go())) return void(own.wait_for(1ms));
+    const auto outcome = outcome_of(own, *params);
+    if (!outcome) return;
+    own.post([this, number = gone_, outcome = *outcome] {
+      Sample one;
+      one.set_number(number);
+      one.set_value(static_cast<double>(outcome));
+      outcome_.put(std::move(one));
+    });
+  }
+  /// None: the task is to stop.
+  std::optional<Outcome> outcome_of(const OwnThread& own, const CallerParams& params) {
+    const std::string& call = params.call();
+    const auto within = from_ms(params.deadline_ms());
+    if (call == "wait_update") return end_of(own, [this, within] { return samples_.wait_update(within); });
+    if (call == "send_acknowledged")
+      return end_of(own, [this, within] { return orders_.send_acknowledged(Sample(), within); });
+    if (call == "query") {
+      Question question;
+      question.set_manner(params.manner());
+      return end_of(own, [this, question, within] { return echo_.query(question, within); });
+    }
+    if (call == "event") return end_of(own, [this, id = activation_, within] { return bell_.wait(id, within); });
+    if (call != "activate") return Outcome::WrongId;
+    Threshold threshold;
+    threshold.set_every(params.every());
+    const auto id =
+        own.await([this, threshold, within] { return bell_.activate(EventMode::Continuous, threshold, within); });
+    if (!id) return std::nullopt;
+    if (*id) activation_ = **id;
+    return id->outcome();
+  }
+  template <class F>
+  std::optional<Outcome> end_of(const OwnThread& own, F call) {
+    const auto result = own.await([this, call, number = gone_] {
+      begun_.set(number);
+      return call();
+    });
+    return result ? std::optional(result->outcome()) : std::nullopt;
+  }
+
+  std::uint64_t gone_ = 0;
+  ActivationId activation_{};
+  Params<CallerParams> params_{*this, nullptr, &ThreadCaller::on_change};
+  Requires<SampleNewest> samples_{*this, "samples", {.optional = true}};
+  Requires<Echo> echo_{*this, "echo", {.optional = true}};
+  Requires<Bell> bell_{*this, "bell", {.optional = true}};
+  Requires<Order> orders_{*this, "orders", {.optional = true}};
+  Provides<SampleNewest> outcome_{*this, "outcome"};
+  Probe<std::uint64_t> begun_{*this, "begun", {.doc = "the newest call that is made on the strand"}};
+  Task work_{*this, "work", free_running, &ThreadCaller::work};
+};
+
+void add_calls(Plugin& plugin) {
+  plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome");
+  plugin.add<ThreadCaller>("thread_caller", "makes one call at a time from a thread of its own");
+}
 
 }  // namespace fiona::test

@@ -19,13 +19,19 @@ class Pourer final : public Component {
   void begin() {
     hull().spawn(pour(), [] {});
   }
-  void on_change() { samples_.cancel_calls(params_->cancel()); }
+  void on_change() {
+    samples_.cancel_calls(params_->cancel() == "port");
+    cancel_calls(params_->cancel() == "instance");
+    if (params_->cancel() == "pattern") cancel_calls(true, PUSH_NEWEST);
+  }
   Async<> pour() {
     while (number_ < params_->count()) {
       auto sample = samples_.make();
       sample->set_number(number_ + 1);
       sample->mutable_payload()->assign(params_->payload(), 'x');
+      waits_.set(1);
       const Outcome outcome = co_await samples_.put(std::move(sample), from_ms(params_->deadline_ms()));
+      waits_.set(0);
       if (outcome == Outcome::Ok) ++number_;
       Sample report;
       report.set_number(number_);
@@ -40,6 +46,7 @@ class Pourer final : public Component {
   Provides<SampleNewest> samples_{*this, "samples"};
   Provides<SampleLast> outcome_{*this, "outcome"};
   Provides<SampleNewest> never_{*this, "never"};
+  Probe<std::uint64_t> waits_{*this, "waits", {.doc = "how many of its puts have not ended"}};
   Timer begin_{*this, &Pourer::begin};
 };
 

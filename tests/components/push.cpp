@@ -35,6 +35,7 @@ class Source final : public Paced {
   void produce() { timed_.put(sample()); }
   void vouch() {
     if (params_->vouch()) leased_.still_valid();
+    subscribers_.set(newest_.subscribers());
   }
   std::optional<Crossing> ring(Threshold& threshold, const Sample& now) {
     tested_.set(++tests_);
@@ -60,6 +61,7 @@ class Source final : public Paced {
   std::uint64_t tests_ = 0;
   Params<SourceParams> params_{*this};
   Probe<std::uint64_t> tested_{*this, "tested", {.doc = "how often a state was put to an activation"}};
+  Probe<std::uint64_t> subscribers_{*this, "subscribers", {.doc = "of its newest, as its own port counts them"}};
   Provides<SampleNewest> newest_{*this, "newest"};
   Provides<SampleLast> last_{*this, "last"};
   Provides<SampleTimed> timed_{*this, "timed", &Source::produce};

@@ -30,11 +30,15 @@ class Answerer final : public Component {
     if (question.manner() == "hang") std::this_thread::sleep_for(500ms);
     if (question.manner() == "stick") std::this_thread::sleep_for(6s);
     if (question.manner() == "error") return reply.reject("asked to refuse");
+    if (question.manner() == "release" || question.manner() == "forget") let_go(question.manner() == "release");
     const bool for_another = question.manner() == "second" && name() != "second";
-    if (question.manner() == "never" || for_another) return kept_.push_back(std::move(reply));
     Reply answer;
     answer.set_number(question.number());
     answer.set_payload(question.payload());
+    if (question.manner() == "never" || for_another) {
+      kept_.emplace_back(std::move(answer), std::move(reply));
+      return;
+    }
     if (question.manner() == "large") answer.mutable_payload()->resize(20U << 20U);
     if (question.manner() == "later") {
       if (waiting_.empty()) later_.at(now() + 50ms);
@@ -43,6 +47,12 @@ class Answerer final : public Component {
     }
     reply.answer(std::move(answer));
   }
+  /// Of what is kept.
+  void let_go(bool answers) {
+    for (auto& [answer, reply] : std::exchange(kept_, {})) {
+      if (answers) reply.answer(std::move(answer));
+    }
+  }
   void answer_waiting() {
     for (auto& [answer, reply] : std::exchange(waiting_, {})) reply.answer(std::move(answer));
   }
@@ -50,10 +60,10 @@ class Answerer final : public Component {
   void look() {
     open_.set(kept_.size());
     abandoned_.set(static_cast<std::uint64_t>(
-        std::count_if(kept_.begin(), kept_.end(), [](const auto& one) { return one.abandoned(); })));
+        std::count_if(kept_.begin(), kept_.end(), [](const auto& one) { return one.second.abandoned(); })));
   }
 
-  std::vector<fiona::Reply<Reply>> kept_;
+  std::vector<std::pair<Reply, fiona::Reply<Reply>>> kept_;
   std::vector<std::pair<Reply, fiona::Reply<Reply>>> waiting_;
   Provides<Echo> echo_{*this, "echo", &Answerer::on_question};
   Provides<Lookup> lookup_{*this, "lookup", &Answerer::on_question};

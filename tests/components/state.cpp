@@ -33,8 +33,23 @@ class Mover final : public Component {
     return result;
   }
   Async<TurnResult> turn_later(const TurnRequest& request) {
-    static_cast<void>(co_await orders_in_.wait_update(50ms));
+    if (request.manner() == "held") {
+      co_await wait_at_gate();
+    } else {
+      static_cast<void>(co_await orders_in_.wait_update(50ms));
+    }
     co_return turn(request);
+  }
+  Async<> on_notice(const Sample&) { co_await wait_at_gate(); }
+  Async<Reply> on_question(const Question& question) {
+    Reply answer;
+    answer.set_number(question.number());
+    co_await wait_at_gate();
+    co_return answer;
+  }
+  Async<> wait_at_gate() {
+    held_.set(++held_so_far_);
+    static_cast<void>(co_await gate_.wait_update(60s));
   }
   static Sample numbered(std::uint64_t number) {
     Sample one;
@@ -44,6 +59,7 @@ class Mover final : public Component {
 
   std::uint64_t looked_ = 0;
   std::uint64_t steered_ = 0;
+  std::uint64_t held_so_far_ = 0;
   int heading_ = 0;
   Modes modes_{*this, {{"drive", {"look", "steer"}}, {"park", {"look"}}, {"rest", {}}}};
   Params<MoverParams> params_{*this};
@@ -52,6 +68,10 @@ class Mover final : public Component {
   Provides<SampleNewest> steers_{*this, "steers"};
   Provides<SampleNewest> outcome_{*this, "outcome"};
   Requires<SampleNewest> orders_in_{*this, "orders", {.optional = true, .activity = "steer"}};
+  Requires<SampleNewest> gate_{*this, "gate", {.optional = true, .activity = "steer"}};
+  Requires<SampleNewest> notices_{*this, "notices", &Mover::on_notice, {.optional = true, .activity = "steer"}};
+  Provides<Echo> echo_{*this, "echo", &Mover::on_question, {.activity = "steer"}};
+  Probe<std::uint64_t> held_{*this, "held", {.doc = "how many coroutines have come to wait at the gate"}};
   Trigger<TurnRequest, TurnResult> turn_{
       *this, "turn", &Mover::turn, {.doc = "turns on the spot", .activity = "steer"}};
   Trigger<TurnRequest, TurnResult> turn_later_{*this, "turn_later", &Mover::turn_later, {.activity = "steer"}};

@@ -16,6 +16,7 @@ class Toiler final : public Component {
   void on_sample(const Sample& sample) { newest_ = sample.number(); }
   void third() { thirds_.put(numbered(newest_)); }
   void follow() { follows_.put(numbered(++followed_)); }
+  void tick() {}
   void look() { looks_.put(numbered((*slot_.latest())->number())); }
   void read(const OwnThread& own) {
     if (own.wait_for(1ms)) own.post([this] { reads_.put(numbered(++read_)); });
@@ -39,6 +40,7 @@ class Toiler final : public Component {
   Provides<SampleNewest> follows_{*this, "follows"};
   Provides<SampleNewest> looks_{*this, "looks"};
   Provides<SampleNewest> reads_{*this, "reads"};
+  Task tick_{*this, "tick", 20ms, &Toiler::tick, "toil"};
   Task third_{*this, "third", on(samples_, 3), &Toiler::third, "toil"};
   Task follow_{*this, "follow", after(third_), &Toiler::follow, "toil"};
   Task look_{*this, "look", on(slot_), &Toiler::look, "toil"};

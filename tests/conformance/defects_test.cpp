@@ -129,8 +129,10 @@ TEST_P(Defects, BothEndsKnowOfAWireAndOfItsEnd) {
   ASSERT_EQ(system.port("source.newest").clients_size(), 1);
   EXPECT_EQ(system.port("source.newest").clients(0).instance(), "sink");
   EXPECT_EQ(system.port("sink.each").peer().instance(), "source");
+  system.eventually("its provider has it", [&] { return system.read("source.subscribers").value() == 1; });
   system.unwire("sink.each");
   EXPECT_EQ(system.port("source.newest").clients_size(), 0);
+  system.eventually("its provider has let go of it", [&] { return system.read("source.subscribers").value() == 0; });
 }
 
 class DefectsOfTheDeaf : public Defects {};

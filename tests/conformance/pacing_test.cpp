@@ -1,6 +1,9 @@
 // A put that waits for room (docs/patterns.md, Push newest).
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
+
+#include <utility>
 
 #include "fiona/result.hpp"
 #include "system_fixture.hpp"
@@ -30,7 +33,10 @@ class Pacing : public testing::TestWithParam<Transport> {
   std::uint64_t put() { return system.port("pourer.samples").messages(); }
   void wait_until_full() {
     std::uint64_t before = 0;
-    system.eventually("it waits", [&] { return put() + 2 >= kFit && put() == std::exchange(before, put()); });
+    system.eventually("it waits", [&] {
+      const std::uint64_t now = put();
+      return now == std::exchange(before, now) && now + 2 >= kFit && system.read("pourer.waits").value() == 1;
+    });
   }
   SeenSample end(std::uint64_t outcome) {
     return system.wait_for(outcome, [](const auto& s) { return s.value() != 0 || s.number() == kCount; });
@@ -105,14 +111,42 @@ TEST_P(Pacing, PutThatWaitsEndsNotActiveWithItsMode) {
   EXPECT_EQ(outcome_of(system.wait_for(outcome, [](const auto& s) { return s.value() != 0; })), Outcome::NotActive);
 }
 
-TEST_P(Pacing, PutThatWaitsIsCancelledByTheFlagOfItsPort) {
+TEST_P(Pacing, PutThatWaitsIsCancelledByEachOfTheThreeFlags) {
   load_pourer("");
+  load_stuck();
+  const auto outcome = system.watch("pourer.outcome");
+  for (const std::string flag : {"port", "pattern", "instance"}) {
+    system.state("pourer", "active");
+    wait_until_full();
+    system.set("pourer", "cancel=" + flag);
+    EXPECT_EQ(outcome_of(end(outcome)), Outcome::Cancelled) << flag;
+    system.state("pourer", "neutral");
+    system.set("pourer", "cancel=none");
+  }
+  EXPECT_LE(put(), kFit) << "what was cancelled is not put";
+}
+
+TEST_P(Pacing, PutThatWaitsGoesOnWhenTheSubscriberIsRewired) {
+  load_pourer("");
+  load_stuck();
+  system.load_provider("source", "quiet", "neutral");
+  const auto outcome = system.watch("pourer.outcome");
+  system.state("pourer", "active");
+  wait_until_full();
+  system.wire("sipper.samples", "quiet.newest");
+  EXPECT_EQ(end(outcome).number(), static_cast<std::uint64_t>(kCount));
+}
+
+class PacingOfTheKilled : public Pacing {};
+
+TEST_P(PacingOfTheKilled, PutThatWaitsGoesOnWithoutTheSubscriberWhoseProcessHasGone) {
+  load_pourer(" deadline_ms=60000");
   load_stuck();
   const auto outcome = system.watch("pourer.outcome");
   system.state("pourer", "active");
   wait_until_full();
-  system.set("pourer", "cancel=true");
-  EXPECT_EQ(outcome_of(end(outcome)), Outcome::Cancelled);
+  ::kill(system.far_process(), SIGKILL);
+  EXPECT_EQ(end(outcome).number(), static_cast<std::uint64_t>(kCount));
 }
 
 TEST_P(Pacing, PutThatWaitsDoesNotWaitForASubscriberOfTheNewest) {
@@ -155,6 +189,7 @@ TEST_P(Pacing, PutOfAMessageLargerThanAllRoomWaitsUntilNothingElseIsThere) {
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Pacing);
+FIONA_OVER(PacingOfTheKilled, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
 }  // namespace fiona::conformance

@@ -1,6 +1,7 @@
 // Modes and activities (docs/patterns.md, State). They are the same whichever process the component is in.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include "fiona/error.hpp"
 #include "system_fixture.hpp"
@@ -47,6 +48,39 @@ class State : public testing::TestWithParam<Transport> {
         looks = looked;
       return looked > looks + 5;
     });
+  }
+  /// What waits at the gate holds the activity `steer` until it is opened.
+  void load_gate() {
+    system.load_provider("source", "keeper", "neutral");
+    system.wire("mover.gate", "keeper.newest");
+  }
+  void open_gate() { system.state("keeper", "active"); }
+  void wait_until_held() {
+    system.eventually("it waits at the gate", [&] { return system.read("mover.held").value() == 1; });
+  }
+  std::shared_ptr<LaterAnswer> begin_held_turn() {
+    const auto turn = system.begin_call("mover.turn_later", "degrees=7 manner=held", 60'000);
+    wait_until_held();
+    return turn;
+  }
+  void expect_blocked(const LaterAnswer& change, const std::string& by) {
+    system.eventually("blocked by " + by,
+                      [&] { return change.ended || system.instance("mover").pending().blocked_by() == by; });
+    expect_runs("looks");
+    EXPECT_EQ(system.instance("mover").pending().blocked_by(), by);
+    EXPECT_FALSE(change.ended) << change.reply.ShortDebugString();
+    EXPECT_EQ(system.instance("mover").mode(), "drive");
+  }
+  void expect_parked(const LaterAnswer& change) {
+    system.eventually("the change", [&] { return change.ended.load(); });
+    EXPECT_EQ(change.reply.done().note(), "mover is park");
+    EXPECT_EQ(system.instance("mover").mode(), "park");
+  }
+  void expect_held_by(const std::string& holder) {
+    const auto change = system.begin_state("mover", "park");
+    expect_blocked(*change, holder);
+    open_gate();
+    expect_parked(*change);
   }
   std::string refusal_of(const std::string& mode, const std::string& name = "mover") {
     try {
@@ -105,6 +139,50 @@ TEST_P(State, ChangeWaitsForTheActivityThatItLeavesAndSaysWhatBlocksIt) {
   system.eventually("the change", [&] { return change->ended.load(); });
   EXPECT_EQ(change->reply.done().note(), "mover is park");
   EXPECT_EQ(system.instance("mover").mode(), "park");
+}
+
+TEST_P(State, HandlerOfAPushThatIsACoroutineHoldsTheActivityOfItsPort) {
+  load_gate();
+  system.load_provider("source", "source", "neutral count=1");
+  system.wire("mover.notices", "source.newest");
+  system.state("source", "active");
+  wait_until_held();
+  expect_held_by("the handler of 'notices'");
+}
+
+TEST_P(State, HandlerOfAQueryThatIsACoroutineHoldsTheActivityOfItsPort) {
+  load_gate();
+  const auto question = system.begin_call("mover.echo", "number=5", 60'000);
+  wait_until_held();
+  expect_held_by("the handler of 'echo'");
+  system.eventually("its answer", [&] { return question->ended.load(); });
+  EXPECT_EQ(question->reply.called().outcome(), "ok");
+}
+
+TEST_P(State, ChangeWaitsForTheFirstOfTwoHoldersThoughTheOtherEnds) {
+  hold_steering();
+  load_gate();
+  const auto turn = begin_held_turn();
+  const auto change = system.begin_state("mover", "park");
+  expect_blocked(*change, "task 'steer'");
+  open_gate();
+  system.eventually("the turn ends", [&] { return turn->ended.load(); });
+  expect_blocked(*change, "task 'steer'");
+  system.state("source", "active");
+  expect_parked(*change);
+}
+
+TEST_P(State, ChangeThatTheFirstOfTwoHoldersLetsGoIsBlockedByTheOther) {
+  hold_steering();
+  load_gate();
+  const auto turn = begin_held_turn();
+  const auto change = system.begin_state("mover", "park");
+  expect_blocked(*change, "task 'steer'");
+  system.state("source", "active");
+  expect_blocked(*change, "trigger 'turn_later'");
+  EXPECT_FALSE(turn->ended);
+  open_gate();
+  expect_parked(*change);
 }
 
 TEST_P(State, RequestsQueueInOrderAndEachIsAnswered) {
@@ -176,6 +254,32 @@ TEST_P(State, FailedLeadsToShutdownOnlyAndKeepsItsReason) {
   system.unload("mover");
   system.load_client("mover", "mover");
   EXPECT_EQ(system.instance("mover").mode(), "drive");
+}
+
+TEST_P(State, AnExceptionLeadsToFailedFromEachMode) {
+  for (const std::string mode : {"active", "neutral", "deactivated"}) {
+    system.load_client("caller", "caller");
+    system.state("caller", mode);
+    ASSERT_EQ(system.instance("caller").mode(), mode);
+    system.set("caller", "call=throw go=1");
+    system.eventually("failed from " + mode, [&] { return system.instance("caller").mode() == "failed"; });
+    EXPECT_EQ(system.instance("caller").reason(), "asked to throw") << mode;
+    EXPECT_EQ(system.instance("mover").mode(), "drive") << "nobody else";
+    system.unload("caller");
+  }
+}
+
+class StateOfTheKilled : public State {};
+
+TEST_P(StateOfTheKilled, TheEndOfAGroupLeadsToFailedFromEachMode) {
+  for (const std::string mode : {"neutral", "deactivated"}) {
+    system.load_client("mover", mode);
+    system.state(mode, mode);
+  }
+  ::kill(system.far_process(), SIGKILL);
+  for (const std::string name : {"mover", "neutral", "deactivated"}) {
+    system.eventually(name + " has failed", [&] { return system.instance(name).mode() == "failed"; });
+  }
 }
 
 TEST_P(State, UnloadJumpsTheQueueAndAnswersWhoWaitsInIt) {
@@ -278,6 +382,11 @@ TEST_P(Triggers, CoroutineAnswersLaterAndHoldsItsActivity) {
   system.load_provider("source", "source", "neutral");
   system.wire("mover.orders", "source.newest");
   EXPECT_EQ(heading_of(system.call("mover.turn_later", "degrees=7")), 7);
+  load_gate();
+  const auto turn = begin_held_turn();
+  expect_held_by("trigger 'turn_later'");
+  system.eventually("its answer", [&] { return turn->ended.load(); });
+  EXPECT_EQ(heading_of(turn->reply.called()), 14);
 }
 
 TEST_P(Triggers, ErrorRejectsTheCallWithItsTextAndTheInstanceGoesOn) {
@@ -339,6 +448,7 @@ FIONA_OVER_EVERY_TRANSPORT(Triggers);
 
 FIONA_OVER_EVERY_TRANSPORT(State);
 FIONA_OVER(StateOfAStart, Transport::Process, Transport::Ipc);
+FIONA_OVER(StateOfTheKilled, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
 }  // namespace fiona::conformance

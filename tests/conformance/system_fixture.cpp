@@ -336,7 +336,8 @@ void RunningSystem::state(const std::string& instance_name, const std::string& m
   if (answer->reply.has_failure()) host::throw_failure(answer->reply.failure());
 }
 
-control::Called RunningSystem::call(const std::string& target, const std::string& arguments, double within_ms) {
+std::shared_ptr<LaterAnswer> RunningSystem::begin_call(const std::string& target, const std::string& arguments,
+                                                       double within_ms) {
   control::Call request;
   *request.mutable_target() = port_name(target);
   add_arguments(arguments, *request.mutable_arguments());
@@ -346,6 +347,11 @@ control::Called RunningSystem::call(const std::string& target, const std::string
     answer->reply = std::move(reply);
     answer->ended = true;
   });
+  return answer;
+}
+
+control::Called RunningSystem::call(const std::string& target, const std::string& arguments, double within_ms) {
+  const auto answer = begin_call(target, arguments, within_ms);
   eventually("the end of the call", [&] { return answer->ended.load(); });
   return answer->reply.called();
 }

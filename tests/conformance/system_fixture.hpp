@@ -132,6 +132,8 @@ class RunningSystem {
   std::shared_ptr<LaterAnswer> begin_state(const std::string& instance, const std::string& mode, double within_ms = 0);
   /// Calls a port or trigger by hand and waits for the end.
   control::Called call(const std::string& target, const std::string& arguments = "", double within_ms = 0);
+  /// The same; the answer comes later.
+  std::shared_ptr<LaterAnswer> begin_call(const std::string& target, const std::string& arguments, double within_ms);
   void unload(const std::string& instance);
   host::System& system() { return system_; }
   /// Where its processes listen.

@@ -104,9 +104,22 @@ TEST_P(Tasks, StatusSaysWhatStartsEach) {
   for (const auto& status : instance.tasks()) {
     all.push_back(status.task().name() + " " + TaskStart_Name(status.task().start()) + " " + status.task().of() + " " +
                   std::to_string(status.task().every()) + " in " + status.task().activity());
+    EXPECT_EQ(status.task().period_ms(), status.task().name() == "tick" ? 20 : 0) << status.task().name();
   }
-  EXPECT_THAT(all, ElementsAre("third ON_PORT samples 3 in toil", "follow AFTER_TASK third 0 in toil",
-                               "look ON_PORT slot 1 in toil", "read FREE_RUNNING  0 in toil"));
+  EXPECT_THAT(all, ElementsAre("tick PERIODIC  0 in toil", "third ON_PORT samples 3 in toil",
+                               "follow AFTER_TASK third 0 in toil", "look ON_PORT slot 1 in toil",
+                               "read FREE_RUNNING  0 in toil"));
+}
+
+TEST_P(Tasks, PeriodicRunsAgainAndAgainWhileItsActivityDoes) {
+  system.eventually("it runs", [&] { return probe("tick.runs") > 3; });
+  system.state("toiler", "rest");
+  const double runs = probe("tick.runs");
+  system.load_provider("source", "clockwork", "period_ms=10 count=20");
+  system.eventually("200 ms pass", [&] { return system.port("clockwork.newest").messages() == 20; });
+  EXPECT_EQ(probe("tick.runs"), runs);
+  system.state("toiler", "toil");
+  system.eventually("it runs again", [&] { return probe("tick.runs") > runs + 3; });
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Tasks);
