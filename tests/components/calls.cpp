@@ -241,7 +241,7 @@ class ThreadCaller final : public Component {
 
 void add_calls(Plugin& plugin) {
   plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome");
-  plugin.add<ThreadCaller>("thread_caller", "makes one call at a time from a thread of its own");
+  plugin.add<ThreadCaller>("thread-caller", "makes one call at a time from a thread of its own");
 }
 
 }  // namespace fiona::test

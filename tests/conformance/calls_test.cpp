@@ -416,7 +416,7 @@ TEST_P(Calls, RewireToAProviderInAnotherModeKeepsTheWireAndTellsNotActive) {
 class OwnThreadCalls : public testing::TestWithParam<Transport> {
  protected:
   OwnThreadCalls() {
-    system.load_client("thread_caller", "caller");
+    system.load_client("thread-caller", "caller");
     system.load_provider("source", "source");
     system.load_provider("source", "quiet", "neutral");
     system.load_provider("answerer", "answerer");
