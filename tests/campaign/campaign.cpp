@@ -72,7 +72,8 @@ int number_from(const char* variable, int otherwise) {
 std::vector<pid_t> processes(RunningSystem& system) {
   std::vector<pid_t> all = descendants(::getpid());
   all.push_back(::getpid());
-  for (const auto& group : system.system().snapshot().groups()) {
+  const auto snapshot = system.system().snapshot();
+  for (const auto& group : snapshot.groups()) {
     if (group.process() == 0 || std::find(all.begin(), all.end(), group.process()) != all.end()) continue;
     throw Error(ErrorCode::NotFound, "the process of group '" + group.name() + "' is none of this system's");
   }
