@@ -50,7 +50,7 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void tell_room(std::size_t room);
   void has_been_told(std::size_t room);
 
-  const std::string name_;  ///< "client.port<provider.port", orders deliveries in virtual time
+  const std::string name_;              ///< "client.port<provider.port", orders deliveries in virtual time
   const std::shared_ptr<WireEnd> end_;  ///< of a push
   std::mutex mutex_;
   std::uint32_t prescale_;
