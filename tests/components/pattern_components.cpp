@@ -35,6 +35,7 @@ class Listener final : public Component {
   void note(const std::string& from, std::uint64_t number) {
     std::uint64_t& last = last_[from];
     if (number <= last) disorder_.set(from + ": " + std::to_string(number) + " after " + std::to_string(last));
+    if (last > 0 && number > last + longest_) step_.set(longest_ = number - last);
     last = number;
   }
   void on_sample(const Sample& sample) {
@@ -78,6 +79,7 @@ class Listener final : public Component {
   std::atomic<bool> running_{false};
   std::uint64_t overlapped_ = 0;
   std::map<std::string, std::uint64_t> last_;
+  std::uint64_t longest_ = 0;
   std::map<int, std::uint64_t> heard_;
   Requires<SampleNewest> samples_{*this, "samples", &Listener::on_sample, {.optional = true}};
   Requires<SampleNewest> others_{*this, "others", &Listener::on_other, {.optional = true}};
@@ -86,6 +88,7 @@ class Listener final : public Component {
   Provides<Echo> echo_{*this, "echo", &Listener::on_question};
   Trigger<Question, Reply> listen_{*this, "listen", &Listener::listen};
   Probe<std::string> disorder_{*this, "disorder", {.doc = "what came out of its order last"}};
+  Probe<std::uint64_t> step_{*this, "step", {.doc = "the longest from one number to the next"}};
   Probe<std::uint64_t> overlaps_{*this, "overlaps"};
   Probe<std::uint64_t> samples_heard_{*this, "samples_heard"};
   Probe<std::uint64_t> others_heard_{*this, "others_heard"};

@@ -36,6 +36,22 @@ TEST_P(PushNewest, PrescaleOfALiveWireMayBeChanged) {
   system.eventually("ten more", [&] { return system.port("sink.each").messages() == 20; });
 }
 
+TEST_P(PushNewest, ChangedPrescaleOfAStreamLosesNothingAndBringsNothingTwice) {
+  system.load_client("listener", "listener");
+  system.load_provider("source", "source", "neutral period_ms=0.5 count=2000");
+  system.wire("listener.samples", "source.newest");
+  system.state("source", "active");
+  for (int i = 0; i < 100; ++i) {
+    system.wire("listener.samples", "source.newest", 2);
+    system.wire("listener.samples", "source.newest", 1);
+  }
+  system.eventually("all put", [&] { return system.port("source.newest").messages() == 2000; });
+  system.eventually("all heard", [&] { return system.read("listener.queue_depth").value() == 0; });
+  EXPECT_FALSE(system.read("listener.disorder").has_value) << system.read("listener.disorder").payload();
+  EXPECT_LE(system.read("listener.step").value(), 2) << "each second, at the most";
+  EXPECT_EQ(system.port("listener.samples").dropped(), 0U);
+}
+
 TEST_P(PushNewest, SeveralClientsOfOneProviderEachGetAll) {
   system.load_provider("source", "source", "neutral period_ms=1 count=100");
   for (const std::string name : {"a", "b", "c"}) {
