@@ -144,7 +144,11 @@ struct Expected {
           if (instances.contains(one->name) && !fits(change.port, *one)) return false;
         }
         if (change.hold_ms && (change.providers.size() == 1 || *change.hold_ms > kMostHold_ms)) return false;
-        if (has_client) wires[client] = {change.providers, change.hold_ms.value_or(Model::Wire::kHold_ms)};
+        if (has_client) {
+          const bool several = change.providers.size() > 1;
+          Wiring& wiring = wires[client];
+          wiring = {change.providers, change.hold_ms.value_or(several ? wiring.hold_ms : Model::Wire::kHold_ms)};
+        }
         return has_client;
       case '/': return has_client && wires.erase(client) == 1;
       case ':':
@@ -156,6 +160,23 @@ struct Expected {
         return true;
       default: return swap(change.name, change.other);
     }
+  }
+  bool has_any(const std::vector<Provider>& providers) const {
+    return std::any_of(providers.begin(), providers.end(),
+                       [this](const auto& one) { return instances.contains(one.name); });
+  }
+  /// Whom somebody serves is not wired to nobody, unless he is unwired first.
+  bool cuts_off(const Expected& before, const std::vector<Change>& changes) const {
+    return std::any_of(wires.begin(), wires.end(), [&](const auto& entry) {
+      const auto& [client, wiring] = entry;
+      const auto old = before.wires.find(client);
+      if (old == before.wires.end() || old->second == wiring) return false;
+      const auto unwires = [&, of = client](const Change& one) {
+        return one.verb == '/' && Client{one.name, one.port} == of;
+      };
+      if (std::any_of(changes.begin(), changes.end(), unwires)) return false;
+      return has_any(old->second.providers) && !has_any(wiring.providers);
+    });
   }
   bool swap(char old, char next) {
     if (!instances.contains(old) || !instances.contains(next)) return false;
@@ -376,6 +397,7 @@ class Run {
       fails = fails || (!line.is_whole && is_in("+:", change.verb) && change.mode == Mode::Unknown);
       if (change.verb == '+') loaded_in[change.name] = change.mode;
     }
+    is_refused = is_refused || (!line.is_whole && after.cuts_off(before, line.changes));
     // Whole, the system goes there by the shortest way: modes in between are not gone through.
     for (const auto& [name, one] : after.instances) {
       const bool is_new = !before.instances.contains(name);
