@@ -40,8 +40,8 @@ std::vector<Verb> composing_verbs() {
        "connects a required port to a provided one",
        "Checked before it is done; a port that has a wire already gets the new one without a gap. Where no instance "
        "has "
-       "the provider's name yet, the wire waits for it.\n"
-       "`every N` passes each N-th message of a push.\n"
+       "the provider's name yet, the wire waits for it; but whom somebody serves is not cut off so.\n"
+       "`every N` passes each N-th message of a push. Left out, it is as the port had it before.\n"
        "`else` names who serves while those before are not there, silent for longer than their lease, or say that what "
        "they say is not valid; all are connected all the time. A better one serves again once it has been fit for the "
        "hold "

@@ -241,11 +241,6 @@ void Engine::plan(Transaction& transaction) const {
     const bool may_all = transaction.rights.level >= trust::Access::Administer || transaction.is_undo;
     if (const auto need = may_all ? std::nullopt : need_of(transaction.before, after))
       require(transaction.rights, *need);
-  } catch (...) {
-    transaction.failure = failure_of_exception();
-    return;
-  }
-  try {
     if (!request.whole() && !transaction.is_undo) require_somebody_serves(transaction.before, after, request);
   } catch (...) {
     transaction.failure = failure_of_exception();

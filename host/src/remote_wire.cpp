@@ -589,27 +589,26 @@ void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object
   if (const auto notice = take_drained()) notice();
 }
 
-void RemoteWire::ask_for_end(const std::string& reason) {
+void RemoteWire::tell_end(const std::string& reason) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_closed()->set_reason(told_reason(reason));
-  const std::lock_guard lock(mutex_);
-  if (cut_ || std::exchange(asked_for_end_, true)) return;
   send_frame(frame);
 }
 
+void RemoteWire::ask_for_end(const std::string& reason) {
+  const std::lock_guard lock(mutex_);
+  if (!cut_ && !std::exchange(asked_for_end_, true)) tell_end(reason);
+}
+
 void RemoteWire::cut(const std::string& reason, bool tell) {
-  if (fan_out_) fan_out_->leave(wire_);  // before its end is told: nothing comes behind that
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open;
   std::vector<std::shared_ptr<ReplySink>> served;
   std::deque<Held> dropped;
+  bool tells = tell;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(cut_, true)) return;  // the link may have gone since
-    if (tell && !asked_for_end_) {
-      wire::Frame frame = frame_for(wire_);
-      frame.mutable_closed()->set_reason(told_reason(reason));
-      send_frame(frame);
-    }
+    tells = tells && !asked_for_end_;
     drained_ = nullptr;
     kept_.clear();
     dropped = end_held();
@@ -619,6 +618,8 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     }
     served_.clear();
   }
+  if (fan_out_) fan_out_->leave(wire_);  // before its end is told: nothing comes behind that
+  if (tells) tell_end(reason);
   // What a client has sent has been accepted: it goes, though the wire does, or is counted.
   const bool sends = port_.direction() == PortDirection::Requires && port_.service().pattern() == SEND;
   const auto rest = sends && tell ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;

@@ -109,6 +109,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void on_answer(const wire::Answer& answer, const ObjectBytes& object);
   void on_fired(const wire::Fired& fired, const ObjectBytes& object);
   void forget(std::uint64_t id);
+  void tell_end(const std::string& reason);
   void send_frame(wire::Frame& frame) { link_->send(lane_, frame); }
 
   const std::shared_ptr<LinkSocket> link_;  ///< stopped, it may be used: nothing leaves

@@ -564,6 +564,14 @@ class FarProvider : public testing::TestWithParam<Transport> {
     return system.wait_for(outcomes, [&](const SeenSample& one) { return one.number() == number; });
   }
   Outcome outcome_of(unsigned number) { return static_cast<Outcome>(static_cast<int>(end_of(number).value())); }
+  void expect_cancelled_by_each_flag(const std::string& call) {
+    for (const std::string flag : {"port", "pattern", "instance"}) {
+      const unsigned waits = begin(call);
+      system.set("caller", "cancel=" + flag);
+      EXPECT_EQ(outcome_of(waits), Outcome::Cancelled) << flag;
+      system.set("caller", "cancel=none");
+    }
+  }
   void stop() { stop_process(far); }
   void go_on() { ::kill(far, SIGCONT); }
   /// The far source puts states again, and none of them to an activation.
@@ -622,12 +630,7 @@ TEST_P(FarProvider, ActivateThatWaitsEndsAtItsDeadlineAndThereIsNoActivation) {
 
 TEST_P(FarProvider, ActivateThatWaitsEndsCancelledByEachOfTheThreeFlagsAndThereIsNoActivation) {
   stop();
-  for (const std::string flag : {"port", "pattern", "instance"}) {
-    const unsigned waits = begin("activate");
-    system.set("caller", "cancel=" + flag);
-    EXPECT_EQ(outcome_of(waits), Outcome::Cancelled) << flag;
-    system.set("caller", "cancel=none");
-  }
+  expect_cancelled_by_each_flag("activate");
   go_on();
   expect_none_activated();
 }
@@ -677,12 +680,7 @@ TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsAtItsDeadline) {
 
 TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsCancelledByEachOfTheThreeFlags) {
   stop();
-  for (const std::string flag : {"port", "pattern", "instance"}) {
-    const unsigned waits = begin("send_acknowledged");
-    system.set("caller", "cancel=" + flag);
-    EXPECT_EQ(outcome_of(waits), Outcome::Cancelled) << flag;
-    system.set("caller", "cancel=none");
-  }
+  expect_cancelled_by_each_flag("send_acknowledged");
 }
 
 TEST_P(FarProvider, AcknowledgedSendThatWaitsEndsNotActiveWhenTheCallerLeavesItsMode) {

@@ -2,10 +2,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <future>
 #include <limits>
 #include <optional>
 #include <stdexcept>
-#include <thread>
 
 #include "fiona/local_wire.hpp"
 #include "fiona/pool.hpp"
@@ -577,10 +577,9 @@ TEST(LateParameters, AreTakenBack) {
     using Component::Component;
     void changed() {
       seen.push_back(params->gain());
-      if (slow) std::this_thread::sleep_for(300ms);
-      slow = false;
+      if (params->gain() == 0.25) goes_on.get_future().wait_for(kLimit);
     }
-    bool slow = false;
+    std::promise<void> goes_on;
     std::vector<double> seen;
     Params<Settings> params{*this, nullptr, &Slow::changed};
   };
@@ -593,9 +592,9 @@ TEST(LateParameters, AreTakenBack) {
   gain[0].set_name("gain");
   gain[0].mutable_value()->set_number(0.75);
   slow.hull.set_parameters(gain, kLimit);
-  slow->slow = true;
   gain[0].mutable_value()->set_number(0.25);
   EXPECT_THROW(slow.hull.set_parameters(gain, 20ms), Error);
+  slow->goes_on.set_value();
   slow.hull.strand().call([] {}, kLimit);
   EXPECT_THAT(slow->seen, ElementsAre(0.75, 0.25, 0.75));
   EXPECT_EQ(slow->params->gain(), 0.75) << "whoever was told that it failed finds nothing changed";

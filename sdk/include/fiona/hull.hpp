@@ -90,7 +90,7 @@ class Hull {
   /// [any thread, once] Makes the component: mode `init`. What the constructor throws passes through.
   void create(const Factory& factory);
   /// [any thread but the strand] Sets parameters; throws Error as ParamsBase::apply does, Unreachable when the
-  /// strand did not take it within `deadline`.
+  /// strand did not take it within `deadline`: what it takes later is taken back.
   void set_parameters(std::span<const control::Argument> changes, Duration deadline);
   /// [any thread] init -> `mode` (on_start, then on_mode), or from one mode of life to another, once what the old mode
   /// leaves is free. Requests queue in their order. Illegal transitions throw Error naming what is allowed. `done` is
