@@ -135,7 +135,11 @@ void tell(Session& session, const control::Reply& reply, const std::string& othe
   if (done.switched() > 0) {
     note += fmt::format("; switched {} wire{}, gap {:.3g} ms, lost {}", done.switched(),
                         done.switched() == 1 ? "" : "s", done.gap_ms(), done.lost());
-    facts.update({{"switched", done.switched()}, {"gap_ms", done.gap_ms()}, {"lost", done.lost()}});
+    if (done.redirected() > 0) note += fmt::format(", redirected {}", done.redirected());
+    facts.update({{"switched", done.switched()},
+                  {"gap_ms", done.gap_ms()},
+                  {"lost", done.lost()},
+                  {"redirected", done.redirected()}});
   }
   session.out.done(note, facts);
   for (const auto& warning : done.warnings()) session.out.warning(place.empty() ? warning : place + ": " + warning);

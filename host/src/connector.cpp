@@ -34,6 +34,23 @@ wire::GroupRequest provided_wire(const wire::WireRequire& client_part, std::uint
   return request;
 }
 
+/// At the client, while its provider may still be at the grant: why that is not given tells more than that nothing
+/// opened.
+wire::GroupMessage open(Group& client, wire::GroupRequest request, const std::function<void()>& granted) {
+  wire::GroupMessage reply;
+  try {
+    reply = client.request(std::move(request));
+  } catch (const Error&) {
+    granted();
+    throw;
+  }
+  try {
+    granted();
+  } catch (const Error&) {  // it was, or nothing would be open: its process has only not said so yet
+  }
+  return reply;
+}
+
 }  // namespace
 
 Connector::Wire Connector::connect(const control::PortName& client, const control::PortName& provider,
@@ -58,14 +75,18 @@ Connector::Wire Connector::connect(const control::PortName& client, const contro
   return wire;
 }
 
-/// The provider first, the client last: what is opened finds somebody who knows its token. Notes who relays it.
+/// The provider first, the client last: what is opened finds somebody who knows its token, or will soon where nobody is
+/// between the two. Notes who relays it.
 wire::GroupMessage Connector::open_along(const std::vector<Group*>& path, wire::WireRequire require,
                                          std::uint32_t prescale, std::vector<std::string>& relays) {
   Group& client_group = *path.front();
   Group& provider_group = *path.back();
   require.set_token(os::random_token());
-  provider_group.request(provided_wire(require, prescale, known_as(*path[path.size() - 2], provider_group)));
+  require.set_ahead(path.size() == 2);
+  const auto granted =
+      provider_group.begin(provided_wire(require, prescale, known_as(*path[path.size() - 2], provider_group)));
   try {
+    if (!require.ahead()) granted();
     for (std::size_t i = path.size() - 2; i > 0; --i) {
       relays.push_back(path[i]->name());
       wire::GroupRequest request;
@@ -79,7 +100,7 @@ wire::GroupMessage Connector::open_along(const std::vector<Group*>& path, wire::
     set_endpoint(require, endpoint_for(client_group, *path[1]));
     wire::GroupRequest request;
     *request.mutable_wire_require() = require;
-    return client_group.request(std::move(request));
+    return open(client_group, std::move(request), granted);
   } catch (...) {
     for (const auto& relay : relays) around_.groups.cut(relay, require.wire(), "the wire did not open");
     around_.groups.cut(provider_group.name(), require.wire(), "the wire did not open");
@@ -91,6 +112,7 @@ void Connector::add_cost(control::Done& done, const wire::Switched& switched, st
   done.set_switched(done.switched() + wires);
   done.set_gap_ms(std::max(done.gap_ms(), static_cast<double>(switched.gap_ns()) / 1e6));
   done.set_lost(done.lost() + switched.lost());
+  done.set_redirected(done.redirected() + switched.redirected());
 }
 
 void Connector::disconnect(const control::PortName& client, const Wire& wire, const std::string& reason) {

@@ -86,6 +86,7 @@ void add(control::Done& total, const control::Done& one, std::size_t steps) {
   total.set_switched(total.switched() + one.switched());
   total.set_gap_ms(std::max(total.gap_ms(), one.gap_ms()));
   total.set_lost(total.lost() + one.lost());
+  total.set_redirected(total.redirected() + one.redirected());
   total.mutable_warnings()->MergeFrom(one.warnings());
   total.set_note(steps == 1 ? one.note() : fmt::format("{} changes", steps));
 }

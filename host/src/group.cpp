@@ -47,6 +47,13 @@ milliseconds patience_with(const wire::GroupRequest& request) {
   }
 }
 
+/// Of what has not been begun by then nothing is done.
+milliseconds limit(wire::GroupRequest& request) {
+  const milliseconds patience = patience_with(request);
+  request.set_expires_ns(std::chrono::nanoseconds((Steady::now() + patience).time_since_epoch()).count());
+  return patience;
+}
+
 milliseconds most_silent(const wire::GroupRequest& request) {
   return request.has_destroy() ? kMostSilentAtEnd : kMostSilent;
 }
@@ -104,11 +111,15 @@ Group::Group(std::string name, std::string link_key)
     : name_(std::move(name)), link_key_(link_key.empty() ? random_bytes(kKeyBytes) : std::move(link_key)) {}
 
 wire::GroupMessage Group::request(wire::GroupRequest request) {
-  const milliseconds patience = patience_with(request);
-  request.set_expires_ns(std::chrono::nanoseconds((Steady::now() + patience).time_since_epoch()).count());
+  const milliseconds patience = limit(request);
   wire::GroupMessage reply = perform(request, patience);
   if (reply.has_failure()) throw_failure(reply.failure());
   return reply;
+}
+
+std::function<void()> Group::begin(wire::GroupRequest request) {
+  this->request(std::move(request));
+  return [] {};
 }
 
 void Group::tell(wire::GroupRequest request) { perform(request, patience_with(request)); }
@@ -547,7 +558,7 @@ void ChildGroup::take(const wire::GroupMessage& message) {
   if (is_event && is_early && !is_bounded(message)) early_.push_back(message);
   if (!unanswered_ || message.id() != unanswered_->id) return;
   unanswered_.reset();
-  is_asked_for_status_ = false;
+  is_read_later_ = false;
 }
 
 Error ChildGroup::unreachable() const {
@@ -565,12 +576,34 @@ Error ChildGroup::unreachable() const {
 wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request, milliseconds deadline) {
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since + kRequest);
   wire::GroupRequest numbered = request;
-  if (!unanswered_ && send(numbered)) {
-    unanswered_ = {numbered.id(), Steady::now(), most_silent(numbered)};
+  if (ask(numbered)) {
     if (auto reply = wait_for(numbered.id(), unanswered_->since + deadline)) return std::move(*reply);
   }
   if (stream_->closed()) note_end();
   throw unreachable();
+}
+
+/// False: it has something to answer before, or is gone.
+bool ChildGroup::ask(wire::GroupRequest& request) {
+  if (unanswered_ || !send(request)) return false;
+  unanswered_ = {request.id(), Steady::now(), most_silent(request)};
+  return true;
+}
+
+/// In virtual time one thing is done after the other. Who asks it for something else first has read the answer.
+std::function<void()> ChildGroup::begin(wire::GroupRequest request) {
+  const milliseconds patience = limit(request);
+  if (master_ || !ask(request)) return Group::begin(std::move(request));
+  is_read_later_ = true;
+  return [this, id = request.id(), deadline = unanswered_->since + patience] {
+    is_read_later_ = false;
+    if (!unanswered_ || unanswered_->id != id) return;
+    const auto reply = wait_for(id, deadline);
+    if (reply && reply->has_failure()) throw_failure(reply->failure());
+    if (reply) return;
+    if (stream_->closed()) note_end();
+    throw unreachable();
+  };
 }
 
 void ChildGroup::require_answer() {
@@ -583,13 +616,13 @@ void ChildGroup::ask_status() {
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since);  // which may have come by now
   wire::GroupRequest request;
   request.mutable_status();
-  if (!unanswered_ && send(request)) unanswered_ = {request.id(), Steady::now(), most_silent(request)};
-  is_asked_for_status_ = unanswered_.has_value();
+  ask(request);
+  is_read_later_ = unanswered_.has_value();
 }
 
 std::optional<wire::GroupStatusReply> ChildGroup::status(milliseconds patience) {
   const auto reply = unanswered_ ? wait_for(unanswered_->id, unanswered_->since + patience) : std::nullopt;
-  is_asked_for_status_ = false;
+  is_read_later_ = false;
   if (stream_->closed()) note_end();  // as asking may have shown already
   if (!reply || !reply->has_status()) return std::nullopt;
   const std::size_t most = kMostStatus * (1 + subjects_.instances());

@@ -38,6 +38,9 @@ class Group {
   /// [control thread] Does it and returns the answer. Throws Error: what the group refused, or Unreachable when the
   /// group is gone, or did not answer in the time that such a request may take: then it does not begin it any more.
   wire::GroupMessage request(wire::GroupRequest request);
+  /// [control thread] As `request`, but others may be asked before what is returned is called: it waits for the answer,
+  /// and throws. Only a process that is another's, and answers, leaves anything to wait for.
+  virtual std::function<void()> begin(wire::GroupRequest request);
   /// [control thread] Does it when it comes to it: nobody waits for that, or is told that it was refused.
   virtual void tell(wire::GroupRequest request);
   /// [control thread] For what is to be so whether or not somebody waits: does it before this returns if the group
@@ -151,6 +154,7 @@ class ChildGroup final : public Group {
   std::string endpoint() const override { return endpoint_; }
   pid_t process() const override { return child_->id(); }
   bool alive() const override { return end_.empty(); }
+  std::function<void()> begin(wire::GroupRequest request) override;
   void tell(wire::GroupRequest request) override { send(request); }
   void peer_lost(const wire::PeerLost& gone) override;
   void require_answer() override;
@@ -159,8 +163,8 @@ class ChildGroup final : public Group {
   std::optional<Time> silent_since() const override;
   /// Somebody up the stack reads what it says.
   bool is_waited_for() const { return is_waited_for_; }
-  /// Somebody reads the answer to that next.
-  bool is_asked_for_status() const { return is_asked_for_status_; }
+  /// Somebody reads the answer to what it was asked last.
+  bool is_read_later() const { return is_read_later_; }
 
   /// Readable when it has said something, and when it has ended.
   int descriptor() const { return wake_.get(); }
@@ -192,6 +196,7 @@ class ChildGroup final : public Group {
     std::chrono::milliseconds looked_at{0};  ///< of the time since, that in which it was
   };
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
+  bool ask(wire::GroupRequest& request);
   bool wait_readable(Time deadline) const;
   bool receive();
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, Time deadline);
@@ -223,7 +228,7 @@ class ChildGroup final : public Group {
   const std::shared_ptr<os::ProcessTemplate> copied_;
   const std::function<void()> meanwhile_;
   bool is_waited_for_ = false;
-  bool is_asked_for_status_ = false;
+  bool is_read_later_ = false;
   os::PacketSocket adoption_end_;  ///< where nobody else keeps it: the group takes its closing for the host's end
   std::uint64_t adoption_ = 0;     ///< the request of it; 0: it could not be asked
   std::optional<wire::Adopted> adopted_;

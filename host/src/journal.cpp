@@ -60,6 +60,14 @@ os::Descriptor open_new(const std::filesystem::path& file) {
   return opened;
 }
 
+/// A name that a file has been given is on the disk when its directory is. Some file systems sync none: they say
+/// EINVAL.
+void sync_name(const std::filesystem::path& file) {
+  const std::filesystem::path folder = file.has_parent_path() ? file.parent_path() : ".";
+  const os::Descriptor opened(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (!opened || (::fsync(opened.get()) != 0 && errno != EINVAL)) fail(folder);
+}
+
 std::optional<std::string> text_of_file(const std::filesystem::path& file) {
   std::ifstream stream(file, std::ios::binary);
   if (!stream) return std::nullopt;
@@ -116,6 +124,7 @@ void Journal::replace(const std::string& records, const char* set_aside) {
     static_cast<void>(::link(file_.c_str(), aside.c_str()));  // where there is nothing to set aside, or it cannot be
   }
   if (::fdatasync(opened.get()) != 0 || ::rename(fresh.c_str(), file_.c_str()) != 0) fail(file_);
+  sync_name(file_);
   const std::lock_guard lock(mutex_);
   descriptor_ = std::move(opened);
   written_bytes_ = records.size();

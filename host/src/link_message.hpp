@@ -28,6 +28,7 @@ inline constexpr std::size_t kInlineBytes = 16 * 1024;
 /// Wires that one frame is for beside its own, at most: those of a push port to one process share what crosses.
 inline constexpr std::size_t kMostAlso = 4096;
 /// What a link or wire of another version is told.
+inline constexpr const char* kNotGranted = "the wire was not granted";
 inline constexpr const char* kUnknownVersion = "unknown protocol version: this side speaks 1";
 /// A record begins with the lengths of its frame and of the object's bytes in it, 4 bytes each, little endian.
 inline constexpr std::size_t kRecordHead = 8;

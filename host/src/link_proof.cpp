@@ -1,4 +1,6 @@
 // The proof of the key, both ways: link_keys.hpp has what is computed.
+#include <utility>
+
 #include "link_keys.hpp"
 #include "link_peer.hpp"
 
@@ -9,9 +11,11 @@ void LinkSocket::shake_hands(const std::string& peer) {
   struct Single final : FrameReader::Receiver {
     std::optional<std::uint64_t> accepts(const wire::Frame&) override { return std::nullopt; }
     void on_frame(const wire::Frame& one, const ObjectBytes& object) override {
-      if (object.size() == 0) frame = one;
+      const bool alone = !std::exchange(others, true);
+      frame = alone && one.wire() == 0 && object.size() == 0 ? one : wire::Frame();
     }
     wire::Frame frame;
+    bool others = false;
   } single;
   FrameReader reader;
   if (parts_.size() == 1) reader.read(parts_, single);

@@ -28,6 +28,7 @@ control::LinkStatus LinkCounters::status() const {
   status.set_too_large(too_large);
   status.set_overrun(overrun);
   status.set_memory_bytes(memory_bytes);
+  status.set_late(late);
   return status;
 }
 

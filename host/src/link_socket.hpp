@@ -33,6 +33,7 @@ struct LinkCounters {
   std::atomic<std::uint64_t> too_large{0};
   std::atomic<std::uint64_t> overrun{0};
   std::atomic<std::uint64_t> memory_bytes{0};
+  std::atomic<std::uint64_t> late{0};
 
   control::LinkStatus status() const;
 };

@@ -13,8 +13,12 @@ namespace {
 
 /// Wires that have ended are remembered, so that what was under way is not taken for a stranger's.
 constexpr std::size_t kEndedKept = 256;
-/// How long a client that is being rewired waits for the last messages of a provider that may hang.
+/// How long a client that is being rewired waits for the last messages of a provider that may hang: once it is asked
+/// for them, and once more when the next one is to take its place.
 constexpr std::chrono::milliseconds kEndPatience{100};
+/// Wires that one peer has asked for ahead of their grants: its host waits for each before the next.
+constexpr std::ptrdiff_t kMostEarly = 4;
+constexpr const char* kReplaced = "another provider has taken its place";
 
 /// Why a peer says no: what it sends is its own, and may be anything.
 std::string said(const std::string& reason) { return reason.empty() ? "no reason was given" : told_reason(reason); }
@@ -108,9 +112,43 @@ std::map<std::string, FrameCounts> Links::frame_counts() {
 
 void Links::provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider,
                     std::uint32_t prescale, std::string client_name, bool attached) {
+  const InUse::Scope use(ports_in_use_);
   const std::lock_guard lock(mutex_);
-  grants_[wire] = Grant{std::move(token),       std::move(peer), &provider, std::max(1U, prescale),
-                        std::move(client_name), attached,        nullptr,   {}};
+  Grant& grant = grants_[wire];
+  grant = Grant{std::move(token),       std::move(peer), &provider, std::max(1U, prescale),
+                std::move(client_name), attached,        nullptr,   {}};
+  while (const auto early = take_early(wire)) open_grant(early->from, early->frame, grant);
+}
+
+void Links::deny(std::uint64_t wire, const std::string& reason) {
+  const std::lock_guard lock(mutex_);
+  note_ended(wire);
+  while (const auto early = take_early(wire)) refuse(early->from, wire, reason);
+}
+
+/// It is known soon whether the wire is granted: its host waits for that. Of a peer that asks for more than it can have
+/// under way the oldest gives way, and what is left of one that has gone goes. Called with the mutex held.
+void Links::keep_early(const Hop& from, const wire::Frame& frame) {
+  std::erase_if(early_, [this](const Early& early) {
+    return early.from.link == server_ && server_->process_of(early.from.peer).empty();
+  });
+  const auto is_its = [&from](const Early& early) { return early.from == from; };
+  if (std::count_if(early_.begin(), early_.end(), is_its) == kMostEarly) {
+    const auto oldest = std::find_if(early_.begin(), early_.end(), is_its);
+    refuse(from, oldest->frame.wire(), kNotGranted);
+    early_.erase(oldest);
+  }
+  early_.push_back({from, frame});
+}
+
+/// Called with the mutex held.
+std::optional<Links::Early> Links::take_early(std::uint64_t wire) {
+  const auto found =
+      std::find_if(early_.begin(), early_.end(), [wire](const Early& early) { return early.frame.wire() == wire; });
+  if (found == early_.end()) return std::nullopt;
+  Early early = std::move(*found);
+  early_.erase(found);
+  return early;
 }
 
 /// Called with the lock held. Throws Error Unreachable for a host that is not connected.
@@ -133,7 +171,7 @@ Hop Links::connect(const Endpoint& endpoint) {
 }
 
 void Links::require(std::uint64_t wire_id, const std::string& token, const std::shared_ptr<WireEnd>& client,
-                    const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+                    const Endpoint& endpoint, bool ahead, std::uint64_t replaces, std::uint32_t resumes_every,
                     const std::function<void()>& switch_over) {
   RequiredPort& port = client->port();
   const std::string& provider_name = client->provider();
@@ -142,20 +180,30 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
   const std::string name = port.full_name() + "<" + provider_name;
   const auto wire = std::make_shared<RemoteWire>(hop.link, hop.peer, wire_id, port, name,
                                                  port.service().is_push() ? client : nullptr);
-  requirements_[wire_id] = Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, {}};
+  requirements_[wire_id] =
+      Requirement{client, endpoint.address, hop, wire, std::nullopt, 0, false, {}, false, replaces};
   // A client that is being rewired stays connected, with its last value, until the new provider has answered.
   const Connection before = client->connection();
   const bool first = before != Connection::Connected;
   if (first) client->set_connection(Connection::Waiting, "opening the wire to " + provider_name);
-  wire->ask(token);
+  wire->ask(token, ahead);
 
   const auto has_answer = [&] {
     const auto found = requirements_.find(wire_id);
-    return found == requirements_.end() || found->second.lost || found->second.refusal;
+    if (found == requirements_.end() || found->second.lost) return true;
+    return found->second.refusal && (found->second.refusal != "" || !to_end(replaces));
   };
-  answered_.wait_for(lock, kDefaultDeadline, has_answer);
+  const auto is_open = [&] {
+    const auto found = requirements_.find(wire_id);
+    return found != requirements_.end() && found->second.refusal == "";
+  };
+  const auto deadline = std::chrono::steady_clock::now() + kDefaultDeadline;
+  while (!answered_.wait_for(lock, kEndPatience, has_answer) && !is_open()) {
+    if (std::chrono::steady_clock::now() >= deadline) break;
+  }
   const auto found = requirements_.find(wire_id);
-  const bool gone = found == requirements_.end() || found->second.lost;
+  // One that is open is taken, though it may be lost by now: the wire before it has been asked for its end.
+  const bool gone = !is_open() && (found == requirements_.end() || found->second.lost);
   const std::string refusal =
       gone ? "its process is gone" : found->second.refusal.value_or("its process does not answer");
   if (refusal.empty()) {
@@ -220,15 +268,20 @@ void Links::open_for(const Hop& from, const wire::Frame& frame) {
   if (frame.open().version() != wire::VERSION_1) return refuse(from, frame.wire(), kUnknownVersion);
   if (const auto relay = relays_.find(frame.wire()); relay != relays_.end())
     return open_relay(from, frame, relay->second);
-  const auto grant = grants_.find(frame.wire());
-  if (grant == grants_.end() || grant->second.token != frame.open().token() || grant->second.wire ||
-      !may_open(from, grant->second.peer)) {
-    return refuse(from, frame.wire(), "the wire was not granted");
+  if (const auto grant = grants_.find(frame.wire()); grant != grants_.end())
+    return open_grant(from, frame, grant->second);
+  if (frame.open().ahead() && !has_ended(frame.wire())) return keep_early(from, frame);
+  refuse(from, frame.wire(), kNotGranted);
+}
+
+/// Called with the mutex held.
+void Links::open_grant(const Hop& from, const wire::Frame& frame, Grant& grant) {
+  if (grant.token != frame.open().token() || grant.wire || !may_open(from, grant.peer)) {
+    return refuse(from, frame.wire(), kNotGranted);
   }
-  Grant& granted = grant->second;
-  granted.client = from;
-  granted.wire = wire_for(from, frame.wire(), granted);
-  granted.wire->open(granted.prescale, frame.open().each());
+  grant.client = from;
+  grant.wire = wire_for(from, frame.wire(), grant);
+  grant.wire->open(grant.prescale, frame.open().each());
 }
 
 /// The provider's end of a wire; those of a push port to the same process share what crosses.
@@ -255,9 +308,11 @@ void Links::note_ended(std::uint64_t wire) {
   ended_.push_back(wire);
 }
 
-/// A frame for a wire that this peer does not have is dropped, and counted unless the wire has ended just now.
-void Links::note_foreign(std::uint64_t wire) {
-  if (std::find(ended_.rbegin(), ended_.rend(), wire) == ended_.rend()) ++counters_.not_granted;
+/// A frame for a wire that this peer does not have is dropped, and counted. Called with the mutex held.
+void Links::note_foreign(std::uint64_t wire) { ++(has_ended(wire) ? counters_.late : counters_.not_granted); }
+
+bool Links::has_ended(std::uint64_t wire) const {
+  return std::find(ended_.rbegin(), ended_.rend(), wire) != ended_.rend();
 }
 
 Links::End Links::end_of(const Hop& from, std::uint64_t wire) {
@@ -355,6 +410,10 @@ void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
     found->second.lost = reason;
     wire = found->second.wire;
     if (!found->second.retired && found->second.refusal == "") client = found->second.client;
+    if (found->second.passed_over) {
+      note_ended(wire_id);
+      requirements_.erase(found);
+    }
   }
   answered_.notify_all();
   wire->cut(reason);
@@ -376,12 +435,18 @@ void Links::on_refused(const Hop& from, const std::string& reason) {
 }
 
 void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, const wire::Opened& opened) {
-  const std::lock_guard lock(mutex_);
-  const auto found = requirements_.find(wire_id);
-  if (found == requirements_.end() || found->second.refusal) return;
-  found->second.refusal = refusal;
-  found->second.from_sequence = opened.from_sequence();
-  found->second.client->set_cycle(Duration(told_ns(opened.cycle_ns())));
+  std::shared_ptr<RemoteWire> replaced;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = requirements_.find(wire_id);
+    if (found == requirements_.end() || found->second.refusal) return;
+    found->second.refusal = refusal;
+    found->second.from_sequence = opened.from_sequence();
+    found->second.client->set_cycle(Duration(told_ns(opened.cycle_ns())));
+    if (refusal.empty()) replaced = to_end(found->second.replaces);
+    if (replaced) requirements_.at(found->second.replaces).retired = true;
+  }
+  if (replaced) return replaced->ask_for_end(kReplaced);  // which ends the wait: nobody is woken before
   answered_.notify_all();
 }
 
@@ -419,21 +484,29 @@ void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   requirement.client->set_connection(Connection::Unwired, reason);
 }
 
-/// All that the provider has put until then comes first. Not in virtual time, where a put takes until the next round:
-/// there the cut is between two of them, whatever the transport.
-void Links::await_end(std::uint64_t wire_id, RemoteWire& wire, const std::string& reason) {
-  if (clock_) return;
+/// A push whose provider still serves it, and can be asked for its end: all that it has put until then comes first.
+/// None in virtual time, where a put takes until the next round: there the cut is between two of them, whatever the
+/// transport. Called with the mutex held.
+std::shared_ptr<RemoteWire> Links::to_end(std::uint64_t wire) const {
+  const auto found = requirements_.find(wire);
+  if (clock_ || found == requirements_.end() || found->second.lost) return nullptr;
+  const WireEnd& client = *found->second.client;
+  const bool serves = client.port().service().is_push() && client.connection() == Connection::Connected;
+  return serves ? found->second.wire : nullptr;
+}
+
+/// False: it does not come. What comes of it later is counted.
+bool Links::await_end(std::uint64_t wire) {
   std::unique_lock lock(mutex_);
-  const auto has_ended = [&] {
-    const auto found = requirements_.find(wire_id);
-    return found == requirements_.end() || found->second.lost ||
-           found->second.client->connection() != Connection::Connected;
-  };
-  if (has_ended()) return;
+  const auto asked = to_end(wire);
+  if (!asked) return true;
   lock.unlock();
-  wire.ask_for_end(reason);
+  asked->ask_for_end(kReplaced);
   lock.lock();
-  answered_.wait_for(lock, kEndPatience, has_ended);
+  if (answered_.wait_for(lock, kEndPatience, [&] { return !to_end(wire); })) return true;
+  requirements_.at(wire).passed_over = true;
+  asked->pass_over();
+  return false;
 }
 
 void Links::retire(std::uint64_t wire_id, bool drains) {
@@ -445,10 +518,8 @@ void Links::retire(std::uint64_t wire_id, bool drains) {
     found->second.retired = true;
     wire = found->second.wire;
   }
-  constexpr const char* kReplaced = "another provider has taken its place";
   if (wire->port().service().is_push()) {
-    if (drains) await_end(wire_id, *wire, kReplaced);
-    return cut(wire_id, kReplaced);
+    return !drains || await_end(wire_id) ? cut(wire_id, kReplaced) : void();
   }
   wire->drain([this, wire_id] { cut(wire_id, kReplaced); });
 }

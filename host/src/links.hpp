@@ -46,6 +46,8 @@ class Links {
   /// `attached`: it is no process of a host, and `on_lost` is told when the wire ends.
   void provide(std::uint64_t wire, std::string token, std::string peer, ProvidedPort& provider, std::uint32_t prescale,
                std::string client_name, bool attached = false);
+  /// It is not provided after all: who is ahead of its grant is told.
+  void deny(std::uint64_t wire, const std::string& reason);
   /// Where a link goes, and what opens it.
   struct Endpoint {
     std::string address;
@@ -54,10 +56,11 @@ class Links {
   };
   /// [control thread] Opens `wire` from `client` to the process behind `endpoint`; then calls `switch_over`,
   /// which lets go of the wire that it replaces, and lets messages through. Throws Error Unreachable when the wire is
-  /// not open in time, with the peer's reason when it refuses; the client's port is then as before.
-  /// `resumes_every` > 0: what the provider has put since the wire `replaces` was lost is counted as dropped.
+  /// not open in time, with the peer's reason when it refuses; the client's port is then as before. `ahead`: the
+  /// provider may be told of it later than it is asked. `resumes_every` > 0: what the provider has put since the wire
+  /// `replaces` was lost is counted as dropped.
   void require(std::uint64_t wire, const std::string& token, const std::shared_ptr<WireEnd>& client,
-               const Endpoint& endpoint, std::uint64_t replaces, std::uint32_t resumes_every,
+               const Endpoint& endpoint, bool ahead, std::uint64_t replaces, std::uint32_t resumes_every,
                const std::function<void()>& switch_over);
   /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
   /// is bounded: a sender has credit for it only once it has left.
@@ -109,6 +112,8 @@ class Links {
     std::uint64_t from_sequence = 0;     ///< once open: what was put after this comes
     bool retired = false;
     std::optional<std::string> lost{};  ///< why its link is; kept until another wire takes its place, or it is cut
+    bool passed_over = false;           ///< retired, and its end was not waited for: it goes when that comes
+    std::uint64_t replaces = 0;         ///< a push's: asked for its end as soon as this one is open; 0: none
   };
   /// What comes from one side in one lane leaves in one, so that its order stays.
   class RelayLane;
@@ -125,6 +130,11 @@ class Links {
   };
   /// Of one lane of the hop where it comes from, to the other.
   using RelayWay = std::tuple<LinkSocket*, std::string, std::uint64_t, LinkSocket*, std::string>;
+  /// What asks for a wire that nobody has granted yet.
+  struct Early {
+    Hop from;
+    wire::Frame frame;
+  };
   class Receiver;
   struct Peer {
     std::unique_ptr<Receiver> receiver;  ///< none: another host's, which is not ours
@@ -151,7 +161,8 @@ class Links {
   const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
   void forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
                const std::shared_ptr<const Payload>& payload);
-  void await_end(std::uint64_t wire, RemoteWire& of, const std::string& reason);
+  std::shared_ptr<RemoteWire> to_end(std::uint64_t wire) const;
+  bool await_end(std::uint64_t wire);
   std::optional<std::string> loss_of(std::uint64_t wire);
   void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
   void lose(const std::string& endpoint, const std::string& name, const std::string& reason);
@@ -159,6 +170,10 @@ class Links {
   void note_foreign(std::uint64_t wire);
   void note_ended(std::uint64_t wire);
   void open_for(const Hop& from, const wire::Frame& frame);
+  void open_grant(const Hop& from, const wire::Frame& frame, Grant& grant);
+  void keep_early(const Hop& from, const wire::Frame& frame);
+  std::optional<Early> take_early(std::uint64_t wire);
+  bool has_ended(std::uint64_t wire) const;
   std::shared_ptr<RemoteWire> wire_for(const Hop& from, std::uint64_t wire, const Grant& grant);
   void refuse(const Hop& from, std::uint64_t wire, const std::string& reason);
   void note_answer(std::uint64_t wire, const std::string& refusal, const wire::Opened& opened = {});
@@ -182,6 +197,7 @@ class Links {
   std::map<std::string, Peer> peers_;  ///< by endpoint
   /// By client process and provider.
   std::map<std::tuple<LinkSocket*, std::string, const Port*>, std::weak_ptr<FanOut>> fan_outs_;
+  std::deque<Early> early_;          ///< a few of each peer, the oldest first
   std::deque<std::uint64_t> ended_;  ///< wires whose last frames may still come
   std::unique_ptr<Receiver> receiver_;
   std::shared_ptr<LinkSocket> server_;

@@ -34,7 +34,7 @@ void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpo
 
 void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) {
   if (relay.token != frame.open().token() || relay.client.hop.link || !may_open(from, relay.peer)) {
-    return refuse(from, frame.wire(), "the wire was not granted");
+    return refuse(from, frame.wire(), kNotGranted);
   }
   try {
     relay.provider.hop = connect(relay.endpoint);

@@ -116,11 +116,12 @@ RemoteWire::~RemoteWire() {
   if (cut_) held_of_ended -= held_bytes_;
 }
 
-void RemoteWire::ask(const std::string& token) {
+void RemoteWire::ask(const std::string& token, bool ahead) {
   wire::Frame frame = frame_for(wire_);
   frame.mutable_open()->set_version(wire::VERSION_1);
   frame.mutable_open()->set_token(token);
   frame.mutable_open()->set_each(end_ && inbox_->receives_each());
+  frame.mutable_open()->set_ahead(ahead);
   send_frame(frame);
 }
 
@@ -302,7 +303,8 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
       return take_in_turn(nullptr, held ? kSpeaks : kSilent,
                           [self = shared_from_this(), held, reason = told_reason(frame.lease().reason())] {
                             const std::lock_guard lock(self->mutex_);
-                            if (self->end_ && !self->cut_) self->end_->set_lease(held, reason);
+                            if (self->cut_ || self->passed_over_) return;
+                            self->end_->set_lease(held, reason);
                           });
     }
     case wire::Frame::kLost:
@@ -324,7 +326,8 @@ void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job j
 
 void RemoteWire::on_objects(std::vector<Parcel>& parcels) {
   const std::lock_guard lock(mutex_);
-  if (cut_) return parcels.clear();
+  if (passed_over_ && !cut_) port_.counters().dropped.fetch_add(parcels.size(), std::memory_order_relaxed);
+  if (cut_ || passed_over_) return parcels.clear();
   last_sequence_ = parcels.back().envelope.sequence;
   end_->push_all(parcels);
 }
@@ -450,6 +453,7 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   {
     const std::lock_guard lock(mutex_);
     if (cut_) return;  // the port may have gone since
+    if (passed_over_) return void(port_.counters().dropped.fetch_add(1, std::memory_order_relaxed));
     if (!request) last_sequence_ = frame.object().sequence();
     if (request) {
       const auto [served, is_new] = served_.try_emplace(frame.request().id());
@@ -600,6 +604,11 @@ void RemoteWire::ask_for_end(const std::string& reason) {
   if (!cut_ && !std::exchange(asked_for_end_, true)) tell_end(reason);
 }
 
+void RemoteWire::pass_over() {
+  const std::lock_guard lock(mutex_);
+  passed_over_ = true;
+}
+
 void RemoteWire::cut(const std::string& reason, bool tell) {
   std::unordered_map<std::uint64_t, std::shared_ptr<ReplySink>> open;
   std::vector<std::shared_ptr<ReplySink>> served;
@@ -610,6 +619,7 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
     if (std::exchange(cut_, true)) return;  // the link may have gone since
     tells = tells && !asked_for_end_;
     drained_ = nullptr;
+    for (const Kept& one : kept_) port_.counters().dropped += one.frame.has_object() ? 1 : 0;
     kept_.clear();
     dropped = end_held();
     open.swap(open_);

@@ -43,8 +43,8 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   /// [any thread] Of the newest object that came; 0: none yet.
   std::uint64_t last_sequence() const { return last_sequence_.load(); }
 
-  /// Tells the provider to open it.
-  void ask(const std::string& token);
+  /// Tells the provider to open it. `ahead`: its grant may be under way.
+  void ask(const std::string& token, bool ahead);
   /// Tells the client that it is open. Of a push provider, this also subscribes: the client is told "from sequence n"
   /// before the first message leaves.
   /// `each`: as the client says when it opens it, see FanOut::join.
@@ -72,6 +72,9 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   void drain(std::function<void()> drained);
   /// [any thread] Tells the provider of a push that its wire is to end. It says so too, behind all that it has put.
   void ask_for_end(const std::string& reason);
+  /// [any thread] Another wire has taken the place of this one of a push client, which did not wait for its end: what
+  /// comes is lost, and counted at the port.
+  void pass_over();
   /// [any thread] After it returned nothing more reaches the port but sends that have come before and wait for room.
   /// Open requests end with Disconnected. `tell`: so does the peer's end.
   void cut(const std::string& reason, bool tell = false);
@@ -133,6 +136,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   bool cut_ = false;
   bool drains_ = false;  ///< takes no more: another wire has its place
   bool asked_for_end_ = false;
+  bool passed_over_ = false;
   std::uint32_t prescale_ = 1;
   bool each_ = false;
   std::atomic<bool> admitted_;  ///< set under the mutex

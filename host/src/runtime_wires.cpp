@@ -7,20 +7,23 @@
 namespace fiona::host {
 namespace {
 
-/// How long a port has neither the old wire nor the new one, on the machine's clock, and what it loses while one takes
-/// the other's place.
+/// How long a port has neither the old wire nor the new one, on the machine's clock, what it loses while one takes the
+/// other's place, and which requests change over.
 class SwitchCost {
  public:
-  explicit SwitchCost(Port& client) : client_(client), dropped_(client.counters().dropped) {}
+  explicit SwitchCost(RequiredPort& client)
+      : client_(client), dropped_(client.counters().dropped), redirected_(client.redirectable()) {}
   void old_one_has_gone() { since_ = std::chrono::steady_clock::now(); }
   void end(wire::Switched& switched) const {
     switched.set_gap_ns(std::chrono::nanoseconds(std::chrono::steady_clock::now() - since_).count());
     switched.set_lost(client_.counters().dropped - dropped_);
+    switched.set_redirected(redirected_);
   }
 
  private:
-  Port& client_;
+  RequiredPort& client_;
   const std::uint64_t dropped_;
+  const std::uint64_t redirected_;
   std::chrono::steady_clock::time_point since_ = std::chrono::steady_clock::now();
 };
 
@@ -45,9 +48,12 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
   cost.end(switched);
 }
 
-void Runtime::wire_provide(const wire::WireProvide& request) {
+void Runtime::wire_provide(const wire::WireProvide& request) try {
   links_.provide(request.wire(), request.token(), request.peer(), provided(request.provider()), request.prescale(),
                  request.attached() ? request.client().instance() : text_of(request.client()), request.attached());
+} catch (const Error& error) {
+  links_.deny(request.wire(), error.text().what);
+  throw;
 }
 
 /// Nothing is opened or let go of: no message is lost, or comes twice.
@@ -67,8 +73,8 @@ void Runtime::wire_require(const wire::WireRequire& request, wire::Switched& swi
     cost->old_one_has_gone();
   };
   links_.require(request.wire(), request.token(), client.end_for(text_of(request.provider())),
-                 {request.endpoint(), request.name(), request.key()}, request.replaces(), request.resumes_every(),
-                 let_go);
+                 {request.endpoint(), request.name(), request.key()}, request.ahead(), request.replaces(),
+                 request.resumes_every(), let_go);
   cost->end(switched);
 }
 

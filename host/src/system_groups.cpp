@@ -214,7 +214,7 @@ void System::watch_others() {
   for (const auto& [name, one] : groups_.all()) {
     auto* child = dynamic_cast<ChildGroup*>(one.get());
     if (!child || !child->alive() || child->is_waited_for()) continue;
-    if (!child->is_asked_for_status()) child->serve();  // else who has asked reads the answer
+    if (!child->is_read_later()) child->serve();  // else who has asked reads the answer
     child->watch(now);
     if (!child->alive()) tell_ended(*child);
   }

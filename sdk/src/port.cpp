@@ -1,10 +1,16 @@
 #include "fiona/port.hpp"
 
+#include <algorithm>
+#include <utility>
+
 #include "fiona/clock.hpp"
 #include "fiona/hull.hpp"
 
 namespace fiona {
 namespace {
+
+/// Changes of a connection that may wait for the strand one by one.
+constexpr std::size_t kMostEntered = 16;
 
 /// The field in which a pushed object says itself whether it is valid; null: it has none.
 const google::protobuf::FieldDescriptor* validity_of(const ServiceInfo& service) {
@@ -79,10 +85,39 @@ void RequiredPort::enter(Connection connection, std::string reason, std::string 
   connection_.store(connection);
   since_ns_.store(hull().clock().now().time_since_epoch().count());
   on_entering(connection);
-  hull().strand().post([this, connection, change = ++changes_, news = std::move(news)] {
+  if (entered_.size() == kMostEntered) take_entered_together();
+  entered_.push_back({connection, ++changes_, std::move(news)});
+  if (told_later_ == kMostEntered) return;
+  ++told_later_;
+  hull().strand().post([this] { tell_entered(); });
+}
+
+/// They come faster than the strand works: it is told of the last loss, and of the last of all.
+void RequiredPort::take_entered_together() {
+  const auto is_loss = [](const Entered& one) { return one.connection != Connection::Connected; };
+  const auto loss = std::find_if(entered_.rbegin(), entered_.rend(), is_loss);
+  std::deque<Entered> kept;
+  if (loss != entered_.rend() && loss != entered_.rbegin()) kept.push_back(std::move(*loss));
+  kept.push_back(std::move(entered_.back()));
+  entered_ = std::move(kept);
+  entered_.back().news = "its connection changes faster than this component works: some changes were taken together";
+}
+
+void RequiredPort::tell_entered() {
+  std::deque<Entered> now;
+  {
+    const std::lock_guard lock(mutex_);
+    if (--told_later_ == 0) {
+      now.swap(entered_);
+    } else if (!entered_.empty()) {
+      now.push_back(std::move(entered_.front()));
+      entered_.pop_front();
+    }
+  }
+  for (const auto& [connection, change, news] : now) {
     if (!news.empty()) hull().events().logged(hull().name(), LogLevel::Warning, full_name() + ": " + news);
     on_connection(connection, change);
-  });
+  }
 }
 
 std::string RequiredPort::reason_for(Outcome outcome) const {

@@ -80,6 +80,7 @@ Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration
   const QueryId id{next_id_++};
   // Entered first: on another thread the answer may be on its way before `deliver` returns.
   Open& open = open_.emplace(id, Open{std::move(request), nullptr, std::nullopt, nullptr, 0}).first->second;
+  ++unanswered_;
   const Outcome outcome = put_to_target(id, open);
   if (outcome == Outcome::Ok) {
     Clock& clock = hull().clock();
@@ -89,6 +90,7 @@ Result<QueryId> QueryClient::ask(std::shared_ptr<const Object> request, Duration
     return id;
   }
   open_.erase(id);
+  --unanswered_;
   return {outcome, reason_for(outcome)};
 }
 
@@ -139,6 +141,7 @@ bool QueryClient::give_up(QueryId id) {
   const Open open = std::move(found->second);
   open_.erase(found);
   hull().clock().cancel(open.deadline);
+  if (!open.answer) --unanswered_;
   if (!open.answer) open.reply->abandon();
   if (open.call) calls().finish(open.call, Outcome::WrongId);
   return true;
@@ -163,6 +166,7 @@ void QueryClient::end_unanswered(QueryId id, Answer answer) {
 void QueryClient::end(QueryId id, Answer answer) {
   Open& open = open_.at(id);
   if (open.answer) return;
+  --unanswered_;
   hull().clock().cancel(open.deadline);
   open.answer = std::move(answer);
   if (open.call) calls().finish(open.call, Outcome::Ok);

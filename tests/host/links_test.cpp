@@ -52,9 +52,10 @@ class BothEnds final : public Component {
   Requires<navigation::LevelMap> asks{*this, "asks"};
   std::optional<Reply<navigation::CommLevelMap>> open;
   std::atomic<int> asked_so_far{0};
+  std::atomic<int> noticed_so_far{0};
 
  private:
-  void on_location(const localisation::CommLocation&) {}
+  void on_location(const localisation::CommLocation&) { ++noticed_so_far; }
   void on_question(const navigation::CommLevelMapRequest&, Reply<navigation::CommLevelMap> reply) {
     open = std::move(reply);
     ++asked_so_far;
@@ -131,7 +132,7 @@ class LinksOfAProcess : public testing::Test {
   /// To the process that listens at "other".
   void require(std::uint64_t wire, RequiredPort& client) {
     const auto end = client.end_for("other.port");
-    links.require(wire, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, nullptr);
+    links.require(wire, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, nullptr);
   }
 
   TemporaryDirectory directory;
@@ -149,18 +150,95 @@ TEST_F(LinksOfAProcess, AWireThatIsLostWhileItIsBeingOpenedIsNotShownAsConnected
   other.provide(1, kLinksToken, "both", ends->told, 1, "both.heard");
   const auto end = ends->heard.end_for("both.told");
   const auto is_lost = [&] { links.peer_lost(at("other"), "other", "its process has ended"); };
-  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, is_lost);
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, is_lost);
   EXPECT_EQ(ends->heard.connection(), Connection::Lost);
   EXPECT_EQ(ends->heard.connection_reason(), "its process has ended");
   other.stop();
 }
 
-void open_by_hand(RawPeer& peer, std::uint64_t wire) {
+wire::Frame opening_by_hand(std::uint64_t wire, bool ahead) {
   wire::Frame open = frame_for(wire);
   open.mutable_open()->set_version(wire::VERSION_1);
   open.mutable_open()->set_token(kLinksToken);
-  peer.send(open);
+  open.mutable_open()->set_ahead(ahead);
+  return open;
+}
+
+void open_by_hand(RawPeer& peer, std::uint64_t wire) {
+  peer.send(opening_by_hand(wire, false));
   EXPECT_TRUE(peer.receive().has_opened());
+}
+
+TEST_F(LinksOfAProcess, AWireThatIsAskedForAheadOfItsGrantIsOpenedWithIt) {
+  RawPeer peer(context, at("links"), "peer"), other(context, at("links"), "other");
+  peer.prove(kLinksKey);
+  other.prove(kLinksKey);
+  // Another one's, which is here first, takes nothing away; and behind what is refused at once is what came before.
+  other.send(opening_by_hand(1, true));
+  other.send(opening_by_hand(2, false));
+  EXPECT_EQ(other.receive().refused().reason(), kNotGranted);
+  peer.send(opening_by_hand(1, true));
+  peer.send(opening_by_hand(2, false));
+  const wire::Frame refused = peer.receive();
+  EXPECT_EQ(refused.wire(), 2U);
+  EXPECT_EQ(refused.refused().reason(), kNotGranted);
+  EXPECT_EQ(ends->told.subscribers(), 0U);
+  links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
+  const wire::Frame opened = peer.receive();
+  EXPECT_TRUE(opened.has_opened());
+  EXPECT_EQ(opened.wire(), 1U);
+  EXPECT_EQ(other.receive().refused().reason(), kNotGranted);
+  EXPECT_EQ(ends->told.subscribers(), 1U);
+}
+
+TEST_F(LinksOfAProcess, AWireThatIsNotGrantedAfterAllIsRefusedWithTheReason) {
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  peer.send(opening_by_hand(1, true));
+  peer.send(opening_by_hand(2, false));
+  EXPECT_EQ(peer.receive().wire(), 2U);
+  links.deny(1, "there is no such port");
+  EXPECT_EQ(peer.receive().refused().reason(), "there is no such port");
+  peer.send(opening_by_hand(1, true));
+  EXPECT_EQ(peer.receive().refused().reason(), kNotGranted) << "it is not waited for any more";
+}
+
+TEST_F(LinksOfAProcess, APeerThatAsksForManyWiresAheadHasTheOldestRefused) {
+  RawPeer peer(context, at("links"), "peer"), other(context, at("links"), "other");
+  peer.prove(kLinksKey);
+  other.prove(kLinksKey);
+  other.send(opening_by_hand(1, true));
+  other.send(opening_by_hand(2, false));
+  EXPECT_EQ(other.receive().wire(), 2U);
+  for (std::uint64_t wire = 11; wire <= 20; ++wire) {
+    peer.send(opening_by_hand(wire, true));
+    if (wire < 15) continue;
+    const wire::Frame refused = peer.receive();
+    EXPECT_EQ(refused.wire(), wire - 4);
+    EXPECT_EQ(refused.refused().reason(), kNotGranted);
+  }
+  links.provide(17, kLinksToken, "peer", ends->told, 1, "client");
+  EXPECT_EQ(peer.receive().wire(), 17U);
+  links.provide(1, kLinksToken, "other", ends->told, 1, "client");
+  EXPECT_TRUE(other.receive().has_opened()) << "another peer's are not counted";
+}
+
+TEST_F(LinksOfAProcess, APushThatIsReplacedIsAskedForItsEndAsSoonAsTheNewOneIsOpen) {
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
+  const auto end = ends->heard.end_for("both.told");
+  const auto open = [&](std::uint64_t wire, std::uint64_t replaces, const std::function<void()>& then) {
+    other.provide(wire, kLinksToken, "both", ends->told, 1, "both.heard");
+    links.require(wire, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, replaces, 0, then);
+  };
+  open(1, 0, nullptr);
+  open(2, 1, [&] {
+    EXPECT_TRUE(becomes_true([&] { return ends->told.subscribers() == 1; }));
+    links.retire(1, true);
+  });
+  EXPECT_EQ(ends->heard.connection(), Connection::Connected);
+  EXPECT_EQ(ends->told.subscribers(), 1U);
+  other.release(hull, "the test is over");
+  other.stop();
 }
 
 TEST_F(LinksOfAProcess, APeerHasOneUnfinishedObjectForEachOfItsWiresWhateverItCallsThem) {
@@ -182,7 +260,7 @@ TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesOnceNothingIsOpenOnIt)
   Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
   other.provide(1, kLinksToken, "both", ends->asked, 1, "both.asks");
   const auto end = ends->asks.end_for("both.asked");
-  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, nullptr);
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, nullptr);
   const auto wires = [&] {
     wire::Adopted held;
     links.add_held(held);
@@ -205,7 +283,7 @@ TEST_F(LinksOfAProcess, APushThatIsReplacedHasBroughtAllThatWasPutBefore) {
   Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
   other.provide(1, kLinksToken, "both", ends->told, 1, "both.heard");
   const auto end = ends->heard.end_for("both.told");
-  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, 0, 0, nullptr);
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, nullptr);
   EXPECT_TRUE(hull.strand().call(
       [&] {
         for (std::uint64_t i = 0; i < kPuts; ++i) ends->told.put(localisation::CommLocation());
@@ -227,6 +305,16 @@ TEST_F(LinksOfAProcess, AProviderThatDoesNotEndAWireThatIsReplacedIsNotWaitedFor
   links.retire(1, true);
   EXPECT_LT(std::chrono::steady_clock::now() - begin, 10s);
   other.send(frame_for(1), std::make_shared<localisation::CommLocation>());
+  EXPECT_TRUE(becomes_true([&] { return ends->heard.counters().dropped == 1; })) << "what comes too late is counted";
+  wire::Frame closed = frame_for(1);
+  closed.mutable_closed();
+  other.send(closed);
+  wire::Adopted held;
+  EXPECT_TRUE(becomes_true([&] {
+    held.Clear();
+    links.add_held(held);
+    return held.wires_size() == 0;
+  })) << "and it is there until its end comes";
   EXPECT_EQ(ends->heard.counters().messages, 0U);
 }
 
@@ -238,6 +326,30 @@ TEST_F(LinksOfAProcess, APeersSentencesAreCutToWhatASentenceMayHave) {
   other.send(silent);
   EXPECT_TRUE(becomes_true([&] { return ends->noticed.connection() == Connection::Lost; }));
   EXPECT_LT(ends->noticed.connection_reason().size(), 5'000U);
+  links.release(hull, "the test is over");
+}
+
+TEST_F(LinksOfAProcess, AProviderThatComesAndGoesFasterThanItsClientWorksFillsNothing) {
+  ProviderByHand other(at("other"));
+  require(1, ends->noticed);
+  std::promise<void> works, goes_on;
+  hull.strand().post([&] {
+    works.set_value();
+    goes_on.get_future().wait();
+  });
+  works.get_future().wait();
+  const std::size_t before = hull.strand().waiting_jobs();
+  for (int i = 0; i < 200; ++i) {
+    wire::Frame lease = frame_for(1);
+    lease.mutable_lease()->set_held(i % 2 == 1);
+    other.send(lease);
+    const auto told = i % 2 == 1 ? Connection::Connected : Connection::Lost;
+    ASSERT_TRUE(becomes_true([&] { return ends->noticed.connection() == told; }));
+  }
+  EXPECT_LE(hull.strand().waiting_jobs(), before + 16);
+  goes_on.set_value();
+  other.send(frame_for(1), std::make_shared<localisation::CommLocation>());
+  EXPECT_TRUE(becomes_true([&] { return ends->noticed_so_far == 1; }));
   links.release(hull, "the test is over");
 }
 

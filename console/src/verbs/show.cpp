@@ -119,6 +119,9 @@ void add_links(Table& facts, const control::LinkStatus& links) {
         links.sent_bytes()}});
   const auto refused = links.garbled() + links.unproven() + links.not_granted() + links.too_large() + links.overrun();
   if (refused > 0) facts.add({"refused at links", {fmt::format("{} messages", refused), refused}});
+  if (links.late() > 0) {
+    facts.add({"late at links", {fmt::format("{} frames, behind the end of their wires", links.late()), links.late()}});
+  }
 }
 
 /// Of `main`, which is the host, there is nothing to add.

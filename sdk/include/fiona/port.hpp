@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <deque>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -135,6 +136,8 @@ class RequiredPort : public Port {
   };
   /// [any thread] In their order; empty: it has no alternatives.
   std::vector<Alternative> alternatives() const;
+  /// [any thread] Open requests that a change of the provider would put to the next one.
+  virtual std::size_t redirectable() const { return 0; }
   /// [any thread] How often who served, or was about to serve again, was fit no longer.
   std::uint64_t flaps() const { return flaps_.load(std::memory_order_relaxed); }
 
@@ -160,6 +163,12 @@ class RequiredPort : public Port {
  private:
   friend class WireEnd;
   using Ends = std::vector<std::shared_ptr<WireEnd>>;
+  /// A change of the connection that the strand has not been told of.
+  struct Entered {
+    Connection connection;
+    std::uint64_t change;
+    std::string news;  ///< for the log
+  };
 
   // alternatives.cpp; all but the first with the mutex
   void arm_return();
@@ -181,6 +190,9 @@ class RequiredPort : public Port {
   /// Of a provider that has not pushed anything since it was connected nothing is known: it takes nobody's place.
   bool may_return(const WireEnd& end) const { return end.is_fit() && (end.heard_ || !is_push_); }
   void enter(Connection connection, std::string reason, std::string news = {});
+  void take_entered_together();
+  /// [strand, without the mutex]
+  void tell_entered();
 
   std::atomic<Connection> connection_{Connection::Unwired};
   std::atomic<std::int64_t> since_ns_{0};
@@ -194,7 +206,9 @@ class RequiredPort : public Port {
   Ends ends_;                         ///< never empty
   std::shared_ptr<WireEnd> serving_;  ///< one of them
   Duration hold_ = kDefaultHold;
-  TimerId return_timer_ = 0;  ///< strand only
+  std::deque<Entered> entered_;
+  std::size_t told_later_ = 0;  ///< jobs on the strand, each for one of them, the last for what is left
+  TimerId return_timer_ = 0;    ///< strand only
 };
 
 }  // namespace fiona

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <coroutine>
 #include <exception>
 #include <map>
@@ -28,6 +29,7 @@ class QueryClient : public RequiredPort {
 
   QueryClient(Component& owner, std::string_view name, const ServiceInfo& service, const PortOptions& options);
   ~QueryClient() override;
+  std::size_t redirectable() const override { return at_rewire_ == AtRewire::Redirect ? unanswered_.load() : 0; }
 
  protected:
   void use_target(std::shared_ptr<Sink> target) override { target_.set(std::move(target)); }
@@ -64,6 +66,7 @@ class QueryClient : public RequiredPort {
   const AtRewire at_rewire_;
   Target target_;
   std::map<QueryId, Open> open_;  ///< strand only
+  std::atomic<std::size_t> unanswered_{0};
   std::uint64_t next_id_ = 1;
   bool was_connected_ = false;
   const ObjectRules request_rules_;
