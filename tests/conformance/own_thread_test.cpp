@@ -1,12 +1,14 @@
 // What a call that waits returns when a component makes it from a thread of its own (docs/patterns.md, the table of
 // pending calls).
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include <map>
 #include <string>
 #include <vector>
 
 #include "fiona/result.hpp"
+#include "stopped_process.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -137,6 +139,101 @@ TEST_P(OwnThreadCalls, HoldUpNoChangeOfMode) {
 }
 
 FIONA_OVER_EVERY_TRANSPORT(OwnThreadCalls);
+
+// ---- a provider whose process stands still, is killed, or hangs -----------------------------------------------
+
+/// A caller for each call, named after it, so that all wait at once.
+class OwnThreadFarFromItsProvider : public testing::TestWithParam<Transport> {
+ protected:
+  OwnThreadFarFromItsProvider() {
+    for (const std::string name : {"source", "quiet"}) system.load_client("source", name, "neutral");
+    system.load_client("answerer", "answerer");
+    system.load_client("sink", "sink");
+    system.state("source", "active");
+    for (const auto& call : calls) {
+      system.load_provider("thread-caller", call);
+      outcomes[call] = system.watch(call + ".outcome");
+      system.wire(call + ".samples", "quiet.newest");
+      system.wire(call + ".echo", "answerer.echo");
+      system.wire(call + ".bell", "source.bell");
+      system.wire(call + ".orders", "sink.orders");
+    }
+    begin("event", "activate", "every=0");
+    eventually_all_ended({"event"}, Outcome::Ok);
+    far = system.far_process();
+  }
+  ~OwnThreadFarFromItsProvider() override { ::kill(far, SIGCONT); }
+
+  void begin(const std::string& caller, const std::string& call, const std::string& parameters) {
+    system.set(caller, "call=" + call + " " + parameters + " go=" + std::to_string(++begun[caller]));
+  }
+  void begin_all(const std::string& parameters) {
+    for (const auto& call : calls) begin(call, call, "manner=never every=0 " + parameters);
+    for (const auto& call : calls) {
+      system.eventually(call + " has begun", [&] { return system.read(call + ".begun").value() == begun[call]; });
+    }
+  }
+  /// The newest call of each of these, so, and once; those before have had their ends before.
+  void eventually_all_ended(const std::vector<std::string>& callers, Outcome outcome) {
+    for (const auto& caller : callers) {
+      const auto end = system.wait_for(outcomes[caller], [](const auto&) { return true; });
+      EXPECT_EQ(end.number(), begun[caller]) << caller;
+      EXPECT_EQ(static_cast<Outcome>(static_cast<int>(end.value())), outcome) << caller;
+    }
+  }
+  void expect_no_other_ends() {
+    for (const auto& call : calls) EXPECT_TRUE(system.take(outcomes[call]).empty()) << call;
+  }
+
+  const std::vector<std::string> calls{"wait_update", "query", "event", "send_acknowledged", "activate"};
+  RunningSystem system{GetParam()};
+  std::map<std::string, std::uint64_t> outcomes;
+  std::map<std::string, unsigned> begun;
+  pid_t far = 0;
+};
+
+TEST_P(OwnThreadFarFromItsProvider, EndsItsCallsAtTheirDeadlineOnceWhileItStandsStill) {
+  stop_process(far);
+  begin_all("deadline_ms=100");
+  eventually_all_ended(calls, Outcome::Timeout);
+  ::kill(far, SIGCONT);
+  // Behind what is late by now; a host that stood still for long has to join again.
+  for (const auto& call : calls) {
+    Outcome ended = Outcome::Disconnected;
+    system.eventually("its answers come again", [&] {
+      begin(call, "query", "manner=promptly deadline_ms=10000");
+      const auto end = system.wait_for(outcomes[call], [](const auto&) { return true; });
+      EXPECT_EQ(end.number(), begun[call]) << call;
+      ended = static_cast<Outcome>(static_cast<int>(end.value()));
+      return ended == Outcome::Ok;
+    });
+  }
+  expect_no_other_ends();
+}
+
+TEST_P(OwnThreadFarFromItsProvider, EndsItsCallsDisconnectedOnceWhenItIsKilled) {
+  stop_process(far);  // or it would acknowledge
+  begin_all("deadline_ms=100000");
+  expect_no_other_ends();
+  ::kill(far, SIGKILL);
+  eventually_all_ended(calls, Outcome::Disconnected);
+  for (const auto& call : calls) begin(call, "send_acknowledged", "deadline_ms=100000");
+  eventually_all_ended(calls, Outcome::Disconnected);
+  expect_no_other_ends();
+}
+
+TEST_P(OwnThreadFarFromItsProvider, EndsAQueryAtItsDeadlineOnceWhileItHangs) {
+  begin("event", "query", "manner=hang deadline_ms=60000");
+  system.eventually("it hangs", [&] { return system.port("answerer.echo").messages() == 1; });
+  begin("query", "query", "manner=promptly deadline_ms=30");
+  eventually_all_ended({"query"}, Outcome::Timeout);
+  eventually_all_ended({"event"}, Outcome::Ok);
+  begin("query", "query", "manner=promptly deadline_ms=60000");
+  eventually_all_ended({"query"}, Outcome::Ok);
+  expect_no_other_ends();
+}
+
+FIONA_OVER(OwnThreadFarFromItsProvider, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
 }  // namespace fiona::conformance
