@@ -176,6 +176,9 @@ class ThreadCaller final : public Component {
   using Component::Component;
 
  private:
+  /// Whether there is a call to make. Rarely: what its process waits for a processor excuses what hangs there.
+  static constexpr auto kLooks = 20ms;
+
   void on_change() {
     samples_.cancel_calls(params_->cancel() == "port");
     echo_.cancel_calls(params_->cancel() == "port");
@@ -186,7 +189,7 @@ class ThreadCaller final : public Component {
   }
   void work(const OwnThread& own) {
     const auto params = params_.snapshot();
-    if (params->go() == std::exchange(gone_, params->go())) return void(own.wait_for(1ms));
+    if (params->go() == std::exchange(gone_, params->go())) return void(own.wait_for(kLooks));
     const auto outcome = outcome_of(own, *params);
     if (!outcome) return;
     own.post([this, number = gone_, outcome = *outcome] {
