@@ -1,5 +1,6 @@
 // Promise R10: a consumer that stands still hurts itself only, whatever it takes: samples, events or answers. One
-// supplier, one customer that is well and one whose process is stopped. FIONA_STOPPED_S sets for how long; then a
+// supplier, in this process or on another host, one customer that is well and one whose process is stopped.
+// FIONA_STOPPED_S sets for how long; then a
 // sample is 1 MiB at 100 Hz, else what a sanitizer keeps up with. Of a page that stands still tells
 // tests/plugins/web_slow_reader_test.cpp.
 #include <gtest/gtest.h>
@@ -29,12 +30,13 @@ constexpr std::uint32_t kEvent_bytes = 128 * 1024;
 constexpr std::uint64_t kQuestions = 96;
 constexpr std::uint32_t kAnswer_bytes = 256 * 1024;
 
-class StoppedConsumer : public testing::Test {
+/// Over ipc the supplier is in the host's own process; over tcp in that of another host, and what it sends is relayed.
+class StoppedConsumer : public testing::TestWithParam<Transport> {
  protected:
   void load(std::uint32_t payload, std::uint64_t puts) {
     count = puts;
-    system.load_provider("supplier", "supplier",
-                         fmt::format("neutral payload={} period_ms={} count={}", payload, period_ms, puts));
+    system.load_in(GetParam() == Transport::Tcp ? "far" : "", "supplier", "supplier",
+                   fmt::format("neutral payload={} period_ms={} count={}", payload, period_ms, puts));
     for (const std::string customer : {"frozen", "well"}) system.load_in(customer, "customer", customer);
   }
   void wire(const std::string& port, const std::string& supplied) {
@@ -92,10 +94,12 @@ class StoppedConsumer : public testing::Test {
     EXPECT_LE(grown_mib, kWire_mib);
   }
 
-  const int stopped_s = number_from("FIONA_STOPPED_S", 3);
+  /// For ten minutes over ipc.
+  const int stopped_s = GetParam() == Transport::Tcp ? std::min(kLongest_s, number_from("FIONA_STOPPED_S", 3))
+                                                     : number_from("FIONA_STOPPED_S", 3);
   const bool in_full = number_from("FIONA_STOPPED_S", 0) > 0;
   const double period_ms = in_full ? 10 : 20;
-  RunningSystem system;
+  RunningSystem system{GetParam()};
   std::uint64_t count = 0;
   pid_t frozen = 0;
   std::vector<pid_t> all;
@@ -103,7 +107,7 @@ class StoppedConsumer : public testing::Test {
   double grown_mib = 0;  ///< at most, of all processes, while it stands still
 };
 
-TEST_F(StoppedConsumer, OfSamplesHurtsItselfOnlyAndKnowsWhatItMissed) {
+TEST_P(StoppedConsumer, OfSamplesHurtsItselfOnlyAndKnowsWhatItMissed) {
   const std::uint32_t payload = in_full ? 1048576 : 262144;
   load(payload, static_cast<std::uint64_t>((stopped_s + 3) * 1000 / period_ms));
   wire("samples", "samples");
@@ -124,7 +128,7 @@ TEST_F(StoppedConsumer, OfSamplesHurtsItselfOnlyAndKnowsWhatItMissed) {
   expect_others_were_not_hurt("samples");
 }
 
-TEST_F(StoppedConsumer, OfEventsHurtsItselfOnlyAndKnowsWhatItMissed) {
+TEST_P(StoppedConsumer, OfEventsHurtsItselfOnlyAndKnowsWhatItMissed) {
   const int seconds = std::min(stopped_s, kLongest_s);
   load(0, 0);
   wire("bell", "bell");
@@ -153,7 +157,7 @@ TEST_F(StoppedConsumer, OfEventsHurtsItselfOnlyAndKnowsWhatItMissed) {
   expect_others_were_not_hurt("events");
 }
 
-TEST_F(StoppedConsumer, OfAnswersHurtsItselfOnlyAndEachOfItsQuestionsHasOneOutcome) {
+TEST_P(StoppedConsumer, OfAnswersHurtsItselfOnlyAndEachOfItsQuestionsHasOneOutcome) {
   const int seconds = std::min(stopped_s, kLongest_s);
   load(kAnswer_bytes, 0);
   wire("echo", "echo");
@@ -181,6 +185,8 @@ TEST_F(StoppedConsumer, OfAnswersHurtsItselfOnlyAndEachOfItsQuestionsHasOneOutco
       seconds, read("frozen.refused"), kQuestions, answered_meanwhile, system.read("well.longest_answer").value());
   expect_others_were_not_hurt("answers");
 }
+
+FIONA_OVER(StoppedConsumer, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
 }  // namespace fiona::conformance
