@@ -24,6 +24,8 @@ constexpr double kBlocked_ms = 1;
 /// what allocators keep. The promise has the first alone: docs/promises.md, What is not held yet.
 constexpr double kWaits_mib = 4, kOnItsWay_mib = 4, kAllocators_mib = 1;
 constexpr double kWire_mib = kWaits_mib + kOnItsWay_mib + kAllocators_mib;
+/// What a host holds that relays it, of each lane (docs/decisions/0008-hosts-over-tcp.md).
+constexpr double kRelayed_mib = 4;
 /// Events and answers are no stream of large samples: a stop of so long is as good as one of ten minutes.
 constexpr int kLongest_s = 60;
 constexpr std::uint32_t kEvent_bytes = 128 * 1024;
@@ -87,11 +89,11 @@ class StoppedConsumer : public testing::TestWithParam<Transport> {
         "{:.0f} "
         "MiB)\n",
         what, blocked_ms, kBlocked_ms, ran_p99_ms, kBlocked_ms, system.read("supplier.longest").value(), grown_mib,
-        kWire_mib);
+        most_mib);
     EXPECT_LE(ran_p99_ms, allowed(kBlocked_ms, in_full));
     if (FIONA_SANITIZED) return;  // its allocator keeps memory, and has locks that threads wait for
     EXPECT_LE(blocked_ms, allowed(kBlocked_ms, in_full)) << "the supplier waits for who stands still";
-    EXPECT_LE(grown_mib, kWire_mib);
+    EXPECT_LE(grown_mib, most_mib);
   }
 
   /// For ten minutes over ipc.
@@ -99,6 +101,7 @@ class StoppedConsumer : public testing::TestWithParam<Transport> {
                                                      : number_from("FIONA_STOPPED_S", 3);
   const bool in_full = number_from("FIONA_STOPPED_S", 0) > 0;
   const double period_ms = in_full ? 10 : 20;
+  const double most_mib = kWire_mib + (GetParam() == Transport::Tcp ? kRelayed_mib : 0);
   RunningSystem system{GetParam()};
   std::uint64_t count = 0;
   pid_t frozen = 0;
@@ -119,12 +122,17 @@ TEST_P(StoppedConsumer, OfSamplesHurtsItselfOnlyAndKnowsWhatItMissed) {
   go_on();
   await_sum("frozen.samples");
   await_sum("well.samples");
-  EXPECT_EQ(system.port("well.samples").dropped(), 0U);
+  const auto lost_by_other = system.port("well.samples").dropped();
+  // Over tcp both share a lane as far as the host that relays: docs/promises.md, What is not held yet.
+  if (GetParam() != Transport::Tcp) {
+    EXPECT_EQ(lost_by_other, 0U);
+  }
   const auto dropped = system.port("frozen.samples").dropped();
   EXPECT_GT(dropped, 0U);
-  EXPECT_LE(read("supplier.samples.dropped"), dropped + system.port("well.samples").dropped())
+  EXPECT_LE(read("supplier.samples.dropped"), dropped + lost_by_other)
       << "each knows of its own, and of those that its own queue had no room for";
-  std::cout << fmt::format("{} s stopped: {} of {} samples lost by it, none by the other\n", stopped_s, dropped, count);
+  std::cout << fmt::format("{} s stopped: {} of {} samples lost by it, {} by the other\n", stopped_s, dropped, count,
+                           lost_by_other);
   expect_others_were_not_hurt("samples");
 }
 
