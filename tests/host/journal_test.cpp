@@ -126,7 +126,7 @@ TEST_F(JournalOnDisk, HasTheLastRecordAtItsEnd) {
         journal.end(number, control::JournalEntry::DONE, "", nullptr);
       }
     }
-    EXPECT_TRUE(is_whole(file)) << records << " records";
+    ASSERT_TRUE(is_whole(file)) << records << " records";
     EXPECT_EQ(after_power_cut().changes.size(), static_cast<std::size_t>(records));
   }
 }
