@@ -1,12 +1,16 @@
 #include "campaign.hpp"
 
 #include <dirent.h>
+#include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <iostream>
 #include <map>
 #include <optional>
 #include <sstream>
@@ -16,6 +20,7 @@
 #include <fmt/ranges.h>
 
 #include "fiona/error.hpp"
+#include "fiona/result.hpp"
 
 namespace fiona::conformance {
 
@@ -111,11 +116,15 @@ std::shared_ptr<google::protobuf::Message> ask(RunningSystem& system, const std:
   return object;
 }
 
-namespace {
+Told::Told(const control::Sample& sample) {
+  for (const auto& file : sample.files().file()) pool_.BuildFile(file);
+  const auto* type = pool_.FindMessageTypeByName(sample.type());
+  if (!type) throw std::runtime_error("an unknown type: " + sample.type());
+  object_.reset(factory_.GetPrototype(type)->New());
+  object_->ParseFromString(sample.object());
+}
 
-Sighting sighting_from(RunningSystem& system, const std::string& lookout, const std::string& arguments) {
-  const auto object = ask(system, lookout + ".testify", arguments);
-  const Seen said(*object);
+Sighting sighting_from(const Seen& said) {
   Sighting seen;
   seen.seen_ns = said.fixed("seen_ns");
   seen.blank_ns = said.fixed("blank_ns");
@@ -132,11 +141,11 @@ Sighting sighting_from(RunningSystem& system, const std::string& lookout, const 
   return seen;
 }
 
-}  // namespace
-
-Sighting sighting(RunningSystem& system, const std::string& lookout) { return sighting_from(system, lookout, ""); }
+Sighting sighting(RunningSystem& system, const std::string& lookout) {
+  return sighting_from(*ask(system, lookout + ".testify"));
+}
 Sighting take_sighting(RunningSystem& system, const std::string& lookout) {
-  return sighting_from(system, lookout, "manner=forget");
+  return sighting_from(*ask(system, lookout + ".testify", "manner=forget"));
 }
 
 std::int64_t now_ns() { return Steady::now().time_since_epoch().count(); }
@@ -149,19 +158,11 @@ void let_be(RunningSystem& system, std::chrono::milliseconds time) {
 
 double allowed(double bound, bool in_full) { return bound * (in_full ? 1 : 3) * (FIONA_SANITIZED ? 2 : 1); }
 
-Pulse::Pulse()
-    : thread_([this] {
-        while (!stopping_) {
-          const std::int64_t begun_ns = now_ns();
-          std::this_thread::sleep_for(std::chrono::milliseconds(2));
-          longest_ns_ = std::max(longest_ns_.load(), now_ns() - begun_ns - 2'000'000);
-        }
+Passing::Passing(pid_t process)
+    : process_(static_cast<int>(::syscall(SYS_pidfd_open, process, 0))), watch_([this] {
+        pollfd end{process_.get(), POLLIN, 0};
+        if (::poll(&end, 1, 20'000) == 1) at_ns_ = now_ns();
       }) {}
-
-Pulse::~Pulse() {
-  stopping_ = true;
-  thread_.join();
-}
 
 double Times::longest() const { return all_.empty() ? 0 : *std::max_element(all_.begin(), all_.end()); }
 
@@ -174,6 +175,17 @@ std::string Times::text(const std::string& what, double bound_ms) const {
   };
   return fmt::format("{}, {} times: p50 {:.1f} ms, p99 {:.1f} ms, longest {:.1f} ms (bound {:.0f} ms)", what,
                      sorted.size(), at(50), at(99), sorted.back(), bound_ms);
+}
+
+void expect_within(const std::string& what, double bound_ms, const Times& times, bool in_full, const Pulse& pulse) {
+  std::cout << times.text(what, bound_ms) << "\n";
+  EXPECT_LE(times.longest(), allowed(bound_ms, in_full) + pulse.longest_ms()) << what;
+}
+
+void expect_all_answered(const Sighting& seen) {
+  const auto ok = static_cast<std::size_t>(Outcome::Ok);
+  ASSERT_GT(seen.outcomes.size(), ok);
+  EXPECT_EQ(seen.outcomes[ok] + seen.open, seen.asked) << "answers lost by who did not die";
 }
 
 }  // namespace fiona::conformance

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <google/protobuf/dynamic_message.h>
 #include <google/protobuf/message.h>
 #include <sys/types.h>
 
@@ -11,6 +12,8 @@
 #include <thread>
 #include <vector>
 
+#include "../pulse.hpp"
+#include "os/descriptor.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -72,6 +75,18 @@ class Seen {
   const google::protobuf::Message& message_;
 };
 
+/// What a trigger of a component returned, of a type that the test does not link, with the files that describe it.
+class Told {
+ public:
+  explicit Told(const control::Sample& sample);
+  Seen seen() const { return Seen(*object_); }
+
+ private:
+  google::protobuf::DescriptorPool pool_{google::protobuf::DescriptorPool::generated_pool()};
+  google::protobuf::DynamicMessageFactory factory_{&pool_};
+  std::unique_ptr<google::protobuf::Message> object_;
+};
+
 /// What an instance of the test's components says when it is asked: `ask(system, "w1.testify")`.
 std::shared_ptr<google::protobuf::Message> ask(RunningSystem& system, const std::string& trigger,
                                                const std::string& arguments = "");
@@ -84,6 +99,7 @@ struct Sighting {
   std::uint64_t heard = 0, asked = 0, open = 0;
   std::vector<std::uint64_t> outcomes;
 };
+Sighting sighting_from(const Seen& testimony);
 Sighting sighting(RunningSystem& system, const std::string& lookout);
 /// The same, and it begins anew.
 Sighting take_sighting(RunningSystem& system, const std::string& lookout);
@@ -95,18 +111,26 @@ void let_be(RunningSystem& system, std::chrono::milliseconds time);
 /// What a short form allows where a full one, which has the machine for itself, asks for `bound`.
 double allowed(double bound, bool in_full);
 
-/// How long the machine has kept a thread waiting that wanted to run: what comes later than that by no fault of ours.
-class Pulse {
+using tests::Pulse;
+
+/// When a process ends, as the kernel tells it.
+class Passing {
  public:
-  Pulse();
-  ~Pulse();
-  double longest_ms() const { return static_cast<double>(longest_ns_.load()) / 1e6; }
+  explicit Passing(pid_t process);
+  ~Passing() { watch_.join(); }
+  std::int64_t at_ns() const { return at_ns_; }  ///< 0: not yet
 
  private:
-  std::atomic<std::int64_t> longest_ns_{0};
-  std::atomic<bool> stopping_{false};
-  std::thread thread_;
+  const os::Descriptor process_;
+  std::atomic<std::int64_t> at_ns_{0};
+  std::thread watch_;
 };
+
+/// What a death may do: promise R1.
+constexpr double kDeathSeen_ms = 50;
+constexpr double kDeathTold_ms = 200;
+constexpr double kBackAfterDeath_ms = 500;
+constexpr double kOthersLater_ms = 5;
 
 /// Durations of one kind, in milliseconds.
 class Times {
@@ -120,5 +144,9 @@ class Times {
  private:
   std::vector<double> all_;
 };
+/// Prints them, and expects that the longest is within the bound, but for what the machine stood still.
+void expect_within(const std::string& what, double bound_ms, const Times& times, bool in_full, const Pulse& pulse);
+/// Each question that it has asked since it was told to forget is answered, or still open.
+void expect_all_answered(const Sighting& seen);
 
 }  // namespace fiona::conformance

@@ -2,7 +2,6 @@
 // it answers; who has nothing to do with a fault notices nothing, and does not grow; nothing comes twice or in
 // another's place; each question has one outcome; no old value is shown for one of now; what was hit is back in time;
 // nothing grows. FIONA_CHAOS_S sets for how long, FIONA_SEED what happens.
-#include <google/protobuf/dynamic_message.h>
 #include <gtest/gtest.h>
 #include <signal.h>
 
@@ -156,24 +155,6 @@ class HostProcess {
   SteppedClock clock_;
   os::Descriptor lifeline_;
   std::unique_ptr<os::ChildProcess> supervisor_;
-};
-
-/// What a trigger of a component returned, of a type that the test does not link.
-class Told {
- public:
-  explicit Told(const control::Sample& sample) {
-    for (const auto& file : sample.files().file()) pool_.BuildFile(file);
-    const auto* type = pool_.FindMessageTypeByName(sample.type());
-    if (!type) throw std::runtime_error("an unknown type: " + sample.type());
-    object_.reset(factory_.GetPrototype(type)->New());
-    object_->ParseFromString(sample.object());
-  }
-  Seen seen() const { return Seen(*object_); }
-
- private:
-  google::protobuf::DescriptorPool pool_{google::protobuf::DescriptorPool::generated_pool()};
-  google::protobuf::DynamicMessageFactory factory_{&pool_};
-  std::unique_ptr<google::protobuf::Message> object_;
 };
 
 struct Place {

@@ -61,8 +61,7 @@ class Silence : public testing::Test {
     oldest_shown_ms = std::max(oldest_shown_ms, seen.oldest_shown_ms);
   }
   void tell(const std::string& what, double bound_ms, const Times& times, bool in_full) {
-    std::cout << times.text(what, bound_ms) << "\n";
-    EXPECT_LE(times.longest(), allowed(bound_ms, in_full) + pulse.longest_ms()) << what;
+    expect_within(what, bound_ms, times, in_full, pulse);
   }
   void tell_rest(bool in_full) {
     tell("current value to a late joiner", kLate_ms, late, in_full);

@@ -176,6 +176,9 @@ class ThreadCaller final : public Component {
   using Component::Component;
 
  private:
+  /// Whether there is a call to make. Rarely: what its process waits for a processor excuses what hangs there.
+  static constexpr auto kLooks = 20ms;
+
   void on_change() {
     samples_.cancel_calls(params_->cancel() == "port");
     echo_.cancel_calls(params_->cancel() == "port");
@@ -186,7 +189,7 @@ class ThreadCaller final : public Component {
   }
   void work(const OwnThread& own) {
     const auto params = params_.snapshot();
-    if (params->go() == std::exchange(gone_, params->go())) return void(own.wait_for(1ms));
+    if (params->go() == std::exchange(gone_, params->go())) return void(own.wait_for(kLooks));
     const auto outcome = outcome_of(own, *params);
     if (!outcome) return;
     own.post([this, number = gone_, outcome = *outcome] {
@@ -212,8 +215,10 @@ class ThreadCaller final : public Component {
     if (call != "activate") return Outcome::WrongId;
     Threshold threshold;
     threshold.set_every(params.every());
-    const auto id =
-        own.await([this, threshold, within] { return bell_.activate(EventMode::Continuous, threshold, within); });
+    const auto id = own.await([this, threshold, within, number = gone_] {
+      begun_.set(number);
+      return bell_.activate(EventMode::Continuous, threshold, within);
+    });
     if (!id) return std::nullopt;
     if (*id) activation_ = **id;
     return id->outcome();
@@ -239,8 +244,80 @@ class ThreadCaller final : public Component {
   Task work_{*this, "work", free_running, &ThreadCaller::work};
 };
 
+/// Waits for calls as long as it lives, and uses each of its ports once more when it is told that it ends. The log says
+/// what came of that.
+class Leaver final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode != kModeActive) return;
+    spawn(ask());
+    spawn(wait());
+    spawn(listen());
+  }
+  void on_stop() override {
+    std::string told = "at its end:";
+    const auto tell = [&told](std::string_view call, Outcome outcome) {
+      told += " " + std::string(call) + "=" + std::string(to_string(outcome));
+    };
+    const auto end = [this](auto call) { spawn(ended(std::move(call))); };
+    cancel_calls();
+    cancel_calls(false);
+    echo_.cancel_calls();
+    echo_.cancel_calls(false);
+    report_.put(Sample());
+    state_.put(Sample());
+    timed_.stop();
+    timed_.start();
+    later_.at(now());
+    tell("send", orders_.send(Sample()));
+    tell("request", echo_.request(Question()).outcome());
+    tell("latest", samples_.latest().outcome());
+    tell("discard", echo_.discard(QueryId{1}));
+    tell("deactivate", bell_.deactivate(ActivationId{1'000'000}));
+    end(echo_.query(Question()));
+    end(samples_.wait_update(1s));
+    end(orders_.send_acknowledged(Sample()));
+    end(bell_.activate(EventMode::Single, Threshold()));
+    stops_.set(params_->every());
+    log(LogLevel::Info, told);
+  }
+
+ private:
+  template <class T>
+  static Async<> ended(Async<T> call) {
+    static_cast<void>(co_await call);
+  }
+  Async<> ask() {
+    Question question;
+    question.set_manner("never");
+    static_cast<void>(co_await echo_.query(std::move(question), 60s));
+  }
+  Async<> wait() { static_cast<void>(co_await samples_.wait_update(60s)); }
+  Async<> listen() {
+    Threshold never;
+    const auto id = co_await bell_.activate(EventMode::Continuous, std::move(never));
+    if (id) static_cast<void>(co_await bell_.wait(*id, 60s));
+  }
+  void produce() {}
+  std::optional<Crossing> test(Threshold&, const Sample&) { return Crossing(); }
+  void too_late() { orders_.send(Sample()); }
+
+  Params<CallerParams> params_{*this};
+  Requires<SampleNewest> samples_{*this, "samples"};
+  Requires<Echo> echo_{*this, "echo"};
+  Requires<Bell> bell_{*this, "bell"};
+  Requires<Order> orders_{*this, "orders"};
+  Provides<SampleNewest> report_{*this, "report"};
+  Provides<SampleTimed> timed_{*this, "timed", &Leaver::produce};
+  Provides<Bell> state_{*this, "state", &Leaver::test};
+  Probe<std::uint64_t> stops_{*this, "stops"};
+  Timer later_{*this, &Leaver::too_late};
+};
+
 void add_calls(Plugin& plugin) {
   plugin.add<Caller>("caller", "makes one call at a time, and reports the outcome");
+  plugin.add<Leaver>("leaver", "uses its ports when it is told that it ends");
   plugin.add<ThreadCaller>("thread-caller", "makes one call at a time from a thread of its own");
 }
 

@@ -47,5 +47,7 @@ void add_silence(Plugin& plugin);
 void add_standing(Plugin& plugin);
 void add_monitoring(Plugin& plugin);
 void add_virtual_time(Plugin& plugin);
+void add_holding(Plugin& plugin);
+void add_whole(Plugin& plugin);
 
 }  // namespace fiona::test

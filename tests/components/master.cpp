@@ -129,6 +129,32 @@ class Boss final : public Component {
   Task hold_{*this, "hold", 5ms, &Boss::hold};
 };
 
-void add_master(Plugin& plugin) { plugin.add<Boss>("boss", "changes the system as its parameters say"); }
+/// Asks for its own main mode whenever it is told of one, its start included. `ended` tells in which modes it has asked
+/// and how each of the calls ended, in the order of their ends.
+class Starter final : public Component {
+ public:
+  using Component::Component;
+  void on_start() override { spawn(ask("init")); }
+  void on_mode(std::string_view mode) override { spawn(ask(std::string(mode))); }
+
+ private:
+  Async<> ask(std::string mode) {
+    asked_.set(++asks_);
+    const auto done = co_await master_.state(name(), kModeActive, 60s);
+    told_ += (told_.empty() ? "" : ", ") + mode + " " + std::string(to_string(done.outcome()));
+    ended_.set(told_);
+  }
+
+  std::uint64_t asks_ = 0;
+  std::string told_;
+  Master master_{*this};
+  Probe<std::uint64_t> asked_{*this, "asked"};
+  Probe<std::string> ended_{*this, "ended"};
+};
+
+void add_master(Plugin& plugin) {
+  plugin.add<Boss>("boss", "changes the system as its parameters say");
+  plugin.add<Starter>("starter", "asks for its own main mode as soon as it is told of a mode");
+}
 
 }  // namespace fiona::test

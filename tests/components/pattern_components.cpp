@@ -67,6 +67,24 @@ class Listener final : public Component {
     rings_heard_.set(++heard_[4]);
   }
   void look() { const Running running(*this); }
+  /// The answer says which of these calls it was to run, and how many times it has run.
+  Reply count_call(const Question& question) {
+    const Running running(*this);
+    note("calls", question.number());
+    Reply reply;
+    reply.set_number(++called_);
+    reply.set_payload(std::to_string(question.number()));
+    return reply;
+  }
+  Async<Reply> count_later(const Question& question) {
+    note("later calls", question.number());
+    const std::uint64_t number = ++called_later_;
+    static_cast<void>(co_await quiet_.wait_update(5ms));
+    Reply reply;
+    reply.set_number(number);
+    reply.set_payload(std::to_string(question.number()));
+    co_return reply;
+  }
   Async<Reply> listen(const Question&) {
     Threshold threshold;
     threshold.set_every(1);
@@ -81,11 +99,16 @@ class Listener final : public Component {
   std::map<std::string, std::uint64_t> last_;
   std::uint64_t longest_ = 0;
   std::map<int, std::uint64_t> heard_;
+  std::uint64_t called_ = 0;
+  std::uint64_t called_later_ = 0;
   Requires<SampleNewest> samples_{*this, "samples", &Listener::on_sample, {.optional = true}};
   Requires<SampleNewest> others_{*this, "others", &Listener::on_other, {.optional = true}};
   Requires<Bell> bell_{*this, "bell", &Listener::on_ring, {.optional = true}};
   Provides<Order> orders_{*this, "orders", &Listener::on_order};
   Provides<Echo> echo_{*this, "echo", &Listener::on_question};
+  Requires<SampleNewest> quiet_{*this, "quiet", {.optional = true}};
+  Trigger<Question, Reply> count_call_{*this, "count_call", &Listener::count_call};
+  Trigger<Question, Reply> count_later_{*this, "count_later", &Listener::count_later};
   Trigger<Question, Reply> listen_{*this, "listen", &Listener::listen};
   Probe<std::string> disorder_{*this, "disorder", {.doc = "what came out of its order last"}};
   Probe<std::uint64_t> step_{*this, "step", {.doc = "the longest from one number to the next"}};

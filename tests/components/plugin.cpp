@@ -16,4 +16,6 @@ FIONA_PLUGIN(plugin) {
   fiona::test::add_pattern_components(plugin);
   fiona::test::add_monitoring(plugin);
   fiona::test::add_virtual_time(plugin);
+  fiona::test::add_holding(plugin);
+  fiona::test::add_whole(plugin);
 }

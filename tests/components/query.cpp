@@ -1,5 +1,6 @@
 // Queries: who answers, who asks.
 #include <algorithm>
+#include <map>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -137,9 +138,78 @@ class Prober final : public Component {
   Provides<SampleLast> report_{*this, "report"};
 };
 
+/// Asks many questions at once through the port that its argument names, each on its own; tells how they end, and how
+/// many a port can have open at once.
+class Questioner final : public Component {
+ public:
+  using Component::Component;
+
+ private:
+  /// `number` questions of the manner "PORT:MANNER".
+  Reply ask(const Question& request) {
+    const std::string port = request.manner().substr(0, request.manner().find(':'));
+    Question question;
+    question.set_manner(request.manner().substr(port.size() + 1));
+    question.mutable_payload()->resize(params_->payload());
+    for (std::uint64_t i = 0; i < request.number(); ++i) {
+      ++open_;
+      spawn(port == "lookup" ? one(lookup_, question) : one(port == "echo" ? echo_ : failing_echo_, question));
+    }
+    tell();
+    return {};
+  }
+  template <class P>
+  Async<> one(P& port, Question question) {
+    question.set_number(++asked_);
+    const auto answer = co_await port.query(std::move(question), from_ms(params_->deadline_ms()));
+    --open_;
+    ++ended_[answer.outcome()];
+    tell();
+  }
+  void tell() {
+    std::string text;
+    for (const auto& [outcome, count] : ended_)
+      text += std::string(to_string(outcome)) + "=" + std::to_string(count) + " ";
+    text += "open=" + std::to_string(open_);
+    ends_.set(text);
+  }
+  void on_change() {
+    for (auto* port : {&echo_, &failing_echo_}) port->cancel_calls(params_->cancel() == "port");
+    lookup_.cancel_calls(params_->cancel() == "port");
+  }
+  /// How many requests its port takes until it has too many open; it gives them up again.
+  Reply room(const Question& request) {
+    Reply reply;
+    reply.set_number(request.manner() == "lookup" ? room_of(lookup_)
+                                                  : room_of(request.manner() == "echo" ? echo_ : failing_echo_));
+    return reply;
+  }
+  template <class P>
+  static std::uint64_t room_of(P& port) {
+    std::vector<QueryId> ids;
+    Question never;
+    never.set_manner("never");
+    for (auto id = port.request(never, 60s); id; id = port.request(never, 60s)) ids.push_back(*id);
+    for (const QueryId id : ids) port.discard(id);
+    return ids.size();
+  }
+
+  std::uint64_t asked_ = 0;
+  std::uint64_t open_ = 0;
+  std::map<Outcome, std::uint64_t> ended_;
+  Params<CallerParams> params_{*this, nullptr, &Questioner::on_change};
+  Requires<Echo> echo_{*this, "echo", {.optional = true}};
+  Requires<Echo> failing_echo_{*this, "failing_echo", {.optional = true, .at_rewire = AtRewire::Fail}};
+  Requires<Lookup> lookup_{*this, "lookup", {.optional = true, .at_rewire = AtRewire::Redirect}};
+  Probe<std::string> ends_{*this, "ends", {.doc = "how many questions have ended in which way, and how many are open"}};
+  Trigger<Question, Reply> ask_{*this, "ask", &Questioner::ask};
+  Trigger<Question, Reply> room_{*this, "room", &Questioner::room};
+};
+
 void add_query(Plugin& plugin) {
   plugin.add<Answerer>("answerer", "answers in the manner asked for");
   plugin.add<Asker>("asker", "asks, and reports the outcome");
+  plugin.add<Questioner>("questioner", "asks many questions at once, and counts how they end");
   plugin.add<Prober>("prober", "measures how long an answer takes");
 }
 

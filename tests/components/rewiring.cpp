@@ -1,5 +1,6 @@
 // What is rewired under load, and knows exactly what it has heard.
 #include <algorithm>
+#include <cstddef>
 #include <map>
 #include <utility>
 
@@ -14,11 +15,16 @@ class Ticker final : public Paced {
 
  private:
   void tick() override {
+    if (has_ended_) return;
     Sample sample;
     sample.set_number(++ticked_);
     sample.set_value(static_cast<double>(params_->source()));
     sample.set_sent_ns(born_ns_);
+    const std::size_t before = samples_.subscribers();
     samples_.put(std::move(sample));
+    const std::size_t after = samples_.subscribers();
+    sent_least_ += std::min(before, after);
+    sent_most_ += std::max(before, after);
     again_after(params_->period_ms());
   }
   void on_question(const Question& question, fiona::Reply<Reply> reply) {
@@ -27,16 +33,22 @@ class Ticker final : public Paced {
     answer.set_number(question.number());
     reply.answer(std::move(answer));
   }
-  TickerReport report(const Question&) {
+  /// In the manner 'last' it ticks no more.
+  TickerReport report(const Question& question) {
+    if (question.manner() == "last") has_ended_ = true;
     TickerReport report;
     report.set_ticked(ticked_);
     report.set_answered(answered_);
+    report.set_sent_least(sent_least_);
+    report.set_sent_most(sent_most_);
     return report;
   }
 
   const std::int64_t born_ns_ = steady_ns();  ///< one that is started again counts from 1 again
   std::uint64_t ticked_ = 0;
   std::uint64_t answered_ = 0;
+  std::uint64_t sent_least_ = 0, sent_most_ = 0;
+  bool has_ended_ = false;
   Params<TickerParams> params_{*this};
   Provides<SampleNewest> samples_{*this, "samples"};
   Provides<Echo> echo_{*this, "echo", &Ticker::on_question};

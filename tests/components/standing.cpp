@@ -1,13 +1,16 @@
 // Who is left alone by clients that stand still, and those clients.
 #include <sys/resource.h>
 #include <time.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <deque>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <optional>
+#include <string>
 #include <utility>
 
 #include "components.hpp"
@@ -28,17 +31,31 @@ long waits() {
   return used.ru_nvcsw;
 }
 
-/// All threads of the process together: who waits for a lock waits for its holder to get a processor.
-std::int64_t waited_for_cpu_ns() {
-  std::int64_t all = 0;
+/// How long each thread of the process has waited for a processor so far.
+using WaitedForCpu = std::map<std::string, std::int64_t>;
+WaitedForCpu waited_for_cpu() {
+  WaitedForCpu all;
   std::error_code ignored;
   std::filesystem::directory_iterator thread("/proc/self/task", ignored);
   for (; thread != std::filesystem::directory_iterator(); thread.increment(ignored)) {
     std::ifstream file(thread->path() / "schedstat");
     std::int64_t ran = 0, waited = 0;
-    if (file >> ran >> waited) all += waited;
+    if (file >> ran >> waited) all[thread->path().filename()] = waited;
   }
   return all;
+}
+
+/// Since then, this thread and the one of the others that has waited longest: who waits for a lock waits for its holder
+/// to get a processor.
+std::int64_t waited_for_cpu_since(const WaitedForCpu& before) {
+  const std::string own = std::to_string(::gettid());
+  std::int64_t own_ns = 0, longest_ns = 0;
+  for (const auto& [thread, waited] : waited_for_cpu()) {
+    const auto then = before.find(thread);
+    const std::int64_t since_ns = waited - (then == before.end() ? 0 : then->second);
+    thread == own ? own_ns = since_ns : longest_ns = std::max(longest_ns, since_ns);
+  }
+  return own_ns + longest_ns;
 }
 
 /// What calls cost the thread that makes them.
@@ -46,7 +63,7 @@ class Cost {
  public:
   template <class Call>
   void of(Call call) {
-    const std::int64_t waited_before_ns = waited_for_cpu_ns();
+    const WaitedForCpu waited_before = waited_for_cpu();
     const std::int64_t ran_before_ns = ran_ns();
     const long waits_before = waits();
     const std::int64_t begun_ns = steady_ns();
@@ -56,7 +73,7 @@ class Cost {
     longest_ns_ = std::max(longest_ns_, wall_ns);
     // Else whoever lets this machine run has taken its processor away: it has waited for nothing.
     if (waits() > waits_before)
-      blocked_ns_ = std::max(blocked_ns_, wall_ns - took_ns - (waited_for_cpu_ns() - waited_before_ns));
+      blocked_ns_ = std::max(blocked_ns_, wall_ns - took_ns - waited_for_cpu_since(waited_before));
     ++ran_[std::min(ran_.size() - 1, static_cast<std::size_t>(took_ns / kStep_ns))];
     ++calls_;
   }

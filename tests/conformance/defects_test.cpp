@@ -14,6 +14,8 @@
 
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
+#include "holders.hpp"
+#include "served_host.hpp"
 #include "stopped_process.hpp"
 #include "system_fixture.hpp"
 
@@ -232,6 +234,40 @@ TEST_P(Defects, WhatHearsThatItsModeEndsMayUseThePortsOfItsComponent) {
   EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Cancelled) << "the second";
 }
 
+TEST_P(Defects, WhatIsToldThatItEndsMayUseThePortsOfItsComponent) {
+  system.load_client("sink", "neighbour");
+  system.load_provider("source", "source", "period_ms=2");
+  system.load_provider("source", "quiet", "neutral");
+  system.load_provider("answerer", "answerer");
+  system.load_provider("sink", "sink");
+  const auto begin = [&] {
+    system.load_client("leaver", "leaver", "neutral");
+    system.wire("leaver.samples", "quiet.newest");
+    system.wire("leaver.bell", "source.bell");
+    system.wire("leaver.echo", "answerer.echo");
+    system.wire("leaver.orders", "sink.orders");
+    system.wire("sink.each", "leaver.report");
+    system.state("leaver", "active");
+  };
+  begin();
+  system.eventually("it waits for each", [&] {
+    return system.read("answerer.open").value() == 1 && system.read("source.tested").value() > 0;
+  });
+  system.unload("leaver");
+  system.eventually("it has used them", [&] { return !system.logged("leaver", "at its end:").empty(); });
+  EXPECT_EQ(system.logged("leaver", "at its end:"),
+            "at its end: send=not_active request=not_active latest=not_active discard=wrong_id deactivate=wrong_id");
+  EXPECT_EQ(system.logged("leaver", "its stop failed"), "");
+  system.eventually("its question is given up", [&] { return system.read("answerer.abandoned").value() == 1; });
+  eventually_untested();
+  EXPECT_EQ(system.port("answerer.echo").messages(), 1U);
+  EXPECT_EQ(system.port("sink.orders").messages(), 0U);
+  EXPECT_EQ(system.port("sink.each").messages(), 0U);
+  EXPECT_EQ(system.call("neighbour.orders", "number=1").outcome(), "ok") << "it has taken nobody along";
+  begin();
+  system.eventually("it asks again", [&] { return system.port("answerer.echo").messages() == 2; });
+}
+
 // ---- push -----------------------------------------------------------------------------------------------------
 
 TEST_P(Defects, SubscribingAgainDoesNotKeepTheFirstPrescale) {
@@ -353,6 +389,35 @@ TEST_P(Defects, AChangeToThePresentModeIsAnswered) {
   EXPECT_EQ(system.instance("mover").mode(), "drive");
 }
 
+/// Its calls race with those of others, from the moment when it is made.
+class DefectsOfAStart : public testing::TestWithParam<Transport> {
+ protected:
+  ServedHost host{GetParam()};
+  TestConsole console{host};
+};
+
+TEST_P(DefectsOfAStart, AModeThatAComponentAndAMasterAskForAtOnceIsAnsweredToBoth) {
+  control::Change to_active;
+  to_active.mutable_state()->set_instance("starter");
+  to_active.mutable_state()->set_mode("active");
+  for (int i = 0; i < 10; ++i) {
+    for (const std::string mode : {"neutral", "active"}) {
+      control::Change load = TestConsole::load_of("starter", host.place());
+      load.mutable_load()->set_mode(mode);
+      load.mutable_load()->add_rights("master");
+      console.begin(load);
+      console.begin(to_active);
+      console.begin(to_active);
+      for (int answer = 0; answer < 3; ++answer) EXPECT_TRUE(console.receive().has_done());
+      const std::string ended =
+          std::string("init not_active, ") + (mode == "neutral" ? "neutral not_active, " : "") + "active ok";
+      console.eventually("each of its calls has ended", [&] { return console.read("starter.ended") == ended; });
+      EXPECT_EQ(console.instance("starter").mode(), "active");
+      console.unload("starter");
+    }
+  }
+}
+
 /// What the component itself sees is what is shown to others.
 TEST_P(Defects, TheModeThatIsShownIsNotTheOneThatIsStillWaitedFor) {
   system.load_client("mover", "mover");
@@ -398,6 +463,19 @@ TEST_P(Defects, ATaskThatReadsTheNewestValueWhileItIsPutNeverGoesBack) {
   });
 }
 
+/// Nor is any part of it of another one: each field carries the same number, and a second look finds it as it was.
+TEST_P(Defects, AValueThatATaskReadsWhileItIsPutIsWhole) {
+  system.load_client("inspector", "inspector");
+  system.load_provider("stamper", "stamper", "period_ms=0.1");
+  for (const std::string port : {"each", "newest", "slot", "updates"}) {
+    system.wire("inspector." + port, "stamper.samples");
+  }
+  system.eventually("many are read", [&] { return system.read("inspector.slot_seen").value() >= 300; });
+  EXPECT_FALSE(system.read("inspector.torn").has_value) << system.read("inspector.torn").value();
+  system.set("stamper", "value=1");
+  system.eventually("one that is not whole would be seen", [&] { return system.read("inspector.torn").value() > 0; });
+}
+
 /// No wait ends, and no task starts, but by what it waits for: others are woken all the while.
 TEST_P(Defects, AWaitThatIsWokenByNothingThatItWaitsForGoesOn) {
   load_caller();
@@ -418,6 +496,47 @@ TEST_P(Defects, AWaitThatIsWokenByNothingThatItWaitsForGoesOn) {
   const auto ended = system.wait_for(outcomes, [](const auto&) { return true; });
   EXPECT_EQ(ended.number(), waits);
   EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Ok);
+}
+
+/// Whatever holds the activity that a change leaves, and whatever comes for it meanwhile.
+TEST_P(Defects, WhoComesForAnActivityThatAChangeWaitsForDoesNotBecomeItsHolder) {
+  Holders holders(system);
+  unsigned answered = 0;
+  for (const auto& holder : Holders::kinds()) {
+    SCOPED_TRACE(holder.name);
+    std::map<std::string, std::uint64_t> not_active;
+    for (const auto& kind : Holders::kinds()) {
+      if (!kind.queue.empty()) not_active[kind.queue] = system.port("holder." + kind.queue).not_active();
+    }
+    holders.begin(holder);
+    holders.wait_until_held({holder.name});
+    const auto change = holders.begin_to_rest();
+    holders.wait_until_blocked(*change, holder);
+    const auto begun = holders.begun();
+    for (const auto& kind : Holders::kinds()) {
+      if (kind.name == holder.name) continue;
+      holders.begin(kind);
+      if (kind.queue.empty()) continue;
+      system.eventually(kind.name + " has come",
+                        [&] { return system.port("holder." + kind.queue).not_active() > not_active[kind.queue]; });
+    }
+    holders.wait_until_blocked(*change, holder);
+    EXPECT_EQ(holders.held(), holder.name);
+    holders.open(holder);
+    holders.wait_until_it_rests(*change);
+    EXPECT_EQ(holders.begun(), begun) << "nothing else has begun";
+    if (holder.name != "trigger") {
+      system.eventually("the call ends", [&] { return holders.turn().ended.load(); });
+      EXPECT_EQ(holders.turn().reply.called().outcome(), "not_active");
+    }
+    const std::string ended = std::to_string(++answered) + (holder.name == "query" ? " ok" : " not_active");
+    system.eventually("the question ends", [&] { return system.read("prompter.answered").payload() == ended; });
+    for (const auto& kind : Holders::kinds()) {
+      if (kind.queue.empty()) holders.open(kind);  // those that wanted to
+    }
+    system.state("holder", "work");
+    EXPECT_EQ(holders.held(), "");
+  }
 }
 
 TEST_P(Defects, SeveralMessagesWhileAHandlerIsBusyDoNotBecomeOne) {
@@ -499,6 +618,7 @@ TEST_P(DefectsOfTheKilled, AClientThatVanishesDoesNotStayAmongTheSubscribersNorF
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Defects);
+FIONA_OVER_EVERY_TRANSPORT(DefectsOfAStart);
 FIONA_OVER(DefectsOfTheDeaf, Transport::Ipc, Transport::Tcp);
 FIONA_OVER(DefectsOfTheKilled, Transport::Ipc, Transport::Tcp);
 

@@ -9,6 +9,9 @@
 #include <iostream>
 #include <map>
 #include <memory>
+#include <set>
+#include <string>
+#include <vector>
 
 #include "cable.hpp"
 #include "campaign.hpp"
@@ -154,27 +157,57 @@ class LostProvider : public testing::TestWithParam<Place> {
   void begin_wait(const std::string& call, const std::string& parameters = "") {
     waits[begin(call, parameters)] = call;
   }
+  /// The same calls from the threads of other components, each named after its call.
+  void load_threads() {
+    for (const std::string call : {"wait_update", "query", "event", "send_acknowledged"}) {
+      system().load_in("", "thread-caller", call, "deadline_ms=100000 manner=never every=0");
+      threads[call] = system().watch(call + ".outcome");
+      system().wire(call + ".samples", "quiet.newest");
+      system().wire(call + ".echo", "answerer.echo");
+      system().wire(call + ".bell", "ringer.bell");
+      system().wire(call + ".orders", "sink.orders");
+    }
+    system().set("event", "call=activate go=1");
+    system().wait_for(threads["event"],
+                      [](const auto& one) { return one.value() == static_cast<double>(Outcome::Ok); });
+  }
+  /// Returns once it waits.
+  void begin_in_thread(const std::string& call, const std::string& parameters = "") {
+    constexpr int kGo = 2;
+    system().set(call, "call=" + call + " go=" + std::to_string(kGo) + " " + parameters);
+    system().eventually("it has begun", [&] { return system().read(call + ".begun").value() == kGo; });
+    threads_that_wait.insert(call);
+  }
   void expect_all_wait() {
     for (const auto& one : system().take(outcomes)) ADD_FAILURE() << waits[static_cast<unsigned>(one.number())];
+    for (const auto& call : threads_that_wait) EXPECT_TRUE(system().take(threads[call]).empty()) << call;
   }
   /// All that wait do so, no later than this after `since_ns`, or by what these and the host here are excused.
   void expect_disconnected(std::int64_t since_ns, double bound_ms, std::vector<pid_t> excused = {}) {
     if (GetParam() != Place::Main) excused.push_back(::getpid());
     std::map<unsigned, Outcome> ended;
+    std::map<std::string, std::vector<Outcome>> ended_in_thread;
     const auto before = waited(excused);
     std::chrono::nanoseconds excuse{0};
     system().eventually("all have ended", [&] {
       excuse = std::max(excuse, waited(excused) - before);  // less, where one has gone
       for (const auto& one : system().take(outcomes))
         ended[static_cast<unsigned>(one.number())] = static_cast<Outcome>(static_cast<int>(one.value()));
-      return ended.size() == waits.size();
+      for (const auto& call : threads_that_wait) {
+        for (const auto& one : system().take(threads[call]))
+          ended_in_thread[call].push_back(static_cast<Outcome>(static_cast<int>(one.value())));
+      }
+      return ended.size() == waits.size() && ended_in_thread.size() == threads_that_wait.size();
     });
     const double took_ms = static_cast<double>(now_ns() - since_ns) / 1e6;
     for (const auto& [number, call] : waits) EXPECT_EQ(ended[number], Outcome::Disconnected) << call;
+    for (const auto& call : threads_that_wait)
+      EXPECT_EQ(ended_in_thread[call], std::vector<Outcome>{Outcome::Disconnected}) << call;
     const double excuse_ms = static_cast<double>(excuse.count()) / 1e6;
     EXPECT_LE(took_ms, allowed(bound_ms, false) + pulse.longest_ms() + excuse_ms);
     std::cout << "told after " << took_ms << " ms (bound " << bound_ms << " ms)\n";
     waits.clear();
+    threads_that_wait.clear();
   }
   void expect_latest_disconnected() {
     if (GetParam() == Place::GroupOfOtherHost) return;  // that host has started it again, and it has put anew
@@ -188,6 +221,8 @@ class LostProvider : public testing::TestWithParam<Place> {
   std::uint64_t outcomes = 0;
   unsigned go = 0;
   std::map<unsigned, std::string> waits;
+  std::map<std::string, std::uint64_t> threads;  ///< watches of their outcomes, by their calls
+  std::set<std::string> threads_that_wait;
 };
 
 // ---- its process is killed, or stands still -------------------------------------------------------------------
@@ -220,6 +255,29 @@ TEST_P(StoppedProvider, EndsEachCallThatWaitsDisconnectedInTime) {
   expect_all_wait();
   expect_disconnected(since_ns, GetParam() == Place::OtherHost ? kSilent_ms : kStops_ms);
   expect_latest_disconnected();
+}
+
+TEST_P(KilledProvider, EndsEachCallOfAThreadThatWaitsDisconnectedInTimeAndOnce) {
+  load_threads();
+  for (const std::string call : {"wait_update", "query", "event"}) begin_in_thread(call);
+  const auto all = processes();
+  stop_all(all);  // or it would acknowledge
+  begin_in_thread("send_acknowledged");
+  expect_all_wait();
+  const std::int64_t since_ns = now_ns();
+  send_all(all, SIGKILL);
+  expect_disconnected(since_ns, GetParam() == Place::OtherHost ? kSilent_ms : kDies_ms);
+}
+
+TEST_P(StoppedProvider, EndsEachCallOfAThreadThatWaitsDisconnectedInTimeAndOnce) {
+  load_threads();
+  for (const std::string call : {"wait_update", "query", "event"}) begin_in_thread(call);
+  const auto all = processes();
+  const std::int64_t since_ns = now_ns();
+  stop_all(all);
+  begin_in_thread("send_acknowledged");
+  expect_all_wait();
+  expect_disconnected(since_ns, GetParam() == Place::OtherHost ? kSilent_ms : kStops_ms);
 }
 
 FIONA_OVER_PLACES(KilledProvider, Place::Group, Place::OtherHost, Place::GroupOfOtherHost);
@@ -263,6 +321,24 @@ TEST_P(HungProvider, EndsEachCallThatWaitsDisconnectedInTime) {
   expect_latest_disconnected();
   hang("answerer", [&] { begin_wait("query", "manner=stick"); });
   begin_wait("event");
+  hang("ringer", [&] { system().set("ringer", "hang_ms=6000"); });
+}
+
+TEST_P(HungProvider, EndsEachCallOfAThreadThatWaitsDisconnectedInTimeAndOnce) {
+  const auto all = processes();
+  load_threads();
+  const auto hang = [&](const std::string& name, const std::function<void()>& begin_hang) {
+    const std::int64_t since_ns = now_ns();
+    begin_hang();
+    expect_all_wait();
+    expect_disconnected(since_ns, kSticks_ms, all);
+    expect_hung(name, since_ns);
+  };
+  begin_in_thread("wait_update");
+  system().set("quiet", "hang_ms=6000");
+  hang("quiet", [&] { system().state("quiet", "active"); });
+  hang("answerer", [&] { begin_in_thread("query", "manner=stick"); });
+  begin_in_thread("event");
   hang("ringer", [&] { system().set("ringer", "hang_ms=6000"); });
 }
 

@@ -4,10 +4,15 @@
 
 #include <csignal>
 #include <future>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "fiona/error.hpp"
 #include "fiona/hull_probes.hpp"
 #include "samples.hpp"
+#include "served_host.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -221,7 +226,7 @@ TEST_P(Monitoring, DetachEndsIt) {
   EXPECT_TRUE(system.take(watch).empty());
 }
 
-TEST_P(Monitoring, AttachingNeverDisturbsTheComponent) {
+TEST_P(Monitoring, EachOfSeveralWatchersGetsAllAndAConditionThatDoesNotFitEndsItsOwnWatchAlone) {
   std::vector<std::uint64_t> watches;
   for (int i = 0; i < 4; ++i) watches.push_back(system.watch("gauge.count"));
   const auto fails = system.watch("gauge.report", when(control::GREATER, 3, "payload"));
@@ -233,6 +238,116 @@ TEST_P(Monitoring, AttachingNeverDisturbsTheComponent) {
   }
   EXPECT_THAT(system.end_of(fails).what(), HasSubstr("'payload' does not compare with this value"));
 }
+
+/// Its strand runs nothing for it: the time that it has spent is the same to the nanosecond, however many come and go.
+TEST_P(Monitoring, AttachingReadingAndDetachingGivesTheStrandNothingToDo) {
+  const auto spent_ms = [&] { return system.instance("gauge").handler_ms(); };
+  double before_ms = -1;
+  int same = 0;  // looks in a row: a piece of work is counted a moment after it has ended
+  system.eventually("it is at rest", [&] {
+    const double now_ms = spent_ms();
+    same = now_ms == std::exchange(before_ms, now_ms) ? same + 1 : 0;
+    return same == 20;
+  });
+  const std::vector<std::string> probes{"level", "count",      "open",         "word",     "report",     "silent",
+                                        "mode",  "last_error", "handler_time", "cpu_time", "queue_depth"};
+  control::Watch often;
+  often.set_min_period_ms(1);
+  std::vector<std::uint64_t> attached;
+  for (std::size_t i = 0; i < 400; ++i) {
+    const std::string probe = "gauge." + probes[i % probes.size()];
+    attached.push_back(i % 2 == 0 ? system.watch(probe) : system.watch(probe, often));
+    if (system.read(probe).has_value) next(attached.back());
+    if (attached.size() < 10) continue;
+    system.system().untap(attached.front());
+    attached.erase(attached.begin());
+  }
+  for (const std::uint64_t one : attached) system.system().untap(one);
+  EXPECT_EQ(spent_ms(), before_ms);
+  level(2);
+  system.eventually("what it does is seen there", [&] { return spent_ms() > before_ms; });
+}
+
+/// What a stream brings to a component, while consoles attach to both of its ends and detach again, and one does not
+/// read.
+class MonitoringOfAStream : public testing::TestWithParam<Transport> {
+ protected:
+  void SetUp() override {
+    control::Change source = TestConsole::load_of("source", "main", "source", "period_ms=1");
+    source.mutable_load()->set_mode("neutral");
+    console.change(source);
+    console.load("source", host.place(), "noise", "period_ms=1 payload=100000");
+    console.load("listener", host.place(), "listener");
+    console.change(TestConsole::wire_of("listener.samples", "source.newest"));
+  }
+  static std::uint64_t attach(TestConsole& by, const std::string& name) {
+    auto request = by.request();
+    *request.mutable_watch()->mutable_port() = port_name(name);
+    by.send(request);
+    return request.id();
+  }
+  /// Returns how many values have come of it.
+  static int detach(TestConsole& by, std::uint64_t watch) {
+    auto request = by.request();
+    request.mutable_unwatch()->set_watch(watch);
+    by.send(request);
+    int values = 0;
+    for (auto reply = by.receive(); reply.id() != request.id(); reply = by.receive())
+      values += reply.has_sample() ? 1 : 0;
+    return values;
+  }
+  control::PortStatus port(const std::string& name) {
+    const auto wanted = port_name(name);
+    const auto owner = console.instance(wanted.instance());
+    for (const auto& one : owner.ports()) {
+      if (one.name() == wanted.port()) return one;
+    }
+    throw std::runtime_error("no port " + name);
+  }
+  /// A probe of a whole number; -1: it has no value.
+  std::int64_t number(const std::string& name) {
+    auto look = console.request();
+    *look.mutable_read()->mutable_probe() = port_name(name);
+    const auto reply = console.ask(look);
+    probe::Integer value;
+    value.ParseFromString(reply.sample().object());
+    return reply.sample().type().empty() ? -1 : value.value();
+  }
+
+  ServedHost host{GetParam()};
+  TestConsole console{host};
+};
+
+TEST_P(MonitoringOfAStream, LosesDoublesAndReordersNothingHoweverOftenOneAttachesAndThoughOneDoesNotRead) {
+  const std::vector<std::string> names{"source.newest",      "listener.samples",      "listener.samples_heard",
+                                       "listener.mode",      "listener.samples.rate", "listener.queue_depth",
+                                       "source.subscribers", "listener.step"};
+  TestConsole deaf(host);
+  for (const std::string name : {"noise.newest", "source.newest", "listener.samples", "listener.samples_heard"})
+    attach(deaf, name);
+  console.state("source", "active");
+  TestConsole guest(host);
+  int values = 0;
+  for (std::size_t i = 0; i < 400; ++i) {
+    const auto first = attach(guest, names[i % names.size()]);
+    const auto second = attach(guest, names[(i + 3) % names.size()]);
+    values += detach(guest, first) + detach(guest, second);
+  }
+  EXPECT_GT(values, 100);
+  console.eventually("the stream has gone on", [&] { return port("source.newest").messages() > 500; });
+  console.state("source", "neutral");
+  const auto put = port("source.newest").messages();
+  console.eventually("all are heard", [&] { return port("listener.samples").messages() >= put; });
+  EXPECT_EQ(number("listener.samples_heard"), static_cast<std::int64_t>(put)) << "the handler ran once for each";
+  EXPECT_EQ(console.read("listener.disorder"), "");
+  EXPECT_EQ(number("listener.step"), 1) << "from each to the next";
+  EXPECT_EQ(number("listener.overlaps"), -1);
+  for (const std::string end : {"source.newest", "listener.samples"}) {
+    EXPECT_EQ(port(end).dropped() + port(end).superseded() + port(end).refused() + port(end).not_active(), 0U) << end;
+  }
+}
+
+FIONA_OVER_EVERY_TRANSPORT(MonitoringOfAStream);
 
 TEST_P(Monitoring, EventIsNeverDroppedSilently) {
   const auto watch = system.watch("gauge.count", when_it_changes());

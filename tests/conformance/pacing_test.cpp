@@ -69,6 +69,98 @@ TEST_P(Pacing, PutThatDoesNotWaitLosesTheOldestAndCountsThem) {
   system.eventually("lost", [&] { return system.port("sipper.samples").dropped() > 0; });
 }
 
+// What goes when there is no room: of each push the oldest, or with a put that waits nothing; of events the newest in
+// front of a handler, and the oldest where nobody has waited for them.
+class FullPorts : public Pacing {
+ protected:
+  void load_events(const std::string& port, const std::string& parameters) {
+    system.load_client("caller", "caller", "deadline_ms=30000 payload=" + std::to_string(kPayload) + " " + parameters);
+    system.load_provider("prompter", "prompter");
+    system.wire("caller." + port, "prompter.bell");
+    outcomes = system.watch("caller.outcome");
+    const std::string call = port == "bell" ? "activate" : "activate_handled";
+    ASSERT_EQ(static_cast<Outcome>(end_of(call).value()), Outcome::Ok);
+  }
+  SeenSample end_of(const std::string& call) {
+    system.set("caller", "call=" + call + " go=" + std::to_string(++go));
+    return system.wait_for(outcomes, [this](const auto& one) { return one.number() == go; });
+  }
+  std::uint64_t outcomes = 0;
+  std::uint64_t go = 0;
+};
+
+TEST_P(FullPorts, OfEachPushLoseTheOldestAndKeepTheNewest) {
+  system.load_client("sink", "sink", "work_ms=500");
+  system.load_provider("source", "source",
+                       "neutral period_ms=1 count=" + std::to_string(kCount) + " payload=" + std::to_string(kPayload));
+  const auto reports = system.watch("sink.report");
+  system.wire("sink.each", "source.newest");
+  system.state("source", "active");
+  system.eventually("all put", [&] { return system.port("source.newest").messages() == kCount; });
+  system.set("sink", "work_ms=0");
+  double sum = 0;
+  double newest = 0;  // the number of the newest that the handler has had
+  std::uint64_t handled = 0;
+  system.eventually("the newest is handled", [&] {
+    for (const auto& one : system.take(reports)) {
+      newest = one.value() - std::exchange(sum, one.value());
+      handled = one.number();
+    }
+    return newest == kCount;
+  });
+  const auto dropped = [&] { return system.port("sink.each").dropped(); };
+  EXPECT_GT(dropped(), 0U);
+  system.eventually("the others are counted", [&] { return dropped() + handled == kCount; });
+}
+
+TEST_P(FullPorts, OfAPushThatWaitsForRoomLoseNothing) {
+  load_pourer("");
+  system.load_client("sipper", "sipper", "sip_ms=60000");
+  system.wire("sipper.samples", "pourer.samples");
+  system.wire("sipper.never", "pourer.never");
+  system.state("pourer", "active");
+  std::uint64_t before = 0;
+  system.eventually("it waits", [&] {
+    const auto now = system.port("pourer.samples").messages();
+    return now == std::exchange(before, now) && now > 0 && system.read("pourer.waits").value() == 1;
+  });
+  EXPECT_LE(before, kFit);
+  EXPECT_EQ(system.port("sipper.samples").dropped() + system.port("pourer.samples").dropped(), 0U);
+}
+
+TEST_P(FullPorts, OfEventsWithAHandlerRefuseTheNewestAndKeepTheOldest) {
+  load_events("handled_bell", "ring_ms=500");
+  const auto rings = system.watch("caller.rings");
+  for (int i = 0; i < kCount; ++i) {
+    ASSERT_EQ(system.call("prompter.prompt", "manner=event").outcome(), "ok");
+    system.eventually("the first is handled", [&] { return system.port("caller.handled_bell").messages() > 0; });
+  }
+  system.eventually("some are refused", [&] { return system.port("caller.handled_bell").dropped() > 0; });
+  system.set("caller", "ring_ms=0");
+  std::vector<double> states;
+  system.eventually("those that found room are handled", [&] {
+    for (const auto& one : system.take(rings)) states.push_back(one.value());
+    return states.size() >= kFit;
+  });
+  for (std::size_t i = 0; i < kFit; ++i) EXPECT_EQ(states[i], static_cast<double>(i + 1));
+}
+
+TEST_P(FullPorts, OfEventsWithoutAHandlerLoseTheOldestAndKeepTheNewest) {
+  constexpr std::uint64_t kEvents = 24;
+  load_events("bell", "");
+  for (std::uint64_t i = 1; i <= kEvents; ++i) {
+    ASSERT_EQ(system.call("prompter.prompt", "manner=event").outcome(), "ok");
+    system.eventually("it has come", [&] { return system.port("caller.bell").messages() == i; });
+  }
+  EXPECT_EQ(system.port("prompter.bell").dropped(), 0U) << "none was refused";
+  constexpr std::uint64_t kKept = kFit - 1;
+  EXPECT_EQ(system.port("caller.bell").dropped(), kEvents - kKept);
+  for (std::uint64_t i = kEvents - kKept + 1; i <= kEvents; ++i) {
+    const auto number = std::to_string(i);
+    EXPECT_EQ(end_of("event").payload(), number + " of " + number);
+  }
+}
+
 TEST_P(Pacing, PutWithoutRoomInTimeEndsWithTimeoutAndIsNotPut) {
   load_pourer(" deadline_ms=50");
   load_stuck();
@@ -189,6 +281,7 @@ TEST_P(Pacing, PutOfAMessageLargerThanAllRoomWaitsUntilNothingElseIsThere) {
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Pacing);
+FIONA_OVER_EVERY_TRANSPORT(FullPorts);
 FIONA_OVER(PacingOfTheKilled, Transport::Ipc, Transport::Tcp);
 
 }  // namespace

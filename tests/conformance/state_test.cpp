@@ -4,6 +4,7 @@
 #include <signal.h>
 
 #include "fiona/error.hpp"
+#include "holders.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -183,6 +184,32 @@ TEST_P(State, ChangeThatTheFirstOfTwoHoldersLetsGoIsBlockedByTheOther) {
   EXPECT_FALSE(turn->ended);
   open_gate();
   expect_parked(*change);
+}
+
+class StateOfHolders : public OverTransports {};
+
+/// Whatever holds it, and whichever of the two ends first.
+TEST_P(StateOfHolders, ChangeWaitsForBothOfEachPair) {
+  Holders holders(system);
+  for (const auto& first : Holders::kinds()) {
+    for (const auto& second : Holders::kinds()) {
+      if (first.name == second.name) continue;
+      SCOPED_TRACE(first.name + ", then " + second.name);
+      holders.begin(first);
+      holders.wait_until_held({first.name});
+      holders.begin(second);
+      holders.wait_until_held({first.name, second.name});
+      const auto change = holders.begin_to_rest();
+      // A free running task holds the activity since its mode was entered.
+      holders.wait_until_blocked(*change, second.name == "thread" ? second : first);
+      holders.open(first);
+      holders.wait_until_blocked(*change, second);
+      EXPECT_EQ(holders.held(), second.name);
+      holders.open(second);
+      holders.wait_until_it_rests(*change);
+      system.state("holder", "work");
+    }
+  }
 }
 
 TEST_P(State, RequestsQueueInOrderAndEachIsAnswered) {
@@ -447,6 +474,7 @@ TEST_P(Triggers, SendPortIsCalledByHand) {
 FIONA_OVER_EVERY_TRANSPORT(Triggers);
 
 FIONA_OVER_EVERY_TRANSPORT(State);
+FIONA_OVER_EVERY_TRANSPORT(StateOfHolders);
 FIONA_OVER(StateOfAStart, Transport::Process, Transport::Ipc);
 FIONA_OVER(StateOfTheKilled, Transport::Ipc, Transport::Tcp);
 

@@ -209,7 +209,16 @@ SeenSample RunningSystem::seen(const wire::Tapped& tapped) {
 void RunningSystem::keep(const wire::GroupMessage& event) {
   const std::lock_guard lock(mutex_);
   if (event.has_tap_ended()) ended_[event.tap_ended().tap()] = event.tap_ended().failure();
+  if (event.has_logged()) log_.emplace_back(event.logged().instance(), event.logged().text());
   if (event.has_tapped()) seen_[event.tapped().tap()].push_back(seen(event.tapped()));
+}
+
+std::string RunningSystem::logged(const std::string& name, const std::string& begin) {
+  const std::lock_guard lock(mutex_);
+  for (auto line = log_.rbegin(); line != log_.rend(); ++line) {
+    if (line->first == name && line->second.starts_with(begin)) return line->second;
+  }
+  return "";
 }
 
 SeenSample RunningSystem::read(const std::string& name) { return seen(system_.read(port_name(name))); }

@@ -11,6 +11,7 @@
 #include <mutex>
 #include <ostream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "../temporary_directory.hpp"
@@ -135,6 +136,8 @@ class RunningSystem {
   /// The same; the answer comes later.
   std::shared_ptr<LaterAnswer> begin_call(const std::string& target, const std::string& arguments, double within_ms);
   void unload(const std::string& instance);
+  /// The newest line of the log that an instance has written and that begins so; empty: there is none.
+  std::string logged(const std::string& instance, const std::string& begin);
   host::System& system() { return system_; }
   /// Where its processes listen.
   const std::filesystem::path& directory() const { return directory_.path; }
@@ -186,7 +189,8 @@ class RunningSystem {
   std::map<std::uint64_t, std::vector<SeenSample>> seen_;
   std::map<std::uint64_t, std::size_t> passed_;
   std::map<std::uint64_t, control::Failure> ended_;
-  host::System system_;  ///< last: its threads use the rest until it has ended
+  std::vector<std::pair<std::string, std::string>> log_;  ///< who, and what
+  host::System system_;                                   ///< last: its threads use the rest until it has ended
 };
 
 /// From now on the groups of all systems that run over ipc are copies of one process, which ends with this one: to

@@ -63,12 +63,15 @@ class Control:
     def call(self, **what):
         """Makes a request and returns its reply; raises Refused with the failure's sentence."""
         self.asked += 1
-        request = control_pb2.Request(id=self.asked, author="wire client", **what).SerializeToString()
-        self.socket.sendall(struct.pack("<I", len(request)) + request)
+        self.send(self.asked, **what)
         reply = self.reply_to(self.asked)
         if reply.HasField("failure"):
             raise Refused(reply.failure.what)
         return reply
+
+    def send(self, number, **what):
+        request = control_pb2.Request(id=number, author="wire client", **what).SerializeToString()
+        self.socket.sendall(struct.pack("<I", len(request)) + request)
 
     def reply_to(self, asked):
         while not self.others[asked]:

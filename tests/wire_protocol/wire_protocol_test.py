@@ -4,61 +4,17 @@
     wire_protocol_test.py BIN_DIR COMPONENTS_LIBRARY [TEST...]
 """
 import os
-import resource
-import shutil
-import signal
-import struct
-import subprocess
-import sys
-import tempfile
 import time
 import unittest
 
 from fiona import control_pb2, wire_pb2
 from fiona.test import test_pb2
 
+import real_host
 import wire_client
-from wire_client import Control, Link, Refused
+from real_host import BELL, ECHO, LAST, LEASED, NEWEST, NOT_ACTIVE, OK, ORDER, REJECTED, TIMED, WireProtocolCase
 
 SPECIFICATION = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../../docs/wire-protocol.md")
-BINARIES = ""
-LIBRARY = ""
-OK, DISCONNECTED, NOT_ACTIVE, REJECTED = 0, 4, 6, 8
-NEWEST, LAST, LEASED, ECHO, ORDER, BELL = ("fiona.test." + name for name in (
-    "SampleNewest", "SampleLast", "SampleLeased", "Echo", "Order", "Bell"))
-
-
-class Host:
-    """A real one, in a directory of its own."""
-
-    def __init__(self, descriptors=None):
-        self.directory = tempfile.mkdtemp(prefix="fiona-wire-")
-        os.mkdir(self.directory + "/fiona", 0o700)
-        self.socket = self.directory + "/fiona/far.sock"
-        ready, theirs = os.pipe()
-        self.process = subprocess.Popen(
-            [BINARIES + "/fiona-host", "--name", "far", "--socket", self.socket, "--store", self.directory + "/store",
-             "--threads", "2", "--ready-fd", str(theirs)], pass_fds=[theirs],
-            preexec_fn=descriptors and (lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (descriptors, descriptors))))
-        os.close(theirs)
-        with os.fdopen(ready) as said:
-            if not said.read().startswith("READY"):
-                raise RuntimeError("the host did not start")
-
-    def console(self, line):
-        environment = dict(os.environ, XDG_RUNTIME_DIR=self.directory, FIONA_STORE=self.directory + "/store", LC_ALL="C.UTF-8")
-        return subprocess.run([BINARIES + "/fiona", "--host", "far", line], env=environment, capture_output=True,
-                              text=True, timeout=60, check=True).stdout
-
-    def close(self, control):
-        try:
-            control.call(quit=control_pb2.Quit())
-            control.close()
-            return self.process.wait(timeout=60)
-        finally:
-            self.process.kill()
-            self.process.wait()
-            shutil.rmtree(self.directory, ignore_errors=True)
 
 
 class Specification(unittest.TestCase):
@@ -72,94 +28,6 @@ class Specification(unittest.TestCase):
                         wire_client.keyed_hash(key, b"client", *nonces).hex()):
             self.assertIn(example, text)
         self.assertIn(wire_client.record(frame, b"\x08\x01").hex(), text.replace(" ", ""))
-
-
-class WireProtocolCase(unittest.TestCase):
-    descriptors = None  # at most, of the host
-
-    def setUp(self):
-        self.host = Host(self.descriptors)
-        self.addCleanup(self.stop)
-        self.control, self.observer = (Control(self.host.socket) for _ in range(2))
-        self.links = []
-
-    def stop(self):
-        for link in self.links:
-            link.close()
-        self.control.close()
-        self.assertEqual(self.host.close(self.observer), 0)
-
-    # ---- what the tests are made of
-
-    def load(self, component, name, group="main", **parameters):
-        load = control_pb2.Load(plugin=LIBRARY + "/" + component, instance=name, group=group)
-        for key, value in parameters.items():
-            load.parameters.add(name=key, value=self.value(value))
-        self.change(load=load)
-
-    @staticmethod
-    def value(of):
-        kind = "flag" if isinstance(of, bool) else "integer" if isinstance(of, int) else "number" if isinstance(of, float) else "text"
-        return control_pb2.Value(**{kind: of})
-
-    def change(self, **what):
-        self.control.call(transact=control_pb2.Transact(changes=[control_pb2.Change(**what)]))
-
-    def link(self, granted, **more):
-        self.links.append(Link(granted, **more))
-        return self.links[-1]
-
-    def attach(self, provider, service, client="viewer", **more):
-        """A wire on a link of its own, opened: (link, wire, from sequence)."""
-        granted = self.control.attach(provider, client, service, **more)
-        link = self.link(granted)
-        return link, granted.wire, link.open(granted)
-
-    def snapshot(self):
-        return self.observer.call(snapshot=control_pb2.Snapshot()).system
-
-    def port(self, name):
-        instance, port = name.split(".")
-        found = next(one for one in self.snapshot().instances if one.name == instance)
-        return next(one for one in found.ports if one.name == port)
-
-    def status(self, group="main"):
-        return next(one for one in self.snapshot().groups if one.name == group)
-
-    def eventually(self, fits, why):
-        end = time.monotonic() + wire_client.PATIENCE_S
-        while time.monotonic() < end:
-            if fits():
-                return
-        self.fail(why)
-
-    def next_object(self, link, wire):
-        """The next object of a push: (sequence, sample, messages that were lost right before it)."""
-        lost = 0
-        while True:
-            frame, data = link.next(wire)
-            lost += frame.lost.messages
-            if frame.HasField("object"):
-                return frame.object.sequence, test_pb2.Sample.FromString(data), lost
-
-    def ask(self, link, wire, number, **question):
-        frame = wire_pb2.Frame(wire=wire, request=wire_pb2.Request(id=number))
-        link.send(frame, test_pb2.Question(number=number, **question).SerializeToString())
-
-    def answer(self, link, wire):
-        frame, data = link.next(wire)
-        self.assertEqual(frame.WhichOneof("what"), "answer")
-        return frame.answer, data
-
-    def fill(self, count):
-        """A sink that works, with more orders sent than its queue holds: (link, wire, the sink's report, its wire)."""
-        self.load("sink", "sink", "far", order_ms=20.0)
-        link, wire, _ = self.attach("sink.orders", ORDER)
-        seen, report, _ = self.attach("sink.report", LAST, client="witness")
-        for number in range(1, count + 1):
-            frame = wire_pb2.Frame(wire=wire, object=wire_pb2.Object(sequence=number))
-            link.send(frame, test_pb2.Sample(number=number, payload=bytes(100_000)).SerializeToString())
-        return link, wire, seen, report
 
 
 class WireProtocol(WireProtocolCase):
@@ -200,8 +68,7 @@ class WireProtocol(WireProtocolCase):
     def test_a_client_is_told_when_a_provider_has_been_silent_for_longer_than_its_lease(self):
         self.load("source", "src", period_ms=1.0, count=3)
         link, wire, _ = self.attach("src.leased", LEASED)
-        while not (frame := link.next(wire)[0]).HasField("lease"):
-            pass
+        frame, _ = self.next_of(link, wire, "lease")
         self.assertFalse(frame.lease.held)
         self.assertEqual(frame.lease.reason, "has been silent for 100 ms")
 
@@ -246,12 +113,9 @@ class WireProtocol(WireProtocolCase):
         link = self.link(granted)
         link.open(granted, each=True)
         other, others, _ = self.attach("pourer.samples", NEWEST, client="other")  # which does not say that it answers
-        count = control_pb2.Set(instance="pourer")
-        count.parameters.add(name="count", value=self.value(7))
-        count.parameters.add(name="payload", value=self.value(1000))
-        self.change(set=count)
+        self.set("pourer", count=7, payload=1000)
         for mode in ("neutral", "active"):
-            self.change(state=control_pb2.State(instance="pourer", mode=mode))
+            self.state("pourer", mode)
         come, cost = 0, 0
         for room in (1, 3, 3):  # messages
             frame, _ = link.next(granted.wire)
@@ -267,6 +131,72 @@ class WireProtocol(WireProtocolCase):
                 self.assertEqual((frame.object.sequence, len(data) + 256), (come, cost))
         for sequence in range(1, come + 1):
             self.assertEqual(other.next(others)[0].object.sequence, sequence)
+
+    def test_a_push_timed_tells_how_often_it_produces(self):
+        self.load("source", "src")
+        granted = self.control.attach("src.timed", "viewer", TIMED)
+        link = self.link(granted)
+        link.send(wire_pb2.Frame(wire=granted.wire, open=wire_pb2.Open(version=1, token=granted.token)))
+        self.assertEqual(link.next(granted.wire)[0].opened.cycle_ns, 20_000_000)
+
+    def test_a_push_is_stamped_with_unix_time(self):
+        self.load("source", "src", period_ms=1.0)
+        link, wire, _ = self.attach("src.newest", NEWEST)
+        origins = [link.next(wire)[0].object.origin_ns for _ in range(20)]
+        self.assertEqual(origins, sorted(origins))
+        self.assertLess(abs(origins[0] - time.time_ns()), 3600 * 10**9)  # which clocks may be set by meanwhile
+
+    def test_the_last_value_takes_part_in_the_prescale(self):
+        self.load("source", "src", period_ms=1.0, count=5)
+        self.eventually(lambda: self.port("src.last").messages == 5, "the source has not put five samples")
+        link, wire, start = self.attach("src.last", LAST, prescale=3)
+        self.set("src", count=0)
+        for mode in ("neutral", "active"):
+            self.state("src", mode)
+        self.assertEqual([start, *(self.next_object(link, wire)[0] for _ in range(3))], [5, 5, 8, 11])
+
+    def test_a_lost_message_stands_for_as_many_as_the_prescale_says(self):
+        self.load("source", "src", period_ms=0.2, payload=100_000)
+        granted = self.control.attach("src.newest", "viewer", NEWEST, prescale=3)
+        link = self.link(granted)
+        link.pays = False
+        last = link.open(granted) - 2  # the first one after it comes
+        self.eventually(lambda: self.port("src.newest").dropped > 0, "the provider never ran out of credit")
+        link.pays = True
+        lost_in_all = 0
+        for _ in range(3 * wire_client.WINDOW // 100_000):
+            sequence, _, lost = self.next_object(link, granted.wire)
+            self.assertEqual(sequence, last + 3 * (lost + 1))
+            last, lost_in_all = sequence, lost_in_all + lost
+        self.assertGreater(lost_in_all, 0)
+
+    def test_an_object_above_64_mib_is_a_step_that_nothing_tells(self):
+        self.load("source", "src", "far", period_ms=1.0, count=3)
+        self.eventually(lambda: self.port("src.newest").messages == 3, "the source has not put three samples")
+        link, wire, start = self.attach("src.newest", NEWEST)
+        self.assertEqual(start, 3)
+        for count, payload in ((4, wire_client.LARGEST + 1), (6, 0)):
+            self.set("src", count=count, payload=payload)
+            for mode in ("neutral", "active"):
+                self.state("src", mode)
+            self.eventually(lambda: self.port("src.bell").messages == count, "the source has not put them")  # its last port
+        self.assertEqual([self.next_object(link, wire)[0::2] for _ in range(2)], [(5, 0), (6, 0)])
+        self.assertEqual((self.port("src.newest").refused, self.status("far").links.too_large), (1, 1))
+
+    def test_a_silent_provider_speaks_again_and_one_that_is_not_active_says_so(self):
+        self.load("source", "src", period_ms=1.0, count=3)
+        link, wire, _ = self.attach("src.leased", LEASED)
+        self.assertFalse(self.next_of(link, wire, "lease")[0].lease.held)
+        late, other, start = self.attach("src.leased", LEASED, client="late")
+        self.assertEqual(late.next(other)[0].WhichOneof("what"), "lease")  # and no last value, though there is one
+        self.set("src", count=0)
+        for mode in ("neutral", "active"):
+            self.state("src", mode)
+        while not (frame := self.next_of(link, wire, "lease")[0]).lease.held:
+            self.assertIn(frame.lease.reason, ("is not active", "has been silent for 100 ms"))
+        self.assertEqual(self.next_object(link, wire)[0], start + 1)
+        self.state("src", "neutral")
+        self.assertEqual(self.next_of(link, wire, "lease")[0].lease.reason, "is not active")
 
     # ---- query, send, event
 
@@ -328,7 +258,7 @@ class WireProtocol(WireProtocolCase):
         link.send(wire_pb2.Frame(wire=wire, request=wire_pb2.Request(id=1)), b"\xff\xff")
         answer, _ = self.answer(link, wire)
         self.assertEqual((answer.outcome, answer.reason), (REJECTED, "the object does not parse"))
-        self.change(state=control_pb2.State(instance="oracle", mode="neutral"))
+        self.state("oracle", "neutral")
         self.ask(link, wire, 2)
         answer, _ = self.answer(link, wire)
         self.assertEqual((answer.outcome, answer.reason), (NOT_ACTIVE, "mode neutral"))
@@ -422,146 +352,66 @@ class WireProtocol(WireProtocolCase):
         with self.assertRaises(TimeoutError):
             link.receive(0.05)
 
-    # ---- who may speak
+    def ring(self, link, wire, number, continuous=True, **threshold):
+        frame = wire_pb2.Frame(wire=wire, request=wire_pb2.Request(id=number, continuous=continuous))
+        link.send(frame, test_pb2.Threshold(**threshold).SerializeToString())
 
-    def test_a_wrong_key_is_noticed_by_the_client_and_a_wrong_proof_by_the_provider(self):
-        self.load("source", "src")
-        granted = self.control.attach("src.newest", "viewer", NEWEST)
-        with self.assertRaisesRegex(Refused, "does not know the key"):
-            self.link(granted, key=bytes(32))
-        before = self.status().links.unproven
-        link = self.link(granted, key=bytes(32), trusting=True)
-        link.send(wire_pb2.Frame(wire=granted.wire, open=wire_pb2.Open(version=1, token=granted.token)))
-        self.eventually(lambda: self.status().links.unproven == before + 2, "the proof and the frame behind it were not counted")
-        self.assertEqual(self.status().links.peers, 0)
+    def test_an_activation_that_ends_for_its_providers_sake_ends_with_an_answer(self):
+        self.load("source", "src", "far", period_ms=1.0, count=10)
+        link, wire, _ = self.attach("src.bell", BELL)
+        self.eventually(lambda: self.port("src.bell").messages == 10, "the source has not put ten states")
+        self.ring(link, wire, 1, every=1, throw_at=13)
+        self.assertEqual(link.next(wire)[0].fired.sequence, 0)
+        self.set("src", count=15)
+        for mode in ("neutral", "active"):
+            self.state("src", mode)
+        self.assertEqual([link.next(wire)[0].fired.sequence for _ in range(2)], [1, 2])
+        answer, _ = self.answer(link, wire)
+        self.assertEqual((answer.id, answer.outcome), (1, REJECTED))
+        self.assertIn("asked to throw", answer.reason)
+        self.state("src", "neutral")
+        self.ring(link, wire, 2, every=1)
+        answer, _ = self.answer(link, wire)
+        self.assertEqual((answer.id, answer.outcome, answer.reason), (2, NOT_ACTIVE, "mode neutral"))
+
+    def test_an_event_port_has_1024_activations_and_no_more(self):
+        self.load("source", "src", period_ms=1e4)
+        link, wire, _ = self.attach("src.bell", BELL)
+        for number in range(1, 1026):
+            self.ring(link, wire, number, every=1_000_000)
+        for number in range(1, 1025):
+            fired = link.next(wire)[0].fired
+            self.assertEqual((fired.id, fired.sequence), (number, 0))
+        answer, _ = self.answer(link, wire)
+        self.assertEqual((answer.id, answer.outcome), (1025, REJECTED))
+        self.assertEqual(answer.reason, "the port has all the activations that it can hold")
+
+    def test_a_send_that_is_not_acknowledged_and_not_taken_is_counted_and_told_to_nobody(self):
+        self.load("sink", "sink")
+        link, wire, _ = self.attach("sink.orders", ORDER)
+        link.send(wire_pb2.Frame(wire=wire, object=wire_pb2.Object(sequence=1)), b"\xff\xff")
+        self.eventually(lambda: self.port("sink.orders").refused == 1, "it was not counted")
         with self.assertRaises(TimeoutError):
             link.receive(0)
 
-    def test_a_wire_opens_once_with_its_token_for_the_client_it_was_given_to(self):
-        self.load("source", "src")
-        granted, other = (self.control.attach("src.newest", name, NEWEST) for name in ("viewer", "other"))
-        link, stranger = self.link(granted), self.link(other)
-        for who, token in ((link, bytes(16)), (stranger, None)):
-            with self.assertRaisesRegex(Refused, "^the wire was not granted$"):
-                who.open(granted, token=token)
-        link.open(granted)
-        self.assertEqual(self.status().links.not_granted, 2)
-        second = wire_pb2.Frame(wire=granted.wire, open=wire_pb2.Open(version=1, token=granted.token))
-        link.send(second)
-        while not (frame := link.next(granted.wire)[0]).HasField("refused"):
-            pass
-        self.assertEqual(frame.refused.reason, "the wire was not granted")
-
-    def test_an_unknown_version_is_refused_with_the_one_that_is_spoken(self):
-        self.load("source", "src")
-        granted = self.control.attach("src.newest", "viewer", NEWEST)
-        with self.assertRaisesRegex(Refused, "^unknown protocol version: this side speaks 1$"):
-            self.link(granted, version=2)
-        link = self.link(granted)
-        with self.assertRaisesRegex(Refused, "^unknown protocol version: this side speaks 1$"):
-            link.open(granted, version=2)
-        link.open(granted)
-
-    def test_what_is_garbled_or_unknown_is_dropped_and_the_link_lives_on(self):
-        self.load("answerer", "oracle")
-        link, wire, _ = self.attach("oracle.echo", ECHO)
-        link.socket.send(b"nonsense that is no record")
-        link.socket.send_multipart([b"one", b"two", b"three"])
-        link.socket.send_multipart([wire_client.record(wire_pb2.Frame(wire=wire)), b"", struct.pack("<II", 0, 1)])
-        link.send(wire_pb2.Frame(memory=wire_pb2.Memory(process=os.getpid(), file_descriptor=2)))  # as a host's process might
-        link.send(wire_pb2.Frame(wire=wire))              # of a kind that this version does not have
-        link.send(wire_pb2.Frame(wire=wire + 1, cancel=wire_pb2.Cancel(id=1)))
-        self.ask(link, wire, 1)
-        self.assertEqual(self.answer(link, wire)[0].outcome, OK)
-        links = self.status().links
-        self.assertEqual((links.garbled, links.not_granted), (3, 2))
-
-    # ---- attaching
-
-    def test_the_host_shows_who_is_attached_and_forgets_them_with_their_connection(self):
+    def test_requests_that_are_open_at_a_provider_that_ends_end_with_its_wires(self):
+        self.load("answerer", "oracle", "far")
         self.load("source", "src", "far")
-        link, wire, _ = self.attach("src.newest", NEWEST, prescale=2)
-        self.assertRegex(self.host.console("ls wires"), r"viewer +src\.newest +SampleNewest +attached +2")
-        self.assertRegex(self.host.console("show src.newest"), r"clients +viewer \(attached\)")
-        self.assertEqual(self.status("far").links.peers, 1)
-        self.control.close()
-        self.eventually(lambda: not self.port("src.newest").attached, "the wire outlived its connection")
-        self.eventually(lambda: self.status("far").links.peers == 0, "the link outlived its connection")
-
-    def test_detaching_closes_the_wire_and_the_last_one_the_link(self):
-        self.load("source", "src", period_ms=1.0)
-        first, second = (self.control.attach("src.newest", "viewer", NEWEST) for _ in range(2))
-        link = self.link(first)
-        link.open(first)
-        link.open(second)
-        self.control.detach(first.wire)
-        while not (frame := link.next(first.wire)[0]).HasField("closed"):
-            pass
-        self.assertEqual(frame.closed.reason, "detached")
-        self.next_object(link, second.wire)
-        self.control.detach(second.wire)
-        self.assertEqual(self.status().links.peers, 0)
-        with self.assertRaisesRegex(Refused, "holds no wire"):
-            self.control.detach(second.wire)
-        link.prove(1, first.key, False)  # the same socket may begin anew
-        third = self.control.attach("src.newest", "viewer", NEWEST)
-        link.open(third)
-        self.next_object(link, third.wire)
-
-    def test_the_holder_is_told_when_the_provider_goes_or_dies(self):
-        self.load("source", "src")
-        self.load("source", "mortal", "far")
-        link, wire, _ = self.attach("src.newest", NEWEST)
-        asked = self.control.asked
-        self.change(unload=control_pb2.Unload(instance="src"))
-        self.assertEqual(self.control.reply_to(asked).failure.what, "the wire has ended: 'src' has ended")
-        while not (frame := link.next(wire)[0]).HasField("closed"):
-            pass
-        self.attach("mortal.newest", NEWEST)
-        asked = self.control.asked
-        os.kill(self.status("far").process, signal.SIGKILL)
-        self.assertEqual(self.control.reply_to(asked).failure.what,
-                         "the wire has ended: group 'far' killed by signal 9 (Killed)")
-
-    def test_an_attachment_that_cannot_be_is_refused_in_a_sentence(self):
-        self.load("source", "src")
-        for provider, service, more, sentence in (
-                ("nobody.newest", NEWEST, {}, "there is no instance 'nobody'"),
-                ("src.nothing", NEWEST, {}, "nothing"),
-                ("src.orders", ORDER, {}, "orders"),
-                ("src.newest", LAST, {}, "the client speaks another service than src.newest"),
-                ("src.newest", NEWEST, {"major": 2}, "the client speaks another service than src.newest"),
-                ("src.newest", NEWEST, {"minor": 1}, "the client speaks another service than src.newest"),
-                ("src.newest", NEWEST, {"client": "a b"}, "'a b' is no name for a client")):
-            with self.assertRaisesRegex(Refused, sentence):
-                self.control.attach(provider, more.pop("client", "viewer"), service, **more)
-        self.change(unload=control_pb2.Unload(instance="src"))
-        clock = control_pb2.Set(instance="host")
-        clock.parameters.add(name="clock", value=self.value("virtual"))
-        self.change(set=clock)
-        self.load("source", "src")
-        with self.assertRaisesRegex(Refused, "a virtual clock waits for its own processes only"):
-            self.control.attach("src.newest", "viewer", NEWEST)
-
-    def test_a_connection_holds_so_many_wires_and_no_more(self):
-        self.load("source", "src")
-        for _ in range(64):
-            self.control.attach("src.newest", "viewer", NEWEST)
-        with self.assertRaisesRegex(Refused, "this connection holds 64 wires already"):
-            self.control.attach("src.newest", "viewer", NEWEST)
-
-
-class FewDescriptors(WireProtocolCase):
-    descriptors = 100
-
-    def test_a_client_for_whose_link_a_process_may_lack_descriptors_is_refused(self):
-        self.load("source", "src")
-        with self.assertRaisesRegex(Refused, "another client would bring the host to the end of its descriptors"):
-            for number in range(64):
-                self.attach("src.newest", NEWEST, client="viewer-%d" % number)
-        self.assertGreater(self.status().links.peers, 0)
+        self.load("source", "stays", "far")  # with its process the link would end, and nothing be told over it
+        granted = [self.control.attach(port, "viewer", service) for port, service in (
+            ("oracle.echo", ECHO), ("src.bell", BELL), ("stays.last", LAST))]
+        link = self.link(granted[0])
+        for one in granted:
+            link.open(one)
+        echo, bell = granted[0].wire, granted[1].wire
+        self.ask(link, echo, 1, manner="never")
+        self.ring(link, bell, 1, every=1_000_000)
+        self.assertEqual(link.next(bell)[0].fired.sequence, 0)
+        for name in ("oracle", "src"):
+            self.change(unload=control_pb2.Unload(instance=name))
+        self.assertEqual([link.next(wire)[0].closed.reason for wire in (echo, bell)], ["'oracle' has ended", "'src' has ended"])
+        self.assertFalse(link.frames[echo] or link.frames[bell])
 
 
 if __name__ == "__main__":
-    BINARIES, LIBRARY = sys.argv[1:3]
-    unittest.main(argv=sys.argv[:1] + sys.argv[3:], verbosity=2)
+    real_host.run()
