@@ -69,24 +69,32 @@ Connector::Wire Connector::connect(const control::PortName& client, const contro
     *require.mutable_provider() = provider;
     require.set_replaces(replaces);
     if (resumes) require.set_resumes_every(prescale);
-    reply = open_along(way(client_group, provider_group), std::move(require), prescale, wire.relays);
+    const auto path = way(client_group, provider_group);
+    const bool ahead = path.size() == 2;
+    try {
+      reply = open_along(path, require, prescale, ahead, wire.relays);
+    } catch (const Error& error) {
+      if (!ahead || error.code() != ErrorCode::Unreachable) throw;
+      require.set_wire(wire.id = new_number());  // the provider is slow, or gone: now the one after the other
+      reply = open_along(path, std::move(require), prescale, false, wire.relays);
+    }
   }
   if (replaces != 0) add_cost(done, reply.switched(), 1);
   return wire;
 }
 
-/// The provider first, the client last: what is opened finds somebody who knows its token, or will soon where nobody is
-/// between the two. Notes who relays it.
+/// The provider first, the client last: what is opened finds somebody who knows its token, or, `ahead`, will soon.
+/// Notes who relays it.
 wire::GroupMessage Connector::open_along(const std::vector<Group*>& path, wire::WireRequire require,
-                                         std::uint32_t prescale, std::vector<std::string>& relays) {
+                                         std::uint32_t prescale, bool ahead, std::vector<std::string>& relays) {
   Group& client_group = *path.front();
   Group& provider_group = *path.back();
   require.set_token(os::random_token());
-  require.set_ahead(path.size() == 2);
+  require.set_ahead(ahead);
   const auto granted =
       provider_group.begin(provided_wire(require, prescale, known_as(*path[path.size() - 2], provider_group)));
   try {
-    if (!require.ahead()) granted();
+    if (!ahead) granted();
     for (std::size_t i = path.size() - 2; i > 0; --i) {
       relays.push_back(path[i]->name());
       wire::GroupRequest request;

@@ -50,7 +50,7 @@ class Connector {
 
  private:
   wire::GroupMessage open_along(const std::vector<Group*>& path, wire::WireRequire require, std::uint32_t prescale,
-                                std::vector<std::string>& relays);
+                                bool ahead, std::vector<std::string>& relays);
   std::vector<Group*> way(Group& client, Group& provider) const;
   std::string known_as(const Group& who, const Group& at) const;
   Links::Endpoint endpoint_for(const Group& at, const Group& to) const;

@@ -16,6 +16,9 @@ constexpr std::size_t kEndedKept = 256;
 /// How long a client that is being rewired waits for the last messages of a provider that may hang: once it is asked
 /// for them, and once more when the next one is to take its place.
 constexpr std::chrono::milliseconds kEndPatience{100};
+/// How long a client waits for its wire whose provider has only just been told: its process does nothing else
+/// meanwhile.
+constexpr std::chrono::milliseconds kAheadPatience{200};
 /// Wires that one peer has asked for ahead of their grants: its host waits for each before the next.
 constexpr std::ptrdiff_t kMostEarly = 4;
 constexpr const char* kReplaced = "another provider has taken its place";
@@ -197,7 +200,7 @@ void Links::require(std::uint64_t wire_id, const std::string& token, const std::
     const auto found = requirements_.find(wire_id);
     return found != requirements_.end() && found->second.refusal == "";
   };
-  const auto deadline = std::chrono::steady_clock::now() + kDefaultDeadline;
+  const auto deadline = std::chrono::steady_clock::now() + (ahead ? kAheadPatience : kDefaultDeadline);
   while (!answered_.wait_for(lock, kEndPatience, has_answer) && !is_open()) {
     if (std::chrono::steady_clock::now() >= deadline) break;
   }

@@ -369,7 +369,7 @@ TEST_P(Calls, OpenQueryFinishesOnTheOldProviderWhenItIsRewired) {
   begin("query", "manner=never");
   const unsigned open = go;
   system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
-  system.wire("caller.echo", "second.echo");
+  EXPECT_EQ(system.wire("caller.echo", "second.echo").redirected(), 0U);
   begin("query", "manner=promptly");
   EXPECT_EQ(system.wait_for(outcomes, [](const auto&) { return true; }).number(), go) << "the open one has not ended";
   EXPECT_EQ(system.port("second.echo").messages(), 1U);
@@ -397,7 +397,9 @@ TEST_P(Calls, OpenQueryOfAPortThatSaysSoGoesToTheNewProviderWhenItIsRewired) {
   system.load_provider("answerer", "second");
   begin("lookup", "manner=second");
   system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
-  system.wire("caller.lookup", "second.lookup");
+  const auto done = system.wire("caller.lookup", "second.lookup");
+  EXPECT_EQ(done.switched(), 1U);
+  EXPECT_EQ(done.redirected(), 1U);
   EXPECT_EQ(outcome(), Outcome::Ok);
   system.eventually("the old one knows", [&] { return system.read("answerer.abandoned").value() == 1; });
 }

@@ -288,13 +288,13 @@ void RunningSystem::load_client(const std::string& component, const std::string&
   load_in(clients_group(), component, name, parameters);
 }
 
-void RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
+control::Done RunningSystem::wire(const std::string& client, const std::string& provider, std::uint32_t every) {
   control::Change change;
   control::Wire& request = *change.mutable_wire();
   *request.mutable_client() = port_name(client);
   *request.mutable_provider() = port_name(provider);
   request.set_prescale(every);
-  system_.perform(change);
+  return system_.perform(change);
 }
 
 control::Done RunningSystem::wire_to_several(const std::string& client, const std::vector<std::string>& providers,

@@ -122,7 +122,7 @@ class RunningSystem {
   /// Where clients are loaded; the answer comes once it has started.
   std::shared_ptr<LaterAnswer> begin_load_client(const std::string& component, const std::string& name,
                                                  const std::string& parameters = "");
-  void wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
+  control::Done wire(const std::string& client, const std::string& provider, std::uint32_t every = 1);
   /// To the first of these that is fit. A negative hold time: the usual one.
   control::Done wire_to_several(const std::string& client, const std::vector<std::string>& providers,
                                 double hold_ms = -1, std::uint32_t every = 1);
