@@ -11,6 +11,7 @@
 #include <cstdlib>
 #include <iostream>
 #include <random>
+#include <utility>
 
 #include "fiona/error.hpp"
 #include "supervised_host.hpp"
@@ -176,6 +177,14 @@ TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
   console->load("mover", "moves", "mover", "work_ms=8000");  // holds the activity that a change of mode waits for
   console->load("source", "moves", "silent", "period_ms=10000");
   wire(*console, "mover.orders", "silent.newest");
+  // Both of its tasks have the same period: one that waits falls behind the other.
+  std::uint64_t steers = 0, looks = 0;
+  console->eventually("it holds it", [&] {
+    const std::uint64_t steered = port(*console, "mover.steers").messages();
+    const std::uint64_t looked = port(*console, "mover.looks").messages();
+    if (steered != std::exchange(steers, steered)) looks = looked;
+    return looked > looks + 5;
+  });
   const pid_t there = console->process_of("there"), far = console->process_of("far");
   const auto payload_is = [](TestConsole& at, std::int64_t wanted) {
     const auto source = at.instance("source");
