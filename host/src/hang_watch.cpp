@@ -41,11 +41,17 @@ HangWatch::milliseconds HangWatch::passed(Time now) {
   return std::min(since, kMostBetween);
 }
 
-/// For how long threads of the process have waited for a CPU since it was called last, while something was stuck.
+/// For how long a thread of the process has waited for a CPU since it was called last, while something was stuck. Of
+/// several the one that has waited longest: they do so at the same time, and all together for longer than there was.
 HangWatch::milliseconds HangWatch::waited_for_cpu(pid_t process) {
-  const auto now = os::time_waiting_for_cpu(process);
-  const auto before = std::exchange(delay_, now).value_or(now);
-  return std::chrono::duration_cast<milliseconds>(std::max(now - before, std::chrono::nanoseconds(0)));
+  const auto now = os::times_waiting_for_cpu(process);
+  const auto before = std::exchange(delays_, now).value_or(now);
+  std::chrono::nanoseconds longest(0);
+  for (const auto& [thread, waited] : now) {
+    const auto known = before.find(thread);
+    longest = std::max(longest, known == before.end() ? waited : waited - known->second);
+  }
+  return std::chrono::duration_cast<milliseconds>(longest);
 }
 
 HangWatch::milliseconds HangWatch::patience_with(const Liveness::Slot& slot, std::uint64_t work) const {
@@ -83,7 +89,7 @@ std::vector<Hang> HangWatch::look(Time now, pid_t process, bool stopped) {
     seen.told = true;
     hangs_now.push_back(hang_of(page_.slots[i], seen));
   }
-  if (!waited) delay_.reset();
+  if (!waited) delays_.reset();
   return hangs_now;
 }
 

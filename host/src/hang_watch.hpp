@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -28,7 +29,8 @@ struct Hang {
 
 /// Finds pieces of work that do not end, from what the strands of a process write. It counts only time in which it
 /// looked itself: after the machine was suspended nothing hangs that did not hang before. And not the time for which a
-/// thread of the process waited for a CPU: on a machine that has too much to do work takes longer, and ends.
+/// thread of the process, the one that did so longest, waited for a CPU: on a machine that has too much to do work
+/// takes longer, and ends.
 class HangWatch {
  public:
   using Time = std::chrono::steady_clock::time_point;
@@ -79,7 +81,7 @@ class HangWatch {
   const Parts parts_;
   Time looked_{};
   milliseconds stopped_{0};
-  std::optional<std::chrono::nanoseconds> delay_;  ///< of all threads; none: nothing was stuck when it looked last
+  std::optional<std::map<pid_t, std::chrono::nanoseconds>> delays_;  ///< none: nothing was stuck when it looked last
   std::vector<Seen> seen_;
 };
 

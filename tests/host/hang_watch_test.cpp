@@ -3,7 +3,13 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sched.h>
 #include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <thread>
+#include <vector>
 
 #include "fiona/hull.hpp"
 
@@ -96,6 +102,31 @@ TEST_F(HangWatchTest, AProcessThatIsStoppedIsToldSooner) {
   for (int i = 0; i < 6; ++i) hangs = watch.look(now += 100ms, ::getpid(), true);
   ASSERT_EQ(hangs.size(), 1U);
   EXPECT_EQ(hangs[0].text(), "it stood still for 0.8 s");
+}
+
+/// Three threads of the process share a CPU: each waits for it for two thirds of the time, all together for twice the
+/// time that there is.
+TEST_F(HangWatchTest, ThreadsThatWaitAtTheSameTimeAreNoLongerAnExcuseThanOneOfThem) {
+  std::atomic<bool> over{false};
+  const auto spin = [&over] {
+    cpu_set_t first;
+    CPU_ZERO(&first);
+    CPU_SET(0, &first);
+    ::sched_setaffinity(0, sizeof first, &first);
+    while (!over) continue;
+  };
+  std::vector<std::jthread> threads;
+  for (int i = 0; i < 3; ++i) threads.emplace_back(spin);
+  steps.begins(Liveness::mark("imu"));
+  std::vector<Hang> hangs;
+  const auto end = std::chrono::steady_clock::now() + 60s;
+  while (hangs.empty() && std::chrono::steady_clock::now() < end) {
+    std::this_thread::sleep_for(50ms);
+    hangs = watch.look(std::chrono::steady_clock::now(), ::getpid());
+  }
+  over = true;
+  ASSERT_EQ(hangs.size(), 1U);
+  EXPECT_LT(hangs[0].time, HangWatch::kStarved);
 }
 
 TEST_F(HangWatchTest, WhatAnotherProcessClaimsToBeIsMadeInert) {

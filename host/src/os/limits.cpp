@@ -112,16 +112,23 @@ void put_last(pid_t process) {
 }
 
 /// Documentation/scheduler/sched-stats.rst: time on a CPU, time waiting for one, how often.
-std::chrono::nanoseconds time_waiting_for_cpu(pid_t process) {
-  std::chrono::nanoseconds all(0);
+std::map<pid_t, std::chrono::nanoseconds> times_waiting_for_cpu(pid_t process) {
+  std::map<pid_t, std::chrono::nanoseconds> all;
   std::error_code ignored;
   std::filesystem::directory_iterator task("/proc/" + std::to_string(process) + "/task", ignored);
   for (; task != std::filesystem::directory_iterator(); task.increment(ignored)) {
     std::ifstream file(task->path() / "schedstat");
     std::int64_t ran_ns = 0;
     std::int64_t waited_ns = 0;
-    if (file >> ran_ns >> waited_ns) all += std::chrono::nanoseconds(waited_ns);
+    if (file >> ran_ns >> waited_ns)
+      all[std::stoi(task->path().filename().string())] = std::chrono::nanoseconds(waited_ns);
   }
+  return all;
+}
+
+std::chrono::nanoseconds time_waiting_for_cpu(pid_t process) {
+  std::chrono::nanoseconds all(0);
+  for (const auto& [thread, waited] : times_waiting_for_cpu(process)) all += waited;
   return all;
 }
 

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <optional>
 
 namespace fiona::os {
@@ -59,5 +60,7 @@ void put_last(pid_t process);
 
 /// For how long the threads of a process, all together, have been ready to run and have waited for a CPU.
 std::chrono::nanoseconds time_waiting_for_cpu(pid_t process);
+/// The same of each of its threads, by its number.
+std::map<pid_t, std::chrono::nanoseconds> times_waiting_for_cpu(pid_t process);
 
 }  // namespace fiona::os
