@@ -139,7 +139,7 @@ TEST_P(Crowd, NothingOfAnInstanceRunsWhileSomethingElseOfItDoes) {
 
 /// Of a trigger that answers at once, and of one that is a coroutine.
 TEST_P(Crowd, EachCallOfATriggerIsRunOnceInItsOrderAndIsGivenItsOwnResult) {
-  constexpr std::uint64_t kRounds = 10;
+  constexpr std::uint64_t kRounds = 3;
   constexpr std::uint64_t kClients = 20;
   constexpr std::uint64_t kCallsOfEach = 3;  // at once: together fewer than a trigger takes
   for (const std::string trigger : {"count_call", "count_later"}) {
