@@ -522,7 +522,8 @@ void Links::retire(std::uint64_t wire_id, bool drains) {
     wire = found->second.wire;
   }
   if (wire->port().service().is_push()) {
-    return !drains || await_end(wire_id) ? cut(wire_id, kReplaced) : void();
+    if (!drains || await_end(wire_id)) cut(wire_id, kReplaced);
+    return;
   }
   wire->drain([this, wire_id] { cut(wire_id, kReplaced); });
 }

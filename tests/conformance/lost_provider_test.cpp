@@ -303,43 +303,37 @@ class HungProvider : public LostProvider {
     system().eventually("its group has gone", [&] { return !system().group(name).alive(); });
     EXPECT_LE(static_cast<double>(now_ns() - since_ns) / 1e6, allowed(kGone_ms, false) + pulse.longest_ms());
   }
+  /// All calls that wait end for it. `all`: the system's processes.
+  void expect_all_end(const std::string& name, const std::vector<pid_t>& all, const std::function<void()>& begin_hang) {
+    const std::int64_t since_ns = now_ns();
+    begin_hang();
+    expect_all_wait();
+    expect_disconnected(since_ns, kSticks_ms, all);
+    expect_hung(name, since_ns);
+  }
 };
 using HungReceiver = HungProvider;
 
 TEST_P(HungProvider, EndsEachCallThatWaitsDisconnectedInTime) {
   const auto all = processes();
-  const auto hang = [&](const std::string& name, const std::function<void()>& begin_hang) {
-    const std::int64_t since_ns = now_ns();
-    begin_hang();
-    expect_all_wait();
-    expect_disconnected(since_ns, kSticks_ms, all);
-    expect_hung(name, since_ns);
-  };
   begin_wait("wait_update");
   system().set("quiet", "hang_ms=6000");
-  hang("quiet", [&] { system().state("quiet", "active"); });
+  expect_all_end("quiet", all, [&] { system().state("quiet", "active"); });
   expect_latest_disconnected();
-  hang("answerer", [&] { begin_wait("query", "manner=stick"); });
+  expect_all_end("answerer", all, [&] { begin_wait("query", "manner=stick"); });
   begin_wait("event");
-  hang("ringer", [&] { system().set("ringer", "hang_ms=6000"); });
+  expect_all_end("ringer", all, [&] { system().set("ringer", "hang_ms=6000"); });
 }
 
 TEST_P(HungProvider, EndsEachCallOfAThreadThatWaitsDisconnectedInTimeAndOnce) {
   const auto all = processes();
   load_threads();
-  const auto hang = [&](const std::string& name, const std::function<void()>& begin_hang) {
-    const std::int64_t since_ns = now_ns();
-    begin_hang();
-    expect_all_wait();
-    expect_disconnected(since_ns, kSticks_ms, all);
-    expect_hung(name, since_ns);
-  };
   begin_in_thread("wait_update");
   system().set("quiet", "hang_ms=6000");
-  hang("quiet", [&] { system().state("quiet", "active"); });
-  hang("answerer", [&] { begin_in_thread("query", "manner=stick"); });
+  expect_all_end("quiet", all, [&] { system().state("quiet", "active"); });
+  expect_all_end("answerer", all, [&] { begin_in_thread("query", "manner=stick"); });
   begin_in_thread("event");
-  hang("ringer", [&] { system().set("ringer", "hang_ms=6000"); });
+  expect_all_end("ringer", all, [&] { system().set("ringer", "hang_ms=6000"); });
 }
 
 /// An acknowledged send does not wait for the strand: the hull has it.

@@ -169,19 +169,22 @@ void open_by_hand(RawPeer& peer, std::uint64_t wire) {
   EXPECT_TRUE(peer.receive().has_opened());
 }
 
+/// It has not been answered, and is kept: what is refused at once came behind it.
+void open_ahead_by_hand(RawPeer& peer, std::uint64_t wire) {
+  constexpr std::uint64_t kNobodys = 1000;
+  peer.send(opening_by_hand(wire, true));
+  peer.send(opening_by_hand(kNobodys, false));
+  const wire::Frame refused = peer.receive();
+  EXPECT_EQ(refused.wire(), kNobodys);
+  EXPECT_EQ(refused.refused().reason(), kNotGranted);
+}
+
 TEST_F(LinksOfAProcess, AWireThatIsAskedForAheadOfItsGrantIsOpenedWithIt) {
   RawPeer peer(context, at("links"), "peer"), other(context, at("links"), "other");
   peer.prove(kLinksKey);
   other.prove(kLinksKey);
-  // Another one's, which is here first, takes nothing away; and behind what is refused at once is what came before.
-  other.send(opening_by_hand(1, true));
-  other.send(opening_by_hand(2, false));
-  EXPECT_EQ(other.receive().refused().reason(), kNotGranted);
-  peer.send(opening_by_hand(1, true));
-  peer.send(opening_by_hand(2, false));
-  const wire::Frame refused = peer.receive();
-  EXPECT_EQ(refused.wire(), 2U);
-  EXPECT_EQ(refused.refused().reason(), kNotGranted);
+  open_ahead_by_hand(other, 1);  // another one's, which is here first, takes nothing away
+  open_ahead_by_hand(peer, 1);
   EXPECT_EQ(ends->told.subscribers(), 0U);
   links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
   const wire::Frame opened = peer.receive();
@@ -194,9 +197,7 @@ TEST_F(LinksOfAProcess, AWireThatIsAskedForAheadOfItsGrantIsOpenedWithIt) {
 TEST_F(LinksOfAProcess, AWireThatIsNotGrantedAfterAllIsRefusedWithTheReason) {
   RawPeer peer(context, at("links"), "peer");
   peer.prove(kLinksKey);
-  peer.send(opening_by_hand(1, true));
-  peer.send(opening_by_hand(2, false));
-  EXPECT_EQ(peer.receive().wire(), 2U);
+  open_ahead_by_hand(peer, 1);
   links.deny(1, "there is no such port");
   EXPECT_EQ(peer.receive().refused().reason(), "there is no such port");
   peer.send(opening_by_hand(1, true));
@@ -207,9 +208,7 @@ TEST_F(LinksOfAProcess, APeerThatAsksForManyWiresAheadHasTheOldestRefused) {
   RawPeer peer(context, at("links"), "peer"), other(context, at("links"), "other");
   peer.prove(kLinksKey);
   other.prove(kLinksKey);
-  other.send(opening_by_hand(1, true));
-  other.send(opening_by_hand(2, false));
-  EXPECT_EQ(other.receive().wire(), 2U);
+  open_ahead_by_hand(other, 1);
   for (std::uint64_t wire = 11; wire <= 20; ++wire) {
     peer.send(opening_by_hand(wire, true));
     if (wire < 15) continue;

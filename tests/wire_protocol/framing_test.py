@@ -54,13 +54,18 @@ class Handshake(WireProtocolCase):
         self.bare.open(self.granted)
         self.assertEqual(self.status().links.peers, 1)
 
-    def test_a_handshake_that_has_an_object_or_a_second_part_is_none(self):
+    def test_a_handshake_that_has_an_object_a_second_part_a_wire_or_company_is_none(self):
         hello = self.hello()
         self.bare.socket.send(record(hello, b"x"))
         self.bare.socket.send_multipart([record(hello), b""])
         self.bare.socket.send_multipart([record(hello), record(hello)])
         self.bare.socket.send_multipart([record(hello), b"", b""])
         self.counted(4, 4)
+        # And one for a wire, and one that is not alone.
+        self.bare.send(wire_pb2.Frame(wire=7, hello=hello.hello))
+        self.bare.socket.send(record(unknown()) + record(hello))
+        self.bare.socket.send(record(hello) + record(unknown()))
+        self.counted(7, 7)
         with self.assertRaises(TimeoutError):
             self.bare.receive(0)
         self.bare.send(hello)
@@ -69,7 +74,7 @@ class Handshake(WireProtocolCase):
         proof = wire_pb2.Frame(proof=wire_pb2.Proof(client=self.granted.peer, nonce=b"n" * 16, proof=proof))
         self.bare.socket.send(record(proof, b"x"))
         self.bare.socket.send_multipart([record(proof), b""])
-        self.counted(7, 6)
+        self.counted(10, 9)
         self.bare.send(proof)
         self.bare.open(self.granted)
 
