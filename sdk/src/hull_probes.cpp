@@ -189,9 +189,10 @@ std::shared_ptr<Tap> Hull::tap(std::string_view name, TapTerms terms, std::share
   }
   Tap::Sample sample;
   if (point.counted) sample = [this, point] { return point.sample(*this); };
-  made->start(std::move(sample));
+  // First its value of now, or it would be old, and none, where this thread stands still in between.
   if (point.port) point.port->attach(made);
   if (point.probe) point.probe->attach(made);
+  made->start(std::move(sample));
   return made;
 }
 

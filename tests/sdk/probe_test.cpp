@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <future>
 #include <thread>
 
 #include "fiona/describe.hpp"
@@ -397,6 +398,38 @@ TEST(ProbesAndThreads, EachValueOfManyThreadsIsToldOnceAndInOneOrder) {
     EXPECT_EQ(one.number, sequence);
   }
   EXPECT_EQ(sequence, 2000U);
+}
+
+/// Takes 60 ms for each value: so long the probe is held.
+class SlowWatcher final : public Watcher {
+ public:
+  void value(const Tapped&) override {
+    begun_.set_value();
+    std::this_thread::sleep_for(60ms);
+  }
+  void ended(const Error&) override {}
+  void wait() { begun_.get_future().wait(); }
+
+ private:
+  std::promise<void> begun_;
+};
+
+TEST(ProbesAndThreads, AWatchOfAnAgeBeginsWithTheValueThatIsThereHoweverLongThatIsWaitedFor) {
+  SystemClock clock;
+  Pool pool(2);
+  KeptEvents events;
+  const auto kept = std::make_shared<Kept>();
+  Made<Meter> meter("meter", pool, clock, events);
+  const auto slow = std::make_shared<SlowWatcher>();
+  meter.hull.tap("level", {}, slow);
+  std::thread setter([&] { meter->level.set(1); });
+  slow->wait();
+  meter.hull.tap("level", {.older_than = 20ms}, kept);
+  setter.join();
+  std::vector<Tapped> told;
+  while (told.empty()) told = kept->take();
+  EXPECT_NE(told.front().envelope.object, nullptr) << "it is old, but not none";
+  clock.stop();
 }
 
 TEST(ProbesAndThreads, AfterDetachNothingIsToldWhileOthersSet) {
