@@ -17,6 +17,22 @@ void FanOut::set_prescale(std::uint64_t wire, std::uint32_t prescale) {
   member->second.puts = 0;
 }
 
+bool FanOut::take_on() {
+  const std::lock_guard lock(mutex_);
+  if (closed_ || wires_ > kMostAlso) return false;
+  ++wires_;
+  return true;
+}
+
+std::size_t FanOut::let_go(PeerLanes::Rest rest) {
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = --wires_ == 0;
+    if (!closed_) return 0;
+  }
+  return link_->close_lane(lane_, rest);
+}
+
 void FanOut::leave(std::uint64_t wire) {
   {
     const std::lock_guard lock(mutex_);
@@ -100,7 +116,8 @@ Outcome FanOut::send(const Parcel& parcel, std::vector<std::uint64_t>& wires) {
   frame_.mutable_object()->set_origin_ns(parcel.envelope.origin.time_since_epoch().count());
   const auto sent = link_->send(lane_, frame_, parcel.envelope.object, LinkSocket::Rule::DropOldest, std::move(also));
   auto& counters = provider_.counters();
-  if (sent.lost > 0) counters.dropped.fetch_add(sent.lost, std::memory_order_relaxed);
+  const std::size_t lost = sent.what == LinkSocket::Sent::What::Gone ? wires.size() : sent.lost;
+  if (lost > 0) counters.dropped.fetch_add(lost, std::memory_order_relaxed);
   if (sent.what != LinkSocket::Sent::What::TooLarge) return Outcome::Ok;
   counters.refuse(LinkSocket::kTooLarge, provider_.hull().clock().now());
   return Outcome::Rejected;

@@ -16,17 +16,20 @@ class FanOut final : public Sink {
  public:
   FanOut(std::shared_ptr<LinkSocket> link, LinkSocket::Lane lane, detail::PushProvider& provider)
       : link_(std::move(link)), lane_(std::move(lane)), provider_(provider) {}
-  /// What has been put before the last wire ended goes ahead of its end.
-  ~FanOut() override { link_->close_lane(lane_, PeerLanes::Rest::Goes); }
 
   const LinkSocket::Lane& lane() const { return lane_; }
+  /// [any thread] One more wire is to use it; false: it has as many as one message may name, or its last one has ended.
+  bool take_on();
   /// [any thread] The wire receives what is put after `sequence`, every `prescale`-th, the first of it included.
   /// `each`: to a handler that receives each one, and that a put may wait for.
   void join(std::uint64_t wire, std::uint64_t sequence, std::uint32_t prescale, bool each);
   /// [any thread] From the next put on.
   void set_prescale(std::uint64_t wire, std::uint32_t prescale);
-  /// [any thread]
+  /// [any thread] Nothing more is for the wire.
   void leave(std::uint64_t wire);
+  /// [any thread] A wire that was taken on, and has left, ends. With the last one the lane does: `rest` of what was put
+  /// before. Returns what was lost by that.
+  std::size_t let_go(PeerLanes::Rest rest);
   /// [any thread] For this wire only.
   Outcome deliver_to(std::uint64_t wire, const Parcel& parcel);
 
@@ -57,6 +60,8 @@ class FanOut final : public Sink {
   const LinkSocket::Lane lane_;
   detail::PushProvider& provider_;
   mutable std::mutex mutex_;
+  std::size_t wires_ = 0;  ///< that were taken on, and not yet let go of: those that are joining and leaving, too
+  bool closed_ = false;
   std::map<std::uint64_t, Member> members_;
   std::function<void()> notice_;       ///< of who waits for room
   std::vector<std::uint64_t> takers_;  ///< used again for each message, as is the frame

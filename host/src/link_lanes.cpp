@@ -21,16 +21,14 @@ std::size_t PeerLanes::Lane::drop_oldest() {
     return item.rule == Rule::DropOldest && item.next_chunk == 0;
   });
   if (oldest == queue_.end()) return 0;
-  std::size_t wires = 1;
-  const std::size_t messages = oldest->messages;
-  lost_[oldest->wire] += messages;
+  const std::size_t losses = oldest->losses();
+  lost_[oldest->wire] += oldest->messages;
   if (oldest->also) {
-    for (const std::uint64_t wire : *oldest->also) lost_[wire] += messages;
-    wires += oldest->also->size();
+    for (const std::uint64_t wire : *oldest->also) lost_[wire] += oldest->messages;
   }
   waiting_ -= oldest->cost;
   queue_.erase(oldest);
-  return wires * messages;
+  return losses;
 }
 
 std::shared_ptr<PeerLanes::Lane> PeerLanes::open() {
@@ -48,7 +46,7 @@ std::size_t PeerLanes::close(Lane& lane, Rest rest) {
   if (rest == Rest::IsLost || kept > kLaneWindow) {
     std::erase_if(lane.queue_, [&lost](const Item& item) {
       const bool goes = item.cost > 0 && item.next_chunk == 0;
-      if (goes) lost += item.messages;
+      if (goes) lost += item.losses();
       return goes;
     });
     lane.lost_.clear();

@@ -44,6 +44,7 @@ class PeerLanes {
     std::shared_ptr<const std::vector<std::uint64_t>> also;  ///< further wires
     std::size_t next_chunk = 0;
     std::shared_ptr<const void> receipt;  ///< goes when the item has, or is dropped
+    std::size_t losses() const { return messages * (1 + (also ? also->size() : 0)); }
   };
   class Lane;
   struct Taken {
@@ -61,7 +62,8 @@ class PeerLanes {
   /// A new lane. It goes when it is closed and empty.
   std::shared_ptr<Lane> open();
   /// Takes no more. What has begun, and what needs no credit, still goes; what waits for credit is lost, or goes too
-  /// with `Rest::Goes`, as far as all lanes that are ending so keep no more than one window. Returns what was lost.
+  /// with `Rest::Goes`, as far as all lanes that are ending so keep no more than one window. Returns what was lost,
+  /// once for each of its wires.
   enum class Rest { IsLost, Goes };
   std::size_t close(Lane& lane, Rest rest = Rest::IsLost);
   Taken offer(Lane& lane, Item item);

@@ -295,9 +295,9 @@ std::shared_ptr<RemoteWire> Links::wire_for(const Hop& from, std::uint64_t wire,
   if (!push) return std::make_shared<RemoteWire>(from.link, from.peer, wire, provider, name);
   auto& known = fan_outs_[{from.link.get(), from.peer, &provider}];
   auto fan_out = known.lock();
-  if (!fan_out || fan_out->subscribers() > kMostAlso) {
-    fan_out = std::make_shared<FanOut>(from.link, from.link->open_lane(from.peer), *push);
-    known = fan_out;
+  if (!fan_out || !fan_out->take_on()) {
+    known = fan_out = std::make_shared<FanOut>(from.link, from.link->open_lane(from.peer), *push);
+    fan_out->take_on();
     std::erase_if(fan_outs_, [](const auto& entry) { return entry.second.expired(); });
   }
   return std::make_shared<RemoteWire>(std::move(fan_out), from.link, from.peer, wire, provider, name);

@@ -14,7 +14,7 @@ class Links::RelayLane {
   RelayLane& operator=(const RelayLane&) = delete;
   ~RelayLane() {
     const std::size_t lost = link_->close_lane(lane_, rest_);
-    if (rest_ == PeerLanes::Rest::Goes) counters_.overrun += lost;
+    (rest_ == PeerLanes::Rest::Goes ? counters_.overrun : counters_.late) += lost;
   }
   const LinkSocket::Lane& lane() const { return lane_; }
   /// A wire has ended behind what waits here: it goes before it, as it would have gone from who sent it.

@@ -630,11 +630,12 @@ void RemoteWire::cut(const std::string& reason, bool tell) {
   }
   if (fan_out_) fan_out_->leave(wire_);  // before its end is told: nothing comes behind that
   if (tells) tell_end(reason);
-  // What a client has sent has been accepted: it goes, though the wire does, or is counted.
-  const bool sends = port_.direction() == PortDirection::Requires && port_.service().pattern() == SEND;
-  const auto rest = sends && tell ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;
-  const std::size_t lost = fan_out_ ? 0 : link_->close_lane(lane_, rest);
-  if (sends) port_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
+  // What was sent, put or fired has been accepted: it goes, though the wire does, or is counted. Who has asked is told.
+  const bool provides = port_.direction() == PortDirection::Provides;
+  const bool counts = provides ? port_.service().pattern() != QUERY : port_.service().pattern() == SEND;
+  const auto rest = counts && tell ? PeerLanes::Rest::Goes : PeerLanes::Rest::IsLost;
+  const std::size_t lost = fan_out_ ? fan_out_->let_go(rest) : link_->close_lane(lane_, rest);
+  if (counts) port_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
   for (auto& [id, reply] : open) reply->answer(Outcome::Disconnected, reason, nullptr);
   for (auto& reply : served) reply->abandon();
 }

@@ -198,6 +198,16 @@ TEST(LinkLanes, LanesThatEndKeepOneWindowTogether) {
   EXPECT_EQ(lanes.lanes(), 1U);
 }
 
+TEST(LinkLanes, LaneThatEndsCountsWhatItLosesOnceForEachWire) {
+  PeerLanes lanes;
+  const auto lane = lanes.open();
+  lanes.offer(*lane, item_of(1, 64, Rule::DropOldest));
+  auto shared = item_of(1, 64, Rule::DropOldest);
+  shared.also = std::make_shared<const std::vector<std::uint64_t>>(3, 2);
+  lanes.offer(*lane, std::move(shared));
+  EXPECT_EQ(lanes.close(*lane), 5U);
+}
+
 TEST(LinkLanes, FullLaneOfAPushLosesItsOldestAndTellsEachClientBeforeTheNextMessage) {
   PeerLanes lanes;
   Reader reader;

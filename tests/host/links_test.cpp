@@ -297,6 +297,41 @@ TEST_F(LinksOfAProcess, APushThatIsReplacedHasBroughtAllThatWasPutBefore) {
   other.stop();
 }
 
+TEST_F(LinksOfAProcess, WhatIsPutForAPeerThatIsLostIsDeliveredOrCounted) {
+  constexpr std::uint64_t kPuts = 150'000;
+  links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  open_by_hand(peer, 1);  // and pays nothing back
+  EXPECT_TRUE(hull.strand().call(
+      [&] {
+        for (std::uint64_t i = 0; i < kPuts; ++i) ends->told.put(localisation::CommLocation());
+      },
+      20s));
+  const auto& dropped = ends->told.counters().dropped;
+  const std::uint64_t dropped_before = dropped;
+  EXPECT_GT(dropped_before, 0U);
+  links.peer_lost("", "peer", "its process has ended");
+  constexpr std::uint64_t kOnTheirWay = kLaneWindow / kFrameCost;
+  EXPECT_GE(dropped, kPuts - kOnTheirWay);
+  EXPECT_GT(dropped, dropped_before) << "those that waited";
+  EXPECT_EQ(ends->told.subscribers(), 0U);
+}
+
+TEST_F(LinksOfAProcess, AWireThatComesBackToAPushAfterItsLastOneHasItsOwnLane) {
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  for (std::uint64_t wire = 1; wire <= 3; ++wire) {
+    links.provide(wire, kLinksToken, "peer", ends->told, 1, "client");
+    open_by_hand(peer, wire);
+    EXPECT_TRUE(hull.strand().call([&] { ends->told.put(localisation::CommLocation()); }, 20s));
+    EXPECT_EQ(peer.receive().wire(), wire);
+    links.cut(wire, "it is over");
+    EXPECT_TRUE(peer.receive().has_closed());
+  }
+  EXPECT_EQ(ends->told.counters().dropped, 0U);
+}
+
 TEST_F(LinksOfAProcess, AProviderThatDoesNotEndAWireThatIsReplacedIsNotWaitedForLong) {
   ProviderByHand other(at("other"));
   require(1, ends->heard);
