@@ -119,6 +119,8 @@ class LinkSocket {
   void read_now();
   /// [any thread] Whether an object of so many bytes is too large for any link; counted if so.
   bool refuses(std::size_t size);
+  /// [any thread] So many messages have come for a wire that has ended meanwhile.
+  void count_late(std::size_t messages) { counters_.late += messages; }
   /// [any thread] A frame of no lane in particular, behind whatever the peer is being told so.
   void tell(const std::string& peer, wire::Frame& frame);
   /// The name that the peer has proved; empty: none.

@@ -311,42 +311,56 @@ void Links::note_ended(std::uint64_t wire) {
   ended_.push_back(wire);
 }
 
-/// A frame for a wire that this peer does not have is dropped, and counted. Called with the mutex held.
-void Links::note_foreign(std::uint64_t wire) { ++(has_ended(wire) ? counters_.late : counters_.not_granted); }
+/// A frame for a wire that this peer does not have is dropped, and counted: of a wire that has ended, a message. Called
+/// with the mutex held.
+void Links::note_foreign(std::uint64_t wire, const wire::Frame& frame) {
+  if (!has_ended(wire)) {
+    ++counters_.not_granted;
+  } else if (frame.has_object() || frame.fired().sequence() > 0) {
+    ++counters_.late;
+  }
+}
 
 bool Links::has_ended(std::uint64_t wire) const {
   return std::find(ended_.rbegin(), ended_.rend(), wire) != ended_.rend();
 }
 
-Links::End Links::end_of(const Hop& from, std::uint64_t wire) {
+Links::End Links::end_of(const Hop& from, std::uint64_t wire, const wire::Frame& frame) {
   const std::lock_guard lock(mutex_);
-  return end_of_locked(from, wire);
+  return end_of_locked(from, wire, frame);
 }
 
-Links::End Links::end_of_locked(const Hop& from, std::uint64_t wire) {
+Links::End Links::end_of_locked(const Hop& from, std::uint64_t wire, const wire::Frame& frame) {
+  const End end = find_end(from, wire);
+  if (!end.wire) note_foreign(wire, frame);
+  return end;
+}
+
+/// Called with the mutex held.
+Links::End Links::find_end(const Hop& from, std::uint64_t wire) const {
   const auto grant = grants_.find(wire);
   if (grant != grants_.end() && grant->second.wire && grant->second.client == from) return {grant->second.wire, true};
   const auto requirement = requirements_.find(wire);
   const bool ours =
       requirement != requirements_.end() && !requirement->second.lost && requirement->second.provider == from;
-  if (ours) return {requirement->second.wire, false};
-  note_foreign(wire);
-  return {};
+  return ours ? End{requirement->second.wire, false} : End{};
 }
 
+/// What nobody here takes is counted now: nothing more comes of it.
 std::optional<std::uint64_t> Links::accepts(const Hop& from, const wire::Frame& frame) {
+  const std::lock_guard lock(mutex_);
   const auto is_ours = [&](std::uint64_t wire) {
-    {
-      const std::lock_guard lock(mutex_);
-      const auto relay = relays_.find(wire);
-      const bool open = relay != relays_.end() && relay->second.client.hop.link;
-      if (open && (relay->second.client.hop == from || relay->second.provider.hop == from)) return true;
-    }
-    return end_of(from, wire).wire != nullptr;
+    const auto relay = relays_.find(wire);
+    const bool open = relay != relays_.end() && relay->second.client.hop.link;
+    if (open && (relay->second.client.hop == from || relay->second.provider.hop == from)) return true;
+    return find_end(from, wire).wire != nullptr;
   };
   if (is_ours(frame.wire())) return frame.wire();
   const auto other = std::find_if(frame.also().begin(), frame.also().end(), is_ours);
-  return other == frame.also().end() ? std::nullopt : std::optional<std::uint64_t>(*other);
+  if (other != frame.also().end()) return *other;
+  note_foreign(frame.wire(), frame);
+  for (const std::uint64_t wire : frame.also()) note_foreign(wire, frame);
+  return std::nullopt;
 }
 
 void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, ArrivingObjects* together) {
@@ -359,7 +373,7 @@ void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectByte
     const std::lock_guard lock(mutex_);
     if (!relays_.empty()) rest = pass_on(from, frame, object, some.emplace());
     if (!rest) return;
-    end = end_of_locked(from, rest->wire());
+    end = end_of_locked(from, rest->wire(), *rest);
   }
   if (!end.wire && rest->also().empty()) return;
   if (!end.provides) return on_client_frame(from, *rest, end.wire, object, together);
@@ -370,7 +384,7 @@ void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectByte
 void Links::on_client_frame(const Hop& from, const wire::Frame& frame, std::shared_ptr<RemoteWire> wire,
                             const ObjectBytes& object, ArrivingObjects* together) {
   const auto required = [&](std::uint64_t number) {
-    const End end = end_of(from, number);
+    const End end = end_of(from, number, frame);
     return end.provides ? nullptr : end.wire;
   };
   if (wire && frame.has_opened()) return note_answer(frame.wire(), "", frame.opened());

@@ -154,8 +154,9 @@ class Links {
                        const ObjectBytes& object, ArrivingObjects* together);
   void on_refused(const Hop& from, const std::string& reason);
   void on_closed(std::uint64_t wire, const std::string& reason);
-  End end_of(const Hop& from, std::uint64_t wire);
-  End end_of_locked(const Hop& from, std::uint64_t wire);
+  End end_of(const Hop& from, std::uint64_t wire, const wire::Frame& frame);
+  End end_of_locked(const Hop& from, std::uint64_t wire, const wire::Frame& frame);
+  End find_end(const Hop& from, std::uint64_t wire) const;
   bool may_open(const Hop& from, const std::string& peer);
   void open_relay(const Hop& from, const wire::Frame& frame, Relay& relay);
   const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
@@ -167,7 +168,7 @@ class Links {
   void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
   void lose(const std::string& endpoint, const std::string& name, const std::string& reason);
   void lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason);
-  void note_foreign(std::uint64_t wire);
+  void note_foreign(std::uint64_t wire, const wire::Frame& frame);
   void note_ended(std::uint64_t wire);
   void open_for(const Hop& from, const wire::Frame& frame);
   void open_grant(const Hop& from, const wire::Frame& frame, Grant& grant);

@@ -56,7 +56,7 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
     if (found == relays_.end()) return ending.push_back(wire);
     Relay::Side& client = found->second.client;
     Relay::Side& provider = found->second.provider;
-    if (!client.hop.link || (from != client.hop && from != provider.hop)) return note_foreign(wire);
+    if (!client.hop.link || (from != client.hop && from != provider.hop)) return note_foreign(wire, frame);
     Relay::Side& to = from == client.hop ? provider : client;
     const auto way = std::find_if(ways.begin(), ways.end(), [&](const auto& one) { return one.first->hop == to.hop; });
     if (way != ways.end()) return way->second.add_also(wire);

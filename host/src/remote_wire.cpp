@@ -236,7 +236,7 @@ void RemoteWire::on_object(const wire::Frame& frame, const ParsedObject& object)
 bool RemoteWire::keep(const wire::Frame& frame, const ParsedObject& object) {
   if (admitted_) return false;
   const std::lock_guard lock(mutex_);
-  if (admitted_) return false;
+  if (admitted_ || cut_) return false;
   if (frame.has_lost()) return false;  // which is counted at once
   if (!frame.has_object() && !frame.has_lease() && !frame.has_room()) return true;
   if (frame.has_object()) {
@@ -326,8 +326,10 @@ void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job j
 
 void RemoteWire::on_objects(std::vector<Parcel>& parcels) {
   const std::lock_guard lock(mutex_);
-  if (passed_over_ && !cut_) port_.counters().dropped.fetch_add(parcels.size(), std::memory_order_relaxed);
-  if (cut_ || passed_over_) return parcels.clear();
+  if (cut_ || passed_over_) {
+    cut_ ? link_->count_late(parcels.size()) : count_passed_over(parcels.size());
+    return parcels.clear();
+  }
   last_sequence_ = parcels.back().envelope.sequence;
   end_->push_all(parcels);
 }
@@ -452,8 +454,8 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   bool waits = false;
   {
     const std::lock_guard lock(mutex_);
-    if (cut_) return;  // the port may have gone since
-    if (passed_over_) return void(port_.counters().dropped.fetch_add(1, std::memory_order_relaxed));
+    if (cut_) return request ? void() : link_->count_late(1);  // the port may have gone since
+    if (passed_over_) return count_passed_over(1);
     if (!request) last_sequence_ = frame.object().sequence();
     if (request) {
       const auto [served, is_new] = served_.try_emplace(frame.request().id());
@@ -548,7 +550,8 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
   std::shared_ptr<ReplySink> activation;
   {
     const std::lock_guard lock(mutex_);
-    if (cut_ || port_.service().pattern() != EVENT) return;
+    if (cut_) return fired.sequence() > 0 ? link_->count_late(1) : void();
+    if (port_.service().pattern() != EVENT) return;
     const auto open = open_.find(fired.id());
     if (open == open_.end()) return;
     activation = open->second;
@@ -602,6 +605,10 @@ void RemoteWire::tell_end(const std::string& reason) {
 void RemoteWire::ask_for_end(const std::string& reason) {
   const std::lock_guard lock(mutex_);
   if (!cut_ && !std::exchange(asked_for_end_, true)) tell_end(reason);
+}
+
+void RemoteWire::count_passed_over(std::size_t messages) {
+  port_.counters().dropped.fetch_add(messages, std::memory_order_relaxed);
 }
 
 void RemoteWire::pass_over() {

@@ -103,6 +103,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   std::deque<Held> end_held();
   void take_in_turn(const Object* object, std::string_view word, Job job);
   std::function<void()> take_drained();
+  void count_passed_over(std::size_t messages);
   void cancel(std::uint64_t id);
   void on_cancel(std::uint64_t id);
   void on_given_up(std::uint64_t id);

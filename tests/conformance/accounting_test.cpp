@@ -4,13 +4,17 @@
 
 #include <signal.h>
 
+#include <chrono>
 #include <sstream>
+#include <thread>
 
 #include "stopped_process.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
 namespace {
+
+using namespace std::chrono_literals;
 
 class Accounting : public OverTransports {
  protected:
@@ -19,16 +23,15 @@ class Accounting : public OverTransports {
     system.load_provider("source", "source",
                          "neutral period_ms=1 count=" + std::to_string(count) + " payload=" + std::to_string(payload));
   }
+  /// What has come to a port, and what became of it.
+  std::uint64_t accounted(const std::string& port) {
+    const auto status = system.port(port);
+    return status.messages() + status.superseded() + status.dropped() + status.refused() + status.not_active();
+  }
   void expect_sum(const std::string& port, std::uint64_t sent) {
-    const auto sum = [&] {
-      const auto status = system.port(port);
-      const auto not_active = system.read(port + ".not_active").value();
-      return status.messages() + status.superseded() + status.dropped() + status.refused() +
-             static_cast<std::uint64_t>(not_active);
-    };
     system.eventually("nothing waits any more",
-                      [&] { return sum() >= sent && system.read(port + ".queue_depth").value() == 0; });
-    EXPECT_EQ(sum(), sent) << system.port(port).ShortDebugString();
+                      [&] { return accounted(port) >= sent && system.read(port + ".queue_depth").value() == 0; });
+    EXPECT_EQ(accounted(port), sent) << system.port(port).ShortDebugString();
   }
   /// The numbers of a report like "ok=180 disconnected=20".
   static std::map<std::string, std::uint64_t> counts(const std::string& text) {
@@ -173,7 +176,59 @@ TEST_P(AccountingOfTheKilled, SendsThatHaveNotLeftForItAreCountedAsDropped) {
   EXPECT_LE(system.port("caller.orders").dropped(), kSent);
 }
 
+TEST_P(AccountingOfTheKilled, SamplesAndEventsThatHaveNotLeftForItAreCountedAsDropped) {
+  constexpr std::uint64_t kPut = 50;
+  constexpr std::uint64_t kOnTheirWay = 14;
+  system.load_client("customer", "customer", "payload=300000");
+  system.load_provider("supplier", "supplier", "period_ms=1 payload=300000");
+  system.wire("customer.samples", "supplier.samples");
+  system.wire("customer.bell", "supplier.bell");
+  system.set("customer", "rings=true");
+  system.eventually("activated", [&] { return system.read("customer.activated").payload() == "ok"; });
+  far = system.far_process();
+  stop_process(far);
+  system.set("supplier", "count=50");
+  system.eventually("some are lost", [&] { return system.read("supplier.samples.dropped").value() > 0; });
+  system.eventually("all put", [&] { return system.read("supplier.samples.age").value() > 200; });
+  ::kill(far, SIGKILL);
+  for (const char* port : {"supplier.samples", "supplier.bell"}) {
+    const auto dropped = [&] { return system.port(port).dropped(); };
+    system.eventually("counted", [&] { return dropped() >= kPut - kOnTheirWay; });
+    EXPECT_LE(dropped(), kPut) << port;
+  }
+}
+
+class AccountingOfTheCut : public Accounting {
+ protected:
+  /// Of all links.
+  std::uint64_t late() {
+    std::uint64_t all = 0;
+    const auto snapshot = system.system().snapshot();
+    for (const auto& group : snapshot.groups()) all += group.links().late();
+    return all;
+  }
+};
+
+TEST_P(AccountingOfTheCut, WhatIsOnItsWayIsDeliveredOrCountedByTheLinks) {
+  constexpr std::uint64_t kPut = 10;
+  put(kPut, 100'000);
+  system.load_client("sink", "sink");
+  system.wire("sink.each", "source.newest");
+  const pid_t far = system.far_process();
+  stop_process(far);
+  system.state("source", "active");
+  system.eventually("all put", [&] { return system.read("source.newest.age").value() > 100; });
+  std::thread later([far] {
+    std::this_thread::sleep_for(100ms);
+    ::kill(far, SIGCONT);
+  });
+  system.unwire("sink.each");
+  later.join();
+  system.eventually("accounted for", [&] { return accounted("sink.each") + late() == kPut; });
+}
+
 FIONA_OVER_EVERY_TRANSPORT(Accounting);
+FIONA_OVER(AccountingOfTheCut, Transport::Ipc, Transport::Tcp);
 FIONA_OVER(AccountingOfTheKilled, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
