@@ -85,7 +85,11 @@ std::uint64_t received(const control::System& system) {
 double instance_kib() {
   constexpr int kInstances = 200;
   RunningSystem system;
-  const auto load = [&](int i) { system.load_in("", "mover", "mover" + std::to_string(i), "neutral"); };
+  // Four ports each: that provide, and that require.
+  const auto load = [&](int i) {
+    const std::string component = i % 2 == 0 ? "station" : "lookout";
+    system.load_in("", component, component + std::to_string(i), "neutral");
+  };
   for (int i = 0; i < 10; ++i) load(i);  // what the first ones need, the others share
   const double before = heap_bytes();
   for (int i = 10; i < 10 + kInstances; ++i) load(i);
@@ -96,7 +100,7 @@ double group_mib(std::size_t groups) {
   RunningSystem system;
   for (std::size_t i = 0; i < groups; ++i) {
     const std::string number = std::to_string(i);
-    system.load_in("g" + number, "mover", "mover" + number, "neutral");
+    system.load_in("g" + number, "station", "station" + number, "neutral");
   }
   return settled_memory_of(system.group("g0").process()).proportional / 1024;
 }
