@@ -209,8 +209,9 @@ TEST_P(Monitoring, AgeTellsOnceWhenNothingNewHasComeForSoLong) {
 }
 
 TEST_P(Monitoring, ConditionsWorkOnPortsToo) {
-  system.load_provider("source", "source", "period_ms=2 count=20");
+  system.load_provider("source", "source", "neutral period_ms=2 count=20");
   const auto above = system.watch("source.last", when(control::GREATER, 10, "number"));
+  system.state("source", "active");
   EXPECT_EQ(next(above).number(), 11U);
   const auto silent = system.watch("source.last", when_older_than(50));
   EXPECT_EQ(next(silent).number(), 20U);
