@@ -44,8 +44,9 @@ TEST_P(PushNewest, PrescaleDeliversTheFirstPutAfterSubscribingThenEveryNth) {
 
 TEST_P(PushNewest, NewestSubscriptionKeepsOneValueAndCountsTheSuperseded) {
   system.load_client("sink", "sink", "work_ms=50");
-  system.load_provider("source", "source", "period_ms=1 count=300");
+  system.load_provider("source", "source", "neutral period_ms=1 count=300");
   system.wire("sink.newest", "source.newest");
+  system.state("source", "active");
   system.eventually("superseded", [&] { return system.port("sink.newest").superseded() > 100; });
   EXPECT_LT(system.port("sink.newest").messages(), 60U);
   EXPECT_EQ(system.port("sink.newest").dropped(), 0U);
