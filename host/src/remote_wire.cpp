@@ -454,7 +454,10 @@ void RemoteWire::take(const wire::Frame& frame, const ParsedObject& object) {
   bool waits = false;
   {
     const std::lock_guard lock(mutex_);
-    if (cut_) return request ? void() : link_->count_late(1);  // the port may have gone since
+    if (cut_) {  // the port may have gone since
+      if (!request) link_->count_late(1);
+      return;
+    }
     if (passed_over_) return count_passed_over(1);
     if (!request) last_sequence_ = frame.object().sequence();
     if (request) {
@@ -550,8 +553,8 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
   std::shared_ptr<ReplySink> activation;
   {
     const std::lock_guard lock(mutex_);
-    if (cut_) return fired.sequence() > 0 ? link_->count_late(1) : void();
-    if (port_.service().pattern() != EVENT) return;
+    if (cut_ && fired.sequence() > 0) link_->count_late(1);
+    if (cut_ || port_.service().pattern() != EVENT) return;
     const auto open = open_.find(fired.id());
     if (open == open_.end()) return;
     activation = open->second;

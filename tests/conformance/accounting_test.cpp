@@ -218,7 +218,7 @@ TEST_P(AccountingOfTheCut, WhatIsOnItsWayIsDeliveredOrCountedByTheLinks) {
   stop_process(far);
   system.state("source", "active");
   system.eventually("all put", [&] { return system.read("source.newest.age").value() > 100; });
-  std::thread later([far] {
+  std::thread later([far] {  // it has both to read, the samples and that they are not for it any more
     std::this_thread::sleep_for(100ms);
     ::kill(far, SIGCONT);
   });

@@ -375,23 +375,26 @@ TEST_F(Probes, PortIsNotRead) {
               ThrowsMessage<Error>(HasSubstr("meter.numbers is a port: it has no value of now")));
 }
 
-TEST(ProbesAndThreads, EachValueOfManyThreadsIsToldOnceAndInOneOrder) {
+class ProbesAndThreads : public ::testing::Test {
+ protected:
+  ~ProbesAndThreads() override { clock.stop(); }
+
   SystemClock clock;
-  Pool pool(2);
+  Pool pool{2};
   KeptEvents events;
-  const auto kept = std::make_shared<Kept>();
-  {
-    Made<Meter> meter("meter", pool, clock, events);
-    meter.hull.tap("count", {}, kept);
-    std::vector<std::thread> threads;
-    for (int t = 0; t < 4; ++t) {
-      threads.emplace_back([&meter] {
-        for (std::uint64_t i = 0; i < 500; ++i) meter->count.set(i);
-      });
-    }
-    for (auto& thread : threads) thread.join();
-    clock.stop();
+  Made<Meter> meter{"meter", pool, clock, events};
+  std::shared_ptr<Kept> kept = std::make_shared<Kept>();
+};
+
+TEST_F(ProbesAndThreads, EachValueOfManyThreadsIsToldOnceAndInOneOrder) {
+  meter.hull.tap("count", {}, kept);
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 4; ++t) {
+    threads.emplace_back([this] {
+      for (std::uint64_t i = 0; i < 500; ++i) meter->count.set(i);
+    });
   }
+  for (auto& thread : threads) thread.join();
   std::uint64_t sequence = 0;
   for (const auto& one : kept->take()) {
     EXPECT_EQ(one.envelope.sequence, ++sequence);
@@ -414,35 +417,24 @@ class SlowWatcher final : public Watcher {
   std::promise<void> begun_;
 };
 
-TEST(ProbesAndThreads, AWatchOfAnAgeBeginsWithTheValueThatIsThereHoweverLongThatIsWaitedFor) {
-  SystemClock clock;
-  Pool pool(2);
-  KeptEvents events;
-  const auto kept = std::make_shared<Kept>();
-  Made<Meter> meter("meter", pool, clock, events);
+TEST_F(ProbesAndThreads, AWatchOfAnAgeBeginsWithTheValueThatIsThereHoweverLongThatIsWaitedFor) {
   const auto slow = std::make_shared<SlowWatcher>();
   meter.hull.tap("level", {}, slow);
   std::thread setter([&] { meter->level.set(1); });
   slow->wait();
   meter.hull.tap("level", {.older_than = 20ms}, kept);
   setter.join();
-  std::vector<Tapped> told;
-  while (told.empty()) told = kept->take();
+  const auto told = kept->take();
+  ASSERT_FALSE(told.empty());
   EXPECT_NE(told.front().envelope.object, nullptr) << "it is old, but not none";
-  clock.stop();
 }
 
-TEST(ProbesAndThreads, AfterDetachNothingIsToldWhileOthersSet) {
-  SystemClock clock;
-  Pool pool(2);
-  KeptEvents events;
-  Made<Meter> meter("meter", pool, clock, events);
+TEST_F(ProbesAndThreads, AfterDetachNothingIsToldWhileOthersSet) {
   std::atomic<bool> enough{false};
   std::thread setter([&] {
     while (!enough) meter->level.set(1);
   });
   for (int i = 0; i < 100; ++i) {
-    const auto kept = std::make_shared<Kept>();
     const auto tap = meter.hull.tap("level", {.period = Duration(i % 2 * 1000)}, kept);
     const auto sampled = meter.hull.tap("queue_depth", {.period = 1us}, kept);
     meter.hull.untap(tap);
@@ -453,7 +445,6 @@ TEST(ProbesAndThreads, AfterDetachNothingIsToldWhileOthersSet) {
   }
   enough = true;
   setter.join();
-  clock.stop();
 }
 
 }  // namespace
