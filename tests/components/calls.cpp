@@ -216,7 +216,7 @@ class ThreadCaller final : public Component {
     Threshold threshold;
     threshold.set_every(params.every());
     const auto id = own.await([this, threshold, within, number = gone_] {
-      begun_.set(number);
+      begin(number);
       return bell_.activate(EventMode::Continuous, threshold, within);
     });
     if (!id) return std::nullopt;
@@ -226,13 +226,20 @@ class ThreadCaller final : public Component {
   template <class F>
   std::optional<Outcome> end_of(const OwnThread& own, F call) {
     const auto result = own.await([this, call, number = gone_] {
-      begun_.set(number);
+      begin(number);
       return call();
     });
     return result ? std::optional(result->outcome()) : std::nullopt;
   }
+  /// On the strand. Told by the next piece of work there: when this one ends, the call waits.
+  void begin(std::uint64_t number) {
+    begins_ = number;
+    waits_.at(now());
+  }
+  void tell_begun() { begun_.set(begins_); }
 
   std::uint64_t gone_ = 0;
+  std::uint64_t begins_ = 0;
   ActivationId activation_{};
   Params<CallerParams> params_{*this, nullptr, &ThreadCaller::on_change};
   Requires<SampleNewest> samples_{*this, "samples", {.optional = true}};
@@ -240,7 +247,8 @@ class ThreadCaller final : public Component {
   Requires<Bell> bell_{*this, "bell", {.optional = true}};
   Requires<Order> orders_{*this, "orders", {.optional = true}};
   Provides<SampleNewest> outcome_{*this, "outcome"};
-  Probe<std::uint64_t> begun_{*this, "begun", {.doc = "the newest call that is made on the strand"}};
+  Probe<std::uint64_t> begun_{*this, "begun", {.doc = "the newest call that waits, or has ended"}};
+  Timer waits_{*this, &ThreadCaller::tell_begun};
   Task work_{*this, "work", free_running, &ThreadCaller::work};
 };
 

@@ -4,10 +4,10 @@
 #include <signal.h>
 #include <sys/resource.h>
 
-#include <chrono>
 #include <string>
 #include <vector>
 
+#include "campaign.hpp"
 #include "fiona/error.hpp"
 #include "fiona/result.hpp"
 #include "system_fixture.hpp"
@@ -176,6 +176,16 @@ FIONA_OVER_EVERY_TRANSPORT(Links);
 
 class Processes : public testing::TestWithParam<Transport> {
  protected:
+  /// It dies, and `seen` holds within 200 ms, or later by what a busy machine adds.
+  template <class F>
+  void expect_death_is_noticed(const std::string& group, F seen) {
+    const Pulse pulse;
+    const auto killed_ns = now_ns();
+    ::kill(system.group(group).process(), SIGKILL);
+    system.eventually("noticed", seen);
+    EXPECT_LE(static_cast<double>(now_ns() - killed_ns) / 1e6, allowed(200, false) + pulse.longest_ms());
+  }
+
   RunningSystem system{GetParam()};
 };
 
@@ -184,19 +194,13 @@ TEST_P(Processes, DeathOfAGroupIsNoticedWithin200Milliseconds) {
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
   system.eventually("received", [&] { return system.port("sink.each").messages() > 5; });
-  const auto killed = std::chrono::steady_clock::now();
-  ::kill(system.group("far").process(), SIGKILL);
-  system.eventually("noticed", [&] { return system.instance("sink").mode() == "failed"; });
-  EXPECT_LT(std::chrono::steady_clock::now() - killed, std::chrono::milliseconds(200));
+  expect_death_is_noticed("far", [this] { return system.instance("sink").mode() == "failed"; });
   EXPECT_THAT(system.instance("sink").reason(), HasSubstr("killed by signal 9"));
 }
 
 TEST_P(Processes, DeathOfAGroupIsNoticedThoughAChildOfItsOwnHoldsItsSocket) {
   system.load_client("sink", "sink", "leave_child=true");
-  const auto killed = std::chrono::steady_clock::now();
-  ::kill(system.group("far").process(), SIGKILL);
-  system.eventually("noticed", [&] { return system.instance("sink").mode() == "failed"; });
-  EXPECT_LT(std::chrono::steady_clock::now() - killed, std::chrono::milliseconds(200));
+  expect_death_is_noticed("far", [this] { return system.instance("sink").mode() == "failed"; });
 }
 
 TEST_P(Processes, ClientThatDiesLeavesNothingAtItsProviderInAnotherGroup) {
@@ -219,10 +223,7 @@ TEST_P(Processes, ProviderThatDiesIsLostToItsClientInAnotherGroup) {
   system.load_client("sink", "sink");
   system.wire("sink.each", "source.newest");
   system.eventually("received", [&] { return system.port("sink.each").messages() > 5; });
-  const auto killed = std::chrono::steady_clock::now();
-  ::kill(system.group("near").process(), SIGKILL);
-  system.eventually("lost", [&] { return system.port("sink.each").connection() == control::LOST; });
-  EXPECT_LT(std::chrono::steady_clock::now() - killed, std::chrono::milliseconds(200));
+  expect_death_is_noticed("near", [this] { return system.port("sink.each").connection() == control::LOST; });
 }
 
 TEST_P(Processes, RequestAboveTheCapOfALinkEndsWithASentence) {
