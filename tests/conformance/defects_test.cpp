@@ -169,8 +169,10 @@ TEST_P(Defects, AnAnswerAfterTheClientGaveUpReachesNobody) {
   load_caller();
   system.load_provider("answerer", "answerer");
   system.wire("caller.echo", "answerer.echo");
-  EXPECT_EQ(outcome_of("query", "manner=later deadline_ms=10"), Outcome::Timeout);
-  EXPECT_EQ(outcome_of("query", "manner=later deadline_ms=5000"), Outcome::Ok);
+  EXPECT_EQ(outcome_of("query", "manner=never deadline_ms=10"), Outcome::Timeout);
+  system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
+  EXPECT_EQ(system.call("answerer.echo", "manner=release").outcome(), "ok");
+  EXPECT_EQ(outcome_of("query", "manner=promptly deadline_ms=5000"), Outcome::Ok);
   EXPECT_TRUE(system.take(outcomes).empty()) << "the first one has its outcome already";
 }
 

@@ -214,7 +214,8 @@ TEST_P(Monitoring, ConditionsWorkOnPortsToo) {
   system.state("source", "active");
   EXPECT_EQ(next(above).number(), 11U);
   const auto silent = system.watch("source.last", when_older_than(50));
-  EXPECT_EQ(next(silent).number(), 20U);
+  // On a busy machine one before it may have waited as long for the next.
+  system.wait_for(silent, [](const auto& one) { return one.number() == 20; });
 }
 
 TEST_P(Monitoring, DetachEndsIt) {

@@ -37,7 +37,7 @@ TEST_P(Rules, AClientPortIsUnwiredWaitingConnectedOrLostWithAReasonAndATime) {
   EXPECT_LT(port().since_s(), before_s);
   before_s = grown_s();
   system.load_provider("source", "source", "period_ms=1");
-  EXPECT_EQ(port().connection(), control::CONNECTED);
+  system.eventually("connected", [&] { return port().connection() == control::CONNECTED; });
   EXPECT_LT(port().since_s(), before_s);
   before_s = grown_s();
   system.set("source", "count=5");
