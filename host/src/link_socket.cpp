@@ -270,25 +270,37 @@ bool LinkSocket::joined(const Lane& lane, wire::Frame& frame, const Object& obje
   return true;
 }
 
-void LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
-                         const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt) {
+std::size_t LinkSocket::forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
+                                const std::shared_ptr<const Payload>& payload, Rule rule,
+                                std::shared_ptr<const void> receipt) {
   frame.clear_size();
   const bool has_lane = frame.lane() != 0 && lane.lane;
   frame.set_lane(has_lane ? lane.lane->id() : 0);
   PeerLanes::Item item;
+  item.rule = on_dealt_with_ || !has_lane ? Rule::Control : rule;
   item.wire = frame.wire();
+  if (!frame.also().empty())
+    item.also = std::make_shared<const std::vector<std::uint64_t>>(frame.also().begin(), frame.also().end());
   item.cost = has_lane ? object.size() + kFrameCost : 0;
+  if (frame.has_request()) item.messages = 0;  // who has made it is told
   item.payload = payload;
   item.receipt = std::move(receipt);
   if (payload && payload->chunks().size() > 1) frame.set_size(payload->size());
   item.record = make_record(frame, payload ? ObjectBytes(payload->chunks().front().inside) : object);
   const std::lock_guard lock(mutex_);
   const auto known = lane.peer ? lane.peer : peers_.contains(peer) ? peers_[peer] : nullptr;
-  if (!known || known->gone) return;
+  if (!known || known->gone) {
+    if (item.rule == Rule::DropOldest) return item.losses();
+    if (item.cost > 0) counters_.late += item.losses();
+    return 0;
+  }
   // A window is what its sender has credit for, and a queue behind it what he keeps himself.
   const bool credited = has_lane ? lane.lane->waiting() <= 2 * kLaneWindow : object.size() == 0;
-  if (!credited && !on_dealt_with_) return void(++counters_.overrun);
-  offer(*known, lane.lane ? *lane.lane : *known->control, std::move(item));
+  if (!credited && !on_dealt_with_) {
+    ++counters_.overrun;
+    return 0;
+  }
+  return offer(*known, lane.lane ? *lane.lane : *known->control, std::move(item)).lost;
 }
 
 /// A peer that leaves unread more than may wait for it is let go: as one that has gone, it is sent nothing more and not

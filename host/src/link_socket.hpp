@@ -111,10 +111,12 @@ class LinkSocket {
             Rule rule = Rule::Control, Wires also = nullptr);
   /// [in on_frame] What has come counts as arrived, for its sender's credit, once the last copy of this goes.
   std::shared_ptr<const void> receipt();
-  /// [any thread] Sends on what has come over another link, behind `receipt`: the sender's credit bounds it, and what
-  /// exceeds that is dropped, counted. Without an object and a lane: as `tell`.
-  void forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
-               const std::shared_ptr<const Payload>& payload, std::shared_ptr<const void> receipt);
+  /// [any thread] Sends on what has come over another link. With `Rule::DropOldest` the lane bounds it; with
+  /// `Rule::Control` the sender's credit does, who has it back behind `receipt`, and what exceeds that is dropped,
+  /// counted. Without an object and a lane: as `tell`. Returns the messages of the lane that had to go, or this one if
+  /// the peer has gone, once for each of their wires; with `Rule::Control` none.
+  std::size_t forward(const Lane& lane, const std::string& peer, wire::Frame frame, const ObjectBytes& object,
+                      const std::shared_ptr<const Payload>& payload, Rule rule, std::shared_ptr<const void> receipt);
   /// [any thread] Handles what waits, on this thread: for whoever must not depend on the pool's threads being free.
   void read_now();
   /// [any thread] Whether an object of so many bytes is too large for any link; counted if so.

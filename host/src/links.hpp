@@ -63,7 +63,7 @@ class Links {
                const Endpoint& endpoint, bool ahead, std::uint64_t replaces, std::uint32_t resumes_every,
                const std::function<void()>& switch_over);
   /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
-  /// is bounded: a sender has credit for it only once it has left.
+  /// is bounded: a push loses its oldest, and of all else a sender has credit for it only once it has left.
   void relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint);
   /// Ends a wire on this side and tells the peer.
   void cut(std::uint64_t wire, const std::string& reason);
@@ -167,6 +167,7 @@ class Links {
   std::optional<std::string> loss_of(std::uint64_t wire);
   void count_missed(std::uint64_t wire, std::uint64_t replaces, std::uint32_t every);
   void lose(const std::string& endpoint, const std::string& name, const std::string& reason);
+  static void tell_lost(const Hop& to, std::uint64_t wire, std::size_t messages);
   void lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason);
   void note_foreign(std::uint64_t wire, const wire::Frame& frame);
   void note_ended(std::uint64_t wire);

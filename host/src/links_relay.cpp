@@ -17,6 +17,8 @@ class Links::RelayLane {
     (rest_ == PeerLanes::Rest::Goes ? counters_.overrun : counters_.late) += lost;
   }
   const LinkSocket::Lane& lane() const { return lane_; }
+  /// Its peer has gone. Returns what is lost by that, once for each wire.
+  std::size_t end() { return link_->close_lane(lane_); }
   /// A wire has ended behind what waits here: it goes before it, as it would have gone from who sent it.
   void keep_rest() { rest_ = PeerLanes::Rest::Goes; }
 
@@ -89,7 +91,8 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
   return &rest;
 }
 
-/// Called with the mutex held. A frame without an object goes behind the objects of its wire.
+/// Called with the mutex held. A frame without an object goes behind the objects of its wire. A push loses its oldest
+/// where the next process is slow, which both its ends are told; for all else its sender has credit once it has left.
 void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
                     const std::shared_ptr<const Payload>& payload) {
   if (frame.lane() != 0) {
@@ -105,10 +108,25 @@ void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, 
     }
   }
   const LinkSocket::Lane lane = to.lane ? to.lane->lane() : LinkSocket::Lane();
-  to.hop.link->forward(lane, to.hop.peer, frame, object, payload, from.link->receipt());
+  const bool is_push = frame.has_object() && &to == &relays_.at(frame.wire()).client;
+  if (!is_push) {
+    to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::Control, from.link->receipt());
+    return;
+  }
+  // Others share its lane as far as here: one that does not read must not keep their credit.
+  const std::size_t lost =
+      to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::DropOldest, nullptr);
+  tell_lost(from, frame.wire(), lost);
 }
 
-/// Called with the mutex held. The side that is left is told.
+void Links::tell_lost(const Hop& to, std::uint64_t wire, std::size_t messages) {
+  if (messages == 0) return;
+  wire::Frame frame = frame_for(wire);
+  frame.mutable_lost()->set_messages(messages);
+  to.link->tell(to.peer, frame);
+}
+
+/// Called with the mutex held. The side that is left is told, also of what had not left for the one that has gone.
 void Links::lose_relays(const std::string& endpoint, const std::string& name, const std::string& reason) {
   for (auto it = relays_.begin(); it != relays_.end();) {
     auto& [wire, relay] = *it;
@@ -118,6 +136,8 @@ void Links::lose_relays(const std::string& endpoint, const std::string& name, co
       continue;
     }
     const Hop& left = provider_gone ? relay.client.hop : relay.provider.hop;
+    const auto& lane = provider_gone ? relay.provider.lane : relay.client.lane;
+    if (left.link) tell_lost(left, wire, lane ? lane->end() : 0);
     wire::Frame frame = frame_for(wire);
     frame.mutable_closed()->set_reason(told_reason(reason));
     if (left.link) left.link->tell(left.peer, frame);

@@ -308,9 +308,9 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
                           });
     }
     case wire::Frame::kLost:
-      if (port_.direction() == PortDirection::Requires && port_.service().is_push()) {
+      // Of its provider, or of a host on the way, which tells both ends. Who has asked is told otherwise.
+      if (port_.service().pattern() != QUERY)
         port_.counters().dropped.fetch_add(frame.lost().messages(), std::memory_order_relaxed);
-      }
       return;
     case wire::Frame::kFired: return on_fired(frame.fired(), object);
     case wire::Frame::kRoom: return on_room(frame.room().bytes());

@@ -524,7 +524,9 @@ TEST_F(ProvingLink, PassesOnWhatItsSenderHasCreditForAndNoMore) {
   const std::string bytes(kChunkBytes / 2, 'x');
   const auto payload = std::make_shared<const Payload>(ObjectBytes(bytes));
   wire::Frame frame = frame_of(7);
-  const auto forward = [&] { link.forward(lane, "peer", frame, ObjectBytes(bytes), payload, nullptr); };
+  const auto forward = [&] {
+    link.forward(lane, "peer", frame, ObjectBytes(bytes), payload, LinkSocket::Rule::Control, nullptr);
+  };
   forward();
   EXPECT_EQ(counters.overrun, 1U) << "an object without a lane";
   frame.set_lane(1);

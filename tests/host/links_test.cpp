@@ -418,6 +418,38 @@ TEST_F(LinksOfAProcess, AQuestionForRoomThatComesBeforeTheWireIsOpenIsAnsweredWh
   links.release(hull, "the test is over");
 }
 
+/// One wire of a push passes through this process, to a peer that gives no credit; another one ends here.
+TEST_F(LinksOfAProcess, APushThatIsPassedOnToOneThatDoesNotReadIsLostForThatOneAloneAndItsProviderIsTold) {
+  constexpr std::uint64_t kPuts = 150'000;
+  constexpr std::uint64_t kAtOnce = 5000;
+  constexpr std::uint64_t kOnTheirWay = kLaneWindow / kFrameCost;
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
+  for (const std::uint64_t wire : {1, 2}) other.provide(wire, kLinksToken, "both", ends->told, 1, "client");
+  links.relay(1, kLinksToken, "deaf", {at("other"), "both", link_key(kLinksKey, "both")});
+  RawPeer deaf(context, at("links"), "deaf");
+  deaf.prove(kLinksKey);
+  open_by_hand(deaf, 1);
+  require(2, ends->noticed);
+  for (std::uint64_t put = kAtOnce; put <= kPuts; put += kAtOnce) {
+    EXPECT_TRUE(hull.strand().call(
+        [&] {
+          for (std::uint64_t i = 0; i < kAtOnce; ++i) ends->told.put(localisation::CommLocation());
+        },
+        20s));
+    ASSERT_TRUE(becomes_true([&] { return ends->noticed_so_far == static_cast<int>(put); })) << put;
+  }
+  const auto& dropped = ends->told.counters().dropped;
+  EXPECT_TRUE(becomes_true([&] { return dropped > 0; }));
+  EXPECT_LE(dropped, kPuts - kOnTheirWay) << "what it may keep waits here";
+  links.peer_lost("", "deaf", "its process has ended");
+  EXPECT_TRUE(becomes_true([&] { return dropped >= kPuts - kOnTheirWay; })) << dropped;
+  EXPECT_LE(dropped, kPuts);
+  EXPECT_EQ(ends->noticed.counters().dropped, 0U);
+  EXPECT_EQ(links.status().overrun() + links.status().late(), 0U);
+  links.release(hull, "the test is over");
+  other.stop();
+}
+
 TEST_F(LinksOfAProcess, SendsThatAreToBePassedOnGoThoughTheirWireHasEndedBehindThem) {
   constexpr std::size_t kSends = 100;  // of 64 KiB each: more than there is credit for
   std::promise<void> goes_on;
