@@ -5,6 +5,12 @@
 #include "links.hpp"
 
 namespace fiona::host {
+namespace {
+
+/// Of what a lane has lost its sender is told all but one part in so many.
+constexpr std::size_t kPortionsOfLost = 64;
+
+}  // namespace
 
 class Links::RelayLane {
  public:
@@ -17,8 +23,16 @@ class Links::RelayLane {
     (rest_ == PeerLanes::Rest::Goes ? counters_.overrun : counters_.late) += lost;
   }
   const LinkSocket::Lane& lane() const { return lane_; }
-  /// Its peer has gone. Returns what is lost by that, once for each wire.
-  std::size_t end() { return link_->close_lane(lane_); }
+  /// So many more are lost here, once for each wire. Returns how many its sender is to be told now: the first ones
+  /// each, then in portions, or who floods one that does not read would be flooded in turn.
+  std::size_t note_lost(std::size_t messages) {
+    untold_ += messages;
+    if (untold_ < told_ / kPortionsOfLost) return 0;
+    told_ += untold_;
+    return std::exchange(untold_, 0);
+  }
+  /// Its peer has gone. Returns what is lost by that, and has not been told.
+  std::size_t end() { return untold_ + link_->close_lane(lane_); }
   /// A wire has ended behind what waits here: it goes before it, as it would have gone from who sent it.
   void keep_rest() { rest_ = PeerLanes::Rest::Goes; }
 
@@ -27,6 +41,8 @@ class Links::RelayLane {
   const LinkSocket::Lane lane_;
   LinkCounters& counters_;
   PeerLanes::Rest rest_ = PeerLanes::Rest::IsLost;
+  std::size_t told_ = 0;
+  std::size_t untold_ = 0;
 };
 
 void Links::relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint) {
@@ -116,7 +132,7 @@ void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, 
   // Others share its lane as far as here: one that does not read must not keep their credit.
   const std::size_t lost =
       to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::DropOldest, nullptr);
-  tell_lost(from, frame.wire(), lost);
+  if (lost > 0) tell_lost(from, frame.wire(), to.lane->note_lost(lost));
 }
 
 void Links::tell_lost(const Hop& to, std::uint64_t wire, std::size_t messages) {

@@ -450,6 +450,26 @@ TEST_F(LinksOfAProcess, APushThatIsPassedOnToOneThatDoesNotReadIsLostForThatOneA
   other.stop();
 }
 
+TEST_F(LinksOfAProcess, WhoFloodsOneThatDoesNotReadIsNotFloodedWithWhatIsLost) {
+  constexpr std::size_t kLost = 50'000;
+  std::atomic<std::size_t> told{0};
+  std::atomic<std::size_t> lost{0};
+  ProviderByHand other(at("other"), [&](const wire::Frame& frame) {
+    told += frame.has_lost() ? 1 : 0;
+    lost += frame.lost().messages();
+  });
+  links.relay(1, kLinksToken, "deaf", {at("other"), "both", link_key(kLinksKey, "both")});
+  RawPeer deaf(context, at("links"), "deaf");
+  deaf.prove(kLinksKey);
+  open_by_hand(deaf, 1);
+  const auto location = std::make_shared<localisation::CommLocation>();
+  EXPECT_TRUE(becomes_true([&] {
+    for (int i = 0; i < 1000; ++i) other.send(frame_for(1), location);
+    return lost >= kLost;
+  }));
+  EXPECT_LT(told, kLost / 50);
+}
+
 TEST_F(LinksOfAProcess, SendsThatAreToBePassedOnGoThoughTheirWireHasEndedBehindThem) {
   constexpr std::size_t kSends = 100;  // of 64 KiB each: more than there is credit for
   std::promise<void> goes_on;
