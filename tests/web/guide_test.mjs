@@ -6,7 +6,7 @@ import assert from "node:assert/strict";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
-import { Claims, Navigator, accessible, api, browserProgram, browserTools, listenTo, newest, saidBy, skip, until } from "./navigator.mjs";
+import { Claims, Navigator, accessible, api, browserProgram, browserTools, closeDialog, listenTo, newest, saidBy, skip, until } from "./navigator.mjs";
 
 const [bin, marketplace, modules, screenshots] = process.argv.slice(2).map((path) => resolve(path));
 if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
@@ -64,7 +64,7 @@ try {
     await page.getByText("Access level 3").waitFor();
     await page.getByLabel("Stairs").selectOption("no");
     await page.getByText("Saved.").waitFor();
-    await page.getByRole("button", { name: "Close" }).click();
+    await closeDialog(page);
     await pick("1.09");
     assert.match(await steps(), /Take the lift to/);
     assert.doesNotMatch(await steps(), /stairs/i);
@@ -109,7 +109,7 @@ try {
       await page.getByRole("button", { name: "Profile of anna" }).click();
       await page.getByLabel("Lifts").selectOption(what);
       await page.getByText("Saved.").waitFor();
-      await page.getByRole("button", { name: "Close" }).click();
+      await closeDialog(page);
     };
     await lifts("no");
     await page.getByLabel("Where to?").fill("2.01");

@@ -147,6 +147,12 @@ export const newest = (page, topic) =>
     }
   }, topic);
 
+/// What is told stands twice while a dialog is open; the page hears of its end a little after the click.
+export async function closeDialog(page) {
+  await page.getByRole("button", { name: "Close" }).click();
+  await page.locator("dialog").waitFor({ state: "detached" });
+}
+
 /// Keeps what parts of the page say, each text when it comes: `saidBy` gives those of one, by its selector.
 export const listenTo = (page, ...selectors) =>
   page.evaluate((selectors) => {

@@ -7,7 +7,7 @@ import { mkdirSync, readFileSync, readdirSync } from "node:fs";
 import { createServer } from "node:http";
 import { join, resolve } from "node:path";
 import { hostile } from "./hostile_page.mjs";
-import { Claims, Navigator, accessible as accessibleBy, api, browserProgram, browserTools, listenTo, saidBy, skip, until } from "./navigator.mjs";
+import { Claims, Navigator, accessible as accessibleBy, api, browserProgram, browserTools, closeDialog, listenTo, saidBy, skip, until } from "./navigator.mjs";
 
 const [bin, marketplace, modules, screenshots] = process.argv.slice(2).map((path) => resolve(path));
 if (!browserProgram) skip("there is no chromium on this machine (apt-get install chromium)");
@@ -150,6 +150,7 @@ try {
     });
     await accessible(page, "log-in too often");
     fiona("set", "auth", "attempts=10", "attempt_period=0.1s");
+    await new Promise((passed) => setTimeout(passed, 200));  // until there is one more
   });
   await claim("the right one shows the profile", async () => {
     await page.getByLabel("Password").fill(kPassword);
@@ -162,7 +163,7 @@ try {
     await page.getByText("Added.").waitFor();
     await accessible(page, "profile");
     await picture(page, "phone-profile");
-    await page.getByRole("button", { name: "Close" }).click();
+    await closeDialog(page);
   });
   await claim("no process shows the password in its words or its environment", () => {
     const searched = readdirSync("/proc").filter((name) => /^\d+$/.test(name)).flatMap((pid) =>
@@ -410,7 +411,7 @@ try {
     await page.getByRole("button", { name: "Profile of anna" }).click();
     await page.getByRole("button", { name: "Log out" }).click();
     await page.getByText("You are logged out.").waitFor();
-    await page.getByRole("button", { name: "Close" }).click();
+    await closeDialog(page);
     await page.getByRole("button", { name: "Log in" }).waitFor();
   });
   await claim("the password is nowhere on the disk and in nothing that was said", async () => {
