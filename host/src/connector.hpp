@@ -22,6 +22,8 @@ class Connector {
     bool local = false;
     std::string reason{};               ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
+
+    bool is_open() const { return id != 0 && reason.empty(); }
   };
   struct Surroundings {
     const Model& model;

@@ -1,6 +1,7 @@
 #include "delivery_log.hpp"
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -27,6 +28,13 @@ DeliveryLog::~DeliveryLog() {
   if (failure_.empty() || told_) return;
   std::cerr << fmt::format("the delivery log {} cannot be written: {}; it is not whole: make room, then run it again\n",
                            file_.string(), failure_);
+}
+
+void DeliveryLog::begin_anew() {
+  const std::lock_guard lock(mutex_);
+  lines_.clear();
+  std::rewind(out_.get());
+  if (std::fflush(out_.get()) != 0 || ::ftruncate(::fileno(out_.get()), 0) != 0) note_failure();
 }
 
 void DeliveryLog::delivered(TimePoint at, std::string_view wire, std::uint64_t sequence, std::string_view what) {

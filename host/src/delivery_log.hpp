@@ -25,6 +25,8 @@ class DeliveryLog final : public DeliveryRecorder {
   /// Where nobody has asked for a failure says it on standard error.
   ~DeliveryLog() override;
 
+  /// What was recorded goes: another run begins.
+  void begin_anew();
   void delivered(TimePoint at, std::string_view wire, std::uint64_t sequence, std::string_view what) override;
   void round(TimePoint at) override;
   const std::filesystem::path& file() const { return file_; }

@@ -15,7 +15,7 @@ namespace fiona::host {
 namespace {
 
 /// Waits of a transaction belong to no client: they end though it goes.
-constexpr std::uint64_t kEngine = 0;
+constexpr std::uint64_t kEngine = UINT64_MAX;
 
 control::Reply reply_of(const control::Failure& failure) {
   control::Reply reply;
@@ -247,7 +247,14 @@ void Engine::plan(Transaction& transaction) const {
     transaction.failure = failure_of_exception();
     return;
   }
-  if (request.whole()) transaction.steps = Model::difference(transaction.before, after);
+  if (request.whole()) {
+    transaction.steps = Model::difference(transaction.before, after);
+    Model so_far = transaction.before;
+    for (const auto& step : transaction.steps) {
+      if (auto warning = warning_of(step, so_far)) transaction.warnings.push_back(std::move(*warning));
+      so_far.make(step, system_.packages());
+    }
+  }
   transaction.reverse = Model::difference(after, transaction.before);
 }
 
@@ -301,7 +308,11 @@ void Engine::begin(const TransactionPtr& transaction) {
     transaction->failure = failure_of_exception();
     return finish(transaction);
   }
-  if (!transaction->is_aside()) current_ = transaction;
+  if (transaction->is_aside()) {
+    aside_.insert(transaction);
+  } else {
+    current_ = transaction;
+  }
   go_on(transaction);
 }
 
@@ -386,6 +397,22 @@ void Engine::step_failed(const TransactionPtr& transaction, const control::Failu
   transaction->at = 0;
 }
 
+/// What could not be taken back has happened: a host that is started again is to have it so, and an undo to take it
+/// back.
+void Engine::note_rest(Transaction& transaction) {
+  control::JournalEntry entry;
+  entry.set_author(transaction.author);
+  for (auto& step : Model::difference(transaction.before, system_.model())) *entry.add_steps() = std::move(step);
+  for (auto& step : Model::difference(system_.model(), transaction.before)) *entry.add_reverse() = std::move(step);
+  if (entry.steps().empty()) return;
+  try {
+    journal_.end(journal_.begin(std::move(entry)), control::JournalEntry::DONE,
+                 fmt::format("could not be taken back of {}", transaction.entry), &system_.model());
+  } catch (const Error& error) {
+    transaction.not_taken_back.push_back(error.text().what);
+  }
+}
+
 void Engine::finish(const TransactionPtr& transaction) {
   using Entry = control::JournalEntry;
   if (transaction->entry != 0) {
@@ -399,6 +426,7 @@ void Engine::finish(const TransactionPtr& transaction) {
     }
   }
   if (!transaction->not_taken_back.empty()) {
+    note_rest(*transaction);
     transaction->failure->set_found(fmt::format("{}; and this could not be taken back: {}",
                                                 transaction->failure->found(),
                                                 fmt::join(transaction->not_taken_back, "; ")));
@@ -415,6 +443,7 @@ void Engine::finish(const TransactionPtr& transaction) {
     reply.mutable_done()->set_entry(transaction->entry);
     transaction->answer(std::move(reply));
   }
+  aside_.erase(transaction);
   if (current_ != transaction) return;
   current_.reset();
   while (!current_ && !waiting_.empty()) {

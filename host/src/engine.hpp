@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -49,8 +50,8 @@ class Engine {
   /// request. False: there is none that can be given up.
   bool give_up(std::uint64_t client, std::optional<std::uint64_t> request = std::nullopt);
   control::JournalEntries journal(std::uint32_t last) const;
-  /// No transaction is under way.
-  bool is_idle() const { return !current_; }
+  /// No transaction is under way, nor a change of mode.
+  bool is_idle() const { return !current_ && aside_.empty(); }
 
  private:
   struct Transaction;
@@ -69,6 +70,7 @@ class Engine {
   void begin_step(const TransactionPtr& transaction, const control::Change& step);
   control::Done end_step(const Transaction& transaction, const control::Change& step, const control::Done& done);
   void step_failed(const TransactionPtr& transaction, const control::Failure& failure);
+  void note_rest(Transaction& transaction);
   void finish(const TransactionPtr& transaction);
 
   // ---- engine_upgrade.cpp
@@ -93,6 +95,7 @@ class Engine {
   const std::shared_ptr<Engine*> self_;  ///< null once it is gone: what comes later finds nobody
   std::deque<TransactionPtr> waiting_;
   TransactionPtr current_;
+  std::set<TransactionPtr> aside_;                     ///< changes of mode that are under way
   std::map<TransactionPtr, std::uint64_t> comparing_;  ///< with the number of the comparison
   std::map<std::string, WatchedPtr> watched_;          ///< by instance: upgrades that may be taken back
 };

@@ -68,6 +68,16 @@ Outcome FanOut::deliver(Parcel parcel) {
   return takers_.empty() ? Outcome::Ok : send(parcel, takers_);
 }
 
+void FanOut::repeat(Parcel parcel) {
+  const std::lock_guard lock(mutex_);
+  takers_.clear();
+  for (auto& [wire, member] : members_) {
+    takers_.push_back(wire);
+    member.room.sent(Inbox::cost_of(parcel.envelope.bytes));
+  }
+  if (!takers_.empty()) send(parcel, takers_);
+}
+
 bool FanOut::has_room(std::size_t bytes, const std::function<void()>& notice) {
   const std::lock_guard lock(mutex_);
   const std::size_t cost = Inbox::cost_of(bytes);

@@ -34,6 +34,7 @@ class FanOut final : public Sink {
   Outcome deliver_to(std::uint64_t wire, const Parcel& parcel);
 
   Outcome deliver(Parcel parcel) override;
+  void repeat(Parcel parcel) override;
   void lease(bool held, const std::string& reason) override;
   std::size_t subscribers() const override;
   bool has_room(std::size_t bytes, const std::function<void()>& notice) override;

@@ -155,13 +155,14 @@ void Journal::sync_until_closed() {
 
 void Journal::write(const control::JournalEntry& entry) {
   if (file_.empty()) return;
-  const std::string record = record_of(entry);
+  std::string record = record_of(entry);
   if (record.size() > kHeadBytes + kMaxRecord) {
     throw Error(ErrorCode::NotAllowed, {.what = "the change is too large for the journal",
                                         .expected = fmt::format("{} bytes, with what takes it back", kMaxRecord),
                                         .found = fmt::format("{} bytes", record.size() - kHeadBytes),
                                         .next = "make it in parts"});
   }
+  record.insert(0, owed_);
   try {
     write_all(descriptor_.get(), record, file_);
   } catch (...) {
@@ -170,6 +171,7 @@ void Journal::write(const control::JournalEntry& entry) {
     ::lseek(descriptor_.get(), static_cast<off_t>(written_bytes_), SEEK_SET);
     throw;
   }
+  owed_.clear();
   written_bytes_ += record.size();
   {
     const std::lock_guard lock(mutex_);
@@ -213,7 +215,12 @@ void Journal::end(std::uint64_t number, control::JournalEntry::State state, cons
   if (control::JournalEntry* undone = state == control::JournalEntry::DONE ? find(entry->undoes()) : nullptr) {
     undone->set_state(control::JournalEntry::UNDONE);
   }
-  write(*entry);
+  try {
+    write(*entry);
+  } catch (...) {
+    owed_ += record_of(*entry);
+    throw;
+  }
   if (whole && written_bytes_ > kFoldBytes) fold(*whole);
 }
 

@@ -77,6 +77,7 @@ class Journal {
   std::deque<control::JournalEntry> entries_;
   std::uint64_t next_number_ = 1;
   std::uint64_t written_bytes_ = 0;
+  std::string owed_;  ///< records of what has ended that could not be written: they go before the next one
 
   std::mutex mutex_;
   std::condition_variable wake_;

@@ -42,6 +42,7 @@ Links::Endpoint LedInstances::own_endpoint(const std::string& endpoint, const Gr
 }
 
 wire::GroupMessage LedInstances::pass_on(wire::GroupRequest request, Group& group) {
+  request.clear_expires_ns();  // by the clock of another machine
   const auto set_peer = [this](auto& message) {
     if (message.peer() != kLeaderEndpoint) message.set_peer(group_at(message.peer()).link_name());
   };

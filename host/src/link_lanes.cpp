@@ -21,14 +21,18 @@ std::size_t PeerLanes::Lane::drop_oldest() {
     return item.rule == Rule::DropOldest && item.next_chunk == 0;
   });
   if (oldest == queue_.end()) return 0;
-  const std::size_t losses = oldest->losses();
-  lost_[oldest->wire] += oldest->messages;
-  if (oldest->also) {
-    for (const std::uint64_t wire : *oldest->also) lost_[wire] += oldest->messages;
-  }
+  const std::size_t losses = note_lost(*oldest);
   waiting_ -= oldest->cost;
   queue_.erase(oldest);
   return losses;
+}
+
+std::size_t PeerLanes::Lane::note_lost(const Item& item) {
+  lost_[item.wire] += item.messages;
+  if (item.also) {
+    for (const std::uint64_t wire : *item.also) lost_[wire] += item.messages;
+  }
+  return item.losses();
 }
 
 std::shared_ptr<PeerLanes::Lane> PeerLanes::open() {
@@ -42,14 +46,16 @@ std::size_t PeerLanes::close(Lane& lane, Rest rest) {
   std::size_t kept = lane.waiting_;
   for (const auto& [id, other] : lanes_) kept += other->closed_ ? other->waiting_ : 0;
   lane.closed_ = true;
+  const auto waits = [](const Item& item) { return item.cost > 0 && item.next_chunk == 0; };
+  const bool is_one_object = kept == lane.waiting_ && std::count_if(lane.queue_.begin(), lane.queue_.end(), waits) == 1;
   std::size_t lost = 0;
-  if (rest == Rest::IsLost || kept > kLaneWindow) {
-    std::erase_if(lane.queue_, [&lost](const Item& item) {
-      const bool goes = item.cost > 0 && item.next_chunk == 0;
-      if (goes) lost += item.losses();
-      return goes;
+  if (rest == Rest::IsLost || (kept > kLaneWindow && !is_one_object)) {
+    std::erase_if(lane.queue_, [&](const Item& item) {
+      if (!waits(item)) return false;
+      lost += lane.note_lost(item);
+      return true;
     });
-    lane.lost_.clear();
+    if (rest == Rest::IsLost) lane.lost_.clear();  // else it is told before the end of the wire
     lane.waiting_ = 0;
   }
   update(lane);

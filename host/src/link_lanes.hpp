@@ -107,6 +107,8 @@ class PeerLanes::Lane {
   bool may_go() const;
   bool is_full(std::size_t cost) const { return waiting_ > 0 && waiting_ + cost > kLaneWindow; }
   std::size_t drop_oldest();
+  /// Returns its losses.
+  std::size_t note_lost(const Item& item);
 
   const std::uint64_t id_;
   std::deque<Item> queue_;

@@ -355,6 +355,18 @@ bool read_object_frame(std::string_view bytes, wire::Frame& frame) {
 
 }  // namespace
 
+bool is_of_link(const wire::Frame& frame) {
+  switch (frame.what_case()) {
+    case wire::Frame::kCredit:
+    case wire::Frame::kHello:
+    case wire::Frame::kChallenge:
+    case wire::Frame::kProof:
+    case wire::Frame::kHost:
+    case wire::Frame::kMemory: return true;
+    default: return false;
+  }
+}
+
 /// Everything from the network is checked before use: lengths and frames here, then the wire's own rules.
 bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver, bool lent) {
   if (parts.empty() || parts.size() > 2) return false;
@@ -368,11 +380,13 @@ bool FrameReader::read(std::vector<zmq::message_t>& parts, Receiver& receiver, b
     const std::size_t frame_size = read_length(head);
     const std::size_t object_size = read_length(head + 4);
     rest.remove_prefix(kRecordHead);
+    if (frame_size > kMostFrame) return false;
     if (frame_size > rest.size() || object_size > rest.size() - frame_size) return false;
     const bool of_object = read_object_frame(rest.substr(0, frame_size), scratch_->of_object);
     if (!of_object && !other.ParseFromArray(rest.data(), static_cast<int>(frame_size))) return false;
     const wire::Frame& frame = of_object ? scratch_->of_object : other;
     if (static_cast<std::size_t>(frame.also_size()) > kMostAlso) return false;
+    if (is_of_link(frame) && (frame.wire() != 0 || frame.also_size() > 0)) return false;
     const auto inside = rest.substr(frame_size, object_size);
     rest.remove_prefix(frame_size + object_size);
     zmq::message_t* beside = rest.empty() && parts.size() == 2 ? &parts.back() : nullptr;

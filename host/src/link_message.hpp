@@ -27,6 +27,8 @@ inline constexpr std::size_t kMaxObject = 64 * 1024 * 1024;
 inline constexpr std::size_t kInlineBytes = 16 * 1024;
 /// Wires that one frame is for beside its own, at most: those of a push port to one process share what crosses.
 inline constexpr std::size_t kMostAlso = 4096;
+/// A frame's own bytes at most, whatever object it carries: who passes it on puts a whole chunk beside it.
+inline constexpr std::size_t kMostFrame = 48 * 1024;
 /// What a link or wire of another version is told.
 inline constexpr const char* kNotGranted = "the wire was not granted";
 inline constexpr const char* kUnknownVersion = "unknown protocol version: this side speaks 1";
@@ -112,6 +114,8 @@ class Payload {
   std::vector<Chunk> chunks_;
 };
 
+/// Of the link itself or of the two hosts: who has only a wire must not speak so to whoever is at its other end.
+bool is_of_link(const wire::Frame& frame);
 /// Why, as a peer is told it: a sentence of 4 KiB at most.
 std::string told_reason(std::string_view reason);
 /// A record: head, frame, and the object's bytes if it has any that travel inside. Its size, and writing it where there

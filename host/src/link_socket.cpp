@@ -290,12 +290,13 @@ std::size_t LinkSocket::forward(const Lane& lane, const std::string& peer, wire:
   const std::lock_guard lock(mutex_);
   const auto known = lane.peer ? lane.peer : peers_.contains(peer) ? peers_[peer] : nullptr;
   if (!known || known->gone) {
-    if (item.rule == Rule::DropOldest) return item.losses();
-    if (item.cost > 0) counters_.late += item.losses();
+    if (rule == Rule::DropOldest) return item.losses();
+    if (object.size() > 0 || item.cost > 0) counters_.late += item.losses();
     return 0;
   }
   // A window is what its sender has credit for, and a queue behind it what he keeps himself.
-  const bool credited = has_lane ? lane.lane->waiting() <= 2 * kLaneWindow : object.size() == 0;
+  const bool credited =
+      item.rule == Rule::DropOldest || (has_lane ? lane.lane->waiting() <= 2 * kLaneWindow : object.size() == 0);
   if (!credited && !on_dealt_with_) {
     ++counters_.overrun;
     return 0;

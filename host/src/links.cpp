@@ -369,9 +369,11 @@ void Links::on_frame(const Hop& from, const wire::Frame& frame, const ObjectByte
   std::optional<wire::Frame> some;  // to make one takes time, and there are few relays
   const wire::Frame* rest = &frame;
   End end;
+  std::shared_ptr<const Payload> payload;  // made before the lock is taken: to copy it takes time
+  if (object.size() > kInlineBytes && is_relayed(frame)) payload = std::make_shared<const Payload>(object);
   {
     const std::lock_guard lock(mutex_);
-    if (!relays_.empty()) rest = pass_on(from, frame, object, some.emplace());
+    if (!relays_.empty()) rest = pass_on(from, frame, object, payload, some.emplace());
     if (!rest) return;
     end = end_of_locked(from, rest->wire(), *rest);
   }
@@ -427,7 +429,8 @@ void Links::on_closed(std::uint64_t wire_id, const std::string& reason) {
     found->second.lost = reason;
     wire = found->second.wire;
     if (!found->second.retired && found->second.refusal == "") client = found->second.client;
-    if (found->second.passed_over) {
+    const bool is_over = found->second.retired && !wire->port().service().is_push();  // a push is waited for
+    if (is_over || found->second.passed_over) {
       note_ended(wire_id);
       requirements_.erase(found);
     }
@@ -470,15 +473,7 @@ void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, const
 void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   const InUse::Scope use(ports_in_use_);
   std::unique_lock lock(mutex_);
-  if (const auto relay = relays_.find(wire_id); relay != relays_.end()) {
-    wire::Frame frame = frame_for(wire_id);
-    frame.mutable_closed()->set_reason(told_reason(reason));
-    for (const Hop& hop : {relay->second.client.hop, relay->second.provider.hop}) {
-      if (hop.link) hop.link->tell(hop.peer, frame);
-    }
-    relays_.erase(relay);
-    return note_ended(wire_id);
-  }
+  if (relays_.contains(wire_id)) return cut_relay(wire_id, reason);
   if (const auto found = grants_.find(wire_id); found != grants_.end()) {
     const auto wire = found->second.wire;
     const bool attached = found->second.attached;

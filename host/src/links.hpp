@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <condition_variable>
 #include <functional>
 #include <map>
@@ -121,6 +122,8 @@ class Links {
     struct Side {
       Hop hop;
       std::shared_ptr<RelayLane> lane;  ///< towards it, once an object has gone there
+      /// Bytes that wait for it without costing credit.
+      std::shared_ptr<std::atomic<std::size_t>> free = std::make_shared<std::atomic<std::size_t>>(0);
     };
     std::string token;
     std::string peer;
@@ -159,8 +162,11 @@ class Links {
   End find_end(const Hop& from, std::uint64_t wire) const;
   bool may_open(const Hop& from, const std::string& peer);
   void open_relay(const Hop& from, const wire::Frame& frame, Relay& relay);
-  const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object, wire::Frame& rest);
-  void forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+  bool is_relayed(const wire::Frame& frame);
+  const wire::Frame* pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object,
+                             const std::shared_ptr<const Payload>& payload, wire::Frame& rest);
+  void cut_relay(std::uint64_t wire, const std::string& reason);
+  bool forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
                const std::shared_ptr<const Payload>& payload);
   std::shared_ptr<RemoteWire> to_end(std::uint64_t wire) const;
   bool await_end(std::uint64_t wire);

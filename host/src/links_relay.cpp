@@ -9,6 +9,19 @@ namespace {
 
 /// Of what a lane has lost its sender is told all but one part in so many.
 constexpr std::size_t kPortionsOfLost = 64;
+/// Of what costs no credit so much may wait for one side of a wire: a wire of which more does is cut, before its side
+/// is let go with all that others have there.
+constexpr std::size_t kMostFree = kMostControl / 2;
+
+/// Frames without credit that wait to be passed on.
+struct Waiting {
+  Waiting(std::shared_ptr<std::atomic<std::size_t>> a, std::size_t b) : all(std::move(a)), bytes(b) { *all += bytes; }
+  Waiting(const Waiting&) = delete;
+  Waiting& operator=(const Waiting&) = delete;
+  ~Waiting() { *all -= bytes; }
+  const std::shared_ptr<std::atomic<std::size_t>> all;
+  const std::size_t bytes;
+};
 
 }  // namespace
 
@@ -32,7 +45,7 @@ class Links::RelayLane {
     return std::exchange(untold_, 0);
   }
   /// Its peer has gone. Returns what is lost by that, and has not been told.
-  std::size_t end() { return untold_ + link_->close_lane(lane_); }
+  std::size_t end() { return std::exchange(untold_, 0) + link_->close_lane(lane_); }
   /// A wire has ended behind what waits here: it goes before it, as it would have gone from who sent it.
   void keep_rest() { rest_ = PeerLanes::Rest::Goes; }
 
@@ -58,15 +71,23 @@ void Links::open_relay(const Hop& from, const wire::Frame& frame, Relay& relay) 
     relay.provider.hop = connect(relay.endpoint);
   } catch (const Error& error) {
     return refuse(from, frame.wire(), error.text().what);
+  } catch (const std::exception& error) {  // no descriptor is left, or no memory
+    return refuse(from, frame.wire(), error.what());
   }
   relay.client.hop = from;
   forward(from, relay.provider, frame, {}, nullptr);
 }
 
+bool Links::is_relayed(const wire::Frame& frame) {
+  const std::lock_guard lock(mutex_);
+  const auto is_known = [this](std::uint64_t wire) { return relays_.contains(wire); };
+  return is_known(frame.wire()) || std::any_of(frame.also().begin(), frame.also().end(), is_known);
+}
+
 /// Passes the frame on over those of its wires that are relayed here, each side's towards the other. What is left of it
 /// is for wires that end here; null: nothing is. Called with the mutex held.
 const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, const ObjectBytes& object,
-                                  wire::Frame& rest) {
+                                  const std::shared_ptr<const Payload>& payload, wire::Frame& rest) {
   std::vector<std::uint64_t> ending;
   std::vector<std::pair<Relay::Side*, wire::Frame>> ways;  // those of one hop share what crosses, as they did before
   const auto sort = [&](std::uint64_t wire) {
@@ -84,9 +105,10 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
   };
   sort(frame.wire());
   for (const std::uint64_t wire : frame.also()) sort(wire);
-  const auto payload =
-      object.size() > kInlineBytes && !ways.empty() ? std::make_shared<const Payload>(object) : nullptr;
-  for (const auto& [to, passed] : ways) forward(from, *to, passed, object, payload);
+  std::vector<std::uint64_t> flooded;
+  for (const auto& [to, passed] : ways) {
+    if (!forward(from, *to, passed, object, payload)) flooded.push_back(passed.wire());
+  }
   if (frame.has_closed() || frame.has_refused()) {
     for (const auto& [to, passed] : ways) {
       if (to->lane) to->lane->keep_rest();
@@ -98,6 +120,7 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
       relays_.erase(passed.wire());
     }
   }
+  for (const std::uint64_t wire : flooded) cut_relay(wire, "too much that costs no credit waits on its way");
   if (ways.empty() && ending.size() == 1U + static_cast<std::size_t>(frame.also_size())) return &frame;
   if (ending.empty()) return nullptr;
   rest = frame;
@@ -107,9 +130,23 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
   return &rest;
 }
 
-/// Called with the mutex held. A frame without an object goes behind the objects of its wire. A push loses its oldest
-/// where the next process is slow, which both its ends are told; for all else its sender has credit once it has left.
-void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
+/// Called with the mutex held, as is what follows. Both sides are told.
+void Links::cut_relay(std::uint64_t wire, const std::string& reason) {
+  const auto found = relays_.find(wire);
+  if (found == relays_.end()) return;
+  wire::Frame frame = frame_for(wire);
+  frame.mutable_closed()->set_reason(told_reason(reason));
+  for (const Hop& hop : {found->second.client.hop, found->second.provider.hop}) {
+    if (hop.link) hop.link->tell(hop.peer, frame);
+  }
+  relays_.erase(found);
+  note_ended(wire);
+}
+
+/// A frame without an object goes behind the objects of its wire. A push loses its oldest where the next process is
+/// slow, which both its ends are told; for all else its sender has credit once it has left. False: too much waits there
+/// already that costs no credit.
+bool Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, const ObjectBytes& object,
                     const std::shared_ptr<const Payload>& payload) {
   if (frame.lane() != 0) {
     auto& known = relay_lanes_[{from.link.get(), from.peer, frame.lane(), to.hop.link.get(), to.hop.peer}];
@@ -126,13 +163,18 @@ void Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, 
   const LinkSocket::Lane lane = to.lane ? to.lane->lane() : LinkSocket::Lane();
   const bool is_push = frame.has_object() && &to == &relays_.at(frame.wire()).client;
   if (!is_push) {
-    to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::Control, from.link->receipt());
-    return;
+    const bool is_free = frame.lane() == 0;
+    if (is_free && *to.free > kMostFree) return void(++counters_.overrun), false;
+    std::shared_ptr<const void> receipt = from.link->receipt();
+    if (is_free) receipt = std::make_shared<const Waiting>(to.free, frame.ByteSizeLong() + kFrameCost);
+    to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::Control, std::move(receipt));
+    return true;
   }
   // Others share its lane as far as here: one that does not read must not keep their credit.
   const std::size_t lost =
       to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::DropOldest, nullptr);
   if (lost > 0) tell_lost(from, frame.wire(), to.lane->note_lost(lost));
+  return true;
 }
 
 void Links::tell_lost(const Hop& to, std::uint64_t wire, std::size_t messages) {

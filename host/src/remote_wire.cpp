@@ -309,14 +309,24 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
     }
     case wire::Frame::kLost:
       // Of its provider, or of a host on the way, which tells both ends. Who has asked is told otherwise.
-      if (port_.service().pattern() != QUERY)
-        port_.counters().dropped.fetch_add(frame.lost().messages(), std::memory_order_relaxed);
+      if (port_.service().pattern() != QUERY) note_lost(frame.lost().messages());
       return;
     case wire::Frame::kFired: return on_fired(frame.fired(), object);
     case wire::Frame::kRoom: return on_room(frame.room().bytes());
     case wire::Frame::kCancel: return on_cancel(frame.cancel().id());
     default: return;
   }
+}
+
+/// Of what comes from outside no more counts than there can be: of a push what was put, once for each wire.
+void RemoteWire::note_lost(std::uint64_t messages) {
+  constexpr std::uint64_t kMost = 1ULL << 32U;
+  auto& counters = port_.counters();
+  const std::lock_guard lock(mutex_);
+  const std::uint64_t most = fan_out_ ? counters.messages.load(std::memory_order_relaxed) : kMost;
+  const std::uint64_t more = std::min(messages, most - std::min(most, told_lost_));
+  told_lost_ += more;
+  counters.dropped.fetch_add(more, std::memory_order_relaxed);
 }
 
 void RemoteWire::take_in_turn(const Object* object, std::string_view word, Job job) {

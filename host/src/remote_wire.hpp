@@ -101,6 +101,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   bool has_room_for_held();
   void take_held();
   std::deque<Held> end_held();
+  void note_lost(std::uint64_t messages);
   void take_in_turn(const Object* object, std::string_view word, Job job);
   std::function<void()> take_drained();
   void count_passed_over(std::size_t messages);
@@ -138,6 +139,7 @@ class RemoteWire : public Sink, public std::enable_shared_from_this<RemoteWire> 
   bool drains_ = false;  ///< takes no more: another wire has its place
   bool asked_for_end_ = false;
   bool passed_over_ = false;
+  std::uint64_t told_lost_ = 0;
   std::uint32_t prescale_ = 1;
   bool each_ = false;
   std::atomic<bool> admitted_;  ///< set under the mutex

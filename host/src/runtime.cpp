@@ -25,9 +25,7 @@ Runtime::~Runtime() {
   links_.stop();
   const std::string reason = "the process ends";
   for (auto& [id, wire] : wires_) wire.local->cut(reason);
-  for (const auto& retired : retired_) {
-    if (const auto wire = retired.lock()) wire->cut(reason);
-  }
+  for (const auto& wire : retired_) wire->cut(reason);
   for (auto& [name, instance] : instances_) {
     // One whose handler still runs keeps its memory: the process ends soon.
     if (instance->hull->shut_down(instance->patience())) static_cast<void>(instance->hull.release());

@@ -118,7 +118,7 @@ class Runtime final {
   std::map<std::string, std::unique_ptr<Instance>> instances_;
   std::set<const Liveness::Slot*> left_;  ///< of strands that stay for ever, with what they hold
   std::map<std::uint64_t, Wire> wires_;
-  std::vector<std::weak_ptr<LocalWire>> retired_;  ///< of requests that were on their way at a rewire
+  std::vector<std::shared_ptr<LocalWire>> retired_;  ///< until nothing is open any more that was asked over them
   Taps taps_;
   Links links_;
 };

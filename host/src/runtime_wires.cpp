@@ -117,7 +117,7 @@ void Runtime::retire(std::uint64_t id, bool drains) {
     found->second.provider->detach(*found->second.local);
     found->second.local->cut("");  // a push: nothing is open on it
   } else {
-    std::erase_if(retired_, [](const auto& wire) { return wire.expired(); });
+    std::erase_if(retired_, [](const auto& wire) { return !wire->has_open(); });
     retired_.push_back(found->second.local);
   }
   wires_.erase(found);
@@ -137,9 +137,7 @@ void Runtime::end_wires(const Hull& hull, Connection now, const std::string& rea
     cut(request);
     if (now == Connection::Lost) client->set_connection(now, reason);
   }
-  for (const auto& retired : retired_) {
-    if (const auto wire = retired.lock()) wire->cut_from(hull, reason);
-  }
+  for (const auto& wire : retired_) wire->cut_from(hull, reason);
 }
 
 ProvidedPort& Runtime::provided(const control::PortName& name) {

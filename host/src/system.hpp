@@ -343,7 +343,7 @@ class System {
   control::Done wire_one(const control::PortName& client, const Model& next);
   control::Done wire_several(const control::PortName& client, const Model& next);
   Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
-                    const Wire& old, control::Done& done);
+                    const Wire& old, control::Done& done, std::optional<Error>* refusal = nullptr);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
   void take_back_wires(const control::PortName& client, const std::vector<Wire>& made);

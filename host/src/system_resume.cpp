@@ -44,6 +44,12 @@ std::string subject_of(const control::Change& change) {
   }
 }
 
+control::Change unload_of(const std::string& instance) {
+  control::Change change;
+  change.mutable_unload()->set_instance(instance);
+  return change;
+}
+
 /// The system that these changes lead to, and what there is to say of what cannot be made any more: a package may have
 /// gone since, or a file. Of each that somebody still wants the first reason.
 std::pair<Model, std::map<std::string, std::string>> replayed(const std::vector<control::Change>& changes,
@@ -58,6 +64,8 @@ std::pair<Model, std::map<std::string, std::string>> replayed(const std::vector<
                     [&](const auto& one) { return one.first == subject || one.first.starts_with(subject + "."); });
     }
     try {
+      // It was made where this one was not: it had not been brought back, or could not be taken back.
+      if (change.has_load() && model.find(subject)) model.make(unload_of(subject), packages);
       model.make(change, packages);
     } catch (const Error& error) {
       const bool adds = change.has_load() || change.has_wire();

@@ -10,9 +10,9 @@ void System::set_clock(const ClockSettings& next) {
                 {.what = "a virtual clock drives one host, and this one works with others over tcp",
                  .next = "start it without --listen and --peer"});
   }
-  const bool records_anew = next.deliveries != (virtual_time_ ? virtual_time_->deliveries() : "");
-  std::shared_ptr<DeliveryLog> log;  // first: a file that cannot be written changes nothing
-  if (records_anew && !next.deliveries.empty()) log = std::make_shared<DeliveryLog>(next.deliveries);
+  auto log = virtual_time_ ? virtual_time_->log() : nullptr;
+  if (next.deliveries != (log ? log->file().string() : ""))  // first: a file that cannot be written changes nothing
+    log = next.deliveries.empty() ? nullptr : std::make_shared<DeliveryLog>(next.deliveries);
   const bool stays = next.is_virtual == has_virtual_clock() && (!next.is_virtual || clock_->start() == next.start);
   std::optional<Waits::Runs> runs;
   if (!stays)
@@ -21,7 +21,10 @@ void System::set_clock(const ClockSettings& next) {
   if (!stays && next.is_virtual) use_clock(std::make_unique<VirtualClock>(next.start));
   if (!stays && !next.is_virtual) use_clock(std::make_unique<SystemClock>());
   if (virtual_time_) virtual_time_->clock().set_speed(next.speed);
-  if (virtual_time_ && records_anew) virtual_time_->record_to(std::move(log));
+  if (virtual_time_ && virtual_time_->log() != log) {
+    if (log) log->begin_anew();  // it may have been that of the clock before
+    virtual_time_->record_to(std::move(log));
+  }
   if (runs) waits_->take(std::move(*runs));  // last: it lets time go on
 }
 

@@ -93,7 +93,8 @@ control::Done System::wire_one(const control::PortName& client, const Model& nex
 }
 
 /// Those that it keeps stay as they are. The new ones are opened before those that go are let go of, so that at every
-/// moment somebody serves. One that does not open waits: that is what its alternatives are for.
+/// moment somebody serves. One that does not open waits: that is what its alternatives are for; but where somebody
+/// serves and none of those that are wanted opens, all stays as it is.
 control::Done System::wire_several(const control::PortName& client, const Model& next) {
   const Model::Wire& wanted = *next.wire_of(client);
   const Model::Wire* before = model_.wire_of(client);
@@ -110,13 +111,20 @@ control::Done System::wire_several(const control::PortName& client, const Model&
   }
   control::Done done;
   std::vector<Wire> now;
+  std::optional<Error> refusal;
   try {
     arrange(client, meanwhile, wanted.hold_ms, {}, next, nullptr);
     for (const auto& provider : wanted.providers) {
       const Wire* known = wire_to(key_of(client), provider);
-      const bool stays = known && known->reason.empty() && as_before;
-      now.push_back(stays ? *known : open_or_wait(client, provider, next, known ? *known : Wire{provider}, done));
+      if (known && known->is_open()) {
+        now.push_back(as_before ? *known : connector_.connect(client, provider, next, known->id, done));
+      } else {
+        now.push_back(open_or_wait(client, provider, next, known ? *known : Wire{provider}, done, &refusal));
+      }
     }
+    const auto is_open = [](const Wire& one) { return one.is_open(); };
+    if (refusal && std::any_of(old.begin(), old.end(), is_open) && std::none_of(now.begin(), now.end(), is_open))
+      throw *refusal;
     arrange(client, wanted.providers, wanted.hold_ms, retires, next, &done);
   } catch (...) {
     take_back_wires(client, now);
@@ -143,12 +151,13 @@ void System::take_back_wires(const control::PortName& client, const std::vector<
 }
 
 System::Wire System::open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
-                                  const Wire& old, control::Done& done) {
+                                  const Wire& old, control::Done& done, std::optional<Error>* refusal) {
   Wire waiting{provider, 0, false, waiting_for(provider.instance()), {}};
   try {
     if (next.find(provider.instance())) return connector_.connect(client, provider, next, old.id, done);
     done.add_warnings(waiting_warning(client, provider.instance(), next));
   } catch (const Error& error) {
+    if (refusal && !*refusal) *refusal = error;
     waiting.reason = error.text().what;
     done.add_warnings(fmt::format("{} waits for {}: {}", text_of(client), text_of(provider), waiting.reason));
   }

@@ -33,10 +33,21 @@ void VirtualTime::settle(const std::function<void()>& serve) {
 std::optional<Error> VirtualTime::failure() {
   if (!clock_.released()) {
     standing_ = {0, std::chrono::steady_clock::now(), false};
+    instant_ = {TimePoint::min(), 0, {}};
     return std::nullopt;
   }
   if (log_ && !log_->failure().empty()) return unwritable();
-  return stands_too_long() ? std::optional(standstill()) : std::nullopt;
+  const bool turns = turns_in_one_instant();
+  return turns || stands_too_long() ? std::optional(standstill(turns)) : std::nullopt;
+}
+
+/// Handlers that put to each other without time between them let it go on no more than one that does not end.
+bool VirtualTime::turns_in_one_instant() {
+  const auto now = std::chrono::steady_clock::now();
+  if (clock_.now() != instant_.at) instant_ = {clock_.now(), progress(), now};
+  if (progress() - instant_.progress < kMostInOneInstant || now - instant_.since < standstill_) return false;
+  instant_ = {clock_.now(), progress(), now};
+  return true;
 }
 
 bool VirtualTime::stands_too_long() {
@@ -64,16 +75,18 @@ Error VirtualTime::unwritable() {
   return error;
 }
 
-Error VirtualTime::standstill() {
+Error VirtualTime::standstill(bool turns) {
   std::vector<std::string> blockers;
   for (const auto& name : clock_.busy_strands()) blockers.push_back("'" + name + "' runs");
   for (auto& text : master_.blockers()) blockers.push_back(std::move(text));
-  return Error(ErrorCode::Unreachable, {.what = fmt::format("virtual time has stood at {:.3f} s for {:.3g} s",
-                                                            to_seconds(clock_.now() - clock_.start()),
-                                                            std::chrono::duration<double>(standstill_).count()),
-                                        .expected = "a handler that ends: time goes on when nothing runs",
-                                        .found = fmt::format("{}", fmt::join(blockers, "; ")),
-                                        .next = "show the instance, or unload it; then wait again"});
+  return Error(
+      ErrorCode::Unreachable,
+      {.what = fmt::format("virtual time has stood at {:.3f} s for {:.3g} s", to_seconds(clock_.now() - clock_.start()),
+                           std::chrono::duration<double>(standstill_).count()),
+       .expected = turns ? "handlers that do not put to each other without end in one instant"
+                         : "a handler that ends: time goes on when nothing runs",
+       .found = fmt::format("{}", fmt::join(blockers, "; ")),
+       .next = "show the instance, or unload it; then wait again"});
 }
 
 }  // namespace fiona::host

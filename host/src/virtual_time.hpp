@@ -30,6 +30,7 @@ class VirtualTime {
   void record_to(std::shared_ptr<DeliveryLog> log);
   /// The file that deliveries are recorded in; empty: none.
   std::string deliveries() const { return log_ ? log_->file().string() : ""; }
+  const std::shared_ptr<DeliveryLog>& log() const { return log_; }
 
   /// While time is held: waits, at most as long as a standstill, until all processes have done what they were told.
   /// `serve` hears what the groups have to say.
@@ -46,15 +47,26 @@ class VirtualTime {
     bool asked = false;
   };
   std::uint64_t progress() const { return clock_.progress() + master_.progress(); }
+  /// Since when, by the machine's clock, time is at this instant, and the progress then.
+  struct Instant {
+    TimePoint at = TimePoint::min();
+    std::uint64_t progress = 0;
+    std::chrono::steady_clock::time_point since{};
+  };
+  /// So much is done in no instant of a system that goes on.
+  static constexpr std::uint64_t kMostInOneInstant = 1'000'000;
+
   bool stands_too_long();
+  bool turns_in_one_instant();
   Error unwritable();
-  Error standstill();
+  Error standstill(bool turns);
 
   VirtualClock& clock_;
   ClockMaster master_;
   const std::chrono::milliseconds standstill_;
   std::shared_ptr<DeliveryLog> log_;
   Standing standing_{0, std::chrono::steady_clock::now()};
+  Instant instant_;
   std::optional<std::uint64_t> unsettled_;  ///< the progress at which `settle` gave up
 };
 

@@ -227,10 +227,9 @@ void Hull::start_component() {
 }
 
 void Hull::cancel_calls(bool on, std::optional<Pattern> pattern) {
-  for (const Pattern one : kCallPatterns) {
-    if (pattern && one != *pattern) continue;
-    on ? void(cancelled_.insert(one)) : void(cancelled_.erase(one));
-  }
+  if (!pattern) all_cancelled_ = on;
+  if (pattern && on) cancelled_.insert(*pattern);
+  if (pattern && !on) cancelled_.erase(*pattern);
   if (!on) return;
   if (master_ && !pattern) master_->calls_.finish_all(Outcome::Cancelled);
   for (Port* port : ports_) {

@@ -92,7 +92,7 @@ void Inbox::push_newest(std::unique_lock<std::mutex>& lock, Parcel parcel) {
     PortCounters& counters = port_.counters();
     counters.count_arrival(parcel.envelope.origin, port_.hull().clock());
     if (slot_ && !slot_read_) counters.supersede_arrived();
-    slot_read_ = !waiters_.empty();
+    slot_read_ = std::any_of(waiters_.begin(), waiters_.end(), [](const Waiter& one) { return !one.who.expired(); });
     notify_waiters(parcel.envelope);
     slot_ = Newest{std::move(parcel.envelope), false};
     return note_arrival();

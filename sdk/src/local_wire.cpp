@@ -30,6 +30,16 @@ Outcome LocalWire::deliver(Parcel parcel) {
   std::unique_lock lock(mutex_);
   if (!inbox_) return Outcome::Disconnected;
   if (puts_++ % prescale_ != 0) return Outcome::Ok;
+  return pass(lock, std::move(parcel));
+}
+
+void LocalWire::repeat(Parcel parcel) {
+  std::unique_lock lock(mutex_);
+  if (inbox_) static_cast<void>(pass(lock, std::move(parcel)));
+}
+
+/// Called with the mutex held.
+Outcome LocalWire::pass(std::unique_lock<std::mutex>& lock, Parcel parcel) {
   room_.sent(Inbox::cost_of(parcel.envelope.bytes));
   if (parcel.is_request() && inbox_->port().service().pattern() == QUERY) keep_open(parcel.reply);
   if (!clock_.staging()) return hand_over(std::move(parcel));
@@ -135,6 +145,11 @@ void LocalWire::keep_open(const std::shared_ptr<ReplySink>& request) {
     most_open_ = std::max(kLeastOpen, 2 * open_.size());
   }
   open_.push_back(request);
+}
+
+bool LocalWire::has_open() {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(open_.begin(), open_.end(), [](const auto& one) { return !one.expired(); });
 }
 
 void LocalWire::cut(const std::string& reason) {

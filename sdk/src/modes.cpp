@@ -88,7 +88,15 @@ void Hull::check_clock(std::string_view mode) const {
 struct Hull::ModeChange {
   std::string to;
   ModeDone done;
+  TimePoint until = TimePoint::max();  ///< who has asked waits no longer
   TimerId deadline = 0;
+
+  Error late(const std::string& name, const std::string& what) const {
+    return {ErrorCode::Unreachable,
+            {.what = "'" + name + "' did not change its mode to " + to + " in time: " + what,
+             .where = name,
+             .next = "state " + name + " " + to + " for TIME, with more of it"}};
+  }
 };
 
 std::optional<Hull::PendingChange> Hull::pending_change() const {
@@ -121,11 +129,12 @@ void Hull::check_transition(std::string_view to) const {
 void Hull::change_mode(std::string_view mode, Duration deadline, ModeDone done) {
   check_transition(mode);
   check_clock(mode);
-  const auto change = std::make_shared<ModeChange>(ModeChange{std::string(mode), std::move(done), 0});
-  strand_->post([this, change, deadline] {
+  const TimePoint until = saturating_sum(clock().now(), deadline);
+  const auto change = std::make_shared<ModeChange>(ModeChange{std::string(mode), std::move(done), until, 0});
+  strand_->post([this, change] {
+    if (clock().now() > change->until) return change->done(change->late(name_, "a handler ran until then"));
     changes_.push_back(change);
-    change->deadline =
-        clock().schedule(saturating_sum(clock().now(), deadline), strand_, [this, change] { withdraw(change); });
+    change->deadline = clock().schedule(change->until, strand_, [this, change] { withdraw(change); });
     if (change->to == kModeDeactivated) cancel_for_deactivation();
     advance_changes();
   });
@@ -199,11 +208,22 @@ void Hull::advance_changes() {
     }
     changes_.pop_front();
     clock().cancel(change->deadline);
+    const std::string from = mode();
     enter(change->to);
-    change->done(mode() == kModeFailed ? std::optional(failure()) : std::nullopt);
+    const bool is_late = mode() == change->to && from != kModeInit && clock().now() > change->until;
+    if (is_late) go_back(from);
+    change->done(mode() == kModeFailed ? std::optional(failure())
+                 : is_late             ? std::optional(change->late(name_, "it took longer, and goes back to " + from))
+                                       : std::nullopt);
   }
   const std::lock_guard lock(mutex_);
   pending_.reset();
+}
+
+/// Whoever asked has been told that it was not made.
+void Hull::go_back(const std::string& to) {
+  changes_.push_front(std::make_shared<ModeChange>(ModeChange{to, [](const auto&) {}}));
+  if (to == kModeDeactivated) cancel_for_deactivation();
 }
 
 std::optional<Hull::PendingChange> Hull::blocked_by(const std::string& to) const {

@@ -113,13 +113,21 @@ void PushProvider::end_watch() {
   watch_->port = nullptr;
 }
 
-void PushProvider::renew() {
-  if (lease_ == Duration::zero() || !is_active() || !started_) return;
+/// Who came while it was silent, or emptied its slot for that, has not got what is still valid.
+void PushProvider::confirm() {
   const std::lock_guard lock(mutex_);
+  if (!renew() || !last_ || !service().contract().last_value()) return;
+  for (const auto& sink : *sinks_) sink->repeat({*last_, nullptr});
+}
+
+/// Whether it had been silent. Called with the mutex held.
+bool PushProvider::renew() {
+  if (lease_ == Duration::zero() || !is_active() || !started_) return false;
   renewed_ = hull().clock().now();
-  if (!silence_) return;
+  if (!silence_) return false;
   tell_lease(std::nullopt);
   watch_lease();
+  return true;
 }
 
 void PushProvider::tell_lease(std::optional<std::string> silence) {
@@ -157,14 +165,15 @@ Outcome PushProvider::put_checked(std::shared_ptr<const Object> object, TimePoin
   envelope.bytes = envelope.object->ByteSizeLong();
   std::shared_ptr<const Sinks> sinks;
   {
-    // The subscriber list and the sequence change together, so that "from sequence n" is exact.
+    // The subscriber list, the sequence and the lease change together, so that "from sequence n" is exact, and who
+    // comes to one that was silent gets this or what is last.
     const std::lock_guard lock(mutex_);
+    renew();
     envelope.sequence = ++sequence_;
     sinks = sinks_;
     if (service().contract().last_value()) last_ = envelope;
   }
   counters().count(origin);
-  renew();
   for (const auto& sink : *sinks) {
     sink->deliver({&sink == &sinks->back() ? std::move(envelope) : envelope, nullptr});
   }

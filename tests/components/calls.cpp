@@ -28,8 +28,7 @@ class Caller final : public Component {
     bell_.cancel_calls(which == "port");
     orders_.cancel_calls(which == "port");
     cancel_calls(which == "instance");
-    if (which != "pattern") return;
-    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT, SEND}) cancel_calls(true, pattern);
+    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT, SEND}) cancel_calls(which == "pattern", pattern);
   }
   void report(std::uint64_t number, Outcome outcome, std::string text) {
     Sample one;
@@ -184,8 +183,7 @@ class ThreadCaller final : public Component {
     echo_.cancel_calls(params_->cancel() == "port");
     bell_.cancel_calls(params_->cancel() == "port");
     cancel_calls(params_->cancel() == "instance");
-    if (params_->cancel() != "pattern") return;
-    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT}) cancel_calls(true, pattern);
+    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT}) cancel_calls(params_->cancel() == "pattern", pattern);
   }
   void work(const OwnThread& own) {
     const auto params = params_.snapshot();

@@ -188,8 +188,25 @@ class Hog final : public Component {
   Timer begin_{*this, &Hog::stay};
 };
 
+/// Puts what it hears, and something to begin with.
+class Turner final : public Component {
+ public:
+  using Component::Component;
+  void on_mode(std::string_view mode) override {
+    if (mode == kModeActive) begin_.at(now() + 10ms);
+  }
+
+ private:
+  void begin() { out_.put(Sample()); }
+  void on_sample(const Sample& sample) { out_.put(sample); }
+  Provides<SampleNewest> out_{*this, "out"};
+  Requires<SampleNewest> in_{*this, "in", &Turner::on_sample, {.optional = true}};
+  Timer begin_{*this, &Turner::begin};
+};
+
 void add_virtual_time(Plugin& plugin) {
   plugin.add<Mingler>("mingler", "uses every pattern at random");
+  plugin.add<Turner>("turner", "puts what it hears");
   plugin.add<Hog>("hog", "stays in a handler, or ends its process");
 }
 

@@ -62,6 +62,18 @@ TEST_P(Accounting, OfASlotThatNobodyReadsAddsUp) {
   EXPECT_EQ(system.port("caller.samples").superseded(), 99U);
 }
 
+TEST_P(Accounting, OfASlotIsNotReadByWhoHasGivenUpWaitingForIt) {
+  put(100);
+  system.load_client("caller", "caller");
+  system.wire("caller.samples", "source.newest");
+  const auto outcomes = system.watch("caller.outcome");
+  system.set("caller", "call=wait_update deadline_ms=1 go=1");
+  system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; });
+  system.state("source", "active");
+  expect_sum("caller.samples", 100);
+  EXPECT_EQ(system.port("caller.samples").superseded(), 99U);
+}
+
 TEST_P(Accounting, OfAHandlerThatTakesTheNewestAddsUp) {
   put(200);
   system.load_client("sink", "sink", "work_ms=10");

@@ -385,6 +385,16 @@ TEST_P(Calls, OpenQueryFinishesOnTheOldProviderWhenItIsRewired) {
   EXPECT_EQ(system.port("second.echo").messages(), 1U);
 }
 
+TEST_P(Calls, OpenQueryThatIsToFinishOnTheOldProviderEndsDisconnectedWhenThatIsUnloaded) {
+  wire_all();
+  system.load_provider("answerer", "second");
+  begin("query", "manner=never");
+  system.eventually("it is kept", [&] { return system.read("answerer.open").value() == 1; });
+  system.wire("caller.echo", "second.echo");
+  system.unload("answerer");
+  EXPECT_EQ(outcome(), Outcome::Disconnected);
+}
+
 TEST_P(Calls, OpenQueryOfAPortThatSaysSoEndsDisconnectedWhenItIsRewired) {
   system.wire("caller.failing_echo", "answerer.echo");
   system.load_provider("answerer", "second");

@@ -107,6 +107,26 @@ TEST_P(FailedRewire, ToAProviderWhoseLinkIsNotThereLeavesTheOldWireAndSaysWhy) {
   expect_old_one_is_wired(system);
 }
 
+/// Neither of those that are wanted opens.
+TEST_P(FailedRewire, OfAlternativesToProvidersThatDoNotOpenLeavesThemAsTheyWereAndSaysWhy) {
+  system.load_provider("source", "other", "neutral");
+  system.load_in("deaf", "source", "stale", "neutral");
+  system.wire_to_several("sink.each", {"old.newest", "other.newest"});
+  stop_process(deaf);
+  try {
+    system.wire_to_several("sink.each", {"fresh.newest", "stale.newest"});
+    ADD_FAILURE() << "nobody serves now";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.text().what, HasSubstr("'deaf' does not answer"));
+  }
+  EXPECT_THAT(refusal_of(system, "sink.each", "fresh.newest"), HasSubstr("'deaf' does not answer"));
+  expect_old_one_delivers(system, report);
+  go_on();
+  expect_old_one_is_wired(system);
+  ASSERT_EQ(system.port("sink.each").providers_size(), 2);
+  EXPECT_EQ(system.port("sink.each").providers(1).provider().instance(), "other");
+}
+
 TEST_P(FailedRewire, InATransactionTakesBackTheWholeTransactionAndTheOldWireStays) {
   host::Engine engine(system.system(), "", [](const auto& job) { job(); });
   control::Transact request;

@@ -321,6 +321,21 @@ TEST(VirtualTimeGroups, AGroupThatIsStoppedIsNamedAsSilent) {
   ::kill(far, SIGCONT);
 }
 
+/// Each puts what it hears, and hears what the other puts: no time passes.
+TEST(VirtualTimeProcess, HandlersThatPutToEachOtherWithoutEndAreToldToWhoeverWaits) {
+  RunningSystem running(2, 300ms);
+  running.set("host", "clock=virtual");
+  for (const std::string name : {"one", "other"}) running.load_in("", "turner", name);
+  running.wire("one.in", "other.out");
+  running.wire("other.in", "one.out");
+  const auto reply = running.let_pass(100ms);
+  ASSERT_TRUE(reply.has_failure());
+  EXPECT_EQ(reply.failure().code(), static_cast<std::uint32_t>(ErrorCode::Unreachable));
+  EXPECT_EQ(reply.failure().expected(), "handlers that do not put to each other without end in one instant");
+  running.unwire("one.in");
+  EXPECT_TRUE(running.let_pass(100ms).has_met());
+}
+
 TEST(VirtualTimeGroups, AGroupThatDiesDoesNotStopTime) {
   RunningSystem running(2, 30s);
   running.set("host", "clock=virtual");
@@ -358,6 +373,29 @@ TEST(DeliveryLog, ThatCannotBeWrittenLeavesTheClockAsItIs) {
     EXPECT_EQ(error.text().found, "No such file or directory");
   }
   EXPECT_EQ(running.system().snapshot().clock(), "system");
+}
+
+TEST(DeliveryLog, OfAnotherStartBeginsAnewInTheSameFile) {
+  const TemporaryDirectory directory;
+  const auto file = directory.path / "deliveries";
+  RunningSystem running(2, 30s);
+  running.set("host", "clock=virtual deliveries=" + file.string());
+  const auto recorded = [&](const std::string& start) {
+    running.set("host", "start=" + start);
+    running.load_in("", "source", "source", "period_ms=1");
+    running.load_in("", "sink", "sink");
+    running.wire("sink.each", "source.newest");
+    EXPECT_TRUE(running.let_pass(10ms).has_met());
+    running.unload("source");
+    running.unload("sink");
+    std::ifstream lines(file);
+    return std::string{std::istreambuf_iterator<char>(lines), {}};
+  };
+  const std::string first = recorded("2024-05-31T09:30:00Z");
+  const std::string second = recorded("2024-05-31T09:40:00Z");
+  EXPECT_THAT(first, testing::StartsWith("1717147800."));
+  EXPECT_THAT(second, testing::StartsWith("1717148400."));
+  EXPECT_EQ(first.size(), second.size());
 }
 
 TEST(DeliveryLog, OnAFullDeviceEndsTheWaitWithTheReason) {

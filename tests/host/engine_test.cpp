@@ -607,6 +607,43 @@ TEST_P(Transactions, WhatTheJournalCouldNotTellIsNotBegun) {
   EXPECT_NE(restored().find("source"), nullptr);
 }
 
+TEST_P(Transactions, WhatCouldNotBeTakenBackIsInTheJournalAndMayBeUndone) {
+  for (const std::string name : {"throws.interface.textproto", "libthrows.so"})
+    std::filesystem::copy_file(std::filesystem::path(ZOO_DIRECTORY) / name, directory.path / name);
+  control::Change gone = load("", "one", group());
+  gone.mutable_load()->set_plugin((directory.path / "libthrows.so").string() + "/std-in-stop");
+  make({gone});
+  std::filesystem::remove(directory.path / "libthrows.so");
+  const auto refused = transact({unload("one"), load("source", "two", group()), state("two", "no-such-mode")});
+  ASSERT_TRUE(refused.has_failure());
+  EXPECT_THAT(refused.failure().found(), HasSubstr("could not be taken back"));
+  EXPECT_THAT(whole(), ElementsAre());
+  const auto entries = engine.journal(2);
+  EXPECT_EQ(entries.entries(0).state(), control::JournalEntry::ROLLED_BACK);
+  EXPECT_EQ(entries.entries(1).state(), control::JournalEntry::DONE);
+  EXPECT_THAT(texts(entries.entries(1).steps()), ElementsAre("unload one"));
+  make({load("sink", "one", group())});
+  EXPECT_EQ(restored().instance("one").component, "sink");
+}
+
+TEST_P(Transactions, WhoLooksIsToldThatAChangeOfModeIsUnderWay) {
+  load_stubborn("aside");
+  EXPECT_TRUE(engine.is_idle());
+  const auto aside = begin({state("aside", "rest")});
+  EXPECT_FALSE(engine.is_idle());
+  let_rest("aside");
+  await_done(aside);
+  EXPECT_TRUE(engine.is_idle());
+}
+
+TEST_P(Transactions, PlanOfAWholeSystemTellsWhatIsLost) {
+  make({load("source", "source")});
+  const auto reply = transact({load("source", "source", "elsewhere")}, true, true);
+  ASSERT_TRUE(reply.has_planned()) << reply.failure().what();
+  ASSERT_EQ(reply.planned().warnings_size(), 1);
+  EXPECT_THAT(reply.planned().warnings(0), HasSubstr("'source'"));
+}
+
 TEST_P(Transactions, JournalThatWasCutOrDamagedAtAnyByteGivesAStateThatWasOnceTrueOrIsRefused) {
   make({load("source", "source")});
   make({load("source", "spare")});

@@ -2,7 +2,9 @@
 // C library's.
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 #include <stdio.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -16,6 +18,7 @@
 #include <string>
 
 #include "engine.hpp"
+#include "fiona/error.hpp"
 #include "mailbox.hpp"
 #include "system_fixture.hpp"
 
@@ -135,6 +138,26 @@ TEST_F(JournalOnDisk, HasEachChangeThatWasAnswered) {
     ASSERT_EQ(told.changes.size(), static_cast<std::size_t>(change));
     EXPECT_EQ(told.changes.back().load().instance(), "source" + std::to_string(change));
   }
+}
+
+TEST_F(JournalOnDisk, TellsWhatItHadNoRoomForOnceThereIsSome) {
+  Journal journal(file);
+  const auto number = journal.begin(with_comment(10));
+  struct rlimit before {};
+  ASSERT_EQ(::getrlimit(RLIMIT_FSIZE, &before), 0);
+  struct rlimit none = before;
+  none.rlim_cur = std::filesystem::file_size(file);
+  const auto handler = ::signal(SIGXFSZ, SIG_IGN);
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &none), 0);
+  EXPECT_THROW(journal.end(number, control::JournalEntry::DONE, "", nullptr), Error);
+  EXPECT_THROW(journal.begin(with_comment(10)), Error);
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
+  ::signal(SIGXFSZ, handler);
+  journal.end(journal.begin(with_comment(20)), control::JournalEntry::DONE, "", nullptr);
+  const auto told = Journal::read(file);
+  EXPECT_EQ(told.damaged, 0U);
+  ASSERT_EQ(told.changes.size(), 2U);
+  EXPECT_EQ(told.changes[0].load().comment().size(), 10U);
 }
 
 TEST_F(JournalOnDisk, HasTheLastRecordAtItsEnd) {

@@ -208,6 +208,28 @@ TEST(LinkLanes, LaneThatEndsCountsWhatItLosesOnceForEachWire) {
   EXPECT_EQ(lanes.close(*lane), 5U);
 }
 
+TEST(LinkLanes, WhatALaneThatEndsLosesIsToldBeforeTheEndAndOneObjectGoesWhateverItsSize) {
+  PeerLanes lanes;
+  Reader reader;
+  const auto end_with = [&](std::uint64_t wire, std::size_t objects) {
+    const auto lane = lanes.open();
+    lanes.offer(*lane, item_of(wire, kLaneWindow - 2 * kChunkBytes, Rule::DropOldest));
+    while (!next_of(lanes, reader).empty()) continue;  // the window is used up
+    for (std::size_t i = 0; i < objects; ++i) lanes.offer(*lane, item_of(wire, 2 * kLaneWindow, Rule::Control));
+    auto end = item_of(wire, 0, Rule::Control);
+    end.cost = 0;
+    lanes.offer(*lane, std::move(end));
+    const std::size_t lost = lanes.close(*lane, PeerLanes::Rest::Goes);
+    lanes.credit(lane->id(), kLaneWindow);
+    return lost;
+  };
+  EXPECT_EQ(end_with(1, 1), 0U);
+  while (!next_of(lanes, reader).empty()) continue;
+  EXPECT_EQ(end_with(2, 2), 2U);
+  EXPECT_EQ(next_of(lanes, reader).front(), "2 lost 2");
+  EXPECT_EQ(lanes.lanes(), 0U);
+}
+
 TEST(LinkLanes, FullLaneOfAPushLosesItsOldestAndTellsEachClientBeforeTheNextMessage) {
   PeerLanes lanes;
   Reader reader;

@@ -102,6 +102,11 @@ class ProviderByHand final : public LinkSocket::Receiver {
     frame.mutable_object()->set_sequence(1);
     link_->send(lane_, frame, object, LinkSocket::Rule::MustFit);
   }
+  void send_waiting(wire::Frame frame, std::shared_ptr<const Object> object) {
+    frame.mutable_object()->set_sequence(1);
+    while (link_->send(lane_, frame, object, LinkSocket::Rule::MustFit).what == LinkSocket::Sent::What::Full)
+      std::this_thread::yield();
+  }
 
  private:
   const OnFrame on_frame_;
@@ -277,6 +282,24 @@ TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesOnceNothingIsOpenOnIt)
   other.stop();
 }
 
+TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesWhenItsProviderEndsIt) {
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
+  other.provide(1, kLinksToken, "both", ends->asked, 1, "both.asks");
+  const auto end = ends->asks.end_for("both.asked");
+  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, nullptr);
+  EXPECT_TRUE(hull.strand().call([&] { EXPECT_TRUE(ends->asks.request({})); }, 20s));
+  EXPECT_TRUE(becomes_true([&] { return ends->asked_so_far == 1; }));
+  links.retire(1, true);
+  other.cut(1, "it was unloaded");
+  EXPECT_TRUE(becomes_true([&] {
+    wire::Adopted held;
+    links.add_held(held);
+    return held.wires_size() == 0;
+  }));
+  other.release(hull, "the test is over");
+  other.stop();
+}
+
 TEST_F(LinksOfAProcess, APushThatIsReplacedHasBroughtAllThatWasPutBefore) {
   constexpr std::uint64_t kPuts = 2'000;
   Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
@@ -356,7 +379,7 @@ TEST_F(LinksOfAProcess, APeersSentencesAreCutToWhatASentenceMayHave) {
   ProviderByHand other(at("other"));
   require(1, ends->noticed);
   wire::Frame silent = frame_for(1);
-  silent.mutable_lease()->set_reason(std::string(500'000, 'x'));
+  silent.mutable_lease()->set_reason(std::string(kMostFrame - 100, 'x'));
   other.send(silent);
   EXPECT_TRUE(becomes_true([&] { return ends->noticed.connection() == Connection::Lost; }));
   EXPECT_LT(ends->noticed.connection_reason().size(), 5'000U);
@@ -476,6 +499,106 @@ TEST_F(LinksOfAProcess, WhoFloodsOneThatDoesNotReadIsNotFloodedWithWhatIsLost) {
     return lost >= kLost;
   }));
   EXPECT_LT(told, kLost / 30);
+}
+
+/// Who has a wire through a host does not speak as that host to whoever is at its other end, nor more than fits there.
+TEST_F(LinksOfAProcess, OnlyWhatIsOfAWireIsPassedOnOverIt) {
+  std::mutex mutex;
+  std::vector<wire::Frame> passed;
+  ProviderByHand other(at("other"), [&](const wire::Frame& frame) {
+    const std::lock_guard lock(mutex);
+    passed.push_back(frame);
+  });
+  links.relay(1, kLinksToken, "peer", {at("other"), "both", link_key(kLinksKey, "both")});
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  open_by_hand(peer, 1);
+  std::vector<wire::Frame> forged(6, frame_for(1));
+  forged[0].mutable_host()->mutable_request()->set_group("main");
+  forged[1].mutable_host()->mutable_gone();
+  forged[2].mutable_memory();
+  forged[3].mutable_credit()->add_lane(1);
+  forged[4].mutable_hello();
+  forged[5].mutable_closed()->set_reason(std::string(kMostFrame, 'x'));
+  for (const auto& frame : forged) peer.send(frame);
+  wire::Frame cancel = frame_for(1);
+  cancel.mutable_cancel()->set_id(7);
+  peer.send(cancel);
+  EXPECT_TRUE(becomes_true([&] {
+    const std::lock_guard lock(mutex);
+    return !passed.empty() && passed.back().has_cancel();
+  }));
+  const std::lock_guard lock(mutex);
+  EXPECT_EQ(passed.size(), 2U) << "the one that opens it, and what was given up";
+  EXPECT_EQ(links.status().garbled(), forged.size());
+}
+
+TEST_F(LinksOfAProcess, WhoFloodsAWireThatPassesThroughWithWhatIsFreeLosesThatWireAlone) {
+  constexpr std::size_t kFrames = 4'000;  // of 40,000 bytes each: ZeroMQ takes some 64 MiB of them
+  std::promise<void> goes_on;
+  std::atomic<bool> stands{false}, ended{false};
+  ProviderByHand other(at("other"), [&, waits = goes_on.get_future().share()](const wire::Frame& frame) {
+    ended = ended || (frame.wire() == 2 && frame.has_closed());
+    if (!frame.has_cancel()) return;
+    stands = true;
+    waits.wait();
+  });
+  for (const std::uint64_t wire : {1, 2}) {
+    links.relay(wire, kLinksToken, "peer", {at("other"), "both", link_key(kLinksKey, "both")});
+  }
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  open_by_hand(peer, 1);
+  open_by_hand(peer, 2);
+  wire::Frame flood = frame_for(1);
+  flood.mutable_cancel()->set_id(1);
+  peer.send(flood);
+  EXPECT_TRUE(becomes_true([&] { return stands.load(); }));
+  flood.mutable_lease()->set_reason(std::string(40'000, 'x'));
+  for (std::size_t i = 0; i < kFrames; ++i) peer.send(flood);
+  const wire::Frame end = peer.receive();
+  EXPECT_EQ(end.wire(), 1U);
+  EXPECT_THAT(end.closed().reason(), testing::HasSubstr("too much"));
+  EXPECT_GT(links.status().overrun(), 0U);
+  goes_on.set_value();
+  wire::Frame last = frame_for(2);
+  last.mutable_closed();
+  peer.send(last);
+  EXPECT_TRUE(becomes_true([&] { return ended.load(); })) << "the other one is as it was";
+}
+
+/// Of 10 MiB each: where one waits, the next has no credit, and none is needed.
+TEST_F(LinksOfAProcess, OfLargeObjectsOfAPushThatArePassedOnTheOldestAreLostAndTold) {
+  constexpr std::size_t kPuts = 5;
+  std::atomic<std::size_t> lost{0};
+  ProviderByHand other(at("other"), [&](const wire::Frame& frame) { lost += frame.lost().messages(); });
+  links.relay(1, kLinksToken, "deaf", {at("other"), "both", link_key(kLinksKey, "both")});
+  RawPeer deaf(context, at("links"), "deaf");
+  deaf.prove(kLinksKey);
+  open_by_hand(deaf, 1);
+  auto location = large_location();
+  location.GetReflection()->MutableUnknownFields(&location)->AddLengthDelimited(1000, std::string(10'000'000, 'x'));
+  const auto image = std::make_shared<localisation::CommLocation>(location);
+  for (std::size_t i = 0; i < kPuts; ++i) other.send_waiting(frame_for(1), image);
+  EXPECT_TRUE(becomes_true([&] { return lost >= kPuts - 2; })) << lost << ": one has begun, and one waits";
+  EXPECT_EQ(links.status().overrun(), 0U);
+}
+
+TEST_F(LinksOfAProcess, AClientCannotSayThatMoreWasLostThanWasPut) {
+  links.provide(1, kLinksToken, "peer", ends->told, 1, "client");
+  RawPeer peer(context, at("links"), "peer");
+  peer.prove(kLinksKey);
+  open_by_hand(peer, 1);
+  EXPECT_TRUE(hull.strand().call([&] { ends->told.put(localisation::CommLocation()); }, 20s));
+  for (const std::uint64_t messages : {1ULL, ~0ULL, 5ULL}) {
+    wire::Frame frame = frame_for(1);
+    frame.mutable_lost()->set_messages(messages);
+    peer.send(frame);
+  }
+  const auto before = links.status().not_granted();
+  peer.send(frame_for(7));
+  EXPECT_TRUE(becomes_true([&] { return links.status().not_granted() > before; }));
+  EXPECT_EQ(ends->told.counters().dropped, 1U);
 }
 
 TEST_F(LinksOfAProcess, SendsThatAreToBePassedOnGoThoughTheirWireHasEndedBehindThem) {
@@ -686,8 +809,10 @@ class HostByHand {
   }
   void say(const wire::HostFrame& what) {
     wire::Frame frame;
-    *frame.mutable_host() = what;
-    const Block record = make_record(frame, nullptr, 0);
+    frame.mutable_host();
+    const bool is_small = what.ByteSizeLong() <= kInlineBytes;
+    if (is_small) *frame.mutable_host() = what;
+    const Block record = make_record(frame, is_small ? nullptr : &what, is_small ? 0 : what.ByteSizeLong());
     sent(socket_, zmq::buffer(leader_), zmq::send_flags::sndmore);
     sent(socket_, zmq::buffer(record.data(), record.size()));
   }

@@ -441,6 +441,30 @@ TEST(EventTest, ThatAModesEndWaitsForReachesWhoHoldsTheMode) {
   EXPECT_TRUE(made);
 }
 
+TEST(CancelCalls, OfTheInstanceAndOfAPatternAreFlagsOfTheirOwn) {
+  testing::Bench<Watchful> bench;
+  bench.start();
+  Hull& hull = bench.hull();
+  on_strand(bench, [&hull](Watchful&) {
+    const auto cancelled = [&hull] {
+      return std::pair(hull.calls_are_cancelled(QUERY), hull.calls_are_cancelled(EVENT));
+    };
+    hull.cancel_calls(true, QUERY);
+    EXPECT_EQ(cancelled(), std::pair(true, false));
+    EXPECT_FALSE(hull.all_calls_are_cancelled());
+    hull.cancel_calls(true);
+    EXPECT_EQ(cancelled(), std::pair(true, true));
+    hull.cancel_calls(false);
+    EXPECT_EQ(cancelled(), std::pair(true, false));
+    hull.cancel_calls(true);
+    hull.cancel_calls(false, QUERY);
+    EXPECT_EQ(cancelled(), std::pair(true, true));
+    EXPECT_TRUE(hull.all_calls_are_cancelled());
+    hull.cancel_calls(false);
+    EXPECT_EQ(cancelled(), std::pair(false, false));
+  });
+}
+
 TEST(EventTest, OfASingleActivationThatFindsItsClientInNoModeFiresWithALaterOne) {
   testing::Bench<Watchful> bench;
   bench.start();

@@ -181,6 +181,12 @@ class Receiver final : public Component {
  public:
   using Component::Component;
   std::chrono::milliseconds takes{0};  ///< a message, of the machine's time
+  std::chrono::milliseconds mode_takes{0};
+  std::vector<std::string> entered;
+  void on_mode(std::string_view mode) override {
+    std::this_thread::sleep_for(mode_takes);
+    entered.emplace_back(mode);
+  }
   std::function<void(std::uint64_t)> meanwhile = [](std::uint64_t) {};
   const std::vector<std::uint64_t>& seen() const { return seen_; }
 
@@ -351,6 +357,50 @@ TEST_F(Inboxes, WhatWaitedInOneModeReachesNoOtherThoughBothChangesComeAtOnce) {
 TEST_F(Inboxes, ClosedStrandTakesNothing) {
   receiver.hull.strand().close();
   EXPECT_EQ(inbox("each").push(parcel(1, 10)), Outcome::Disconnected);
+}
+
+// ---- changes of mode that take long ---------------------------------------------------------------------------
+
+class LateChanges : public ::testing::Test {
+ protected:
+  LateChanges() {
+    receiver.hull.set_mode(kModeActive, kLimit);
+    receiver->entered.clear();
+  }
+  ~LateChanges() override { clock.stop(); }
+  /// Why the change is not made; empty: it is.
+  std::string refusal_of_neutral(Duration deadline) {
+    std::promise<std::string> told;
+    receiver.hull.change_mode(kModeNeutral, deadline, [&](const std::optional<Error>& error) {
+      told.set_value(error ? error->text().what : "");
+    });
+    return told.get_future().get();
+  }
+  std::vector<std::string> entered() {
+    std::vector<std::string> all;
+    EXPECT_TRUE(receiver.hull.strand().call([&] { all = receiver->entered; }, kLimit));
+    return all;
+  }
+
+  Pool pool{1};
+  SystemClock clock;
+  KeptEvents events;
+  Made<Receiver> receiver{"receiver", pool, clock, events};
+};
+
+TEST_F(LateChanges, OneThatIsMadeTooLateIsTakenBack) {
+  receiver->mode_takes = 20ms;
+  EXPECT_EQ(refusal_of_neutral(5ms),
+            "'receiver' did not change its mode to neutral in time: it took longer, and goes back to active");
+  EXPECT_THAT(entered(), ElementsAre("neutral", "active"));
+  EXPECT_EQ(receiver.hull.mode(), kModeActive);
+  EXPECT_EQ(refusal_of_neutral(kLimit), "");
+}
+
+TEST_F(LateChanges, OneThatIsReachedTooLateIsNotMade) {
+  receiver.hull.strand().post([] { std::this_thread::sleep_for(20ms); });
+  EXPECT_EQ(refusal_of_neutral(5ms), "'receiver' did not change its mode to neutral in time: a handler ran until then");
+  EXPECT_THAT(entered(), IsEmpty());
 }
 
 // ---- strands --------------------------------------------------------------------------------------------------

@@ -178,8 +178,8 @@ class Hull {
   void spawn(Async<> work, Job then = {});
   /// [strand] While on, the calls of all ports, or of those of a pattern, end with Cancelled.
   void cancel_calls(bool on, std::optional<Pattern> pattern = std::nullopt);
-  bool calls_are_cancelled(Pattern pattern) const { return deactivated_ || cancelled_.contains(pattern); }
-  bool all_calls_are_cancelled() const { return deactivated_ || cancelled_.size() == std::size(kCallPatterns); }
+  bool calls_are_cancelled(Pattern pattern) const { return all_calls_are_cancelled() || cancelled_.contains(pattern); }
+  bool all_calls_are_cancelled() const { return deactivated_ || all_cancelled_; }
 
   /// [strand] Whether a change waits that leaves this activity: nothing new begins in it.
   bool is_leaving(std::string_view activity) const;
@@ -191,7 +191,6 @@ class Hull {
   void guarded(const std::function<void()>& work);
 
  private:
-  static constexpr Pattern kCallPatterns[] = {SEND, QUERY, PUSH_NEWEST, PUSH_TIMED, EVENT};
   friend class Port;
   friend class Task;
   friend class Timer;
@@ -239,6 +238,7 @@ class Hull {
   void check_clock(std::string_view mode) const;
   void cancel_for_deactivation();
   void advance_changes();
+  void go_back(const std::string& to);
   void drop_changes();
   bool waits_for_deactivation() const;
   void withdraw(const std::shared_ptr<ModeChange>& change);
@@ -268,8 +268,9 @@ class Hull {
   std::set<Timer*> timers_;
   detail::ParamsBase* params_ = nullptr;
   Master* master_ = nullptr;
-  std::list<Async<>> spawned_;   ///< strand only
-  std::set<Pattern> cancelled_;  ///< strand only, as are the next four
+  std::list<Async<>> spawned_;  ///< strand only
+  bool all_cancelled_ = false;  ///< strand only, as are the next five
+  std::set<Pattern> cancelled_;
   bool deactivated_ = false;
   std::deque<std::shared_ptr<ModeChange>> changes_;
   std::map<std::uint64_t, Held> held_;  ///< by age

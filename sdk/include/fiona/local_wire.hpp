@@ -27,6 +27,7 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   /// Of a push: to the client's end.
   LocalWire(std::string name, std::shared_ptr<WireEnd> end, std::uint32_t prescale);
   Outcome deliver(Parcel parcel) override;
+  void repeat(Parcel parcel) override;
   void lease(bool held, const std::string& reason) override;
   bool has_room(std::size_t bytes, const std::function<void()>& notice) override;
   void attached(std::uint64_t sequence, Duration cycle) override;
@@ -36,11 +37,14 @@ class LocalWire final : public Sink, public std::enable_shared_from_this<LocalWi
   void cut(const std::string& reason);
   /// [any thread] Cuts it if it ends at a port of this hull.
   void cut_from(const Hull& hull, const std::string& reason);
+  /// [any thread] Whether a query that was asked over it has not ended.
+  bool has_open();
   const std::string& name() const { return name_; }
 
  private:
   static constexpr std::size_t kLeastOpen = 64;
 
+  Outcome pass(std::unique_lock<std::mutex>& lock, Parcel parcel);
   Outcome hand_over(Parcel parcel);
   void keep_open(const std::shared_ptr<ReplySink>& request);
   void cut_if(const std::function<bool(const Inbox&)>& is_meant, const std::string& reason);

@@ -50,8 +50,8 @@ class PushProvider : public ProvidedPort {
  protected:
   void on_active() override;
   void on_inactive() override;
-  /// [strand] The provider speaks: its lease begins anew.
-  void renew();
+  /// [strand] What was put last is valid still: its lease begins anew.
+  void confirm();
   /// [strand] Of a push timed: it produces from now on, or no longer. Its subscribers are told.
   void set_started(bool started);
   bool is_started() const { return started_; }
@@ -94,6 +94,7 @@ class PushProvider : public ProvidedPort {
   // guarded by the mutex, as are the functions
   void watch_lease();
   void tell_lease(std::optional<std::string> silence);
+  bool renew();
   std::atomic<bool> paced_{false};                ///< somebody has waited for room
   std::deque<std::shared_ptr<PutCall>> waiting_;  ///< strand only
   TimePoint renewed_{};
@@ -200,8 +201,10 @@ class Provides<S> : public detail::PushProvider {
     return put(std::make_shared<const ObjectType>(std::move(object)), within);
   }
   /// [strand] Nothing has changed, and the source of what was put last has been looked at: its lease begins anew. For a
-  /// service that speaks only on change; call it in the task that reads the sensor, and nowhere else.
-  void still_valid() { renew(); }
+  /// service that speaks only on change; call it in the task that reads the sensor, and nowhere else. Of a provider
+  /// that had been silent for longer than its lease the last value of a service that has one goes to each subscriber
+  /// again.
+  void still_valid() { confirm(); }
   /// [strand] Of a push timed: stops its cycle, and tells its subscribers, whose ports are *lost* until `start`. Until
   /// then puts are NotActive. A provider begins started.
   void stop() requires(S::kPattern == PUSH_TIMED) { set_started(false); }

@@ -23,6 +23,8 @@ class Sink {
   virtual ~Sink() = default;
   /// [any thread] Takes the message or says why not. Never waits, never runs a handler on the caller's stack.
   virtual Outcome deliver(Parcel parcel) = 0;
+  /// [any thread] What was put last is still valid: it is given again, whatever share of all the wire takes.
+  virtual void repeat(Parcel parcel) { deliver(std::move(parcel)); }
   /// [any thread] Whether a push provider speaks, or has been silent for longer than its lease.
   virtual void lease(bool /*held*/, const std::string& /*reason*/) {}
   /// [any thread] It subscribes to a push provider now, and is given what comes after this sequence number. `cycle`: of
