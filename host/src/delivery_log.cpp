@@ -33,8 +33,10 @@ DeliveryLog::~DeliveryLog() {
 void DeliveryLog::begin_anew() {
   const std::lock_guard lock(mutex_);
   lines_.clear();
+  const bool is_written = std::fflush(out_.get()) == 0;
   std::rewind(out_.get());
-  if (std::fflush(out_.get()) != 0 || ::ftruncate(::fileno(out_.get()), 0) != 0) note_failure();
+  // A device or a pipe has no beginning.
+  if (!is_written || (::ftruncate(::fileno(out_.get()), 0) != 0 && errno != EINVAL)) note_failure();
 }
 
 void DeliveryLog::delivered(TimePoint at, std::string_view wire, std::uint64_t sequence, std::string_view what) {

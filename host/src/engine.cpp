@@ -50,6 +50,16 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   return text;
 }
 
+/// Of the steps that lead from one system to another.
+std::vector<std::string> warnings_of(Model from, const Model& to, const Packages& packages) {
+  std::vector<std::string> warnings;
+  for (const auto& step : Model::difference(from, to)) {
+    if (auto warning = warning_of(step, from)) warnings.push_back(std::move(*warning));
+    from.make(step, packages);
+  }
+  return warnings;
+}
+
 /// Make before break: whom somebody serves is not wired to nobody by a name that has a letter wrong. Who says
 /// `unwire` before means it.
 void require_somebody_serves(const Model& before, const Model& after, const control::Transact& request) {
@@ -243,18 +253,12 @@ void Engine::plan(Transaction& transaction) const {
     if (const auto need = may_all ? std::nullopt : need_of(transaction.before, after))
       require(transaction.rights, *need);
     if (!request.whole() && !transaction.is_undo) require_somebody_serves(transaction.before, after, request);
+    if (request.whole()) transaction.warnings = warnings_of(transaction.before, after, system_.packages());
   } catch (...) {
     transaction.failure = failure_of_exception();
     return;
   }
-  if (request.whole()) {
-    transaction.steps = Model::difference(transaction.before, after);
-    Model so_far = transaction.before;
-    for (const auto& step : transaction.steps) {
-      if (auto warning = warning_of(step, so_far)) transaction.warnings.push_back(std::move(*warning));
-      so_far.make(step, system_.packages());
-    }
-  }
+  if (request.whole()) transaction.steps = Model::difference(transaction.before, after);
   transaction.reverse = Model::difference(after, transaction.before);
 }
 

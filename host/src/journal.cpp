@@ -218,7 +218,8 @@ void Journal::end(std::uint64_t number, control::JournalEntry::State state, cons
   try {
     write(*entry);
   } catch (...) {
-    owed_ += record_of(*entry);
+    const std::string record = record_of(*entry);
+    if (record.size() <= kHeadBytes + kMaxRecord) owed_ += record;  // else it would not be read
     throw;
   }
   if (whole && written_bytes_ > kFoldBytes) fold(*whole);

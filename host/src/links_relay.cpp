@@ -173,7 +173,7 @@ bool Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, 
   // Others share its lane as far as here: one that does not read must not keep their credit.
   const std::size_t lost =
       to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::DropOldest, nullptr);
-  if (lost > 0) tell_lost(from, frame.wire(), to.lane->note_lost(lost));
+  if (lost > 0) tell_lost(from, frame.wire(), to.lane ? to.lane->note_lost(lost) : lost);
   return true;
 }
 

@@ -370,6 +370,12 @@ TEST_P(Transactions, ARewireKeepsTheSubscriptionAsItIs) {
   make({wire("sink.each", "two.newest")});
   EXPECT_EQ(system.port("sink.each").peer().instance(), "two");
   EXPECT_EQ(system.port("sink.each").prescale(), 5U);
+  const auto came_before = system.port("sink.each").messages();
+  const auto put_before = system.port("two.newest").messages();
+  system.eventually("more is put", [&] { return system.port("two.newest").messages() > put_before + 50; });
+  const auto came = system.port("sink.each").messages() - came_before;
+  EXPECT_GT(came, 0U);
+  EXPECT_LE(came, (system.port("two.newest").messages() - put_before) / 5 + 1);
   control::Change each = wire("sink.each", "two.newest");
   each.mutable_wire()->set_prescale(1);
   make({each});
