@@ -22,7 +22,7 @@ class Pourer final : public Component {
   void on_change() {
     samples_.cancel_calls(params_->cancel() == "port");
     cancel_calls(params_->cancel() == "instance");
-    if (params_->cancel() == "pattern") cancel_calls(true, PUSH_NEWEST);
+    cancel_calls(params_->cancel() == "pattern", PUSH_NEWEST);
   }
   Async<> pour() {
     while (number_ < params_->count()) {
