@@ -85,6 +85,8 @@ class MainGroup final : public Group {
   Links& links() { return runtime_.links(); }
   /// [control thread] Of an instance that does not come back from its work.
   void give_up(const std::string& instance, const std::string& reason) { runtime_.give_up(instance, reason); }
+  /// [control thread] As that of the runtime.
+  void let_failed_go() { runtime_.let_failed_go(); }
   /// [control thread] Whether the strand is of an instance that was destroyed and had not come free.
   bool has_left(const Liveness::Slot* slot) const { return runtime_.has_left(slot); }
   void peer_lost(const wire::PeerLost& gone) override;

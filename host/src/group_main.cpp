@@ -96,6 +96,7 @@ int serve(Runtime& runtime, const fiona::host::PluginLibraries& libraries, Group
                       {events.descriptor(), POLLIN, 0}};
     const bool is_slow = stream.unsent() > kSlowHost;
     ::poll(waits, is_slow ? 1 : 2, read_pages.look(libraries.size()));
+    runtime.let_failed_go();
     if (!is_slow) {
       for (auto& event : events.take()) {
         if (!tell(stream, std::move(event))) return 1;

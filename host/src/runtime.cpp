@@ -33,6 +33,7 @@ Runtime::~Runtime() {
 }
 
 wire::GroupMessage Runtime::handle(const wire::GroupRequest& request) {
+  let_failed_go();
   wire::GroupMessage reply;
   reply.mutable_done();
   try {

@@ -42,6 +42,9 @@ class Runtime final {
   const std::string& endpoint() const { return links_.endpoint(); }
   /// [control thread] An instance does not come back from its work: it has failed, its wires are lost.
   void give_up(const std::string& instance, const std::string& reason);
+  /// [control thread] Of instances that have failed since, too. Call it whenever an event has come: what has failed is
+  /// found by that. Not on a virtual clock, where no instant belongs to it: who asks is told `not_active` in its turn.
+  void let_failed_go();
   /// Whether the strand is of one that was destroyed and had not come free: whoever has its name now is another one.
   bool has_left(const Liveness::Slot* slot) const { return left_.contains(slot); }
   std::map<std::string, FrameCounts> frame_counts() { return links_.frame_counts(); }
@@ -57,6 +60,7 @@ class Runtime final {
     std::string doc;
     std::unique_ptr<Hull> hull;
     std::shared_ptr<std::atomic<bool>> hangs;  ///< it has been given up, and has not come back; shared with its strand
+    bool let_go = false;                       ///< its wires are lost: it has failed
 
     /// How long its end may take.
     Duration patience() const { return hangs && *hangs ? Duration::zero() : kLifeCycleDeadline; }
@@ -82,6 +86,7 @@ class Runtime final {
   Hull::ModeDone mode_set(std::uint64_t change);
   void destroy(const wire::Destroy& request, wire::GroupMessage& reply);
   void leave(std::unique_ptr<Hull> hull);
+  void let_go(Instance& instance, const std::string& reason);
 
   // ---- runtime_wires.cpp
   void wire_local(const wire::WireLocal& request, wire::Switched& switched);
@@ -95,6 +100,7 @@ class Runtime final {
   void retire(std::uint64_t wire, bool drains = false);
   void end_wires(const Hull& hull, Connection now, const std::string& reason);
   ProvidedPort& provided(const control::PortName& name);
+  ProvidedPort& living(const control::PortName& name);
   RequiredPort& required(const control::PortName& name);
 
   // ---- runtime_calls.cpp

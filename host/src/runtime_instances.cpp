@@ -195,11 +195,24 @@ void Runtime::give_up(const std::string& name, const std::string& reason) {
   hull.strand().post([hangs = instance.hangs] { *hangs = false; });
   hull.fail(reason);
   hull.stop_threads();
-  links_.release(hull, reason);
-  end_wires(hull, Connection::Lost, reason);
+  let_go(instance, reason);
   for (Port* port : hull.ports()) {
     if (Inbox* inbox = port->inbox()) inbox->clear(Outcome::Disconnected);
   }
+}
+
+void Runtime::let_failed_go() {
+  if (clock_.staging()) return;
+  for (const auto& [name, instance] : instances_) {
+    if (instance->hull->has_failed() && !instance->let_go)
+      let_go(*instance, "'" + name + "' has failed: " + instance->hull->reason());
+  }
+}
+
+void Runtime::let_go(Instance& instance, const std::string& reason) {
+  instance.let_go = true;
+  links_.release(*instance.hull, reason);
+  end_wires(*instance.hull, Connection::Lost, reason);
 }
 
 void Runtime::destroy(const wire::Destroy& request, wire::GroupMessage& reply) {

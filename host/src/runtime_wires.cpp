@@ -29,8 +29,17 @@ class SwitchCost {
 
 }  // namespace
 
+/// Nobody is wired to what takes part in nothing any more.
+ProvidedPort& Runtime::living(const control::PortName& name) {
+  ProvidedPort& port = provided(name);
+  if (!port.hull().has_failed()) return port;
+  throw Error(ErrorCode::ComponentFailed, {.what = "'" + name.instance() + "' has failed: " + port.hull().reason(),
+                                           .where = text_of(name),
+                                           .next = "unload " + name.instance() + ", then load it again"});
+}
+
 void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switched) {
-  ProvidedPort& provider = provided(request.provider());
+  ProvidedPort& provider = living(request.provider());
   RequiredPort& client = required(request.client());
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
   const auto end = client.end_for(provider.full_name());
@@ -49,7 +58,7 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
 }
 
 void Runtime::wire_provide(const wire::WireProvide& request) try {
-  links_.provide(request.wire(), request.token(), request.peer(), provided(request.provider()), request.prescale(),
+  links_.provide(request.wire(), request.token(), request.peer(), living(request.provider()), request.prescale(),
                  request.attached() ? request.client().instance() : text_of(request.client()), request.attached());
 } catch (const Error& error) {
   links_.deny(request.wire(), error.text().what);
@@ -135,7 +144,12 @@ void Runtime::end_wires(const Hull& hull, Connection now, const std::string& rea
     request.set_wire(id);
     request.set_reason(reason);
     cut(request);
-    if (now == Connection::Lost) client->set_connection(now, reason);
+    if (now != Connection::Lost) continue;
+    client->set_connection(now, reason);
+    wire::GroupMessage message;
+    message.mutable_wire_lost()->set_wire(id);
+    message.mutable_wire_lost()->set_reason(reason);
+    emit(std::move(message));
   }
   for (const auto& wire : retired_) wire->cut_from(hull, reason);
 }

@@ -192,6 +192,7 @@ std::vector<std::string> System::watch_groups() {
 }
 
 void System::look_at_main(std::chrono::steady_clock::time_point now) {
+  groups_.main().let_failed_go();
   if (!main_hangs_) return;
   for (Hang& hang : main_hangs_->look(now, ::getpid())) {
     const auto order = order_of(hang.instance);

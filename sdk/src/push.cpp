@@ -70,10 +70,11 @@ void PushProvider::on_active() {
 }
 
 void PushProvider::on_inactive() {
-  if (lease_ == Duration::zero()) return;
+  const bool has_failed = hull().has_failed();  // then it is lost, whatever its service promises
+  if (lease_ == Duration::zero() && !has_failed) return;
   const std::lock_guard lock(mutex_);
   hull().clock().cancel(lease_timer_);
-  tell_lease("is not active");
+  tell_lease(has_failed ? "has failed" : "is not active");
 }
 
 void PushProvider::set_started(bool started) {

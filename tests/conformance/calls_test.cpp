@@ -395,6 +395,38 @@ TEST_P(Calls, OpenQueryThatIsToFinishOnTheOldProviderEndsDisconnectedWhenThatIsU
   EXPECT_EQ(outcome(), Outcome::Disconnected);
 }
 
+TEST_P(Calls, ThatWaitEndDisconnectedWhenTheProviderHasFailed) {
+  wire_all();
+  system.wire("caller.samples", "source.newest");
+  system.state("source", "active");
+  ASSERT_EQ(outcome_of("activate", "every=0"), Outcome::Ok);
+  begin("event");
+  system.set("source", "fail_with=broken");
+  EXPECT_EQ(outcome(), Outcome::Disconnected);
+  for (const std::string port : {"caller.bell", "caller.samples"}) {
+    system.eventually("lost", [&] { return system.port(port).connection() == control::LOST; });
+    EXPECT_THAT(system.port(port).reason(), HasSubstr("has failed"));
+  }
+  EXPECT_EQ(outcome_of("latest"), Outcome::Disconnected);
+  try {
+    system.unwire("caller.samples");
+    system.wire("caller.samples", "source.newest");
+    ADD_FAILURE() << "wired";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "'source' has failed: broken");
+    EXPECT_EQ(error.text().next, "unload source, then load it again");
+  }
+}
+
+TEST_P(Calls, AlternativesOfAQueryServeWhenTheFirstHasFailed) {
+  system.load_provider("answerer", "second");
+  system.wire_to_several("caller.echo", {"answerer.echo", "second.echo"});
+  ASSERT_EQ(outcome_of("query", "manner=promptly"), Outcome::Ok);
+  EXPECT_NE(outcome_of("query", "manner=throw"), Outcome::Ok);
+  system.eventually("the next one serves", [&] { return outcome_of("query", "manner=promptly") == Outcome::Ok; });
+  EXPECT_EQ(system.port("second.echo").messages(), 1U);
+}
+
 TEST_P(Calls, OpenQueryOfAPortThatSaysSoEndsDisconnectedWhenItIsRewired) {
   system.wire("caller.failing_echo", "answerer.echo");
   system.load_provider("answerer", "second");
