@@ -22,6 +22,7 @@ class Connector {
     bool local = false;
     std::string reason{};               ///< why it waits, or was lost
     std::vector<std::string> relays{};  ///< groups that pass it on
+    bool failed = false;                ///< its provider has: it waits until that is loaded again
 
     bool is_open() const { return id != 0 && reason.empty(); }
   };

@@ -427,7 +427,7 @@ void ControlServer::begin_upgrade(std::uint64_t client, const control::Request& 
   upgrade_ = {client, request.id()};
 }
 
-/// A transaction that is under way is not cut off.
+/// A transaction that is under way is not cut off; nor a change of mode, which may wait for long, for some seconds.
 void ControlServer::go_on_with_upgrade() {
   if (!upgrade_) return;
   if (!makes_way_) {
@@ -436,6 +436,7 @@ void ControlServer::go_on_with_upgrade() {
     control::Reply reply;
     reply.set_id(upgrade_->second);
     makes_way_ = answer->empty();
+    makes_way_since_ = std::chrono::steady_clock::now();
     if (makes_way_) {
       reply.mutable_done()->set_note("the next host is started");
     } else {
@@ -446,7 +447,9 @@ void ControlServer::go_on_with_upgrade() {
     send_last(upgrade_->first, reply);
     if (!makes_way_) upgrade_.reset();
   }
+  constexpr std::chrono::seconds kForModes{5};
   if (!makes_way_ || !engine_.is_idle()) return;
+  if (!engine_.is_at_rest() && std::chrono::steady_clock::now() - makes_way_since_ < kForModes) return;
   system_.end_main();
   exit_code_ = 0;
 }

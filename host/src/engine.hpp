@@ -50,8 +50,10 @@ class Engine {
   /// request. False: there is none that can be given up.
   bool give_up(std::uint64_t client, std::optional<std::uint64_t> request = std::nullopt);
   control::JournalEntries journal(std::uint32_t last) const;
-  /// No transaction is under way, nor a change of mode.
-  bool is_idle() const { return !current_ && aside_.empty(); }
+  /// No transaction is under way.
+  bool is_idle() const { return !current_; }
+  /// Nor a change of mode.
+  bool is_at_rest() const { return is_idle() && aside_.empty(); }
 
  private:
   struct Transaction;

@@ -30,8 +30,9 @@ GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) 
       };
     case Request::kDestroy: return leaves(request.destroy().instance(), true);
     case Request::kWireLocal:
-      return [this, old = request.wire_local().replaces()](bool done) {
-        if (done) wires_.erase(old);
+      wires_.insert(request.wire_local().wire());
+      return [this, now = request.wire_local().wire(), old = request.wire_local().replaces()](bool done) {
+        wires_.erase(done ? old : now);
       };
     case Request::kWireRequire:
       wires_.insert(request.wire_require().wire());

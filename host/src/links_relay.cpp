@@ -107,7 +107,9 @@ const wire::Frame* Links::pass_on(const Hop& from, const wire::Frame& frame, con
   for (const std::uint64_t wire : frame.also()) sort(wire);
   std::vector<std::uint64_t> flooded;
   for (const auto& [to, passed] : ways) {
-    if (!forward(from, *to, passed, object, payload)) flooded.push_back(passed.wire());
+    if (forward(from, *to, passed, object, payload)) continue;
+    flooded.push_back(passed.wire());
+    flooded.insert(flooded.end(), passed.also().begin(), passed.also().end());
   }
   if (frame.has_closed() || frame.has_refused()) {
     for (const auto& [to, passed] : ways) {
@@ -164,7 +166,8 @@ bool Links::forward(const Hop& from, Relay::Side& to, const wire::Frame& frame, 
   const bool is_push = frame.has_object() && &to == &relays_.at(frame.wire()).client;
   if (!is_push) {
     const bool is_free = frame.lane() == 0;
-    if (is_free && *to.free > kMostFree) return void(++counters_.overrun), false;
+    const bool ends = frame.has_closed() || frame.has_refused();
+    if (is_free && !ends && *to.free > kMostFree) return void(++counters_.overrun), false;
     std::shared_ptr<const void> receipt = from.link->receipt();
     if (is_free) receipt = std::make_shared<const Waiting>(to.free, frame.ByteSizeLong() + kFrameCost);
     to.hop.link->forward(lane, to.hop.peer, frame, object, payload, LinkSocket::Rule::Control, std::move(receipt));

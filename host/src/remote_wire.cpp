@@ -318,12 +318,13 @@ void RemoteWire::handle_frame(const wire::Frame& frame, const ObjectBytes& objec
   }
 }
 
-/// Of what comes from outside no more counts than there can be: of a push what was put, once for each wire.
+/// Of what comes from outside no more counts than there can be: of a push what was put, for each wire that shares it.
 void RemoteWire::note_lost(std::uint64_t messages) {
   constexpr std::uint64_t kMost = 1ULL << 32U;
   auto& counters = port_.counters();
+  const std::uint64_t wires = fan_out_ ? std::max<std::size_t>(fan_out_->subscribers(), 1) : 1;
+  const std::uint64_t most = fan_out_ ? wires * counters.messages.load(std::memory_order_relaxed) : kMost;
   const std::lock_guard lock(mutex_);
-  const std::uint64_t most = fan_out_ ? counters.messages.load(std::memory_order_relaxed) : kMost;
   const std::uint64_t more = std::min(messages, most - std::min(most, told_lost_));
   told_lost_ += more;
   counters.dropped.fetch_add(more, std::memory_order_relaxed);

@@ -176,7 +176,7 @@ void System::open_waiting(std::chrono::steady_clock::time_point now) {
   if (virtual_time_ || now - opened_waiting_ < kOpensWaiting) return;
   opened_waiting_ = now;
   for (auto& [key, wire] : wires_) {
-    const Model::Wire* wanted = wire.id == 0 ? model_.wire_of(port_of(key)) : nullptr;
+    const Model::Wire* wanted = wire.id == 0 && !wire.failed ? model_.wire_of(port_of(key)) : nullptr;
     if (!wanted || !is_reached(key.first) || !is_reached(wire.provider.instance())) continue;
     const auto [first, last] = wires_.equal_range(key);
     const bool none = std::all_of(first, last, [](const auto& one) { return one.second.id == 0; });

@@ -16,6 +16,9 @@
 namespace fiona::host {
 namespace {
 
+/// One that stands by is asked once, and may be busy for as long as it may be watched.
+constexpr double kRestsWithin_ms = 3'600'000;
+
 std::string version_text(const Model::Instance& one) {
   return fmt::format("{} {}", one.package->name, one.package->version);
 }
@@ -435,7 +438,7 @@ void System::look_after_versions(std::chrono::steady_clock::time_point now) {
     Group* at = groups_.living(one.made.group);
     if (!one.rests_at || now < *one.rests_at || !at) continue;
     one.rests_at.reset();
-    at->tell(mode_request(name, std::string(kModeNeutral), next_work_++));
+    at->tell(mode_request(name, std::string(kModeNeutral), next_work_++, kRestsWithin_ms));
   }
   for (auto one = leaving_.begin(); one != leaving_.end();) {
     const bool stays = one->rests_at && now < *one->rests_at;

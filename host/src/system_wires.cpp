@@ -158,6 +158,7 @@ System::Wire System::open_or_wait(const control::PortName& client, const control
     done.add_warnings(waiting_warning(client, provider.instance(), next));
   } catch (const Error& error) {
     if (refusal && !*refusal) *refusal = error;
+    waiting.failed = error.code() == ErrorCode::ComponentFailed;
     waiting.reason = error.text().what;
     done.add_warnings(fmt::format("{} waits for {}: {}", text_of(client), text_of(provider), waiting.reason));
   }

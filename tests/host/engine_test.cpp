@@ -634,12 +634,12 @@ TEST_P(Transactions, WhatCouldNotBeTakenBackIsInTheJournalAndMayBeUndone) {
 
 TEST_P(Transactions, WhoLooksIsToldThatAChangeOfModeIsUnderWay) {
   load_stubborn("aside");
-  EXPECT_TRUE(engine.is_idle());
+  EXPECT_TRUE(engine.is_at_rest());
   const auto aside = begin({state("aside", "rest")});
-  EXPECT_FALSE(engine.is_idle());
+  EXPECT_FALSE(engine.is_at_rest());
   let_rest("aside");
   await_done(aside);
-  EXPECT_TRUE(engine.is_idle());
+  EXPECT_TRUE(engine.is_at_rest());
 }
 
 TEST_P(Transactions, PlanOfAWholeSystemTellsWhatIsLost) {
