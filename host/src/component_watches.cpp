@@ -52,6 +52,7 @@ std::optional<control::Reply> ComponentWatches::next(const wire::Asked& asked) {
   }
   control::Reply reply;
   if (!watch.kept.empty()) {
+    watch.told = watch.kept.front().number();
     *reply.mutable_sample() = watch.kept.front();
     return reply;
   }
@@ -96,13 +97,15 @@ void ComponentWatches::take(const wire::Tapped& tapped) {
     drop_oldest(watch);
   if (!watch.waiting) return;
   control::Reply reply;
+  watch.told = watch.kept.front().number();
   *reply.mutable_sample() = watch.kept.front();
   system_.answer(*std::exchange(watch.waiting, std::nullopt), reply);
 }
 
-/// It is missing before the one behind it, with what was missing before itself.
+/// It is missing before the one behind it, with what was missing before itself; one that has been told is not.
 void ComponentWatches::drop_oldest(Watch& watch) {
-  const std::uint64_t missing = watch.kept.front().skipped() + 1;
+  const bool was_told = watch.kept.front().number() <= watch.told;
+  const std::uint64_t missing = was_told ? 0 : watch.kept.front().skipped() + 1;
   watch.kept_bytes -= watch.kept.front().object().size();
   watch.kept.pop_front();
   watch.kept.front().set_skipped(watch.kept.front().skipped() + missing);

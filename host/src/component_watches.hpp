@@ -36,6 +36,7 @@ class ComponentWatches {
     std::deque<control::Sample> kept{};  ///< the first may have been told, and not have arrived
     std::size_t kept_bytes = 0;
     std::uint64_t last = 0;  ///< number of the newest
+    std::uint64_t told = 0;  ///< the number of the last that was given
     std::optional<control::Failure> over{};
     std::optional<wire::Asked> waiting{};
   };

@@ -24,9 +24,10 @@ void OpenTaps::open(Group& group, std::uint64_t tap, const control::Watch& watch
 void OpenTaps::close(std::uint64_t tap) {
   const auto found = taps_.find(tap);
   if (found == taps_.end()) return;
-  Group* group = groups_.living(found->second.group);
+  Group* group = groups_.find(found->second.group);
   taps_.erase(found);
-  if (!group) return;
+  const auto* remote = dynamic_cast<RemoteGroup*>(group);  // which is owed it while its host is silent
+  if (!group || (!group->alive() && !(remote && remote->end().empty()))) return;
   wire::GroupRequest request;
   request.mutable_untap()->set_tap(tap);
   group->tell(std::move(request));

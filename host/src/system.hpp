@@ -348,6 +348,7 @@ class System {
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
   void take_back_wires(const control::PortName& client, const std::vector<Wire>& made);
   void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
+  void leave_for_later(const control::PortName& client, Wire& wire, const std::string& reason);
   control::Done unwire(const control::Unwire& request);
   std::string connect_waiting(const std::string& provider, const Model& next);
   std::vector<std::string> leave_wires(const std::string& instance);

@@ -174,8 +174,18 @@ void System::resume_wires(const std::string& host) {
       control::Done ignored;
       wire = connector_.connect(client, wire.provider, model_, wire.id, ignored, wire.id != 0);
     } catch (const Error& error) {
-      wire.reason = error.text().what;
+      leave_for_later(client, wire, error.text().what);
     }
+  }
+}
+
+/// It is let go of, and opened again when both its ends are reached: nobody else would.
+void System::leave_for_later(const control::PortName& client, Wire& wire, const std::string& reason) {
+  const Wire old = std::exchange(wire, Wire{wire.provider, 0, false, reason, {}});
+  try {
+    connector_.disconnect(client, old, reason);
+    await_provider(client, wire, model_);
+  } catch (const Error&) {  // its end there is lost by itself
   }
 }
 
