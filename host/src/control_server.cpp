@@ -435,8 +435,7 @@ void ControlServer::go_on_with_upgrade() {
     if (!answer) return;
     control::Reply reply;
     reply.set_id(upgrade_->second);
-    makes_way_ = answer->empty();
-    makes_way_since_ = std::chrono::steady_clock::now();
+    if (answer->empty()) makes_way_ = std::chrono::steady_clock::now();
     if (makes_way_) {
       reply.mutable_done()->set_note("the next host is started");
     } else {
@@ -449,7 +448,7 @@ void ControlServer::go_on_with_upgrade() {
   }
   constexpr std::chrono::seconds kForModes{5};
   if (!makes_way_ || !engine_.is_idle()) return;
-  if (!engine_.is_at_rest() && std::chrono::steady_clock::now() - makes_way_since_ < kForModes) return;
+  if (!engine_.is_at_rest() && std::chrono::steady_clock::now() - *makes_way_ < kForModes) return;
   system_.end_main();
   exit_code_ = 0;
 }

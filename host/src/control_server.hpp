@@ -118,8 +118,7 @@ class ControlServer {
   std::string end_reason_;
   bool was_ended_ = false;
   std::optional<std::pair<std::uint64_t, std::uint64_t>> upgrade_;  ///< (client, request) that has asked for one
-  bool makes_way_ = false;                                          ///< for the next host, which is of another build
-  std::chrono::steady_clock::time_point makes_way_since_{};
+  std::optional<std::chrono::steady_clock::time_point> makes_way_;  ///< for the next host, of another build: since then
 };
 
 }  // namespace fiona::host

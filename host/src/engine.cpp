@@ -50,10 +50,10 @@ std::optional<std::string> warning_of(const control::Change& step, const Model& 
   return text;
 }
 
-/// Of the steps that lead from one system to another.
-std::vector<std::string> warnings_of(Model from, const Model& to, const Packages& packages) {
+/// Of steps that are made one after the other.
+std::vector<std::string> warnings_of(Model from, const std::vector<control::Change>& steps, const Packages& packages) {
   std::vector<std::string> warnings;
-  for (const auto& step : Model::difference(from, to)) {
+  for (const auto& step : steps) {
     if (auto warning = warning_of(step, from)) warnings.push_back(std::move(*warning));
     from.make(step, packages);
   }
@@ -253,12 +253,14 @@ void Engine::plan(Transaction& transaction) const {
     if (const auto need = may_all ? std::nullopt : need_of(transaction.before, after))
       require(transaction.rights, *need);
     if (!request.whole() && !transaction.is_undo) require_somebody_serves(transaction.before, after, request);
-    if (request.whole()) transaction.warnings = warnings_of(transaction.before, after, system_.packages());
+    if (request.whole()) {
+      transaction.steps = Model::difference(transaction.before, after);
+      transaction.warnings = warnings_of(transaction.before, transaction.steps, system_.packages());
+    }
   } catch (...) {
     transaction.failure = failure_of_exception();
     return;
   }
-  if (request.whole()) transaction.steps = Model::difference(transaction.before, after);
   transaction.reverse = Model::difference(after, transaction.before);
 }
 

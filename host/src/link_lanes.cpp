@@ -52,7 +52,8 @@ std::size_t PeerLanes::close(Lane& lane, Rest rest) {
   if (rest == Rest::IsLost || (kept > kLaneWindow && !is_one_object)) {
     std::erase_if(lane.queue_, [&](const Item& item) {
       if (!waits(item)) return false;
-      lost += lane.note_lost(item);
+      // Of a push its client is told; who has sent something else counts it himself.
+      lost += item.rule == Rule::DropOldest ? lane.note_lost(item) : item.losses();
       return true;
     });
     if (rest == Rest::IsLost) lane.lost_.clear();  // else it is told before the end of the wire

@@ -11,8 +11,8 @@ void System::set_clock(const ClockSettings& next) {
                  .next = "start it without --listen and --peer"});
   }
   auto log = virtual_time_ ? virtual_time_->log() : nullptr;
-  const auto before = log;
-  if (next.deliveries != (log ? log->file().string() : ""))  // first: a file that cannot be written changes nothing
+  const bool is_same = next.deliveries == (virtual_time_ ? virtual_time_->deliveries() : "");
+  if (!is_same)  // first: a file that cannot be written changes nothing
     log = next.deliveries.empty() ? nullptr : std::make_shared<DeliveryLog>(next.deliveries);
   const bool stays = next.is_virtual == has_virtual_clock() && (!next.is_virtual || clock_->start() == next.start);
   std::optional<Waits::Runs> runs;
@@ -23,7 +23,7 @@ void System::set_clock(const ClockSettings& next) {
   if (!stays && !next.is_virtual) use_clock(std::make_unique<SystemClock>());
   if (virtual_time_) virtual_time_->clock().set_speed(next.speed);
   if (virtual_time_ && virtual_time_->log() != log) {
-    if (log && log == before) log->begin_anew();
+    if (log && is_same) log->begin_anew();
     virtual_time_->record_to(std::move(log));
   }
   if (runs) waits_->take(std::move(*runs));  // last: it lets time go on

@@ -211,22 +211,23 @@ TEST(LinkLanes, LaneThatEndsCountsWhatItLosesOnceForEachWire) {
 TEST(LinkLanes, WhatALaneThatEndsLosesIsToldBeforeTheEndAndOneObjectGoesWhateverItsSize) {
   PeerLanes lanes;
   Reader reader;
-  const auto end_with = [&](std::uint64_t wire, std::size_t objects) {
+  const auto end_with = [&](std::uint64_t wire, std::size_t objects, std::size_t bytes) {
     const auto lane = lanes.open();
     lanes.offer(*lane, item_of(wire, kLaneWindow - 2 * kChunkBytes, Rule::DropOldest));
     while (!next_of(lanes, reader).empty()) continue;  // the window is used up
-    for (std::size_t i = 0; i < objects; ++i) lanes.offer(*lane, item_of(wire, 2 * kLaneWindow, Rule::Control));
+    for (std::size_t i = 0; i < objects; ++i) lanes.offer(*lane, item_of(wire, bytes, Rule::DropOldest));
     auto end = item_of(wire, 0, Rule::Control);
     end.cost = 0;
     lanes.offer(*lane, std::move(end));
-    const std::size_t lost = lanes.close(*lane, PeerLanes::Rest::Goes);
-    lanes.credit(lane->id(), kLaneWindow);
-    return lost;
+    return std::pair(lane->id(), lanes.close(*lane, PeerLanes::Rest::Goes));
   };
-  EXPECT_EQ(end_with(1, 1), 0U);
+  const auto large = end_with(1, 1, 2 * kLaneWindow);
+  EXPECT_EQ(large.second, 0U);
+  const auto other = end_with(2, 2, 2 * kChunkBytes);
+  EXPECT_EQ(other.second, 2U) << "what ends so keeps no more than a window, all lanes together";
+  EXPECT_THAT(next_of(lanes, reader), ElementsAre("2 lost 2", "2"));
+  lanes.credit(large.first, kLaneWindow);
   while (!next_of(lanes, reader).empty()) continue;
-  EXPECT_EQ(end_with(2, 2), 2U);
-  EXPECT_EQ(next_of(lanes, reader).front(), "2 lost 2");
   EXPECT_EQ(lanes.lanes(), 0U);
 }
 

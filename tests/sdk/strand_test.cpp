@@ -181,10 +181,10 @@ class Receiver final : public Component {
  public:
   using Component::Component;
   std::chrono::milliseconds takes{0};  ///< a message, of the machine's time
-  std::chrono::milliseconds mode_takes{0};
+  std::function<void()> in_mode = [] {};
   std::vector<std::string> entered;
   void on_mode(std::string_view mode) override {
-    std::this_thread::sleep_for(mode_takes);
+    in_mode();
     entered.emplace_back(mode);
   }
   std::function<void(std::uint64_t)> meanwhile = [](std::uint64_t) {};
@@ -359,50 +359,6 @@ TEST_F(Inboxes, ClosedStrandTakesNothing) {
   EXPECT_EQ(inbox("each").push(parcel(1, 10)), Outcome::Disconnected);
 }
 
-// ---- changes of mode that take long ---------------------------------------------------------------------------
-
-class LateChanges : public ::testing::Test {
- protected:
-  LateChanges() {
-    receiver.hull.set_mode(kModeActive, kLimit);
-    receiver->entered.clear();
-  }
-  ~LateChanges() override { clock.stop(); }
-  /// Why the change is not made; empty: it is.
-  std::string refusal_of_neutral(Duration deadline) {
-    std::promise<std::string> told;
-    receiver.hull.change_mode(kModeNeutral, deadline, [&](const std::optional<Error>& error) {
-      told.set_value(error ? error->text().what : "");
-    });
-    return told.get_future().get();
-  }
-  std::vector<std::string> entered() {
-    std::vector<std::string> all;
-    EXPECT_TRUE(receiver.hull.strand().call([&] { all = receiver->entered; }, kLimit));
-    return all;
-  }
-
-  Pool pool{1};
-  SystemClock clock;
-  KeptEvents events;
-  Made<Receiver> receiver{"receiver", pool, clock, events};
-};
-
-TEST_F(LateChanges, OneThatIsMadeTooLateIsTakenBack) {
-  receiver->mode_takes = 20ms;
-  EXPECT_EQ(refusal_of_neutral(5ms),
-            "'receiver' did not change its mode to neutral in time: it took longer, and goes back to active");
-  EXPECT_THAT(entered(), ElementsAre("neutral", "active"));
-  EXPECT_EQ(receiver.hull.mode(), kModeActive);
-  EXPECT_EQ(refusal_of_neutral(kLimit), "");
-}
-
-TEST_F(LateChanges, OneThatIsReachedTooLateIsNotMade) {
-  receiver.hull.strand().post([] { std::this_thread::sleep_for(20ms); });
-  EXPECT_EQ(refusal_of_neutral(5ms), "'receiver' did not change its mode to neutral in time: a handler ran until then");
-  EXPECT_THAT(entered(), IsEmpty());
-}
-
 // ---- strands --------------------------------------------------------------------------------------------------
 
 class Strands : public ::testing::Test {
@@ -557,6 +513,44 @@ class ManualClock final : public Clock {
   TimePoint now_{};
   std::multimap<TimePoint, std::pair<std::shared_ptr<Strand>, Job>> pending_;
 };
+
+/// Changes of mode for which there is less time than they take.
+class LateChanges : public ::testing::Test {
+ protected:
+  LateChanges() {
+    receiver.hull.set_mode(kModeActive, kLimit);
+    receiver->entered.clear();
+  }
+  void ask_for_neutral(Duration deadline) {
+    receiver.hull.change_mode(kModeNeutral, deadline, [this](const std::optional<Error>& error) {
+      refusal = error ? error->text().what : "none";
+    });
+    executor.help();
+  }
+
+  ManualClock clock;
+  testing::InlineExecutor executor;
+  KeptEvents events;
+  Made<Receiver> receiver{"receiver", executor, clock, events};
+  std::string refusal;
+};
+
+TEST_F(LateChanges, OneThatIsMadeTooLateIsTakenBack) {
+  receiver->in_mode = [this] { clock.pass(20ms); };
+  ask_for_neutral(5ms);
+  EXPECT_EQ(refusal, "'receiver' did not change its mode to neutral in time: it took longer, and goes back to active");
+  EXPECT_THAT(receiver->entered, ElementsAre("neutral", "active"));
+  EXPECT_EQ(receiver.hull.mode(), kModeActive);
+  ask_for_neutral(kLimit);
+  EXPECT_EQ(refusal, "none");
+}
+
+TEST_F(LateChanges, OneThatIsReachedTooLateIsNotMade) {
+  receiver.hull.strand().post([this] { clock.pass(20ms); });
+  ask_for_neutral(5ms);
+  EXPECT_EQ(refusal, "'receiver' did not change its mode to neutral in time: a handler ran until then");
+  EXPECT_THAT(receiver->entered, IsEmpty());
+}
 
 class Worker final : public Component {
  public:
