@@ -113,7 +113,7 @@ void Engine::end_watch(const std::string& instance, const std::string& warning) 
   if (node.empty()) return;
   const WatchedPtr watched = node.mapped();
   system_.end_watch(instance);
-  if (warning.empty()) system_.dispose_standby(instance);
+  if (warning.empty() || !system_.stands_by(instance)) system_.leave_to_supervision(instance);
   if (!warning.empty()) watched->reply.mutable_done()->add_warnings("it was not watched to the end: " + warning);
   watched->answer(watched->reply);
 }

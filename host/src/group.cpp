@@ -576,7 +576,7 @@ Error ChildGroup::unreachable() const {
 wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request, milliseconds deadline) {
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since + kRequest);
   wire::GroupRequest numbered = request;
-  if (ask(numbered)) {
+  if (ask_if_it_answers(numbered)) {
     if (auto reply = wait_for(numbered.id(), unanswered_->since + deadline)) return std::move(*reply);
   }
   if (stream_->closed()) note_end();
@@ -584,16 +584,20 @@ wire::GroupMessage ChildGroup::perform(const wire::GroupRequest& request, millis
 }
 
 /// False: it has something to answer before, or is gone.
-bool ChildGroup::ask(wire::GroupRequest& request) {
+bool ChildGroup::ask_if_it_answers(wire::GroupRequest& request) {
   if (unanswered_ || !send(request)) return false;
   unanswered_ = {request.id(), Steady::now(), most_silent(request)};
   return true;
 }
 
+void ChildGroup::ask(wire::GroupRequest request) {
+  if (!ask_if_it_answers(request)) send(request);
+}
+
 /// In virtual time one thing is done after the other. Who asks it for something else first has read the answer.
 std::function<void()> ChildGroup::begin(wire::GroupRequest request) {
   const milliseconds patience = limit(request);
-  if (master_ || !ask(request)) return Group::begin(std::move(request));
+  if (master_ || !ask_if_it_answers(request)) return Group::begin(std::move(request));
   is_read_later_ = true;
   return [this, id = request.id(), deadline = unanswered_->since + patience] {
     is_read_later_ = false;
@@ -616,7 +620,7 @@ void ChildGroup::ask_status() {
   if (unanswered_) wait_for(unanswered_->id, unanswered_->since);  // which may have come by now
   wire::GroupRequest request;
   request.mutable_status();
-  ask(request);
+  ask_if_it_answers(request);
   is_read_later_ = unanswered_.has_value();
 }
 

@@ -43,6 +43,8 @@ class Group {
   virtual std::function<void()> begin(wire::GroupRequest request);
   /// [control thread] Does it when it comes to it: nobody waits for that, or is told that it was refused.
   virtual void tell(wire::GroupRequest request);
+  /// [control thread] As `tell`; until it has answered it is silent.
+  virtual void ask(wire::GroupRequest request) { tell(std::move(request)); }
   /// [control thread] For what is to be so whether or not somebody waits: does it before this returns if the group
   /// answers, and otherwise once it does. A group that is gone has nothing to do. Throws Error: what the group refused.
   void inform(wire::GroupRequest request);
@@ -158,6 +160,7 @@ class ChildGroup final : public Group {
   bool alive() const override { return end_.empty(); }
   std::function<void()> begin(wire::GroupRequest request) override;
   void tell(wire::GroupRequest request) override { send(request); }
+  void ask(wire::GroupRequest request) override;
   void peer_lost(const wire::PeerLost& gone) override;
   void require_answer() override;
   void ask_status() override;
@@ -198,7 +201,7 @@ class ChildGroup final : public Group {
     std::chrono::milliseconds looked_at{0};  ///< of the time since, that in which it was
   };
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
-  bool ask(wire::GroupRequest& request);
+  bool ask_if_it_answers(wire::GroupRequest& request);
   bool wait_readable(Time deadline) const;
   bool receive();
   std::optional<wire::GroupMessage> wait_for(std::uint64_t id, Time deadline);

@@ -97,7 +97,7 @@ void System::use_clock(std::unique_ptr<Clock> clock) {
   pool_ = std::make_unique<Pool>(options_.threads, std::make_shared<Liveness>());
   const bool is_virtual = dynamic_cast<VirtualClock*>(clock_.get()) != nullptr;
   if (options_.ends_hung_groups && !is_virtual) {
-    main_hangs_ = std::make_unique<HangWatch>(pool_->liveness()->page(), parts());
+    main_hangs_ = std::make_unique<HangWatch>(pool_->liveness()->page(), parts(std::string(kMainGroup)));
   }
   waits_ = std::make_unique<Waits>(*clock_, *pool_);
   const std::string endpoint = "ipc://" + (links_directory() / (options_.name + ".main.ipc")).string();

@@ -140,7 +140,7 @@ class System {
   control::Expect expected(control::Expect request);
   /// False while it is being loaded: what becomes of it then is told to whoever loads it.
   bool is_loaded(const std::string& name) const {
-    return model_.find(name) && (!making_.contains(name) || lost_.contains(name));
+    return model_.find(name) && (!is_being_made(name) || lost_.contains(name));
   }
   /// Whether the instance is in this mode already, and the mode it is in.
   std::pair<bool, std::string> has_mode(const std::string& instance, const std::string& mode);
@@ -209,7 +209,6 @@ class System {
   /// An instance on its way to its first mode.
   struct Making {
     std::uint64_t change = 0;
-    std::string group{};
     std::shared_ptr<const Package> package{};
   };
   struct Lost {
@@ -239,7 +238,8 @@ class System {
   void prepare_links() const;
   std::unique_ptr<SystemClock> system_clock() const;
   std::shared_ptr<os::ProcessTemplate> template_for(const wire::Confinement& confinement);
-  ChildGroup::Start start_of_group(const Model::Instance* first, const std::filesystem::path& folder);
+  ChildGroup::Start start_of_group(const std::string& name, const Model::Instance* first,
+                                   const std::filesystem::path& folder);
   void use_clock(std::unique_ptr<Clock> clock);
   void end_threads();
   void deliver(const wire::GroupMessage& event);
@@ -257,7 +257,8 @@ class System {
   Group& group_of(const std::string& instance, const Model& model);
   void retire_if_empty(const Group& target);
   void leave_group(const std::string& name);
-  HangWatch::Parts parts() const;
+  const Model::Instance* made_in(const std::string& group, const std::string& name) const;
+  HangWatch::Parts parts(const std::string& group) const;
   bool watches_main() const { return main_hangs_ && pool_->liveness()->page().used > 0; }
   void give_up(const HangOfMain& found);
   void look_at_main(std::chrono::steady_clock::time_point now);
@@ -275,7 +276,7 @@ class System {
   std::map<std::uint64_t, std::string> lost_in(const std::string& group) const;
   std::string start_again(const std::string& group);
   void make_again(Group& target, const std::string& name);
-  void made_again(const std::string& name, std::uint64_t change, const control::Reply& reply);
+  void made_again(const std::string& group, const std::string& name, const control::Reply& reply);
   void is_back(const std::string& name);
   bool is_reached(const std::string& name) const;
   void open_waiting(std::chrono::steady_clock::time_point now);
@@ -301,9 +302,10 @@ class System {
   control::Done told_of_load(const std::string& name, const Model& next);
   std::string name_of(const control::Load& request) const;
   /// It is no more on its way.
-  void made_known(const std::string& name) { making_.erase(name); }
+  void made_known(const std::string& group, const std::string& name) { making_.erase({group, name}); }
+  bool is_being_made(const std::string& name) const;
   void lose_what_is_made(const std::string& group, const std::string& end);
-  void discard(const std::string& name);
+  void discard(const std::string& group, const std::string& name);
   control::Done unload(const control::Unload& request);
   std::string destroyed(Group& target, wire::GroupRequest destroy);
   control::Done set(const control::Set& request, const Model& next);
@@ -403,7 +405,7 @@ class System {
   std::weak_ptr<os::ProcessTemplate> template_{options_.group_template};
   Groups groups_;
   Creating creating_;
-  std::map<std::string, Making> making_;  ///< by instance
+  std::map<std::pair<std::string, std::string>, Making> making_;  ///< by group and instance: of two versions each
   std::optional<Beside> candidate_;
   std::map<std::string, Beside> standbys_;  ///< by instance
   std::vector<Beside> leaving_;

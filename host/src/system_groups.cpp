@@ -3,6 +3,8 @@
 #include <fmt/ranges.h>
 #include <unistd.h>
 
+#include <algorithm>
+
 #include "confinement.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
@@ -55,13 +57,14 @@ std::shared_ptr<os::ProcessTemplate> System::template_for(const wire::Confinemen
   return one;
 }
 
-ChildGroup::Start System::start_of_group(const Model::Instance* first, const std::filesystem::path& folder) {
+ChildGroup::Start System::start_of_group(const std::string& name, const Model::Instance* first,
+                                         const std::filesystem::path& folder) {
   ClockMaster* master = virtual_time_ ? &virtual_time_->lead_groups() : nullptr;
   return {"ipc://" + (folder / "link").string(),
           *clock_,
           master,
           options_.threads,
-          options_.ends_hung_groups ? parts() : nullptr,
+          options_.ends_hung_groups ? parts(name) : nullptr,
           confinement_of_group(first, folder),
           folder,
           options_.group_limits.cores,
@@ -83,7 +86,7 @@ Group& System::group(const std::string& name, const Model::Instance* first) {
   require_descriptors_for("another group", child_groups().size() + attachments_.clients(),
                           options_.group_limits.descriptors);
   const auto folder = links_directory() / fmt::format("{}.{}.{}", options_.name, wanted, next_order_++);
-  auto start = start_of_group(first ? first : first_in(wanted), folder);
+  auto start = start_of_group(wanted, first ? first : first_in(wanted), folder);
   start.copied = template_for(start.confinement);
   return groups_.put(std::make_unique<ChildGroup>(
       wanted, start, [this, wanted](wire::GroupMessage event) { deliver_from_child(wanted, std::move(event)); }));
@@ -97,7 +100,7 @@ Group& System::group_of(const std::string& name, const Model& model) {
   throw Error(ErrorCode::Unreachable, {.what = "'" + name + "' is lost: " + lost->second.reason,
                                        .where = name,
                                        .next = lost->second.away ? "ls hosts"
-                                               : supervision_.waits(one.group) || making_.contains(name)
+                                               : supervision_.waits(one.group) || is_being_made(name)
                                                    ? "wait for it"
                                                    : "unload " + name + ", then load it again"});
 }
@@ -134,10 +137,21 @@ std::vector<ChildGroup*> System::child_groups() {
   return children;
 }
 
-/// Of an instance that is just being made nothing is known yet.
-HangWatch::Parts System::parts() const {
-  return [this](const std::string& name) -> std::optional<HangWatch::Part> {
-    const Model::Instance* one = model_.find(name);
+/// The version of an instance that is in this group; null: none is, or it is just being made.
+const Model::Instance* System::made_in(const std::string& group, const std::string& name) const {
+  const Model::Instance* one = model_.find(name);
+  if (one && one->group == group) return one;
+  const auto is_it = [&](const Beside& other) { return other.name == name && other.made.group == group; };
+  if (candidate_ && is_it(*candidate_)) return &candidate_->made;
+  const auto standby = standbys_.find(name);
+  if (standby != standbys_.end() && is_it(standby->second)) return &standby->second.made;
+  const auto leaving = std::find_if(leaving_.begin(), leaving_.end(), is_it);
+  return leaving != leaving_.end() ? &leaving->made : nullptr;
+}
+
+HangWatch::Parts System::parts(const std::string& group) const {
+  return [this, group](const std::string& name) -> std::optional<HangWatch::Part> {
+    const Model::Instance* one = made_in(group, name);
     if (!one) return std::nullopt;
     HangWatch::Part part{{}, one->package->hang_after};
     auto& texts = part.texts;

@@ -49,7 +49,7 @@ void System::begin_load(const control::Load& request, Waits::Answer answer) {
 
 control::Done System::end_load(const control::Load& request) {
   const std::string name = name_of(request);
-  made_known(name);
+  made_known(model_.instance(name).group, name);
   return told_of_load(name, model_);
 }
 
@@ -71,10 +71,10 @@ std::string System::name_of(const control::Load& request) const {
 void System::bring_up(Group& target, const std::string& name, const Model::Instance& made, const control::Load& request,
                       Waits::Answer answer, double within_ms) {
   const std::uint64_t change = next_work_++;
-  made_known(name);
+  made_known(target.name(), name);
   const auto begin = [&] {
     create(target, name, made, request, change);
-    making_[name] = {change, target.name(), made.package};
+    making_[{target.name(), name}] = {change, made.package};
   };
   const auto expired = failure_reply(
       ErrorCode::Unreachable, {.what = fmt::format("'{}' did not reach its mode within {:g} s", name, within_ms / 1e3),
@@ -83,16 +83,22 @@ void System::bring_up(Group& target, const std::string& name, const Model::Insta
   waits_->work(kNobody, change, within_ms, begin, end_of_mode(change), expired, std::move(answer));
 }
 
+/// The one that serves, or is to; not another version of it.
+bool System::is_being_made(const std::string& name) const {
+  const Model::Instance* one = model_.find(name);
+  return one && making_.contains({one->group, name});
+}
+
 /// What is being made in a group that has gone does not get there.
 void System::lose_what_is_made(const std::string& group, const std::string& end) {
-  for (const auto& [name, one] : making_) {
-    if (one.group != group) continue;
+  for (const auto& [key, one] : making_) {
+    if (key.first != group) continue;
     wire::GroupMessage event;
     event.mutable_mode_set()->set_change(one.change);
     *event.mutable_mode_set()->mutable_failure() = failure_of(ended_while_loaded(*one.package, group, end));
     deliver(event);
   }
-  std::erase_if(making_, [&](const auto& one) { return one.second.group == group; });
+  std::erase_if(making_, [&](const auto& one) { return one.first.first == group; });
 }
 
 control::Done System::load(const control::Load& request, const Model& next) {
@@ -163,9 +169,9 @@ control::Done System::unload(const control::Unload& request) {
   }
   const std::vector<std::string> dependents = leave_wires(name);
   // It may just be made again where its group was started again.
-  if (making_.contains(name) && lost_.contains(name)) discard(name);
+  if (making_.contains({at, name}) && lost_.contains(name)) discard(at, name);
   lost_.erase(name);
-  made_known(name);
+  made_known(at, name);
   if (model_.names_in(at).size() == 1) leave_group(at);
   if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));
   done.set_note(note);

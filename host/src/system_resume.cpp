@@ -175,7 +175,7 @@ std::vector<std::string> System::adopt_groups() {
     const std::string name = told.name();
     const pid_t process = kept.process;
     try {
-      const ChildGroup::Start start = start_of_group(nullptr, told.folder());
+      const ChildGroup::Start start = start_of_group(told.name(), nullptr, told.folder());
       asked.push_back(std::make_unique<ChildGroup>(std::move(kept), start, [this, name](wire::GroupMessage event) {
         deliver_from_child(name, std::move(event));
       }));

@@ -14,8 +14,7 @@ namespace fiona::host {
 void System::start_again_later(const std::string& group, const std::string& reason) {
   if (!options_.restarts_groups || virtual_time_) return;
   const auto lost = lost_in(group);
-  const auto stands_by_for = [this](const auto& one) { return standbys_.contains(one.second); };
-  if (lost.empty() || std::any_of(lost.begin(), lost.end(), stands_by_for)) return;
+  if (lost.empty()) return;
   if (const std::string host = host_of(group); !host.empty() && !hosts_->peer(host)->joined()) {
     for (const auto& [order, name] : lost)
       lost_[name].reason = fmt::format("{}; it is loaded again once host '{}' has joined", reason, host);
@@ -64,16 +63,20 @@ void System::end_instances() {
 
 void System::leave_to_supervision(const std::string& name) {
   dispose_standby(name);
-  if (lost_.contains(name)) start_again_later(model_.instance(name).group, lost_[name].reason);
+  if (!lost_.contains(name) || is_being_made(name)) return;
+  const std::string& group = model_.instance(name).group;
+  if (!supervision_.waits(group)) start_again_later(group, lost_[name].reason);
 }
 
-/// This system's own instances that ended with their group, in the order of their loading.
+/// This system's own instances that ended with their group and are to come back with it, in the order of their loading.
+/// Of one that another version stands by for, that one takes the place.
 std::map<std::uint64_t, std::string> System::lost_in(const std::string& group) const {
   std::map<std::uint64_t, std::string> ordered;
   for (const std::string& name : model_.names_in(group)) {
     const auto lost = lost_.find(name);
     const Model::Instance& one = model_.instance(name);
-    if (lost != lost_.end() && !lost->second.away && !one.led) ordered[one.order] = name;
+    const bool comes_back = !one.led && !standbys_.contains(name) && !making_.contains({group, name});
+    if (lost != lost_.end() && !lost->second.away && comes_back) ordered[one.order] = name;
   }
   return ordered;
 }
@@ -104,8 +107,8 @@ void System::make_again(Group& target, const std::string& name) {
   if (!target.alive()) return;
   control::Load request = model_.load_of(name);
   request.set_mode(model_.instance(name).mode);
-  const auto ended = [this, name](const control::Reply& reply) {
-    made_.push([this, name, change = reply.id(), reply] { made_again(name, change, reply); });
+  const auto ended = [this, group = target.name(), name](const control::Reply& reply) {
+    made_.push([this, group, name, reply] { made_again(group, name, reply); });
   };
   try {
     if (loads_later(request)) return bring_up(target, name, model_.instance(name), request, ended);
@@ -124,21 +127,21 @@ void System::is_back(const std::string& name) {
 }
 
 /// Unless its group has ended again meanwhile, or nobody wants it any more.
-void System::made_again(const std::string& name, std::uint64_t change, const control::Reply& reply) {
-  const auto making = making_.find(name);
-  if (making == making_.end() || making->second.change != change) return;
+void System::made_again(const std::string& group, const std::string& name, const control::Reply& reply) {
+  const auto making = making_.find({group, name});
+  if (making == making_.end() || making->second.change != reply.id()) return;
   if (!reply.has_done()) {
     lost_[name].reason = reply.failure().what();
-    return discard(name);
+    return discard(group, name);
   }
   making_.erase(making);
   is_back(name);
 }
 
 /// What did not get to its mode, or is not wanted any more. Nobody waits for its end.
-void System::discard(const std::string& name) {
-  Group* at = groups_.living(making_.at(name).group);
-  making_.erase(name);
+void System::discard(const std::string& group, const std::string& name) {
+  made_known(group, name);
+  Group* at = groups_.living(group);
   if (!at) return;
   wire::GroupRequest destroy;
   destroy.mutable_destroy()->set_instance(name);
@@ -165,7 +168,7 @@ void System::open_again(const std::string& instance, const control::PortName& cl
 /// Whether a request to its process would be answered, as far as is known.
 bool System::is_reached(const std::string& name) const {
   const Model::Instance* one = model_.find(name);
-  if (!one || lost_.contains(name) || making_.contains(name)) return false;
+  if (!one || lost_.contains(name) || is_being_made(name)) return false;
   const Group* at = groups_.living(one->group);
   return at && !at->silent_since();
 }

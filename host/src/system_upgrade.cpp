@@ -18,6 +18,8 @@ namespace {
 
 /// One that stands by is asked once, and may be busy for as long as it may be watched.
 constexpr double kRestsWithin_ms = 3'600'000;
+/// A process that is silent at its version's end is ended then at the latest; what watches it does so before.
+constexpr std::chrono::seconds kMostDestroyed{26};
 
 std::string version_text(const Model::Instance& one) {
   return fmt::format("{} {}", one.package->name, one.package->version);
@@ -112,7 +114,7 @@ control::Upgrade System::completed(control::Upgrade request) const {
                 {.what = fmt::format("'{}' is on host '{}', and is upgraded there only anew", name, host_of(old.group)),
                  .next = reload});
   }
-  if (supervision_.waits(old.group) || making_.contains(name))
+  if ((supervision_.waits(old.group) && lost_in(old.group).contains(old.order)) || is_being_made(name))
     throw Error(ErrorCode::Unreachable,
                 {.what = fmt::format("'{}' is being started again", name), .next = "wait for it"});
   if (!request.has_watch_ms()) request.set_watch_ms(kUpgradeWatch_ms);
@@ -204,7 +206,7 @@ void System::wake(const std::string& name, Waits::Answer answer) {
 /// It is in its mode: it hears what the other one hears, and must say what the other one says.
 void System::check_upgrade(Waits::Answer answer) {
   const std::string name = candidate_->name;
-  made_known(name);
+  made_known(candidate_->made.group, name);
   const Model next = upgraded(*candidate_);
   wire_candidate(next, false);
   std::vector<Deliveries::Pair> pairs;
@@ -255,6 +257,9 @@ void System::wire_candidate(const Model& next, bool sends_too) {
   const std::string& name = candidate_->name;
   candidate_group();
   const Without of_the_one_that_serves(lost_, name);
+  for (auto& [client, wire] : candidate_->wires) {  // its provider has been started again meanwhile
+    if (wire.id != 0 && !wire.reason.empty()) wire = open_for_candidate(port_of(client), wire.provider, next);
+  }
   for (const auto& [client, wanted] : next.wires()) {
     if (client.first != name || candidate_->wires.contains(client)) continue;
     if (!sends_too && sends(next.instance(name), client.second)) continue;
@@ -283,7 +288,7 @@ control::Done System::take_over(bool keeps) {
   const Model next = upgraded(*candidate_);
   const Model::Instance old = model_.instance(name);
   const Model::Instance& made = next.instance(name);
-  candidate_group();
+  const std::string process = candidate_group().endpoint();
   Without lost(lost_, name);
   control::Done done;
   switch_clients(name, next, done);
@@ -294,11 +299,17 @@ control::Done System::take_over(bool keeps) {
         connector_.disconnect(port_of(client), wire, "another version serves");
     }
     wire_candidate(next, true);
+    if (candidate_group().endpoint() != process) throw unfit(ErrorCode::ComponentFailed, "its process has ended");
   } catch (...) {
     switch_back(name);
     throw;
   }
-  hand_over(next, old, keeps && !lost.was_there());
+  const bool has_just_ended = lost_.erase(name) > 0;  // and took those wires along that are the new one's by now
+  for (auto& [client, wire] : wires_) {
+    const bool uses_it = client.first != name && wire.provider.instance() == name && !lost_.contains(client.first);
+    if (has_just_ended && uses_it) wire.reason.clear();
+  }
+  hand_over(next, old, keeps && !has_just_ended && !lost.was_there());
   lost.forget();
   done.set_note(fmt::format("{} in place of {}{}", version_text(made), old.package->version,
                             made.group == kMainGroup ? "" : ", in " + made.group));
@@ -319,7 +330,7 @@ void System::switch_clients(const std::string& name, const Model& next, control:
     const bool lives = groups_.living(model_.instance(name).group);
     for (auto& [one, before] : switched) {
       control::Done ignored;
-      if (!lives) one->second.reason = before.reason;
+      if (!lives) one->second.reason = before.reason.empty() ? "'" + name + "' is lost" : before.reason;
       if (lives) one->second = open_or_wait(port_of(one->first), before.provider, model_, one->second, ignored);
     }
     throw;
@@ -353,6 +364,7 @@ void System::hand_over(const Model& next, const Model::Instance& old, bool keeps
   for (auto& wire : candidate_->wires) wires_.insert(wire);
   candidate_.reset();
   attachments_.lose_to(name);
+  made_known(old.group, name);
   model_ = next;
   set_beside(next.instance(name).group, name, false);
   set_beside(old.group, name, true);
@@ -400,7 +412,7 @@ void System::untap_candidate() {
 void System::drop_candidate() {
   if (!candidate_) return;
   untap_candidate();
-  made_known(candidate_->name);
+  made_known(candidate_->made.group, candidate_->name);
   candidate_->rests_at.reset();
   dispose_later(std::move(*std::exchange(candidate_, std::nullopt)));
 }
@@ -458,12 +470,11 @@ void System::destroy_version(Beside& version) {
   cut_beside(version);
   Group* at = groups_.find(version.made.group);
   if (!at) return;
-  if (at->name() != kMainGroup) ending_[at->name()] = std::chrono::steady_clock::now() + std::chrono::seconds(12);
+  if (at->name() != kMainGroup) ending_[at->name()] = std::chrono::steady_clock::now() + kMostDestroyed;
   if (!at->alive()) return;
   wire::GroupRequest destroy;
   destroy.mutable_destroy()->set_instance(version.name);
-  at->tell(std::move(destroy));
-  if (at->name() != kMainGroup) at->ask_status();  // answered after that
+  at->ask(std::move(destroy));
 }
 
 /// Unless somebody lives there, or stands by there.

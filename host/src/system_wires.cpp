@@ -249,6 +249,11 @@ void System::lose_wires(const std::string& gone, const std::string& reason) {
     const bool knows = host_of(gone).empty() && host_of(provider->group).empty();
     if (!knows) groups_.cut(provider->group, wire.id, reason);
   }
+  if (!candidate_) return;
+  for (auto& [key, wire] : candidate_->wires) {
+    const Model::Instance* provider = model_.find(wire.provider.instance());
+    if (wire.id != 0 && provider && provider->group == gone) wire.reason = reason;
+  }
 }
 
 control::Attached System::attach(std::uint64_t owner, const control::Attach& request) {
@@ -273,6 +278,11 @@ control::Attached System::attach(std::uint64_t owner, const control::Attach& req
 void System::on_wire_lost(std::uint64_t id, const std::string& reason) {
   for (auto& [client, wire] : wires_) {
     if (wire.id == id) wire.reason = reason;
+  }
+  if (candidate_) {
+    for (auto& [client, wire] : candidate_->wires) {
+      if (wire.id == id) wire.reason = reason;
+    }
   }
   attachments_.end(id);
 }

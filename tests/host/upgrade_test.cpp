@@ -248,6 +248,138 @@ TEST_F(Upgrade, ThatFailsWhileTheOneBeforeIsWatchedLeavesNothingThatStandsBy) {
   });
 }
 
+// ---- the one before ends meanwhile ----------------------------------------------------------------------------
+
+/// What the next one is, and what the one before is started again as meanwhile.
+struct Again {
+  std::string name;
+  std::string next;
+  std::string again;
+};
+void PrintTo(const Again& again, std::ostream* out) { *out << again.name; }
+
+class UpgradeOfOneThatEnds : public Upgrade, public testing::WithParamInterface<Again> {
+ protected:
+  /// The next one is on its way to its mode, and has read what it is.
+  std::shared_ptr<LaterAnswer> begin_and_kill(const std::string& next, const std::string& again) {
+    build(next);
+    const auto answer = begin(upgrade_of());
+    system.eventually("the next one is made", [&] {
+      serve();
+      return groups() == std::vector<std::string>{"apart", "cage", "main", "x"};
+    });
+    let_be(300ms);
+    build(again);
+    ::kill(system.group("cage").process(), SIGKILL);
+    return answer;
+  }
+  void expect_each_wire_once() {
+    for (const std::string port : {"near.samples", "near.echo", "far.samples", "far.echo", "orders.leased", "x.orders"})
+      EXPECT_EQ(system.port(port).connection(), control::CONNECTED) << port;
+    const auto put = system.port("x.samples").messages();
+    const auto near = system.port("near.samples").messages();
+    const auto far = system.port("far.samples").messages();
+    let_be(1000ms);
+    const auto most = system.port("x.samples").messages() - put + 10;
+    EXPECT_LT(system.port("near.samples").messages() - near, most);
+    EXPECT_LT(system.port("far.samples").messages() - far, most);
+    EXPECT_NEAR(system.port("x.orders").since_s(), system.port("near.samples").since_s(), 0.5) << "wired again later";
+  }
+};
+
+TEST_P(UpgradeOfOneThatEnds, TakesItsPlaceOnce) {
+  const auto answer = begin_and_kill(GetParam().next, GetParam().again);
+  EXPECT_TRUE(end_of(answer).has_done()) << end_of(answer).failure().what() << end_of(answer).failure().found();
+  let_be(2500ms);  // in which the other one is made again, or is not
+  EXPECT_EQ(version_heard(), 2);
+  EXPECT_EQ(system.instance("x").group(), "x");
+  EXPECT_EQ(system.instance("x").mode(), "active");
+  expect_each_wire_once();
+  system.eventually("the old process has gone", [&] {
+    serve();
+    return groups() == std::vector<std::string>{"apart", "main", "x"};
+  });
+}
+
+INSTANTIATE_TEST_SUITE_P(Each, UpgradeOfOneThatEnds,
+                         testing::Values(Again{"AndIsBackBefore", "version=2 start_ms=1500", "version=1"},
+                                         Again{"AndIsBackAfter", "version=2 start_ms=1500", "version=1 start_ms=3000"},
+                                         Again{"WhileTheNextOneIsChecked", "version=2 quiet_ms=1500",
+                                               "version=1 start_ms=2500"}),
+                         [](const auto& tested) { return tested.param.name; });
+
+using UpgradeBesideARestart = UpgradeOfOneThatEnds;
+
+TEST_F(UpgradeBesideARestart, ThatFailsLeavesTheRestartToItsEnd) {
+  const auto answer = begin_and_kill("version=2 start_ms=1000 refuses=1", "version=3 start_ms=2500");
+  EXPECT_THAT(end_of(answer).failure().found(), HasSubstr("the antenna does not fit"));
+  system.eventually("it is back", [&] {
+    serve();
+    return system.instance("x").restarts() == 1 && system.instance("x").mode() == "active";
+  });
+  EXPECT_EQ(version_heard(), 3);
+  expect_each_wire_once();
+}
+
+TEST_F(Upgrade, HearsAgainWhoWasStartedAgainMeanwhile) {
+  system.load_in("shop", "ticker", "shop");
+  wire("x.heard", "shop.samples");
+  build("version=2 quiet_ms=1500");
+  const auto answer = begin(upgrade_of());
+  system.eventually("the next one is made", [&] {
+    serve();
+    return groups() == std::vector<std::string>{"apart", "cage", "main", "shop", "x"};
+  });
+  let_be(500ms);
+  ::kill(system.group("shop").process(), SIGKILL);
+  EXPECT_TRUE(end_of(answer).has_done()) << end_of(answer).failure().what() << end_of(answer).failure().found();
+  EXPECT_EQ(system.instance("x").group(), "x");
+  const auto heard = system.port("x.heard").superseded();
+  system.eventually("it hears it", [&] {
+    serve();
+    const auto port = system.port("x.heard");
+    return port.connection() == control::CONNECTED && port.superseded() > heard + 10;  // it does not look
+  });
+}
+
+TEST_F(Upgrade, ThatIsTakenBackLeavesWhoCameIntoItsGroup) {
+  build("version=2 dies_after_ms=2500");
+  const auto answer = begin(upgrade_of(8000));
+  system.eventually("the new one serves", [&] {
+    serve();
+    return system.instance("x").group() == "x";
+  });
+  std::ofstream(plugin.directory() / "versioned.share" / "behaviour") << "version=4";
+  control::Change guest = load_of("x");
+  guest.mutable_load()->set_instance("guest");
+  make(guest);
+  EXPECT_THAT(end_of(answer).failure().what(), HasSubstr("was taken back"));
+  system.eventually("the guest is there again", [&] {
+    serve();
+    return system.instance("guest").mode() == "active";
+  });
+  EXPECT_EQ(version_heard(), 1);
+  EXPECT_EQ(system.instance("x").group(), "cage");
+}
+
+TEST_F(Upgrade, ThatEndsInTheLastMomentOfItsWatchIsStartedAgain) {
+  build("version=2");
+  const auto answer = begin(upgrade_of(500));
+  system.eventually("the new one serves", [&] {
+    serve();
+    return system.instance("x").group() == "x";
+  });
+  std::this_thread::sleep_for(700ms);  // its watch is over, and nobody has noted that
+  ::kill(system.group("x").process(), SIGKILL);
+  system.eventually("its end is seen", [&] { return system.instance("x").mode() == "failed"; });
+  EXPECT_TRUE(end_of(answer).has_done());
+  system.eventually("it is started again", [&] {
+    serve();
+    return system.instance("x").restarts() == 1 && system.instance("x").mode() == "active";
+  });
+  EXPECT_EQ(version_heard(), 2);
+}
+
 TEST_F(Upgrade, OfOneThatEndsAgainAndAgainMendsIt) {
   build("version=2 dies_after_ms=30");
   make([&] {
@@ -350,6 +482,20 @@ TEST_F(SlowStart, OfARestartEndsWhenItIsUnloadedMeanwhile) {
   build("version=2");
   make(load_of("cage2"));
   EXPECT_EQ(version_heard(), 2);
+}
+
+using SlowEnd = Versions;
+
+TEST_F(SlowEnd, OfWhatHasBeenReplacedMayTakeAsLongAsThatOfAnyOther) {
+  build("version=1 rest_ms=5000 stop_ms=9000");
+  make(load_of("cage"));
+  build("version=2");
+  make(upgrade_of(2500));  // its end comes while it goes to its rest
+  system.eventually("the old process has gone", [&] {
+    serve();
+    return groups() == std::vector<std::string>{"main", "x"};
+  });
+  EXPECT_TRUE(std::filesystem::exists(plugin.directory() / "versioned.share" / "stopped"));
 }
 
 }  // namespace

@@ -78,10 +78,15 @@ class Versioned final : public Component {
     if (word(behaviour_, "dies_in_start") > 0) ::abort();
     if (word(behaviour_, "hangs_in_start") > 0) std::this_thread::sleep_for(1h);
   }
-  void on_stop() override { std::this_thread::sleep_for(from_ms(word(behaviour_, "stop_ms"))); }
+  void on_stop() override {
+    const double ms = word(behaviour_, "stop_ms");
+    std::this_thread::sleep_for(from_ms(ms));
+    if (ms > 0) std::ofstream(beside_library().parent_path() / "stopped") << ms;
+  }
   void on_mode(std::string_view mode) override {
+    if (mode == kModeNeutral) std::this_thread::sleep_for(from_ms(word(behaviour_, "rest_ms")));
     if (mode != kModeActive) return;
-    next_.at(now());
+    next_.at(now() + from_ms(word(behaviour_, "quiet_ms")));
     if (const double ms = word(behaviour_, "dies_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
     if (const double ms = word(behaviour_, "hangs_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
     if (const double ms = word(behaviour_, "fails_after_ms"); ms > 0) end_.at(now() + from_ms(ms));
@@ -138,6 +143,7 @@ class Versioned final : public Component {
   Provides<SampleLeased> leased_{*this, "leased"};
   Provides<Echo> echo_{*this, "echo", &Versioned::on_question};
   Requires<Order> orders_{*this, "orders", {.optional = true}};
+  Requires<SampleNewest> heard_{*this, "heard", {.optional = true}};
   Trigger<Question, TickerReport> report_{*this, "report", &Versioned::report};
   Timer next_{*this, &Versioned::tick};
   Timer end_{*this, &Versioned::end};
