@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "fiona/error.hpp"
 #include "groups.hpp"
 #include "model.hpp"
 
@@ -25,6 +26,11 @@ class Connector {
     bool failed = false;                ///< its provider has: it waits until that is loaded again
 
     bool is_open() const { return id != 0 && reason.empty(); }
+    /// It did not open.
+    void waits_for(const Error& error) {
+      reason = error.text().what;
+      failed = error.code() == ErrorCode::ComponentFailed;
+    }
   };
   struct Surroundings {
     const Model& model;

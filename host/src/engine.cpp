@@ -329,7 +329,8 @@ void Engine::go_on(const TransactionPtr& transaction) {
     if (step.has_upgrade()) return begin_upgrade(transaction);
     if (step.has_state() || (step.has_load() && system_.loads_later(step.load()))) return begin_step(transaction, step);
     try {
-      add(transaction->done, system_.perform(step), transaction->steps.size());
+      const bool restores = transaction->is_undo || transaction->takes_back;
+      add(transaction->done, system_.perform(step, restores), transaction->steps.size());
       ++transaction->at;
     } catch (...) {
       step_failed(transaction, failure_of_exception());

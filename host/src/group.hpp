@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "bus_proxy.hpp"
@@ -189,6 +190,9 @@ class ChildGroup final : public Group {
   void watch(Time now);
   /// How it ended; empty while it lives.
   const std::string& end() const { return end_; }
+  /// [control thread] True once: of its end those are told who use it, and what follows from it is done.
+  bool is_told_first() { return !std::exchange(is_told_, true); }
+  bool is_lost_first() { return !std::exchange(is_lost_, true); }
 
  private:
   struct Unstarted {};
@@ -255,6 +259,8 @@ class ChildGroup final : public Group {
   GroupSubjects subjects_;
   std::uint64_t disbelieved_ = 0;  ///< events, of what is not its own
   std::string end_;
+  bool is_told_ = false;
+  bool is_lost_ = false;
 };
 
 }  // namespace fiona::host

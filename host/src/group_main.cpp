@@ -18,6 +18,7 @@
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
+#include "group.hpp"
 #include "group_clock.hpp"
 #include "mailbox.hpp"
 #include "names.hpp"
@@ -118,10 +119,19 @@ bool was_asked_for(const fiona::wire::GroupMessage& event) {
   return event.has_tapped() || event.has_tap_ended() || event.has_mode_set() || event.has_call_ended();
 }
 
-/// The socket to the next host; none: there is nobody who could bring one.
-std::unique_ptr<fiona::os::MessageStream> next_host(const fiona::os::PacketSocket& adoption) {
+/// The socket to the next host; none: there is nobody who could bring one. Who uses what fails meanwhile is told.
+std::unique_ptr<fiona::os::MessageStream> next_host(const fiona::os::PacketSocket& adoption, Runtime& runtime) {
+  using Got = fiona::os::PacketSocket::Got;
+  const auto end = std::chrono::steady_clock::now() + kAdoptedWithin;
   fiona::os::Packet packet;
-  if (!adoption.receive_until(std::chrono::steady_clock::now() + kAdoptedWithin, packet)) return nullptr;
+  Got got = Got::Nothing;
+  while (got == Got::Nothing && std::chrono::steady_clock::now() < end) {
+    pollfd wait{adoption.descriptor(), POLLIN, 0};
+    ::poll(&wait, 1, static_cast<int>(fiona::host::kWatchEvery.count()));
+    runtime.let_failed_go();
+    got = adoption.receive(packet);
+  }
+  if (got != Got::Packet) return nullptr;
   if (packet.descriptors.size() != 1) return nullptr;
   return std::make_unique<fiona::os::MessageStream>(std::move(packet.descriptors.front()));
 }
@@ -135,7 +145,7 @@ int serve_hosts(Runtime& runtime, const fiona::host::PluginLibraries& libraries,
     serve(runtime, libraries, nullptr, *stream, events);
     stream.reset();
     runtime.host_lost(host);
-    stream = next_host(adoption);
+    stream = next_host(adoption, runtime);
     for (auto& event : events.take()) {
       if (!was_asked_for(event)) events.push(std::move(event));
     }

@@ -470,7 +470,7 @@ void Links::note_answer(std::uint64_t wire_id, const std::string& refusal, const
   answered_.notify_all();
 }
 
-void Links::cut(std::uint64_t wire_id, const std::string& reason) {
+void Links::cut(std::uint64_t wire_id, const std::string& reason, Connection now) {
   const InUse::Scope use(ports_in_use_);
   std::unique_lock lock(mutex_);
   if (relays_.contains(wire_id)) return cut_relay(wire_id, reason);
@@ -493,7 +493,8 @@ void Links::cut(std::uint64_t wire_id, const std::string& reason) {
   requirement.wire->cut(reason, true);
   if (requirement.retired) return;
   requirement.client->set_target(nullptr);
-  requirement.client->set_connection(Connection::Unwired, reason);
+  requirement.client->set_connection(now, reason);
+  if (now == Connection::Lost) on_lost_(wire_id, reason);
 }
 
 /// A push whose provider still serves it, and can be asked for its end: all that it has put until then comes first.
@@ -537,7 +538,7 @@ void Links::retire(std::uint64_t wire_id, bool drains) {
   wire->drain([this, wire_id] { cut(wire_id, kReplaced); });
 }
 
-void Links::release(const Hull& hull, const std::string& reason) {
+void Links::release(const Hull& hull, const std::string& reason, Connection now) {
   std::vector<std::uint64_t> left;
   {
     const std::lock_guard lock(mutex_);
@@ -548,7 +549,7 @@ void Links::release(const Hull& hull, const std::string& reason) {
       if (&requirement.client->port().hull() == &hull) left.push_back(id);
     }
   }
-  for (const std::uint64_t id : left) cut(id, reason);
+  for (const std::uint64_t id : left) cut(id, reason, now);
   // Another thread may have taken one of its wires out of reach just before, and not yet be done with the port.
   ports_in_use_.wait_for_end();
 }

@@ -66,14 +66,14 @@ class Links {
   /// Passes `wire` on between `peer`, which opens it with `token`, and the process at `endpoint`, unread. What is here
   /// is bounded: a push loses its oldest, and of all else a sender has credit for it only once it has left.
   void relay(std::uint64_t wire, std::string token, std::string peer, Endpoint endpoint);
-  /// Ends a wire on this side and tells the peer.
-  void cut(std::uint64_t wire, const std::string& reason);
+  /// Ends a wire on this side and tells the peer; `now`: what it is for its client if that is here.
+  void cut(std::uint64_t wire, const std::string& reason, Connection now = Connection::Unwired);
   /// Another wire takes this one's place at its client: it goes once its open requests have ended. `drains`, of a push
   /// that still serves: once all that its provider has put has come, which is waited for, but not for one that hangs.
   void retire(std::uint64_t wire, bool drains);
   /// [control thread] The ports of `hull` are going: so does what is left of their wires. After it returned no thread
   /// of a link uses them.
-  void release(const Hull& hull, const std::string& reason);
+  void release(const Hull& hull, const std::string& reason, Connection now = Connection::Unwired);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
   /// Of all ends that are here, other than of wires within the process.

@@ -211,7 +211,7 @@ void Runtime::let_failed_go() {
 
 void Runtime::let_go(Instance& instance, const std::string& reason) {
   instance.let_go = true;
-  links_.release(*instance.hull, reason);
+  links_.release(*instance.hull, reason, Connection::Lost);
   end_wires(*instance.hull, Connection::Lost, reason);
 }
 

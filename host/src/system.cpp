@@ -145,7 +145,7 @@ void System::deliver_from(const std::string& group, wire::GroupMessage event) {
   deliver(event);
 }
 
-control::Done System::perform(const control::Change& change) {
+control::Done System::perform(const control::Change& change, bool restores) {
   if (options_.supervisor) options_.supervisor->beat();
   settle();
   Model next = model_;
@@ -154,7 +154,7 @@ control::Done System::perform(const control::Change& change) {
     switch (change.what_case()) {
       case control::Change::kLoad: return load(change.load(), next);
       case control::Change::kUnload: return unload(change.unload());
-      case control::Change::kWire: return wire(change.wire(), next);
+      case control::Change::kWire: return wire(change.wire(), next, restores);
       case control::Change::kUnwire: return unwire(change.unwire());
       case control::Change::kSet: return set(change.set(), next);
       default:

@@ -77,8 +77,9 @@ class System {
   /// instance of `main` that has ended a host before is in a group of its own. What there is to tell people, line by
   /// line.
   std::vector<std::string> resume(std::vector<control::Change> changes);
-  /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people.
-  control::Done perform(const control::Change& change);
+  /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people. One that
+  /// `restores` what was so before wires to who has failed, too, and to who does not answer: that wire waits.
+  control::Done perform(const control::Change& change, bool restores = false);
   /// Whether a load may be made so that nobody waits for the component meanwhile.
   bool loads_later(const control::Load& request) const;
   /// Makes an instance. Answered with Done once it is in its mode, or with why it does not get there: then `unload`
@@ -264,7 +265,7 @@ class System {
   void look_at_main(std::chrono::steady_clock::time_point now);
   std::optional<std::uint64_t> order_of(const std::string& instance) const;
   void watch_others();
-  void tell_ended(const ChildGroup& gone);
+  void tell_ended(ChildGroup& gone);
   void lose_if_gone(const std::string& group);
   void lose(ChildGroup& gone);
   void tell_group_ended(const std::string& group, const std::string& reason);
@@ -340,9 +341,9 @@ class System {
   control::Called called(const wire::CallEnded& ended, TimePoint begun) const;
 
   // ---- system_wires.cpp
-  control::Done wire(const control::Wire& request, const Model& next);
+  control::Done wire(const control::Wire& request, const Model& next, bool restores);
   control::Done set_prescale(const control::PortName& client, const Model::Wire& before, const Model::Wire& wanted);
-  control::Done wire_one(const control::PortName& client, const Model& next);
+  control::Done wire_one(const control::PortName& client, const Model& next, bool restores);
   control::Done wire_several(const control::PortName& client, const Model& next);
   Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
                     const Wire& old, control::Done& done, std::optional<Error>* refusal = nullptr);
@@ -422,8 +423,6 @@ class System {
   std::multimap<PortKey, Wire> wires_;  ///< by the client's port
   Attachments attachments_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
   OpenTaps taps_{groups_, [this](const wire::GroupMessage& event) { deliver(event); }};
-  std::set<std::string> told_dead_;      ///< endpoints of groups whose end those know who use them
-  std::set<std::string> noted_dead_;     ///< and of those whose end has been dealt with
   std::vector<HangOfMain> found_hangs_;  ///< not dealt with yet
   std::chrono::steady_clock::time_point watched_others_{};
   std::chrono::steady_clock::time_point opened_waiting_{};

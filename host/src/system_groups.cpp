@@ -235,8 +235,8 @@ void System::watch_others() {
   }
 }
 
-void System::tell_ended(const ChildGroup& gone) {
-  if (!told_dead_.insert(gone.endpoint()).second) return;
+void System::tell_ended(ChildGroup& gone) {
+  if (!gone.is_told_first()) return;
   groups_.tell_ended(gone.endpoint(), "group '" + gone.name() + "' " + gone.end());
 }
 
@@ -256,7 +256,7 @@ void System::lose_if_gone(const std::string& name) {
 }
 
 void System::lose(ChildGroup& gone) {
-  if (!noted_dead_.insert(gone.endpoint()).second) return;
+  if (!gone.is_lost_first()) return;
   const std::string reason = "group '" + gone.name() + "' " + gone.end();
   lose_what_is_made(gone.name(), gone.end());
   std::erase_if(standbys_, [&](const auto& one) { return one.second.made.group == gone.name(); });

@@ -134,6 +134,10 @@ std::vector<std::string> System::resume(std::vector<control::Change> changes) {
   }
   set_clock(next.clock());
   model_ = std::move(next);
+  for (const std::string& name : model_.names()) {  // of those that go on nothing is made again that would bring them
+    const Package& package = *model_.instance(name).package;
+    types_.add(package.name, package.types);
+  }
   auto lines = adopt_groups();
   note_wires();
   std::ranges::move(end_surplus(), std::back_inserter(lines));

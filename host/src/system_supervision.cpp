@@ -189,7 +189,7 @@ void System::open_waiting(std::chrono::steady_clock::time_point now) {
       control::Done ignored;
       wire = connector_.connect(port_of(key), wire.provider, model_, 0, ignored);
     } catch (const Error& error) {
-      wire.reason = error.text().what;
+      wire.waits_for(error);
     }
   }
 }

@@ -277,7 +277,7 @@ System::Wire System::open_for_candidate(const control::PortName& client, const c
     control::Done ignored;
     if (next.find(provider.instance())) return connector_.connect(client, provider, next, 0, ignored);
   } catch (const Error& error) {
-    waiting.reason = error.text().what;
+    waiting.waits_for(error);
   }
   return waiting;
 }

@@ -31,7 +31,7 @@ wire::GroupRequest arrangement(const control::PortName& client, const std::vecto
 
 }  // namespace
 
-control::Done System::wire(const control::Wire& request, const Model& next) {
+control::Done System::wire(const control::Wire& request, const Model& next, bool restores) {
   const Model::Wire* before = model_.wire_of(request.client());
   const Model::Wire& wanted = *next.wire_of(request.client());
   const auto [first, last] = wires_.equal_range(key_of(request.client()));
@@ -44,7 +44,7 @@ control::Done System::wire(const control::Wire& request, const Model& next) {
   if (before && all_well && before->with_prescale(wanted.prescale) == wanted)
     return set_prescale(request.client(), *before, wanted);
   const bool several = wanted.providers.size() > 1 || (before && before->providers.size() > 1);
-  control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next);
+  control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next, restores);
   std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") +
                      text_of(request.provider());
   for (const auto& provider : request.alternatives()) note += " else " + text_of(provider);
@@ -75,12 +75,14 @@ control::Done System::set_prescale(const control::PortName& client, const Model:
   return done;
 }
 
-control::Done System::wire_one(const control::PortName& client, const Model& next) {
+control::Done System::wire_one(const control::PortName& client, const Model& next, bool restores) {
   const control::PortName& provider = next.wire_of(client)->providers.front();
   const auto old = wires_.find(key_of(client));
   control::Done done;
   Wire made{provider, 0, false, waiting_for(provider.instance()), {}};
-  if (next.find(provider.instance())) {
+  if (restores) {
+    made = open_or_wait(client, provider, next, old == wires_.end() ? Wire{provider} : old->second, done);
+  } else if (next.find(provider.instance())) {
     made = connector_.connect(client, provider, next, old == wires_.end() ? 0 : old->second.id, done);
   } else {
     if (old != wires_.end()) connector_.disconnect(client, old->second, made.reason);
@@ -158,8 +160,7 @@ System::Wire System::open_or_wait(const control::PortName& client, const control
     done.add_warnings(waiting_warning(client, provider.instance(), next));
   } catch (const Error& error) {
     if (refusal && !*refusal) *refusal = error;
-    waiting.failed = error.code() == ErrorCode::ComponentFailed;
-    waiting.reason = error.text().what;
+    waiting.waits_for(error);
     done.add_warnings(fmt::format("{} waits for {}: {}", text_of(client), text_of(provider), waiting.reason));
   }
   connector_.disconnect(client, old, waiting.reason);
@@ -210,7 +211,7 @@ std::string System::connect_waiting(const std::string& provider, const Model& ne
       wire = connector_.connect(client, wire.provider, next, 0, ignored);
       connected.push_back(text_of(client));
     } catch (const Error& error) {
-      wire.reason = error.text().what;
+      wire.waits_for(error);
       note += fmt::format("; {} still waits: {}", text_of(client), wire.reason);
     }
   }

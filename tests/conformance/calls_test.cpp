@@ -418,6 +418,16 @@ TEST_P(Calls, ThatWaitEndDisconnectedWhenTheProviderHasFailed) {
   }
 }
 
+TEST_P(Calls, WiresOfAClientThatHasFailedAreLost) {
+  wire_all();
+  system.wire("caller.samples", "source.newest");
+  begin("throw");
+  for (const std::string port : {"caller.echo", "caller.bell", "caller.samples"}) {
+    system.eventually(port + " is lost", [&] { return system.port(port).connection() == control::LOST; });
+    EXPECT_EQ(system.port(port).reason(), "'caller' has failed: asked to throw");
+  }
+}
+
 TEST_P(Calls, AlternativesOfAQueryServeWhenTheFirstHasFailed) {
   system.load_provider("answerer", "second");
   system.wire_to_several("caller.echo", {"answerer.echo", "second.echo"});

@@ -223,6 +223,24 @@ TEST_P(Transactions, UndoTakesBackOneAfterTheOther) {
   EXPECT_EQ(undo().failure().what(), "there is nothing to undo");
 }
 
+TEST_P(Transactions, WhatIsTakenBackToAProviderThatHasFailedSinceWaitsForIt) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group()), wire("sink.each", "one.newest")});
+  make({wire("sink.each", "two.newest")});
+  system.set("one", "fail_with=broken");
+  eventually("it has failed", [&] { return system.instance("one").mode() == "failed"; });
+  EXPECT_EQ(transact({wire("sink.each", "one.newest")}).failure().what(), "'one' has failed: broken");
+  EXPECT_EQ(system.port("sink.each").peer().instance(), "two") << "a change that is asked for takes nothing away";
+  const auto reply = undo();
+  EXPECT_TRUE(reply.has_done()) << reply.failure().what();
+  EXPECT_THAT(reply.done().warnings(0), HasSubstr("sink.each waits for one.newest: 'one' has failed: broken"));
+  const auto before = whole();
+  EXPECT_TRUE(transact({wire("sink.each", "two.newest"), state("two", "no-such-mode")}).has_failure());
+  EXPECT_EQ(whole(), before);
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+  make({unload("one"), load("source", "one")});
+  EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
+}
+
 TEST_P(Transactions, UndosThatWaitTakeBackOneEach) {
   make({load("source", "source"), load("sink", "sink", group())});
   make({wire("sink.each", "source.newest")});

@@ -13,7 +13,9 @@
 #include <random>
 #include <utility>
 
+#include "campaign.hpp"
 #include "fiona/error.hpp"
+#include "fiona/result.hpp"
 #include "supervised_host.hpp"
 #include "versioned_plugin.hpp"
 
@@ -246,6 +248,29 @@ TEST_F(Supervised, AGroupThatEndsWhileThereIsNoHostIsMadeAgainAndItsReasonTold) 
   console->eventually("the wire is there",
                       [&] { return port(*console, "listener.samples").connection() == control::CONNECTED; });
   EXPECT_THAT(host.said(), HasSubstr("group 'there' killed by signal 9 (Killed)"));
+}
+
+TEST_F(Supervised, WhoUsesWhatFailsWhileThereIsNoHostIsToldThen) {
+  const VersionedPlugin plugin;
+  plugin.build("version=1 fails_after_ms=1500");
+  auto console = host.console();
+  console->change(plugin.load_in("cage"));
+  console->load("witness", "far", "witness");
+  wire(*console, "witness.echo", "x.echo");
+  console->set("witness", "asks=true");
+  const pid_t before = host.host();
+  ::kill(host.supervisor(), SIGSTOP);  // so that there is none for a while
+  ::kill(before, SIGKILL);
+  std::this_thread::sleep_for(std::chrono::seconds(4));
+  ::kill(host.supervisor(), SIGCONT);
+  console = host.console(before);
+  EXPECT_EQ(console->instance("x").mode(), "failed");
+  control::Request request = console->request();
+  *request.mutable_call()->mutable_target() = port_name("witness.testify");
+  const conformance::Told told(console->ask(request).called().result());
+  const auto outcomes = told.seen().numbers("outcomes");
+  EXPECT_GT(outcomes.at(static_cast<std::size_t>(Outcome::Ok)), 0U);
+  EXPECT_GT(outcomes.at(static_cast<std::size_t>(Outcome::Disconnected)), 100U) << "one each 5 ms, for 2 s";
 }
 
 TEST_F(Supervised, AHostThatHasEndedTellsHowOftenAndWhy) {
