@@ -416,6 +416,11 @@ TEST_P(Calls, ThatWaitEndDisconnectedWhenTheProviderHasFailed) {
     EXPECT_EQ(error.text().what, "'source' has failed: broken");
     EXPECT_EQ(error.text().next, "unload source, then load it again");
   }
+  control::Change back;
+  *back.mutable_wire()->mutable_client() = port_name("caller.samples");
+  *back.mutable_wire()->mutable_provider() = port_name("source.newest");
+  system.system().perform(back, true);
+  EXPECT_EQ(system.port("caller.samples").connection(), control::WAITING);
 }
 
 TEST_P(Calls, WiresOfAClientThatHasFailedAreLost) {
