@@ -72,6 +72,11 @@ class Boss final : public Component {
     } else if (call == "let_go") {
       watch_.reset();
       tell(number, Outcome::Ok, "");
+    } else if (call == "cancelled") {
+      cancel_calls(true);
+      const auto done = co_await master_.wire(first, second, within);
+      cancel_calls(false);
+      tell(number, done.outcome(), note_of(done));
     } else if (call == "many") {
       for (int i = 0; i < 80; ++i) hull().spawn(one_of_many(first, second), [] {});
     } else {

@@ -132,6 +132,13 @@ TEST_P(Masters, ARefusalIsTheSentenceThatAConsoleGets) {
               HasSubstr("nav.fixes requires Fixes (push newest, Fix); a.echo provides Echo"));
 }
 
+TEST_P(Masters, WhatAComponentAsksWhileItsCallsAreCancelledEndsCancelledAndIsNotMade) {
+  load_system();
+  EXPECT_EQ(call("cancelled", "nav.fixes", "a.fixes"), "cancelled");
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+  EXPECT_EQ(call("wire", "nav.fixes", "a.fixes"), "ok nav.fixes to a.fixes");
+}
+
 TEST_P(Masters, OneThatIsNotActiveMayNotAsk) {
   load_system();
   console.state("boss", "neutral");

@@ -437,6 +437,13 @@ TEST_P(Triggers, OutsideOfItsActivityIsNotActive) {
   EXPECT_EQ(called.reason(), "mode park");
 }
 
+TEST_P(Triggers, ThatDoesNotAnswerInTimeIsTimeoutForItsCallerAndGoesOn) {
+  load_gate();
+  EXPECT_EQ(system.call("mover.turn_later", "degrees=7 manner=held", 100).outcome(), "timeout");
+  open_gate();
+  system.eventually("it has turned", [&] { return heading_of(system.call("mover.turn", "degrees=0")) == 7; });
+}
+
 TEST_P(Triggers, ArgumentOutsideItsRangeIsRefusedWithTheRule) {
   try {
     system.call("mover.turn", "degrees=200");
