@@ -1,5 +1,7 @@
 #include "peer_link.hpp"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cstring>
 
@@ -312,6 +314,8 @@ void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
   {
     const std::lock_guard lock(mutex_);
     same_run = !run_ || run_ == welcome.run();  // at first nothing is there that could be of another run
+    if (!same_run) subjects_.clear();
+    for (auto& [group, subjects] : subjects_) subjects.answers_no_more();
     run_ = welcome.run();
     tries_ = 0;
     version_ = readable_text(welcome.version(), 40);
@@ -336,11 +340,13 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
   }
   if (message.id() != 0) {
     const std::lock_guard lock(mutex_);
+    for (auto& [group, subjects] : subjects_) subjects.answered(message);
+    std::erase_if(subjects_, [](const auto& one) { return one.second.is_empty(); });
     const auto pending = pending_.find(message.id());
     if (pending != pending_.end()) pending->second = std::move(message);
     return answered_.notify_all();
   }
-  if (says_too_much(message)) return;
+  if (says_too_much(message) || !believes(message)) return;
   if (message.has_group_ended()) {
     return around_.on_change({.what = HostChange::What::GroupEnded,
                               .host = peer_.name,
@@ -349,6 +355,18 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
                               .request = {}});
   }
   around_.on_event(std::move(message));
+}
+
+/// Of its groups it is believed all: what they may say it has looked at itself.
+bool PeerLink::believes(const wire::GroupMessage& event) {
+  const std::lock_guard lock(mutex_);
+  if (event.has_group_ended()) {
+    subjects_.erase(event.group_ended().group());
+    return true;
+  }
+  const bool is_theirs = std::ranges::any_of(subjects_, [&](auto& one) { return one.second.take(event); });
+  if (!is_theirs) disbelief_.tell(fmt::format("host '{}'", peer_.name), event);
+  return is_theirs;
 }
 
 /// Then the session ends.
@@ -385,6 +403,7 @@ wire::GroupMessage PeerLink::request(const std::string& group, const wire::Group
   const std::uint64_t id = next_id_++;
   const std::uint64_t session = session_;
   asked.mutable_request()->set_id(id);
+  subjects_[group].ask(asked.request());
   pending_[id] = std::nullopt;
   link_->send(lane_, frame, host);
   answered_.wait_for(lock, deadline, [&] { return pending_[id] || session_ != session; });

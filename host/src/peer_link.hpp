@@ -16,6 +16,7 @@
 #include "fiona/clock.hpp"
 #include "fiona/error.hpp"
 #include "fiona/trust/host_keys.hpp"
+#include "group_subjects.hpp"
 #include "links.hpp"
 
 namespace fiona::host {
@@ -124,6 +125,7 @@ class PeerLink {
   void on_host_frame(const Hop& hop, const wire::HostFrame& host);
   void on_welcome(const Hop& hop, const wire::HostWelcome& welcome);
   void on_message(const wire::GroupMessage& message);
+  bool believes(const wire::GroupMessage& event);
   bool says_too_much(const wire::GroupMessage& message);
   void enter(State state, const std::string& reason);
   Error unreachable() const;
@@ -156,6 +158,8 @@ class PeerLink {
   std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last
   std::string version_;
   std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;
+  std::map<std::string, GroupSubjects> subjects_;  ///< by the host's group
+  Disbelief disbelief_;
   std::uint64_t session_ = 0;
   std::uint64_t next_id_ = 1;
   std::atomic<std::size_t> unread_{0};  ///< bytes

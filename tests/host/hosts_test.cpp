@@ -461,6 +461,12 @@ class HostByHand {
     return {keys, "", {{"far", address_, keys_.pair().open}}};
   }
 
+  /// Events, as from what it has.
+  void tell(std::vector<wire::GroupMessage> events) {
+    const std::lock_guard lock(mutex_);
+    events_ = std::move(events);
+  }
+
   std::atomic<bool> is_silent{false};
   std::atomic<bool> is_held_up{false};  ///< until it has been asked for its status, and has not answered
 
@@ -475,6 +481,11 @@ class HostByHand {
       wire::HostFrame frame;
       frame.mutable_beat();
       if (!is_silent) say(frame);
+      const std::lock_guard lock(mutex_);
+      for (const auto& event : std::exchange(events_, {})) {
+        *frame.mutable_message() = event;
+        say(frame);
+      }
     }
   }
   void hear(const std::string& who, std::string_view records) {
@@ -532,6 +543,8 @@ class HostByHand {
   std::string address_;
   std::string leader_;
   std::set<std::string> instances_;
+  std::mutex mutex_;
+  std::vector<wire::GroupMessage> events_;
   std::atomic<bool> ends_{false};
   std::thread thread_;
 };
@@ -547,6 +560,80 @@ TEST_F(Hosts, InstancesOfAHostThatIsBackAndHeldUpAreThereOnceItSaysSo) {
   other.is_silent = false;
   system.eventually("it is asked what it has", [&] { return !other.is_held_up; });
   system.eventually("its instance is back", [&] { return system.instance("sink").mode() == "active"; });
+}
+
+/// What it says of what others have.
+std::vector<wire::GroupMessage> forged_events() {
+  std::vector<wire::GroupMessage> events(8);
+  events[0].mutable_mode_changed()->set_instance("source");
+  events[0].mutable_mode_changed()->set_mode("failed");
+  events[1].mutable_run_ended()->set_instance("source");
+  events[2].mutable_logged()->set_instance("source");
+  events[3].mutable_asked()->set_instance("source");
+  events[4].mutable_tapped()->set_tap(1);
+  events[5].mutable_tap_ended()->set_tap(1);
+  events[6].mutable_wire_lost()->set_wire(1);
+  events[7].mutable_mode_set()->set_change(1);
+  events.emplace_back().mutable_call_ended()->set_run(1);
+  return events;
+}
+
+TEST_F(Hosts, HostThatIsLedIsBelievedOfWhatItHasAndOfNothingElse) {
+  HostByHand other(directory.path);
+  std::mutex mutex;
+  std::vector<wire::GroupMessage> heard;
+  os::require_private_directory(directory.path / "leader");
+  System leader({.name = "leader",
+                 .store = directory.path / "leader" / "store",
+                 .directory = directory.path / "leader",
+                 .threads = 2,
+                 .hosts = other.led_from(directory.path / "test"),
+                 .restarts_groups = false,
+                 .tries_libraries = false},
+                [&](const wire::GroupMessage& event) {
+                  const std::lock_guard lock(mutex);
+                  heard.push_back(event);
+                });
+  const auto eventually = [&](const auto& fits) {
+    const auto begin = Steady::now();
+    while (!fits() && ms_since(begin) < 20'000) {
+      leader.serve_hosts();
+      std::this_thread::sleep_for(1ms);
+    }
+    EXPECT_TRUE(fits());
+  };
+  const auto load = [&](const std::string& component, const std::string& group) {
+    control::Change change;
+    change.mutable_load()->set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
+    change.mutable_load()->set_instance(component);
+    change.mutable_load()->set_group(group);
+    change.mutable_load()->set_mode("neutral");
+    leader.perform(change);
+  };
+  eventually([&] { return leader.snapshot().hosts(0).state() == "joined"; });
+  load("source", "");
+  load("sink", "far");
+  control::Watch watch;
+  *watch.mutable_port() = conformance::port_name("source.newest");
+  leader.tap(leader.new_tap(), watch);
+  {
+    const std::lock_guard lock(mutex);
+    heard.clear();
+  }
+  testing::internal::CaptureStderr();
+  auto events = forged_events();
+  events.emplace_back().mutable_logged()->set_instance("sink");
+  other.tell(events);
+  std::vector<wire::GroupMessage> believed;
+  eventually([&] {
+    const std::lock_guard lock(mutex);
+    for (auto& event : std::exchange(heard, {})) believed.push_back(std::move(event));
+    return !believed.empty() && believed.back().logged().instance() == "sink";
+  });
+  EXPECT_EQ(believed.size(), 1U) << believed.front().ShortDebugString();
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              HasSubstr("host 'far' has spoken of what it does not have, and was not asked for (mode_changed): "
+                        "that is not believed; so far: 1"));
 }
 
 TEST_F(Hosts, ForeignBytesOnThePortChangeNothing) {
