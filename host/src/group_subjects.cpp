@@ -81,6 +81,17 @@ void GroupSubjects::hold(const wire::Adopted& adopted) {
   }
 }
 
+void GroupSubjects::keep(const wire::Adopted& held) {
+  std::set<std::string> names;
+  Numbers wires;
+  for (const auto& one : held.status().instances()) names.insert(one.name());
+  for (const auto& one : held.wires()) {
+    if (one.client_end()) wires.insert(one.wire());
+  }
+  std::erase_if(instances_, [&](const auto& one) { return !names.contains(one); });
+  std::erase_if(wires_, [&](const auto& one) { return !wires.contains(one); });
+}
+
 bool GroupSubjects::is_empty() const {
   return instances_.empty() && wires_.empty() && taps_.empty() && changes_.empty() && calls_.empty() && open_.empty();
 }

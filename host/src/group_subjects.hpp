@@ -24,6 +24,8 @@ class GroupSubjects {
   void answered(const wire::GroupMessage& reply);
   /// Of a group that a host before this one has started.
   void hold(const wire::Adopted& adopted);
+  /// It has told what it holds: of what else it was asked for nothing has come.
+  void keep(const wire::Adopted& held);
   /// Whether the event is about one of these. What ends once has ended with it.
   bool take(const wire::GroupMessage& event);
   std::size_t instances() const { return instances_.size(); }

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <mutex>
 #include <set>
 #include <string>
@@ -37,8 +38,8 @@ class LedInstances {
   wire::GroupMessage obey(const wire::HostRequest& order);
   /// [control thread] Destroys what a former leader has left.
   void destroy_all();
-  /// [control thread] It has gone with its group.
-  void forget(const std::string& name) { note(name, false); }
+  /// [control thread] It has gone with its group: the leader is told why when he asks what is here.
+  void forget(const std::string& name, const std::string& reason);
   /// [any thread] Whether the event is of the system of the leader, who is to be told it then.
   bool is_of_leader(const wire::GroupMessage& event) const;
 
@@ -51,13 +52,15 @@ class LedInstances {
   Group& group_at(const std::string& endpoint) const;
   Links::Endpoint own_endpoint(const std::string& endpoint, const Group& at) const;
   void keep_led(wire::GroupStatusReply& status) const;
+  void keep_led(wire::Adopted& held) const;
   std::string destroy(const std::string& name);
   void note(const std::string& name, bool led);
   bool is_led(const std::string& name) const;
 
   const Surroundings around_;
   mutable std::mutex mutex_;
-  std::set<std::string> names_;  ///< guarded by mutex_: the model is the control thread's
+  std::map<std::string, std::string> ended_;  ///< those that have gone with their group, and why
+  std::set<std::string> names_;               ///< guarded by mutex_: the model is the control thread's
 };
 
 }  // namespace fiona::host

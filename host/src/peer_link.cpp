@@ -409,6 +409,7 @@ wire::GroupMessage PeerLink::request(const std::string& group, const wire::Group
   answered_.wait_for(lock, deadline, [&] { return pending_[id] || session_ != session; });
   auto answer = std::move(pending_[id]);
   pending_.erase(id);
+  if (answer && answer->has_adopted()) subjects_[group].keep(answer->adopted());
   if (answer) return std::move(*answer);
   if (session_ != session) throw unreachable();
   throw Error(

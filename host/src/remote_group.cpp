@@ -1,5 +1,7 @@
 #include "remote_group.hpp"
 
+#include <algorithm>
+
 #include "failure.hpp"
 #include "fiona/error.hpp"
 
@@ -10,6 +12,9 @@ namespace {
 /// was silent is asked for that again.
 constexpr std::chrono::seconds kWay{1};
 constexpr std::chrono::seconds kPause{2};
+/// What it leaves unanswered it may be doing still; and who compares what it has waits for it.
+constexpr std::chrono::seconds kDoubt{1};
+constexpr std::chrono::seconds kComparesEvery{5};
 
 }  // namespace
 
@@ -39,7 +44,25 @@ std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseco
 }
 
 wire::GroupMessage RemoteGroup::perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) {
-  return ask(request, deadline + kWay);
+  wire::GroupMessage reply;
+  try {
+    reply = ask(request, deadline + kWay);
+  } catch (const Error&) {
+    doubt();
+    throw;
+  }
+  if (reply.has_failure() && error_of(reply.failure()).code() == ErrorCode::Unreachable) doubt();
+  return reply;
+}
+
+void RemoteGroup::is_compared() {
+  compares_at_.reset();
+  compared_ = std::chrono::steady_clock::now();
+}
+
+/// It may have done what it has not answered, or do it yet.
+void RemoteGroup::doubt() {
+  if (!compares_at_) compares_at_ = std::max(std::chrono::steady_clock::now() + kDoubt, compared_ + kComparesEvery);
 }
 
 wire::GroupMessage RemoteGroup::ask(const wire::GroupRequest& request, std::chrono::milliseconds patience) {

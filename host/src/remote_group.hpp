@@ -34,12 +34,17 @@ class RemoteGroup final : public Group {
   /// [control thread] Why it is gone for good; empty: its host may be silent, but it is thought to live.
   const std::string& end() const { return end_; }
   void end(std::string reason) { end_ = std::move(reason); }
+  /// [control thread] When what it has is compared with what it is meant to have; none: nothing is in doubt.
+  std::optional<std::chrono::steady_clock::time_point> compares_at() const { return compares_at_; }
+  void compare_at(std::chrono::steady_clock::time_point when) { compares_at_ = when; }
+  void is_compared();
   /// [control thread] To be done when the host is back.
   void owe(wire::GroupRequest request) { owed_.push_back(std::move(request)); }
   std::vector<wire::GroupRequest> take_owed() { return std::exchange(owed_, {}); }
 
  private:
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
+  void doubt();
   wire::GroupMessage ask(const wire::GroupRequest& request, std::chrono::milliseconds patience);
 
   PeerLink& peer_;
@@ -48,6 +53,8 @@ class RemoteGroup final : public Group {
   std::string end_;
   std::optional<std::chrono::steady_clock::time_point> silent_since_;  ///< it was asked for its status
   std::chrono::steady_clock::time_point ask_again_{};
+  std::optional<std::chrono::steady_clock::time_point> compares_at_;
+  std::chrono::steady_clock::time_point compared_{};
   std::vector<wire::GroupRequest>
       owed_;  ///< at most what there was of instances, wires and taps when the host fell silent
 };

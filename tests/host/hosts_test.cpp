@@ -2,6 +2,7 @@
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <poll.h>
 #include <signal.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
@@ -12,6 +13,7 @@
 #include <array>
 #include <atomic>
 #include <cstring>
+#include <deque>
 #include <fstream>
 #include <memory>
 #include <set>
@@ -467,7 +469,14 @@ class HostByHand {
     events_ = std::move(events);
   }
 
+  /// What it was asked to set last.
+  wire::SetParameters set() {
+    const std::lock_guard lock(mutex_);
+    return set_;
+  }
+
   std::atomic<bool> is_silent{false};
+  std::atomic<bool> is_busy{false};     ///< it does nothing of what it is asked for until it is not
   std::atomic<bool> is_held_up{false};  ///< until it has been asked for its status, and has not answered
 
  private:
@@ -478,6 +487,7 @@ class HostByHand {
       for (zmq::message_t identity, record; received(socket_, identity) && received(socket_, record);) {
         if (!is_silent) hear(identity.to_string(), record.to_string());
       }
+      for (; !is_busy && !asked_.empty(); asked_.pop_front()) obey(asked_.front());
       wire::HostFrame frame;
       frame.mutable_beat();
       if (!is_silent) say(frame);
@@ -504,7 +514,7 @@ class HostByHand {
         host.ParseFromArray(records.data() + kRecordHead + frame_size, static_cast<int>(object_size));
       records.remove_prefix(kRecordHead + frame_size + object_size);
       if (host.has_hello()) welcome(who);
-      if (host.has_request()) obey(host.request().request());
+      if (host.has_request()) asked_.push_back(host.request().request());
     }
   }
   void welcome(const std::string& who) {
@@ -514,15 +524,19 @@ class HostByHand {
     say(frame);
   }
   void obey(const wire::GroupRequest& request) {
+    const std::lock_guard lock(mutex_);
     if (request.has_create()) instances_.insert(request.create().instance());
+    if (request.has_set_parameters()) set_ = request.set_parameters();
     wire::HostFrame frame;
     auto& reply = *frame.mutable_message();
     reply.set_id(request.id());
     reply.mutable_done();
-    if (request.has_status()) {
+    if (request.has_status() || request.has_inventory()) {
       if (is_held_up.exchange(false)) return;
+      auto& status = request.has_status() ? *reply.mutable_status() : *reply.mutable_adopted()->mutable_status();
       for (const auto& name : instances_) {
-        auto& one = *reply.mutable_status()->add_instances();
+        auto& one = *status.add_instances();
+        if (set_.instance() == name) *one.mutable_set_parameters() = set_.parameters();
         one.set_name(name);
         one.set_mode("active");
       }
@@ -542,7 +556,9 @@ class HostByHand {
   zmq::socket_t socket_;
   std::string address_;
   std::string leader_;
+  std::deque<wire::GroupRequest> asked_;
   std::set<std::string> instances_;
+  wire::SetParameters set_;
   std::mutex mutex_;
   std::vector<wire::GroupMessage> events_;
   std::atomic<bool> ends_{false};
@@ -560,6 +576,177 @@ TEST_F(Hosts, InstancesOfAHostThatIsBackAndHeldUpAreThereOnceItSaysSo) {
   other.is_silent = false;
   system.eventually("it is asked what it has", [&] { return !other.is_held_up; });
   system.eventually("its instance is back", [&] { return system.instance("sink").mode() == "active"; });
+}
+
+TEST_F(Hosts, WhatALeaderHasGivenUpAndWasDoneLaterIsTakenBack) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source", "period_ms=5");
+  other.is_busy = true;
+  EXPECT_EQ(error_of([&] { system.set("source", "period_ms=7"); }).code(), ErrorCode::Unreachable);
+  other.is_busy = false;
+  system.eventually("it is done", [&] { return other.set().parameters_size() > 0; });
+  EXPECT_EQ(other.set().parameters(0).value().integer(), 7);
+  system.eventually("it is as it was", [&] { return other.set().parameters(0).value().number() == 5; });
+}
+
+/// The way between a leader and a host that it leads, on which answers get lost.
+class Way {
+ public:
+  explicit Way(const std::string& address) : host_(address_of(address.substr(address.find(':') + 1))) {
+    listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in own = address_of("0");
+    socklen_t size = sizeof own;
+    if (::bind(listener_, reinterpret_cast<sockaddr*>(&own), size) != 0 || ::listen(listener_, 8) != 0 ||
+        ::getsockname(listener_, reinterpret_cast<sockaddr*>(&own), &size) != 0)
+      throw Error(ErrorCode::Failed, "no way");
+    address_ = "tcp://127.0.0.1:" + std::to_string(ntohs(own.sin_port));
+    thread_ = std::thread([this] { serve(); });
+  }
+  ~Way() {
+    ends_ = true;
+    thread_.join();
+    close_all();
+    ::close(listener_);
+  }
+  const std::string& address() const { return address_; }
+  /// What the host says from now on is lost.
+  void lose_answers() { loses_answers_ = true; }
+  void cut() { state_ = State::Cut; }
+  /// What comes from now on goes both ways: by connections that are made anew.
+  void mend() { state_ = State::Mended; }
+
+ private:
+  enum class State { Whole, Cut, Mended };
+  static sockaddr_in address_of(const std::string& port) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(port)));
+    return address;
+  }
+  void close_all() {
+    for (const auto& [leader, host] : ends_of_) ::close(leader), ::close(host);
+    ends_of_.clear();
+  }
+  void accept() {
+    const int leader = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+    const int host = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    const bool connected = ::connect(host, reinterpret_cast<const sockaddr*>(&host_), sizeof host_) == 0;
+    if (connected && state_ != State::Cut) {
+      ends_of_.emplace_back(leader, host);
+    } else {
+      ::close(leader), ::close(host);
+    }
+  }
+  bool pass_on(int from, int to, bool loses) {
+    char bytes[65536];
+    const ssize_t count = ::recv(from, bytes, sizeof bytes, MSG_DONTWAIT);
+    if (count < 0) return errno == EAGAIN;
+    return count > 0 && (loses || ::send(to, bytes, static_cast<std::size_t>(count), MSG_NOSIGNAL) == count);
+  }
+  void serve() {
+    while (!ends_) {
+      if (state_ != State::Whole) close_all();
+      if (State mended = State::Mended; state_.compare_exchange_strong(mended, State::Whole)) loses_answers_ = false;
+      std::vector<pollfd> waits{{listener_, POLLIN, 0}};
+      for (const auto& [leader, host] : ends_of_) waits.insert(waits.end(), {{leader, POLLIN, 0}, {host, POLLIN, 0}});
+      ::poll(waits.data(), waits.size(), 20);
+      std::erase_if(ends_of_, [this](const auto& one) {
+        const auto& [leader, host] = one;
+        const bool goes_on = pass_on(leader, host, false) && pass_on(host, leader, loses_answers_);
+        if (!goes_on) ::close(leader), ::close(host);
+        return !goes_on;
+      });
+      if (waits[0].revents != 0) accept();
+    }
+  }
+
+  const sockaddr_in host_;
+  int listener_ = -1;
+  std::string address_;
+  std::vector<std::pair<int, int>> ends_of_;
+  std::atomic<bool> loses_answers_{false};
+  std::atomic<State> state_{State::Whole};
+  std::atomic<bool> ends_{false};
+  std::thread thread_;
+};
+
+/// Two sources of one sink, in one group of the other host.
+class LostAnswers : public Hosts {
+ protected:
+  void SetUp() override {
+    system.join("far");
+    system.load_in("far/deep", "source", "first", "period_ms=5");
+    system.load_in("far/deep", "source", "second", "neutral period_ms=5");
+    system.load_in("far/deep", "sink", "sink");
+    system.wire("sink.each", "first.newest");
+  }
+  /// It was done there, and nobody is told.
+  template <class F>
+  void lose_the_answer_to(F request) {
+    way.lose_answers();
+    EXPECT_EQ(error_of(request).code(), ErrorCode::Unreachable);
+    way.mend();
+    system.join("far");
+  }
+  HostOptions by_the_way() {
+    HostOptions options = other.led_from(directory.path / "test");
+    options.peers[0].address = way.address();
+    return options;
+  }
+  std::string period_of_first() {
+    std::string period;
+    const auto first = system.instance("first");
+    for (const auto& one : first.parameters()) {
+      if (one.name() == "period_ms") period = one.value();
+    }
+    return period;
+  }
+  void expect_messages() {
+    const auto so_far = system.port("sink.each").messages();
+    system.eventually("messages come", [&] { return system.port("sink.each").messages() > so_far + 10; });
+  }
+  OtherHost other{directory.path, "far"};
+  Way way{other.address()};
+  RunningSystem system{by_the_way(), RunningSystem::RestartsGroups{}};
+};
+
+TEST_F(LostAnswers, ParametersAreAsTheyWere) {
+  const std::string before = period_of_first();
+  lose_the_answer_to([&] { system.set("first", "period_ms=7"); });
+  system.eventually("as it was", [&] { return period_of_first() == before; });
+  EXPECT_FALSE(before.empty());
+}
+
+TEST_F(LostAnswers, ModeIsAsItWas) {
+  lose_the_answer_to([&] { system.begin_state("first", "neutral"); });
+  system.eventually("as it was", [&] { return system.instance("first").mode() == "active"; });
+  system.state("first", "neutral");
+  EXPECT_EQ(system.instance("first").mode(), "neutral") << "what is asked for and answered stays";
+}
+
+TEST_F(LostAnswers, WireIsAsItWas) {
+  lose_the_answer_to([&] { system.wire("sink.each", "second.newest"); });
+  expect_messages();
+}
+
+TEST_F(LostAnswers, WireThatWasNoneIsNone) {
+  system.unwire("sink.each");
+  lose_the_answer_to([&] { system.wire("sink.each", "first.newest"); });
+  system.eventually("as it was", [&] { return system.port("sink.each").connection() == control::UNWIRED; });
+}
+
+TEST_F(LostAnswers, GroupThatEndsWhileTheConnectionIsCutIsStartedAgain) {
+  way.cut();
+  system.eventually("cut", [&] { return system.host("far").state() == "silent"; });
+  ::kill(group_of(other.process()), SIGKILL);
+  system.eventually("it has ended", [&] { return group_of(other.process()) == 0; });
+  way.mend();
+  system.join("far");
+  system.eventually("it is back", [&] { return system.instance("sink").mode() == "active"; });
+  expect_messages();
 }
 
 /// What it says of what others have.
