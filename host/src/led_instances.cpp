@@ -16,6 +16,8 @@ namespace {
 
 /// Of those that have ended so many are remembered, until the leader makes them again.
 constexpr std::size_t kMostEnded = 10'000;
+/// What a former leader has left and could not be destroyed.
+constexpr std::chrono::seconds kDestroysEvery{5};
 
 }  // namespace
 
@@ -213,20 +215,39 @@ void LedInstances::create(const wire::GroupRequest& request, const std::string& 
 void LedInstances::destroy_all() {
   ended_.clear();
   for (const std::string& name : around_.model.names()) {
-    const auto* one = around_.model.find(name);  // it may go with the end of the one before it
-    const auto fault = one && one->led ? fault_of([&] { destroy(name); }) : std::nullopt;
-    if (fault) std::cerr << name << ": " << *fault << "\n";
+    if (around_.model.instance(name).led) left_.insert(name);
   }
+  destroys_at_ = {};
+  destroy_left(std::chrono::steady_clock::now());
+}
+
+/// A group that does not answer is not asked for the next one at once.
+void LedInstances::destroy_left(std::chrono::steady_clock::time_point now) {
+  if (left_.empty() || now < destroys_at_) return;
+  std::set<std::string> silent;
+  for (const std::string& name : std::set<std::string>(left_)) {
+    const auto* one = around_.model.find(name);  // it may go with the end of the one before it
+    if (!one) left_.erase(name);
+    if (!one || silent.contains(one->group)) continue;
+    const std::string group = one->group;
+    const auto fault = fault_of([&] { destroy(name); });
+    if (!fault) continue;
+    std::cerr << name << ": " << *fault << "\n";
+    if (around_.groups.living(group)) silent.insert(group);
+  }
+  destroys_at_ = std::chrono::steady_clock::now() + kDestroysEvery;
 }
 
 std::string LedInstances::destroy(const std::string& name) {
   std::string said = around_.destroy(name);
   note(name, false);
+  left_.erase(name);
   return said;
 }
 
 void LedInstances::forget(const std::string& name, const std::string& reason) {
   note(name, false);
+  left_.erase(name);
   if (ended_.size() < kMostEnded) ended_[name] = reason;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -36,8 +37,9 @@ class LedInstances {
 
   /// [control thread] Does it; returns the answer, which may be why it was refused.
   wire::GroupMessage obey(const wire::HostRequest& order);
-  /// [control thread] Destroys what a former leader has left.
+  /// [control thread] Destroys what a former leader has left; what does not end now, when `destroy_left` comes to it.
   void destroy_all();
+  void destroy_left(std::chrono::steady_clock::time_point now);
   /// [control thread] It has gone with its group: the leader is told why when he asks what is here.
   void forget(const std::string& name, const std::string& reason);
   /// [any thread] Whether the event is of the system of the leader, who is to be told it then.
@@ -59,6 +61,8 @@ class LedInstances {
 
   const Surroundings around_;
   mutable std::mutex mutex_;
+  std::set<std::string> left_;  ///< by a former leader, and not destroyed
+  std::chrono::steady_clock::time_point destroys_at_{};
   std::map<std::string, std::string> ended_;  ///< those that have gone with their group, and why
   std::set<std::string> names_;               ///< guarded by mutex_: the model is the control thread's
 };

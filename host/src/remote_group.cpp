@@ -1,6 +1,8 @@
 #include "remote_group.hpp"
 
 #include <algorithm>
+#include <iterator>
+#include <utility>
 
 #include "failure.hpp"
 #include "fiona/error.hpp"
@@ -19,11 +21,13 @@ constexpr std::chrono::seconds kComparesEvery{5};
 }  // namespace
 
 void RemoteGroup::tell(wire::GroupRequest request) {
-  try {
-    Group::tell(request);
-  } catch (const Error&) {
-    if (end_.empty() && !alive()) owe(std::move(request));
-  }
+  if (end_.empty() && !peer_.tell(group_, request)) owe(std::move(request));
+}
+
+std::vector<wire::GroupRequest> RemoteGroup::take_owed() {
+  auto owed = peer_.take_unanswered(group_);
+  std::ranges::move(std::exchange(owed_, {}), std::back_inserter(owed));
+  return owed;
 }
 
 std::optional<wire::GroupStatusReply> RemoteGroup::status(std::chrono::milliseconds patience) {
@@ -66,8 +70,8 @@ void RemoteGroup::doubt() {
 }
 
 wire::GroupMessage RemoteGroup::ask(const wire::GroupRequest& request, std::chrono::milliseconds patience) {
-  if (supervisor_) supervisor_->beat();
-  if (end_.empty()) return peer_.request(group_, request, patience);
+  meanwhile_();
+  if (end_.empty()) return peer_.request(group_, request, patience, meanwhile_);
   throw Error(ErrorCode::Unreachable,
               {.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls hosts"});
 }

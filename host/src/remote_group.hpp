@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -12,9 +13,9 @@ namespace fiona::host {
 /// A group of another host that this one leads: "HOST" is its own process, "HOST/GROUP" a child of it.
 class RemoteGroup final : public Group {
  public:
-  /// `supervisor`: of this host, which takes who waits for another one for alive; null: there is none.
-  RemoteGroup(const std::string& name, PeerLink& peer, std::string group, SupervisorLink* supervisor)
-      : Group(name), peer_(peer), group_(std::move(group)), supervisor_(supervisor) {}
+  /// `meanwhile`: what is done again and again while it is waited for.
+  RemoteGroup(const std::string& name, PeerLink& peer, std::string group, std::function<void()> meanwhile)
+      : Group(name), peer_(peer), group_(std::move(group)), meanwhile_(std::move(meanwhile)) {}
 
   PeerLink& peer() const { return peer_; }
   const std::string& host() const { return peer_.peer().name; }
@@ -40,7 +41,7 @@ class RemoteGroup final : public Group {
   void is_compared();
   /// [control thread] To be done when the host is back.
   void owe(wire::GroupRequest request) { owed_.push_back(std::move(request)); }
-  std::vector<wire::GroupRequest> take_owed() { return std::exchange(owed_, {}); }
+  std::vector<wire::GroupRequest> take_owed();
 
  private:
   wire::GroupMessage perform(const wire::GroupRequest& request, std::chrono::milliseconds deadline) override;
@@ -49,7 +50,7 @@ class RemoteGroup final : public Group {
 
   PeerLink& peer_;
   const std::string group_;
-  SupervisorLink* const supervisor_;
+  const std::function<void()> meanwhile_;
   std::string end_;
   std::optional<std::chrono::steady_clock::time_point> silent_since_;  ///< it was asked for its status
   std::chrono::steady_clock::time_point ask_again_{};

@@ -181,6 +181,7 @@ std::vector<std::string> System::watch_groups() {
   for (const auto& work : made_.take()) attempt(work);
   look_after_versions(now);
   open_waiting(now);
+  attempt([&] { led_.destroy_left(now); });
   attempt([&] { std::ranges::move(resume_late(now), std::back_inserter(lines)); });
   groups_.end_retired();
   for (const std::string& name : supervision_.take_due(now)) {

@@ -33,7 +33,11 @@ Group* System::remote_group(const std::string& name) {
                                          .next = "ls hosts"});
   }
   const std::string group = slash == std::string::npos ? std::string(kMainGroup) : name.substr(slash + 1);
-  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group, options_.supervisor));
+  const auto meanwhile = [this] {
+    if (options_.supervisor) options_.supervisor->beat();
+    watch_others();
+  };
+  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group, meanwhile));
 }
 
 std::string System::on_host_joined(const HostChange& change) {

@@ -299,53 +299,86 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
 }
 
 /// A host that is led, in the test's own process: what it does when is the test's to say.
-TEST_F(Hosts, GroupThatDiesWithItsLeaderHurtsNobodyElse) {
-  const trust::KeyDirectory keys(directory.path / "far-keys");
-  keys.make();
-  const std::filesystem::path plugins = std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path();
-  os::require_private_directory(directory.path / "far");
-  System far({.name = "far",
-              .store = directory.path / "far" / "store",
-              .directory = directory.path / "far",
-              .threads = 2,
-              .hosts = {keys.path(), "tcp://127.0.0.1:0", {}},
-              .plugins = plugins,
-              .restarts_groups = false,
-              .tries_libraries = false},
-             [](const wire::GroupMessage&) {});
-  const auto serve_far_while = [&](const auto& work) {
+class HostInTheTest : public Hosts {
+ protected:
+  HostInTheTest() {
+    keys.make();
+    os::require_private_directory(directory.path / "far");
+    far = std::make_unique<System>(
+        System::Options{.name = "far",
+                        .store = directory.path / "far" / "store",
+                        .directory = directory.path / "far",
+                        .threads = 2,
+                        .hosts = {keys.path(), "tcp://127.0.0.1:0", {}},
+                        .plugins = std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path(),
+                        .ends_hung_groups = false,
+                        .restarts_groups = false,
+                        .tries_libraries = false},
+        [](const wire::GroupMessage&) {});
+    const trust::KeyDirectory own(directory.path / "test");
+    own.make();
+    keys.allow("test", own.pair().open.text());
+    const std::string address = far->listens().substr(std::string("tcp://").size());
+    leader = std::make_unique<RunningSystem>(
+        HostOptions{own.path(), "", {PeerAddress::from_text("far=" + address + "=" + keys.pair().open.text())}});
+    serve_far_while([&] {
+      leader->join("far");
+      for (const std::string name : {"a", "b", "c"}) leader->load_in("far/deep", "sink", name);
+    });
+    group = far->child_groups().front()->process();
+  }
+  void serve_far_while(const std::function<void()>& work) {
     std::atomic<bool> done{false};
     std::thread working([&] {
       work();
       done = true;
     });
     while (!done) {
-      far.serve_hosts();
-      for (auto* group : far.child_groups()) far.serve_group(*group);
+      far->serve_hosts();
+      for (auto* one : far->child_groups()) far->serve_group(*one);
       std::this_thread::sleep_for(1ms);
     }
     working.join();
-  };
-  const trust::KeyDirectory own(directory.path / "test");
-  own.make();
-  keys.allow("test", own.pair().open.text());
-  const std::string address = far.listens().substr(std::string("tcp://").size());
-  const HostOptions options{own.path(), "", {PeerAddress::from_text("far=" + address + "=" + keys.pair().open.text())}};
-  auto leader = std::make_unique<RunningSystem>(options);
-  serve_far_while([&] {
-    leader->join("far");
-    for (const std::string name : {"a", "b", "c"}) leader->load_in("far/deep", "sink", name);
-  });
-  ASSERT_EQ(far.child_groups().size(), 1U);
-  const pid_t group = far.child_groups().front()->process();
+  }
+  /// `also`: what it does beside hearing its leader.
+  void expect_it_becomes_empty(const std::function<void()>& also = [] {}) {
+    const auto begin = Steady::now();
+    while (!far->model().names().empty() && ms_since(begin) < 30'000) {
+      far->serve_hosts();
+      also();
+      std::this_thread::sleep_for(1ms);
+    }
+    EXPECT_TRUE(far->model().names().empty());
+  }
+  const trust::KeyDirectory keys{directory.path / "far-keys"};
+  std::unique_ptr<System> far;
+  std::unique_ptr<RunningSystem> leader;
+  pid_t group = 0;
+};
+
+TEST_F(HostInTheTest, GroupThatDiesWithItsLeaderHurtsNobodyElse) {
   leader.reset();
   ::kill(group, SIGKILL);
+  expect_it_becomes_empty();  // which finds the end of the group by itself
+}
+
+TEST_F(HostInTheTest, WhatDoesNotEndWithItsLeaderEndsLater) {
+  ::kill(group, SIGSTOP);
+  leader.reset();
   const auto begin = Steady::now();
-  while (!far.model().names().empty() && ms_since(begin) < 20'000) {
-    far.serve_hosts();  // which finds the end of the group by itself
-    std::this_thread::sleep_for(1ms);
+  testing::internal::CaptureStderr();
+  std::string said;
+  while (said.empty() && ms_since(begin) < 30'000) {
+    far->serve_hosts();
+    said = testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
   }
-  EXPECT_TRUE(far.model().names().empty());
+  testing::internal::GetCapturedStderr();
+  EXPECT_THAT(said, HasSubstr("a: "));
+  EXPECT_THAT(said, HasSubstr("group 'deep' does not answer"));
+  EXPECT_THAT(said, Not(HasSubstr("b: "))) << "it is not waited for again";
+  ::kill(group, SIGCONT);
+  expect_it_becomes_empty([&] { far->watch_groups(); });
 }
 
 TEST_F(Hosts, GroupOfAnotherHostEndsOnceTheLastInstanceHasLeftItAndStartsAnewWhenItIsNamedAgain) {
@@ -475,6 +508,11 @@ class HostByHand {
     return set_;
   }
 
+  std::size_t open_taps() {
+    const std::lock_guard lock(mutex_);
+    return taps_.size();
+  }
+
   std::atomic<bool> is_silent{false};
   std::atomic<bool> is_busy{false};     ///< it does nothing of what it is asked for until it is not
   std::atomic<bool> is_held_up{false};  ///< until it has been asked for its status, and has not answered
@@ -527,6 +565,8 @@ class HostByHand {
     const std::lock_guard lock(mutex_);
     if (request.has_create()) instances_.insert(request.create().instance());
     if (request.has_set_parameters()) set_ = request.set_parameters();
+    if (request.has_tap()) taps_.insert(request.tap().tap());
+    if (request.has_untap()) taps_.erase(request.untap().tap());
     wire::HostFrame frame;
     auto& reply = *frame.mutable_message();
     reply.set_id(request.id());
@@ -559,6 +599,7 @@ class HostByHand {
   std::deque<wire::GroupRequest> asked_;
   std::set<std::string> instances_;
   wire::SetParameters set_;
+  std::set<std::uint64_t> taps_;
   std::mutex mutex_;
   std::vector<wire::GroupMessage> events_;
   std::atomic<bool> ends_{false};
@@ -589,6 +630,38 @@ TEST_F(Hosts, WhatALeaderHasGivenUpAndWasDoneLaterIsTakenBack) {
   system.eventually("it is done", [&] { return other.set().parameters_size() > 0; });
   EXPECT_EQ(other.set().parameters(0).value().integer(), 7);
   system.eventually("it is as it was", [&] { return other.set().parameters(0).value().number() == 5; });
+}
+
+TEST_F(Hosts, LeaderLooksAfterItsOwnGroupsWhileItWaitsForAHostThatIsBusy) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source");
+  system.load_in("near", "sink", "sink");
+  const pid_t near = system.group("near").process();
+  other.is_busy = true;
+  ::kill(near, SIGKILL);
+  EXPECT_EQ(error_of([&] { system.set("source", "period_ms=7"); }).code(), ErrorCode::Unreachable);
+  EXPECT_EQ(::kill(near, 0), -1) << "its end has been noted";
+}
+
+TEST_F(Hosts, WhatNobodyWaitsForHoldsUpNobodyWhileAHostIsBusy) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source");
+  std::vector<std::uint64_t> taps;
+  for (int i = 0; i < 3; ++i) taps.push_back(system.watch("source.newest"));
+  other.is_busy = true;
+  const auto begin = Steady::now();
+  EXPECT_EQ(error_of([&] { system.set("source", "period_ms=7"); }).code(), ErrorCode::Unreachable);
+  const double waited_ms = ms_since(begin);
+  const auto told = Steady::now();
+  for (const auto tap : taps) system.system().untap(tap);
+  EXPECT_LT(ms_since(told), waited_ms);
+  EXPECT_EQ(other.open_taps(), 3U);
+  other.is_busy = false;
+  system.eventually("it comes to it", [&] { return other.open_taps() == 0; });
 }
 
 /// The way between a leader and a host that it leads, on which answers get lost.
