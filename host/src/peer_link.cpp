@@ -352,7 +352,7 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
     if (pending != pending_.end()) pending->second = std::move(message);
     return answered_.notify_all();
   }
-  if (says_too_much(message) || !believes(message)) return;
+  if (!believes(message) || says_too_much(message)) return;
   if (message.has_group_ended()) {
     return around_.on_change({.what = HostChange::What::GroupEnded,
                               .host = peer_.name,

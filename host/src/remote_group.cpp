@@ -70,7 +70,7 @@ void RemoteGroup::doubt() {
 }
 
 wire::GroupMessage RemoteGroup::ask(const wire::GroupRequest& request, std::chrono::milliseconds patience) {
-  meanwhile_();
+  if (meanwhile_) meanwhile_();
   if (end_.empty()) return peer_.request(group_, request, patience, meanwhile_);
   throw Error(ErrorCode::Unreachable,
               {.what = "group '" + name() + "' does not answer", .found = end_, .next = "ls hosts"});

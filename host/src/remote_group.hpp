@@ -13,7 +13,7 @@ namespace fiona::host {
 /// A group of another host that this one leads: "HOST" is its own process, "HOST/GROUP" a child of it.
 class RemoteGroup final : public Group {
  public:
-  /// `meanwhile`: what is done again and again while it is waited for.
+  /// `meanwhile`: what is done again and again while it is waited for; null: nothing.
   RemoteGroup(const std::string& name, PeerLink& peer, std::string group, std::function<void()> meanwhile)
       : Group(name), peer_(peer), group_(std::move(group)), meanwhile_(std::move(meanwhile)) {}
 
