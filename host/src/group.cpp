@@ -7,7 +7,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <bit>
 #include <iostream>
 #include <thread>
 
@@ -362,16 +361,12 @@ ChildGroup::~ChildGroup() {
   if (cpu_.most() > 0) os::remove_cpu_limit(ended);
 }
 
-/// What it says of others is dropped, and told at the first, second, fourth, … time.
+/// What it says of others is dropped.
 void ChildGroup::pass_on(const wire::GroupMessage& event) {
-  const bool believed = subjects_.take(event);
-  if (believed) on_event_(event);
-  if (!believed && std::has_single_bit(++disbelieved_)) {
-    const auto* what = wire::GroupMessage::descriptor()->FindFieldByNumber(event.what_case());
-    std::cerr << fmt::format(
-        "group '{}' has spoken of what it does not have, and was not asked for ({}): that is not "
-        "believed; so far: {}\n",
-        name(), what ? what->name() : "nothing", disbelieved_);
+  if (subjects_.take(event)) {
+    on_event_(event);
+  } else {
+    disbelief_.tell(fmt::format("group '{}'", name()), event);
   }
   if (master_) master_->event_seen(endpoint_);
 }

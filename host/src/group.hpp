@@ -257,7 +257,7 @@ class ChildGroup final : public Group {
   std::uint64_t next_id_ = 1;
   std::optional<Unanswered> unanswered_;
   GroupSubjects subjects_;
-  std::uint64_t disbelieved_ = 0;  ///< events, of what is not its own
+  Disbelief disbelief_;
   std::string end_;
   bool is_told_ = false;
   bool is_lost_ = false;

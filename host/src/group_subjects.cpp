@@ -1,6 +1,18 @@
 #include "group_subjects.hpp"
 
+#include <fmt/format.h>
+
+#include <bit>
+#include <iostream>
+
 namespace fiona::host {
+namespace {
+
+/// Changes of mode and calls by hand whose end is not told. The end of one may be lost on its way from another host, or
+/// never come; who has waited has been told so long ago.
+constexpr std::size_t kMostLater = 100'000;
+
+}  // namespace
 
 void GroupSubjects::ask(const wire::GroupRequest& request) {
   if (Then then = following(request)) open_[request.id()] = std::move(then);
@@ -11,6 +23,12 @@ GroupSubjects::Then GroupSubjects::unless_refused(Numbers& numbers, std::uint64_
   return [&numbers, number](bool done) {
     if (!done) numbers.erase(number);
   };
+}
+
+/// Of what ends after the answer. Of too many the oldest is forgotten.
+GroupSubjects::Then GroupSubjects::later(Numbers& numbers, std::uint64_t number) {
+  if (numbers.size() >= kMostLater) numbers.erase(numbers.begin());
+  return unless_refused(numbers, number);
 }
 
 GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) {
@@ -24,7 +42,7 @@ GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) 
     case Request::kCreate:
       instances_.insert(request.create().instance());
       return [left = leaves(request.create().instance(), false),
-              changed = unless_refused(changes_, request.create().change())](bool done) {
+              changed = later(changes_, request.create().change())](bool done) {
         left(done);
         changed(done);
       };
@@ -45,8 +63,8 @@ GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) 
     case Request::kCut: return [this, wire = request.cut().wire()](bool) { wires_.erase(wire); };
     case Request::kTap: return unless_refused(taps_, request.tap().tap());
     case Request::kUntap: return [this, tap = request.untap().tap()](bool) { taps_.erase(tap); };
-    case Request::kSetMode: return unless_refused(changes_, request.set_mode().change());
-    case Request::kCall: return unless_refused(calls_, request.call().run());
+    case Request::kSetMode: return later(changes_, request.set_mode().change());
+    case Request::kCall: return later(calls_, request.call().run());
     default: return nullptr;
   }
 }
@@ -63,6 +81,21 @@ void GroupSubjects::hold(const wire::Adopted& adopted) {
   }
 }
 
+void GroupSubjects::keep(const wire::Adopted& held) {
+  std::set<std::string> names;
+  Numbers wires;
+  for (const auto& one : held.status().instances()) names.insert(one.name());
+  for (const auto& one : held.wires()) {
+    if (one.client_end()) wires.insert(one.wire());
+  }
+  std::erase_if(instances_, [&](const auto& one) { return !names.contains(one); });
+  std::erase_if(wires_, [&](const auto& one) { return !wires.contains(one); });
+}
+
+bool GroupSubjects::is_empty() const {
+  return instances_.empty() && wires_.empty() && taps_.empty() && changes_.empty() && calls_.empty() && open_.empty();
+}
+
 bool GroupSubjects::take(const wire::GroupMessage& event) {
   using Event = wire::GroupMessage;
   switch (event.what_case()) {
@@ -77,6 +110,14 @@ bool GroupSubjects::take(const wire::GroupMessage& event) {
     case Event::kCallEnded: return calls_.erase(event.call_ended().run()) > 0;
     default: return false;
   }
+}
+
+void Disbelief::tell(const std::string& who, const wire::GroupMessage& event) {
+  if (!std::has_single_bit(++times_)) return;
+  const auto* what = wire::GroupMessage::descriptor()->FindFieldByNumber(event.what_case());
+  std::cerr << fmt::format(
+      "{} has spoken of what it does not have, and was not asked for ({}): that is not believed; so far: {}\n", who,
+      what ? what->name() : "nothing", times_);
 }
 
 }  // namespace fiona::host

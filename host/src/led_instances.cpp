@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <iostream>
 
 #include "failure.hpp"
@@ -11,6 +12,14 @@
 #include "orders.hpp"
 
 namespace fiona::host {
+namespace {
+
+/// Of those that have ended so many are remembered, until the leader makes them again.
+constexpr std::size_t kMostEnded = 10'000;
+/// What a former leader has left and could not be destroyed.
+constexpr std::chrono::seconds kDestroysEvery{5};
+
+}  // namespace
 
 wire::GroupMessage LedInstances::obey(const wire::HostRequest& order) {
   wire::GroupMessage reply;
@@ -20,6 +29,8 @@ wire::GroupMessage LedInstances::obey(const wire::HostRequest& order) {
     Group* found = around_.groups.living(order.group());
     if (order.request().has_create()) {
       create(order.request(), order.group(), reply);
+    } else if (!found && order.request().has_inventory()) {
+      reply.mutable_adopted();
     } else if (!found) {
       throw Error(ErrorCode::NotFound, {.what = fmt::format("host '{}' has no group '{}'", around_.host, order.group()),
                                         .next = "its process may have ended: ls tells"});
@@ -27,6 +38,7 @@ wire::GroupMessage LedInstances::obey(const wire::HostRequest& order) {
       reply = pass_on(order.request(), *found);
     }
     if (reply.has_status()) keep_led(*reply.mutable_status());
+    if (reply.has_adopted()) keep_led(*reply.mutable_adopted());
   } catch (...) {
     *reply.mutable_failure() = failure_of_exception();
   }
@@ -69,6 +81,15 @@ void LedInstances::keep_led(wire::GroupStatusReply& status) const {
     const auto* one = around_.model.find(instances[i].name());
     if (!one || !one->led) instances.DeleteSubrange(i, 1);
   }
+}
+
+/// What the leader has here, and what he had.
+void LedInstances::keep_led(wire::Adopted& held) const {
+  keep_led(*held.mutable_status());
+  auto& wires = *held.mutable_wires();
+  wires.erase(std::remove_if(wires.begin(), wires.end(), [](const auto& one) { return one.wire() >= kOwnNumbers; }),
+              wires.end());
+  held.mutable_ended()->insert(ended_.begin(), ended_.end());
 }
 
 void LedInstances::require_led(const std::string& name) const {
@@ -117,6 +138,7 @@ void LedInstances::check(const wire::GroupRequest& request) const {
     case Request::kWireRelay: return number(request.wire_relay().wire());
     case Request::kCreate:
     case Request::kPing:
+    case Request::kInventory:
     case Request::kStatus: return;
     case Request::kWelcome:
     case Request::kAdopt:
@@ -186,21 +208,47 @@ void LedInstances::create(const wire::GroupRequest& request, const std::string& 
     note(name, false);
     throw;
   }
+  ended_.erase(name);
   reply.mutable_done()->set_note(fmt::format("{} {} as {}", package->name, package->version, name));
 }
 
 void LedInstances::destroy_all() {
+  ended_.clear();
   for (const std::string& name : around_.model.names()) {
-    const auto* one = around_.model.find(name);  // it may go with the end of the one before it
-    const auto fault = one && one->led ? fault_of([&] { destroy(name); }) : std::nullopt;
-    if (fault) std::cerr << name << ": " << *fault << "\n";
+    if (around_.model.instance(name).led) left_.insert(name);
   }
+  destroys_at_ = {};
+  destroy_left(std::chrono::steady_clock::now());
+}
+
+/// A group that does not answer is not asked for the next one at once.
+void LedInstances::destroy_left(std::chrono::steady_clock::time_point now) {
+  if (left_.empty() || now < destroys_at_) return;
+  std::set<std::string> silent;
+  for (const std::string& name : std::set<std::string>(left_)) {
+    const auto* one = around_.model.find(name);  // it may go with the end of the one before it
+    if (!one) left_.erase(name);
+    if (!one || silent.contains(one->group)) continue;
+    const std::string group = one->group;
+    const auto fault = fault_of([&] { destroy(name); });
+    if (!fault) continue;
+    std::cerr << name << ": " << *fault << "\n";
+    if (around_.groups.living(group)) silent.insert(group);
+  }
+  destroys_at_ = std::chrono::steady_clock::now() + kDestroysEvery;
 }
 
 std::string LedInstances::destroy(const std::string& name) {
   std::string said = around_.destroy(name);
   note(name, false);
+  left_.erase(name);
   return said;
+}
+
+void LedInstances::forget(const std::string& name, const std::string& reason) {
+  note(name, false);
+  left_.erase(name);
+  if (ended_.size() < kMostEnded) ended_[name] = reason;
 }
 
 void LedInstances::note(const std::string& name, bool led) {

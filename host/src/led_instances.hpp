@@ -1,8 +1,10 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <mutex>
 #include <set>
 #include <string>
@@ -35,10 +37,11 @@ class LedInstances {
 
   /// [control thread] Does it; returns the answer, which may be why it was refused.
   wire::GroupMessage obey(const wire::HostRequest& order);
-  /// [control thread] Destroys what a former leader has left.
+  /// [control thread] Destroys what a former leader has left; what does not end now, when `destroy_left` comes to it.
   void destroy_all();
-  /// [control thread] It has gone with its group.
-  void forget(const std::string& name) { note(name, false); }
+  void destroy_left(std::chrono::steady_clock::time_point now);
+  /// [control thread] It has gone with its group: the leader is told why when he asks what is here.
+  void forget(const std::string& name, const std::string& reason);
   /// [any thread] Whether the event is of the system of the leader, who is to be told it then.
   bool is_of_leader(const wire::GroupMessage& event) const;
 
@@ -51,13 +54,17 @@ class LedInstances {
   Group& group_at(const std::string& endpoint) const;
   Links::Endpoint own_endpoint(const std::string& endpoint, const Group& at) const;
   void keep_led(wire::GroupStatusReply& status) const;
+  void keep_led(wire::Adopted& held) const;
   std::string destroy(const std::string& name);
   void note(const std::string& name, bool led);
   bool is_led(const std::string& name) const;
 
   const Surroundings around_;
   mutable std::mutex mutex_;
-  std::set<std::string> names_;  ///< guarded by mutex_: the model is the control thread's
+  std::set<std::string> left_;  ///< by a former leader, and not destroyed
+  std::chrono::steady_clock::time_point destroys_at_{};
+  std::map<std::string, std::string> ended_;  ///< those that have gone with their group, and why
+  std::set<std::string> names_;               ///< guarded by mutex_: the model is the control thread's
 };
 
 }  // namespace fiona::host

@@ -18,7 +18,7 @@ inline constexpr std::string_view kHostItself = "host";     ///< where else an i
 
 /// Of all that a host and a group have between them: the messages of wire.proto, the words that a group is started
 /// with, its descriptors, the page of its strands. Another number where a build does not understand one before it.
-inline constexpr std::uint32_t kGroupProtocol = 5;
+inline constexpr std::uint32_t kGroupProtocol = 6;
 
 using PortKey = std::pair<std::string, std::string>;  ///< instance, port
 

@@ -16,7 +16,11 @@ void OpenTaps::open(Group& group, std::uint64_t tap, const control::Watch& watch
   try {
     group.request(std::move(request));
   } catch (...) {
-    taps_.erase(tap);
+    if (dynamic_cast<RemoteGroup*>(&group)) {
+      close(tap);  // it may be made yet
+    } else {
+      taps_.erase(tap);
+    }
     throw;
   }
 }

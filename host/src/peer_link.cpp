@@ -1,5 +1,7 @@
 #include "peer_link.hpp"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cstring>
 
@@ -25,6 +27,10 @@ constexpr std::chrono::milliseconds kConnect{1000};
 constexpr std::chrono::milliseconds kHelloEvery{400};
 /// What an event costs beside its bytes.
 constexpr std::size_t kPerEvent = 256;
+/// While an answer is waited for.
+constexpr std::chrono::milliseconds kMeanwhileEvery{25};
+/// Of what nobody waits for, and is not answered: of more the oldest is not told again after the connection was cut.
+constexpr std::size_t kMostTold = 10'000;
 /// How long the last word of a host that ends may take to leave.
 constexpr std::chrono::milliseconds kFarewell{200};
 
@@ -312,6 +318,9 @@ void PeerLink::on_welcome(const Hop& hop, const wire::HostWelcome& welcome) {
   {
     const std::lock_guard lock(mutex_);
     same_run = !run_ || run_ == welcome.run();  // at first nothing is there that could be of another run
+    if (!same_run) subjects_.clear();
+    if (!same_run) told_.clear();
+    for (auto& [group, subjects] : subjects_) subjects.answers_no_more();
     run_ = welcome.run();
     tries_ = 0;
     version_ = readable_text(welcome.version(), 40);
@@ -336,11 +345,14 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
   }
   if (message.id() != 0) {
     const std::lock_guard lock(mutex_);
+    for (auto& [group, subjects] : subjects_) subjects.answered(message);
+    std::erase_if(subjects_, [](const auto& one) { return one.second.is_empty(); });
+    told_.erase(message.id());
     const auto pending = pending_.find(message.id());
     if (pending != pending_.end()) pending->second = std::move(message);
     return answered_.notify_all();
   }
-  if (says_too_much(message)) return;
+  if (!believes(message) || says_too_much(message)) return;
   if (message.has_group_ended()) {
     return around_.on_change({.what = HostChange::What::GroupEnded,
                               .host = peer_.name,
@@ -349,6 +361,18 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
                               .request = {}});
   }
   around_.on_event(std::move(message));
+}
+
+/// Of its groups it is believed all: what they may say it has looked at itself.
+bool PeerLink::believes(const wire::GroupMessage& event) {
+  const std::lock_guard lock(mutex_);
+  if (event.has_group_ended()) {
+    subjects_.erase(event.group_ended().group());
+    return true;
+  }
+  const bool is_theirs = std::ranges::any_of(subjects_, [&](auto& one) { return one.second.take(event); });
+  if (!is_theirs) disbelief_.tell(fmt::format("host '{}'", peer_.name), event);
+  return is_theirs;
 }
 
 /// Then the session ends.
@@ -372,29 +396,64 @@ Error PeerLink::unreachable() const {
                                         .next = "ls hosts"});
 }
 
-wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request,
-                                     std::chrono::milliseconds deadline) {
+/// Called with the mutex held. Returns the number that its answer will have.
+std::uint64_t PeerLink::ask(const std::string& group, const wire::GroupRequest& request) {
+  if (state_ != State::Joined || !link_) throw unreachable();
   wire::Frame frame;
   frame.mutable_host();
   const auto host = std::make_shared<wire::HostFrame>();
   auto& asked = *host->mutable_request();
   asked.set_group(group);
   *asked.mutable_request() = request;
-  std::unique_lock lock(mutex_);
-  if (state_ != State::Joined || !link_) throw unreachable();
   const std::uint64_t id = next_id_++;
-  const std::uint64_t session = session_;
   asked.mutable_request()->set_id(id);
-  pending_[id] = std::nullopt;
+  subjects_[group].ask(asked.request());
   link_->send(lane_, frame, host);
-  answered_.wait_for(lock, deadline, [&] { return pending_[id] || session_ != session; });
+  return id;
+}
+
+wire::GroupMessage PeerLink::request(const std::string& group, const wire::GroupRequest& request,
+                                     std::chrono::milliseconds deadline, const std::function<void()>& meanwhile) {
+  std::unique_lock lock(mutex_);
+  const std::uint64_t id = ask(group, request);
+  const std::uint64_t session = session_;
+  pending_[id] = std::nullopt;
+  const auto ends = [&] { return pending_[id] || session_ != session; };
+  const auto until = Steady::now() + deadline;
+  while (!answered_.wait_until(lock, std::min(until, Steady::now() + kMeanwhileEvery), ends) && Steady::now() < until) {
+    if (!meanwhile) continue;
+    lock.unlock();
+    meanwhile();
+    lock.lock();
+  }
   auto answer = std::move(pending_[id]);
   pending_.erase(id);
+  if (answer && answer->has_adopted()) subjects_[group].keep(answer->adopted());
   if (answer) return std::move(*answer);
   if (session_ != session) throw unreachable();
   throw Error(
       ErrorCode::Unreachable,
       {.what = "host '" + peer_.name + "' does not answer", .found = "connected, but silent", .next = "ls hosts"});
+}
+
+bool PeerLink::tell(const std::string& group, const wire::GroupRequest& request) {
+  const std::lock_guard lock(mutex_);
+  if (state_ != State::Joined || !link_) return false;
+  const std::uint64_t id = ask(group, request);
+  if (told_.size() >= kMostTold) told_.erase(told_.begin());
+  told_[id] = {session_, group, request};
+  return true;
+}
+
+std::vector<wire::GroupRequest> PeerLink::take_unanswered(const std::string& group) {
+  const std::lock_guard lock(mutex_);
+  std::vector<wire::GroupRequest> left;
+  std::erase_if(told_, [&](auto& one) {
+    const bool is_left = one.second.group == group && one.second.session != session_;
+    if (is_left) left.push_back(std::move(one.second.request));
+    return is_left;
+  });
+  return left;
 }
 
 bool PeerLink::joined() const {

@@ -10,12 +10,14 @@
 #include <optional>
 #include <random>
 #include <string>
+#include <vector>
 #include <zmq.hpp>
 
 #include "clock_offset.hpp"
 #include "fiona/clock.hpp"
 #include "fiona/error.hpp"
 #include "fiona/trust/host_keys.hpp"
+#include "group_subjects.hpp"
 #include "links.hpp"
 
 namespace fiona::host {
@@ -96,9 +98,13 @@ class PeerLink {
   void stop();
 
   /// [control thread] Asks the host for something in one of its groups. Throws Error Unreachable when it is not
-  /// joined, leaves, or does not answer in time.
+  /// joined, leaves, or does not answer in time. `meanwhile`: done again and again while it is waited for.
   wire::GroupMessage request(const std::string& group, const wire::GroupRequest& request,
-                             std::chrono::milliseconds deadline);
+                             std::chrono::milliseconds deadline, const std::function<void()>& meanwhile = nullptr);
+  /// [control thread] The same, and nobody waits for the answer. False: it is not joined.
+  bool tell(const std::string& group, const wire::GroupRequest& request);
+  /// [control thread] What it was told in sessions that have ended, and did not answer.
+  std::vector<wire::GroupRequest> take_unanswered(const std::string& group);
   bool joined() const;
   /// Joined, or the first try to connect to it has ended.
   bool was_tried() const;
@@ -123,7 +129,9 @@ class PeerLink {
   void on_frame(const Hop& hop, const wire::Frame& given, const ObjectBytes& object);
   void on_host_frame(const Hop& hop, const wire::HostFrame& host);
   void on_welcome(const Hop& hop, const wire::HostWelcome& welcome);
+  std::uint64_t ask(const std::string& group, const wire::GroupRequest& request);
   void on_message(const wire::GroupMessage& message);
+  bool believes(const wire::GroupMessage& event);
   bool says_too_much(const wire::GroupMessage& message);
   void enter(State state, const std::string& reason);
   Error unreachable() const;
@@ -156,6 +164,14 @@ class PeerLink {
   std::optional<std::uint64_t> run_;  ///< of the peer, when it was joined last
   std::string version_;
   std::map<std::uint64_t, std::optional<wire::GroupMessage>> pending_;
+  struct Told {
+    std::uint64_t session = 0;
+    std::string group;
+    wire::GroupRequest request;
+  };
+  std::map<std::uint64_t, Told> told_;             ///< what nobody waits for, until it is answered
+  std::map<std::string, GroupSubjects> subjects_;  ///< by the host's group
+  Disbelief disbelief_;
   std::uint64_t session_ = 0;
   std::uint64_t next_id_ = 1;
   std::atomic<std::size_t> unread_{0};  ///< bytes

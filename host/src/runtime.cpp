@@ -74,7 +74,8 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       return links_.peer_lost(gone.endpoint(), gone.name(), gone.reason());
     }
     case Request::kAnswered: return answered(request.answered());
-    case Request::kAdopt: return adopt(*reply.mutable_adopted());
+    case Request::kAdopt:
+    case Request::kInventory: return tell_held(*reply.mutable_adopted());
     case Request::kPing: return;
     case Request::kWelcome:
       throw Error(ErrorCode::Usage, {.what = "the group has its key already", .next = "a group is welcomed once"});

@@ -109,7 +109,7 @@ class Runtime final {
   void answered(const wire::Answered& answer);
 
   // ---- runtime_adoption.cpp
-  void adopt(wire::Adopted& adopted);
+  void tell_held(wire::Adopted& adopted);
 
   // ---- runtime_status.cpp
   void status(wire::GroupStatusReply& reply);

@@ -11,7 +11,7 @@ void Runtime::host_lost(const std::string& endpoint) {
   taps_.clear();
 }
 
-void Runtime::adopt(wire::Adopted& adopted) {
+void Runtime::tell_held(wire::Adopted& adopted) {
   for (const auto& [id, wire] : wires_) {
     auto& held = *adopted.add_wires();
     held.set_wire(id);

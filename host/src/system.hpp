@@ -162,8 +162,11 @@ class System {
   bool has_virtual_clock() const { return virtual_time_ != nullptr; }
   /// The groups that are child processes: poll their descriptors, call `serve_group` when readable.
   std::vector<ChildGroup*> child_groups();
-  /// While there are groups, or are to be.
-  bool watches_groups() { return watches_main() || !child_groups().empty() || supervision_.any_waits(); }
+  /// While there are groups, or are to be, or other hosts that this one leads.
+  bool watches_groups() {
+    return watches_main() || !child_groups().empty() || supervision_.any_waits() ||
+           (hosts_ && !hosts_->peers().empty());
+  }
   /// Whether a group is to be started again, later.
   bool awaits_restart() const { return supervision_.any_waits(); }
   /// Call it every `kWatchEvery` while it watches groups: ends those that hang, starts again those that have ended.
@@ -291,6 +294,7 @@ class System {
   void make_missing();
   std::vector<std::string> finish_making();
   void correct_ports();
+  void correct_ports(const std::string& group, const wire::GroupStatusReply& there);
   void open_missing();
 
   // ---- system_instances.cpp
@@ -376,7 +380,7 @@ class System {
   void add_hosts(control::System& all);
   void make_led(Model next, const std::string& name, const control::Load& request);
   std::string destroy_led(const std::string& name);
-  void forget_led(const std::string& group);
+  void forget_led(const std::string& group, const std::string& reason);
   bool tell_leader(const wire::GroupMessage& event);
 
   // ---- system_leading.cpp
@@ -385,10 +389,19 @@ class System {
   std::string on_host_joined(const HostChange& change);
   void on_host_lost(const std::string& host, const std::string& reason, bool for_good);
   bool crosses(const PortKey& client, const Wire& wire, const std::string& host);
-  void resume(RemoteGroup& group);
-  void resume_late(std::chrono::steady_clock::time_point now);
   void resume_wires(const std::string& host);
   void on_remote_group_ended(const HostChange& change);
+  void lose_remote(RemoteGroup& group, const std::string& reason);
+
+  // ---- system_rejoin.cpp
+  std::vector<std::string> resume_groups(const std::string& host, std::chrono::steady_clock::time_point due);
+  std::vector<std::string> resume_late(std::chrono::steady_clock::time_point now);
+  std::optional<wire::Adopted> resume(RemoteGroup& group, std::vector<std::string>& lines);
+  void make_agree(RemoteGroup& group, const wire::Adopted& held, std::vector<std::string>& lines);
+  void correct_parameters(RemoteGroup& group, const control::InstanceStatus& is, std::vector<std::string>& lines);
+  void correct_mode(RemoteGroup& group, const control::InstanceStatus& is, std::vector<std::string>& lines);
+  void correct_wires(RemoteGroup& group, const wire::Adopted& held, std::vector<std::string>& lines);
+  void take_back_wire(RemoteGroup& group, const wire::HeldWire& found, std::vector<std::string>& lines);
 
   const Options options_;
   const OnEvent on_event_;
@@ -415,7 +428,8 @@ class System {
   std::set<std::pair<std::string, std::string>> beside_;  ///< group, instance; guarded by beside_mutex_
   Mailbox<std::function<void()>> made_;                   ///< what is to be done when one has been made again, or not
   std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
-  std::map<std::string, std::chrono::steady_clock::time_point> resume_at_;  ///< hosts that have not said what is there
+  /// Instances of led hosts that are in another mode than is meant, and since when that is known.
+  std::map<std::string, std::chrono::steady_clock::time_point> strayed_;
   Supervision supervision_;
   std::vector<KeptGroup> kept_;  ///< until they are adopted
   std::string memory_key_;       ///< by which the processes of this host share memory, but for sandboxes

@@ -195,7 +195,8 @@ std::vector<std::string> System::watch_groups() {
   for (const auto& work : made_.take()) attempt(work);
   look_after_versions(now);
   open_waiting(now);
-  resume_late(now);
+  attempt([&] { led_.destroy_left(now); });
+  attempt([&] { std::ranges::move(resume_late(now), std::back_inserter(lines)); });
   groups_.end_retired();
   for (const std::string& name : supervision_.take_due(now)) {
     attempt([&] {
@@ -270,7 +271,7 @@ void System::lose(ChildGroup& gone) {
   if (virtual_time_) virtual_time_->forget(gone.endpoint());  // from here on it goes on without it
   lose_wires(gone.name(), reason);
   tell_group_ended(gone.name(), reason);
-  forget_led(gone.name());
+  forget_led(gone.name(), reason);
   start_again_later(gone.name(), reason);
 }
 

@@ -70,10 +70,10 @@ std::string System::destroy_led(const std::string& name) {
 }
 
 /// What was the leader's in a group that has gone is told; the names are his to use again.
-void System::forget_led(const std::string& group) {
+void System::forget_led(const std::string& group, const std::string& reason) {
   for (const std::string& name : model_.names_in(group)) {
     if (!model_.instance(name).led) continue;
-    led_.forget(name);
+    led_.forget(name, reason);
     lost_.erase(name);
     model_.drop(name);
   }

@@ -7,38 +7,6 @@
 #include "system.hpp"
 
 namespace fiona::host {
-namespace {
-
-/// A host that has joined and does not answer is asked again so much later: who asks it waits.
-constexpr std::chrono::seconds kAskAgain{5};
-
-/// What it was asked for while its host was silent. What it refuses is gone already.
-void pay_owed(RemoteGroup& group) {
-  for (auto& request : group.take_owed()) {
-    try {
-      group.request(request);
-    } catch (const Error&) {
-      if (!group.alive()) group.owe(std::move(request));
-    }
-  }
-}
-
-/// None: its host has fallen silent again, or does not answer now.
-std::optional<std::set<std::string>> instances_of(RemoteGroup& group) {
-  wire::GroupRequest ask;
-  ask.mutable_status();
-  std::set<std::string> there;
-  try {
-    const auto reply = group.request(std::move(ask));
-    for (const auto& one : reply.status().instances()) there.insert(one.name());
-  } catch (const Error& error) {
-    if (!group.alive() || error.code() == ErrorCode::Unreachable) return std::nullopt;
-  }
-  return there;
-}
-
-}  // namespace
-
 Group& System::main_of(const std::string& host) { return group(host.empty() ? std::string(kMainGroup) : host); }
 
 /// Null where the name is none of another host's.
@@ -65,18 +33,22 @@ Group* System::remote_group(const std::string& name) {
                                          .next = "ls hosts"});
   }
   const std::string group = slash == std::string::npos ? std::string(kMainGroup) : name.substr(slash + 1);
-  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group, options_.supervisor));
+  const auto meanwhile = [this] {
+    if (options_.supervisor) options_.supervisor->beat();
+    watch_others();
+  };
+  return &groups_.put(std::make_unique<RemoteGroup>(name, *peer, group, meanwhile));
 }
 
 std::string System::on_host_joined(const HostChange& change) {
+  std::string said = fmt::format("host '{}' has joined", change.host);
   if (!change.same_run) {
     on_host_lost(change.host, fmt::format("host '{}' was started anew", change.host), true);
   } else {
-    for (auto* group : groups_.of_host(change.host)) {
-      if (group->end().empty()) resume(*group);
-    }
+    const auto now = std::chrono::steady_clock::now();
+    for (auto* group : groups_.of_host(change.host)) group->compare_at(now);
+    for (const std::string& line : resume_groups(change.host, now)) said += "\n" + line;
   }
-  std::string said = fmt::format("host '{}' has joined", change.host);
   for (const std::string& group : std::exchange(waiting_for_host_, {})) {
     if (host_of(group) != change.host) {
       waiting_for_host_.insert(group);
@@ -116,49 +88,6 @@ bool System::crosses(const PortKey& client, const Wire& wire, const std::string&
   return from != to && (from == host || to == host);
 }
 
-/// Does what was asked for meanwhile, and finds out what is still there.
-void System::resume(RemoteGroup& group) {
-  pay_owed(group);
-  const auto there = instances_of(group);
-  if (!there) {
-    if (group.alive()) resume_at_[group.host()] = std::chrono::steady_clock::now() + kAskAgain;
-    return;
-  }
-  for (const std::string& name : model_.names_in(group.name())) {
-    const auto lost = lost_.find(name);
-    if (lost == lost_.end() || !lost->second.away) continue;
-    if (there->contains(name)) {
-      lost_.erase(lost);
-    } else {
-      lost->second = {fmt::format("it was unloaded on host '{}'", group.host()), false};
-    }
-  }
-  for (const auto& name : *there) {
-    const auto* known = model_.find(name);
-    if (known && known->group == group.name() && !lost_.contains(name)) continue;
-    // Made by a request whose answer was lost.
-    wire::GroupRequest destroy;
-    destroy.mutable_destroy()->set_instance(name);
-    group.owe(std::move(destroy));
-  }
-  pay_owed(group);
-}
-
-/// Hosts that have joined and did not answer then: what they hold is away until they do.
-void System::resume_late(std::chrono::steady_clock::time_point now) {
-  std::vector<std::string> due;
-  for (const auto& [host, at] : resume_at_) {
-    if (at <= now) due.push_back(host);
-  }
-  for (const std::string& host : due) {
-    resume_at_.erase(host);
-    for (auto* group : groups_.of_host(host)) {
-      if (group->end().empty()) resume(*group);
-    }
-    resume_wires(host);
-  }
-}
-
 void System::resume_wires(const std::string& host) {
   for (auto& [key, wire] : wires_) {
     const control::PortName client = port_of(key);
@@ -191,17 +120,20 @@ void System::leave_for_later(const control::PortName& client, Wire& wire, const 
 
 void System::on_remote_group_ended(const HostChange& change) {
   for (auto* group : groups_.of_host(change.host)) {
-    if (group->group() != change.group) continue;
-    group->end(change.reason);
-    for (const std::string& name : model_.names_in(group->name())) {
-      lost_[name] = {change.reason, false};
-      tell_failed(name, change.reason);
-    }
-    taps_.lose(group->name(), change.reason);
-    lose_wires(group->name(), change.reason);
-    tell_group_ended(group->name(), change.reason);
-    start_again_later(group->name(), change.reason);
+    if (group->group() == change.group) lose_remote(*group, change.reason);
   }
+}
+
+void System::lose_remote(RemoteGroup& group, const std::string& reason) {
+  group.end(reason);
+  for (const std::string& name : model_.names_in(group.name())) {
+    lost_[name] = {reason, false};
+    tell_failed(name, reason);
+  }
+  taps_.lose(group.name(), reason);
+  lose_wires(group.name(), reason);
+  tell_group_ended(group.name(), reason);
+  start_again_later(group.name(), reason);
 }
 
 }  // namespace fiona::host

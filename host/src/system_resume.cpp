@@ -305,18 +305,27 @@ std::vector<std::string> System::finish_making() {
 void System::correct_ports() {
   for (auto* child : child_groups()) {
     if (!child->adopted()) continue;
-    for (const auto& instance : child->adopted()->status().instances()) {
-      const auto* meant = model_.find(instance.name());
-      if (!meant || meant->group != child->name()) continue;  // it is on its way out
-      for (const auto& port : instance.ports()) {
-        if (port.direction() != REQUIRES) continue;
-        const control::PortName client = port_of({instance.name(), port.name()});
-        const Model::Wire* wanted = model_.wire_of(client);
-        const bool has_several = port.providers_size() > 0 && (!wanted || wanted->providers.size() == 1);
-        if (!has_several && (wanted || port.connection() == control::UNWIRED)) continue;
-        const auto providers = wanted ? wanted->providers : std::vector<control::PortName>();
-        correct(*child, [&] { arrange(client, providers, Model::Wire::kHold_ms, {}, model_, nullptr); });
-      }
+    correct(*child, [&] { correct_ports(child->name(), child->adopted()->status()); });
+  }
+}
+
+void System::correct_ports(const std::string& group, const wire::GroupStatusReply& there) {
+  for (const auto& instance : there.instances()) {
+    const auto* meant = model_.find(instance.name());
+    if (!meant || meant->group != group || lost_.contains(instance.name())) continue;  // it is on its way out, or in
+    for (const auto& port : instance.ports()) {
+      if (port.direction() != REQUIRES) continue;
+      const control::PortName client = port_of({instance.name(), port.name()});
+      const Model::Wire* wanted = model_.wire_of(client);
+      const auto listed = [](const auto& one, const auto& is) { return key_of(one) == key_of(is.provider()); };
+      const bool is_so = !wanted ? port.connection() == control::UNWIRED
+                         : wanted->providers.size() == 1
+                             ? port.providers_size() == 0
+                             : std::equal(wanted->providers.begin(), wanted->providers.end(), port.providers().begin(),
+                                          port.providers().end(), listed);
+      if (is_so) continue;
+      const Model::Wire as_meant = wanted ? *wanted : Model::Wire{};
+      arrange(client, as_meant.providers, as_meant.hold_ms, {}, model_, nullptr);
     }
   }
 }

@@ -87,17 +87,20 @@ std::string System::start_again(const std::string& name) {
     supervision_.forget(name);
     return "";
   }
-  const std::string line = fmt::format("group '{}' is started again: {}", name, lost_[lost.begin()->second].reason);
+  std::vector<std::string> lines{
+      fmt::format("group '{}' is started again: {}", name, lost_[lost.begin()->second].reason)};
   try {
     Group& target = group(name);
-    if (auto* remote = dynamic_cast<RemoteGroup*>(&target))
-      resume(*remote);  // what was made, and not answered, goes first
+    if (auto* remote = dynamic_cast<RemoteGroup*>(&target)) {
+      resume(*remote, lines);                                // what was made, and not answered, goes first
+      remote->compare_at(std::chrono::steady_clock::now());  // the rest of what may be in doubt
+    }
     for (const auto& [order, instance] : lost) make_again(target, instance);
     if (!target.alive()) lose_if_gone(name);  // of what was made
   } catch (const Error& error) {
     start_again_later(name, error.text().what + (error.text().found.empty() ? "" : ": " + error.text().found));
   }
-  return line;
+  return fmt::format("{}", fmt::join(lines, "\n"));
 }
 
 /// As it is meant to be. What refuses to be made stays lost, with the reason; the others of its group go on. It is

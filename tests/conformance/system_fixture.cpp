@@ -161,6 +161,9 @@ RunningSystem::RunningSystem(EndsHungGroups, os::Limits limits)
 
 RunningSystem::RunningSystem(RestartsGroups) : RunningSystem(Transport::Process, "", {.threads = 2}) {}
 
+RunningSystem::RunningSystem(const host::HostOptions& hosts, RestartsGroups)
+    : RunningSystem(Transport::Process, "", {.threads = 2, .hosts = hosts, .ends_hung_groups = false}) {}
+
 RunningSystem::RunningSystem(Transport transport, const std::string& other, host::System::Options options)
     : transport_(transport),
       other_(other.empty() ? nullptr : std::make_unique<OtherHost>(directory_.path, other)),

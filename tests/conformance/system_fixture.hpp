@@ -112,6 +112,7 @@ class RunningSystem {
   /// Starts again groups that have ended, as a host does; other systems here leave them as they are.
   struct RestartsGroups {};
   explicit RunningSystem(RestartsGroups);
+  RunningSystem(const host::HostOptions& hosts, RestartsGroups);
 
   /// Loads "source", "sink", … as `name`; "neutral a=1 b=2": in mode neutral, with these parameters.
   void load_provider(const std::string& component, const std::string& name, const std::string& parameters = "");

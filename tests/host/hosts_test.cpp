@@ -2,6 +2,7 @@
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <poll.h>
 #include <signal.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
@@ -12,6 +13,7 @@
 #include <array>
 #include <atomic>
 #include <cstring>
+#include <deque>
 #include <fstream>
 #include <memory>
 #include <set>
@@ -297,53 +299,86 @@ TEST_F(Hosts, GroupThatDiesOnTheOtherHostIsToldAndTheHostStaysJoined) {
 }
 
 /// A host that is led, in the test's own process: what it does when is the test's to say.
-TEST_F(Hosts, GroupThatDiesWithItsLeaderHurtsNobodyElse) {
-  const trust::KeyDirectory keys(directory.path / "far-keys");
-  keys.make();
-  const std::filesystem::path plugins = std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path();
-  os::require_private_directory(directory.path / "far");
-  System far({.name = "far",
-              .store = directory.path / "far" / "store",
-              .directory = directory.path / "far",
-              .threads = 2,
-              .hosts = {keys.path(), "tcp://127.0.0.1:0", {}},
-              .plugins = plugins,
-              .restarts_groups = false,
-              .tries_libraries = false},
-             [](const wire::GroupMessage&) {});
-  const auto serve_far_while = [&](const auto& work) {
+class HostInTheTest : public Hosts {
+ protected:
+  HostInTheTest() {
+    keys.make();
+    os::require_private_directory(directory.path / "far");
+    far = std::make_unique<System>(
+        System::Options{.name = "far",
+                        .store = directory.path / "far" / "store",
+                        .directory = directory.path / "far",
+                        .threads = 2,
+                        .hosts = {keys.path(), "tcp://127.0.0.1:0", {}},
+                        .plugins = std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path(),
+                        .ends_hung_groups = false,
+                        .restarts_groups = false,
+                        .tries_libraries = false},
+        [](const wire::GroupMessage&) {});
+    const trust::KeyDirectory own(directory.path / "test");
+    own.make();
+    keys.allow("test", own.pair().open.text());
+    const std::string address = far->listens().substr(std::string("tcp://").size());
+    leader = std::make_unique<RunningSystem>(
+        HostOptions{own.path(), "", {PeerAddress::from_text("far=" + address + "=" + keys.pair().open.text())}});
+    serve_far_while([&] {
+      leader->join("far");
+      for (const std::string name : {"a", "b", "c"}) leader->load_in("far/deep", "sink", name);
+    });
+    group = far->child_groups().front()->process();
+  }
+  void serve_far_while(const std::function<void()>& work) {
     std::atomic<bool> done{false};
     std::thread working([&] {
       work();
       done = true;
     });
     while (!done) {
-      far.serve_hosts();
-      for (auto* group : far.child_groups()) far.serve_group(*group);
+      far->serve_hosts();
+      for (auto* one : far->child_groups()) far->serve_group(*one);
       std::this_thread::sleep_for(1ms);
     }
     working.join();
-  };
-  const trust::KeyDirectory own(directory.path / "test");
-  own.make();
-  keys.allow("test", own.pair().open.text());
-  const std::string address = far.listens().substr(std::string("tcp://").size());
-  const HostOptions options{own.path(), "", {PeerAddress::from_text("far=" + address + "=" + keys.pair().open.text())}};
-  auto leader = std::make_unique<RunningSystem>(options);
-  serve_far_while([&] {
-    leader->join("far");
-    for (const std::string name : {"a", "b", "c"}) leader->load_in("far/deep", "sink", name);
-  });
-  ASSERT_EQ(far.child_groups().size(), 1U);
-  const pid_t group = far.child_groups().front()->process();
+  }
+  /// `also`: what it does beside hearing its leader.
+  void expect_it_becomes_empty(const std::function<void()>& also = [] {}) {
+    const auto begin = Steady::now();
+    while (!far->model().names().empty() && ms_since(begin) < 30'000) {
+      far->serve_hosts();
+      also();
+      std::this_thread::sleep_for(1ms);
+    }
+    EXPECT_TRUE(far->model().names().empty());
+  }
+  const trust::KeyDirectory keys{directory.path / "far-keys"};
+  std::unique_ptr<System> far;
+  std::unique_ptr<RunningSystem> leader;
+  pid_t group = 0;
+};
+
+TEST_F(HostInTheTest, GroupThatDiesWithItsLeaderHurtsNobodyElse) {
   leader.reset();
   ::kill(group, SIGKILL);
+  expect_it_becomes_empty();  // which finds the end of the group by itself
+}
+
+TEST_F(HostInTheTest, WhatDoesNotEndWithItsLeaderEndsLater) {
+  ::kill(group, SIGSTOP);
+  leader.reset();
   const auto begin = Steady::now();
-  while (!far.model().names().empty() && ms_since(begin) < 20'000) {
-    far.serve_hosts();  // which finds the end of the group by itself
-    std::this_thread::sleep_for(1ms);
+  testing::internal::CaptureStderr();
+  std::string said;
+  while (said.empty() && ms_since(begin) < 30'000) {
+    far->serve_hosts();
+    said = testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
   }
-  EXPECT_TRUE(far.model().names().empty());
+  testing::internal::GetCapturedStderr();
+  EXPECT_THAT(said, HasSubstr("a: "));
+  EXPECT_THAT(said, HasSubstr("group 'deep' does not answer"));
+  EXPECT_THAT(said, Not(HasSubstr("b: "))) << "it is not waited for again";
+  ::kill(group, SIGCONT);
+  expect_it_becomes_empty([&] { far->watch_groups(); });
 }
 
 TEST_F(Hosts, GroupOfAnotherHostEndsOnceTheLastInstanceHasLeftItAndStartsAnewWhenItIsNamedAgain) {
@@ -461,7 +496,25 @@ class HostByHand {
     return {keys, "", {{"far", address_, keys_.pair().open}}};
   }
 
+  /// Events, as from what it has.
+  void tell(std::vector<wire::GroupMessage> events) {
+    const std::lock_guard lock(mutex_);
+    events_ = std::move(events);
+  }
+
+  /// What it was asked to set last.
+  wire::SetParameters set() {
+    const std::lock_guard lock(mutex_);
+    return set_;
+  }
+
+  std::size_t open_taps() {
+    const std::lock_guard lock(mutex_);
+    return taps_.size();
+  }
+
   std::atomic<bool> is_silent{false};
+  std::atomic<bool> is_busy{false};     ///< it does nothing of what it is asked for until it is not
   std::atomic<bool> is_held_up{false};  ///< until it has been asked for its status, and has not answered
 
  private:
@@ -472,9 +525,15 @@ class HostByHand {
       for (zmq::message_t identity, record; received(socket_, identity) && received(socket_, record);) {
         if (!is_silent) hear(identity.to_string(), record.to_string());
       }
+      for (; !is_busy && !asked_.empty(); asked_.pop_front()) obey(asked_.front());
       wire::HostFrame frame;
       frame.mutable_beat();
       if (!is_silent) say(frame);
+      const std::lock_guard lock(mutex_);
+      for (const auto& event : std::exchange(events_, {})) {
+        *frame.mutable_message() = event;
+        say(frame);
+      }
     }
   }
   void hear(const std::string& who, std::string_view records) {
@@ -493,7 +552,7 @@ class HostByHand {
         host.ParseFromArray(records.data() + kRecordHead + frame_size, static_cast<int>(object_size));
       records.remove_prefix(kRecordHead + frame_size + object_size);
       if (host.has_hello()) welcome(who);
-      if (host.has_request()) obey(host.request().request());
+      if (host.has_request()) asked_.push_back(host.request().request());
     }
   }
   void welcome(const std::string& who) {
@@ -503,15 +562,21 @@ class HostByHand {
     say(frame);
   }
   void obey(const wire::GroupRequest& request) {
+    const std::lock_guard lock(mutex_);
     if (request.has_create()) instances_.insert(request.create().instance());
+    if (request.has_set_parameters()) set_ = request.set_parameters();
+    if (request.has_tap()) taps_.insert(request.tap().tap());
+    if (request.has_untap()) taps_.erase(request.untap().tap());
     wire::HostFrame frame;
     auto& reply = *frame.mutable_message();
     reply.set_id(request.id());
     reply.mutable_done();
-    if (request.has_status()) {
+    if (request.has_status() || request.has_inventory()) {
       if (is_held_up.exchange(false)) return;
+      auto& status = request.has_status() ? *reply.mutable_status() : *reply.mutable_adopted()->mutable_status();
       for (const auto& name : instances_) {
-        auto& one = *reply.mutable_status()->add_instances();
+        auto& one = *status.add_instances();
+        if (set_.instance() == name) *one.mutable_set_parameters() = set_.parameters();
         one.set_name(name);
         one.set_mode("active");
       }
@@ -531,7 +596,12 @@ class HostByHand {
   zmq::socket_t socket_;
   std::string address_;
   std::string leader_;
+  std::deque<wire::GroupRequest> asked_;
   std::set<std::string> instances_;
+  wire::SetParameters set_;
+  std::set<std::uint64_t> taps_;
+  std::mutex mutex_;
+  std::vector<wire::GroupMessage> events_;
   std::atomic<bool> ends_{false};
   std::thread thread_;
 };
@@ -547,6 +617,283 @@ TEST_F(Hosts, InstancesOfAHostThatIsBackAndHeldUpAreThereOnceItSaysSo) {
   other.is_silent = false;
   system.eventually("it is asked what it has", [&] { return !other.is_held_up; });
   system.eventually("its instance is back", [&] { return system.instance("sink").mode() == "active"; });
+}
+
+TEST_F(Hosts, WhatALeaderHasGivenUpAndWasDoneLaterIsTakenBack) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source", "period_ms=5");
+  other.is_busy = true;
+  EXPECT_EQ(error_of([&] { system.set("source", "period_ms=7"); }).code(), ErrorCode::Unreachable);
+  other.is_busy = false;
+  system.eventually("it is done", [&] { return other.set().parameters_size() > 0; });
+  EXPECT_EQ(other.set().parameters(0).value().integer(), 7);
+  system.eventually("it is as it was", [&] { return other.set().parameters(0).value().number() == 5; });
+}
+
+TEST_F(Hosts, LeaderLooksAfterItsOwnGroupsWhileItWaitsForAHostThatIsBusy) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source");
+  system.load_in("near", "sink", "sink");
+  const pid_t near = system.group("near").process();
+  other.is_busy = true;
+  ::kill(near, SIGKILL);
+  EXPECT_EQ(error_of([&] { system.set("source", "period_ms=7"); }).code(), ErrorCode::Unreachable);
+  EXPECT_EQ(::kill(near, 0), -1) << "its end has been noted";
+}
+
+TEST_F(Hosts, WhatNobodyWaitsForHoldsUpNobodyWhileAHostIsBusy) {
+  HostByHand other(directory.path);
+  RunningSystem system(other.led_from(directory.path / "test"));
+  system.join("far");
+  system.load_in("far", "source", "source");
+  std::vector<std::uint64_t> taps;
+  for (int i = 0; i < 3; ++i) taps.push_back(system.watch("source.newest"));
+  other.is_busy = true;
+  const auto begin = Steady::now();
+  EXPECT_EQ(error_of([&] { system.set("source", "period_ms=7"); }).code(), ErrorCode::Unreachable);
+  const double waited_ms = ms_since(begin);
+  const auto told = Steady::now();
+  for (const auto tap : taps) system.system().untap(tap);
+  EXPECT_LT(ms_since(told), waited_ms);
+  EXPECT_EQ(other.open_taps(), 3U);
+  other.is_busy = false;
+  system.eventually("it comes to it", [&] { return other.open_taps() == 0; });
+}
+
+/// The way between a leader and a host that it leads, on which answers get lost.
+class Way {
+ public:
+  explicit Way(const std::string& address) : host_(address_of(address.substr(address.find(':') + 1))) {
+    listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in own = address_of("0");
+    socklen_t size = sizeof own;
+    if (::bind(listener_, reinterpret_cast<sockaddr*>(&own), size) != 0 || ::listen(listener_, 8) != 0 ||
+        ::getsockname(listener_, reinterpret_cast<sockaddr*>(&own), &size) != 0)
+      throw Error(ErrorCode::Failed, "no way");
+    address_ = "tcp://127.0.0.1:" + std::to_string(ntohs(own.sin_port));
+    thread_ = std::thread([this] { serve(); });
+  }
+  ~Way() {
+    ends_ = true;
+    thread_.join();
+    close_all();
+    ::close(listener_);
+  }
+  const std::string& address() const { return address_; }
+  /// What the host says from now on is lost.
+  void lose_answers() { loses_answers_ = true; }
+  void cut() { state_ = State::Cut; }
+  /// What comes from now on goes both ways: by connections that are made anew.
+  void mend() { state_ = State::Mended; }
+
+ private:
+  enum class State { Whole, Cut, Mended };
+  static sockaddr_in address_of(const std::string& port) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(port)));
+    return address;
+  }
+  void close_all() {
+    for (const auto& [leader, host] : ends_of_) ::close(leader), ::close(host);
+    ends_of_.clear();
+  }
+  void accept() {
+    const int leader = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+    const int host = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    const bool connected = ::connect(host, reinterpret_cast<const sockaddr*>(&host_), sizeof host_) == 0;
+    if (connected && state_ != State::Cut) {
+      ends_of_.emplace_back(leader, host);
+    } else {
+      ::close(leader), ::close(host);
+    }
+  }
+  bool pass_on(int from, int to, bool loses) {
+    char bytes[65536];
+    const ssize_t count = ::recv(from, bytes, sizeof bytes, MSG_DONTWAIT);
+    if (count < 0) return errno == EAGAIN;
+    return count > 0 && (loses || ::send(to, bytes, static_cast<std::size_t>(count), MSG_NOSIGNAL) == count);
+  }
+  void serve() {
+    while (!ends_) {
+      if (state_ != State::Whole) close_all();
+      if (State mended = State::Mended; state_.compare_exchange_strong(mended, State::Whole)) loses_answers_ = false;
+      std::vector<pollfd> waits{{listener_, POLLIN, 0}};
+      for (const auto& [leader, host] : ends_of_) waits.insert(waits.end(), {{leader, POLLIN, 0}, {host, POLLIN, 0}});
+      ::poll(waits.data(), waits.size(), 20);
+      std::erase_if(ends_of_, [this](const auto& one) {
+        const auto& [leader, host] = one;
+        const bool goes_on = pass_on(leader, host, false) && pass_on(host, leader, loses_answers_);
+        if (!goes_on) ::close(leader), ::close(host);
+        return !goes_on;
+      });
+      if (waits[0].revents != 0) accept();
+    }
+  }
+
+  const sockaddr_in host_;
+  int listener_ = -1;
+  std::string address_;
+  std::vector<std::pair<int, int>> ends_of_;
+  std::atomic<bool> loses_answers_{false};
+  std::atomic<State> state_{State::Whole};
+  std::atomic<bool> ends_{false};
+  std::thread thread_;
+};
+
+/// Two sources of one sink, in one group of the other host.
+class LostAnswers : public Hosts {
+ protected:
+  void SetUp() override {
+    system.join("far");
+    system.load_in("far/deep", "source", "first", "period_ms=5");
+    system.load_in("far/deep", "source", "second", "neutral period_ms=5");
+    system.load_in("far/deep", "sink", "sink");
+    system.wire("sink.each", "first.newest");
+  }
+  /// It was done there, and nobody is told.
+  template <class F>
+  void lose_the_answer_to(F request) {
+    way.lose_answers();
+    EXPECT_EQ(error_of(request).code(), ErrorCode::Unreachable);
+    way.mend();
+    system.join("far");
+  }
+  HostOptions by_the_way() {
+    HostOptions options = other.led_from(directory.path / "test");
+    options.peers[0].address = way.address();
+    return options;
+  }
+  std::string period_of_first() {
+    std::string period;
+    const auto first = system.instance("first");
+    for (const auto& one : first.parameters()) {
+      if (one.name() == "period_ms") period = one.value();
+    }
+    return period;
+  }
+  void expect_messages() {
+    const auto so_far = system.port("sink.each").messages();
+    system.eventually("messages come", [&] { return system.port("sink.each").messages() > so_far + 10; });
+  }
+  OtherHost other{directory.path, "far"};
+  Way way{other.address()};
+  RunningSystem system{by_the_way(), RunningSystem::RestartsGroups{}};
+};
+
+TEST_F(LostAnswers, ParametersAreAsTheyWere) {
+  const std::string before = period_of_first();
+  lose_the_answer_to([&] { system.set("first", "period_ms=7"); });
+  system.eventually("as it was", [&] { return period_of_first() == before; });
+  EXPECT_FALSE(before.empty());
+}
+
+TEST_F(LostAnswers, ModeIsAsItWas) {
+  lose_the_answer_to([&] { system.begin_state("first", "neutral"); });
+  system.eventually("as it was", [&] { return system.instance("first").mode() == "active"; });
+  system.state("first", "neutral");
+  EXPECT_EQ(system.instance("first").mode(), "neutral") << "what is asked for and answered stays";
+}
+
+TEST_F(LostAnswers, WireIsAsItWas) {
+  lose_the_answer_to([&] { system.wire("sink.each", "second.newest"); });
+  expect_messages();
+}
+
+TEST_F(LostAnswers, WireThatWasNoneIsNone) {
+  system.unwire("sink.each");
+  lose_the_answer_to([&] { system.wire("sink.each", "first.newest"); });
+  system.eventually("as it was", [&] { return system.port("sink.each").connection() == control::UNWIRED; });
+}
+
+TEST_F(LostAnswers, GroupThatEndsWhileTheConnectionIsCutIsStartedAgain) {
+  way.cut();
+  system.eventually("cut", [&] { return system.host("far").state() == "silent"; });
+  ::kill(group_of(other.process()), SIGKILL);
+  system.eventually("it has ended", [&] { return group_of(other.process()) == 0; });
+  way.mend();
+  system.join("far");
+  system.eventually("it is back", [&] { return system.instance("sink").mode() == "active"; });
+  expect_messages();
+}
+
+/// What it says of what others have.
+std::vector<wire::GroupMessage> forged_events() {
+  std::vector<wire::GroupMessage> events(8);
+  events[0].mutable_mode_changed()->set_instance("source");
+  events[0].mutable_mode_changed()->set_mode("failed");
+  events[1].mutable_run_ended()->set_instance("source");
+  events[2].mutable_logged()->set_instance("source");
+  events[3].mutable_asked()->set_instance("source");
+  events[4].mutable_tapped()->set_tap(1);
+  events[5].mutable_tap_ended()->set_tap(1);
+  events[6].mutable_wire_lost()->set_wire(1);
+  events[7].mutable_mode_set()->set_change(1);
+  events.emplace_back().mutable_call_ended()->set_run(1);
+  return events;
+}
+
+TEST_F(Hosts, HostThatIsLedIsBelievedOfWhatItHasAndOfNothingElse) {
+  HostByHand other(directory.path);
+  std::mutex mutex;
+  std::vector<wire::GroupMessage> heard;
+  os::require_private_directory(directory.path / "leader");
+  System leader({.name = "leader",
+                 .store = directory.path / "leader" / "store",
+                 .directory = directory.path / "leader",
+                 .threads = 2,
+                 .hosts = other.led_from(directory.path / "test"),
+                 .restarts_groups = false,
+                 .tries_libraries = false},
+                [&](const wire::GroupMessage& event) {
+                  const std::lock_guard lock(mutex);
+                  heard.push_back(event);
+                });
+  const auto eventually = [&](const auto& fits) {
+    const auto begin = Steady::now();
+    while (!fits() && ms_since(begin) < 20'000) {
+      leader.serve_hosts();
+      std::this_thread::sleep_for(1ms);
+    }
+    EXPECT_TRUE(fits());
+  };
+  const auto load = [&](const std::string& component, const std::string& group) {
+    control::Change change;
+    change.mutable_load()->set_plugin(std::string(TEST_COMPONENTS_LIBRARY) + "/" + component);
+    change.mutable_load()->set_instance(component);
+    change.mutable_load()->set_group(group);
+    change.mutable_load()->set_mode("neutral");
+    leader.perform(change);
+  };
+  eventually([&] { return leader.snapshot().hosts(0).state() == "joined"; });
+  load("source", "");
+  load("sink", "far");
+  control::Watch watch;
+  *watch.mutable_port() = conformance::port_name("source.newest");
+  leader.tap(leader.new_tap(), watch);
+  {
+    const std::lock_guard lock(mutex);
+    heard.clear();
+  }
+  testing::internal::CaptureStderr();
+  auto events = forged_events();
+  events.emplace_back().mutable_logged()->set_instance("sink");
+  other.tell(events);
+  std::vector<wire::GroupMessage> believed;
+  eventually([&] {
+    const std::lock_guard lock(mutex);
+    for (auto& event : std::exchange(heard, {})) believed.push_back(std::move(event));
+    return !believed.empty() && believed.back().logged().instance() == "sink";
+  });
+  EXPECT_EQ(believed.size(), 1U) << believed.front().ShortDebugString();
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              HasSubstr("host 'far' has spoken of what it does not have, and was not asked for (mode_changed): "
+                        "that is not believed; so far: 1"));
 }
 
 TEST_F(Hosts, ForeignBytesOnThePortChangeNothing) {

@@ -888,7 +888,11 @@ TEST_F(LinksOfAProcess, AHostThatSaysMoreThanIsReadLosesItsSession) {
     return peer.joined();
   };
   ASSERT_TRUE(becomes_true(now_joined));
+  wire::GroupRequest create;
+  create.mutable_create()->set_instance("talker");
+  ASSERT_TRUE(peer.tell("main", create));
   wire::HostFrame said;
+  said.mutable_message()->mutable_logged()->set_instance("talker");
   said.mutable_message()->mutable_logged()->set_text(std::string(512 * 1024, 'x'));
   for (std::size_t i = 1; i <= 200; ++i) {
     other.say(said);
