@@ -25,6 +25,8 @@ constexpr std::size_t kMaxClients = 64 + RemoteConsoles::kMost;
 constexpr std::size_t kMaxRemoteWork = 1000;
 /// Requests of one client that are answered later, and its watches.
 constexpr std::size_t kMaxOpen = 1000;
+/// For which the requests of one client are done before it is the turn of what else there is.
+constexpr std::chrono::milliseconds kTurn{2};
 /// Of what a console over tcp says for the journal.
 constexpr std::size_t kMaxAuthor = 100;
 std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
@@ -71,6 +73,7 @@ struct ControlServer::Client {
   }
   os::MessageStream stream;
   const Rights rights;
+  bool said_all = false;                ///< its end has come
   std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
 };
 
@@ -172,8 +175,10 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
                             {system_.hosts_descriptor(), POLLIN, 0}};
   const std::size_t fixed = waits.size();
   std::vector<std::uint64_t> ids;
+  bool has_more = false;  // of what they said, than was done in their turn
   for (const auto& [id, client] : clients_) {
     ids.push_back(id);
+    has_more = has_more || client->stream.has_next();
     const bool writing = client->stream.unsent() > 0;
     waits.push_back({client->stream.descriptor(), static_cast<short>(writing ? POLLIN | POLLOUT : POLLIN), 0});
   }
@@ -189,7 +194,7 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
   if (beats) system_.supervisor()->beat();
   int wait_ms = most_ms;
   const int pages_ms = read_pages_.look(system_.open_libraries());
-  for (const int one : {usual_ms, beats ? kBeat_ms : -1, pages_ms}) {
+  for (const int one : {usual_ms, beats ? kBeat_ms : -1, pages_ms, has_more ? 0 : -1}) {
     if (one >= 0 && (wait_ms < 0 || one < wait_ms)) wait_ms = one;
   }
   if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;
@@ -214,7 +219,8 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     if (waits[fixed + ids.size() + i].revents != 0) attempt([&] { system_.serve_group(groups[i]); });
   }
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
-    if (waits[fixed + i].revents != 0) attempt([&] { serve_client(ids[i]); });
+    const bool waits_for_turn = clients_.contains(ids[i]) && clients_.at(ids[i])->stream.has_next();
+    if (waits[fixed + i].revents != 0 || waits_for_turn) attempt([&] { serve_client(ids[i]); });
   }
   attempt([&] { tell(system_.watch_groups()); });
   if (system_.kept_threads() > System::kMostKeptThreads && !exit_code_) {
@@ -256,18 +262,25 @@ void ControlServer::turn_away(os::Descriptor socket) {
   os::MessageStream(std::move(socket)).send(reply);
 }
 
+/// For a turn, so that nobody is held up by one who asks for much; the rest is done in the next ones. Nothing more is
+/// done for one that was cut off; what came before a client's own end is.
 void ControlServer::serve_client(std::uint64_t id) {
-  auto& stream = clients_.at(id)->stream;
-  const Rights& rights = clients_.at(id)->rights;
-  const bool open = stream.receive() && stream.flush();
+  Client& client = *clients_.at(id);
+  auto& stream = client.stream;
+  const Rights& rights = client.rights;
+  if (!stream.has_next() && !stream.closed()) client.said_all = !stream.receive();
+  stream.flush();
+  const auto end = std::chrono::steady_clock::now() + kTurn;
+  const auto is_heard = [&] { return !exit_code_ && (client.said_all || !stream.closed()); };
   control::Request request;
-  while (!exit_code_ && stream.next(request)) {
+  for (bool its_turn = true; its_turn && is_heard() && stream.next(request);) {
     // The journal tells who it was, and not who it says it was.
     if (rights.is_remote()) request.set_author(rights.name + ": " + readable_text(request.author(), kMaxAuthor));
     perform(id, request);
+    its_turn = std::chrono::steady_clock::now() < end;
   }
   if (!stream.fault().empty()) refuse_garbled(id, stream.fault());
-  if (!open || stream.closed()) drop_client(id);
+  if (stream.closed() && !(client.said_all && stream.has_next())) drop_client(id);
 }
 
 /// Told to who sent it, and in the host's own words at the first, second, fourth, … time: a storm is few lines.
