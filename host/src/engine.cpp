@@ -220,9 +220,12 @@ control::JournalEntries Engine::journal(std::uint32_t last) const {
 
 void Engine::enqueue(TransactionPtr transaction) {
   if (!current_) return begin(transaction);
-  if (waiting_.size() >= kMaxWaiting) {
+  const bool is_plan = transaction->request.dry_run();
+  const auto alike = std::count_if(waiting_.begin(), waiting_.end(),
+                                   [&](const auto& one) { return one->request.dry_run() == is_plan; });
+  if (alike >= static_cast<std::ptrdiff_t>(is_plan ? kMaxPlansWaiting : kMaxWaiting)) {
     throw Error(ErrorCode::NotAllowed,
-                {.what = fmt::format("{} changes wait already", waiting_.size()), .next = "journal"});
+                {.what = fmt::format("{} {} wait already", alike, is_plan ? "plans" : "changes"), .next = "journal"});
   }
   waiting_.push_back(std::move(transaction));
 }
@@ -234,6 +237,9 @@ void Engine::plan(Transaction& transaction) const {
   Model after = request.whole() ? Model() : transaction.before;
   for (int i = 0; i < request.changes_size(); ++i) {
     try {
+      if (request.dry_run() && std::max<std::size_t>(i, transaction.steps.size()) >= kMostPlanned)
+        require(transaction.rights,
+                {trust::Access::Compose, fmt::format("a plan of more than {} steps", kMostPlanned)});
       if (request.changes(i).has_upgrade() && !request.whole()) return plan_upgrade(transaction);
       for (auto& step : after.steps_of(request.changes(i))) {
         if (auto warning = warning_of(step, after)) transaction.warnings.push_back(std::move(*warning));

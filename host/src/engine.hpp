@@ -30,6 +30,10 @@ class Engine {
  public:
   /// Transactions that may wait; further ones are refused.
   static constexpr std::size_t kMaxWaiting = 256;
+  /// Those that are only tried, which take no places of theirs.
+  static constexpr std::size_t kMaxPlansWaiting = 16;
+  /// Steps of a plan by who could not make it.
+  static constexpr std::size_t kMostPlanned = 256;
   /// Comparisons before a swap that may be under way.
   static constexpr std::size_t kMaxComparing = 16;
 

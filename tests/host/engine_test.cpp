@@ -747,24 +747,69 @@ TEST(Engine, AChangeThatEndsAfterManyOthersIsInTheJournal) {
   EXPECT_EQ(text(Journal::read(file).changes.back()), "state source rest");
 }
 
-TEST(Engine, ChangesThatWaitAreBounded) {
+/// An engine for a system with a source, of which one change may be under way.
+class EngineBounds : public testing::Test {
+ protected:
+  void SetUp() override { system.load_provider("source", "source"); }
+  control::Transact slow() const {
+    control::Transact request;
+    *request.add_changes() = state("source", "neutral");
+    *request.add_changes() = state("source", "active");
+    return request;
+  }
+  static control::Transact plan_of(std::size_t changes) {
+    control::Transact request;
+    request.set_dry_run(true);
+    for (std::size_t i = 0; i < changes; ++i) *request.add_changes() = set("source", "payload", 1);
+    return request;
+  }
+  /// Why it is not taken.
+  std::optional<Error> refusal(const control::Transact& request) {
+    try {
+      engine.transact("test", request, [](const control::Reply&) {});
+    } catch (const Error& error) {
+      return error;
+    }
+    return std::nullopt;
+  }
+  control::Reply plan(std::size_t changes, trust::Access level) {
+    control::Reply told;
+    engine.transact("test", plan_of(changes), [&told](const control::Reply& reply) { told = reply; }, std::nullopt,
+                    {level, level});
+    return told;
+  }
+
   TemporaryDirectory directory;
   Mailbox<std::function<void()>> work;
   RunningSystem system;
-  Engine engine(system.system(), directory.path / "journal",
-                [&](std::function<void()> job) { work.push(std::move(job)); });
-  system.load_provider("source", "source");
-  control::Transact request;
-  *request.add_changes() = state("source", "neutral");
-  *request.add_changes() = state("source", "active");
-  for (std::size_t i = 0; i <= Engine::kMaxWaiting; ++i) engine.transact("test", request, [](const control::Reply&) {});
-  try {
-    engine.transact("test", request, [](const control::Reply&) {});
-    FAIL() << "it was taken";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
-    EXPECT_EQ(error.text().what, "256 changes wait already");
-  }
+  Engine engine{system.system(), directory.path / "journal",
+                [this](std::function<void()> job) { work.push(std::move(job)); }};
+};
+
+TEST_F(EngineBounds, ChangesThatWaitAreBounded) {
+  for (std::size_t i = 0; i <= Engine::kMaxWaiting; ++i) ASSERT_FALSE(refusal(slow()));
+  const auto error = refusal(slow());
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->code(), ErrorCode::NotAllowed);
+  EXPECT_EQ(error->text().what, "256 changes wait already");
+}
+
+TEST_F(EngineBounds, PlansThatWaitAreBoundedAndTakeNoPlacesOfChanges) {
+  ASSERT_FALSE(refusal(slow()));
+  for (std::size_t i = 0; i < Engine::kMaxPlansWaiting; ++i) ASSERT_FALSE(refusal(plan_of(1)));
+  const auto error = refusal(plan_of(1));
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->text().what, "16 plans wait already");
+  for (std::size_t i = 0; i < Engine::kMaxWaiting; ++i) ASSERT_FALSE(refusal(slow())) << i;
+  EXPECT_TRUE(refusal(slow()));
+}
+
+TEST_F(EngineBounds, WhoCouldNotMakeThemPlansAFewHundredChanges) {
+  EXPECT_TRUE(plan(Engine::kMostPlanned, trust::Access::Observe).has_planned());
+  const auto refused = plan(Engine::kMostPlanned + 1, trust::Access::Observe);
+  EXPECT_EQ(refused.failure().what(),
+            "a plan of more than 256 steps needs the level compose (6), and this console has observe (1)");
+  EXPECT_TRUE(plan(Engine::kMostPlanned + 1, trust::Access::Compose).has_planned());
 }
 
 }  // namespace
