@@ -1,4 +1,5 @@
 // Somebody who watches and does not read: nobody waits for him, and he is told what he lost.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
 
@@ -64,6 +65,21 @@ TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
   EXPECT_LT(samples, accounted) << "nothing was lost: the watcher was not slow";
 }
 
+TEST(MailboxBounds, TheNewestOfManyAreKeptAsFarAsThereIsRoomForTheirBytes) {
+  constexpr std::size_t kMiB = 1024 * 1024;
+  Mailbox<std::string> mailbox;
+  for (int round = 0; round < 3; ++round) {
+    for (std::uint64_t key = 0; key < 100; ++key)
+      mailbox.push_newest(key, std::to_string(key) + " " + std::to_string(round), kMiB);
+  }
+  const auto kept = mailbox.take();
+  EXPECT_EQ(kept.size(), 8U + 64U) << "MiB";
+  EXPECT_EQ(kept.front(), "0 0");
+  EXPECT_EQ(kept.back(), "71 2") << "the first that were there, each as it was last";
+  mailbox.push_newest(99, "99", kMiB);
+  EXPECT_EQ(mailbox.take().size(), 1U);
+}
+
 using WatcherThatGoes = SlowWatcher;
 
 TEST_P(WatcherThatGoes, DoesNotHoldUpTheHostThoughTheGroupThatItWatchedHangs) {
@@ -81,6 +97,42 @@ TEST_P(WatcherThatGoes, DoesNotHoldUpTheHostThoughTheGroupThatItWatchedHangs) {
   EXPECT_EQ(::kill(hangs, SIGCONT), 0);
 }
 
+class ManyWatchers : public SlowWatcher {
+ protected:
+  /// Empty: there is one more.
+  static std::string refusal(TestConsole& by, std::uint64_t& id) {
+    auto watch = by.request();
+    id = watch.id();
+    *watch.mutable_watch()->mutable_port() = conformance::port_name("gauge.count");
+    watch.mutable_watch()->mutable_condition()->set_changes(true);
+    by.send(watch);
+    auto look = by.request();
+    look.mutable_journal();
+    by.send(look);  // in order: the watch is there by now, or refused
+    try {
+      by.receive();
+    } catch (const Error& error) {
+      by.receive();
+      return error.what();
+    }
+    return "";
+  }
+};
+
+TEST_P(ManyWatchers, OfOneProbeAreRefusedOnceTheyAreTooManyForItsComponent) {
+  console->load("gauge", GetParam());
+  std::uint64_t last = 0;
+  for (int i = 0; i < 32; ++i) ASSERT_EQ(refusal(*console, last), "") << i;
+  TestConsole other(host);
+  std::uint64_t further = 0;
+  EXPECT_THAT(refusal(other, further), ::testing::HasSubstr("watched, or waited for, 32 times already"));
+  auto stop = console->request();
+  stop.mutable_unwatch()->set_watch(last);
+  EXPECT_TRUE(console->ask(stop).has_done());
+  EXPECT_EQ(refusal(other, further), "");
+}
+
+INSTANTIATE_TEST_SUITE_P(In, ManyWatchers, testing::Values("main", "far"), [](const auto& one) { return one.param; });
 INSTANTIATE_TEST_SUITE_P(In, WatcherThatGoes, testing::Values("far"), [](const auto& one) { return one.param; });
 INSTANTIATE_TEST_SUITE_P(In, SlowWatcher, testing::Values("main", "far"), [](const auto& one) { return one.param; });
 
