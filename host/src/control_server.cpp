@@ -231,6 +231,7 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     if (system_.supervisor()) system_.supervisor()->ends(end_reason_);
   }
   attempt([this] { send_held(); });
+  attempt([this] { masters_.end_left(); });
   attempt([this] { go_on_with_upgrade(); });
   if (waits[0].revents != 0) attempt([this] { accept_clients(); });
 }
