@@ -382,7 +382,8 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
                        clients_.at(client)->rights, {client, request.id()});
       return false;
     case Request::kUndo:
-      engine_.undo(request.author(), request.undo(), answer_to(client, request.id()), {client, request.id()});
+      engine_.undo(request.author(), request.undo(), answer_to(client, request.id()), clients_.at(client)->rights,
+                   {client, request.id()});
       return false;
     case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
     case Request::kSnapshot:

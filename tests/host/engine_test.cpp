@@ -534,8 +534,11 @@ TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
 }
 
-TEST_P(Transactions, AFileOfTheHostsMachineIsNamedByWhoMayAndMayBeTakenBackByOthers) {
+TEST_P(Transactions, AFileOfTheHostsMachineIsNamedAndBroughtBackByWhoMay) {
   const Rights rights{trust::Access::Compose, trust::Access::Compose, "boss"};
+  const auto undo_told = [&] {
+    return answer_of([&](Waits::Answer answer) { engine.undo("test", {}, std::move(answer), rights); });
+  };
   const auto told = [&](const std::vector<control::Change>& changes, bool whole = false) {
     control::Transact request;
     request.mutable_changes()->Add(changes.begin(), changes.end());
@@ -557,7 +560,26 @@ TEST_P(Transactions, AFileOfTheHostsMachineIsNamedByWhoMayAndMayBeTakenBackByOth
   make({notes});
   EXPECT_TRUE(told({set("sink", "work_ms", 1), notes}).has_done()) << "it is that already";
   EXPECT_TRUE(told({set_text("sink", "notes", "")}).has_done()) << "none";
+  EXPECT_EQ(undo_told().failure().what(), "set sink notes needs the level administer (9), and 'boss' has compose (6)");
   EXPECT_TRUE(undo().has_done()) << "what was there before";
+}
+
+TEST_P(Transactions, AnUndoTakesWhatItBringsBackAndWhatItTakesBack) {
+  const Rights rights{trust::Access::Compose, trust::Access::Compose, "boss"};
+  const auto by_boss = [&](bool dry_run) {
+    control::Undo request;
+    request.set_dry_run(dry_run);
+    return answer_of([&](Waits::Answer answer) { engine.undo("test", request, std::move(answer), rights); });
+  };
+  const std::string refused = "undo of load of a path needs the level administer (9), and 'boss' has compose (6)";
+  make({load("source", "source", group())});
+  EXPECT_EQ(by_boss(false).failure().what(), refused);
+  make({set("source", "payload", 1)});
+  EXPECT_TRUE(by_boss(false).has_done());
+  make({unload("source")});
+  EXPECT_EQ(by_boss(false).failure().what(), refused);
+  EXPECT_EQ(by_boss(true).failure().what(), refused) << "to try it would open the file";
+  EXPECT_TRUE(undo().has_done());
 }
 
 constexpr std::size_t kLargeValue = 1'300'000;  ///< four in a journal, and it is folded
