@@ -15,6 +15,7 @@
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/readable_text.hpp"
+#include "taps.hpp"
 
 namespace fiona::host {
 namespace {
@@ -81,11 +82,7 @@ ControlServer::ControlServer(const std::filesystem::path& socket, System::Option
                              const std::filesystem::path& journal)
     : listener_(socket),
       remote_(serve_remote(options)),
-      system_(std::move(options),
-              [this](const wire::GroupMessage& event) {
-                if (!event.has_tapped()) return events_.push(event);
-                events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
-              }),
+      system_(std::move(options), [this](const wire::GroupMessage& event) { push_event(events_, event); }),
       told_(restore ? std::optional(Journal::read(journal.empty() ? journal_of(socket) : journal)) : std::nullopt),
       engine_(
           system_, journal.empty() ? journal_of(socket) : journal,
@@ -605,9 +602,14 @@ control::Sample ControlServer::described_sample(const wire::Tapped& tapped) {
   return sample;
 }
 
+/// First the newest, which a slow watcher has not been shown yet.
 void ControlServer::on_tap_ended(const wire::TapEnded& ended) {
   const auto found = watches_.find(ended.tap());
   if (found == watches_.end()) return;
+  Watched& watch = found->second;
+  const auto client = clients_.find(watch.client);
+  if (watch.held && client != clients_.end())
+    send_sample(watch, *client->second, *std::exchange(watch.held, std::nullopt));
   control::Reply reply;
   reply.set_id(found->second.request);
   *reply.mutable_failure() = ended.failure();

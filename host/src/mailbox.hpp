@@ -50,6 +50,19 @@ class Mailbox {
     signal();
   }
 
+  /// [any thread] Behind the newest of its `key`.
+  void push_last(std::uint64_t key, T value) {
+    {
+      const std::lock_guard lock(mutex_);
+      if (auto newest = newest_.extract(key)) {
+        newest_bytes_ -= newest.mapped().bytes;
+        values_.push_back(std::move(newest.mapped().value));
+      }
+      values_.push_back(std::move(value));
+    }
+    signal();
+  }
+
   /// [reader] Everything that waits, oldest first.
   std::deque<T> take() {
     std::uint64_t count = 0;

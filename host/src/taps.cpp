@@ -81,8 +81,13 @@ std::string value_text(const Object& object) {
 /// Passes values on to the host, as bytes, until one is too large for that.
 class Taps::Teller final : public Watcher {
  public:
-  Teller(std::uint64_t id, std::string name, std::string unit, const Clock& clock, const OnEvent& on_event)
-      : id_(id), name_(std::move(name)), unit_(std::move(unit)), clock_(clock), on_event_(on_event) {}
+  Teller(const wire::Tap& tap, std::string unit, const Clock& clock, const OnEvent& on_event)
+      : id_(tap.tap()),
+        opening_(tap.opening()),
+        name_(text_of(tap.watch().port())),
+        unit_(std::move(unit)),
+        clock_(clock),
+        on_event_(on_event) {}
 
   void value(const Tapped& value) override {
     if (ended_) return;
@@ -97,6 +102,7 @@ class Taps::Teller final : public Watcher {
     auto& tapped = *message.mutable_tapped();
     tapped = tapped_of(value.envelope, unit_, clock_.now());
     tapped.set_tap(id_);
+    tapped.set_opening(opening_);
     tapped.set_number(value.number);
     tapped.set_skipped(value.skipped);
     on_event_(std::move(message));
@@ -115,6 +121,7 @@ class Taps::Teller final : public Watcher {
   }
 
   const std::uint64_t id_;
+  const std::uint64_t opening_;
   const std::string name_;
   const std::string unit_;
   const Clock& clock_;
@@ -133,7 +140,7 @@ void Taps::tap(const wire::Tap& request, Hull& hull) {
                                     .expected = fmt::format("at most {} times at once", kMostOfOne),
                                     .next = "watch stop, where it is not needed"});
   }
-  auto teller = std::make_shared<Teller>(request.tap(), text_of(request.watch().port()), unit, hull.clock(), on_event_);
+  auto teller = std::make_shared<Teller>(request, unit, hull.clock(), on_event_);
   taps_[request.tap()] = {&hull, name, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
 }
 
@@ -150,6 +157,17 @@ void Taps::clear() {
 
 void Taps::release(const Hull& hull) {
   std::erase_if(taps_, [&hull](const auto& entry) { return entry.second.hull == &hull; });
+}
+
+void push_event(Mailbox<wire::GroupMessage>& events, wire::GroupMessage event) {
+  if (event.has_tap_ended()) {
+    const std::uint64_t tap = event.tap_ended().tap();
+    return events.push_last(tap, std::move(event));
+  }
+  if (!event.has_tapped()) return events.push(std::move(event));
+  const std::uint64_t tap = event.tapped().tap();
+  const std::size_t bytes = event.tapped().object().size();
+  events.push_newest(tap, std::move(event), bytes);
 }
 
 wire::Tapped read_probe(const Hull& hull, const std::string& name) {

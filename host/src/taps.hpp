@@ -8,6 +8,7 @@
 
 #include "fiona/hull.hpp"
 #include "fiona/wire.pb.h"
+#include "mailbox.hpp"
 #include "os/message_stream.hpp"
 
 namespace fiona::host {
@@ -47,6 +48,8 @@ class Taps {
   std::map<std::uint64_t, Open> taps_;
 };
 
+/// What is watched may be dropped where too much waits, but neither the newest of a tap nor its end behind that.
+void push_event(Mailbox<wire::GroupMessage>& events, wire::GroupMessage event);
 /// The value of now of a probe, as a tap would tell it.
 wire::Tapped read_probe(const Hull& hull, const std::string& name);
 /// The probes that the component declares, with their values.

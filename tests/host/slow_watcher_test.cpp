@@ -65,6 +65,55 @@ TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
   EXPECT_LT(samples, accounted) << "nothing was lost: the watcher was not slow";
 }
 
+TEST_P(SlowWatcher, IsShownTheNewestBeforeTheEnd) {
+  constexpr std::int64_t kBurst = 20'000;
+  constexpr int kBursts = 4;
+  constexpr std::int64_t kLast = 77;
+  console->load("gauge", GetParam());
+  watch("count");
+  for (int i = 0; i < kBursts; ++i) send_burst(kBurst);
+  send_burst(kLast);
+  TestConsole other(host);
+  other.eventually("all is set", [&] {
+    auto look = other.request();
+    *look.mutable_read()->mutable_probe() = conformance::port_name("gauge.count");
+    return other.ask(look).sample().sequence() == kBursts * kBurst + kLast;
+  });
+  other.unload("gauge");
+  control::Sample last;
+  try {
+    while (true) {
+      const auto reply = console->receive();
+      if (reply.has_sample()) last = reply.sample();
+    }
+  } catch (const Error& end) {
+    EXPECT_THAT(end.what(), ::testing::HasSubstr("'gauge' was unloaded"));
+  }
+  EXPECT_EQ(last.sequence(), kBursts * kBurst + kLast);
+}
+
+TEST(Gaps, BeginAnewWithATapThatIsOpenedAnew) {
+  Gaps gaps;
+  wire::Tapped tapped;
+  const auto before = [&](std::uint64_t opening, std::uint64_t number, std::uint64_t skipped) {
+    tapped.set_opening(opening);
+    tapped.set_number(number);
+    tapped.set_skipped(skipped);
+    return gaps.before(tapped);
+  };
+  EXPECT_EQ(before(1, 1, 0), 0U);
+  EXPECT_EQ(before(1, 3, 10), 11U) << "one lost, ten left out";
+  EXPECT_EQ(before(2, 5, 2), 6U) << "its first four, and two left out";
+  EXPECT_EQ(before(2, 6, 2), 0U);
+}
+
+TEST(MailboxBounds, AnEndComesBehindTheNewestOfItsKey) {
+  Mailbox<std::string> mailbox;
+  for (int i = 0; i < 3; ++i) mailbox.push_newest(7, "value " + std::to_string(i), 8U << 20U);
+  mailbox.push_last(7, "end");
+  EXPECT_THAT(mailbox.take(), ::testing::ElementsAre("value 0", "value 2", "end"));
+}
+
 TEST(MailboxBounds, TheNewestOfManyAreKeptAsFarAsThereIsRoomForTheirBytes) {
   constexpr std::size_t kMiB = 1024 * 1024;
   Mailbox<std::string> mailbox;
