@@ -75,6 +75,7 @@ struct ControlServer::Client {
   os::MessageStream stream;
   const Rights rights;
   bool said_all = false;                ///< its end has come
+  std::size_t held_bytes = 0;           ///< of what it watches
   std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
 };
 
@@ -487,6 +488,7 @@ bool ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
   }
   for (auto it = watches_.begin(); it != watches_.end(); ++it) {
     if (it->second.client != client || it->second.request != request) continue;
+    take_held(it->second);
     system_.untap(it->first);
     watches_.erase(it);
     return true;
@@ -566,20 +568,29 @@ void ControlServer::on_tapped(const wire::Tapped& tapped) {
   Watched& watch = found->second;
   const auto client = clients_.find(watch.client);
   if (client == clients_.end()) return;
-  if (client->second->stream.unsent() > kSlowWatcher) {
-    watch.held = tapped;
-  } else {
-    send_sample(watch, *client->second, tapped);
-  }
+  take_held(watch);
+  if (client->second->stream.unsent() <= kSlowWatcher) return send_sample(watch, *client->second, tapped);
+  std::size_t& held = client->second->held_bytes;
+  if (held + tapped.object().size() > os::MessageStream::kMaxUnsent) return;
+  held += tapped.object().size();
+  watch.held = tapped;
 }
 
-/// A slow watcher has lost samples, and is told how many, but not the newest.
+std::optional<wire::Tapped> ControlServer::take_held(Watched& watch) {
+  if (watch.held) clients_.at(watch.client)->held_bytes -= watch.held->object().size();
+  return std::exchange(watch.held, std::nullopt);
+}
+
+/// A slow watcher has lost samples, and is told how many, but not the newest, as far as there is room for those.
 void ControlServer::send_held() {
-  for (auto& [tap, watch] : watches_) {
-    if (!watch.held) continue;
-    const auto client = clients_.find(watch.client);
-    if (client == clients_.end() || client->second->stream.unsent() > kSlowWatcher) continue;
-    send_sample(watch, *client->second, *std::exchange(watch.held, std::nullopt));
+  for (bool again = true; std::exchange(again, false);) {  // to send one may have made room for those before it
+    for (auto next = watches_.begin(); next != watches_.end();) {
+      auto& [tap, watch] = *next++;
+      if (!watch.held || clients_.at(watch.client)->stream.unsent() > kSlowWatcher) continue;
+      send_sample(watch, *clients_.at(watch.client), *take_held(watch));
+      if (watch.over) tell_over(tap);
+      again = true;
+    }
   }
 }
 
@@ -590,7 +601,6 @@ void ControlServer::send_sample(Watched& watch, Client& client, const wire::Tapp
   const bool described = std::exchange(watch.described, watch.described || !tapped.type().empty());
   sample = described ? sample_of(tapped, system_.clock().start()) : described_sample(tapped);
   sample.set_skipped(watch.gaps.before(tapped));
-  watch.held.reset();
   client.tell(reply);
 }
 
@@ -602,20 +612,21 @@ control::Sample ControlServer::described_sample(const wire::Tapped& tapped) {
   return sample;
 }
 
-/// First the newest, which a slow watcher has not been shown yet.
+/// Behind the newest, which a slow watcher has not been shown yet.
 void ControlServer::on_tap_ended(const wire::TapEnded& ended) {
   const auto found = watches_.find(ended.tap());
   if (found == watches_.end()) return;
-  Watched& watch = found->second;
-  const auto client = clients_.find(watch.client);
-  if (watch.held && client != clients_.end())
-    send_sample(watch, *client->second, *std::exchange(watch.held, std::nullopt));
+  found->second.over = ended.failure();
+  if (!found->second.held) tell_over(ended.tap());
+}
+
+void ControlServer::tell_over(std::uint64_t tap) {
+  const auto watch = watches_.extract(tap);
   control::Reply reply;
-  reply.set_id(found->second.request);
-  *reply.mutable_failure() = ended.failure();
-  send_last(found->second.client, reply);
-  system_.untap(ended.tap());
-  watches_.erase(found);
+  reply.set_id(watch.mapped().request);
+  *reply.mutable_failure() = *watch.mapped().over;
+  send_last(watch.mapped().client, reply);
+  system_.untap(tap);
 }
 
 }  // namespace fiona::host

@@ -4,6 +4,7 @@
 #include <signal.h>
 
 #include <optional>
+#include <set>
 
 #include "fiona/probe.pb.h"
 #include "served_host.hpp"
@@ -90,6 +91,36 @@ TEST_P(SlowWatcher, IsShownTheNewestBeforeTheEnd) {
     EXPECT_THAT(end.what(), ::testing::HasSubstr("'gauge' was unloaded"));
   }
   EXPECT_EQ(last.sequence(), kBursts * kBurst + kLast);
+}
+
+/// Eight of 8 MB, of which each is the newest of its port.
+TEST_P(SlowWatcher, OfMuchIsShownTheNewestAsFarAsThereIsRoom) {
+  constexpr int kSources = 8;
+  TestConsole other(host);
+  for (int i = 0; i < kSources; ++i) {
+    const std::string name = "source" + std::to_string(i);
+    other.load("source", GetParam(), name, "period_ms=100 payload=8000000");
+    auto watch = console->request();
+    *watch.mutable_watch()->mutable_port() = conformance::port_name(name + ".newest");
+    console->send(watch);
+  }
+  for (int i = 0; i < kSources; ++i) {
+    const std::string name = "source" + std::to_string(i);
+    const auto puts = [&] { return other.instance(name).ports(0).messages(); };
+    const std::uint64_t before = puts();
+    other.eventually("more is put", [&] { return puts() > before + 2; });
+  }
+  for (int i = 0; i < kSources; ++i) other.unload("source" + std::to_string(i));
+  std::set<std::uint64_t> shown;
+  for (int over = 0; over < kSources;) {
+    try {
+      shown.insert(console->receive().id());
+    } catch (const Error&) {
+      ++over;
+    }
+  }
+  EXPECT_GE(shown.size(), 4U);
+  EXPECT_LE(shown.size(), 5U) << "one was sent, and four are 32 MiB";
 }
 
 TEST(Gaps, BeginAnewWithATapThatIsOpenedAnew) {
