@@ -52,6 +52,8 @@ Need need_of(const Change& change) {
   return {Access::Nobody, "a change that this host does not know"};
 }
 
+}  // namespace
+
 Need need_of(const control::Transact& transact) {
   Need most{Access::Observe, "plan"};
   for (const auto& change : transact.changes()) {
@@ -63,8 +65,6 @@ Need need_of(const control::Transact& transact) {
   if (!transact.whole() || transact.dry_run() || most.level >= Access::Compose) return most;
   return {Access::Compose, "apply"};
 }
-
-}  // namespace
 
 Need need_of(const Request& request) {
   switch (request.what_case()) {

@@ -28,6 +28,7 @@ struct Need {
 /// The policy, and all of it. A transaction takes what the highest of its changes takes; one that is only tried, and
 /// all else that changes nothing, is for those who look. What this host does not know is for nobody.
 Need need_of(const control::Request& request);
+Need need_of(const control::Transact& transact);
 
 /// What a change takes beyond that: a parameter that names a file of this machine (`fiona.host_path`) and has another
 /// value after it. Only the package knows which those are.

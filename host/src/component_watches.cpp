@@ -17,7 +17,13 @@ constexpr std::size_t kMostKeptBytes = 4 * 1024 * 1024;
 
 void ComponentWatches::watch(const wire::Asked& asked) {
   const Id id{asked.instance(), asked.number()};
-  end_left(id.first);
+  end_left();
+  if (watches_.contains(id)) {
+    throw Error(ErrorCode::Usage, {.what = "a watch of this number is open already, and goes on",
+                                   .where = id.first,
+                                   .found = std::to_string(id.second),
+                                   .next = "give each request a number of its own"});
+  }
   const auto own = std::count_if(watches_.begin(), watches_.end(),
                                  [&](const auto& one) { return one.first.first == asked.instance(); });
   if (own >= static_cast<std::ptrdiff_t>(Master::kMaxOpen)) {
@@ -40,7 +46,7 @@ void ComponentWatches::watch(const wire::Asked& asked) {
 
 std::optional<control::Reply> ComponentWatches::next(const wire::Asked& asked) {
   const control::Next& request = asked.request().next();
-  end_left(asked.instance());
+  end_left();
   const auto found = watches_.find({asked.instance(), request.watch()});
   if (found == watches_.end()) {
     throw Error(ErrorCode::NotFound, {.what = "this watch is over", .where = asked.instance(), .next = "watch again"});
@@ -125,10 +131,10 @@ bool ComponentWatches::is_left(const Id& id) const {
   return found != watches_.end() && found->second.life != system_.life_of(id.first);
 }
 
-void ComponentWatches::end_left(const std::string& instance) {
+void ComponentWatches::end_left() {
   std::vector<Id> left;
-  for (auto one = watches_.lower_bound({instance, 0}); one != watches_.end() && one->first.first == instance; ++one) {
-    if (is_left(one->first)) left.push_back(one->first);
+  for (const auto& [id, watch] : watches_) {
+    if (is_left(id)) left.push_back(id);
   }
   for (const Id& id : left) end(id);
 }

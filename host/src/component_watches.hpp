@@ -26,6 +26,8 @@ class ComponentWatches {
   void unwatch(const std::string& instance, std::uint64_t watch) { end({instance, watch}); }
 
   void on_event(const wire::GroupMessage& event);
+  /// Those of components that have been unloaded.
+  void end_left();
 
  private:
   using Id = std::pair<std::string, std::uint64_t>;  ///< of the component that watches, and its number
@@ -43,7 +45,6 @@ class ComponentWatches {
 
   void take(const wire::Tapped& tapped);
   bool is_left(const Id& id) const;
-  void end_left(const std::string& instance);
   static void drop_oldest(Watch& watch);
   void end(const Id& id);
   void forget(const std::string& instance);

@@ -15,6 +15,7 @@
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/readable_text.hpp"
+#include "taps.hpp"
 
 namespace fiona::host {
 namespace {
@@ -25,6 +26,8 @@ constexpr std::size_t kMaxClients = 64 + RemoteConsoles::kMost;
 constexpr std::size_t kMaxRemoteWork = 1000;
 /// Requests of one client that are answered later, and its watches.
 constexpr std::size_t kMaxOpen = 1000;
+/// For which the requests of one client are done before it is the turn of what else there is.
+constexpr std::chrono::milliseconds kTurn{2};
 /// Of what a console over tcp says for the journal.
 constexpr std::size_t kMaxAuthor = 100;
 std::filesystem::path journal_of(std::filesystem::path socket) { return socket.replace_extension(".journal"); }
@@ -71,6 +74,8 @@ struct ControlServer::Client {
   }
   os::MessageStream stream;
   const Rights rights;
+  bool said_all = false;                ///< its end has come
+  std::size_t held_bytes = 0;           ///< of what it watches
   std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
 };
 
@@ -78,11 +83,7 @@ ControlServer::ControlServer(const std::filesystem::path& socket, System::Option
                              const std::filesystem::path& journal)
     : listener_(socket),
       remote_(serve_remote(options)),
-      system_(std::move(options),
-              [this](const wire::GroupMessage& event) {
-                if (!event.has_tapped()) return events_.push(event);
-                events_.push_newest(event.tapped().tap(), event, event.tapped().object().size());
-              }),
+      system_(std::move(options), [this](const wire::GroupMessage& event) { push_event(events_, event); }),
       told_(restore ? std::optional(Journal::read(journal.empty() ? journal_of(socket) : journal)) : std::nullopt),
       engine_(
           system_, journal.empty() ? journal_of(socket) : journal,
@@ -172,8 +173,10 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
                             {system_.hosts_descriptor(), POLLIN, 0}};
   const std::size_t fixed = waits.size();
   std::vector<std::uint64_t> ids;
+  bool has_more = false;  // of what they said, than was done in their turn
   for (const auto& [id, client] : clients_) {
     ids.push_back(id);
+    has_more = has_more || client->stream.has_next();
     const bool writing = client->stream.unsent() > 0;
     waits.push_back({client->stream.descriptor(), static_cast<short>(writing ? POLLIN | POLLOUT : POLLIN), 0});
   }
@@ -189,7 +192,7 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
   if (beats) system_.supervisor()->beat();
   int wait_ms = most_ms;
   const int pages_ms = read_pages_.look(system_.open_libraries());
-  for (const int one : {usual_ms, beats ? kBeat_ms : -1, pages_ms}) {
+  for (const int one : {usual_ms, beats ? kBeat_ms : -1, pages_ms, has_more ? 0 : -1}) {
     if (one >= 0 && (wait_ms < 0 || one < wait_ms)) wait_ms = one;
   }
   if (::poll(waits.data(), waits.size(), wait_ms) < 0) return;
@@ -214,7 +217,8 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     if (waits[fixed + ids.size() + i].revents != 0) attempt([&] { system_.serve_group(groups[i]); });
   }
   for (std::size_t i = 0; i < ids.size() && !exit_code_; ++i) {
-    if (waits[fixed + i].revents != 0) attempt([&] { serve_client(ids[i]); });
+    const bool waits_for_turn = clients_.contains(ids[i]) && clients_.at(ids[i])->stream.has_next();
+    if (waits[fixed + i].revents != 0 || waits_for_turn) attempt([&] { serve_client(ids[i]); });
   }
   attempt([&] { tell(system_.watch_groups()); });
   if (system_.kept_threads() > System::kMostKeptThreads && !exit_code_) {
@@ -225,6 +229,7 @@ void ControlServer::poll_once(int lifeline, int signals, int most_ms) {
     if (system_.supervisor()) system_.supervisor()->ends(end_reason_);
   }
   attempt([this] { send_held(); });
+  attempt([this] { masters_.end_left(); });
   attempt([this] { go_on_with_upgrade(); });
   if (waits[0].revents != 0) attempt([this] { accept_clients(); });
 }
@@ -256,18 +261,25 @@ void ControlServer::turn_away(os::Descriptor socket) {
   os::MessageStream(std::move(socket)).send(reply);
 }
 
+/// For a turn, so that nobody is held up by one who asks for much; the rest is done in the next ones. Nothing more is
+/// done for one that was cut off; what came before a client's own end is.
 void ControlServer::serve_client(std::uint64_t id) {
-  auto& stream = clients_.at(id)->stream;
-  const Rights& rights = clients_.at(id)->rights;
-  const bool open = stream.receive() && stream.flush();
+  Client& client = *clients_.at(id);
+  auto& stream = client.stream;
+  const Rights& rights = client.rights;
+  if (!stream.has_next() && !stream.closed()) client.said_all = !stream.receive();
+  stream.flush();
+  const auto end = std::chrono::steady_clock::now() + kTurn;
+  const auto is_heard = [&] { return !exit_code_ && (client.said_all || !stream.closed()); };
   control::Request request;
-  while (!exit_code_ && stream.next(request)) {
+  for (bool its_turn = true; its_turn && is_heard() && stream.next(request);) {
     // The journal tells who it was, and not who it says it was.
     if (rights.is_remote()) request.set_author(rights.name + ": " + readable_text(request.author(), kMaxAuthor));
     perform(id, request);
+    its_turn = std::chrono::steady_clock::now() < end;
   }
   if (!stream.fault().empty()) refuse_garbled(id, stream.fault());
-  if (!open || stream.closed()) drop_client(id);
+  if (stream.closed() && !(client.said_all && stream.has_next())) drop_client(id);
 }
 
 /// Told to who sent it, and in the host's own words at the first, second, fourth, … time: a storm is few lines.
@@ -368,7 +380,8 @@ bool ControlServer::dispatch(std::uint64_t client, const control::Request& reque
                        clients_.at(client)->rights, {client, request.id()});
       return false;
     case Request::kUndo:
-      engine_.undo(request.author(), request.undo(), answer_to(client, request.id()), {client, request.id()});
+      engine_.undo(request.author(), request.undo(), answer_to(client, request.id()), clients_.at(client)->rights,
+                   {client, request.id()});
       return false;
     case Request::kJournal: *reply.mutable_journal() = engine_.journal(request.journal().last()); return true;
     case Request::kSnapshot:
@@ -475,6 +488,7 @@ bool ControlServer::stop_watch(std::uint64_t client, std::uint64_t request) {
   }
   for (auto it = watches_.begin(); it != watches_.end(); ++it) {
     if (it->second.client != client || it->second.request != request) continue;
+    take_held(it->second);
     system_.untap(it->first);
     watches_.erase(it);
     return true;
@@ -554,20 +568,29 @@ void ControlServer::on_tapped(const wire::Tapped& tapped) {
   Watched& watch = found->second;
   const auto client = clients_.find(watch.client);
   if (client == clients_.end()) return;
-  if (client->second->stream.unsent() > kSlowWatcher) {
-    watch.held = tapped;
-  } else {
-    send_sample(watch, *client->second, tapped);
-  }
+  take_held(watch);
+  if (client->second->stream.unsent() <= kSlowWatcher) return send_sample(watch, *client->second, tapped);
+  std::size_t& held = client->second->held_bytes;
+  if (held + tapped.object().size() > os::MessageStream::kMaxUnsent) return;
+  held += tapped.object().size();
+  watch.held = tapped;
 }
 
-/// A slow watcher has lost samples, and is told how many, but not the newest.
+std::optional<wire::Tapped> ControlServer::take_held(Watched& watch) {
+  if (watch.held) clients_.at(watch.client)->held_bytes -= watch.held->object().size();
+  return std::exchange(watch.held, std::nullopt);
+}
+
+/// A slow watcher has lost samples, and is told how many, but not the newest, as far as there is room for those.
 void ControlServer::send_held() {
-  for (auto& [tap, watch] : watches_) {
-    if (!watch.held) continue;
-    const auto client = clients_.find(watch.client);
-    if (client == clients_.end() || client->second->stream.unsent() > kSlowWatcher) continue;
-    send_sample(watch, *client->second, *std::exchange(watch.held, std::nullopt));
+  for (bool again = true; std::exchange(again, false);) {  // to send one may have made room for those before it
+    for (auto next = watches_.begin(); next != watches_.end();) {
+      auto& [tap, watch] = *next++;
+      if (!watch.held || clients_.at(watch.client)->stream.unsent() > kSlowWatcher) continue;
+      send_sample(watch, *clients_.at(watch.client), *take_held(watch));
+      if (watch.over) tell_over(tap);
+      again = true;
+    }
   }
 }
 
@@ -578,7 +601,6 @@ void ControlServer::send_sample(Watched& watch, Client& client, const wire::Tapp
   const bool described = std::exchange(watch.described, watch.described || !tapped.type().empty());
   sample = described ? sample_of(tapped, system_.clock().start()) : described_sample(tapped);
   sample.set_skipped(watch.gaps.before(tapped));
-  watch.held.reset();
   client.tell(reply);
 }
 
@@ -590,15 +612,21 @@ control::Sample ControlServer::described_sample(const wire::Tapped& tapped) {
   return sample;
 }
 
+/// Behind the newest, which a slow watcher has not been shown yet.
 void ControlServer::on_tap_ended(const wire::TapEnded& ended) {
   const auto found = watches_.find(ended.tap());
   if (found == watches_.end()) return;
+  found->second.over = ended.failure();
+  if (!found->second.held) tell_over(ended.tap());
+}
+
+void ControlServer::tell_over(std::uint64_t tap) {
+  const auto watch = watches_.extract(tap);
   control::Reply reply;
-  reply.set_id(found->second.request);
-  *reply.mutable_failure() = ended.failure();
-  send_last(found->second.client, reply);
-  system_.untap(ended.tap());
-  watches_.erase(found);
+  reply.set_id(watch.mapped().request);
+  *reply.mutable_failure() = *watch.mapped().over;
+  send_last(watch.mapped().client, reply);
+  system_.untap(tap);
 }
 
 }  // namespace fiona::host

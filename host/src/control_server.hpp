@@ -53,7 +53,8 @@ class ControlServer {
     std::uint64_t request = 0;
     Gaps gaps{};
     bool described = false;
-    std::optional<wire::Tapped> held{};  ///< the newest, of a client that is slow
+    std::optional<wire::Tapped> held{};      ///< the newest, of a client that is slow
+    std::optional<control::Failure> over{};  ///< told behind that
   };
   struct Outgoing {
     std::uint64_t client = 0;
@@ -87,7 +88,9 @@ class ControlServer {
   void write_record(const std::string& instance, const std::string& text);
   void on_tapped(const wire::Tapped& tapped);
   void on_tap_ended(const wire::TapEnded& ended);
+  std::optional<wire::Tapped> take_held(Watched& watch);
   void send_held();
+  void tell_over(std::uint64_t tap);
   void send_sample(Watched& watch, Client& client, const wire::Tapped& tapped);
   control::Sample described_sample(const wire::Tapped& tapped);
   void begin_upgrade(std::uint64_t client, const control::Request& request);

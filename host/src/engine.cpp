@@ -85,6 +85,12 @@ void require_somebody_serves(const Model& before, const Model& after, const cont
   }
 }
 
+/// The host's own user names what he likes, and nobody has to look.
+void require_paths(const Rights& rights, const Model& before, const Model& after) {
+  if (rights.level >= trust::Access::Administer) return;
+  if (const auto need = need_of(before, after)) require(rights, *need);
+}
+
 /// Which it was: a host that is started again loads the same, where it is still there. And its name, which only its
 /// package tells where none was typed: that may be gone by the end of the load.
 void note_identity(control::Load& load, const Model& after, const Packages& packages) {
@@ -190,10 +196,12 @@ bool Engine::give_up(std::uint64_t client, std::optional<std::uint64_t> request)
   return found;
 }
 
-void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer, Asker asker) {
+void Engine::undo(const std::string& author, const control::Undo& request, Waits::Answer answer, Rights rights,
+                  Asker asker) {
   auto transaction = std::make_shared<Transaction>();
   transaction->author = author;
   transaction->asker = asker;
+  transaction->rights = std::move(rights);
   transaction->is_undo = true;
   transaction->request.set_dry_run(request.dry_run());
   transaction->answer = std::move(answer);
@@ -205,6 +213,15 @@ void Engine::choose_what_to_undo(Transaction& transaction) const {
   if (const control::JournalEntry* last = journal_.last_done()) {
     *transaction.request.mutable_changes() = last->reverse();
     transaction.undoes = last->number();
+    control::Transact both = transaction.request;
+    both.mutable_changes()->MergeFrom(last->steps());
+    Need need = need_of(both);
+    need.what = "undo of " + need.what;
+    try {
+      require(transaction.rights, need);
+    } catch (...) {
+      transaction.failure = failure_of_exception();
+    }
     return;
   }
   transaction.failure = failure_of(Error(ErrorCode::NotFound, {.what = "there is nothing to undo", .next = "journal"}));
@@ -220,9 +237,12 @@ control::JournalEntries Engine::journal(std::uint32_t last) const {
 
 void Engine::enqueue(TransactionPtr transaction) {
   if (!current_) return begin(transaction);
-  if (waiting_.size() >= kMaxWaiting) {
+  const bool is_plan = transaction->request.dry_run();
+  const auto alike = std::count_if(waiting_.begin(), waiting_.end(),
+                                   [&](const auto& one) { return one->request.dry_run() == is_plan; });
+  if (alike >= static_cast<std::ptrdiff_t>(is_plan ? kMaxPlansWaiting : kMaxWaiting)) {
     throw Error(ErrorCode::NotAllowed,
-                {.what = fmt::format("{} changes wait already", waiting_.size()), .next = "journal"});
+                {.what = fmt::format("{} {} wait already", alike, is_plan ? "plans" : "changes"), .next = "journal"});
   }
   waiting_.push_back(std::move(transaction));
 }
@@ -234,6 +254,9 @@ void Engine::plan(Transaction& transaction) const {
   Model after = request.whole() ? Model() : transaction.before;
   for (int i = 0; i < request.changes_size(); ++i) {
     try {
+      if (request.dry_run() && std::max<std::size_t>(i, transaction.steps.size()) >= kMostPlanned)
+        require(transaction.rights,
+                {trust::Access::Compose, fmt::format("a plan of more than {} steps", kMostPlanned)});
       if (request.changes(i).has_upgrade() && !request.whole()) return plan_upgrade(transaction);
       for (auto& step : after.steps_of(request.changes(i))) {
         if (auto warning = warning_of(step, after)) transaction.warnings.push_back(std::move(*warning));
@@ -248,10 +271,7 @@ void Engine::plan(Transaction& transaction) const {
     }
   }
   try {
-    // The host's own user names what he likes; and what is undone was there before.
-    const bool may_all = transaction.rights.level >= trust::Access::Administer || transaction.is_undo;
-    if (const auto need = may_all ? std::nullopt : need_of(transaction.before, after))
-      require(transaction.rights, *need);
+    require_paths(transaction.rights, transaction.before, after);
     if (!request.whole() && !transaction.is_undo) require_somebody_serves(transaction.before, after, request);
     if (request.whole()) {
       transaction.steps = Model::difference(transaction.before, after);
@@ -274,6 +294,7 @@ void Engine::plan_upgrade(Transaction& transaction) const {
   const Model::Instance& before = transaction.before.instance(step.upgrade().instance());
   Model after = transaction.before;
   after.make(step, system_.packages());
+  require_paths(transaction.rights, transaction.before, after);
   auto& back = *transaction.reverse.emplace_back().mutable_upgrade();
   back.set_instance(step.upgrade().instance());
   back.set_version(before.package->version);

@@ -30,6 +30,10 @@ class Engine {
  public:
   /// Transactions that may wait; further ones are refused.
   static constexpr std::size_t kMaxWaiting = 256;
+  /// Those that are only tried, which take no places of theirs.
+  static constexpr std::size_t kMaxPlansWaiting = 16;
+  /// Steps of a plan by who could not make it.
+  static constexpr std::size_t kMostPlanned = 256;
   /// Comparisons before a swap that may be under way.
   static constexpr std::size_t kMaxComparing = 16;
 
@@ -45,7 +49,9 @@ class Engine {
   /// has asked, who has what the changes take by their kind; what they take beyond that is seen once they are tried.
   void transact(const std::string& author, const control::Transact& request, Waits::Answer answer,
                 std::optional<std::chrono::milliseconds> within = std::nullopt, Rights rights = {}, Asker asker = {});
-  void undo(const std::string& author, const control::Undo& request, Waits::Answer answer, Asker asker = {});
+  /// The same; it takes what the change takes that it takes back, and what it does itself.
+  void undo(const std::string& author, const control::Undo& request, Waits::Answer answer, Rights rights = {},
+            Asker asker = {});
   /// What the client has asked for and has not begun is not made, and its answer says so; with a number only that
   /// request. False: there is none that can be given up.
   bool give_up(std::uint64_t client, std::optional<std::uint64_t> request = std::nullopt);

@@ -34,6 +34,7 @@
 #include "os/shared_memory.hpp"
 #include "os/spare_descriptor.hpp"
 #include "runtime.hpp"
+#include "taps.hpp"
 
 namespace {
 
@@ -331,10 +332,7 @@ int be_group(const Words& words) {
                     // Counted first: virtual time waits until the host has seen what was counted, so that none may be
                     // dropped. What one instant puts bounds them.
                     if (follower) follower->count_event();
-                    if (follower || !event.has_tapped()) return events.push(std::move(event));
-                    const std::uint64_t tap = event.tapped().tap();
-                    const std::size_t bytes = event.tapped().object().size();
-                    events.push_newest(tap, std::move(event), bytes);
+                    follower ? events.push(std::move(event)) : fiona::host::push_event(events, std::move(event));
                   });
   ready.mutable_ready()->set_endpoint(endpoint);
   ready.mutable_ready()->set_protocol(fiona::host::kGroupProtocol);

@@ -133,6 +133,7 @@ void LedInstances::check(const wire::GroupRequest& request) const {
       for (const std::uint64_t wire : request.arrange().retires()) number(wire);
       return require_led(request.arrange().client().instance());
     case Request::kCut: return number(request.cut().wire());
+    case Request::kGiveUpCall: return number(request.give_up_call().run());
     case Request::kUntap: return number(request.untap().tap());
     case Request::kAnswered: return require_led(request.answered().instance());
     case Request::kWireRelay: return number(request.wire_relay().wire());

@@ -23,6 +23,8 @@ class Masters {
   void serve(const wire::Asked& asked);
   /// For what they watch.
   void on_event(const wire::GroupMessage& event) { watches_.on_event(event); }
+  /// From time to time, for what was unloaded.
+  void end_left() { watches_.end_left(); }
 
  private:
   void require_right(const std::string& instance) const;

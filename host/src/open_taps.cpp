@@ -11,6 +11,7 @@ namespace fiona::host {
 void OpenTaps::open(Group& group, std::uint64_t tap, const control::Watch& watch) {
   wire::GroupRequest request;
   request.mutable_tap()->set_tap(tap);
+  request.mutable_tap()->set_opening(++openings_);
   *request.mutable_tap()->mutable_watch() = watch;
   taps_.insert_or_assign(tap, Tap{group.name(), watch});
   try {

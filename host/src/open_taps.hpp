@@ -38,6 +38,7 @@ class OpenTaps {
   const Groups& groups_;
   const OnEvent on_event_;
   std::map<std::uint64_t, Tap> taps_;
+  std::uint64_t openings_ = 0;
 };
 
 }  // namespace fiona::host

@@ -69,6 +69,7 @@ void Runtime::dispatch(const wire::GroupRequest& request, wire::GroupMessage& re
       return;
     }
     case Request::kCall: return call(request.call());
+    case Request::kGiveUpCall: return give_up_call(request.give_up_call());
     case Request::kPeerLost: {
       const auto& gone = request.peer_lost();
       return links_.peer_lost(gone.endpoint(), gone.name(), gone.reason());

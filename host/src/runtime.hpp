@@ -105,6 +105,7 @@ class Runtime final {
 
   // ---- runtime_calls.cpp
   void call(const wire::Call& request);
+  void give_up_call(const wire::GiveUpCall& request);
   void call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply);
   void answered(const wire::Answered& answer);
 
@@ -126,6 +127,7 @@ class Runtime final {
   std::map<std::uint64_t, Wire> wires_;
   std::vector<std::shared_ptr<LocalWire>> retired_;  ///< until nothing is open any more that was asked over them
   Taps taps_;
+  std::map<std::uint64_t, std::weak_ptr<CallReply>> calls_;  ///< by hand, by run
   Links links_;
 };
 

@@ -20,10 +20,11 @@ std::shared_ptr<Object> object_from(const google::protobuf::Descriptor& type,
 /// Tells the host, once, how a call by hand has ended.
 class Runtime::CallReply final : public ReplySink {
  public:
-  CallReply(std::uint64_t run, const OnEvent& on_event) : run_(run), on_event_(on_event) {}
+  CallReply(std::uint64_t run, const OnEvent& on_event, Clock& clock) : run_(run), on_event_(on_event), clock_(clock) {}
 
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
     if (ended_.exchange(true)) return;
+    clock_.cancel(timer_);
     if (const std::size_t bytes = object ? object->ByteSizeLong() : 0; bytes > kMostCopied) {
       outcome = Outcome::Rejected;
       reason = fmt::format("the answer is too large: {} bytes, of at most {} that can be shown", bytes, kMostCopied);
@@ -38,26 +39,43 @@ class Runtime::CallReply final : public ReplySink {
     if (object) object->SerializeToString(ended.mutable_object());
     on_event_(std::move(message));
   }
+  /// Nobody waits any more.
+  void give_up(Outcome why) {
+    answer(why, {}, nullptr);
+    abandon();
+  }
+  /// What ends it otherwise: one that has ended meanwhile does not need it.
+  void set_timer(TimerId timer) {
+    timer_ = timer;
+    if (ended_) clock_.cancel(timer);
+  }
 
  private:
   const std::uint64_t run_;
   const OnEvent& on_event_;
+  Clock& clock_;
   std::atomic<bool> ended_{false};
+  std::atomic<TimerId> timer_{0};
 };
 
 void Runtime::call(const wire::Call& request) {
   Hull& hull = *find(request.target().instance()).hull;
-  auto reply = std::make_shared<CallReply>(request.run(), on_event_);
+  auto reply = std::make_shared<CallReply>(request.run(), on_event_, clock_);
   if (auto* trigger = hull.find_trigger(request.target().port())) {
     trigger->call(object_from(trigger->argument(), request.arguments()), reply);
   } else {
     call_port(hull, request, reply);
   }
-  const Duration within = from_milliseconds(request.within_ms());
-  clock_.schedule(saturating_sum(clock_.now(), within), hull.shared_strand(), [reply] {
-    reply->answer(Outcome::Timeout, {}, nullptr);
-    reply->abandon();
-  });
+  const TimePoint end = saturating_sum(clock_.now(), from_milliseconds(request.within_ms()));
+  reply->set_timer(clock_.schedule(end, hull.shared_strand(), [reply] { reply->give_up(Outcome::Timeout); }));
+  std::erase_if(calls_, [](const auto& one) { return one.second.expired(); });
+  calls_[request.run()] = reply;
+}
+
+void Runtime::give_up_call(const wire::GiveUpCall& request) {
+  const auto found = calls_.find(request.run());
+  const auto reply = found == calls_.end() ? nullptr : found->second.lock();
+  if (reply) reply->give_up(Outcome::Cancelled);
 }
 
 void Runtime::call_port(const Hull& hull, const wire::Call& request, const std::shared_ptr<ReplySink>& reply) {

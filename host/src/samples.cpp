@@ -16,7 +16,8 @@ control::Sample sample_of(const wire::Tapped& tapped, TimePoint start) {
 }
 
 std::uint64_t Gaps::before(const wire::Tapped& next) {
-  if (next.number() <= number_) number_ = skipped_ = 0;
+  if (next.opening() != opening_) number_ = skipped_ = 0;
+  opening_ = next.opening();
   const std::uint64_t missing = next.skipped() - skipped_ + next.number() - number_ - 1;
   skipped_ = next.skipped();
   number_ = next.number();

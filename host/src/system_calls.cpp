@@ -104,7 +104,12 @@ void System::call(std::uint64_t owner, std::uint64_t id, const control::Call& re
   expired.mutable_called()->set_run(run);
   expired.mutable_called()->set_outcome(std::string(to_string(Outcome::Timeout)));
   expired.mutable_called()->set_reason("the instance does not answer");
-  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
+  const auto given_up = [this, run, group = target.name()] {
+    wire::GroupRequest notice;
+    notice.mutable_give_up_call()->set_run(run);
+    if (Group* at = groups_.living(group)) at->tell(std::move(notice));
+  };
+  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer), given_up);
 }
 
 /// What a client is told of a call that has ended.

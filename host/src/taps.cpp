@@ -81,8 +81,13 @@ std::string value_text(const Object& object) {
 /// Passes values on to the host, as bytes, until one is too large for that.
 class Taps::Teller final : public Watcher {
  public:
-  Teller(std::uint64_t id, std::string name, std::string unit, const Clock& clock, const OnEvent& on_event)
-      : id_(id), name_(std::move(name)), unit_(std::move(unit)), clock_(clock), on_event_(on_event) {}
+  Teller(const wire::Tap& tap, std::string unit, const Clock& clock, const OnEvent& on_event)
+      : id_(tap.tap()),
+        opening_(tap.opening()),
+        name_(text_of(tap.watch().port())),
+        unit_(std::move(unit)),
+        clock_(clock),
+        on_event_(on_event) {}
 
   void value(const Tapped& value) override {
     if (ended_) return;
@@ -97,6 +102,7 @@ class Taps::Teller final : public Watcher {
     auto& tapped = *message.mutable_tapped();
     tapped = tapped_of(value.envelope, unit_, clock_.now());
     tapped.set_tap(id_);
+    tapped.set_opening(opening_);
     tapped.set_number(value.number);
     tapped.set_skipped(value.skipped);
     on_event_(std::move(message));
@@ -115,6 +121,7 @@ class Taps::Teller final : public Watcher {
   }
 
   const std::uint64_t id_;
+  const std::uint64_t opening_;
   const std::string name_;
   const std::string unit_;
   const Clock& clock_;
@@ -125,14 +132,22 @@ class Taps::Teller final : public Watcher {
 void Taps::tap(const wire::Tap& request, Hull& hull) {
   const std::string& name = request.watch().port().port();
   const std::string unit = hull.unit_of(name);
-  auto teller = std::make_shared<Teller>(request.tap(), text_of(request.watch().port()), unit, hull.clock(), on_event_);
-  taps_[request.tap()] = {&hull, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
+  const auto alike = std::count_if(
+      taps_.begin(), taps_.end(), [&](const auto& one) { return one.second.hull == &hull && one.second.name == name; });
+  if (alike >= static_cast<std::ptrdiff_t>(kMostOfOne)) {
+    throw Error(ErrorCode::Failed, {.what = fmt::format("it is watched, or waited for, {} times already", alike),
+                                    .where = text_of(request.watch().port()),
+                                    .expected = fmt::format("at most {} times at once", kMostOfOne),
+                                    .next = "watch stop, where it is not needed"});
+  }
+  auto teller = std::make_shared<Teller>(request, unit, hull.clock(), on_event_);
+  taps_[request.tap()] = {&hull, name, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
 }
 
 void Taps::untap(std::uint64_t id) {
   const auto found = taps_.find(id);
   if (found == taps_.end()) return;
-  found->second.first->untap(found->second.second);
+  found->second.hull->untap(found->second.tap);
   taps_.erase(found);
 }
 
@@ -141,7 +156,18 @@ void Taps::clear() {
 }
 
 void Taps::release(const Hull& hull) {
-  std::erase_if(taps_, [&hull](const auto& entry) { return entry.second.first == &hull; });
+  std::erase_if(taps_, [&hull](const auto& entry) { return entry.second.hull == &hull; });
+}
+
+void push_event(Mailbox<wire::GroupMessage>& events, wire::GroupMessage event) {
+  if (event.has_tap_ended()) {
+    const std::uint64_t tap = event.tap_ended().tap();
+    return events.push_last(tap, std::move(event));
+  }
+  if (!event.has_tapped()) return events.push(std::move(event));
+  const std::uint64_t tap = event.tapped().tap();
+  const std::size_t bytes = event.tapped().object().size();
+  events.push_newest(tap, std::move(event), bytes);
 }
 
 wire::Tapped read_probe(const Hull& hull, const std::string& name) {

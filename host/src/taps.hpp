@@ -5,10 +5,10 @@
 #include <map>
 #include <memory>
 #include <string>
-#include <utility>
 
 #include "fiona/hull.hpp"
 #include "fiona/wire.pb.h"
+#include "mailbox.hpp"
 #include "os/message_stream.hpp"
 
 namespace fiona::host {
@@ -19,12 +19,16 @@ inline constexpr std::size_t kMostCopied = os::MessageStream::kMaxMessage - (1U 
 /// What is watched of the instances of one process: each value goes to the host as an event.
 class Taps {
  public:
+  /// Of one port or probe: each copies what it sees in the component's own work.
+  static constexpr std::size_t kMostOfOne = 32;
+
   /// [any thread] Must not wait.
   using OnEvent = std::function<void(wire::GroupMessage)>;
 
   explicit Taps(const OnEvent& on_event) : on_event_(on_event) {}
 
   // All [control thread].
+  /// Throws Error: there is nothing of this name to see, or it is watched too often.
   void tap(const wire::Tap& request, Hull& hull);
   void untap(std::uint64_t tap);
   /// Nobody listens any more.
@@ -34,11 +38,18 @@ class Taps {
 
  private:
   class Teller;
+  struct Open {
+    Hull* hull = nullptr;
+    std::string name{};
+    std::shared_ptr<Tap> tap{};
+  };
 
   const OnEvent& on_event_;
-  std::map<std::uint64_t, std::pair<Hull*, std::shared_ptr<Tap>>> taps_;
+  std::map<std::uint64_t, Open> taps_;
 };
 
+/// What is watched may be dropped where too much waits, but neither the newest of a tap nor its end behind that.
+void push_event(Mailbox<wire::GroupMessage>& events, wire::GroupMessage event);
 /// The value of now of a probe, as a tap would tell it.
 wire::Tapped read_probe(const Hull& hull, const std::string& name);
 /// The probes that the component declares, with their values.

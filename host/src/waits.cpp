@@ -25,6 +25,7 @@ struct Waits::Wait {
   bool is_run = false;
   std::optional<control::WaitMode> mode;
   EndOf end_of;
+  std::function<void()> given_up;
   std::optional<control::Expect> expect;
   std::uint64_t tap = 0;
   std::string seen;  ///< the last value that did not meet the expectation
@@ -159,9 +160,10 @@ void Waits::run(std::uint64_t owner, std::uint64_t id, Answer answer) {
 }
 
 void Waits::work(std::uint64_t owner, std::uint64_t id, double within_ms, const std::function<void()>& begin,
-                 EndOf end_of, control::Reply expired, Answer answer) {
+                 EndOf end_of, control::Reply expired, Answer answer, std::function<void()> given_up) {
   auto wait = add(owner, id, std::move(answer));
   wait->end_of = std::move(end_of);
+  wait->given_up = std::move(given_up);
   {
     const std::lock_guard lock(mutex_);
     waits_.push_back(wait);
@@ -279,7 +281,9 @@ bool Waits::drop(std::uint64_t owner, std::optional<std::uint64_t> id) {
     told_.erase(owner);
   }
   const std::vector<WaitPtr> dropped = of(owner, id);
-  for (const auto& wait : dropped) finish(wait, std::nullopt);
+  for (const auto& wait : dropped) {
+    if (finish(wait, std::nullopt) && wait->given_up) wait->given_up();
+  }
   return !dropped.empty();
 }
 

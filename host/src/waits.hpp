@@ -36,9 +36,10 @@ class Waits {
   void sleep(std::uint64_t owner, std::uint64_t id, const control::Sleep& request, Answer answer);
   void run(std::uint64_t owner, std::uint64_t id, Answer answer);
   /// What `begin` starts, and an event ends: the first that `end_of` makes a reply of; after `within_ms`, `expired`.
+  /// `given_up`: once it is dropped.
   using EndOf = std::function<std::optional<control::Reply>(const wire::GroupMessage& event)>;
   void work(std::uint64_t owner, std::uint64_t id, double within_ms, const std::function<void()>& begin, EndOf end_of,
-            control::Reply expired, Answer answer);
+            control::Reply expired, Answer answer, std::function<void()> given_up = nullptr);
 
   /// [any thread] Something has happened.
   void on_event(const wire::GroupMessage& event, const Types& types);

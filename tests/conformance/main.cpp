@@ -18,7 +18,7 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kRows{
     {"shared rules", {"Rules", "Crowd"}},
     {"pending calls",
      {"Calls", "OwnThreadCalls", "OwnThreadFarFromItsProvider", "FarProvider", "KilledProvider", "StoppedProvider",
-      "HungProvider", "HungReceiver", "ProviderThatIsCutOff"}},
+      "HungProvider", "HungReceiver", "ProviderThatIsCutOff", "CallsByHand", "AnsweredCallsByHand"}},
     {"accounting", {"Accounting", "AccountingOfTheCut", "AccountingOfTheKilled"}},
     {"send", {"Send", "SendCalls"}},
     {"query", {"Query", "QueryCalls", "QueriesThatHaveEnded"}},

@@ -261,8 +261,21 @@ TEST_P(Watchers, AWatchThatIsLetGoOfIsOver) {
 }
 
 TEST_P(Watchers, AComponentHas64AtMost) {
-  for (int i = 0; i < 64; ++i) ASSERT_EQ(call("watch", "gauge.level", "more", "deadline_ms=10000"), "ok") << i;
+  for (int i = 0; i < 64; ++i)
+    ASSERT_EQ(call("watch", i % 2 ? "gauge.level" : "gauge.count", "more", "deadline_ms=10000"), "ok") << i;
   EXPECT_THAT(call("watch", "gauge.level"), HasSubstr("it watches 64 things already"));
+}
+
+TEST_P(Watchers, OfAComponentThatIsUnloadedNoWatchIsLeft) {
+  const auto watch = [this] {
+    auto one = console.request();
+    *one.mutable_watch()->mutable_port() = port_name("gauge.level");
+    return console.ask(one);
+  };
+  for (int i = 0; i < 32; ++i) ASSERT_EQ(call("watch", "gauge.level", "more", "deadline_ms=10000"), "ok") << i;
+  EXPECT_THROW(watch(), Error) << "there are fewer than may be";
+  console.unload("boss");
+  EXPECT_TRUE(watch().has_sample());
 }
 
 TEST_P(Watchers, AConditionThatDoesNotFitEndsTheWatch) {
@@ -341,16 +354,37 @@ TEST(MasterRights, AreKeptByAnUndoOfTheUnload) {
   EXPECT_EQ(console.instance("boss").rights(0), "master");
 }
 
-TEST(MasterRights, AreNotThoseOfWhoSpeaksInAnothersName) {
+/// What components say, as it comes from them.
+class RawMaster : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    control::Change boss = TestConsole::load_of("boss", "main");
+    boss.mutable_load()->add_rights("master");
+    system.system().perform(boss);
+  }
+
   RunningSystem system;
   TemporaryDirectory directory;
   host::Mailbox<std::function<void()>> work;
-  const auto later = [&work](std::function<void()> job) { work.push(std::move(job)); };
-  host::Engine engine(system.system(), directory.path / "journal", later);
-  host::Masters masters(system.system(), engine, later);
-  control::Change boss = TestConsole::load_of("boss", "main");
-  boss.mutable_load()->add_rights("master");
-  system.system().perform(boss);
+  const host::Engine::Later later = [this](std::function<void()> job) { work.push(std::move(job)); };
+  host::Engine engine{system.system(), directory.path / "journal", later};
+  host::Masters masters{system.system(), engine, later};
+};
+
+TEST_F(RawMaster, AWatchWhoseNumberIsInUseIsRefusedAndTheOneThatHasItGoesOn) {
+  system.load_in("main", "gauge", "gauge");
+  wire::Asked asked;
+  asked.set_group("main");
+  asked.set_instance("boss");
+  asked.set_number(1);
+  *asked.mutable_request()->mutable_watch()->mutable_port() = port_name("gauge.level");
+  const control::Watch watch = asked.request().watch();
+  for (int i = 0; i < 40; ++i) masters.serve(asked);
+  for (int i = 1; i < 32; ++i) system.system().tap(system.system().new_tap(), watch);
+  EXPECT_THROW(system.system().tap(system.system().new_tap(), watch), Error) << "not even one is left of the 40";
+}
+
+TEST_F(RawMaster, HasNoRightsInAnothersName) {
   system.load_in("red", "beacon", "beacon");
   wire::Asked forged;
   forged.set_instance("boss");

@@ -71,6 +71,16 @@ class ServedHost {
   std::thread serving_;
 };
 
+inline os::Descriptor connected(const std::filesystem::path& path) {
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::strncpy(address.sun_path, path.c_str(), sizeof address.sun_path - 1);
+  os::Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
+    throw std::runtime_error("no host");
+  return socket;
+}
+
 /// A connection to it. What the host refuses is thrown as fiona::Error.
 class TestConsole {
  public:
@@ -216,16 +226,6 @@ class TestConsole {
   }
 
  private:
-  static os::Descriptor connected(const std::filesystem::path& path) {
-    sockaddr_un address{};
-    address.sun_family = AF_UNIX;
-    std::strncpy(address.sun_path, path.c_str(), sizeof address.sun_path - 1);
-    os::Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
-      throw std::runtime_error("no host");
-    return socket;
-  }
-
   os::MessageStream stream_;
   std::uint64_t sent_ = 0;
 };

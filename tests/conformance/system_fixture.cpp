@@ -204,6 +204,7 @@ SeenSample RunningSystem::seen(const wire::Tapped& tapped) {
   }
   sample.unit = tapped.unit();
   sample.sequence = tapped.sequence();
+  sample.opening = tapped.opening();
   sample.counted = tapped.number();
   sample.skipped = tapped.skipped();
   return sample;

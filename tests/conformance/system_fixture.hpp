@@ -41,7 +41,8 @@ class SeenSample {
   bool has_value = false;  ///< of a probe; false: there is none yet
   std::string unit;        ///< of a probe
   std::uint64_t sequence = 0;
-  std::uint64_t counted = 0;  ///< by the tap, from 1
+  std::uint64_t opening = 0;  ///< of the tap
+  std::uint64_t counted = 0;  ///< by the tap since it was opened, from 1
   std::uint64_t skipped = 0;  ///< by the tap so far
   std::uint64_t number() const { return number_; }
   std::int64_t sent_ns() const { return sent_ns_; }

@@ -17,7 +17,7 @@ class VersionedPlugin {
   const std::filesystem::path& directory() const { return built_.path; }
   std::filesystem::path library() const { return built_.path / "libversioned.so"; }
   /// A new build, as a linker leaves one: another file in the place of the old one.
-  void build(const std::string& behaviour, const std::string& other_port = "") const {
+  void build(const std::string& behaviour, const std::string& other_port = "", bool knows_paths = true) const {
     const std::filesystem::path from(VERSIONS_DIRECTORY);
     const auto next = built_.path / "next";
     std::filesystem::copy_file(from / "libversioned.so", next);
@@ -26,6 +26,8 @@ class VersionedPlugin {
     interface << std::ifstream(from / "versioned.interface.textproto").rdbuf();
     std::string text = interface.str();
     if (!other_port.empty()) text.replace(text.find("\"samples\""), 9, "\"" + other_port + "\"");
+    const std::string is_path = "[fiona.host_path]: true";
+    if (!knows_paths) text.erase(text.find(is_path, text.find("\"TickerParams\"")), is_path.size());
     std::ofstream(built_.path / "versioned.interface.textproto") << text;
     std::filesystem::create_directories(built_.path / "versioned.share");
     std::ofstream(built_.path / "versioned.share" / "behaviour") << behaviour;

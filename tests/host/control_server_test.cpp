@@ -1,7 +1,10 @@
 // What a console asks for, and does not wait for any more.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/socket.h>
 
+#include <algorithm>
 #include <optional>
 
 #include "served_host.hpp"
@@ -141,6 +144,93 @@ TEST_F(ControlServerTest, WhatIsWaitedForIsLetGoOf) {
   stop.mutable_unwatch()->set_watch(wait.id());
   EXPECT_TRUE(console->ask(stop).has_done());
   EXPECT_TRUE(console->ask(stop).has_done());  // there is nothing any more
+}
+
+/// Looks at the system, of which a host is asked for very many at once, and a load behind them.
+class Flood {
+ public:
+  static constexpr int kLooks = 20'000;
+
+  explicit Flood(const ServedHost& host) : socket_(conformance::connected(host.socket())) {
+    std::string all;
+    control::Request look;
+    look.mutable_snapshot();
+    for (int i = 1; i <= kLooks; ++i) {
+      look.set_id(static_cast<std::uint64_t>(i));
+      all += framed(look);
+    }
+    control::Request load;
+    load.set_id(kLooks + 1);
+    *load.mutable_transact()->add_changes() = TestConsole::load_of("source", "main", "last");
+    all += framed(load);
+    // As far as the host takes it.
+    for (std::size_t sent = 0; sent < all.size();) {
+      const auto size = ::send(socket_.get(), all.data() + sent, all.size() - sent, MSG_NOSIGNAL);
+      if (size < 0) break;
+      sent += static_cast<std::size_t>(size);
+    }
+  }
+  void say_end() const { ::shutdown(socket_.get(), SHUT_WR); }
+  /// Without reading an answer.
+  bool is_cut_off() const {
+    pollfd end{socket_.get(), POLLRDHUP, 0};
+    return ::poll(&end, 1, 40'000) == 1;
+  }
+  /// All that come.
+  int answers() {
+    os::MessageStream stream(std::move(socket_));
+    control::Reply reply;
+    int seen = 0;
+    while (seen <= kLooks) {
+      if (stream.next(reply)) {
+        EXPECT_EQ(reply.id(), static_cast<std::uint64_t>(++seen)) << "not in their order";
+      } else if (!stream.wait_readable(std::chrono::steady_clock::now() + std::chrono::seconds(40)) ||
+                 !stream.receive()) {
+        break;
+      }
+    }
+    return seen;
+  }
+
+ private:
+  static std::string framed(const control::Request& request) {
+    const std::string bytes = request.SerializeAsString();
+    const char length[4] = {static_cast<char>(bytes.size()), 0, 0, 0};
+    return std::string(length, sizeof length) + bytes;
+  }
+  os::Descriptor socket_;
+};
+
+bool has_last(TestConsole& console) {
+  const auto system = console.snapshot();
+  return std::any_of(system.instances().begin(), system.instances().end(),
+                     [](const auto& one) { return one.name() == "last"; });
+}
+
+TEST(ControlServerTurns, WhoAsksForVeryMuchAtOnceDoesNotHoldUpAnother) {
+  const ServedHost host;
+  Flood flood(host);
+  TestConsole other(host);
+  EXPECT_FALSE(has_last(other)) << "it had to wait for all of them";
+  EXPECT_EQ(flood.answers(), Flood::kLooks + 1);
+  EXPECT_TRUE(has_last(other));
+}
+
+TEST(ControlServerTurns, NothingMoreIsDoneForOneThatWasCutOff) {
+  const ServedHost host;
+  TestConsole other(host);
+  for (const char* name : {"a", "b", "c", "d", "e", "f", "g", "h"}) other.load("source", "main", name);
+  Flood flood(host);
+  EXPECT_TRUE(flood.is_cut_off());
+  EXPECT_FALSE(has_last(other));
+}
+
+TEST(ControlServerTurns, WhatAClientHasSaidBeforeItsEndIsDone) {
+  const ServedHost host;
+  TestConsole other(host);
+  const Flood flood(host);
+  flood.say_end();
+  other.eventually("the last is made", [&] { return has_last(other); });
 }
 
 /// Each life of a component counts what it asks for from 1.

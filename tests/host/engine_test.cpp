@@ -552,8 +552,11 @@ TEST_P(Transactions, JournalGivesTheSystemBackAfterTheProcessWasKilled) {
   EXPECT_TRUE(Model::difference(system.system().model(), restored).empty());
 }
 
-TEST_P(Transactions, AFileOfTheHostsMachineIsNamedByWhoMayAndMayBeTakenBackByOthers) {
+TEST_P(Transactions, AFileOfTheHostsMachineIsNamedAndBroughtBackByWhoMay) {
   const Rights rights{trust::Access::Compose, trust::Access::Compose, "boss"};
+  const auto undo_told = [&] {
+    return answer_of([&](Waits::Answer answer) { engine.undo("test", {}, std::move(answer), rights); });
+  };
   const auto told = [&](const std::vector<control::Change>& changes, bool whole = false) {
     control::Transact request;
     request.mutable_changes()->Add(changes.begin(), changes.end());
@@ -575,7 +578,26 @@ TEST_P(Transactions, AFileOfTheHostsMachineIsNamedByWhoMayAndMayBeTakenBackByOth
   make({notes});
   EXPECT_TRUE(told({set("sink", "work_ms", 1), notes}).has_done()) << "it is that already";
   EXPECT_TRUE(told({set_text("sink", "notes", "")}).has_done()) << "none";
+  EXPECT_EQ(undo_told().failure().what(), "set sink notes needs the level administer (9), and 'boss' has compose (6)");
   EXPECT_TRUE(undo().has_done()) << "what was there before";
+}
+
+TEST_P(Transactions, AnUndoTakesWhatItBringsBackAndWhatItTakesBack) {
+  const Rights rights{trust::Access::Compose, trust::Access::Compose, "boss"};
+  const auto by_boss = [&](bool dry_run) {
+    control::Undo request;
+    request.set_dry_run(dry_run);
+    return answer_of([&](Waits::Answer answer) { engine.undo("test", request, std::move(answer), rights); });
+  };
+  const std::string refused = "undo of load of a path needs the level administer (9), and 'boss' has compose (6)";
+  make({load("source", "source", group())});
+  EXPECT_EQ(by_boss(false).failure().what(), refused);
+  make({set("source", "payload", 1)});
+  EXPECT_TRUE(by_boss(false).has_done());
+  make({unload("source")});
+  EXPECT_EQ(by_boss(false).failure().what(), refused);
+  EXPECT_EQ(by_boss(true).failure().what(), refused) << "to try it would open the file";
+  EXPECT_TRUE(undo().has_done());
 }
 
 constexpr std::size_t kLargeValue = 1'300'000;  ///< four in a journal, and it is folded
@@ -765,24 +787,69 @@ TEST(Engine, AChangeThatEndsAfterManyOthersIsInTheJournal) {
   EXPECT_EQ(text(Journal::read(file).changes.back()), "state source rest");
 }
 
-TEST(Engine, ChangesThatWaitAreBounded) {
+/// An engine for a system with a source, of which one change may be under way.
+class EngineBounds : public testing::Test {
+ protected:
+  void SetUp() override { system.load_provider("source", "source"); }
+  control::Transact slow() const {
+    control::Transact request;
+    *request.add_changes() = state("source", "neutral");
+    *request.add_changes() = state("source", "active");
+    return request;
+  }
+  static control::Transact plan_of(std::size_t changes) {
+    control::Transact request;
+    request.set_dry_run(true);
+    for (std::size_t i = 0; i < changes; ++i) *request.add_changes() = set("source", "payload", 1);
+    return request;
+  }
+  /// Why it is not taken.
+  std::optional<Error> refusal(const control::Transact& request) {
+    try {
+      engine.transact("test", request, [](const control::Reply&) {});
+    } catch (const Error& error) {
+      return error;
+    }
+    return std::nullopt;
+  }
+  control::Reply plan(std::size_t changes, trust::Access level) {
+    control::Reply told;
+    engine.transact("test", plan_of(changes), [&told](const control::Reply& reply) { told = reply; }, std::nullopt,
+                    {level, level});
+    return told;
+  }
+
   TemporaryDirectory directory;
   Mailbox<std::function<void()>> work;
   RunningSystem system;
-  Engine engine(system.system(), directory.path / "journal",
-                [&](std::function<void()> job) { work.push(std::move(job)); });
-  system.load_provider("source", "source");
-  control::Transact request;
-  *request.add_changes() = state("source", "neutral");
-  *request.add_changes() = state("source", "active");
-  for (std::size_t i = 0; i <= Engine::kMaxWaiting; ++i) engine.transact("test", request, [](const control::Reply&) {});
-  try {
-    engine.transact("test", request, [](const control::Reply&) {});
-    FAIL() << "it was taken";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::NotAllowed);
-    EXPECT_EQ(error.text().what, "256 changes wait already");
-  }
+  Engine engine{system.system(), directory.path / "journal",
+                [this](std::function<void()> job) { work.push(std::move(job)); }};
+};
+
+TEST_F(EngineBounds, ChangesThatWaitAreBounded) {
+  for (std::size_t i = 0; i <= Engine::kMaxWaiting; ++i) ASSERT_FALSE(refusal(slow()));
+  const auto error = refusal(slow());
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->code(), ErrorCode::NotAllowed);
+  EXPECT_EQ(error->text().what, "256 changes wait already");
+}
+
+TEST_F(EngineBounds, PlansThatWaitAreBoundedAndTakeNoPlacesOfChanges) {
+  ASSERT_FALSE(refusal(slow()));
+  for (std::size_t i = 0; i < Engine::kMaxPlansWaiting; ++i) ASSERT_FALSE(refusal(plan_of(1)));
+  const auto error = refusal(plan_of(1));
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->text().what, "16 plans wait already");
+  for (std::size_t i = 0; i < Engine::kMaxWaiting; ++i) ASSERT_FALSE(refusal(slow())) << i;
+  EXPECT_TRUE(refusal(slow()));
+}
+
+TEST_F(EngineBounds, WhoCouldNotMakeThemPlansAFewHundredChanges) {
+  EXPECT_TRUE(plan(Engine::kMostPlanned, trust::Access::Observe).has_planned());
+  const auto refused = plan(Engine::kMostPlanned + 1, trust::Access::Observe);
+  EXPECT_EQ(refused.failure().what(),
+            "a plan of more than 256 steps needs the level compose (6), and this console has observe (1)");
+  EXPECT_TRUE(plan(Engine::kMostPlanned + 1, trust::Access::Compose).has_planned());
 }
 
 }  // namespace

@@ -389,10 +389,11 @@ TEST_F(Remote, WhereNoDescriptorsAreLeftOneIsTurnedAwayAndTheHostGoesOn) {
 
 TEST_F(Remote, AConsoleWaitsForSoManyAnswersAndNoMoreUntilItStopsSome) {
   allowed(Access::Observe);
-  here.load("gauge", "main");
   const auto client = connect(false);
+  control::Request sleep;
+  sleep.mutable_sleep()->set_duration_ms(3'600'000);
   std::uint64_t last = 0;
-  for (int i = 0; i < 1000; ++i) last = client->begin(watch("level"), [](const control::Reply&) {});
+  for (int i = 0; i < 1000; ++i) last = client->begin(sleep, [](const control::Reply&) {});
   EXPECT_EQ(error_of([&] { client->call(snapshot()); }).text().what, "this console waits for 1000 answers already");
   control::Request stop;
   stop.mutable_unwatch()->set_watch(last);

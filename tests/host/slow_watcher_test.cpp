@@ -1,8 +1,10 @@
 // Somebody who watches and does not read: nobody waits for him, and he is told what he lost.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
 
 #include <optional>
+#include <set>
 
 #include "fiona/probe.pb.h"
 #include "served_host.hpp"
@@ -64,6 +66,100 @@ TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
   EXPECT_LT(samples, accounted) << "nothing was lost: the watcher was not slow";
 }
 
+TEST_P(SlowWatcher, IsShownTheNewestBeforeTheEnd) {
+  constexpr std::int64_t kBurst = 20'000;
+  constexpr int kBursts = 4;
+  constexpr std::int64_t kLast = 77;
+  console->load("gauge", GetParam());
+  watch("count");
+  for (int i = 0; i < kBursts; ++i) send_burst(kBurst);
+  send_burst(kLast);
+  TestConsole other(host);
+  other.eventually("all is set", [&] {
+    auto look = other.request();
+    *look.mutable_read()->mutable_probe() = conformance::port_name("gauge.count");
+    return other.ask(look).sample().sequence() == kBursts * kBurst + kLast;
+  });
+  other.unload("gauge");
+  control::Sample last;
+  try {
+    while (true) {
+      const auto reply = console->receive();
+      if (reply.has_sample()) last = reply.sample();
+    }
+  } catch (const Error& end) {
+    EXPECT_THAT(end.what(), ::testing::HasSubstr("'gauge' was unloaded"));
+  }
+  EXPECT_EQ(last.sequence(), kBursts * kBurst + kLast);
+}
+
+/// Eight of 8 MB, of which each is the newest of its port.
+TEST_P(SlowWatcher, OfMuchIsShownTheNewestAsFarAsThereIsRoom) {
+  constexpr int kSources = 8;
+  TestConsole other(host);
+  for (int i = 0; i < kSources; ++i) {
+    const std::string name = "source" + std::to_string(i);
+    other.load("source", GetParam(), name, "period_ms=100 payload=8000000");
+    auto watch = console->request();
+    *watch.mutable_watch()->mutable_port() = conformance::port_name(name + ".newest");
+    console->send(watch);
+  }
+  for (int i = 0; i < kSources; ++i) {
+    const std::string name = "source" + std::to_string(i);
+    const auto puts = [&] { return other.instance(name).ports(0).messages(); };
+    const std::uint64_t before = puts();
+    other.eventually("more is put", [&] { return puts() > before + 2; });
+  }
+  for (int i = 0; i < kSources; ++i) other.unload("source" + std::to_string(i));
+  std::set<std::uint64_t> shown;
+  for (int over = 0; over < kSources;) {
+    try {
+      shown.insert(console->receive().id());
+    } catch (const Error&) {
+      ++over;
+    }
+  }
+  EXPECT_GE(shown.size(), 4U);
+  EXPECT_LE(shown.size(), 5U) << "one was sent, and four are 32 MiB";
+}
+
+TEST(Gaps, BeginAnewWithATapThatIsOpenedAnew) {
+  Gaps gaps;
+  wire::Tapped tapped;
+  const auto before = [&](std::uint64_t opening, std::uint64_t number, std::uint64_t skipped) {
+    tapped.set_opening(opening);
+    tapped.set_number(number);
+    tapped.set_skipped(skipped);
+    return gaps.before(tapped);
+  };
+  EXPECT_EQ(before(1, 1, 0), 0U);
+  EXPECT_EQ(before(1, 3, 10), 11U) << "one lost, ten left out";
+  EXPECT_EQ(before(2, 5, 2), 6U) << "its first four, and two left out";
+  EXPECT_EQ(before(2, 6, 2), 0U);
+}
+
+TEST(MailboxBounds, AnEndComesBehindTheNewestOfItsKey) {
+  Mailbox<std::string> mailbox;
+  for (int i = 0; i < 3; ++i) mailbox.push_newest(7, "value " + std::to_string(i), 8U << 20U);
+  mailbox.push_last(7, "end");
+  EXPECT_THAT(mailbox.take(), ::testing::ElementsAre("value 0", "value 2", "end"));
+}
+
+TEST(MailboxBounds, TheNewestOfManyAreKeptAsFarAsThereIsRoomForTheirBytes) {
+  constexpr std::size_t kMiB = 1024 * 1024;
+  Mailbox<std::string> mailbox;
+  for (int round = 0; round < 3; ++round) {
+    for (std::uint64_t key = 0; key < 100; ++key)
+      mailbox.push_newest(key, std::to_string(key) + " " + std::to_string(round), kMiB);
+  }
+  const auto kept = mailbox.take();
+  EXPECT_EQ(kept.size(), 8U + 64U) << "MiB";
+  EXPECT_EQ(kept.front(), "0 0");
+  EXPECT_EQ(kept.back(), "71 2") << "the first that were there, each as it was last";
+  mailbox.push_newest(99, "99", kMiB);
+  EXPECT_EQ(mailbox.take().size(), 1U);
+}
+
 using WatcherThatGoes = SlowWatcher;
 
 TEST_P(WatcherThatGoes, DoesNotHoldUpTheHostThoughTheGroupThatItWatchedHangs) {
@@ -81,6 +177,42 @@ TEST_P(WatcherThatGoes, DoesNotHoldUpTheHostThoughTheGroupThatItWatchedHangs) {
   EXPECT_EQ(::kill(hangs, SIGCONT), 0);
 }
 
+class ManyWatchers : public SlowWatcher {
+ protected:
+  /// Empty: there is one more.
+  static std::string refusal(TestConsole& by, std::uint64_t& id) {
+    auto watch = by.request();
+    id = watch.id();
+    *watch.mutable_watch()->mutable_port() = conformance::port_name("gauge.count");
+    watch.mutable_watch()->mutable_condition()->set_changes(true);
+    by.send(watch);
+    auto look = by.request();
+    look.mutable_journal();
+    by.send(look);  // in order: the watch is there by now, or refused
+    try {
+      by.receive();
+    } catch (const Error& error) {
+      by.receive();
+      return error.what();
+    }
+    return "";
+  }
+};
+
+TEST_P(ManyWatchers, OfOneProbeAreRefusedOnceTheyAreTooManyForItsComponent) {
+  console->load("gauge", GetParam());
+  std::uint64_t last = 0;
+  for (int i = 0; i < 32; ++i) ASSERT_EQ(refusal(*console, last), "") << i;
+  TestConsole other(host);
+  std::uint64_t further = 0;
+  EXPECT_THAT(refusal(other, further), ::testing::HasSubstr("watched, or waited for, 32 times already"));
+  auto stop = console->request();
+  stop.mutable_unwatch()->set_watch(last);
+  EXPECT_TRUE(console->ask(stop).has_done());
+  EXPECT_EQ(refusal(other, further), "");
+}
+
+INSTANTIATE_TEST_SUITE_P(In, ManyWatchers, testing::Values("main", "far"), [](const auto& one) { return one.param; });
 INSTANTIATE_TEST_SUITE_P(In, WatcherThatGoes, testing::Values("far"), [](const auto& one) { return one.param; });
 INSTANTIATE_TEST_SUITE_P(In, SlowWatcher, testing::Values("main", "far"), [](const auto& one) { return one.param; });
 

@@ -115,6 +115,31 @@ TEST_F(Upgrade, ToOneWithoutAPortThatIsUsedIsRefusedBeforeItIsStarted) {
   expect_first_goes_on();
 }
 
+TEST_F(Versions, OneThatTakesATextForAPathIsForWhoMayNameFiles) {
+  plugin.build("version=1", "", false);
+  make(load_of("cage"));
+  const Rights rights{trust::Access::Compose, trust::Access::Compose, "boss"};
+  const auto told = [&](const control::Change& change) {
+    control::Transact request;
+    *request.add_changes() = change;
+    auto answer = std::make_shared<LaterAnswer>();
+    const auto ended = [answer](control::Reply reply) {
+      answer->reply = std::move(reply);
+      answer->ended = true;
+    };
+    engine.transact("test", request, ended, std::nullopt, rights);
+    return end_of(answer);
+  };
+  control::Change set;
+  set.mutable_set()->set_instance("x");
+  conformance::add_arguments("notes=/home/me/notes", *set.mutable_set()->mutable_parameters());
+  ASSERT_TRUE(told(set).has_done());
+  build("version=2");
+  EXPECT_EQ(told(upgrade_of()).failure().what(),
+            "set x notes needs the level administer (9), and 'boss' has compose (6)");
+  EXPECT_EQ(system.instance("x").group(), "cage");
+}
+
 struct Bad {
   std::string behaviour;
   std::string why;
@@ -401,10 +426,11 @@ TEST_F(Upgrade, OfOneThatEndsAgainAndAgainMendsIt) {
 
 TEST_F(Upgrade, WhatIsWatchedIsWatchedOn) {
   const auto watch = system.watch("x.samples");
-  system.wait_for(watch, [](const auto& sample) { return sample.value() == 1; });
+  const auto first = system.wait_for(watch, [](const auto& sample) { return sample.value() == 1; });
   build("version=2");
   make(upgrade_of());
-  EXPECT_EQ(system.wait_for(watch, [](const auto& sample) { return sample.value() == 2; }).value(), 2);
+  const auto next = system.wait_for(watch, [](const auto& sample) { return sample.value() == 2; });
+  EXPECT_NE(next.opening, first.opening) << "its numbers begin anew";
 }
 
 // ---- nobody waits for a life-cycle call -----------------------------------------------------------------------

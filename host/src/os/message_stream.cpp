@@ -31,10 +31,20 @@ bool MessageStream::receive() {
   return !closed();
 }
 
+/// Of the message that is next, once those 4 bytes are there.
+std::size_t MessageStream::next_length() const {
+  const auto* head = reinterpret_cast<const unsigned char*>(in_.data() + in_begin_);
+  return head[0] | head[1] << 8 | head[2] << 16 | static_cast<std::size_t>(head[3]) << 24;
+}
+
+bool MessageStream::has_next() const {
+  const std::size_t waiting = in_.size() - in_begin_;
+  return fault_.empty() && waiting >= 4 && waiting >= 4 + next_length();
+}
+
 bool MessageStream::next(google::protobuf::MessageLite& message) {
   if (!fault_.empty() || in_.size() - in_begin_ < 4) return false;
-  const auto* head = reinterpret_cast<const unsigned char*>(in_.data() + in_begin_);
-  const std::size_t length = head[0] | head[1] << 8 | head[2] << 16 | static_cast<std::size_t>(head[3]) << 24;
+  const std::size_t length = next_length();
   if (length > kMaxMessage) {
     fault_ = "a message of " + std::to_string(length) + " bytes, where at most " + std::to_string(kMaxMessage) +
              " are taken";
@@ -93,7 +103,10 @@ bool MessageStream::flush_all() {
   return !closed_;
 }
 
-void MessageStream::shut_down() { ::shutdown(socket_.get(), SHUT_RDWR); }
+void MessageStream::shut_down() {
+  closed_ = true;
+  ::shutdown(socket_.get(), SHUT_RDWR);
+}
 
 bool MessageStream::wait_readable(std::chrono::steady_clock::time_point deadline) const {
   while (true) {

@@ -25,6 +25,8 @@ class MessageStream {
   /// Reads what there is, up to a bound: who never stops to speak does not keep the reader from what else there is to
   /// do. False when the peer has closed, broken the framing, or the stream failed.
   bool receive();
+  /// Whether one has come that `next` would give.
+  bool has_next() const;
   /// Parses the next complete message; false when there is none. After a malformed one nothing more is read, and
   /// `fault` says what it was.
   bool next(google::protobuf::MessageLite& message);
@@ -47,6 +49,8 @@ class MessageStream {
   bool wait_readable(std::chrono::steady_clock::time_point deadline) const;
 
  private:
+  std::size_t next_length() const;
+
   Descriptor socket_;
   std::string in_;
   std::size_t in_begin_ = 0;
