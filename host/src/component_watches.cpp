@@ -94,6 +94,7 @@ void ComponentWatches::take(const wire::Tapped& tapped) {
   const Id id = found->second;
   if (is_left(id)) return end(id);
   Watch& watch = watches_[id];
+  if (!watch.gaps.takes(tapped)) return;
   control::Sample sample = sample_of(tapped, system_.clock().start());
   sample.set_number(++watch.last);
   sample.set_skipped(watch.gaps.before(tapped));

@@ -70,11 +70,13 @@ struct ControlServer::Client {
   /// One that does not read is cut off.
   void tell(control::Reply reply) {
     if (!os::MessageStream::fits(reply)) *reply.mutable_failure() = failure_of(too_large(reply));
-    if (!stream.send(reply)) stream.shut_down();
+    if (stream.send(reply)) return;
+    cut_off = cut_off || !stream.closed();
+    stream.shut_down();
   }
   os::MessageStream stream;
   const Rights rights;
-  bool said_all = false;                ///< its end has come
+  bool cut_off = false;                 ///< by this host: nothing more is done for it
   std::size_t held_bytes = 0;           ///< of what it watches
   std::multiset<std::uint64_t> open{};  ///< requests that are answered later, and watches
 };
@@ -267,19 +269,18 @@ void ControlServer::serve_client(std::uint64_t id) {
   Client& client = *clients_.at(id);
   auto& stream = client.stream;
   const Rights& rights = client.rights;
-  if (!stream.has_next() && !stream.closed()) client.said_all = !stream.receive();
+  if (!stream.has_next() && !stream.closed()) stream.receive();
   stream.flush();
   const auto end = std::chrono::steady_clock::now() + kTurn;
-  const auto is_heard = [&] { return !exit_code_ && (client.said_all || !stream.closed()); };
   control::Request request;
-  for (bool its_turn = true; its_turn && is_heard() && stream.next(request);) {
+  for (bool its_turn = true; its_turn && !exit_code_ && !client.cut_off && stream.next(request);) {
     // The journal tells who it was, and not who it says it was.
     if (rights.is_remote()) request.set_author(rights.name + ": " + readable_text(request.author(), kMaxAuthor));
     perform(id, request);
     its_turn = std::chrono::steady_clock::now() < end;
   }
   if (!stream.fault().empty()) refuse_garbled(id, stream.fault());
-  if (stream.closed() && !(client.said_all && stream.has_next())) drop_client(id);
+  if (stream.closed() && (client.cut_off || !stream.has_next())) drop_client(id);
 }
 
 /// Told to who sent it, and in the host's own words at the first, second, fourth, … time: a storm is few lines.
@@ -566,6 +567,7 @@ void ControlServer::on_tapped(const wire::Tapped& tapped) {
   const auto found = watches_.find(tapped.tap());
   if (found == watches_.end()) return;
   Watched& watch = found->second;
+  if (watch.over || !watch.gaps.takes(tapped)) return;
   const auto client = clients_.find(watch.client);
   if (client == clients_.end()) return;
   take_held(watch);

@@ -160,8 +160,7 @@ void Engine::told_back(const Watched& watched, const control::Failure& why, cons
 void Engine::upgrade_failed(const TransactionPtr& transaction, const control::Failure& why) {
   system_.drop_candidate();
   const control::Upgrade& upgrade = transaction->steps.front().upgrade();
-  const bool is_left = system_.stands_by(upgrade.instance()) && !watched_.contains(upgrade.instance());
-  if (is_left) system_.leave_to_supervision(upgrade.instance());
+  if (!watched_.contains(upgrade.instance())) system_.leave_to_supervision(upgrade.instance());
   const Error cause = error_of(why);
   ErrorText text = cause.text();
   text.found = text.what + (text.found.empty() ? "" : ": " + text.found);

@@ -61,6 +61,10 @@ GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) 
       if (!request.wire_provide().attached()) return nullptr;
       return unless_refused(wires_, request.wire_provide().wire());
     case Request::kCut: return [this, wire = request.cut().wire()](bool) { wires_.erase(wire); };
+    case Request::kArrange:
+      return [this, retired = request.arrange().retires()](bool done) {
+        for (const std::uint64_t wire : retired) done ? void(wires_.erase(wire)) : void();
+      };
     case Request::kTap: return unless_refused(taps_, request.tap().tap());
     case Request::kUntap: return [this, tap = request.untap().tap()](bool) { taps_.erase(tap); };
     case Request::kSetMode: return later(changes_, request.set_mode().change());

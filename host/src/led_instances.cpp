@@ -69,6 +69,8 @@ wire::GroupMessage LedInstances::pass_on(wire::GroupRequest request, Group& grou
     reply.mutable_done()->set_note(destroy(request.destroy().instance()));
   } else if (request.has_cut() || request.has_await()) {
     group.inform(std::move(request));
+  } else if (request.has_untap() || request.has_give_up_call()) {
+    group.tell(std::move(request));  // one that is silent does it when it comes to it
   } else {
     reply = group.request(std::move(request));
   }
@@ -210,6 +212,7 @@ void LedInstances::create(const wire::GroupRequest& request, const std::string& 
     throw;
   }
   ended_.erase(name);
+  left_.erase(name);
   reply.mutable_done()->set_note(fmt::format("{} {} as {}", package->name, package->version, name));
 }
 
@@ -228,8 +231,8 @@ void LedInstances::destroy_left(std::chrono::steady_clock::time_point now) {
   std::set<std::string> silent;
   for (const std::string& name : std::set<std::string>(left_)) {
     const auto* one = around_.model.find(name);  // it may go with the end of the one before it
-    if (!one) left_.erase(name);
-    if (!one || silent.contains(one->group)) continue;
+    if (!one || !one->led) left_.erase(name);
+    if (!one || !one->led || silent.contains(one->group)) continue;
     const std::string group = one->group;
     const auto fault = fault_of([&] { destroy(name); });
     if (!fault) continue;
@@ -241,15 +244,19 @@ void LedInstances::destroy_left(std::chrono::steady_clock::time_point now) {
 
 std::string LedInstances::destroy(const std::string& name) {
   std::string said = around_.destroy(name);
-  note(name, false);
-  left_.erase(name);
+  forget(name);
   return said;
 }
 
-void LedInstances::forget(const std::string& name, const std::string& reason) {
+void LedInstances::forget(const std::string& name) {
   note(name, false);
   left_.erase(name);
-  if (ended_.size() < kMostEnded) ended_[name] = reason;
+}
+
+void LedInstances::forget(const std::string& name, const std::string& reason) {
+  forget(name);
+  if (ended_.size() >= kMostEnded) ended_.erase(ended_.begin());
+  ended_[name] = reason;
 }
 
 void LedInstances::note(const std::string& name, bool led) {

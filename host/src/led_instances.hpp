@@ -40,6 +40,8 @@ class LedInstances {
   /// [control thread] Destroys what a former leader has left; what does not end now, when `destroy_left` comes to it.
   void destroy_all();
   void destroy_left(std::chrono::steady_clock::time_point now);
+  /// [control thread] It has gone, as the user of this host asked.
+  void forget(const std::string& name);
   /// [control thread] It has gone with its group: the leader is told why when he asks what is here.
   void forget(const std::string& name, const std::string& reason);
   /// [any thread] Whether the event is of the system of the leader, who is to be told it then.

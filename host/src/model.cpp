@@ -4,6 +4,7 @@
 
 #include "fiona/contract.hpp"
 #include "fiona/error.hpp"
+#include "fiona/hull.hpp"
 #include "fiona/unicode.hpp"
 
 namespace fiona::host {
@@ -121,8 +122,12 @@ void Model::state(const control::State& request) {
                                    .found = fmt::format("{:g} ms", request.within_ms())});
   }
   auto draft = std::make_shared<Instance>(instance(request.instance()));
-  draft->mode = request.mode() == "deactivated" ? "neutral" : request.mode();
+  draft->mode = request.mode() == kModeDeactivated ? std::string(kModeNeutral) : request.mode();
   instances_[request.instance()] = std::move(draft);
+}
+
+bool Model::Instance::is_in(std::string_view now) const {
+  return now == mode || (now == kModeDeactivated && mode == kModeNeutral);
 }
 
 void Model::require_own(const std::string& name, bool to_unload) const {

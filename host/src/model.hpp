@@ -43,6 +43,8 @@ class Model {
     bool is_master() const { return std::find(rights.begin(), rights.end(), "master") != rights.end(); }
     /// What finds its package, and its component in it.
     std::string source() const;
+    /// Whether this is the mode that it is meant to be in; deactivated it is neutral, too.
+    bool is_in(std::string_view now) const;
     /// The mode that loading it brings it to.
     std::string mode_after_load() const;
     /// Null: the component has none.

@@ -8,12 +8,13 @@
 
 namespace fiona::host {
 
-void OpenTaps::open(Group& group, std::uint64_t tap, const control::Watch& watch) {
+void OpenTaps::open(Group& group, std::uint64_t tap, const control::Watch& watch, bool is_own) {
   wire::GroupRequest request;
   request.mutable_tap()->set_tap(tap);
   request.mutable_tap()->set_opening(++openings_);
+  request.mutable_tap()->set_is_own(is_own);
   *request.mutable_tap()->mutable_watch() = watch;
-  taps_.insert_or_assign(tap, Tap{group.name(), watch});
+  taps_.insert_or_assign(tap, Tap{group.name(), watch, is_own});
   try {
     group.request(std::move(request));
   } catch (...) {
@@ -39,14 +40,14 @@ void OpenTaps::close(std::uint64_t tap) {
 }
 
 void OpenTaps::move(const std::string& instance, const std::string& from, const std::function<Group&()>& to) {
-  std::vector<std::pair<std::uint64_t, control::Watch>> moved;
+  std::vector<std::pair<std::uint64_t, Tap>> moved;
   for (const auto& [id, tap] : taps_) {
-    if (tap.group == from && tap.watch.port().instance() == instance) moved.emplace_back(id, tap.watch);
+    if (tap.group == from && tap.watch.port().instance() == instance) moved.emplace_back(id, tap);
   }
-  for (const auto& [id, watch] : moved) {
+  for (const auto& [id, tap] : moved) {
     close(id);
     try {
-      open(to(), id, watch);
+      open(to(), id, tap.watch, tap.is_own);
     } catch (const Error& error) {
       tell_ended(id, error);
     }

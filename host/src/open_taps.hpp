@@ -18,8 +18,8 @@ class OpenTaps {
   /// `on_event` is given a TapEnded for each tap that ends before it is closed.
   OpenTaps(const Groups& groups, OnEvent on_event) : groups_(groups), on_event_(std::move(on_event)) {}
 
-  /// Throws Error if the group refuses.
-  void open(Group& group, std::uint64_t tap, const control::Watch& watch);
+  /// Throws Error if the group refuses; one of the host's `own` it does not refuse because there are too many.
+  void open(Group& group, std::uint64_t tap, const control::Watch& watch, bool is_own = false);
   /// Nobody waits for that.
   void close(std::uint64_t tap);
   /// Another version of the instance serves, in another process: whoever looks at it looks there. `to` may throw Error.
@@ -31,6 +31,7 @@ class OpenTaps {
   struct Tap {
     std::string group;
     control::Watch watch;
+    bool is_own = false;
   };
 
   void tell_ended(std::uint64_t tap, const Error& why) const;

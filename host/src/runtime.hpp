@@ -100,7 +100,8 @@ class Runtime final {
   void retire(std::uint64_t wire, bool drains = false);
   void end_wires(const Hull& hull, Connection now, const std::string& reason);
   ProvidedPort& provided(const control::PortName& name);
-  ProvidedPort& living(const control::PortName& name);
+  template <class Port>
+  static Port& living(Port& port, const control::PortName& name);
   RequiredPort& required(const control::PortName& name);
 
   // ---- runtime_calls.cpp

@@ -29,9 +29,9 @@ class SwitchCost {
 
 }  // namespace
 
-/// Nobody is wired to what takes part in nothing any more.
-ProvidedPort& Runtime::living(const control::PortName& name) {
-  ProvidedPort& port = provided(name);
+/// What takes part in nothing any more is wired to nobody.
+template <class Port>
+Port& Runtime::living(Port& port, const control::PortName& name) {
   if (!port.hull().has_failed()) return port;
   throw Error(ErrorCode::ComponentFailed, {.what = "'" + name.instance() + "' has failed: " + port.hull().reason(),
                                            .where = text_of(name),
@@ -39,8 +39,8 @@ ProvidedPort& Runtime::living(const control::PortName& name) {
 }
 
 void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switched) {
-  ProvidedPort& provider = living(request.provider());
-  RequiredPort& client = required(request.client());
+  ProvidedPort& provider = living(provided(request.provider()), request.provider());
+  RequiredPort& client = living(required(request.client()), request.client());
   auto* push = dynamic_cast<detail::PushProvider*>(&provider);
   const auto end = client.end_for(provider.full_name());
   const std::string name = client.full_name() + "<" + provider.full_name();
@@ -58,7 +58,8 @@ void Runtime::wire_local(const wire::WireLocal& request, wire::Switched& switche
 }
 
 void Runtime::wire_provide(const wire::WireProvide& request) try {
-  links_.provide(request.wire(), request.token(), request.peer(), living(request.provider()), request.prescale(),
+  links_.provide(request.wire(), request.token(), request.peer(),
+                 living(provided(request.provider()), request.provider()), request.prescale(),
                  request.attached() ? request.client().instance() : text_of(request.client()), request.attached());
 } catch (const Error& error) {
   links_.deny(request.wire(), error.text().what);
@@ -74,7 +75,7 @@ void Runtime::set_prescale(const wire::SetPrescale& request) {
 }
 
 void Runtime::wire_require(const wire::WireRequire& request, wire::Switched& switched) {
-  RequiredPort& client = required(request.client());
+  RequiredPort& client = living(required(request.client()), request.client());
   std::optional<SwitchCost> cost;
   const auto let_go = [&] {
     cost.emplace(client);

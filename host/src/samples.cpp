@@ -15,6 +15,12 @@ control::Sample sample_of(const wire::Tapped& tapped, TimePoint start) {
   return sample;
 }
 
+bool Gaps::takes(const wire::Tapped& next) {
+  if (next.opening() < newest_opening_) return false;
+  newest_opening_ = next.opening();
+  return true;
+}
+
 std::uint64_t Gaps::before(const wire::Tapped& next) {
   if (next.opening() != opening_) number_ = skipped_ = 0;
   opening_ = next.opening();

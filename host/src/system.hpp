@@ -78,7 +78,7 @@ class System {
   /// line.
   std::vector<std::string> resume(std::vector<control::Change> changes);
   /// Makes one change, other than of a mode, or throws Error and has changed nothing; the note is for people. One that
-  /// `restores` what was so before wires to who has failed, too, and to who does not answer: that wire waits.
+  /// `restores` what was so before wires to who has failed, too: that wire waits.
   control::Done perform(const control::Change& change, bool restores = false);
   /// Whether a load may be made so that nobody waits for the component meanwhile.
   bool loads_later(const control::Load& request) const;
@@ -132,7 +132,7 @@ class System {
 
   /// Starts to deliver what a push port or a probe says, as Tapped events with this number of `new_tap`, until `untap`
   /// or TapEnded; a required port stands for its provider's.
-  void tap(std::uint64_t tap, const control::Watch& request);
+  void tap(std::uint64_t tap, const control::Watch& request, bool is_own = false);
   std::uint64_t new_tap() { return next_tap_++; }
   void untap(std::uint64_t tap) { taps_.close(tap); }
   /// The value of now of a probe; its type is empty while it has none.
@@ -323,7 +323,8 @@ class System {
                  Waits::EndOf end_of, Waits::Answer answer);
   Group& candidate_group();
   void wire_candidate(const Model& next, bool sends_too);
-  Wire open_for_candidate(const control::PortName& client, const control::PortName& provider, const Model& next);
+  Wire open_for_candidate(const control::PortName& client, const control::PortName& provider, const Model& next,
+                          std::uint64_t replaces = 0);
   void switch_clients(const std::string& name, const Model& next, control::Done& done);
   void switch_back(const std::string& name);
   void hand_over(const Model& next, const Model::Instance& old, bool keeps);
@@ -348,7 +349,7 @@ class System {
   control::Done wire(const control::Wire& request, const Model& next, bool restores);
   control::Done set_prescale(const control::PortName& client, const Model::Wire& before, const Model::Wire& wanted);
   control::Done wire_one(const control::PortName& client, const Model& next, bool restores);
-  control::Done wire_several(const control::PortName& client, const Model& next);
+  control::Done wire_several(const control::PortName& client, const Model& next, bool restores);
   Wire open_or_wait(const control::PortName& client, const control::PortName& provider, const Model& next,
                     const Wire& old, control::Done& done, std::optional<Error>* refusal = nullptr);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
@@ -430,6 +431,7 @@ class System {
   std::map<std::string, Lost> lost_;                      ///< instances whose group is gone, and why
   /// Instances of led hosts that are in another mode than is meant, and since when that is known.
   std::map<std::string, std::chrono::steady_clock::time_point> strayed_;
+  std::multiset<std::string> changing_;  ///< instances on their way to another mode, as was asked for
   Supervision supervision_;
   std::vector<KeptGroup> kept_;  ///< until they are adopted
   std::string memory_key_;       ///< by which the processes of this host share memory, but for sandboxes

@@ -24,7 +24,14 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
   model_.require_own(name);
   const std::uint64_t change = next_work_++;
   const double within_ms = request.within_ms() > 0 ? request.within_ms() : kModeDeadline_ms;
-  const auto begin = [&] { target.request(mode_request(name, request.mode(), change, within_ms)); };
+  const auto begin = [&] {
+    target.request(mode_request(name, request.mode(), change, within_ms));
+    changing_.insert(name);
+  };
+  const auto ended = [this, name, answer = std::move(answer)](control::Reply reply) {
+    made_.push([this, name] { changing_.erase(changing_.find(name)); });
+    answer(std::move(reply));
+  };
   const auto end_of = [made = end_of_mode(change, name + " is " + request.mode()), name,
                        group = target.name()](const wire::GroupMessage& event) {
     if (!is_end_of(group, event)) return made(event);
@@ -38,7 +45,7 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
                     {.what = "'" + name + "' did not change its mode in time: a handler still runs, or it has ended",
                      .where = name,
                      .next = "show " + name});
-  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, std::move(answer));
+  waits_->work(owner, id, within_ms + kGrace_ms, begin, end_of, expired, ended);
 }
 
 wire::GroupRequest System::mode_request(const std::string& name, const std::string& mode, std::uint64_t change,

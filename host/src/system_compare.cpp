@@ -51,11 +51,11 @@ std::pair<std::uint64_t, std::vector<std::uint64_t>> System::compare(const std::
   const auto begin = [&] {
     for (std::size_t i = 0; i < pairs.size(); ++i) {
       try {
-        tap(taps[i].first, all_of(pairs[i].first));
+        tap(taps[i].first, all_of(pairs[i].first), true);
       } catch (const Error&) {
         // There is nothing to compare with, and all the more reason to swap.
       }
-      tap(taps[i].second, all_of(pairs[i].second));
+      tap(taps[i].second, all_of(pairs[i].second), true);
     }
   };
   const auto end_of = [comparison](const wire::GroupMessage& event) {

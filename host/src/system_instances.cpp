@@ -171,6 +171,7 @@ control::Done System::unload(const control::Unload& request) {
   // It may just be made again where its group was started again.
   if (making_.contains({at, name}) && lost_.contains(name)) discard(at, name);
   lost_.erase(name);
+  if (model_.instance(name).led) led_.forget(name);
   made_known(at, name);
   if (model_.names_in(at).size() == 1) leave_group(at);
   if (!dependents.empty()) note += fmt::format("; waiting for it: {}", fmt::join(dependents, ", "));

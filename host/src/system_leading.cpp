@@ -125,6 +125,7 @@ void System::on_remote_group_ended(const HostChange& change) {
 }
 
 void System::lose_remote(RemoteGroup& group, const std::string& reason) {
+  if (!group.end().empty()) return;  // it was told twice
   group.end(reason);
   for (const std::string& name : model_.names_in(group.name())) {
     lost_[name] = {reason, false};

@@ -152,11 +152,15 @@ void System::correct_parameters(RemoteGroup& group, const control::InstanceStatu
 void System::correct_mode(RemoteGroup& group, const control::InstanceStatus& is, std::vector<std::string>& lines) {
   const std::string& name = is.name();
   const std::string wanted = model_.instance(name).mode;
-  if (is.mode() == wanted || is.mode() == kModeFailed) {
+  if (model_.instance(name).is_in(is.mode()) || is.mode() == kModeFailed) {
     strayed_.erase(name);
     return;
   }
   const auto now = Steady::now();
+  if (changing_.contains(name)) {  // whoever has asked is told, and what is meant follows from that
+    strayed_.erase(name);
+    return group.compare_at(now + kNoted);
+  }
   const auto [strayed, is_new] = strayed_.emplace(name, now);
   const bool has_changed = is.has_pending() || is.mode_since_s() < to_seconds(now - strayed->second);
   if (is_new || has_changed || now - strayed->second < kNoted) {
@@ -179,26 +183,37 @@ void System::correct_mode(RemoteGroup& group, const control::InstanceStatus& is,
 
 /// By the clients' ends: whoever has one is told the end of the other.
 void System::correct_wires(RemoteGroup& group, const wire::Adopted& held, std::vector<std::string>& lines) {
+  const auto attempt = [&lines](const std::function<void()>& work) {
+    if (auto fault = fault_of(work)) lines.push_back(std::move(*fault));
+  };
   std::map<std::uint64_t, std::pair<const PortKey, Wire>*> known;
   for (auto& one : wires_) {
     if (one.second.id != 0) known[one.second.id] = &one;
   }
   std::set<std::uint64_t> there;
+  std::set<std::string> failed;  // whose wires are lost, and stay so
+  for (const auto& one : held.status().instances()) {
+    if (one.mode() == kModeFailed) failed.insert(one.name());
+  }
   for (const auto& one : held.wires()) {
     const auto ours = known.find(one.wire());
-    if (is_client_end(one) && ours == known.end()) take_back_wire(group, one, lines);
+    if (is_client_end(one) && ours == known.end()) attempt([&] { take_back_wire(group, one, lines); });
     if (is_client_end(one) && one.open()) there.insert(one.wire());
-    if (!one.provider_end() || ours == known.end()) continue;
+    if (!one.provider_end() || ours == known.end() || ours->second->second.id != one.wire()) continue;
     const std::uint32_t prescale = model_.wire_of(port_of(ours->second->first))->prescale;
     if (one.prescale() == prescale) continue;
     wire::GroupRequest request;
     request.mutable_set_prescale()->set_wire(one.wire());
     request.mutable_set_prescale()->set_prescale(prescale);
-    group.request(std::move(request));
+    attempt([&] { group.request(std::move(request)); });
   }
   for (auto& [key, wire] : wires_) {
     const auto* client = model_.find(key.first);
     if (!client || client->group != group.name() || lost_.contains(key.first)) continue;
+    if (failed.contains(key.first)) {
+      if (wire.is_open() && !there.contains(wire.id)) wire.reason = "'" + key.first + "' has failed";
+      continue;
+    }
     if (wire.id == 0) await_provider(port_of(key), wire, model_);
     // One that was opened here, in the place of what was found, is not what it has told.
     if (!wire.is_open() || there.contains(wire.id) || !known.contains(wire.id)) continue;

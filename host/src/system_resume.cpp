@@ -21,12 +21,14 @@ constexpr const char* kHostEnded = "the host has ended";
 const wire::HeldWire* held_in(const ChildGroup* group, const control::PortName& client,
                               const control::PortName& provider, bool provides, std::uint64_t wire = 0) {
   if (!group || !group->adopted()) return nullptr;
+  const wire::HeldWire* found = nullptr;  // an open one rather than what is left of one before it
   for (const auto& one : group->adopted()->wires()) {
     if ((provides ? one.provider_end() : one.client_end()) && !one.retired() && (wire == 0 || one.wire() == wire) &&
-        key_of(one.client()) == key_of(client) && key_of(one.provider()) == key_of(provider))
-      return &one;
+        key_of(one.client()) == key_of(client) && key_of(one.provider()) == key_of(provider) &&
+        (!found || (one.open() && !found->open())))
+      found = &one;
   }
-  return nullptr;
+  return found;
 }
 
 /// What a change is about: an instance, or a port that requires.
@@ -103,7 +105,7 @@ std::string difference_of(const control::InstanceStatus& is, const Model::Instan
   if (is.plugin() != wanted.package->name || is.version() != wanted.package->version ||
       is.component() != wanted.component)
     return fmt::format("'{}' is {} {} there", is.name(), is.plugin(), is.version());
-  if (is.mode() != wanted.mode && is.mode() != kModeFailed)
+  if (!wanted.is_in(is.mode()) && is.mode() != kModeFailed)
     return fmt::format("'{}' is in mode {} there", is.name(), is.mode());
   const auto same = [](const auto& a, const auto& b) { return a.SerializeAsString() == b.SerializeAsString(); };
   if (!std::equal(is.set_parameters().begin(), is.set_parameters().end(), load.parameters().begin(),

@@ -75,7 +75,8 @@ std::map<std::uint64_t, std::string> System::lost_in(const std::string& group) c
   for (const std::string& name : model_.names_in(group)) {
     const auto lost = lost_.find(name);
     const Model::Instance& one = model_.instance(name);
-    const bool comes_back = !one.led && !standbys_.contains(name) && !making_.contains({group, name});
+    const bool wakes = candidate_ && candidate_->is_back && candidate_->name == name;
+    const bool comes_back = !one.led && !wakes && !standbys_.contains(name) && !making_.contains({group, name});
     if (lost != lost_.end() && !lost->second.away && comes_back) ordered[one.order] = name;
   }
   return ordered;
@@ -92,7 +93,10 @@ std::string System::start_again(const std::string& name) {
   try {
     Group& target = group(name);
     if (auto* remote = dynamic_cast<RemoteGroup*>(&target)) {
-      resume(*remote, lines);                                // what was made, and not answered, goes first
+      if (!resume(*remote, lines)) {  // what was made, and not answered, goes first
+        if (remote->end().empty()) start_again_later(name, "its host does not answer");
+        return fmt::format("{}", fmt::join(lines, "\n"));
+      }
       remote->compare_at(std::chrono::steady_clock::now());  // the rest of what may be in doubt
     }
     for (const auto& [order, instance] : lost) make_again(target, instance);

@@ -7,7 +7,7 @@
 
 namespace fiona::host {
 
-void System::tap(std::uint64_t id, const control::Watch& request) {
+void System::tap(std::uint64_t id, const control::Watch& request, bool is_own) {
   const control::PortName& name = request.port();
   control::PortName target = name;
   if (model_.wire_of(name) && model_.find(served_by(name).instance())) target = served_by(name);
@@ -20,7 +20,7 @@ void System::tap(std::uint64_t id, const control::Watch& request) {
   }
   control::Watch watch = request;
   *watch.mutable_port() = target;
-  taps_.open(group_of(target.instance(), model_), id, watch);
+  taps_.open(group_of(target.instance(), model_), id, watch, is_own);
 }
 
 wire::Tapped System::read(const control::PortName& name) {

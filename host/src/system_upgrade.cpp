@@ -219,9 +219,9 @@ void System::check_upgrade(Waits::Answer answer) {
   const auto begin = [&] {
     for (const auto& pair : pairs) {
       candidate_->taps.insert(candidate_->taps.end(), {pair.tap, pair.before});
-      taps_.open(candidate_group(), pair.tap, sampled(name, pair.port));
+      taps_.open(candidate_group(), pair.tap, sampled(name, pair.port), true);
       // One that is gone says nothing, and nothing is expected then.
-      if (!lost_.contains(name)) taps_.open(group_of(name, model_), pair.before, sampled(name, pair.port));
+      if (!lost_.contains(name)) taps_.open(group_of(name, model_), pair.before, sampled(name, pair.port), true);
     }
   };
   const auto end_of = [check](const wire::GroupMessage& event) {
@@ -258,7 +258,7 @@ void System::wire_candidate(const Model& next, bool sends_too) {
   candidate_group();
   const Without of_the_one_that_serves(lost_, name);
   for (auto& [client, wire] : candidate_->wires) {  // its provider has been started again meanwhile
-    if (wire.id != 0 && !wire.reason.empty()) wire = open_for_candidate(port_of(client), wire.provider, next);
+    if (wire.id != 0 && !wire.reason.empty()) wire = open_for_candidate(port_of(client), wire.provider, next, wire.id);
   }
   for (const auto& [client, wanted] : next.wires()) {
     if (client.first != name || candidate_->wires.contains(client)) continue;
@@ -271,11 +271,11 @@ void System::wire_candidate(const Model& next, bool sends_too) {
 
 /// As with the one that serves: one that does not open waits.
 System::Wire System::open_for_candidate(const control::PortName& client, const control::PortName& provider,
-                                        const Model& next) {
+                                        const Model& next, std::uint64_t replaces) {
   Wire waiting{provider, 0, false, "there is no instance '" + provider.instance() + "' yet", {}};
   try {
     control::Done ignored;
-    if (next.find(provider.instance())) return connector_.connect(client, provider, next, 0, ignored);
+    if (next.find(provider.instance())) return connector_.connect(client, provider, next, replaces, ignored);
   } catch (const Error& error) {
     waiting.waits_for(error);
   }
@@ -323,8 +323,15 @@ void System::switch_clients(const std::string& name, const Model& next, control:
     for (auto one = wires_.begin(); one != wires_.end(); ++one) {
       auto& [client, wire] = *one;
       if (client.first == name || wire.provider.instance() != name || lost_.contains(client.first)) continue;
-      Wire now = connector_.connect(port_of(client), wire.provider, next, wire.id, done);
-      switched.emplace_back(one, std::exchange(wire, std::move(now)));
+      try {
+        Wire now = connector_.connect(port_of(client), wire.provider, next, wire.id, done);
+        switched.emplace_back(one, std::exchange(wire, std::move(now)));
+      } catch (const Error& error) {
+        const bool has_failed =
+            error.code() == ErrorCode::ComponentFailed && error.text().where == text_of(port_of(client));
+        if (!has_failed) throw;
+        if (wire.reason.empty()) wire.reason = error.text().what;
+      }
     }
   } catch (...) {
     const bool lives = groups_.living(model_.instance(name).group);
@@ -392,7 +399,7 @@ void System::watch_upgrade(const std::string& name, double left_ms, Waits::Answe
   const auto begin = [&] {
     for (const auto& pair : pairs) {
       standbys_.at(name).taps.push_back(pair.tap);
-      taps_.open(group_of(name, model_), pair.tap, sampled(name, pair.port));
+      taps_.open(group_of(name, model_), pair.tap, sampled(name, pair.port), true);
     }
   };
   const auto end_of = [check](const wire::GroupMessage& event) { return reply_of(*check, event); };

@@ -44,7 +44,8 @@ control::Done System::wire(const control::Wire& request, const Model& next, bool
   if (before && all_well && before->with_prescale(wanted.prescale) == wanted)
     return set_prescale(request.client(), *before, wanted);
   const bool several = wanted.providers.size() > 1 || (before && before->providers.size() > 1);
-  control::Done done = several ? wire_several(request.client(), next) : wire_one(request.client(), next, restores);
+  control::Done done =
+      several ? wire_several(request.client(), next, restores) : wire_one(request.client(), next, restores);
   std::string note = text_of(request.client()) + (done.warnings_size() > 0 && !several ? " waits for " : " to ") +
                      text_of(request.provider());
   for (const auto& provider : request.alternatives()) note += " else " + text_of(provider);
@@ -80,10 +81,14 @@ control::Done System::wire_one(const control::PortName& client, const Model& nex
   const auto old = wires_.find(key_of(client));
   control::Done done;
   Wire made{provider, 0, false, waiting_for(provider.instance()), {}};
-  if (restores) {
-    made = open_or_wait(client, provider, next, old == wires_.end() ? Wire{provider} : old->second, done);
-  } else if (next.find(provider.instance())) {
-    made = connector_.connect(client, provider, next, old == wires_.end() ? 0 : old->second.id, done);
+  if (next.find(provider.instance())) {
+    const Wire before = old == wires_.end() ? Wire{provider} : old->second;
+    try {
+      made = connector_.connect(client, provider, next, before.id, done);
+    } catch (const Error& error) {
+      if (!restores || error.code() != ErrorCode::ComponentFailed) throw;
+      made = open_or_wait(client, provider, next, before, done);
+    }
   } else {
     if (old != wires_.end()) connector_.disconnect(client, old->second, made.reason);
     await_provider(client, made, next);
@@ -97,7 +102,7 @@ control::Done System::wire_one(const control::PortName& client, const Model& nex
 /// Those that it keeps stay as they are. The new ones are opened before those that go are let go of, so that at every
 /// moment somebody serves. One that does not open waits: that is what its alternatives are for; but where somebody
 /// serves and none of those that are wanted opens, all stays as it is.
-control::Done System::wire_several(const control::PortName& client, const Model& next) {
+control::Done System::wire_several(const control::PortName& client, const Model& next, bool restores) {
   const Model::Wire& wanted = *next.wire_of(client);
   const Model::Wire* before = model_.wire_of(client);
   const bool as_before = before && before->prescale == wanted.prescale;
@@ -125,7 +130,8 @@ control::Done System::wire_several(const control::PortName& client, const Model&
       }
     }
     const auto is_open = [](const Wire& one) { return one.is_open(); };
-    if (refusal && std::any_of(old.begin(), old.end(), is_open) && std::none_of(now.begin(), now.end(), is_open))
+    if (refusal && !(restores && refusal->code() == ErrorCode::ComponentFailed) &&
+        std::any_of(old.begin(), old.end(), is_open) && std::none_of(now.begin(), now.end(), is_open))
       throw *refusal;
     arrange(client, wanted.providers, wanted.hold_ms, retires, next, &done);
   } catch (...) {

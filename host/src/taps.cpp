@@ -132,16 +132,18 @@ class Taps::Teller final : public Watcher {
 void Taps::tap(const wire::Tap& request, Hull& hull) {
   const std::string& name = request.watch().port().port();
   const std::string unit = hull.unit_of(name);
-  const auto alike = std::count_if(
-      taps_.begin(), taps_.end(), [&](const auto& one) { return one.second.hull == &hull && one.second.name == name; });
-  if (alike >= static_cast<std::ptrdiff_t>(kMostOfOne)) {
+  const auto alike = std::count_if(taps_.begin(), taps_.end(), [&](const auto& one) {
+    return one.second.hull == &hull && one.second.name == name && !one.second.is_own;
+  });
+  if (!request.is_own() && alike >= static_cast<std::ptrdiff_t>(kMostOfOne)) {
     throw Error(ErrorCode::Failed, {.what = fmt::format("it is watched, or waited for, {} times already", alike),
                                     .where = text_of(request.watch().port()),
                                     .expected = fmt::format("at most {} times at once", kMostOfOne),
                                     .next = "watch stop, where it is not needed"});
   }
   auto teller = std::make_shared<Teller>(request, unit, hull.clock(), on_event_);
-  taps_[request.tap()] = {&hull, name, hull.tap(name, terms_of(request.watch(), unit), std::move(teller))};
+  taps_[request.tap()] = {&hull, name, hull.tap(name, terms_of(request.watch(), unit), std::move(teller)),
+                          request.is_own()};
 }
 
 void Taps::untap(std::uint64_t id) {

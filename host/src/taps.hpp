@@ -42,6 +42,7 @@ class Taps {
     Hull* hull = nullptr;
     std::string name{};
     std::shared_ptr<Tap> tap{};
+    bool is_own = false;  ///< the host's
   };
 
   const OnEvent& on_event_;

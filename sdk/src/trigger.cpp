@@ -38,11 +38,15 @@ void TriggerBase::call(std::shared_ptr<const Object> argument, std::shared_ptr<R
     return reply->answer(Outcome::Rejected, "too many calls of '" + name_ + "' are under way", nullptr);
   }
   auto counted = std::make_shared<Counted>(reply, calls_);
+  reply->set_on_abandon([given_up = std::weak_ptr(counted)] {
+    if (const auto one = given_up.lock()) one->note_abandoned();
+  });
   const bool taken = hull_.strand().post([this, argument = std::move(argument), counted] { run(argument, counted); });
   if (!taken) reply->answer(Outcome::Disconnected, "the instance has ended", nullptr);
 }
 
 void TriggerBase::run(const std::shared_ptr<const Object>& argument, std::shared_ptr<ReplySink> reply) {
+  if (reply->abandoned()) return;  // nobody waits for it any more
   if (const auto violation = rules_.first_violation(*argument)) {
     return reply->answer(Outcome::Rejected, "the argument was refused: " + *violation, nullptr);
   }

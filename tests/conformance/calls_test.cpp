@@ -431,6 +431,14 @@ TEST_P(Calls, WiresOfAClientThatHasFailedAreLost) {
     system.eventually(port + " is lost", [&] { return system.port(port).connection() == control::LOST; });
     EXPECT_EQ(system.port(port).reason(), "'caller' has failed: asked to throw");
   }
+  try {
+    system.unwire("caller.samples");
+    system.wire("caller.samples", "source.newest");
+    ADD_FAILURE() << "wired";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.text().what, "'caller' has failed: asked to throw");
+    EXPECT_EQ(error.text().next, "unload caller, then load it again");
+  }
 }
 
 TEST_P(Calls, AlternativesOfAQueryServeWhenTheFirstHasFailed) {

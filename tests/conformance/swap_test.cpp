@@ -86,6 +86,23 @@ TEST_P(SwapThatIsWatched, IsNotMadeWhenTheNewOneSaysNothing) {
   EXPECT_EQ(console.last_entry().steps(0).what_case(), control::Change::kWire) << "only what the test made";
 }
 
+TEST_P(SwapThatIsWatched, IsComparedThoughBothAreWatchedAsOftenAsTheyMayBe) {
+  load_two("silent=true");
+  for (const std::string port : {"a.fixes", "b.fixes"}) {
+    control::Request request = console.request();
+    *request.mutable_watch()->mutable_port() = port_name(port);
+    request.mutable_watch()->set_min_period_ms(60'000);
+    for (std::size_t i = 0; i < 32; ++i) {
+      request.set_id(request.id() + 1000);
+      console.send(request);
+    }
+  }
+  TestConsole other(host);
+  EXPECT_THAT([&] { return other.change(TestConsole::swap_of("a", "b", 1000)); },
+              testing::ThrowsMessage<Error>(HasSubstr("b.fixes said nothing while it was compared")));
+  EXPECT_EQ(other.peer_of("nav.fixes"), "a");
+}
+
 TEST_P(SwapThatIsWatched, IsNotMadeWhenTheNewOneSaysThatItIsNotValid) {
   load_two("valid=false");
   EXPECT_THAT(refusal_of_swap(1000).text().what,

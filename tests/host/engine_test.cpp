@@ -241,6 +241,19 @@ TEST_P(Transactions, WhatIsTakenBackToAProviderThatHasFailedSinceWaitsForIt) {
   EXPECT_EQ(system.port("sink.each").connection(), control::CONNECTED);
 }
 
+TEST_P(Transactions, WhatIsTakenBackFromAlternativesToAProviderThatHasFailedSinceWaitsForIt) {
+  make({load("source", "one"), load("source", "two"), load("source", "three"), load("sink", "sink", group()),
+        wire("sink.each", "one.newest")});
+  control::Change several = wire("sink.each", "two.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("three.newest");
+  make({several});
+  system.set("one", "fail_with=broken");
+  eventually("it has failed", [&] { return system.instance("one").mode() == "failed"; });
+  const auto reply = undo();
+  EXPECT_TRUE(reply.has_done()) << reply.failure().what();
+  EXPECT_EQ(system.port("sink.each").connection(), control::WAITING);
+}
+
 TEST_P(Transactions, UndosThatWaitTakeBackOneEach) {
   make({load("source", "source"), load("sink", "sink", group())});
   make({wire("sink.each", "source.newest")});

@@ -800,6 +800,17 @@ TEST_F(LostAnswers, ModeIsAsItWas) {
   EXPECT_EQ(system.instance("first").mode(), "neutral") << "what is asked for and answered stays";
 }
 
+TEST_F(LostAnswers, WhatIsDeactivatedStaysSo) {
+  system.state("first", "deactivated");
+  control::State noted;
+  noted.set_instance("first");
+  noted.set_mode("deactivated");
+  system.system().note_state(noted);
+  lose_the_answer_to([&] { system.set("second", "period_ms=7"); });
+  system.let_pass(std::chrono::seconds(3));
+  EXPECT_EQ(system.instance("first").mode(), "deactivated");
+}
+
 TEST_F(LostAnswers, WireIsAsItWas) {
   lose_the_answer_to([&] { system.wire("sink.each", "second.newest"); });
   expect_messages();

@@ -138,6 +138,17 @@ TEST(Gaps, BeginAnewWithATapThatIsOpenedAnew) {
   EXPECT_EQ(before(2, 6, 2), 0U);
 }
 
+TEST(Gaps, OfATapThatIsOpenedAnewTakeNothingMoreThatWasOnItsWay) {
+  Gaps gaps;
+  wire::Tapped first, second;
+  first.set_opening(1);
+  second.set_opening(2);
+  EXPECT_TRUE(gaps.takes(first));
+  EXPECT_TRUE(gaps.takes(second));
+  EXPECT_FALSE(gaps.takes(first));
+  EXPECT_TRUE(gaps.takes(second));
+}
+
 TEST(MailboxBounds, AnEndComesBehindTheNewestOfItsKey) {
   Mailbox<std::string> mailbox;
   for (int i = 0; i < 3; ++i) mailbox.push_newest(7, "value " + std::to_string(i), 8U << 20U);

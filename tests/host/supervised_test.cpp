@@ -92,6 +92,16 @@ TEST_F(Supervised, GroupsGoOnWithTheWiresBetweenThem) {
   EXPECT_EQ(port(*console, "listener.samples").connection(), control::CONNECTED);
 }
 
+TEST_F(Supervised, AGroupWithOneThatIsDeactivatedGoesOn) {
+  auto console = host.console();
+  console->load("source", "there", "source");
+  console->change(state_of("source", "deactivated"));
+  const pid_t there = console->process_of("there");
+  console = host.kill_host();
+  EXPECT_EQ(console->process_of("there"), there);
+  EXPECT_EQ(console->instance("source").mode(), "deactivated");
+}
+
 TEST_F(Supervised, WhatIsInMainIsMadeAgainWithItsWiresParametersAndModes) {
   auto console = host.console();
   load_neutral(*console, "main", "period_ms=1 payload=3");

@@ -346,6 +346,17 @@ TEST_F(UpgradeBesideARestart, ThatFailsLeavesTheRestartToItsEnd) {
   expect_each_wire_once();
 }
 
+TEST_F(Upgrade, OfWhatOneThatHasFailedIsWiredToIsMade) {
+  system.load_in("elsewhere", "caller", "caller");
+  wire("caller.samples", "x.samples");
+  system.set("caller", "call=throw go=1");
+  system.eventually("it has failed", [&] { return system.instance("caller").mode() == "failed"; });
+  build("version=2");
+  make(upgrade_of());
+  EXPECT_EQ(version_heard(), 2);
+  EXPECT_EQ(system.port("caller.samples").connection(), control::LOST);
+}
+
 TEST_F(Upgrade, HearsAgainWhoWasStartedAgainMeanwhile) {
   system.load_in("shop", "ticker", "shop");
   wire("x.heard", "shop.samples");

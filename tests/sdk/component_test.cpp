@@ -715,6 +715,34 @@ std::string refusal_of_names() {
   return "";
 }
 
+class CountingTrigger : public Component {
+ public:
+  using Component::Component;
+  Number run(const Number&) {
+    ++runs;
+    return {};
+  }
+  int runs = 0;
+  Trigger<Number, Number> trigger{*this, "count", &CountingTrigger::run};
+};
+
+class NoReply final : public ReplySink {
+ public:
+  void answer(Outcome, std::string, std::shared_ptr<const Object>) override {}
+};
+
+TEST(CountingTriggers, AreNotRunForWhoHasGivenUpBeforeTheirTurn) {
+  testing::Bench<CountingTrigger> bench;
+  bench.start();
+  const auto given_up = std::make_shared<NoReply>(), waits = std::make_shared<NoReply>();
+  on_strand(bench, [&](CountingTrigger& one) {
+    one.trigger.call(std::make_shared<Number>(), given_up);
+    one.trigger.call(std::make_shared<Number>(), waits);
+    given_up->abandon();
+  });
+  on_strand(bench, [&](CountingTrigger& one) { EXPECT_EQ(one.runs, 1); });
+}
+
 struct SpacedPort final : Component {
   using Component::Component;
   Provides<Numbers> numbers{*this, "a b"};

@@ -39,7 +39,7 @@ std::size_t MessageStream::next_length() const {
 
 bool MessageStream::has_next() const {
   const std::size_t waiting = in_.size() - in_begin_;
-  return fault_.empty() && waiting >= 4 && waiting >= 4 + next_length();
+  return fault_.empty() && waiting >= 4 && (waiting >= 4 + next_length() || next_length() > kMaxMessage);
 }
 
 bool MessageStream::next(google::protobuf::MessageLite& message) {
