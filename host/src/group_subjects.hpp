@@ -31,6 +31,7 @@ class GroupSubjects {
   std::size_t instances() const { return instances_.size(); }
   /// What it was asked for, and has not answered, it does not answer any more: it may be done or not.
   void answers_no_more() { open_.clear(); }
+  bool awaits_answers() const { return !open_.empty(); }
   /// It has nothing to tell of.
   bool is_empty() const;
 

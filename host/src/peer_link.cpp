@@ -367,7 +367,9 @@ void PeerLink::on_message(const wire::GroupMessage& given) {
 bool PeerLink::believes(const wire::GroupMessage& event) {
   const std::lock_guard lock(mutex_);
   if (event.has_group_ended()) {
-    subjects_.erase(event.group_ended().group());
+    // What it was asked for and has not answered is done by the process after it.
+    const auto ended = subjects_.find(event.group_ended().group());
+    if (ended != subjects_.end() && !ended->second.awaits_answers()) subjects_.erase(ended);
     return true;
   }
   const bool is_theirs = std::ranges::any_of(subjects_, [&](auto& one) { return one.second.take(event); });

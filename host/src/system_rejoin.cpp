@@ -110,7 +110,10 @@ std::optional<wire::Adopted> System::resume(RemoteGroup& group, std::vector<std:
   for (const auto& one : held.status().instances()) {
     const auto* known = model_.find(one.name());
     const auto lost = lost_.find(one.name());
-    if (lost != lost_.end() && lost->second.away && known && known->group == group.name()) lost_.erase(lost);
+    if (lost != lost_.end() && lost->second.away && known && known->group == group.name()) {
+      lost_.erase(lost);
+      if (one.mode() == kModeFailed) tell_failed(one.name(), one.reason());  // perhaps while nobody could hear it
+    }
     if (known && known->group == group.name() && !lost_.contains(one.name())) continue;
     // Made by a request whose answer was lost.
     wire::GroupRequest destroy;
@@ -129,10 +132,11 @@ void System::make_agree(RemoteGroup& group, const wire::Adopted& held, std::vect
   for (const auto& one : held.status().instances()) {
     const auto* known = model_.find(one.name());
     if (!known || known->group != group.name() || lost_.contains(one.name())) continue;
+    if (one.mode() == kModeFailed) continue;
     attempt([&] { correct_parameters(group, one, lines); });
     attempt([&] { correct_mode(group, one, lines); });
   }
-  std::erase_if(strayed_, [this](const auto& one) { return !model_.find(one.first); });
+  std::erase_if(strayed_, [this](const auto& one) { return !model_.find(one.first) || lost_.contains(one.first); });
   attempt([&] { correct_wires(group, held, lines); });
   attempt([&] { correct_ports(group.name(), held.status()); });
 }
@@ -152,7 +156,7 @@ void System::correct_parameters(RemoteGroup& group, const control::InstanceStatu
 void System::correct_mode(RemoteGroup& group, const control::InstanceStatus& is, std::vector<std::string>& lines) {
   const std::string& name = is.name();
   const std::string wanted = model_.instance(name).mode;
-  if (model_.instance(name).is_in(is.mode()) || is.mode() == kModeFailed) {
+  if (model_.instance(name).is_in(is.mode())) {
     strayed_.erase(name);
     return;
   }

@@ -811,6 +811,23 @@ TEST_F(LostAnswers, WhatIsDeactivatedStaysSo) {
   EXPECT_EQ(system.instance("first").mode(), "deactivated");
 }
 
+TEST_F(LostAnswers, WhatFailsWhileTheConnectionIsCutIsToldWhenItJoinsAgain) {
+  control::WaitMode failed;
+  failed.set_instance("first");
+  failed.set_mode("failed");
+  failed.set_within_ms(60'000);
+  const auto told = std::make_shared<conformance::LaterAnswer>();
+  system.system().waits().wait_mode(7, 1, failed, [told](control::Reply reply) {
+    told->reply = std::move(reply);
+    told->ended = true;
+  });
+  lose_the_answer_to([&] { system.set("first", "fail_with=broken"); });
+  system.eventually("it is told", [&] { return told->ended.load(); });
+  EXPECT_TRUE(told->reply.has_met()) << told->reply.ShortDebugString();
+  EXPECT_NE(system.port("sink.each").connection(), control::CONNECTED);
+  EXPECT_THAT(system.port("sink.each").reason(), HasSubstr("has failed"));
+}
+
 TEST_F(LostAnswers, WireIsAsItWas) {
   lose_the_answer_to([&] { system.wire("sink.each", "second.newest"); });
   expect_messages();
