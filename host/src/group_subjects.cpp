@@ -63,7 +63,8 @@ GroupSubjects::Then GroupSubjects::following(const wire::GroupRequest& request) 
     case Request::kCut: return [this, wire = request.cut().wire()](bool) { wires_.erase(wire); };
     case Request::kArrange:
       return [this, retired = request.arrange().retires()](bool done) {
-        for (const std::uint64_t wire : retired) done ? void(wires_.erase(wire)) : void();
+        if (!done) return;
+        for (const std::uint64_t wire : retired) wires_.erase(wire);
       };
     case Request::kTap: return unless_refused(taps_, request.tap().tap());
     case Request::kUntap: return [this, tap = request.untap().tap()](bool) { taps_.erase(tap); };

@@ -29,7 +29,10 @@ void System::state(std::uint64_t owner, std::uint64_t id, const control::State& 
     changing_.insert(name);
   };
   const auto ended = [this, name, answer = std::move(answer)](control::Reply reply) {
-    made_.push([this, name] { changing_.erase(changing_.find(name)); });
+    made_.push([this, name] {
+      const auto one = changing_.find(name);  // none: it was made, though the request for it was not answered
+      if (one != changing_.end()) changing_.erase(one);
+    });
     answer(std::move(reply));
   };
   const auto end_of = [made = end_of_mode(change, name + " is " + request.mode()), name,

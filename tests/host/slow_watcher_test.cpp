@@ -36,19 +36,22 @@ class SlowWatcher : public testing::TestWithParam<std::string> {
     watch.mutable_watch()->mutable_port()->set_port(probe);
     console->send(watch);
   }
+  void send_more_than_is_read() {
+    console->load("gauge", GetParam());
+    watch("count");
+    for (int i = 0; i < kBursts; ++i) send_burst(kBurst);
+    send_burst(kLast);
+  }
 
+  static constexpr std::int64_t kBurst = 20'000;
+  static constexpr int kBursts = 4;
+  static constexpr std::int64_t kLast = 77;
   ServedHost host;
   std::optional<TestConsole> console{std::in_place, host};
 };
 
 TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
-  constexpr std::int64_t kBurst = 20'000;
-  constexpr int kBursts = 4;
-  constexpr std::int64_t kLast = 77;
-  console->load("gauge", GetParam());
-  watch("count");
-  for (int i = 0; i < kBursts; ++i) send_burst(kBurst);
-  send_burst(kLast);
+  send_more_than_is_read();
   std::uint64_t accounted = 0;
   std::uint64_t samples = 0;
   control::Sample last;
@@ -67,13 +70,7 @@ TEST_P(SlowWatcher, LosesValuesCountedAndNotTheNewest) {
 }
 
 TEST_P(SlowWatcher, IsShownTheNewestBeforeTheEnd) {
-  constexpr std::int64_t kBurst = 20'000;
-  constexpr int kBursts = 4;
-  constexpr std::int64_t kLast = 77;
-  console->load("gauge", GetParam());
-  watch("count");
-  for (int i = 0; i < kBursts; ++i) send_burst(kBurst);
-  send_burst(kLast);
+  send_more_than_is_read();
   TestConsole other(host);
   other.eventually("all is set", [&] {
     auto look = other.request();
