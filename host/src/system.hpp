@@ -354,6 +354,7 @@ class System {
                     const Wire& old, control::Done& done, std::optional<Error>* refusal = nullptr);
   void arrange(const control::PortName& client, const std::vector<control::PortName>& providers, double hold_ms,
                const std::vector<std::uint64_t>& retires, const Model& model, control::Done* cost);
+  static wire::GroupRequest prescaled(std::uint64_t wire, std::uint32_t prescale);
   void take_back_wires(const control::PortName& client, const std::vector<Wire>& made);
   void await_provider(const control::PortName& client, const Wire& wire, const Model& model);
   void leave_for_later(const control::PortName& client, Wire& wire, const std::string& reason);

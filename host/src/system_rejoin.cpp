@@ -206,10 +206,7 @@ void System::correct_wires(RemoteGroup& group, const wire::Adopted& held, std::v
     if (!one.provider_end() || ours == known.end() || ours->second->second.id != one.wire()) continue;
     const std::uint32_t prescale = model_.wire_of(port_of(ours->second->first))->prescale;
     if (one.prescale() == prescale) continue;
-    wire::GroupRequest request;
-    request.mutable_set_prescale()->set_wire(one.wire());
-    request.mutable_set_prescale()->set_prescale(prescale);
-    attempt([&] { group.request(std::move(request)); });
+    attempt([&] { group.request(prescaled(one.wire(), prescale)); });
   }
   for (auto& [key, wire] : wires_) {
     const auto* client = model_.find(key.first);

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "fiona/error.hpp"
 #include "fiona/probe.pb.h"
@@ -31,6 +32,13 @@ wire::GroupRequest arrangement(const control::PortName& client, const std::vecto
 
 }  // namespace
 
+wire::GroupRequest System::prescaled(std::uint64_t wire, std::uint32_t prescale) {
+  wire::GroupRequest request;
+  request.mutable_set_prescale()->set_wire(wire);
+  request.mutable_set_prescale()->set_prescale(prescale);
+  return request;
+}
+
 control::Done System::wire(const control::Wire& request, const Model& next, bool restores) {
   const Model::Wire* before = model_.wire_of(request.client());
   const Model::Wire& wanted = *next.wire_of(request.client());
@@ -58,10 +66,7 @@ control::Done System::set_prescale(const control::PortName& client, const Model:
                                    const Model::Wire& wanted) {
   const auto [first, last] = wires_.equal_range(key_of(client));
   const auto tell = [&](const Wire& wire, std::uint32_t prescale) {
-    wire::GroupRequest request;
-    request.mutable_set_prescale()->set_wire(wire.id);
-    request.mutable_set_prescale()->set_prescale(prescale);
-    group_of(wire.provider.instance(), model_).request(std::move(request));
+    group_of(wire.provider.instance(), model_).request(prescaled(wire.id, prescale));
   };
   for (auto one = first; one != last; ++one) {
     try {
@@ -146,14 +151,19 @@ control::Done System::wire_several(const control::PortName& client, const Model&
 /// The port has the providers that it had, over the wires that there are to them; a process that does not answer does
 /// that once it comes to it.
 void System::take_back_wires(const control::PortName& client, const std::vector<Wire>& made) {
+  const Model::Wire before = model_.wire_of(client) ? *model_.wire_of(client) : Model::Wire{};
   const auto [first, last] = wires_.equal_range(key_of(client));
   for (const Wire& one : made) {
     const auto same = [&](const auto& old) { return key_of(old.second.provider) == key_of(one.provider); };
     const auto known = std::find_if(first, last, same);
-    if (known != last) known->second = one;
-    if (known == last) connector_.disconnect(client, one, "it was not wired so");
+    if (known == last) {
+      connector_.disconnect(client, one, "it was not wired so");
+      continue;
+    }
+    const bool anew = std::exchange(known->second, one).id != one.id;
+    Group* to = anew && one.is_open() ? groups_.living(model_.instance(one.provider.instance()).group) : nullptr;
+    if (to) to->inform(prescaled(one.id, before.prescale));
   }
-  const Model::Wire before = model_.wire_of(client) ? *model_.wire_of(client) : Model::Wire{};
   Group* at = groups_.living(model_.instance(client.instance()).group);
   if (at) at->inform(arrangement(client, before.providers, before.hold_ms, {}));
 }

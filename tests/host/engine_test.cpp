@@ -393,6 +393,22 @@ TEST_P(Transactions, PlanShowsTheStepsAndWhatTakesThemBackAndChangesNothing) {
   EXPECT_EQ(whole(), before);
 }
 
+TEST_P(Transactions, ARewireThatFailsLeavesTheSubscriptionAsItWas) {
+  make({load("source", "one"), load("source", "two"), load("sink", "sink", group())});
+  control::Change several = wire("sink.each", "one.newest");
+  *several.mutable_wire()->add_alternatives() = port_name("two.newest");
+  make({several});
+  system.set("two", "fail_with=broken");
+  system.eventually("it has failed", [&] { return system.instance("two").mode() == "failed"; });
+  *several.mutable_wire()->add_alternatives() = port_name("three.newest");
+  several.mutable_wire()->set_prescale(5);
+  EXPECT_TRUE(transact({several}).has_failure());
+  const auto came_before = system.port("sink.each").messages();
+  const auto put_before = system.port("one.newest").messages();
+  system.eventually("more is put", [&] { return system.port("one.newest").messages() > put_before + 50; });
+  EXPECT_GE(system.port("sink.each").messages() - came_before, 40U);
+}
+
 TEST_P(Transactions, ARewireKeepsTheSubscriptionAsItIs) {
   make({load("source", "one"), load("source", "two"), load("sink", "sink", group())});
   control::Change seldom = wire("sink.each", "one.newest");
