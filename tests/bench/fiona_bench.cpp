@@ -87,15 +87,26 @@ double median(std::vector<double> values) {
   return values[values.size() / 2];
 }
 
+const char* verdict(bool counts, double at_most, bool ok) {
+  if (!counts) return "disturbed";
+  if (at_most == 0) return "told";
+  return ok ? "ok" : "short";
+}
+
+/// Of a measure that others disturb another is made, up to three.
 bool tell(const Cost& cost) {
-  const double figure = cost.measure();
-  const bool ok = cost.at_most == 0 || figure <= cost.at_most;
-  if (cost.at_most == 0) {
-    std::printf("%-46s %5.2f %s\n", cost.name.c_str(), figure, cost.unit);
-  } else {
-    std::printf("%-46s %5.2f %s   <= %.2f %s   %s\n", cost.name.c_str(), figure, cost.unit, cost.at_most, cost.unit,
-                ok ? "ok" : "short");
+  double figure = 0;
+  double foreign = 1;
+  for (int made = 0; made < 3 && foreign > kMostForeign; ++made) {
+    const Foreign others;
+    figure = cost.measure();
+    foreign = others.share();
   }
+  const bool counts = foreign <= kMostForeign;
+  const bool ok = counts && (cost.at_most == 0 || figure <= cost.at_most);
+  std::printf("%-46s %5.2f %s", cost.name.c_str(), figure, cost.unit);
+  if (cost.at_most > 0) std::printf("   <= %.2f %s", cost.at_most, cost.unit);
+  std::printf("   %s   (others %.0f %%)\n", verdict(counts, cost.at_most, ok), 100 * foreign);
   std::fflush(stdout);
   return ok;
 }
@@ -112,12 +123,8 @@ struct Series {
     const bool ok = counts && (at_most == 0 || median(ratios) <= at_most);
     std::printf("%-46s %5.2fx", name.c_str(), median(ratios));
     if (at_most > 0) std::printf("   <= %.2fx", at_most);
-    std::printf("   %s   (%.2f us, limit %.2f us; others %.0f %%)\n",
-                !counts        ? "disturbed"
-                : at_most == 0 ? "told"
-                : ok           ? "ok"
-                               : "short",
-                median(ours_us), median(bare_us), 100 * foreign);
+    std::printf("   %s   (%.2f us, limit %.2f us; others %.0f %%)\n", verdict(counts, at_most, ok), median(ours_us),
+                median(bare_us), 100 * foreign);
     std::fflush(stdout);
     return ok;
   }
@@ -176,7 +183,7 @@ std::vector<Goal> in_one_process() {
       {"wire to first message, one process / queue", 2.5, kRewired, by(wire_to_first_message, here), connect_to_queue},
       {"rewire to first message, one process / queue", 2.5, kRewired, by(rewire_to_first_message, here),
        connect_to_queue},
-      {"rewire from a console, one process / queue", 0, kRewired, by(console_rewire_to_first_message, here),
+      {"rewire from a console, one process / queue", 2.5, kRewired, by(console_rewire_to_first_message, here),
        connect_to_queue},
       {"probe set, nobody watches / lock and clock", 2.0, kSmall, set_of_probe, locked_store},
       {"piece of work, watched for hangs / not", 1.1, kSmall, watched_work, unwatched_work},
@@ -204,7 +211,7 @@ std::vector<Goal> between_processes(const Medium& medium, const std::string& pla
       {"stream 1 MiB to 8 there" + name, 1.0, {1024 * 1024, 200, 0}, stream_to(8, 3, there), bare_stream(8)},
       {"wire to first message" + name, 0.5, kRewired, by(wire_to_first_message, there), bare(connect_over_zeromq)},
       {"rewire to first message" + name, 0.5, kRewired, by(rewire_to_first_message, there), bare(connect_over_zeromq)},
-      {"rewire from a console" + name, 0, kRewired, by(console_rewire_to_first_message, there),
+      {"rewire from a console" + name, 0.5, kRewired, by(console_rewire_to_first_message, there),
        bare(connect_over_zeromq)},
   };
 }
@@ -214,6 +221,7 @@ std::vector<Cost> costs() {
   return {
       {"hash of a library", 0, "us/MiB", hash_us_per_mib},
       {"idle instance with four ports, heap", 32, "KiB", instance_kib},
+      {"group with one instance, the only one, PSS", 2.5, "MiB", [] { return group_mib(1); }},
       {"group with one instance, of four, PSS", 2.5, "MiB", [] { return group_mib(4); }},
       {"group with one instance, of ten, PSS", 2.5, "MiB", [] { return group_mib(10); }},
       {"host, publisher and subscriber, RSS / bare", 1.5, "x", memory(&Memory::resident)},
