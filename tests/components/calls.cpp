@@ -1,4 +1,5 @@
 // Every call that waits.
+#include <initializer_list>
 #include <map>
 #include <optional>
 #include <stdexcept>
@@ -23,12 +24,11 @@ class Caller final : public Component {
     hull().spawn(make(gone_), [] {});
   }
   void cancel_all(const std::string& which) {
-    samples_.cancel_calls(which == "port");
-    echo_.cancel_calls(which == "port");
-    bell_.cancel_calls(which == "port");
-    orders_.cancel_calls(which == "port");
+    for (Port* port : std::initializer_list<Port*>{&samples_, &echo_, &bell_, &orders_})
+      port->cancel_calls(which == "port" || which == port->name());
     cancel_calls(which == "instance");
-    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT, SEND}) cancel_calls(which == "pattern", pattern);
+    for (const Pattern pattern : {PUSH_NEWEST, QUERY, EVENT, SEND})
+      cancel_calls(which == "pattern" || which == Pattern_Name(pattern), pattern);
   }
   void report(std::uint64_t number, Outcome outcome, std::string text) {
     Sample one;

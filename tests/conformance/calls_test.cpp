@@ -38,7 +38,8 @@ class Calls : public testing::TestWithParam<Transport> {
     return system.wait_for(outcomes, [&](const SeenSample& one) { return one.number() == number; });
   }
   SeenSample end() { return end_of(go); }
-  Outcome outcome() { return static_cast<Outcome>(static_cast<int>(end().value())); }
+  static Outcome outcome_in(const SeenSample& one) { return static_cast<Outcome>(static_cast<int>(one.value())); }
+  Outcome outcome() { return outcome_in(end()); }
   Outcome outcome_of(const std::string& call, const std::string& parameters = "") {
     begin(call, parameters);
     return outcome();
@@ -243,10 +244,59 @@ TEST_P(Calls, ThatWaitEndCancelledByEachOfTheThreeFlagsAndSoDoNewOnesUntilItIsTa
       EXPECT_EQ(outcome_of(call), Outcome::Cancelled) << "a new " << call << ", " << flag;
       EXPECT_EQ(outcome_of("send_acknowledged"), Outcome::Cancelled) << flag;
       EXPECT_EQ(outcome_of("send"), Outcome::Cancelled) << flag;
+      EXPECT_EQ(outcome_of("request"), Outcome::Cancelled) << flag;
+      EXPECT_EQ(outcome_of("activate"), Outcome::Cancelled) << flag;
       system.set("caller", "cancel=none");
     }
     EXPECT_EQ(outcome_of("query", "manner=promptly"), Outcome::Ok) << flag;
     EXPECT_EQ(outcome_of("send_acknowledged"), Outcome::Ok) << flag;
+  }
+  EXPECT_EQ(outcome_of("deactivate"), Outcome::Ok);
+  eventually_lets_go("source");
+}
+
+TEST_P(Calls, AFlagOfOnePortOrOnePatternEndsNoCallOfAnother) {
+  const std::map<std::string, std::set<std::string>> ended_by{{"samples", {"wait_update"}},
+                                                              {"echo", {"query"}},
+                                                              {"bell", {"event"}},
+                                                              {"orders", {"send", "send_acknowledged"}},
+                                                              {"PUSH_NEWEST", {"wait_update"}},
+                                                              {"QUERY", {"query", "query_or_fail"}},
+                                                              {"EVENT", {"event", "activate_handled"}},
+                                                              {"SEND", {"send", "send_acknowledged"}}};
+  wire_all();
+  system.wire("caller.failing_echo", "answerer.echo");
+  system.state("source", "active");
+  for (const auto& [flag, calls] : ended_by) {
+    ASSERT_EQ(outcome_of("activate", "every=0"), Outcome::Ok);
+    std::map<std::uint64_t, std::string> waiting;
+    for (const std::string call : {"wait_update", "query", "query_or_fail", "event"}) {
+      begin(call, "manner=never deadline_ms=60000");
+      waiting[go] = call;
+    }
+    system.set("caller", "cancel=" + flag);
+    std::set<std::string> ended;
+    for (const std::string call :
+         {"wait_update", "query", "query_or_fail", "activate_handled", "send", "send_acknowledged"}) {
+      const bool times_out = call == "wait_update";
+      begin(call, times_out ? "deadline_ms=1" : "manner=promptly deadline_ms=60000");
+      const auto one = system.wait_for(outcomes, [&](const SeenSample& any) {
+        if (outcome_in(any) == Outcome::Cancelled && waiting.contains(any.number()))
+          ended.insert(waiting.at(any.number()));
+        return any.number() == go;
+      });
+      const auto otherwise = times_out ? Outcome::Timeout : Outcome::Ok;
+      EXPECT_EQ(outcome_in(one), calls.contains(call) ? Outcome::Cancelled : otherwise) << call << ", " << flag;
+    }
+    for (const auto& [number, call] : waiting)
+      EXPECT_EQ(ended.contains(call), calls.contains(call)) << call << ", " << flag;
+    system.state("caller", "neutral");
+    for (std::size_t left = waiting.size() - ended.size(); left > 0; --left) {
+      const auto one = system.wait_for(outcomes, [](const auto&) { return true; });
+      EXPECT_EQ(outcome_in(one), Outcome::NotActive) << waiting[one.number()] << ", " << flag;
+    }
+    system.set("caller", "cancel=none");
+    system.state("caller", "active");
   }
 }
 

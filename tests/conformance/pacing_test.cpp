@@ -213,6 +213,9 @@ TEST_P(Pacing, PutThatWaitsIsCancelledByEachOfTheThreeFlags) {
     system.set("pourer", "cancel=" + flag);
     EXPECT_EQ(outcome_of(end(outcome)), Outcome::Cancelled) << flag;
     system.state("pourer", "neutral");
+    system.state("pourer", "active");
+    EXPECT_EQ(outcome_of(end(outcome)), Outcome::Cancelled) << "a new one, " << flag;
+    system.state("pourer", "neutral");
     system.set("pourer", "cancel=none");
   }
   EXPECT_LE(put(), kFit) << "what was cancelled is not put";
