@@ -375,7 +375,10 @@ TEST_P(QueryCalls, ManyRequestsMayBeOpenAndAnswersComeInAnyOrder) {
 
 TEST_P(QueryCalls, HandlerThatThrowsAnythingButAnErrorFailsItsInstanceAndEndsTheQuery) {
   wire_all();
-  EXPECT_NE(outcome_of("query", "manner=throw"), Outcome::Ok);
+  begin("query", "manner=throw");
+  const SeenSample ended = end();
+  EXPECT_EQ(outcome_in(ended), Outcome::Rejected);
+  EXPECT_EQ(ended.payload(), "the provider failed while it handled this");
   system.eventually("failed", [&] { return system.instance("answerer").mode() == "failed"; });
   EXPECT_EQ(system.instance("answerer").reason(), "asked to throw");
 }
