@@ -1,6 +1,7 @@
 // What a call that waits returns, whatever ends it (docs/patterns.md, the table of pending calls), and events.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include <algorithm>
 #include <chrono>
@@ -18,6 +19,8 @@ namespace {
 
 using namespace std::chrono_literals;
 using testing::HasSubstr;
+using testing::Not;
+using testing::StartsWith;
 
 class Calls : public testing::TestWithParam<Transport> {
  protected:
@@ -501,6 +504,45 @@ TEST_P(Calls, AlternativesOfAQueryServeWhenTheFirstHasFailed) {
   EXPECT_NE(outcome_of("query", "manner=throw"), Outcome::Ok);
   system.eventually("the next one serves", [&] { return outcome_of("query", "manner=promptly") == Outcome::Ok; });
   EXPECT_EQ(system.port("second.echo").messages(), 1U);
+}
+
+TEST_P(Calls, WaitForAnUpdateGoesOnAndLatestIsStaleWhenAnAlternativeServes) {
+  system.load_provider("source", "first", "period_ms=1");
+  system.wire_to_several("caller.samples", {"first.newest", "source.newest"}, 0);
+  const auto latest = [&] {
+    begin("latest");
+    return end().payload();
+  };
+  system.eventually("it is heard", [&] { return outcome_of("latest") == Outcome::Ok; });
+  system.set("first", "count=1");  // it puts no more
+  const auto last = std::to_string(system.port("first.newest").messages());
+  system.eventually("its last", [&] { return latest().starts_with(last + " "); });
+  EXPECT_THAT(latest(), Not(HasSubstr("stale")));
+  begin("wait_update", "deadline_ms=60000");
+  const unsigned waits = go;
+  system.unload("first");
+  system.eventually("the other one serves",
+                    [&] { return system.read("caller.samples.serving").payload() == "source.newest"; });
+  begin("latest");
+  const auto kept = system.wait_for(outcomes, [](const auto&) { return true; });
+  EXPECT_EQ(kept.number(), go) << "the wait has not ended";
+  EXPECT_THAT(kept.payload(), StartsWith(last + " stale "));
+  system.state("source", "active");
+  const auto updated = end_of(waits);
+  EXPECT_EQ(outcome_in(updated), Outcome::Ok);
+  EXPECT_EQ(updated.payload(), "1");
+  EXPECT_THAT(latest(), Not(HasSubstr("stale")));
+}
+
+TEST_P(Calls, OpenQueryEndsDisconnectedWhenItsProviderIsKilledThoughAnAlternativeServes) {
+  system.load_in("red", "answerer", "first");
+  system.wire_to_several("caller.echo", {"first.echo", "answerer.echo"}, 0);
+  system.eventually("it serves", [&] { return system.read("caller.echo.serving").payload() == "first.echo"; });
+  begin("query", "manner=never deadline_ms=60000");
+  system.eventually("it is kept", [&] { return system.read("first.open").value() == 1; });
+  ::kill(system.group("red").process(), SIGKILL);
+  EXPECT_EQ(outcome(), Outcome::Disconnected);
+  system.eventually("the other one answers", [&] { return outcome_of("query", "manner=promptly") == Outcome::Ok; });
 }
 
 TEST_P(Calls, OpenQueryOfAPortThatSaysSoEndsDisconnectedWhenItIsRewired) {
