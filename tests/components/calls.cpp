@@ -65,9 +65,9 @@ class Caller final : public Component {
     } else if (call == "discard") {
       report(number, echo_.discard(request_), "");
     } else if (call == "send_burst") {
-      std::uint64_t taken = 0;
-      for (std::uint64_t i = 0; i < params_->every(); ++i) taken += orders_.send(sample) == Outcome::Ok ? 1 : 0;
-      report(number, Outcome::Ok, std::to_string(taken));
+      std::map<Outcome, std::uint64_t> ends;
+      for (std::uint64_t i = 0; i < params_->every(); ++i) ++ends[orders_.send(sample)];
+      report(number, Outcome::Ok, text_of(ends));
     } else if (call == "send_many") {
       many_.clear();
       for (std::uint64_t i = 0; i < params_->every(); ++i) hull().spawn(send_one(number), [] {});
@@ -124,17 +124,20 @@ class Caller final : public Component {
       report(number, Outcome::WrongId, "no such call: " + call);
     }
   }
-  /// One of many; the last tells how many ended in which way: "ok=180 disconnected=20".
+  /// How many ended in which way: "ok=180 disconnected=20".
+  static std::string text_of(const std::map<Outcome, std::uint64_t>& ends) {
+    std::string text;
+    for (const auto& [outcome, count] : ends)
+      text += std::string(to_string(outcome)) + "=" + std::to_string(count) + " ";
+    return text;
+  }
+  /// One of many; the last tells how they ended.
   Async<> send_one(std::uint64_t number) {
     const auto receipt = co_await orders_.send_acknowledged({}, 5s);
     ++many_[receipt.outcome()];
     std::uint64_t ended = 0;
-    std::string text;
-    for (const auto& [outcome, count] : many_) {
-      ended += count;
-      text += std::string(to_string(outcome)) + "=" + std::to_string(count) + " ";
-    }
-    if (ended == params_->every()) report(number, Outcome::Ok, text);
+    for (const auto& [outcome, count] : many_) ended += count;
+    if (ended == params_->every()) report(number, Outcome::Ok, text_of(many_));
   }
   /// "5", "5 stale", and how old it is in ms.
   std::string aged(const Received<Sample>& sample) const {
