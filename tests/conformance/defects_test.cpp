@@ -283,12 +283,16 @@ TEST_P(Defects, SubscribingAgainDoesNotKeepTheFirstPrescale) {
 
 TEST_P(Defects, NoPutIsDroppedBecauseItComesBeforeItsCycle) {
   system.load_client("sink", "sink");
-  system.load_provider("metronome", "metronome");
+  system.load_provider("metronome", "metronome", "neutral");
   system.wire("sink.timed", "metronome.samples");
+  const auto reports = system.watch("sink.report");
+  system.state("metronome", "active");
   for (int i = 1; i <= 20; ++i) system.set("metronome", "work_ms=" + std::to_string(i % 2));  // each puts once
+  system.state("metronome", "neutral");
   const auto put = system.port("metronome.samples").messages();
   EXPECT_GE(put, 20U);
-  system.eventually("all have come", [&] { return system.port("sink.timed").messages() >= put; });
+  const auto last = system.wait_for(reports, [put](const auto& one) { return one.number() == put; });
+  EXPECT_EQ(last.value(), static_cast<double>(put * (put + 1) / 2)) << "the sum of their numbers";
 }
 
 TEST_P(Defects, AProducerThatIsSlowDoesNotHoldUpTheTimersOfOthers) {
