@@ -77,6 +77,9 @@ class Boss final : public Component {
       const auto done = co_await master_.wire(first, second, within);
       cancel_calls(false);
       tell(number, done.outcome(), note_of(done));
+    } else if (call == "wire_by_default") {
+      const auto done = co_await master_.wire(first, second);
+      tell(number, done.outcome(), note_of(done));
     } else if (call == "many") {
       for (int i = 0; i < 80; ++i) hull().spawn(one_of_many(first, second), [] {});
     } else {
@@ -84,6 +87,7 @@ class Boss final : public Component {
       if (call == "wire") changes.wire(first, second);
       if (call == "unwire") changes.unwire(first);
       if (call == "state") changes.state(first, second);
+      if (call == "patient_state") changes.add(patient_state(first, second));
       if (call == "swap") changes.swap(first, second);
       if (call == "unload") changes.unload(first);
       if (call == "load") changes.load(first, second);
@@ -92,6 +96,14 @@ class Boss final : public Component {
       const auto done = co_await master_.make(std::move(changes), within);
       tell(number, done.outcome(), note_of(done));
     }
+  }
+  /// It has more time than the call that asks for it.
+  static control::Change patient_state(const std::string& instance, const std::string& mode) {
+    control::Change change;
+    change.mutable_state()->set_instance(instance);
+    change.mutable_state()->set_mode(mode);
+    change.mutable_state()->set_within_ms(60'000);
+    return change;
   }
   /// All that comes until nothing has come for so long: values, how many were missing, how it ended.
   Async<> fetch(std::uint64_t number, Duration within) {

@@ -30,7 +30,7 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kRows{
     {"tasks", {"Tasks"}},
     {"dynamic wiring",
      {"Wiring", "ClientsOfAPort", "FailedRewire", "FailedRewireOfHosts", "Alternatives", "AlternativesVirtual",
-      "Masters", "SwapThatIsWatched"}},
+      "Masters", "MastersThatWait", "SwapThatIsWatched"}},
     {"monitoring", {"Monitoring", "MonitoringOfAStart", "MonitoringOfAStream", "MonitoringOfAGroup"}},
     {"links", {"Links", "Processes"}},
     {"defects", {"Defects", "DefectsOfAStart", "DefectsOfTheDeaf", "DefectsOfTheKilled"}},

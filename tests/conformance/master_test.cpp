@@ -4,6 +4,10 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 
+#include <chrono>
+#include <thread>
+
+#include "campaign.hpp"
 #include "masters.hpp"
 #include "served_host.hpp"
 
@@ -29,11 +33,16 @@ class Masters : public testing::TestWithParam<Transport> {
     if (granted) boss.mutable_load()->add_rights("master");
     console.change(boss);
   }
+  /// What makes the boss call.
+  control::Change order(const std::string& call, const std::string& first = "-", const std::string& second = "-",
+                        const std::string& more = "") {
+    ++calls;
+    return TestConsole::set_of(
+        "boss", "call=" + call + " first=" + first + " second=" + second + " go=" + std::to_string(calls) + " " + more);
+  }
   void begin(const std::string& call, const std::string& first = "-", const std::string& second = "-",
              const std::string& more = "") {
-    ++calls;
-    console.set("boss",
-                "call=" + call + " first=" + first + " second=" + second + " go=" + std::to_string(calls) + " " + more);
+    console.change(order(call, first, second, more));
   }
   /// How the newest call ended: "ok nav.fixes to a.fixes".
   std::string end() {
@@ -181,6 +190,74 @@ TEST_P(Masters, MoreCallsThanMayBeOpenAreRejectedAndTheOthersMade) {
   EXPECT_THAT(call("many", "nav.fixes", "a.fixes"), HasSubstr("64 made, 16 refused"));
 }
 
+/// Beside somebody who holds his activity until he is told to let go: so long a change of his mode takes.
+class MastersThatWait : public Masters {
+ protected:
+  static constexpr const char* kBriefly = "deadline_ms=50";
+  void SetUp() override {
+    load_system();
+    console.load("holder", "main", "holder");
+    tell_holder("begin");
+    console.eventually("it holds", [&] { return console.read("holder.held") == "task"; });
+  }
+  void tell_holder(const std::string& trigger) {
+    auto told = console.request();
+    *told.mutable_call()->mutable_target() = port_name("holder." + trigger);
+    add_arguments("manner=task", *told.mutable_call()->mutable_arguments());
+    EXPECT_EQ(console.ask(told).called().outcome(), "ok");
+  }
+  /// Makes the boss call while the change that tells it to is under way, until the holder lets go.
+  void begin_held_up(const control::Change& asked) {
+    auto request = other.request();
+    *request.mutable_transact()->add_changes() = asked;
+    auto& rest = *request.mutable_transact()->add_changes()->mutable_state();
+    rest.set_instance("holder");
+    rest.set_mode("rest");
+    rest.set_within_ms(60'000);
+    other.send(request);
+  }
+  /// And all changes have had their turn.
+  void let_go() {
+    tell_holder("open");
+    EXPECT_TRUE(other.receive().has_done());
+    console.set("a", "period_ms=3");
+  }
+  /// At the host the time of a call begins, and ends, later than where it was made.
+  static void let_the_deadline_pass() { std::this_thread::sleep_for(100ms); }
+
+  TestConsole other{host};
+};
+
+TEST_P(MastersThatWait, WhatHasNotBegunByTheDeadlineEndsTimeoutAndIsNotMade) {
+  begin_held_up(order("wire", "nav.fixes", "a.fixes", kBriefly));
+  EXPECT_EQ(end(), "timeout");
+  let_the_deadline_pass();
+  let_go();
+  EXPECT_EQ(console.peer_of("nav.fixes"), "");
+}
+
+TEST_P(MastersThatWait, WhatHasBegunByTheDeadlineEndsTimeoutAndIsMade) {
+  begin("patient_state", "holder", "rest", kBriefly);
+  EXPECT_EQ(end(), "timeout");
+  let_the_deadline_pass();
+  EXPECT_EQ(console.instance("holder").mode(), "work");
+  tell_holder("open");
+  console.eventually("it rests", [&] { return console.instance("holder").mode() == "rest"; });
+  console.eventually("it is done", [&] { return console.last_entry().state() == control::JournalEntry::DONE; });
+  EXPECT_EQ(console.last_entry().author(), "component boss");
+}
+
+TEST_P(MastersThatWait, CallThatNamesNoDeadlineEndsAfterTwoSeconds) {
+  const tests::Pulse pulse;
+  const auto begun = Steady::now();
+  begin_held_up(order("wire_by_default", "nav.fixes", "a.fixes"));
+  EXPECT_EQ(end(), "timeout");
+  const double took_ms = std::chrono::duration<double, std::milli>(Steady::now() - begun).count();
+  EXPECT_GE(took_ms, 2000);
+  EXPECT_LE(took_ms, 2000 + allowed(500, false) + pulse.longest_ms());
+  let_go();
+}
+
 /// What one sees of others, beside a gauge.
 class Watchers : public Masters {
  protected:
@@ -303,6 +380,7 @@ TEST(WatchOfAGroup, ThatEndsIsOverWithAReason) {
 }
 
 FIONA_OVER_EVERY_TRANSPORT(Masters);
+FIONA_OVER_EVERY_TRANSPORT(MastersThatWait);
 FIONA_OVER_EVERY_TRANSPORT(Watchers);
 
 TEST(MasterThatDies, LosesNothingOfWhatItAskedFor) {
