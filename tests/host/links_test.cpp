@@ -23,6 +23,7 @@
 #include "fiona/hull.hpp"
 #include "fiona/localisation.fiona.hpp"
 #include "fiona/navigation.fiona.hpp"
+#include "fiona/perception.fiona.hpp"
 #include "leader_link.hpp"
 #include "link_keys.hpp"
 #include "links.hpp"
@@ -41,6 +42,31 @@ using tests::TemporaryDirectory;
 const std::string kLinksKey(kKeyBytes, 'k');
 const std::string kLinksToken = "0123456789abcdef";
 
+/// An obstacle that counts how often it is serialised. Its type has no rules, for which a put would look into it.
+class CountedObstacle final : public google::protobuf::Message {
+ public:
+  explicit CountedObstacle(std::size_t bytes) {
+    shown_.GetReflection()->MutableUnknownFields(&shown_)->AddLengthDelimited(1000, std::string(bytes, 'x'));
+  }
+  CountedObstacle* New(google::protobuf::Arena*) const override { return nullptr; }
+  google::protobuf::Metadata GetMetadata() const override { return shown_.GetMetadata(); }
+  std::size_t ByteSizeLong() const override { return shown_.ByteSizeLong(); }
+  int GetCachedSize() const override { return shown_.GetCachedSize(); }
+  std::uint8_t* _InternalSerialize(std::uint8_t* to, google::protobuf::io::EpsCopyOutputStream* stream) const override {
+    ++serialised;
+    return shown_._InternalSerialize(to, stream);
+  }
+  mutable std::atomic<int> serialised{0};
+
+ private:
+  perception::CommObstacle shown_;
+};
+
+struct ObstaclePort final : Provides<perception::ObstacleProvider> {
+  using Provides::Provides;
+  using PushProvider::put_object;
+};
+
 class BothEnds final : public Component {
  public:
   using Component::Component;
@@ -50,6 +76,7 @@ class BothEnds final : public Component {
   Requires<localisation::OrientationProvider> turned{*this, "turned"};
   Provides<navigation::LevelMap> asked{*this, "asked", &BothEnds::on_question};
   Requires<navigation::LevelMap> asks{*this, "asks"};
+  ObstaclePort shown{*this, "shown"};
   std::optional<Reply<navigation::CommLevelMap>> open;
   std::atomic<int> asked_so_far{0};
   std::atomic<int> noticed_so_far{0};
@@ -298,6 +325,31 @@ TEST_F(LinksOfAProcess, AWireWhosePlaceAnotherHasTakenGoesWhenItsProviderEndsIt)
   }));
   other.release(hull, "the test is over");
   other.stop();
+}
+
+TEST_F(LinksOfAProcess, AnObjectIsSerialisedOnceForEachProcessAndALargeOneOnceHoweverManyWiresItIsFor) {
+  constexpr std::size_t kLarge = kLaneWindow;  // more than goes to one that does not read: it is there for the next one
+  RawPeer one(context, at("links"), "one", "one", 1), other(context, at("links"), "other", "other", 1);
+  std::uint64_t wire = 0;
+  const auto open_eight = [&](RawPeer& peer, const std::string& name) {
+    peer.prove(kLinksKey);
+    for (int i = 0; i < 8; ++i) {
+      links.provide(++wire, kLinksToken, name, ends->shown, 1, "client");
+      peer.send(opening_by_hand(wire, false));
+    }
+    EXPECT_TRUE(becomes_true([&] { return ends->shown.subscribers() == wire; }));
+  };
+  const auto serialised = [&](std::size_t bytes) {
+    const auto obstacle = std::make_shared<CountedObstacle>(bytes);
+    EXPECT_TRUE(hull.strand().call([&] { ends->shown.put_object(obstacle, clock.now()); }, 20s));
+    return obstacle->serialised.load();
+  };
+  open_eight(one, "one");
+  EXPECT_EQ(serialised(10), 1);
+  EXPECT_EQ(serialised(kLarge), 1);
+  open_eight(other, "other");
+  EXPECT_EQ(serialised(10), 2);
+  EXPECT_EQ(serialised(kLarge), 1);
 }
 
 TEST_F(LinksOfAProcess, APushThatIsReplacedHasBroughtAllThatWasPutBefore) {

@@ -151,6 +151,34 @@ TEST(LocalWires, EndWhatIsOpenOnThemWhenTheyAreCut) {
   EXPECT_TRUE(bench.component().kept->abandoned());
 }
 
+/// Puts to itself.
+class Talking final : public Component {
+ public:
+  using Component::Component;
+  std::vector<const Number*> handled;
+  Provides<Numbers> numbers{*this, "numbers"};
+  Requires<Numbers> each{*this, "each", &Talking::on_number};
+  Requires<Numbers> newest{*this, "newest", &Talking::on_number, {.delivery = Delivery::Newest}};
+  Requires<Numbers> slot{*this, "slot"};
+
+ private:
+  void on_number(const Number& number) { handled.push_back(&number); }
+};
+
+TEST(LocalWires, GiveEachSubscriberTheVeryObjectThatWasPut) {
+  testing::Bench<Talking> bench;
+  bench.start();
+  const auto number = std::make_shared<const Number>(numbered(1));
+  on_strand(bench, [&](Talking& talking) {
+    for (RequiredPort* port : std::initializer_list<RequiredPort*>{&talking.each, &talking.newest, &talking.slot})
+      talking.numbers.attach(std::make_shared<LocalWire>(port->full_name(), port->end_for("bench"), 1));
+    talking.numbers.put(number);
+  });
+  bench.advance(1ms);
+  EXPECT_THAT(bench.component().handled, ElementsAre(number.get(), number.get()));
+  on_strand(bench, [&](Talking& talking) { EXPECT_EQ(&**talking.slot.latest(), number.get()); });
+}
+
 TEST(Handlers, MayBeConst) {
   testing::Bench<Onlooker> bench;
   bench.start();
