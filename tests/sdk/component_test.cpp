@@ -689,6 +689,21 @@ TEST(Timers, ThatWereSetInNeutralWorkInTheMainModeInWhichTheyComeDue) {
   EXPECT_EQ(bench.component().rang, 1);
 }
 
+TEST(Timers, ThatWereSetInAMainModeAreCancelledWhenItIsLeftThoughItIsEnteredAgainBeforeTheyAreDue) {
+  for (const std::string_view mode : {kModeNeutral, kModeDeactivated}) {
+    testing::Bench<Timed> bench;
+    bench.start();
+    on_strand(bench, [](Timed& timed) {
+      timed.make();
+      timed.passing->at(timed.now() + 5ms);
+    });
+    bench.start(mode);
+    bench.start();
+    bench.advance(8ms);
+    EXPECT_EQ(bench.component().rang, 0) << mode;
+  }
+}
+
 TEST(Timers, MayEndBeforeTheirComponent) {
   testing::Bench<Timed> bench;
   bench.start();
