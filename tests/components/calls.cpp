@@ -55,6 +55,9 @@ class Caller final : public Component {
     } else if (call == "latest_leased") {
       const auto latest = leased_.latest();
       report(number, latest.outcome(), latest ? aged(*latest) : latest.reason());
+    } else if (call == "latest_last") {
+      const auto latest = last_.latest();
+      report(number, latest.outcome(), latest ? aged(*latest) : latest.reason());
     } else if (call == "ask_without_end") {
       // Each call fails at once: the port has no wire.
       std::uint64_t asked = 0;
@@ -164,6 +167,7 @@ class Caller final : public Component {
   Requires<Echo> echo_{*this, "echo", {.optional = true}};
   Requires<Echo> failing_echo_{*this, "failing_echo", {.optional = true, .at_rewire = AtRewire::Fail}};
   Requires<SampleLeased> leased_{*this, "leased", {.optional = true}};
+  Requires<SampleLast> last_{*this, "last", {.optional = true}};
   Requires<Lookup> lookup_{*this, "lookup", {.optional = true, .at_rewire = AtRewire::Redirect}};
   Requires<Bell> bell_{*this, "bell", {.optional = true}};
   Requires<Bell> handled_bell_{*this, "handled_bell", &Caller::on_ring, {.optional = true}};

@@ -79,8 +79,8 @@ TEST_P(PushNewest, WaitUpdateGivesTheNextMessageAndNotTheOneThatIsThere) {
 
 class Inputs : public OverTransports {
  protected:
-  Outcome latest() {
-    system.set("caller", "call=latest go=" + std::to_string(++go));
+  Outcome latest(const std::string& call = "latest") {
+    system.set("caller", "call=" + call + " go=" + std::to_string(++go));
     return static_cast<Outcome>(
         static_cast<int>(system.wait_for(outcomes, [&](const auto& one) { return one.number() == go; }).value()));
   }
@@ -120,6 +120,24 @@ TEST_P(Inputs, OfAServiceThatSpeaksOnChangeAreThereInTheNextModeThoughTheyCameBe
   const auto report = system.watch("sink.report");
   system.state("sink", "active");
   EXPECT_EQ(system.wait_for(report, [](const auto& one) { return one.number() > 0; }).value(), 1);
+}
+
+TEST_P(Inputs, OfAServiceThatSpeaksOnChangeAreGivenAgainAtEachEntryThoughTheyWereReceivedBefore) {
+  system.load_client("sink", "sink");
+  system.load_client("caller", "caller");
+  system.load_provider("source", "source", "neutral period_ms=1 count=1");
+  outcomes = system.watch("caller.outcome");
+  const auto report = system.watch("sink.report");
+  for (const std::string client : {"sink", "caller"}) system.wire(client + ".last", "source.last");
+  system.state("source", "active");
+  system.wait_for(report, [](const auto& one) { return one.number() == 1; });
+  system.eventually("put", [&] { return latest("latest_last") == Outcome::Ok; });
+  for (const std::string mode : {"neutral", "active"}) {
+    for (const std::string client : {"sink", "caller"}) system.state(client, mode);
+  }
+  EXPECT_EQ(system.wait_for(report, [](const auto& one) { return one.number() == 2; }).value(), 2)
+      << "the first, again";
+  EXPECT_EQ(latest("latest_last"), Outcome::Ok);
 }
 
 // ---- push timed -----------------------------------------------------------------------------------------------
