@@ -264,6 +264,24 @@ TEST(VirtualTimeGroups, WhatIsLoadedLaterBeginsAtTheSystemsTime) {
   EXPECT_EQ(to_milliseconds(running.system().clock().now()), 1010);
 }
 
+TEST(VirtualTimeGroups, AChangeOfModeThatNamesNoTimeIsWithdrawnAfterTenSeconds) {
+  for (const std::string group : {"", "far"}) {
+    RunningSystem running(2, 30s);
+    running.set("host", "clock=virtual");
+    running.load_in(group, "mover", "mover", "work_ms=60000");
+    running.load_in(group, "source", "source", "neutral");
+    running.wire("mover.orders", "source.newest");
+    expect_to_pass(running, 100ms);                            // its task waits for an order
+    const auto change = running.begin_state("mover", "park");  // for whose end time goes on
+    running.eventually("the answer", [&] { return change->ended.load(); });
+    EXPECT_NEAR(to_milliseconds(running.system().clock().now()), 10'100, 100);
+    EXPECT_EQ(change->reply.failure().what(),
+              "'mover' did not change its mode to park in time: blocked by task 'steer'");
+    EXPECT_EQ(running.instance("mover").mode(), "drive");
+    EXPECT_FALSE(running.instance("mover").has_pending());
+  }
+}
+
 TEST(VirtualTimeProcess, AModeWithAFreeRunningTaskIsRefusedAndTheOthersAreNot) {
   RunningSystem running(2, 30s);
   running.set("host", "clock=virtual");
