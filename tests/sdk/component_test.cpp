@@ -510,6 +510,38 @@ TEST(EventTest, OfASingleActivationThatFindsItsClientInNoModeFiresWithALaterOne)
   EXPECT_EQ(bench.fire<Alarms>("heard", named("none")), 0U);
 }
 
+/// A provider of events at the end of a wire, whose mode does not serve its port yet.
+struct LateProvider final : Sink {
+  Outcome deliver(Parcel parcel) override {
+    ++(is_active ? taken : refused);
+    if (!is_active) parcel.reply->answer(Outcome::NotActive, "mode neutral", nullptr);
+    return is_active ? parcel.reply->event({}) : Outcome::Ok;
+  }
+  bool is_active = false;
+  int taken = 0;
+  int refused = 0;
+};
+
+TEST(EventTest, OfAnActivationThatMovedToAProviderThatIsNotActiveIsMadeWithin500msOnceThatIs) {
+  testing::Bench<Watchful> bench;
+  bench.component().mode = EventMode::Continuous;
+  bench.start();
+  const auto provider = std::make_shared<LateProvider>();
+  on_strand(bench, [](Watchful& client) { client.spawn(client.activate_heard()); });
+  on_strand(bench, [&](Watchful& client) {
+    const auto end = client.heard.end_for("bench");
+    end->set_target(provider);
+    end->set_connection(Connection::Connected, "on the bench again");
+  });
+  bench.advance(0ms);
+  ASSERT_EQ(provider->refused, 1);
+  provider->is_active = true;
+  bench.advance(499ms);
+  EXPECT_EQ(provider->taken, 0);
+  bench.advance(1ms);
+  EXPECT_EQ(provider->taken, 1);
+}
+
 TEST(EventTest, ThatNobodyWaitsForIsKeptByWhatItTakesOfMemory) {
   testing::Bench<Watchful> bench;
   bench.component().mode = EventMode::Continuous;
