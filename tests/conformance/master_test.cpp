@@ -304,6 +304,19 @@ TEST_P(Watchers, AComponentThatIsSlowKeepsTheNewestAndIsToldHowManyAreMissing) {
   EXPECT_THAT(seen, EndsWith(" 99 100 "));
 }
 
+TEST_P(Watchers, AComponentThatIsSlowKeeps4MiBOfLargeValuesAndIsToldHowManyAreMissing) {
+  control::Change source =
+      TestConsole::load_of("source", host.place(), "source", "period_ms=5 count=8 payload=1000000");
+  source.mutable_load()->set_mode("neutral");
+  console.change(source);
+  EXPECT_EQ(call("watch", "source.newest", "-", "deadline_ms=10000"), "ok");
+  console.state("source", "active");
+  console.eventually("all are put", [&] { return console.instance("source").ports(0).messages() == 8; });
+  console.unload("source");  // what has come before is told first
+  EXPECT_THAT(call("fetch", "-", "-", "deadline_ms=10000"),
+              StartsWith("rejected 4 seen, 4 missing: fiona.test.Sample "));
+}
+
 TEST_P(Watchers, AComponentThatPausesFindsWhatHasComeMeanwhile) {
   EXPECT_EQ(call("watch", "gauge.level", "-", "deadline_ms=10000"), "ok");
   console.state("boss", "neutral");
