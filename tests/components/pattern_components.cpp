@@ -125,13 +125,17 @@ class Listener final : public Component {
 class Clerk final : public Component {
  public:
   using Component::Component;
+  void on_start() override { pace_.set(params_->pace()); }
 
  private:
   void check(const ClerkParams& draft) const {
     if (draft.high() - draft.low() == draft.width()) return;
     throw Error(ErrorCode::Failed, {.what = "width is not what is between low and high", .where = name()});
   }
-  void on_change() { changes_.set(++changed_); }
+  void on_change() {
+    changes_.set(++changed_);
+    pace_.set(params_->pace());
+  }
   void look() {
     const double width = params_->width();
     std::this_thread::sleep_for(100us);
@@ -144,6 +148,7 @@ class Clerk final : public Component {
   std::uint64_t looked_ = 0;
   Params<ClerkParams> params_{*this, &Clerk::check, &Clerk::on_change};
   Probe<std::uint64_t> changes_{*this, "changes"};
+  Probe<Pace> pace_{*this, "pace"};
   Probe<std::uint64_t> torn_{
       *this, "torn", {.doc = "how often a task saw the old value of one and the new one of another"}};
   Probe<std::uint64_t> looks_{*this, "looks"};

@@ -29,6 +29,11 @@ control::Watch when(control::Comparison comparison, double value, const std::str
   condition.mutable_compared()->mutable_value()->set_number(value);
   return watch;
 }
+control::Watch when_is(const std::string& word) {
+  control::Watch watch = when(control::EQUAL, 0);
+  watch.mutable_condition()->mutable_compared()->mutable_value()->set_text(word);
+  return watch;
+}
 control::Watch when_older_than(double age_ms) {
   control::Watch watch;
   watch.mutable_condition()->set_older_than_ms(age_ms);
@@ -170,6 +175,38 @@ TEST_P(Monitoring, BelowTellsWhenItBecomesTrueAndAgainAfterItWasFalse) {
   for (const double value : {-1.0, -2.0, 0.0, -3.0}) level(value);
   EXPECT_EQ(next(watch).value(), -1);
   EXPECT_EQ(next(watch).value(), -3);
+}
+
+TEST_P(Monitoring, IsTellsWhenTheValueIsThatNumberAndNeitherAboveNorBelow) {
+  const auto watch = system.watch("gauge.level", when(control::EQUAL, 3));
+  for (const double value : {2.0, 4.0, 3.0, 3.5, 2.5, 3.0, 4.0}) level(value);
+  EXPECT_EQ(next(watch).value(), 3);
+  EXPECT_EQ(next(watch).value(), 3);
+  level(2);
+  EXPECT_EQ(next(system.watch("gauge.level")).value(), 2);
+  EXPECT_TRUE(system.take(watch).empty());
+}
+
+TEST_P(Monitoring, IsTellsWhenTheValueIsThatTextAndNeitherOneBeforeNorBehindIt) {
+  const auto watch = system.watch("gauge.word", when_is("x"));
+  for (const std::string word : {"w", "y", "x", "xx", "w", "x", "y"}) system.set("gauge", "word=" + word);
+  EXPECT_EQ(next(watch).payload(), "x");
+  EXPECT_EQ(next(watch).payload(), "x");
+  EXPECT_EQ(next(system.watch("gauge.word")).payload(), "y");
+  EXPECT_TRUE(system.take(watch).empty());
+}
+
+TEST_P(Monitoring, IsTellsWhenTheValueIsThatEnumeratorAndNoOther) {
+  system.load_client("clerk", "clerk");
+  const auto walks = system.watch("clerk.pace", when_is("WALK")), runs = system.watch("clerk.pace", when_is("RUN"));
+  for (const std::string pace : {"RUN", "WALK", "RUN"}) system.set("clerk", "pace=" + pace);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_EQ(next(walks).payload(), "WALK");
+    EXPECT_EQ(next(runs).payload(), "RUN");
+  }
+  EXPECT_EQ(next(system.watch("clerk.pace")).payload(), "RUN");
+  EXPECT_TRUE(system.take(walks).empty());
+  EXPECT_TRUE(system.take(runs).empty());
 }
 
 TEST_P(Monitoring, ConditionThatHoldsAlreadyTellsAtOnce) {
