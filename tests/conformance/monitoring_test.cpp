@@ -118,15 +118,40 @@ TEST_P(Monitoring, HullProbesNeedNoCooperation) {
 }
 
 TEST_P(Monitoring, HullProbesAreTheCountersThatShowPrints) {
-  system.load_provider("source", "source", "period_ms=1");
-  system.load_client("sink", "sink", "neutral");
-  system.wire("sink.each", "source.newest");
-  system.eventually("not active", [&] { return system.read("sink.each.not_active").value() > 3; });
-  system.state("source", "neutral");
-  system.eventually("the same", [&] {
-    return system.read("sink.poller.runs").value() == static_cast<double>(system.instance("sink").tasks(0).runs());
+  const auto is = [&](const std::string& probe, double shown) { return system.read(probe).value() == shown; };
+  const auto counts = [&](const std::string& probe, std::uint64_t shown) {
+    return is(probe, static_cast<double>(shown));
+  };
+  system.load_provider("source", "source", "period_ms=20 payload=1000000");
+  system.load_client("sink", "sink", "work_ms=200");
+  for (const std::string port : {"each", "newest"}) system.wire("sink." + port, "source.newest");
+  system.eventually("more come than are handled", [&] {
+    return system.port("sink.each").dropped() > 0 && system.port("sink.newest").superseded() > 0;
   });
-  EXPECT_EQ(system.read("sink.each.dropped").value(), static_cast<double>(system.port("sink.each").dropped()));
+  system.set("source", "period_ms=2 payload=0 value=2e9");
+  system.eventually("they break a rule", [&] { return system.port("source.newest").refused() > 0; });
+  system.state("sink", "neutral");
+  system.set("source", "value=0");
+  system.eventually("more find it not active than were dropped",
+                    [&] { return system.port("sink.each").not_active() > system.port("sink.each").dropped(); });
+  system.state("source", "neutral");
+  for (const std::string name : {"sink.each", "sink.newest", "source.newest"}) {
+    system.eventually(name + " is read as it is shown", [&] {
+      const auto shown = system.port(name);
+      const double age_ms = system.read(name + ".age").value();
+      return counts(name + ".superseded", shown.superseded()) && counts(name + ".dropped", shown.dropped()) &&
+             counts(name + ".refused", shown.refused()) && counts(name + ".not_active", shown.not_active()) &&
+             age_ms >= shown.age_ms() && age_ms <= system.port(name).age_ms();
+    });
+  }
+  EXPECT_GT(system.instance("sink").tasks(0).overruns(), 0U);
+  system.eventually("sink is read as it is shown", [&] {
+    const auto shown = system.instance("sink");
+    return counts("sink.poller.runs", shown.tasks(0).runs()) &&
+           counts("sink.poller.overruns", shown.tasks(0).overruns()) && is("sink.handler_time", shown.handler_ms()) &&
+           is("sink.cpu_time", shown.cpu_ms()) && counts("sink.queue_depth", shown.queue_depth()) &&
+           system.read("sink.mode").payload() == shown.mode();
+  });
 }
 
 TEST_P(Monitoring, PushModeGivesTheValueOfNowAndThenEach) {
