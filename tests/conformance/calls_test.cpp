@@ -321,6 +321,24 @@ TEST_P(QueryCalls, CancelledReceiveLeavesTheIdValid) {
   EXPECT_EQ(end().payload(), std::to_string(asked));
 }
 
+TEST_P(QueryCalls, ReceiveWhoseDeadlineHasPassedLeavesTheIdValidUntilItIsReceivedOrDiscarded) {
+  wire_all();
+  const auto begin_request = [&](double open) {
+    ASSERT_EQ(outcome_of("request", "manner=never deadline_ms=100000"), Outcome::Ok);
+    system.eventually("it is kept", [&] { return system.read("answerer.open").value() == open; });
+    EXPECT_EQ(outcome_of("receive", "deadline_ms=50"), Outcome::Timeout);
+  };
+  begin_request(1);
+  const unsigned asked = go - 1;
+  EXPECT_EQ(system.read("answerer.abandoned").value(), 0) << "it is still wanted";
+  EXPECT_EQ(system.call("answerer.echo", "manner=release").outcome(), "ok");
+  begin("receive", "deadline_ms=100000");
+  EXPECT_EQ(end().payload(), std::to_string(asked));
+  begin_request(1);
+  EXPECT_EQ(outcome_of("discard"), Outcome::Ok);
+  EXPECT_EQ(outcome_of("receive"), Outcome::WrongId);
+}
+
 TEST_P(QueryCalls, ReplyThatIsKeptAndDroppedLaterAnswersSo) {
   wire_all();
   begin("query", "manner=never");
