@@ -17,6 +17,7 @@
 
 #include <unistd.h>
 
+#include "../pulse.hpp"
 #include "../temporary_directory.hpp"
 #include "fiona/component.hpp"
 #include "fiona/error.hpp"
@@ -24,6 +25,7 @@
 #include "fiona/localisation.fiona.hpp"
 #include "fiona/navigation.fiona.hpp"
 #include "fiona/perception.fiona.hpp"
+#include "fiona/sensors.fiona.hpp"
 #include "leader_link.hpp"
 #include "link_keys.hpp"
 #include "links.hpp"
@@ -77,12 +79,18 @@ class BothEnds final : public Component {
   Provides<navigation::LevelMap> asked{*this, "asked", &BothEnds::on_question};
   Requires<navigation::LevelMap> asks{*this, "asks"};
   ObstaclePort shown{*this, "shown"};
+  Requires<sensors::ImageInputService> pictured{*this, "pictured", &BothEnds::on_picture};
   std::optional<Reply<navigation::CommLevelMap>> open;
   std::atomic<int> asked_so_far{0};
   std::atomic<int> noticed_so_far{0};
+  std::atomic<int> pictured_so_far{0};
+
+  void begin_to_wait_for_pictures() { spawn(activate()); }
 
  private:
+  Async<> activate() { static_cast<void>(co_await pictured.activate(EventMode::Continuous, {})); }
   void on_location(const localisation::CommLocation&) { ++noticed_so_far; }
+  void on_picture(const Fired<sensors::ImageInput>&) { ++pictured_so_far; }
   void on_question(const navigation::CommLevelMapRequest&, Reply<navigation::CommLevelMap> reply) {
     open = std::move(reply);
     ++asked_so_far;
@@ -126,7 +134,7 @@ class ProviderByHand final : public LinkSocket::Receiver {
   void on_refused(const std::string&) override {}
   void send(wire::Frame frame) { link_->send(lane_, frame); }
   void send(wire::Frame frame, std::shared_ptr<const Object> object) {
-    frame.mutable_object()->set_sequence(1);
+    if (!frame.has_fired()) frame.mutable_object()->set_sequence(1);
     link_->send(lane_, frame, object, LinkSocket::Rule::MustFit);
   }
   void send_waiting(wire::Frame frame, std::shared_ptr<const Object> object) {
@@ -252,6 +260,32 @@ TEST_F(LinksOfAProcess, APeerThatAsksForManyWiresAheadHasTheOldestRefused) {
   EXPECT_EQ(peer.receive().wire(), 17U);
   links.provide(1, kLinksToken, "other", ends->told, 1, "client");
   EXPECT_TRUE(other.receive().has_opened()) << "another peer's are not counted";
+}
+
+long descriptors() {
+  const auto all = std::filesystem::directory_iterator("/proc/self/fd");
+  return std::distance(begin(all), end(all));
+}
+
+TEST_F(LinksOfAProcess, AWireToAProcessThatIsKnownCostsOneRoundTripAndMakesNoSocket) {
+  Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
+  const auto open = [&](std::uint64_t wire, ProvidedPort& provider, RequiredPort& client) {
+    other.provide(wire, kLinksToken, "both", provider, 1, client.full_name());
+    require(wire, client);
+    EXPECT_EQ(client.connection(), Connection::Connected);
+  };
+  open(1, ends->told, ends->heard);
+  const long descriptors_before = descriptors();
+  open(2, ends->told, ends->noticed);
+  open(3, ends->asked, ends->asks);
+  for (Links* end : {&links, &other}) {
+    EXPECT_TRUE(becomes_true([&] { return end->status().sent_messages() >= 3; }));
+    EXPECT_EQ(end->status().sent_messages(), 3U) << "of each wire a question, and its answer";
+  }
+  EXPECT_EQ(descriptors(), descriptors_before);
+  links.release(hull, "the test is over");
+  other.release(hull, "the test is over");
+  other.stop();
 }
 
 TEST_F(LinksOfAProcess, APushThatIsReplacedIsAskedForItsEndAsSoonAsTheNewOneIsOpen) {
@@ -408,11 +442,16 @@ TEST_F(LinksOfAProcess, AWireThatComesBackToAPushAfterItsLastOneHasItsOwnLane) {
 }
 
 TEST_F(LinksOfAProcess, AProviderThatDoesNotEndAWireThatIsReplacedIsNotWaitedForLong) {
+  constexpr double kPatience_ms = 200;
+  constexpr double kBetween_ms = FIONA_SANITIZED ? 1000 : 50;  // to open the new one, and to wake up twice
   ProviderByHand other(at("other"));
   require(1, ends->heard);
+  const tests::Pulse pulse;
   const auto begin = std::chrono::steady_clock::now();
-  links.retire(1, true);
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, 10s);
+  links.require(2, kLinksToken, ends->heard.end_for("other.port"), {at("other"), "both", link_key(kLinksKey, "both")},
+                false, 1, 0, [&] { links.retire(1, true); });
+  const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - begin;
+  EXPECT_LE(took.count(), kPatience_ms + kBetween_ms + pulse.longest_ms());
   other.send(frame_for(1), std::make_shared<localisation::CommLocation>());
   EXPECT_TRUE(becomes_true([&] { return ends->heard.counters().dropped == 1; })) << "what comes too late is counted";
   wire::Frame closed = frame_for(1);
@@ -422,9 +461,49 @@ TEST_F(LinksOfAProcess, AProviderThatDoesNotEndAWireThatIsReplacedIsNotWaitedFor
   EXPECT_TRUE(becomes_true([&] {
     held.Clear();
     links.add_held(held);
-    return held.wires_size() == 0;
+    return held.wires_size() == 1;
   })) << "and it is there until its end comes";
   EXPECT_EQ(ends->heard.counters().messages, 0U);
+  links.release(hull, "the test is over");
+}
+
+TEST_F(LinksOfAProcess, APushThatBreaksARuleIsRefusedWhereItArrivesAndReachesNoHandler) {
+  ProviderByHand other(at("other"));
+  require(1, ends->noticed);
+  const auto nowhere = std::make_shared<localisation::CommLocation>();
+  nowhere->mutable_position()->set_reference_lat(91);
+  other.send(frame_for(1), nowhere);
+  other.send(frame_for(1), std::make_shared<localisation::CommLocation>());
+  EXPECT_TRUE(becomes_true([&] { return ends->noticed_so_far > 0; })) << "the one behind it";
+  EXPECT_TRUE(hull.strand().call([] {}, 20s));
+  EXPECT_EQ(ends->noticed_so_far, 1);
+  EXPECT_EQ(ends->noticed.counters().refused, 1U);
+  links.release(hull, "the test is over");
+}
+
+TEST_F(LinksOfAProcess, AnEventThatBreaksARuleIsRefusedWhereItArrivesAndReachesNoHandler) {
+  std::atomic<std::uint64_t> activation{0};
+  ProviderByHand other(at("other"), [&](const wire::Frame& frame) {
+    if (frame.has_request()) activation = frame.request().id();
+  });
+  require(1, ends->pictured);
+  EXPECT_TRUE(hull.strand().call([&] { ends->begin_to_wait_for_pictures(); }, 20s));
+  ASSERT_TRUE(becomes_true([&] { return activation > 0; }));
+  wire::Frame fired = frame_for(1);
+  fired.mutable_fired()->set_id(activation);
+  other.send(fired);
+  for (const float frequency_hz : {-1.0F, 1.0F}) {
+    const auto picture = std::make_shared<sensors::ImageInput>();
+    picture->set_update_frequency(frequency_hz);
+    fired.mutable_fired()->set_sequence(fired.fired().sequence() + 1);
+    other.send(fired, picture);
+  }
+  EXPECT_TRUE(becomes_true([&] { return ends->pictured_so_far > 0; })) << "the one behind it";
+  EXPECT_TRUE(hull.strand().call([] {}, 20s));
+  EXPECT_EQ(ends->pictured_so_far, 1);
+  EXPECT_EQ(ends->pictured.counters().refused, 1U);
+  EXPECT_EQ(ends->pictured.counters().dropped, 0U);
+  links.release(hull, "the test is over");
 }
 
 TEST_F(LinksOfAProcess, APeersSentencesAreCutToWhatASentenceMayHave) {
