@@ -145,7 +145,7 @@ TEST(VirtualTimeGroups, TheDeliveryLogIsTheSameInOneProcessAndInGroups) {
     const std::string expected = deliveries(seed, 2, in_main);
     ASSERT_GT(lines_of(expected), 1000U);
     for (const auto& place : {Placement(one_far), Placement(in_two_groups), Placement(in_three)}) {
-      for (const std::size_t threads : {1U, 8U}) {
+      for (const std::size_t threads : {1U, 2U, 8U}) {
         EXPECT_EQ(first_difference(expected, deliveries(seed, threads, place)), "")
             << threads << " threads, seed " << seed << ", m5 in " << place(5);
       }
