@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "fiona/result.hpp"
+#include "served_host.hpp"
 #include "system_fixture.hpp"
 
 namespace fiona::conformance {
@@ -283,6 +284,33 @@ TEST_P(Pacing, PutOfAMessageLargerThanAllRoomWaitsUntilNothingElseIsThere) {
   EXPECT_EQ(system.wait_for(report, [](const auto& s) { return s.number() == 4; }).value(), 0);
 }
 
+class PacingOfTheWatched : public testing::TestWithParam<Transport> {
+ protected:
+  std::uint64_t put() { return console.instance("pourer").ports(0).messages(); }
+
+  ServedHost host{GetParam()};
+  TestConsole console{host};
+  TestConsole watcher{host};
+};
+
+TEST_P(PacingOfTheWatched, PutThatWaitsDoesNotWaitForAWatcherThatDoesNotRead) {
+  auto load = TestConsole::load_of(
+      "pourer", host.place(), "pourer",
+      "deadline_ms=60000 count=" + std::to_string(kCount) + " payload=" + std::to_string(kPayload));
+  load.mutable_load()->set_mode("neutral");
+  console.change(load);
+  auto watch = watcher.request();
+  *watch.mutable_watch()->mutable_port() = port_name("pourer.samples");
+  watcher.send(watch);
+  watcher.last_entry();  // behind it: it watches by now
+  console.state("pourer", "active");
+  console.eventually("all are put", [&] { return put() == kCount; });
+  int shown = 1;
+  while (watcher.receive().sample().sequence() < kCount) ++shown;
+  EXPECT_LT(shown, kCount) << "nothing was lost: he was not slow";
+}
+
+FIONA_OVER_EVERY_TRANSPORT(PacingOfTheWatched);
 FIONA_OVER_EVERY_TRANSPORT(Pacing);
 FIONA_OVER_EVERY_TRANSPORT(FullPorts);
 FIONA_OVER(PacingOfTheKilled, Transport::Ipc, Transport::Tcp);
