@@ -375,9 +375,18 @@ TEST_P(Watchers, AConditionThatDoesNotFitEndsTheWatch) {
   EXPECT_THAT(ended, HasSubstr("does not compare with this value"));
 }
 
-TEST(WatchOfAGroup, ThatEndsIsOverWithAReason) {
-  ServedHost host(Transport::Ipc);
-  TestConsole console(host);
+/// Of what lives in a process of its own: a group, or another host.
+class OfAnotherProcess : public testing::TestWithParam<Transport> {
+ protected:
+  void kill_far() { ::kill(host.has_other() ? host.other().process() : console.process_of("far"), SIGKILL); }
+
+  ServedHost host{GetParam()};
+  TestConsole console{host};
+};
+using WatchOfAGroup = OfAnotherProcess;
+using MasterThatDies = OfAnotherProcess;
+
+TEST_P(WatchOfAGroup, ThatEndsIsOverWithAReason) {
   console.load("gauge", "far", "gauge", "level=1");
   control::Change boss = TestConsole::load_of("boss", "main");
   boss.mutable_load()->add_rights("master");
@@ -385,7 +394,8 @@ TEST(WatchOfAGroup, ThatEndsIsOverWithAReason) {
   console.set("boss", "call=watch first=gauge.level second=- go=1");
   console.eventually("the watch", [&] { return console.read("boss.ended") == "1 ok"; });
   console.set("boss", "call=fetch go=2");
-  ::kill(console.process_of("far"), SIGKILL);
+  kill_far();
+  if (host.has_other()) host.other().restart();  // or it might be cut off
   std::string ended;
   console.eventually("its end", [&] { return (ended = console.read("boss.ended")).starts_with("2 "); });
   EXPECT_THAT(ended, StartsWith("2 rejected 1 seen, 0 missing: 1 "));
@@ -396,24 +406,24 @@ FIONA_OVER_EVERY_TRANSPORT(Masters);
 FIONA_OVER_EVERY_TRANSPORT(MastersThatWait);
 FIONA_OVER_EVERY_TRANSPORT(Watchers);
 
-TEST(MasterThatDies, LosesNothingOfWhatItAskedFor) {
-  ServedHost host(Transport::Ipc);
-  TestConsole console(host);
+TEST_P(MasterThatDies, LosesNothingOfWhatItAskedFor) {
   console.load("beacon", "main", "a", "period_ms=2");
   console.load("navigator", "main", "nav");
   control::Change boss = TestConsole::load_of("boss", "far");
   boss.mutable_load()->add_rights("master");
   console.change(boss);
-  const pid_t process = console.process_of("far");
   console.set("boss", "call=wire first=nav.fixes second=a.fixes go=1");
   console.eventually("the change", [&] { return console.last_entry().author() == "component boss"; });
-  ::kill(process, SIGKILL);
+  kill_far();
   console.eventually("its death is noticed", [&] { return console.instance("boss").mode() == "failed"; });
   EXPECT_EQ(console.peer_of("nav.fixes"), "a");
   EXPECT_EQ(console.last_entry().state(), control::JournalEntry::DONE);
   console.undo();
   EXPECT_EQ(console.peer_of("nav.fixes"), "");
 }
+
+FIONA_OVER(WatchOfAGroup, Transport::Ipc, Transport::Tcp);
+FIONA_OVER(MasterThatDies, Transport::Ipc, Transport::Tcp);
 
 TEST(MasterRights, AreGrantedToWhoAsksForThemOnly) {
   ServedHost host;

@@ -547,18 +547,22 @@ TEST_P(MonitoringOfAStart, WorksInInit) {
 FIONA_OVER(MonitoringOfAStart, Transport::Process, Transport::Ipc);
 FIONA_OVER_EVERY_TRANSPORT(Monitoring);
 
-TEST(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {
-  RunningSystem system(Transport::Ipc);
+using MonitoringOfAGroup = OverTransports;
+
+/// Whether a host that does not answer has ended, or was cut off, is known when it is there again.
+TEST_P(MonitoringOfAGroup, WatcherIsToldThatTheProcessHasEnded) {
+  const bool is_host = GetParam() == Transport::Tcp;
+  const std::string why = is_host ? "host 'far' was started anew" : "group 'far' killed by signal 9";
   system.load_client("gauge", "gauge", "level=1");
   const auto watch = system.watch("gauge.level");
-  const auto groups = system.system().snapshot().groups();
-  for (const auto& group : groups) {
-    if (group.name() == "far") ::kill(group.process(), SIGKILL);
-  }
-  EXPECT_THAT(system.end_of(watch).what(), HasSubstr("group 'far' killed by signal 9"));
+  ::kill(system.far_process(), SIGKILL);
+  if (is_host) system.start_far_host_anew();
+  EXPECT_THAT(system.end_of(watch).what(), HasSubstr(why));
   EXPECT_THAT([&] { system.watch("gauge.level"); },
-              testing::ThrowsMessage<Error>(HasSubstr("'gauge' is lost: group 'far' killed by signal 9")));
+              testing::ThrowsMessage<Error>(HasSubstr("'gauge' is lost: " + why)));
 }
+
+FIONA_OVER(MonitoringOfAGroup, Transport::Ipc, Transport::Tcp);
 
 }  // namespace
 }  // namespace fiona::conformance

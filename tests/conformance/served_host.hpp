@@ -43,6 +43,7 @@ class ServedHost {
   std::filesystem::path socket() const { return directory_.path / "private" / "served.sock"; }
   std::string place() const { return transport_ == Transport::Process ? "main" : "far"; }
   bool has_other() const { return other_ != nullptr; }
+  OtherHost& other() { return *other_; }
   trust::KeyDirectory keys() const { return trust::KeyDirectory(directory_.path / "served-keys"); }
   /// "tcp://127.0.0.1:41234"
   std::string serves() const { return server_.serves(); }

@@ -166,6 +166,8 @@ class RunningSystem {
   std::string providers_group() const { return transport_ == Transport::Ipc ? "near" : "main"; }
   /// Of the client's side, where that is not the test's own: the group, or the other host.
   pid_t far_process();
+  /// Where that is the other host: another run of it.
+  void start_far_host_anew() { other_->restart(); }
   /// A probe, read once.
   SeenSample read(const std::string& probe);
   /// Waits until the tap has ended; why.
