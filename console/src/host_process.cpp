@@ -130,6 +130,7 @@ void HostProcess::spawn(const HostLaunch& launch, int ready, int lifeline, int s
   if (!launch.unsigned_packages.empty()) words.insert(words.end(), {"--unsigned", launch.unsigned_packages.string()});
   if (!launch.listen.empty()) words.insert(words.end(), {"--listen", "tcp://" + launch.listen});
   if (!launch.serve.empty()) words.insert(words.end(), {"--serve", "tcp://" + launch.serve});
+  if (!launch.registry.empty()) words.insert(words.end(), {"--registry", launch.registry});
   words.insert(words.end(), launch.limits.begin(), launch.limits.end());
   for (const std::string& peer : launch.peers) words.insert(words.end(), {"--peer", peer});
   std::vector<char*> arguments;

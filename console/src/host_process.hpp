@@ -19,7 +19,8 @@ struct HostLaunch {
   std::filesystem::path unsigned_packages{};  ///< a store of what nobody signs for; empty: none
   std::string listen{};                       ///< "ADDRESS:PORT"; empty: not over tcp
   std::string serve{};                        ///< "ADDRESS:PORT" for consoles; empty: none over tcp
-  std::vector<std::string> peers{};           ///< "NAME=ADDRESS:PORT=KEY"
+  std::string registry{};                     ///< "http://HOST:PORT" of an etcd; empty: none
+  std::vector<std::string> peers{};           ///< "NAME=ADDRESS:PORT=KEY", "NAME=KEY"
   std::vector<std::string> limits{};          ///< of its groups, as the words that it is given
   bool restore = false;                       ///< begins with the system of its last journal
   std::string after_end{};                    ///< with `restore`: how the one before has ended

@@ -208,7 +208,7 @@ std::vector<Verb> file_verbs() {
       {"run",
        forms({"run [FILE …] [--restore] [--supervised] [--headless] [--strict] [--for T] [--set INSTANCE.PARAM=VALUE "
               "…] [--host NAME] [--store DIR] [--unsigned DIR] "
-              "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] "
+              "[--listen ADDRESS:PORT] [--serve ADDRESS:PORT] [--peer NAME=ADDRESS:PORT=KEY …] [--registry URL] "
               "[--group-memory MIB] [--group-threads N] [--group-descriptors N] [--group-cpu CORES]"}),
        "starts a host and runs system files in it (from a shell)",
        "FILE is a system file, or the name of an installed package that is a system. Without it the system begins "
@@ -230,7 +230,9 @@ std::vector<Verb> file_verbs() {
        "--unsigned lets packages in DIR be loaded that nobody has signed, as unsigned/NAME, each in a sandbox.\n"
        "--listen lets another host lead this one over tcp; --peer names a host that this one leads: load … in NAME; "
        "--serve "
-       "lets consoles on other machines connect. Each needs keys: keys make.",
+       "lets consoles on other machines connect. Each needs keys: keys make. With --registry http://HOST:PORT, an "
+       "etcd, "
+       "a host holds its name there, and --peer NAME=KEY finds it wherever it is.",
        Access::Administer, verbs::run, false},
       {"save", forms({"save FILE"}), "writes the running system as a file that gives it back",
        "Replaces the file in one step, the one that a link leads to, and keeps its mode; - is standard output. A saved "

@@ -35,6 +35,11 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
                 {.what = "a host that leads others is not led: --peer and --listen do not go together",
                  .next = "give --listen to the hosts that are led, and --peer to the one that leads"});
   }
+  for (const PeerAddress& peer : options.peers) {
+    if (!peer.address.empty() || !options.registry.empty()) continue;
+    throw Error(ErrorCode::Usage, {.what = "nothing says where host '" + peer.name + "' is",
+                                   .expected = "--peer NAME=HOST:PORT=KEY, or --registry http://HOST:PORT besides"});
+  }
   for (std::size_t i = 0; i < options.peers.size(); ++i) {
     const auto same = [&](const PeerAddress& other) { return other.name == options.peers[i].name; };
     if (std::count_if(options.peers.begin(), options.peers.end(), same) == 1) continue;
@@ -54,9 +59,12 @@ HostLinks::HostLinks(const HostOptions& options, const std::string& name, Pool& 
   around_ = std::make_unique<HostSurroundings>(
       HostSurroundings{name, random_number(), keys_.pair(), pool, clock, links, context_, tell, post});
   if (!options.listen.empty()) {
-    zap_ = std::make_unique<Zap>(context_, Zap::hosts(keys_), std::move(on_log));
+    zap_ = std::make_unique<Zap>(context_, Zap::hosts(keys_), on_log);
     leader_ = std::make_unique<LeaderLink>(*around_, keys_, options.listen);
   }
+  if (!options.registry.empty())
+    around_->registry = std::make_unique<Registry>(options.registry, name, leader_ ? leader_->address() : "",
+                                                   around_->keys.open, std::move(on_log));
   for (const auto& peer : options.peers) peers_.push_back(std::make_unique<PeerLink>(*around_, peer));
   thread_ = std::thread([this] { serve(); });
 }
@@ -66,6 +74,7 @@ HostLinks::~HostLinks() { stop(); }
 void HostLinks::stop() {
   stopping_ = true;
   if (thread_.joinable()) thread_.join();
+  around_->registry.reset();
   for (auto& peer : peers_) peer->stop();
   if (leader_) leader_->stop();
 }

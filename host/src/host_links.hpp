@@ -19,7 +19,8 @@ struct HostOptions {
   std::filesystem::path keys;  ///< the directory; empty: the user's
   std::string listen;          ///< "tcp://ADDRESS:PORT"; empty: at nothing
   std::vector<PeerAddress> peers;
-  std::string serve{};  ///< "tcp://ADDRESS:PORT" for consoles; empty: none over tcp
+  std::string serve{};     ///< "tcp://ADDRESS:PORT" for consoles; empty: none over tcp
+  std::string registry{};  ///< "http://HOST:PORT" of an etcd; empty: none
   /// Whether it works with other hosts.
   bool any() const { return !listen.empty() || !peers.empty(); }
 };

@@ -39,6 +39,7 @@ struct Flags {
   std::string keys;
   std::string listen;
   std::string serve;
+  std::string registry;
   std::vector<std::string> peers;
   std::string plugins;
   std::string journal;
@@ -69,7 +70,9 @@ Flags parse(int argc, char** argv, options::options_description& description) {
       "tcp://ADDRESS:PORT where a host that leads may connect; port 0: a free one");
   add("serve", options::value(&flags.serve),
       "tcp://ADDRESS:PORT where consoles on other machines may connect; port 0: a free one");
-  add("peer", options::value(&flags.peers), "NAME=HOST:PORT=KEY, a host that this one leads; may be repeated");
+  add("peer", options::value(&flags.peers),
+      "NAME=HOST:PORT=KEY, a host that this one leads, or NAME=KEY of one that the registry has; may be repeated");
+  add("registry", options::value(&flags.registry), "http://HOST:PORT of an etcd that says where hosts are");
   add("keys", options::value(&flags.keys),
       "the directory of the key pair and of the hosts and consoles that may connect");
   add("unsigned", options::value(&flags.unsigned_packages), "store of packages that nobody has signed, for this run");
@@ -173,7 +176,7 @@ int serve(Flags& flags) {
   fiona::os::require_private_directory(socket.parent_path());
   const std::filesystem::path store =
       flags.store.empty() ? fiona::marketplace::Store::default_directory() : std::filesystem::path(flags.store);
-  fiona::host::HostOptions hosts{flags.keys, flags.listen, {}, flags.serve};
+  fiona::host::HostOptions hosts{flags.keys, flags.listen, {}, flags.serve, flags.registry};
   for (const auto& peer : flags.peers) hosts.peers.push_back(fiona::host::PeerAddress::from_text(peer));
   std::unique_ptr<fiona::host::SupervisorLink> supervisor;
   if (flags.supervisor >= 0) {

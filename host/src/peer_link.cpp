@@ -45,19 +45,22 @@ PeerAddress PeerAddress::from_text(const std::string& text) {
   const std::size_t first = text.find('=');
   const std::size_t last = text.rfind('=');
   const std::string name = text.substr(0, first);
-  const std::string address = first == last ? "" : text.substr(first + 1, last - first - 1);
-  const auto key = first == last ? std::nullopt : trust::Key::from_text(text.substr(last + 1));
+  const bool says_where = first != last;
+  const std::string address = says_where ? text.substr(first + 1, last - first - 1) : "";
+  const auto key = last == std::string::npos ? std::nullopt : trust::Key::from_text(text.substr(last + 1));
   const std::size_t colon = address.rfind(':');
   const auto fits = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_'; };
   const bool named = !name.empty() && name.size() <= 40 && std::isalpha(static_cast<unsigned char>(name[0])) &&
                      name != "main" && std::all_of(name.begin(), name.end(), fits);
+  if (named && key && !says_where) return {name, "", *key};
   if (named && key && colon != std::string::npos && colon > 0 && colon + 1 < address.size()) {
     return {name, "tcp://" + address, *key};
   }
   throw Error(
       ErrorCode::Usage,
       {.what = "--peer does not say which host, where it listens and what its key is",
-       .expected = "NAME=HOST:PORT=KEY, a key of 64 hexadecimal digits; NAME begins with a letter and is not 'main'",
+       .expected = "NAME=HOST:PORT=KEY, or NAME=KEY of one that --registry has; a key of 64 hexadecimal digits; NAME "
+                   "begins with a letter and is not 'main'",
        .found = text,
        .next = "on the other host: fiona keys show"});
 }
@@ -90,6 +93,7 @@ class PeerLink::Incoming final : public LinkSocket::Receiver {
 PeerLink::PeerLink(const HostSurroundings& around, PeerAddress peer)
     : around_(around),
       peer_(std::move(peer)),
+      address_(peer_.address),
       random_(static_cast<std::minstd_rand::result_type>(around.run ^ std::hash<std::string>()(peer_.name))) {}
 
 PeerLink::~PeerLink() { stop(); }
@@ -107,7 +111,24 @@ std::chrono::milliseconds PeerLink::by_chance(const Pause& pause) {
   return std::chrono::milliseconds(pause.least_ms + random_() % pause.spread_ms);
 }
 
+/// Where it is now, for one that the registry has. Throws Error that says why not.
+void PeerLink::find() {
+  if (!peer_.address.empty()) return;
+  const std::string found = around_.registry->address_of(peer_.name, peer_.key);
+  const std::lock_guard lock(mutex_);
+  address_ = found;
+}
+
 void PeerLink::try_open(Steady::time_point now) {
+  try {
+    find();
+  } catch (const Error& error) {
+    const std::lock_guard lock(mutex_);
+    reason_ = error.text().what;
+    open_at_ = now + Registry::kLookEvery;
+    tried_ = true;
+    return;
+  }
   {
     const std::lock_guard lock(mutex_);
     const int tries = std::exchange(tries_, std::min(tries_ + 1, 2));
@@ -120,7 +141,7 @@ void PeerLink::try_open(Steady::time_point now) {
   try {
     open();
   } catch (const zmq::error_t& error) {
-    enter(State::Refused, "no connection to " + peer_.address + " can be made: " + error.what());
+    enter(State::Refused, "no connection to " + address_ + " can be made: " + error.what());
     open_at_ = now + by_chance(kAfterRefusal);
   }
 }
@@ -137,7 +158,7 @@ void PeerLink::open() {
   socket.set(zmq::sockopt::immediate, true);  // nothing waits for a connection that may never come
   socket.set(zmq::sockopt::reconnect_ivl, -1);
   socket.set(zmq::sockopt::handshake_ivl, kHandshake_ms);
-  socket.set(zmq::sockopt::ipv6, peer_.address.find('[') != std::string::npos);
+  socket.set(zmq::sockopt::ipv6, address_.find('[') != std::string::npos);
   const std::string watch = "inproc://peer-" + peer_.name + "-" + std::to_string(sockets_++);
   zmq_socket_monitor(socket.handle(), watch.c_str(),
                      ZMQ_EVENT_CONNECTED | ZMQ_EVENT_CLOSED | ZMQ_EVENT_DISCONNECTED | ZMQ_EVENT_HANDSHAKE_SUCCEEDED |
@@ -146,7 +167,7 @@ void PeerLink::open() {
   monitor_ = zmq::socket_t(around_.context, zmq::socket_type::pair);
   monitor_.set(zmq::sockopt::linger, 0);
   monitor_.connect(watch);
-  link->connect_proven(peer_.address, peer_.name);
+  link->connect_proven(address_, peer_.name);
   const std::lock_guard lock(mutex_);
   lane_ = link->open_lane("");
   link_ = std::move(link);
@@ -392,10 +413,9 @@ bool PeerLink::was_tried() const {
 }
 
 Error PeerLink::unreachable() const {
-  return Error(ErrorCode::Unreachable, {.what = "host '" + peer_.name + "' is not connected",
-                                        .where = peer_.address,
-                                        .found = reason_,
-                                        .next = "ls hosts"});
+  return Error(
+      ErrorCode::Unreachable,
+      {.what = "host '" + peer_.name + "' is not connected", .where = address_, .found = reason_, .next = "ls hosts"});
 }
 
 /// Called with the mutex held. Returns the number that its answer will have.
@@ -458,6 +478,11 @@ std::vector<wire::GroupRequest> PeerLink::take_unanswered(const std::string& gro
   return left;
 }
 
+std::string PeerLink::address() const {
+  const std::lock_guard lock(mutex_);
+  return address_;
+}
+
 bool PeerLink::joined() const {
   const std::lock_guard lock(mutex_);
   return state_ == State::Joined;
@@ -468,7 +493,7 @@ control::HostStatus PeerLink::status() const {
   const std::lock_guard lock(mutex_);
   control::HostStatus status;
   status.set_name(peer_.name);
-  status.set_address(peer_.address);
+  status.set_address(address_);
   status.set_key(peer_.key.text());
   status.set_state(kStates[static_cast<std::size_t>(state_)]);
   status.set_reason(reason_);

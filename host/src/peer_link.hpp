@@ -19,6 +19,7 @@
 #include "fiona/trust/host_keys.hpp"
 #include "group_subjects.hpp"
 #include "links.hpp"
+#include "registry.hpp"
 
 namespace fiona::host {
 
@@ -60,14 +61,15 @@ struct HostSurroundings {
   zmq::context_t& context;
   std::function<void(wire::GroupMessage)> on_event;  ///< [any thread] of instances that another host holds for us
   std::function<void(HostChange)> on_change;         ///< [any thread]
+  std::unique_ptr<Registry> registry{};              ///< null: none
 };
 
 /// A host that this one leads.
 struct PeerAddress {
   std::string name;
-  std::string address;  ///< "tcp://HOST:PORT"
+  std::string address;  ///< "tcp://HOST:PORT"; empty: as the registry says
   trust::Key key;
-  /// "NAME=HOST:PORT=KEY". Throws Error Usage.
+  /// "NAME=HOST:PORT=KEY" or "NAME=KEY". Throws Error Usage.
   static PeerAddress from_text(const std::string& text);
 };
 
@@ -106,6 +108,8 @@ class PeerLink {
   /// [control thread] What it was told in sessions that have ended, and did not answer.
   std::vector<wire::GroupRequest> take_unanswered(const std::string& group);
   bool joined() const;
+  /// "tcp://HOST:PORT"; empty: the registry has not had it so far.
+  std::string address() const;
   /// Joined, or the first try to connect to it has ended.
   bool was_tried() const;
   /// [control thread] What it has said so far has been dealt with.
@@ -117,6 +121,7 @@ class PeerLink {
   enum class State { Connecting, Joined, Silent, Refused };
 
   void try_open(std::chrono::steady_clock::time_point now);
+  void find();
   void open();
   void close(State next, const std::string& reason, std::chrono::steady_clock::time_point open_at,
              std::chrono::milliseconds linger = {});
@@ -140,6 +145,7 @@ class PeerLink {
 
   const HostSurroundings& around_;
   const PeerAddress peer_;
+  std::string address_;  ///< empty: not known so far
   ClockOffset offset_;
   mutable std::mutex mutex_;
   std::condition_variable answered_;

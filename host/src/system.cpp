@@ -36,7 +36,11 @@ System::System(Options options, OnEvent on_event)
   // Nothing that a host before this one has numbered is taken for something of ours.
   next_order_ += options_.restarts << 16U;
   number_from(1 + (options_.restarts << 24U));
-  if (!options_.hosts.any()) return;
+  if (!options_.hosts.any()) {
+    if (options_.hosts.registry.empty()) return;
+    throw Error(ErrorCode::Usage, {.what = "a registry is for hosts that work with others",
+                                   .next = "add --listen ADDRESS:PORT, or --peer NAME=KEY"});
+  }
   if (!options_.hosts.listen.empty()) number_from(LedInstances::kOwnNumbers + (options_.restarts << 24U));
   hosts_ = std::make_unique<HostLinks>(
       options_.hosts, options_.name, *pool_, *clock_, groups_.main().links(),

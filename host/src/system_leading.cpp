@@ -28,7 +28,7 @@ Group* System::remote_group(const std::string& name) {
   }
   if (!peer->joined()) {
     throw Error(ErrorCode::Unreachable, {.what = fmt::format("host '{}' is not connected", host),
-                                         .where = peer->peer().address,
+                                         .where = peer->address(),
                                          .found = peer->status().reason(),
                                          .next = "ls hosts"});
   }

@@ -97,6 +97,7 @@ void OtherHost::start() {
                                      "--threads",  "2",
                                      "--ready-fd", "3"};
   words.insert(words.end(), own.begin(), own.end());
+  if (!choice_.registry.empty()) words.insert(words.end(), {"--registry", choice_.registry});
   if (choice_.plugins)
     words.insert(words.end(), {"--plugins", std::filesystem::path(TEST_COMPONENTS_LIBRARY).parent_path().string()});
   process_ = std::make_unique<os::ChildProcess>(program, words,
@@ -112,8 +113,14 @@ void OtherHost::start() {
 }
 
 void OtherHost::restart() {
+  Choice same = choice_;
+  same.listen = address_;
+  restart(std::move(same));
+}
+
+void OtherHost::restart(Choice choice) {
   process_.reset();
-  choice_.listen = address_;
+  choice_ = std::move(choice);
   start();
 }
 

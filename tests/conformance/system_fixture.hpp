@@ -63,6 +63,7 @@ class OtherHost {
     std::string listen = "127.0.0.1:0";
     bool plugins = true;       ///< may load the test's library
     std::string network = "";  ///< a network namespace; empty: the test's own
+    std::string registry = "";
   };
   /// Its keys and sockets go below `directory`.
   OtherHost(const std::filesystem::path& directory, const std::string& name) : OtherHost(directory, name, Choice()) {}
@@ -78,6 +79,7 @@ class OtherHost {
   std::string said() const;
   /// Again, at the same port.
   void restart();
+  void restart(Choice choice);
 
  private:
   void start();

@@ -318,6 +318,7 @@ HostLaunch launch_of(const Line& line, const Options& options) {
     launch.limits.insert(launch.limits.end(), {limit, given->text});
   }
   if (line.option("--serve") != nullptr) launch.serve = line.option("--serve")->text;
+  if (line.option("--registry") != nullptr) launch.registry = line.option("--registry")->text;
   const auto [first, last] = line.options.equal_range("--peer");
   for (auto peer = first; peer != last; ++peer) {
     const auto& [name, value] = peer->second;
