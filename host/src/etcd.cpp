@@ -44,7 +44,9 @@ std::string shown(std::string_view answer) {
 }
 
 [[noreturn]] void refuse_answer(std::string_view answer) {
-  throw Error(ErrorCode::Failed, {.what = "this is no answer of etcd", .found = shown(answer)});
+  throw Error(ErrorCode::Failed, {.what = "this is no answer of etcd",
+                                  .found = shown(answer),
+                                  .next = "see what listens there: curl URL/version; etcd 3.4 or later is needed"});
 }
 
 std::string from_base64(const json& given, std::string_view answer) {

@@ -6,8 +6,6 @@
 #include <utility>
 #include <vector>
 
-#include "fiona/error.hpp"
-
 namespace fiona::host {
 namespace {
 
@@ -46,7 +44,7 @@ Registry::~Registry() {
   }
   ends_.notify_all();
   thread_.join();
-  if (lease_ == 0 || !problem_.empty()) return;
+  if (lease_ == 0 || problem_) return;
   try {
     etcd_.revoke(lease_);
   } catch (const Error&) {
@@ -60,24 +58,28 @@ void Registry::serve() {
     try {
       look_and_tell();
     } catch (const Error& error) {
-      if (trouble_ != error.what()) on_log_(trouble_ = error.what());
+      tell(error.what());
     }
     lock.lock();
   }
 }
 
+/// Each trouble once, and that it is over.
+void Registry::tell(const std::string& trouble) {
+  if (std::exchange(trouble_, trouble) == trouble) return;
+  on_log_(trouble.empty() ? "the registry at " + etcd_.url() + " has this host's name again" : trouble);
+}
+
 /// Throws Error NotAllowed: the name is another's.
 void Registry::look_and_tell() {
-  std::string problem;
+  std::optional<Error> problem;
   try {
     look();
   } catch (const Error& error) {
     if (error.code() == ErrorCode::NotAllowed) throw;
-    problem = error.what();
+    problem = error;
   }
-  if (trouble_ != problem)
-    on_log_(problem.empty() ? "the registry at " + etcd_.url() + " has this host's name again" : problem);
-  trouble_ = problem;
+  tell(problem ? problem->what() : "");
   const std::lock_guard lock(mutex_);
   problem_ = std::move(problem);
 }
@@ -145,7 +147,7 @@ std::string Registry::address_of(const std::string& name, const trust::Key& key)
   const auto found = hosts_.find(name);
   if (found != hosts_.end() && found->second.key == key && !found->second.address.empty())
     return "tcp://" + found->second.address;
-  if (found == hosts_.end() && !problem_.empty()) throw Error(ErrorCode::Unreachable, problem_);
+  if (found == hosts_.end() && problem_) throw Error(problem_->code(), problem_->text());
   if (found == hosts_.end()) {
     std::vector<std::string> known;
     for (const auto& [other, host] : hosts_) known.push_back(other);
@@ -155,7 +157,9 @@ std::string Registry::address_of(const std::string& name, const trust::Key& key)
                  .next = "on it: fiona run --host " + name + " --listen ADDRESS:PORT --registry " + etcd_.url(),
                  .near = nearest_names(name, known)});
   }
-  if (found->second.key == key) throw Error(ErrorCode::NotFound, "host '" + name + "' listens nowhere: it leads");
+  if (found->second.key == key)
+    throw Error(ErrorCode::NotFound, {.what = "host '" + name + "' listens nowhere: it leads",
+                                      .next = "on it: --listen ADDRESS:PORT, without --peer"});
   throw Error(ErrorCode::NotAllowed, {.what = "the registry has host '" + name + "' with another key than --peer has",
                                       .found = found->second.key.text(),
                                       .next = "on it: fiona keys show"});

@@ -11,6 +11,7 @@
 #include <thread>
 
 #include "etcd.hpp"
+#include "fiona/error.hpp"
 #include "fiona/trust/host_keys.hpp"
 
 namespace fiona::host {
@@ -50,6 +51,7 @@ class Registry {
   void serve();
   void look();
   void look_and_tell();
+  void tell(const std::string& trouble);
   void hold();
   std::string told_address() const;
 
@@ -65,7 +67,7 @@ class Registry {
   std::condition_variable ends_;
   bool stopping_ = false;
   std::map<std::string, Host> hosts_;
-  std::string problem_;  ///< why what is known may be old
+  std::optional<Error> problem_;  ///< why what is known may be old
   std::thread thread_;
 };
 
