@@ -104,6 +104,7 @@ void Registry::look() {
     const std::lock_guard lock(mutex_);
     hosts_ = std::move(hosts);
   }
+  if (holder == 0) replaced_ = false;
   if (lease_ == 0 && !replaced_) hold();
 }
 

@@ -190,7 +190,7 @@ TEST_F(RegistryTest, AnotherRunOfAHostTakesItsNameAtOnceWithAGreaterIncarnationA
   const auto before = member("far", key_of("far"), "tcp://10.0.0.1:7001");
   const auto watcher = member("watcher", key_of("watcher"));
   const auto incarnation = watcher->hosts().at("far").incarnation;
-  const auto after = member("far", key_of("far"), "tcp://10.0.0.1:7002");
+  auto after = member("far", key_of("far"), "tcp://10.0.0.1:7002");
   eventually("it is found", [&] { return watcher->hosts().at("far").address == "10.0.0.1:7002"; });
   EXPECT_GT(watcher->hosts().at("far").incarnation, incarnation);
   eventually("told", [&] {
@@ -198,6 +198,11 @@ TEST_F(RegistryTest, AnotherRunOfAHostTakesItsNameAtOnceWithAGreaterIncarnationA
   });
   std::this_thread::sleep_for(3 * Registry::kLookEvery);
   EXPECT_EQ(watcher->hosts().at("far").address, "10.0.0.1:7002") << "they do not take it from each other";
+  after.reset();
+  eventually("that of before is found again", [&] {
+    const auto hosts = watcher->hosts();
+    return hosts.contains("far") && hosts.at("far").address == "10.0.0.1:7001";
+  });
 }
 
 TEST_F(RegistryTest, ARegistryThatIsAwayChangesNothingBetweenHostsAndHasTheNamesAgainOnceItIsBack) {
