@@ -26,7 +26,7 @@ constexpr std::chrono::milliseconds kLookEvery{50};
 constexpr std::chrono::milliseconds kSpeakEvery{250};
 constexpr std::chrono::seconds kCheckLevelsEvery{1};
 /// How long the last words may take to leave.
-constexpr int kCarriedFarewell_ms = 200;
+constexpr int kCarriedFarewell_ms = 1000;
 /// Of the stream in one message, and of a message.
 constexpr std::size_t kCarriedChunk = 32 * 1024;
 constexpr std::int64_t kLargestCarried = 64 * 1024;

@@ -183,20 +183,25 @@ TEST_F(Supervised, AlternativesServeAsBefore) {
   console->eventually("a is started again", [&] { return console->instance("a").restarts() == 1; });
 }
 
-TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
-  auto console = host.console();
-  load_pair(*console, 0);
-  console->load("mover", "moves", "mover", "work_ms=8000");  // holds the activity that a change of mode waits for
-  console->load("source", "moves", "silent", "period_ms=10000");
-  wire(*console, "mover.orders", "silent.newest");
+/// Its activity, which a change of its mode waits for.
+void load_one_that_holds(TestConsole& console) {
+  console.load("mover", "moves", "mover", "work_ms=8000");
+  console.load("source", "moves", "silent", "period_ms=10000");
+  wire(console, "mover.orders", "silent.newest");
   // Both of its tasks have the same period: one that waits falls behind the other.
   std::uint64_t steers = 0, looks = 0;
-  console->eventually("it holds it", [&] {
-    const std::uint64_t steered = port(*console, "mover.steers").messages();
-    const std::uint64_t looked = port(*console, "mover.looks").messages();
+  console.eventually("it holds it", [&] {
+    const std::uint64_t steered = port(console, "mover.steers").messages();
+    const std::uint64_t looked = port(console, "mover.looks").messages();
     if (steered != std::exchange(steers, steered)) looks = looked;
     return looked > looks + 5;
   });
+}
+
+TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
+  auto console = host.console();
+  load_pair(*console, 0);
+  load_one_that_holds(*console);
   const pid_t there = console->process_of("there"), far = console->process_of("far");
   const auto payload_is = [](TestConsole& at, std::int64_t wanted) {
     const auto source = at.instance("source");
@@ -222,9 +227,7 @@ TEST_F(Supervised, AGroupThatIsNotAsTheJournalSaysIsStartedAnew) {
 TEST_F(Supervised, WhatWasLoadedAndWiredByAChangeThatWasUnderWayIsEndedAndItsGroupGoesOn) {
   auto console = host.console();
   load_pair(*console, 0);
-  console->load("mover", "moves", "mover", "work_ms=8000");  // holds the activity that a change of mode waits for
-  console->load("source", "moves", "silent", "period_ms=10000");
-  wire(*console, "mover.orders", "silent.newest");
+  load_one_that_holds(*console);
   const pid_t far = console->process_of("far");
   TestConsole other(host.socket());
   auto half = other.request();
