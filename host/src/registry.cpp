@@ -33,7 +33,9 @@ std::optional<Registry::Host> Registry::host_in(const EtcdEntry& entry) {
 Registry::Registry(const std::string& url, std::string name, const std::string& listens, const trust::Key& key,
                    OnLog on_log)
     : etcd_(url), name_(std::move(name)), listens_(without_scheme(listens)), key_(key), on_log_(std::move(on_log)) {
-  look_and_tell();
+  problem_ = look();
+  if (problem_ && problem_->code() == ErrorCode::NotAllowed) throw Error(*problem_);
+  tell(problem_);
   thread_ = std::thread([this] { serve(); });
 }
 
@@ -55,36 +57,30 @@ Registry::~Registry() {
 void Registry::serve() {
   for (std::unique_lock lock(mutex_); !ends_.wait_for(lock, kLookEvery, [this] { return stopping_; });) {
     lock.unlock();
-    try {
-      look_and_tell();
-    } catch (const Error& error) {
-      tell(error.what());
-    }
+    auto problem = look();
+    tell(problem);
     lock.lock();
+    problem_ = std::move(problem);
   }
 }
 
 /// Each trouble once, and that it is over.
-void Registry::tell(const std::string& trouble) {
+void Registry::tell(const std::optional<Error>& problem) {
+  const std::string trouble = problem ? problem->what() : "";
   if (std::exchange(trouble_, trouble) == trouble) return;
   on_log_(trouble.empty() ? "the registry at " + etcd_.url() + " has this host's name again" : trouble);
 }
 
-/// Throws Error NotAllowed: the name is another's.
-void Registry::look_and_tell() {
-  std::optional<Error> problem;
+std::optional<Error> Registry::look() {
   try {
-    look();
+    read_and_hold();
+    return std::nullopt;
   } catch (const Error& error) {
-    if (error.code() == ErrorCode::NotAllowed) throw;
-    problem = error;
+    return error;
   }
-  tell(problem ? problem->what() : "");
-  const std::lock_guard lock(mutex_);
-  problem_ = std::move(problem);
 }
 
-void Registry::look() {
+void Registry::read_and_hold() {
   if (lease_ != 0 && !etcd_.keep_alive(lease_)) lease_ = 0;
   std::map<std::string, Host> hosts;
   std::int64_t holder = 0;
@@ -148,7 +144,8 @@ std::string Registry::address_of(const std::string& name, const trust::Key& key)
   const auto found = hosts_.find(name);
   if (found != hosts_.end() && found->second.key == key && !found->second.address.empty())
     return "tcp://" + found->second.address;
-  if (found == hosts_.end() && problem_) throw Error(problem_->code(), problem_->text());
+  if (found == hosts_.end() && problem_ && problem_->code() != ErrorCode::NotAllowed)
+    throw Error(problem_->code(), problem_->text());
   if (found == hosts_.end()) {
     std::vector<std::string> known;
     for (const auto& [other, host] : hosts_) known.push_back(other);

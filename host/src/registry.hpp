@@ -49,9 +49,10 @@ class Registry {
 
  private:
   void serve();
-  void look();
-  void look_and_tell();
-  void tell(const std::string& trouble);
+  /// Why it was in vain; NotAllowed: only in that the name is another's.
+  std::optional<Error> look();
+  void read_and_hold();
+  void tell(const std::optional<Error>& problem);
   void hold();
   std::string told_address() const;
 

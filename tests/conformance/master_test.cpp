@@ -223,7 +223,7 @@ class MastersThatWait : public Masters {
     console.set("a", "period_ms=3");
   }
   /// At the host the time of a call begins, and ends, later than where it was made.
-  static void let_the_deadline_pass() { std::this_thread::sleep_for(100ms); }
+  static void let_the_deadline_pass() { std::this_thread::sleep_for(1s); }
 
   TestConsole other{host};
 };
