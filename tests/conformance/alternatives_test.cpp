@@ -5,6 +5,7 @@
 
 #include <map>
 #include <sstream>
+#include <utility>
 
 #include "fiona/error.hpp"
 #include "system_fixture.hpp"
@@ -37,6 +38,15 @@ std::vector<Spell> runs_of(const std::string& heard) {
 std::string sources_of(const std::string& heard) {
   std::string text;
   for (const Spell& run : runs_of(heard)) text += (text.empty() ? "" : " ") + run.source;
+  return text;
+}
+
+/// The same where a source may leave out what has become too old on a busy machine.
+std::string order_of_sources(const std::string& heard) {
+  std::string text, before;
+  for (const Spell& run : runs_of(heard)) {
+    if (run.source != std::exchange(before, run.source)) text += (text.empty() ? "" : " ") + run.source;
+  }
   return text;
 }
 
@@ -115,7 +125,7 @@ TEST_P(Alternatives, TheNextOneServesWhenTheFirstSaysWhatIsTooOldForThePort) {
   EXPECT_EQ(serving("fresh"), "b.fixes");
   system.set("a", "late_ms=0");
   until_heard("a");
-  EXPECT_EQ(sources_of(heard()), "a b a") << heard();
+  EXPECT_EQ(order_of_sources(heard()), "a b a") << heard();
 }
 
 TEST_P(Alternatives, TheNextOneServesWhenTheFirstIsSilentForLongerThanItsLease) {
