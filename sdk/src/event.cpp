@@ -219,6 +219,7 @@ Async<Result<ActivationId>> EventClient::activate_object(std::shared_ptr<const O
   const auto call = std::make_shared<Call>();
   call->since = changes();
   const ActivationId id{next_id_++};
+  if (activations_.size() >= EventProvider::kMaxActivations) forget_refused();
   if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
   } else if (activations_.size() >= EventProvider::kMaxActivations) {
@@ -255,6 +256,9 @@ Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within
     call->event = take_oldest(activation);
     if (activation.fired) activations_.erase(found);
     calls().finish(call, Outcome::Ok);
+  } else if (const auto refused = found->second.refused; refused && (refused->is_due || inbox_.depth() == 0)) {
+    activations_.erase(found);
+    calls().finish(call, refused->outcome, refused->reason);
   } else if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
   } else {
@@ -269,9 +273,54 @@ Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within
 }
 
 bool EventClient::give_up(ActivationId id) {
-  if (!activations_.contains(id)) return false;
+  const auto found = activations_.find(id);
+  if (found == activations_.end()) return false;
+  const bool refused = found->second.refused.has_value();
   end(id, Outcome::WrongId, {});
-  return true;
+  return !refused;
+}
+
+/// The provider has ended it: that stays for who waits, or will, unless events go to a handler.
+void EventClient::refuse(ActivationId id, Outcome outcome, const std::string& reason) {
+  Activation& activation = activations_.at(id);
+  if (!activation.wait) {
+    hull().events().logged(hull().name(), LogLevel::Warning,
+                           full_name() + ": an activation has ended: " + std::string(to_string(outcome)) +
+                               (reason.empty() ? "" : ", " + reason));
+  }
+  if (const auto channel = std::exchange(activation.channel, nullptr)) {
+    channel->detach();
+    channel->abandon();
+  }
+  activation.refused = Refusal{outcome, reason};
+  has_refused_ = true;
+  tell_refusals();
+}
+
+/// Once nothing waits in the inbox: all events that had come before have been told.
+void EventClient::tell_refusals() {
+  if (!has_refused_ || inbox_.depth() > 0) return;
+  has_refused_ = false;
+  std::vector<ActivationId> over;
+  for (auto& [id, activation] : activations_) {
+    if (!activation.refused) continue;
+    activation.refused->is_due = true;
+    if (handler_ || activation.wait) over.push_back(id);
+  }
+  for (const ActivationId id : over) {
+    const auto found = activations_.find(id);  // what one ends may have ended another
+    if (found == activations_.end()) continue;
+    const Refusal refused = *found->second.refused;
+    end(id, refused.outcome, refused.reason);
+  }
+}
+
+/// Room for others: nobody has waited for these.
+void EventClient::forget_refused() {
+  std::erase_if(activations_, [](const auto& entry) {
+    const Activation& one = entry.second;
+    return one.refused && one.refused->is_due && one.events.empty() && !one.wait;
+  });
 }
 
 /// The activation is over: the provider is told, and whoever waits for it.
@@ -299,15 +348,8 @@ void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, 
   const auto found = activations_.find(id);
   if (found == activations_.end() || found->second.channel.get() != &from) return;
   if (outcome == Outcome::NotActive && !found->second.acknowledgement) return ask_again(id, found->second.channel);
-  const bool refused = outcome != Outcome::Disconnected;
-  if (refused || found->second.acknowledgement) {
-    if (refused && !found->second.acknowledgement && !found->second.wait) {
-      hull().events().logged(hull().name(), LogLevel::Warning,
-                             full_name() + ": an activation has ended: " + std::string(to_string(outcome)) +
-                                 (reason.empty() ? "" : ", " + reason));
-    }
-    return end(id, outcome, reason);
-  }
+  if (found->second.acknowledgement) return end(id, outcome, reason);
+  if (outcome != Outcome::Disconnected) return refuse(id, outcome, reason);
   // The provider has gone: the activation stays and is made again at the next one.
   found->second.channel->detach();
   if (const auto wait = std::exchange(found->second.wait, nullptr)) calls().finish(wait, outcome, reason);
@@ -315,13 +357,14 @@ void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, 
 
 void EventClient::make_again(ActivationId id) {
   const Outcome outcome = put_to_target(id, activations_.at(id));
-  if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) end(id, outcome, "the new provider refused it");
+  if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) refuse(id, outcome, "the new provider refused it");
 }
 
 /// The provider that the activation was moved to does not serve the port in its mode, or this one had no mode, or no
 /// room, for the only event of a single one. Nobody says when that will be: so it is asked for, once this port is
 /// served.
 void EventClient::ask_again(ActivationId id, const std::shared_ptr<Channel>& refused) {
+  if (!refused) return;
   const auto ask = [this, id, refused] {
     const auto found = activations_.find(id);
     const bool waits = found != activations_.end() && found->second.channel == refused;
@@ -341,17 +384,24 @@ void EventClient::leave_mode() {
     }
     if (std::exchange(activation.fired, false)) ask_again(id, activation.channel);
   }
+  tell_refusals();
+}
+
+std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
+  auto begun = take_event(parcel);
+  tell_refusals();
+  return begun;
 }
 
 /// Whichever provider it is of: it had arrived before the activation moved to another.
-std::optional<Async<>> EventClient::on_event(const Parcel& parcel) {
+std::optional<Async<>> EventClient::take_event(const Parcel& parcel) {
   const ActivationId id{parcel.activation};
   const auto found = activations_.find(id);
   if (found == activations_.end() || found->second.fired) return std::nullopt;
   Activation& activation = found->second;
   const Envelope& event = parcel.envelope;
   const bool over = !activation.continuous;
-  if (over) activation.channel->abandon();
+  if (over && activation.channel) activation.channel->abandon();
   if (handler_) {
     if (over) activations_.erase(found);
     return handler_(id, event);
@@ -412,13 +462,14 @@ void EventClient::on_missed(const Parcel& parcel) {
   const auto found = activations_.find(id);
   const bool waits = found != activations_.end() && !found->second.continuous && !found->second.fired;
   if (waits) ask_again(id, found->second.channel);
+  tell_refusals();
 }
 
 void EventClient::on_connection(Connection connection, std::uint64_t change) {
   if (connection == Connection::Connected) {
     std::vector<ActivationId> ids;
     for (const auto& [id, activation] : activations_) {
-      if (!activation.fired && activation.since < change) ids.push_back(id);
+      if (!activation.is_over() && activation.since < change) ids.push_back(id);
     }
     for (const ActivationId id : ids) {
       if (activations_.contains(id)) make_again(id);  // what one ends may have ended another

@@ -712,17 +712,51 @@ TEST_P(Event, TestKeepsStateInItsOwnCopyOfTheActivation) {
 
 TEST_P(Event, TestThatThrowsEndsThatActivationAloneAndSaysWhy) {
   wire_all();
+  system.set("source", "period_ms=1");
   system.state("source", "active");
   const auto rings = system.watch("caller.rings");
   ASSERT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
-  const auto number = system.port("source.newest").messages() + 50;
+  const auto number = system.port("source.newest").messages() + 500;
   ASSERT_EQ(outcome_of("activate", "every=0 throw_at=" + std::to_string(number)), Outcome::Ok);
   begin("event", "every=1 throw_at=0");
   const auto ended = end();
-  EXPECT_EQ(static_cast<Outcome>(static_cast<int>(ended.value())), Outcome::Rejected);
+  EXPECT_EQ(outcome_in(ended), Outcome::Rejected);
   EXPECT_THAT(ended.payload(), HasSubstr("asked to throw"));
   EXPECT_EQ(system.instance("source").mode(), "active");
   system.wait_for(rings, [&](const auto& one) { return one.value() > static_cast<double>(number) + 10; });
+}
+
+TEST_P(Event, TestThatHasThrownIsToldToWhoWaitsLaterBehindTheEventsBeforeIt) {
+  wire_all();
+  system.set("source", "period_ms=1");
+  system.state("source", "active");
+  const auto number = system.port("source.newest").messages() + 500;
+  const auto throwing = "throw_at=" + std::to_string(number);
+  ASSERT_EQ(outcome_of("activate", "every=50 " + throwing), Outcome::Ok);
+  system.eventually("it has thrown", [&] { return system.port("source.newest").messages() > number + 50; });
+  int events = 0;
+  SeenSample last;
+  while (outcome_in(last = (begin("event"), end())) == Outcome::Ok) {
+    EXPECT_THAT(last.payload(), testing::EndsWith(" of " + std::to_string(50 * ++events)));
+  }
+  EXPECT_GT(events, 0);
+  EXPECT_EQ(outcome_in(last), Outcome::Rejected);
+  EXPECT_THAT(last.payload(), HasSubstr("asked to throw"));
+  EXPECT_EQ(outcome_of("event"), Outcome::WrongId) << "told once";
+}
+
+TEST_P(Event, TestThatHasThrownTakesNoEventFromAHandlerThatIsBehind) {
+  wire_all();
+  system.set("source", "period_ms=1");
+  system.state("source", "active");
+  system.set("caller", "ring_ms=10");
+  const auto rings = system.watch("caller.rings");
+  const auto number = system.port("source.newest").messages() + 300;
+  ASSERT_EQ(outcome_of("activate_handled", "every=1 throw_at=" + std::to_string(number)), Outcome::Ok);
+  system.wait_for(rings, [&](const auto& one) { return one.value() == static_cast<double>(number) - 1; });
+  EXPECT_THAT(system.logged("caller", "caller.handled_bell: an activation has ended: rejected"),
+              HasSubstr("asked to throw"));
+  EXPECT_EQ(system.port("caller.handled_bell").dropped(), 0U);
 }
 
 TEST_P(Event, DeactivatedActivationFiresNoMore) {

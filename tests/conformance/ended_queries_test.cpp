@@ -47,9 +47,12 @@ class QueriesThatHaveEnded : public OverTransports {
              told.find(outcome + "=" + std::to_string(ends[outcome]) + " ") != std::string::npos;
     });
   }
+  /// Over and over: one that has ended may still be on its way there.
   void let_go(const std::string& provider) {
-    EXPECT_EQ(system.call(provider + ".echo", "manner=forget").outcome(), "ok");
-    system.eventually("it keeps none", [&] { return system.read(provider + ".open").value() == 0; });
+    system.eventually("it keeps none", [&] {
+      return system.call(provider + ".echo", "manner=forget").outcome() == "ok" &&
+             system.read(provider + ".open").value() == 0;
+    });
   }
   /// In every way in which a query ends.
   void make_all_end() {
@@ -63,6 +66,7 @@ class QueriesThatHaveEnded : public OverTransports {
     wait_for_ends("rejected");
     begin("echo", "never", 5);
     wait_for_ends("timeout");
+    let_go("first");
     begin("lookup", "never");
     wait_until_kept("first");
     system.set("asker", "cancel=port");

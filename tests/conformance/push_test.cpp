@@ -101,7 +101,7 @@ TEST_P(Inputs, OfTheModeBeforeDoNotEnterTheNextOne) {
 }
 
 TEST_P(Inputs, ThatWaitForAHandlerEndWithTheirModeCounted) {
-  system.load_client("sink", "sink", "work_ms=20");
+  system.load_client("sink", "sink", "work_ms=100");
   system.load_provider("source", "source", "neutral period_ms=1 count=50");
   system.wire("sink.each", "source.newest");
   system.state("source", "active");

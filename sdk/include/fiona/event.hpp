@@ -101,18 +101,30 @@ class EventClient : public RequiredPort {
 
  private:
   class Channel;
+  /// What the provider has ended it with: told to who waits, behind the events that had arrived.
+  struct Refusal {
+    Outcome outcome;
+    std::string reason;
+    bool is_due = false;  ///< none of those events is in the inbox any more
+  };
   struct Activation {
     std::shared_ptr<const Object> parameters;
     bool continuous = false;
-    std::shared_ptr<Channel> channel;  ///< to the provider of this moment
+    std::shared_ptr<Channel> channel;  ///< to the provider of this moment; none: refused
+    std::optional<Refusal> refused;
     std::shared_ptr<Call> acknowledgement;
     std::shared_ptr<EventCall> wait;
     std::deque<Envelope> events;  ///< of a port without handler: that nobody has waited for yet
     bool fired = false;           ///< a single one: over, but for who has not asked for its event yet
     std::uint64_t since = 0;      ///< `changes` when it was put to that provider
+    bool is_over() const { return fired || refused; }
   };
   Outcome put_to_target(ActivationId id, Activation& activation);
   std::optional<Async<>> on_event(const Parcel& parcel);
+  std::optional<Async<>> take_event(const Parcel& parcel);
+  void refuse(ActivationId id, Outcome outcome, const std::string& reason);
+  void tell_refusals();
+  void forget_refused();
   void on_acknowledged(ActivationId id, const Channel& from);
   void on_end(ActivationId id, const Channel& from, Outcome outcome, const std::string& reason);
   void make_again(ActivationId id);
@@ -129,6 +141,7 @@ class EventClient : public RequiredPort {
   const ObjectRules event_rules_;
   Target target_;
   std::map<ActivationId, Activation> activations_;  ///< strand only
+  bool has_refused_ = false;                        ///< one whose refusal is not due yet
   std::size_t kept_bytes_ = 0;
   std::uint64_t next_id_ = 1;
   Inbox inbox_;
@@ -204,7 +217,8 @@ class Requires<S> : public detail::EventClient {
     return activate_object(std::make_shared<const ActivationType>(std::move(parameters)), mode == EventMode::Continuous,
                            deadline);
   }
-  /// [strand] The oldest event that has not been waited for, or the next. WrongId: the activation is over.
+  /// [strand] The oldest event that has not been waited for, or the next. Behind the last one of an activation that the
+  /// provider has ended, once, its outcome and reason. WrongId: the activation is over.
   Async<Result<Fired<ResultType>>> wait(ActivationId id, Duration deadline = kDefaultDeadline) {
     const Result<Envelope> event = co_await next_event(id, deadline);
     if (!event) co_return Result<Fired<ResultType>>(event.outcome(), event.reason());
