@@ -619,6 +619,7 @@ void Links::lose(const std::string& endpoint, const std::string& name, const std
     for (auto& [id, requirement] : requirements_) {
       if (requirement.endpoint != endpoint || requirement.lost) continue;
       requirement.lost = reason;
+      note_ended(id);
       lost.emplace_back(id, requirement);
     }
     std::erase_if(requirements_, [](const auto& entry) { return entry.second.lost && entry.second.retired; });

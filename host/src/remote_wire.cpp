@@ -567,7 +567,7 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
     if (cut_ && fired.sequence() > 0) link_->count_late(1);
     if (cut_ || port_.service().pattern() != EVENT) return;
     const auto open = open_.find(fired.id());
-    if (open == open_.end()) return;
+    if (open == open_.end()) return fired.sequence() > 0 ? link_->count_late(1) : void();
     activation = open->second;
   }
   if (fired.sequence() == 0) {
@@ -580,8 +580,9 @@ void RemoteWire::on_fired(const wire::Fired& fired, const ObjectBytes& object) {
     port_.counters().refuse(*violation, clock_.now());
     parsed = nullptr;
   }
-  activation->event(
+  const auto outcome = activation->event(
       Envelope{std::move(parsed), fired.sequence(), TimePoint(Duration(told_ns(fired.origin_ns()))), object.size()});
+  if (outcome == Outcome::Disconnected) link_->count_late(1);
 }
 
 void RemoteWire::on_answer(const wire::Answer& answer, const ObjectBytes& object) {

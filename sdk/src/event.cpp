@@ -77,7 +77,8 @@ void EventProvider::put_state(const Object& state) {
   }
 }
 
-/// False when the activation is over. One event that found no room was not the one that it is for.
+/// False when the activation is over. One event that found no room was not the one that it is for; the client's port
+/// counts that, here or once another one has come.
 bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> event, TimePoint origin) {
   if (const auto violation = event_rules_.first_violation(*event)) {
     throw Error(ErrorCode::Failed, {.what = "its event was refused: " + *violation,
@@ -85,8 +86,9 @@ bool EventProvider::fire(Activation& activation, std::shared_ptr<const Object> e
   }
   const std::size_t bytes = event->ByteSizeLong();
   const Outcome outcome = activation.client->event(Envelope{std::move(event), ++activation.fired, origin, bytes});
-  if (outcome != Outcome::Ok) counters().dropped.fetch_add(1, std::memory_order_relaxed);
-  return activation.continuous || outcome == Outcome::Rejected;
+  const bool fires_again = !activation.continuous && outcome == Outcome::Rejected;
+  if (outcome != Outcome::Ok && !fires_again) counters().dropped.fetch_add(1, std::memory_order_relaxed);
+  return activation.continuous || fires_again;
 }
 
 // ---- client ---------------------------------------------------------------------------------------------------
@@ -145,7 +147,7 @@ class EventClient::Channel final : public ReplySink, public std::enable_shared_f
     if (full) ++lost;
     if ((full || refused) && !continuous_) make_again();
     if (lost > 0) client_.counters().dropped.fetch_add(lost, std::memory_order_relaxed);
-    return outcome;
+    return full && continuous_ ? Outcome::Ok : outcome;  // it has left the provider
   }
   /// A provider in another process, or in virtual time, takes its only event for there: it is asked for another.
   void make_again() {
@@ -257,7 +259,9 @@ Async<Result<Envelope>> EventClient::next_event(ActivationId id, Duration within
     if (activation.fired) activations_.erase(found);
     calls().finish(call, Outcome::Ok);
   } else if (const auto refused = found->second.refused; refused && (refused->is_due || inbox_.depth() == 0)) {
+    const auto earlier = std::exchange(found->second.wait, nullptr);
     activations_.erase(found);
+    if (earlier) calls().finish(earlier, Outcome::Cancelled);
     calls().finish(call, refused->outcome, refused->reason);
   } else if (const auto refusal = obstacle()) {
     calls().finish(call, *refusal, reason_for(*refusal));
@@ -308,8 +312,8 @@ void EventClient::tell_refusals() {
     if (handler_ || activation.wait) over.push_back(id);
   }
   for (const ActivationId id : over) {
-    const auto found = activations_.find(id);  // what one ends may have ended another
-    if (found == activations_.end()) continue;
+    const auto found = activations_.find(id);  // what one ends may have ended another, or its wait
+    if (found == activations_.end() || (!handler_ && !found->second.wait)) continue;
     const Refusal refused = *found->second.refused;
     end(id, refused.outcome, refused.reason);
   }
@@ -357,7 +361,9 @@ void EventClient::on_end(ActivationId id, const Channel& from, Outcome outcome, 
 
 void EventClient::make_again(ActivationId id) {
   const Outcome outcome = put_to_target(id, activations_.at(id));
-  if (outcome != Outcome::Ok && outcome != Outcome::Disconnected) refuse(id, outcome, "the new provider refused it");
+  if (outcome == Outcome::Ok || outcome == Outcome::Disconnected) return;
+  const std::string reason = "the new provider refused it";
+  activations_.at(id).acknowledgement ? end(id, outcome, reason) : refuse(id, outcome, reason);
 }
 
 /// The provider that the activation was moved to does not serve the port in its mode, or this one had no mode, or no

@@ -39,7 +39,7 @@ bool Inbox::is_too_old(const Envelope& envelope) const {
 Outcome Inbox::push(Parcel parcel) {
   // An acknowledged send: the wire passes on what is returned here, and nothing is left to answer later.
   if (port_.service().pattern() == SEND && std::exchange(parcel.reply, nullptr) && !port_.is_active()) {
-    return Outcome::NotActive;
+    return port_.hull().has_failed() ? Outcome::Disconnected : Outcome::NotActive;
   }
   if (is_too_old(parcel.envelope)) {
     port_.counters().dropped.fetch_add(1, std::memory_order_relaxed);
@@ -205,9 +205,15 @@ void Inbox::leave_mode() {
   tell_room();
 }
 
+/// To who is wired to one that has failed it has died.
 void Inbox::drop_not_active(const Parcel& parcel) {
+  const Hull& hull = port_.hull();
   port_.counters().not_active.fetch_add(1, std::memory_order_relaxed);
-  if (parcel.is_request()) parcel.reply->answer(Outcome::NotActive, "mode " + port_.hull().mode(), nullptr);
+  if (parcel.is_request()) {
+    hull.has_failed()
+        ? parcel.reply->answer(Outcome::Disconnected, "'" + hull.name() + "' has failed: " + hull.reason(), nullptr)
+        : parcel.reply->answer(Outcome::NotActive, "mode " + hull.mode(), nullptr);
+  }
   if (on_not_active_) on_not_active_(parcel);
 }
 

@@ -51,6 +51,8 @@ Outcome LocalWire::pass(std::unique_lock<std::mutex>& lock, Parcel parcel) {
     const Outcome outcome = self->hand_over(std::move(parcel));
     if (reply && outcome != Outcome::Ok)
       reply->answer(outcome, outcome == Outcome::Rejected ? Inbox::kFull : "", nullptr);
+    if (!reply && outcome == Outcome::Rejected)
+      self->inbox_->port().counters().refuse(Inbox::kFull, self->clock_.now());
   });
   return Outcome::Ok;
 }

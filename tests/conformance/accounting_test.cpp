@@ -245,6 +245,22 @@ TEST_P(AccountingOfTheCut, WhatIsOnItsWayIsDeliveredOrCountedByTheLinks) {
   system.eventually("accounted for", [&] { return accounted("sink.each") + late() == kPut; });
 }
 
+/// There a send is ok before it can be known whether it finds room.
+TEST(AccountingVirtual, OfMoreSendsThanAQueueHoldsAddsUp) {
+  constexpr std::uint64_t kSends = 20'000;
+  RunningSystem system(2, 20s);
+  system.set("host", "clock=virtual");
+  system.load_in("", "caller", "caller");
+  system.load_in("", "sink", "sink");
+  system.wire("caller.orders", "sink.orders");
+  system.set("caller", "call=send_burst go=1 every=" + std::to_string(kSends));
+  EXPECT_TRUE(system.let_pass(1s).has_met());
+  const auto port = system.port("sink.orders");
+  EXPECT_GT(port.refused(), 0U);
+  EXPECT_EQ(port.refusal(), "the provider's queue is full");
+  EXPECT_EQ(port.messages() + port.refused(), kSends);
+}
+
 FIONA_OVER_EVERY_TRANSPORT(Accounting);
 FIONA_OVER(AccountingOfTheCut, Transport::Ipc, Transport::Tcp);
 FIONA_OVER(AccountingOfTheKilled, Transport::Ipc, Transport::Tcp);

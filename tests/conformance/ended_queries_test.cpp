@@ -157,6 +157,13 @@ TEST_P(QueriesThatHaveEnded, LeaveNothingOpenAndKeepNeitherRoomNorCredit) {
   });
 }
 
+TEST_P(QueriesThatHaveEnded, BecauseTheirProviderFailedAreDisconnectedThoughTheyWaitedForItsHandler) {
+  begin("echo", "throw");
+  system.eventually("their ends", [&] { return system.read("asker.ends").payload().ends_with(" open=0"); });
+  EXPECT_EQ(system.read("asker.ends").payload(), "disconnected=99 rejected=1 open=0") << "one had no answer";
+  EXPECT_EQ(system.instance("first").mode(), "failed");
+}
+
 FIONA_OVER_EVERY_TRANSPORT(QueriesThatHaveEnded);
 
 }  // namespace

@@ -19,7 +19,7 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kRows{
     {"pending calls",
      {"Calls", "OwnThreadCalls", "OwnThreadFarFromItsProvider", "FarProvider", "KilledProvider", "StoppedProvider",
       "HungProvider", "HungReceiver", "ProviderThatIsCutOff", "CallsByHand", "AnsweredCallsByHand"}},
-    {"accounting", {"Accounting", "AccountingOfTheCut", "AccountingOfTheKilled"}},
+    {"accounting", {"Accounting", "AccountingVirtual", "AccountingOfTheCut", "AccountingOfTheKilled"}},
     {"send", {"Send", "SendCalls"}},
     {"query", {"Query", "QueryCalls", "QueriesThatHaveEnded"}},
     {"push newest", {"PushNewest", "Pacing", "FullPorts", "PacingOfTheKilled", "PacingOfTheWatched"}},

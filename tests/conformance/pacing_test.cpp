@@ -137,6 +137,9 @@ TEST_P(FullPorts, OfEventsWithAHandlerRefuseTheNewestAndKeepTheOldest) {
     system.eventually("the first is handled", [&] { return system.port("caller.handled_bell").messages() > 0; });
   }
   system.eventually("some are refused", [&] { return system.port("caller.handled_bell").dropped() > 0; });
+  if (GetParam() == Transport::Process) {  // between processes one that is not quick enough may keep some from leaving
+    EXPECT_EQ(system.port("prompter.bell").dropped(), 0U) << "counted once";
+  }
   system.set("caller", "ring_ms=0");
   std::vector<double> states;
   system.eventually("those that found room are handled", [&] {
