@@ -58,6 +58,8 @@ std::optional<control::Reply> ComponentWatches::next(const wire::Asked& asked) {
   }
   control::Reply reply;
   if (!watch.kept.empty()) {
+    control::Sample& first = watch.kept.front();
+    if (std::exchange(watch.given, 0) > request.after()) first.set_skipped(first.skipped() + watch.given_missing);
     watch.told = watch.kept.front().number();
     *reply.mutable_sample() = watch.kept.front();
     return reply;
@@ -67,7 +69,6 @@ std::optional<control::Reply> ComponentWatches::next(const wire::Asked& asked) {
     return std::nullopt;
   }
   *reply.mutable_failure() = *watch.over;
-  end(found->first);
   return reply;
 }
 
@@ -84,8 +85,7 @@ void ComponentWatches::on_event(const wire::GroupMessage& event) {
   if (!watch.waiting) return;
   control::Reply reply;
   *reply.mutable_failure() = *watch.over;
-  system_.answer(*watch.waiting, reply);
-  end(id);
+  system_.answer(*std::exchange(watch.waiting, std::nullopt), reply);
 }
 
 void ComponentWatches::take(const wire::Tapped& tapped) {
@@ -109,13 +109,19 @@ void ComponentWatches::take(const wire::Tapped& tapped) {
   system_.answer(*std::exchange(watch.waiting, std::nullopt), reply);
 }
 
-/// It is missing before the one behind it, with what was missing before itself; one that has been told is not.
+/// It is missing before the one behind it, with what was missing before itself; one that has been told is not, if it
+/// has arrived: who asked for it may have given up.
 void ComponentWatches::drop_oldest(Watch& watch) {
-  const bool was_told = watch.kept.front().number() <= watch.told;
-  const std::uint64_t missing = was_told ? 0 : watch.kept.front().skipped() + 1;
-  watch.kept_bytes -= watch.kept.front().object().size();
+  const control::Sample& oldest = watch.kept.front();
+  const bool was_told = oldest.number() <= watch.told;
+  const std::uint64_t missing = oldest.skipped() + 1;
+  if (was_told) {
+    watch.given = oldest.number();
+    watch.given_missing = missing;
+  }
+  watch.kept_bytes -= oldest.object().size();
   watch.kept.pop_front();
-  watch.kept.front().set_skipped(watch.kept.front().skipped() + missing);
+  if (!was_told) watch.kept.front().set_skipped(watch.kept.front().skipped() + missing);
 }
 
 void ComponentWatches::end(const Id& id) {

@@ -39,6 +39,9 @@ class ComponentWatches {
     std::size_t kept_bytes = 0;
     std::uint64_t last = 0;  ///< number of the newest
     std::uint64_t told = 0;  ///< the number of the last that was given
+    /// The last that was given and is kept no more: where it has not arrived, so many are missing.
+    std::uint64_t given = 0;
+    std::uint64_t given_missing = 0;
     std::optional<control::Failure> over{};
     std::optional<wire::Asked> waiting{};
   };

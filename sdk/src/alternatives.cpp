@@ -91,12 +91,18 @@ void RequiredPort::connected(WireEnd& end, Connection connection, std::string re
 }
 
 void RequiredPort::leased(WireEnd& end, bool held, const std::string& reason) {
-  if (end.connection_ != Connection::Connected || held == !end.silence_) return;
+  const auto silence = held ? std::nullopt : std::optional(end.reason_ + " " + reason);
+  if (end.connection_ != Connection::Connected || silence == end.silence_) return;
+  const bool was_silent = end.silence_.has_value();
   change(end, [&] {
-    end.silence_ = held ? std::nullopt : std::optional(end.reason_ + " " + reason);
+    end.silence_ = silence;
     end.heard_ = end.heard_ || held;
   });
   if (ends_.size() > 1) return choose();
+  if (was_silent && !held) {  // no further loss, but for another reason now
+    reason_ = *silence;
+    return;
+  }
   held ? enter(Connection::Connected, end.reason_) : enter(Connection::Lost, *end.silence_);
 }
 

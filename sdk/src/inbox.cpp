@@ -175,6 +175,13 @@ void Inbox::on_next(std::weak_ptr<const void> who, std::function<void(const Enve
   waiters_.push_back({std::move(who), std::move(waiter)});
 }
 
+void Inbox::forget_next(const std::weak_ptr<const void>& who) {
+  const std::lock_guard lock(strand_.mutex_);
+  std::erase_if(waiters_, [&who](const Waiter& waiter) {
+    return !waiter.who.owner_before(who) && !who.owner_before(waiter.who);
+  });
+}
+
 void Inbox::mark_stale() {
   const std::lock_guard lock(strand_.mutex_);
   if (slot_) slot_->stale = true;

@@ -19,19 +19,20 @@ namespace {
 
 using detail::port_name;
 
-/// A change of mode gives up a little before its caller does, so that the reason arrives.
-constexpr double kShareOfDeadline = 0.9;
+/// A change of mode gives up so much before its caller does, so that the reason arrives.
+double reserve_ms(double deadline_ms) { return std::min(std::max(deadline_ms / 10, 500.0), deadline_ms / 2); }
 /// As long as a request can say.
 constexpr double kLongestMs = std::numeric_limits<std::uint32_t>::max();
 
 control::Request transaction_of(const Changes& changes, Duration deadline, bool dry_run) {
   control::Request request;
-  request.set_deadline_ms(static_cast<std::uint32_t>(std::clamp(1e3 * to_seconds(deadline), 1.0, kLongestMs)));
+  const double deadline_ms = 1e3 * to_seconds(deadline);
+  request.set_deadline_ms(static_cast<std::uint32_t>(std::clamp(deadline_ms, 1.0, kLongestMs)));
   request.mutable_transact()->set_dry_run(dry_run);
   for (const auto& change : changes.list()) {
     auto& added = *request.mutable_transact()->add_changes() = change;
     if (added.has_state() && added.state().within_ms() <= 0)
-      added.mutable_state()->set_within_ms(kShareOfDeadline * 1e3 * to_seconds(deadline));
+      added.mutable_state()->set_within_ms(deadline_ms - reserve_ms(deadline_ms));
   }
   return request;
 }

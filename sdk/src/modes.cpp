@@ -132,7 +132,11 @@ void Hull::change_mode(std::string_view mode, Duration deadline, ModeDone done) 
   const TimePoint until = saturating_sum(clock().now(), deadline);
   const auto change = std::make_shared<ModeChange>(ModeChange{std::string(mode), std::move(done), until, 0});
   strand_->post([this, change] {
-    if (clock().now() > change->until) return change->done(change->late(name_, "a handler ran until then"));
+    if (clock().now() > change->until) {
+      const auto blocked = blocked_by(change->to);
+      return change->done(
+          change->late(name_, blocked ? "blocked by " + blocked->blocked_by : "a handler ran until then"));
+    }
     changes_.push_back(change);
     change->deadline = clock().schedule(change->until, strand_, [this, change] { withdraw(change); });
     if (change->to == kModeDeactivated) cancel_for_deactivation();

@@ -263,7 +263,10 @@ Async<Result<Envelope>> PushClient::next(Duration within) {
   }
   CallAwaiter ended(calls(), call, within);
   const Outcome outcome = co_await ended;
-  if (outcome != Outcome::Ok) co_return Result<Envelope>(outcome, call->reason);
+  if (outcome != Outcome::Ok) {
+    inbox_.forget_next(call);  // which the strand may keep for a while yet
+    co_return Result<Envelope>(outcome, call->reason);
+  }
   co_return std::move(*call->envelope);
 }
 

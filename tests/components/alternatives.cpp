@@ -137,7 +137,7 @@ class Navigator final : public Paced {
   Requires<Fixes> fixes_{*this, "fixes", &Navigator::on_fix, {.optional = true}};
   Requires<LastFixes> last_{*this, "last", &Navigator::on_last, {.optional = true}};
   Requires<Fixes> latest_{*this, "latest", {.optional = true}};
-  Requires<Fixes> fresh_{*this, "fresh", &Navigator::on_fix, {.optional = true, .max_age = 300ms}};
+  Requires<Fixes> fresh_{*this, "fresh", &Navigator::on_fix, {.optional = true, .max_age = 1s}};
   Requires<Echo> echo_{*this, "echo", {.optional = true}};
   Requires<Order> orders_{*this, "orders", {.optional = true}};
   Probe<std::string> heard_probe_{*this, "heard"};

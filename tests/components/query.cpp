@@ -29,6 +29,7 @@ class Answerer final : public Component {
       return reply.reject(reason);
     }
     if (question.manner() == "hang") std::this_thread::sleep_for(500ms);
+    if (question.manner() == "stand") std::this_thread::sleep_for(2s);
     if (question.manner() == "stick") std::this_thread::sleep_for(6s);
     if (question.manner() == "error") return reply.reject("asked to refuse");
     if (question.manner() == "release" || question.manner() == "forget") let_go(question.manner() == "release");

@@ -122,6 +122,7 @@ class Supplier final : public Paced {
     state.set_number(number_);
     cost_.of([&] { samples_.put(std::move(sample)); });
     cost_.of([&] { bell_.put(state); });
+    puts_.set(number_);
   }
   void tell() {
     longest_.set(cost_.longest_ms());
@@ -157,6 +158,7 @@ class Supplier final : public Paced {
       *this, "blocked", {.unit = "ms", .doc = "the longest that one waited for something that is no processor"}};
   Probe<double> ran_p99_{*this, "ran_p99", {.unit = "ms", .doc = "of them, on a processor"}};
   Probe<std::uint64_t> waiting_{*this, "waiting", {.doc = "questions that are held"}};
+  Probe<std::uint64_t> puts_{*this, "puts", {.doc = "so far, of a sample and a state each"}};
   Task teller_{*this, "teller", 500ms, &Supplier::tell};
 };
 

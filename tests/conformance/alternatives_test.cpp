@@ -134,7 +134,7 @@ TEST_P(Alternatives, TheNextOneServesWhenTheFirstIsSilentForLongerThanItsLease) 
   system.set("a", "silent=true");
   until_heard("b");
   EXPECT_EQ(sources_of(heard()), "a b") << heard();
-  EXPECT_EQ(system.port("nav.fixes").providers(0).reason(), "a.fixes has been silent for 200 ms");
+  EXPECT_EQ(system.port("nav.fixes").providers(0).reason(), "a.fixes has been silent for 1000 ms");
 }
 
 TEST_P(Alternatives, TheNextOneServesWhenTheFirstIsUnloadedAndItIsBackAfterItIsLoadedAgain) {
@@ -197,7 +197,7 @@ TEST_P(Alternatives, WhenNoneIsFitThePortIsLostWithEachReasonAndNeitherLatestNor
   system.eventually("b is silent", [&] { return !system.port("nav.latest").providers(1).fit(); });
   system.set("a", "valid=false");
   system.eventually("lost", [&] { return system.port("nav.latest").connection() == control::LOST; });
-  const std::string expected = "a.fixes says that it is not valid; b.fixes has been silent for 200 ms";
+  const std::string expected = "a.fixes says that it is not valid; b.fixes has been silent for 1000 ms";
   EXPECT_EQ(reason("latest"), expected);
   EXPECT_EQ(serving("latest"), "");
   system.eventually("disconnected", [&] { return system.read("nav.latest_is").payload() == "disconnected"; });
@@ -450,7 +450,7 @@ std::string heard_on_a_virtual_clock(std::size_t threads, const Places& at,
   system.set("a", "valid=true");
   let_pass(2000ms);  // valid again from 120 ms on
   system.set("a", "silent=true");
-  let_pass(1000ms);  // silent from 2310 ms on
+  let_pass(1000ms);  // silent from 3110 ms on: it spoke at 2110 ms, and 3 s would be over at 3120 ms
   system.set("a", "silent=false");
   let_pass(2999ms);  // speaks again from 3120 ms on: 3 s are over at 6120 ms
   let_pass(5ms);

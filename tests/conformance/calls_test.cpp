@@ -156,9 +156,11 @@ TEST_P(Calls, ThatNameNoDeadlineEndAfterTwoSeconds) {
 
 TEST_P(Calls, ToAProviderThatHangsInItsHandlerEndAtTheirDeadline) {
   wire_all();
-  begin("query", "manner=hang");
+  begin("query", "manner=stand");
+  const unsigned first = go;
   system.eventually("it hangs", [&] { return system.port("answerer.echo").messages() == 1; });
   EXPECT_EQ(outcome_of("query", "deadline_ms=30 manner=promptly"), Outcome::Timeout);
+  EXPECT_EQ(outcome_in(end_of(first)), Outcome::Ok) << "it hung for longer";
 }
 
 // ---- latest, which does not wait ------------------------------------------------------------------------------
@@ -211,11 +213,12 @@ TEST_P(Calls, LatestIsDisconnectedWhenTheProviderHangsOrIsSilentForLongerThanIts
   system.wire("caller.leased", "source.leased");
   system.state("source", "active");
   system.eventually("put", [&] { return outcome_of("latest_leased") == Outcome::Ok; });
-  system.set("source", "hang_ms=1000");
+  system.set("source", "hang_ms=2000");
   system.eventually(
       "lost", [&] { return system.port("caller.leased").connection() == control::LOST; },
-      std::chrono::milliseconds(900));
-  EXPECT_EQ(outcome_of("latest_leased"), Outcome::Disconnected);
+      std::chrono::milliseconds(1900));
+  // It hangs again and again, and puts between.
+  system.eventually("disconnected", [&] { return outcome_of("latest_leased") == Outcome::Disconnected; });
 }
 
 // ---- what waits, and how it ends ------------------------------------------------------------------------------
@@ -689,14 +692,14 @@ TEST_P(Event, SingleActivationWhoseEventFindsItsClientInNoModeFiresWithALaterOne
   wire_all();
   system.set("source", "period_ms=5");
   system.state("source", "active");
-  ASSERT_EQ(outcome_of("activate_handled", "every=200 single=true"), Outcome::Ok);
+  ASSERT_EQ(outcome_of("activate_handled", "every=400 single=true"), Outcome::Ok);
   system.state("caller", "neutral");
   system.eventually("missed", [&] { return system.read("caller.handled_bell.not_active").value() == 1; });
   const auto rings = system.watch("caller.rings");
   system.state("caller", "active");
   system.wait_for(rings, [](const auto& one) { return one.number() == 1; });
   const auto states_then = system.port("source.newest").messages();
-  system.eventually("more states", [&] { return system.port("source.newest").messages() > states_then + 250; });
+  system.eventually("more states", [&] { return system.port("source.newest").messages() > states_then + 450; });
   EXPECT_EQ(system.port("caller.rings").messages(), 1U);
 }
 
@@ -716,9 +719,9 @@ TEST_P(Event, TestThatThrowsEndsThatActivationAloneAndSaysWhy) {
   system.state("source", "active");
   const auto rings = system.watch("caller.rings");
   ASSERT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
-  const auto number = system.port("source.newest").messages() + 500;
+  const auto number = system.port("source.newest").messages() + 2000;
   ASSERT_EQ(outcome_of("activate", "every=0 throw_at=" + std::to_string(number)), Outcome::Ok);
-  begin("event", "every=1 throw_at=0");
+  begin("event", "every=1 throw_at=0 deadline_ms=60000");
   const auto ended = end();
   EXPECT_EQ(outcome_in(ended), Outcome::Rejected);
   EXPECT_THAT(ended.payload(), HasSubstr("asked to throw"));
@@ -730,7 +733,7 @@ TEST_P(Event, TestThatHasThrownIsToldToWhoWaitsLaterBehindTheEventsBeforeIt) {
   wire_all();
   system.set("source", "period_ms=1");
   system.state("source", "active");
-  const auto number = system.port("source.newest").messages() + 500;
+  const auto number = system.port("source.newest").messages() + 2000;
   const auto throwing = "throw_at=" + std::to_string(number);
   ASSERT_EQ(outcome_of("activate", "every=50 " + throwing), Outcome::Ok);
   system.eventually("it has thrown", [&] { return system.port("source.newest").messages() > number + 50; });
@@ -749,9 +752,9 @@ TEST_P(Event, TestThatHasThrownTakesNoEventFromAHandlerThatIsBehind) {
   wire_all();
   system.set("source", "period_ms=1");
   system.state("source", "active");
-  system.set("caller", "ring_ms=10");
+  system.set("caller", "ring_ms=2");
   const auto rings = system.watch("caller.rings");
-  const auto number = system.port("source.newest").messages() + 300;
+  const auto number = system.port("source.newest").messages() + 2000;
   ASSERT_EQ(outcome_of("activate_handled", "every=1 throw_at=" + std::to_string(number)), Outcome::Ok);
   system.wait_for(rings, [&](const auto& one) { return one.value() == static_cast<double>(number) - 1; });
   EXPECT_THAT(system.logged("caller", "caller.handled_bell: an activation has ended: rejected"),
@@ -822,7 +825,7 @@ class ArrivedEvents : public Calls {
  protected:
   static constexpr std::uint64_t kFired = 20;
   ArrivedEvents() {
-    system.set("source", "period_ms=1 count=" + std::to_string(kFired));
+    system.set("source", "period_ms=1000 count=" + std::to_string(kFired));
     system.set("caller", "ring_ms=25");
     system.wire("caller.handled_bell", "source.bell");
   }
@@ -830,8 +833,12 @@ class ArrivedEvents : public Calls {
   void fire() {
     system.state("source", "active");
     EXPECT_EQ(outcome_of("activate_handled", "every=1"), Outcome::Ok);
+    system.set("source", "period_ms=1");  // only now: or all might be put before the activation is made
     system.eventually("all are put", [&] { return system.port("source.newest").messages() == kFired; });
+    // The last is counted there before it is put to the activation: what is set now comes behind both.
+    system.set("source", "period_ms=2");
     fired = static_cast<std::uint64_t>(system.read("source.tested").value());
+    EXPECT_GT(fired, 0U);
     // Its answer is sent behind them, and overtakes them only where they wait.
     EXPECT_EQ(outcome_of("activate_handled", "every=0"), Outcome::Ok);
   }

@@ -227,11 +227,12 @@ TEST_P(Processes, ProviderThatDiesIsLostToItsClientInAnotherGroup) {
 
 TEST_P(Processes, RequestAboveTheCapOfALinkEndsWithASentence) {
   system.load_provider("answerer", "answerer");
-  system.load_client("asker", "asker", "count=3 payload=80000000");
+  system.load_client("asker", "asker", "neutral count=1 payload=80000000");
   const auto outcome = system.watch("asker.outcome");
   system.wire("asker.echo", "answerer.echo");
-  const auto end =
-      system.wait_for(outcome, [](const auto& one) { return one.value() != static_cast<double>(Outcome::Unwired); });
+  system.eventually("connected", [&] { return system.port("asker.echo").connection() == control::CONNECTED; });
+  system.state("asker", "active");
+  const auto end = system.wait_for(outcome, [](const auto&) { return true; });
   EXPECT_EQ(end.value(), static_cast<double>(Outcome::Rejected));
   EXPECT_EQ(end.payload(), "the message is larger than a link carries (64 MiB)");
 }

@@ -312,7 +312,7 @@ TEST_P(Monitoring, AttachingReadingAndDetachingGivesTheStrandNothingToDo) {
   system.eventually("it is at rest", [&] {
     const double now_ms = spent_ms();
     same = now_ms == std::exchange(before_ms, now_ms) ? same + 1 : 0;
-    return same == 20;
+    return same == 150;  // for longer than one who is at work may get no processor
   });
   const std::vector<std::string> probes{"level", "count",      "open",         "word",     "report",     "silent",
                                         "mode",  "last_error", "handler_time", "cpu_time", "queue_depth"};
@@ -484,10 +484,10 @@ TEST_P(Monitoring, HullSamplesOnlyAsOftenAsItIsAsked) {
   often.set_min_period_ms(10);
   const auto slow = system.watch("gauge.queue_depth");
   const auto fast = system.watch("gauge.queue_depth", often);
-  system.wait_for(slow, [](const auto& one) { return one.counted == 3; });
+  system.wait_for(slow, [](const auto& one) { return one.counted == 10; });
   const auto fast_samples = system.take(fast);
   ASSERT_FALSE(fast_samples.empty());
-  EXPECT_GT(fast_samples.back().counted, 8U);
+  EXPECT_GT(fast_samples.back().counted, 20U);
 }
 
 TEST_P(Monitoring, WatcherIsToldThatTheInstanceWasUnloaded) {

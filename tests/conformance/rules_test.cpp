@@ -25,8 +25,9 @@ TEST_P(Rules, AClientPortIsUnwiredWaitingConnectedOrLostWithAReasonAndATime) {
   const auto port = [&] { return system.port("sink.leased"); };
   // Of the time since it is what it is, so that one can see that the next one counts anew.
   const auto grown_s = [&] {
-    system.eventually("the time grows", [&] { return port().since_s() > 1; });
-    return port().since_s();
+    double now_s = 0;
+    system.eventually("the time grows", [&] { return (now_s = port().since_s()) > 1; });
+    return now_s;
   };
   EXPECT_EQ(port().connection(), control::UNWIRED);
   EXPECT_EQ(port().reason(), "not wired");

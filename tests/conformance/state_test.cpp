@@ -225,7 +225,7 @@ TEST_P(State, RequestsQueueInOrderAndEachIsAnswered) {
 
 TEST_P(State, ChangeThatIsBlockedForTooLongIsWithdrawnAndNamesWhatBlockedIt) {
   hold_steering();
-  const auto change = system.begin_state("mover", "park", 50);
+  const auto change = system.begin_state("mover", "park", 1000);  // its strand comes to it before, however busy it is
   system.eventually("the answer", [&] { return change->ended.load(); });
   EXPECT_EQ(change->reply.failure().what(), "'mover' did not change its mode to park in time: blocked by task 'steer'");
   EXPECT_EQ(system.instance("mover").mode(), "drive");
@@ -368,7 +368,7 @@ using StateOfAStart = State;
 
 /// While its start takes long. A host that leads waits for those of others.
 TEST_P(StateOfAStart, InInitModesThatNobodyMayAskForAreRefusedAndTheOthersQueueBehindTheLoad) {
-  const auto loaded = system.begin_load_client("gauge", "slow", "start_ms=2000");
+  const auto loaded = system.begin_load_client("gauge", "slow", "start_ms=5000");
   system.eventually("it begins", [&] { return system.instance("slow").mode() == "init"; });
   for (const std::string to : {"init", "failed", "shutdown", "drift"}) {
     EXPECT_THAT(refusal_of(to, "slow"), HasSubstr("cannot go from init to " + to));

@@ -387,21 +387,35 @@ TEST_F(LinksOfAProcess, AnObjectIsSerialisedOnceForEachProcessAndALargeOneOnceHo
 }
 
 TEST_F(LinksOfAProcess, APushThatIsReplacedHasBroughtAllThatWasPutBefore) {
-  constexpr std::uint64_t kPuts = FIONA_SANITIZED ? 200 : 2'000;  // which have 100 ms to come
+  constexpr std::uint64_t kPuts = FIONA_SANITIZED ? 200 : 2'000;
+  constexpr auto kPatience = 100ms;  // in which they have to come
   Links other{pool, clock, at("other"), {kLinksKey}, [](std::uint64_t, const std::string&) {}};
-  other.provide(1, kLinksToken, "both", ends->told, 1, "both.heard");
-  const auto end = ends->heard.end_for("both.told");
-  links.require(1, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, nullptr);
-  EXPECT_TRUE(hull.strand().call(
-      [&] {
-        for (std::uint64_t i = 0; i < kPuts; ++i) ends->told.put(localisation::CommLocation());
-      },
-      20s));
-  links.retire(1, true);
   const auto& counters = ends->heard.counters();
-  EXPECT_EQ(counters.messages + counters.superseded, kPuts);
-  EXPECT_EQ(counters.dropped, 0U);
-  EXPECT_TRUE(becomes_true([&] { return ends->told.subscribers() == 0; }));
+  bool in_time = false;
+  // On a busy machine they may come too late, and are counted; not each time.
+  for (std::uint64_t wire = 1; wire <= 20 && !in_time; ++wire) {
+    const std::uint64_t come = counters.messages + counters.superseded;
+    const std::uint64_t dropped = counters.dropped;
+    other.provide(wire, kLinksToken, "both", ends->told, 1, "both.heard");
+    const auto end = ends->heard.end_for("both.told");
+    links.require(wire, kLinksToken, end, {at("other"), "both", link_key(kLinksKey, "both")}, false, 0, 0, nullptr);
+    EXPECT_TRUE(hull.strand().call(
+        [&] {
+          for (std::uint64_t i = 0; i < kPuts; ++i) ends->told.put(localisation::CommLocation());
+        },
+        20s));
+    const auto begin = std::chrono::steady_clock::now();
+    links.retire(wire, true);
+    in_time = std::chrono::steady_clock::now() - begin < kPatience;
+    if (in_time) {
+      EXPECT_EQ(counters.messages + counters.superseded, come + kPuts);
+      EXPECT_EQ(counters.dropped, dropped);
+    }
+    EXPECT_TRUE(becomes_true(
+        [&] { return counters.messages + counters.superseded + counters.dropped == come + dropped + kPuts; }));
+    EXPECT_TRUE(becomes_true([&] { return ends->told.subscribers() == 0; }));
+  }
+  EXPECT_TRUE(in_time) << "it has waited for an end that does not come";
   other.release(hull, "the test is over");
   other.stop();
 }

@@ -50,6 +50,8 @@ class Inbox {
   /// [any thread] Calls `waiter` once, with the envelope, on the strand, when the next message has come, as long as
   /// `who` lives.
   void on_next(std::weak_ptr<const void> who, std::function<void(const Envelope&)> waiter);
+  /// [any thread] Nobody waits by this name any more.
+  void forget_next(const std::weak_ptr<const void>& who);
   /// [any thread] What is in the slot is from a provider that has been replaced.
   void mark_stale();
   /// [any thread] Empties the slot. What waits for a handler has arrived, and still reaches it.
