@@ -58,8 +58,10 @@ std::int64_t waited_for_cpu_since(const WaitedForCpu& before) {
   return own_ns + longest_ns;
 }
 
+}  // namespace
+
 /// What calls cost the thread that makes them.
-class Cost {
+class CallCost {
  public:
   template <class Call>
   void of(Call call) {
@@ -94,8 +96,6 @@ class Cost {
   std::uint64_t calls_ = 0;
   std::array<std::uint64_t, 5'000> ran_{};  ///< calls by how long they ran: what is looked at must not grow by that
 };
-
-}  // namespace
 
 /// Puts samples and states at a pace, answers questions, and tells what these calls cost it. What is asked in the
 /// manner 'held' is answered once `answers` is set, one a period.
@@ -147,7 +147,7 @@ class Supplier final : public Paced {
   }
 
   std::uint64_t number_ = 0;
-  Cost cost_;
+  CallCost cost_;
   std::deque<std::pair<Reply, fiona::Reply<Reply>>> held_;
   Params<SupplierParams> params_{*this};
   Provides<SampleNewest> samples_{*this, "samples"};

@@ -56,7 +56,9 @@ TEST_P(SwapThatIsWatched, TellsHowFarTheTwoDifferThenSwapsWithoutALossAndIsOneCh
   EXPECT_DOUBLE_EQ(agreement.differences(1).median(), 20) << "across north, the short way round";
   EXPECT_EQ(done.switched(), 1U);
   // Between processes what the old one says last is not waited for without end, and a busy machine may hold it up.
-  if (GetParam() == Transport::Process || pulse.longest_ms() < 20) EXPECT_EQ(done.lost(), 0U);
+  if (GetParam() == Transport::Process || pulse.longest_ms() < 20) {
+    EXPECT_EQ(done.lost(), 0U);
+  }
   EXPECT_EQ(console.peer_of("nav.fixes"), "b");
   console.undo();
   EXPECT_EQ(console.peer_of("nav.fixes"), "a");
