@@ -18,6 +18,10 @@ constexpr std::chrono::milliseconds kTurn{2};
 /// The clock is looked at after so many messages, of the first ones after twice as many each time.
 constexpr std::size_t kLook = 8;
 
+using Who = std::weak_ptr<const void>;
+/// Whether both are of one object, though it may have gone.
+bool is_same(const Who& one, const Who& other) { return !one.owner_before(other) && !other.owner_before(one); }
+
 std::size_t cost(const Parcel& parcel) { return Inbox::cost_of(parcel.envelope.bytes); }
 
 }  // namespace
@@ -177,9 +181,7 @@ void Inbox::on_next(std::weak_ptr<const void> who, std::function<void(const Enve
 
 void Inbox::forget_next(const std::weak_ptr<const void>& who) {
   const std::lock_guard lock(strand_.mutex_);
-  std::erase_if(waiters_, [&who](const Waiter& waiter) {
-    return !waiter.who.owner_before(who) && !who.owner_before(waiter.who);
-  });
+  std::erase_if(waiters_, [&who](const Waiter& waiter) { return is_same(waiter.who, who); });
 }
 
 void Inbox::mark_stale() {
@@ -327,10 +329,7 @@ std::optional<std::size_t> Inbox::room_for(std::size_t cost) const {
 std::optional<std::size_t> Inbox::room(std::size_t cost, std::weak_ptr<const void> who, OnRoom then) {
   const std::lock_guard lock(strand_.mutex_);
   // One each: who asks again before he has his answer, as only a peer that keeps to nothing does, gets the last one.
-  const auto is_his = [&who](const RoomWish& wish) {
-    return !wish.who.owner_before(who) && !who.owner_before(wish.who);
-  };
-  std::erase_if(room_wishes_, [&](const RoomWish& wish) { return wish.who.expired() || is_his(wish); });
+  std::erase_if(room_wishes_, [&](const RoomWish& wish) { return wish.who.expired() || is_same(wish.who, who); });
   room_wished_ = true;
   const auto room = room_for(cost);
   if (!room) room_wishes_.push_back({cost, std::move(who), std::move(then)});
