@@ -15,7 +15,7 @@ namespace {
 /// How long an inbox is served before the strand looks at what else waits. Not on a virtual clock, where the order of
 /// things must not depend on how fast the machine is.
 constexpr std::chrono::milliseconds kTurn{2};
-/// The clock is looked at after so many messages, of the first ones after twice as many each time.
+/// The clock is looked at after so many messages; of the first ones after one, and after twice as many each time.
 constexpr std::size_t kLook = 8;
 
 using Who = std::weak_ptr<const void>;
@@ -255,14 +255,14 @@ std::size_t Inbox::depth() const {
 
 void Inbox::drain(std::size_t limit) {
   const bool timed = !strand_.clock_.staging();
-  std::chrono::steady_clock::time_point begun{};
+  std::optional<std::chrono::steady_clock::time_point> begun;  // none: of one that waits alone
   for (std::size_t handled = 0; !current_; ++handled) {
-    const bool looks = timed && (handled % kLook == 0 ? handled > 0 : handled > 1 && std::has_single_bit(handled));
-    const bool long_enough = looks && std::chrono::steady_clock::now() - begun > kTurn;
+    const bool looks = begun && (handled % kLook == 0 || std::has_single_bit(handled));
+    const bool long_enough = looks && std::chrono::steady_clock::now() - *begun > kTurn;
     if (handled == limit || long_enough) return go_on_later();
     // Not before: what has been taken from the queue is not superseded any more.
     if (batch_.empty() && !refill()) return;
-    if (timed && handled == 1) begun = std::chrono::steady_clock::now();
+    if (timed && !begun && (handled > 0 || batch_.size() > 1)) begun = std::chrono::steady_clock::now();
     begin_parcel();
     handle();
     if (strand_.closed_) return;

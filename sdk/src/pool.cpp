@@ -20,8 +20,9 @@
 namespace fiona {
 namespace {
 
-/// Pieces of work that a thread does before it looks for a descriptor that has become readable.
+/// Pieces of work that a thread does, and how long, before it looks for a descriptor that has become readable.
 constexpr int kWorkPerLook = 16;
+constexpr std::int64_t kLookNs = 1'000'000;
 /// What epoll gives for the word that there is work; watches have other keys.
 constexpr std::uint64_t kWork = 0;
 /// What it gives at the times to look for work that no thread was told of.
@@ -166,8 +167,10 @@ void Pool::Threads::begin_soon() {
 void Pool::Threads::serve() {
   std::unique_lock lock(mutex);
   while (!stopping) {
-    int done = 0;
-    while (done < kWorkPerLook && run_one(lock)) ++done;
+    const std::int64_t begun_ns = steady_ns();
+    for (int done = 0; done < kWorkPerLook && run_one(lock); ++done) {
+      if (!work.empty() && steady_ns() - begun_ns > kLookNs) break;
+    }
     const bool rests = work.empty();
     idle += rests ? 1 : 0;
     lock.unlock();

@@ -14,8 +14,11 @@
 namespace fiona {
 namespace {
 
-/// Parcels and jobs that a strand handles before it lets another one have the thread.
+/// Parcels of an inbox that a strand handles before it looks at what else waits.
 constexpr std::size_t kTurnLimit = 256;
+/// Turns and time after which it lets another one have the thread.
+constexpr std::size_t kTurnsOfRun = 8;
+constexpr std::int64_t kRunNs = 2'000'000;
 
 constexpr std::uint32_t kRunsPerMeasured = 128;
 constexpr double kKeptOfMeasured = 0.98;
@@ -37,6 +40,7 @@ std::int64_t thread_cpu_ns() {
 struct Strand::Turn {
   std::int64_t begin_ns = steady_ns();  ///< of the run that it is part of
   std::int64_t cpu_begin_ns = -1;       ///< the same by the thread's CPU time; negative: that is not measured
+  std::size_t taken = 0;                ///< turns of this run
   std::vector<Job> jobs{};
   std::vector<Inbox*> ready{};
 };
@@ -72,15 +76,10 @@ void Strand::run() {
   const Strand* outer = std::exchange(current_strand, this);
   Turn turn;
   if (is_measured(turn.begin_ns)) turn.cpu_begin_ns = thread_cpu_ns();
-  bool more = true;
-  for (std::size_t turns = 0; more && turns < 8; ++turns) {
-    more = take_turn(turn);
-    if (more) run_turn(turn);
-  }
+  Next next = take_turn(turn);
+  for (; next == Next::Turn; next = take_turn(turn)) run_turn(turn);
   current_strand = outer;
-  if (more) {
-    count_time(turn);
-    place_.rests();
+  if (next == Next::Run) {
     executor_.submit(shared_from_this());
   } else {
     clock_.strand_idle(*this);
@@ -117,18 +116,21 @@ void Strand::count_time(const Turn& turn) {
   cpu_ns_.fetch_add(cpu_ns, std::memory_order_relaxed);
 }
 
-bool Strand::take_turn(Turn& turn) {
+Strand::Next Strand::take_turn(Turn& turn) {
   const std::lock_guard lock(mutex_);
-  if (jobs_.empty() && ready_.empty()) {
+  const bool rests = jobs_.empty() && ready_.empty();
+  const bool ends = rests || turn.taken == kTurnsOfRun || (turn.taken > 0 && steady_ns() - turn.begin_ns > kRunNs);
+  if (ends) {
     count_time(turn);  // before another thread may run it
     place_.rests();
-    scheduled_ = false;
-    return false;
+    scheduled_ = !rests;
+    return rests ? Next::Rest : Next::Run;
   }
+  ++turn.taken;
   turn.jobs.swap(jobs_);
   turn.ready.swap(ready_);
   for (Inbox* inbox : turn.ready) inbox->ready_ = false;
-  return true;
+  return Next::Turn;
 }
 
 void Strand::run_turn(Turn& turn) {

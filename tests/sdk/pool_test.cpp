@@ -189,6 +189,36 @@ TEST(Pool, LooksAtDescriptorsThoughWorkNeverEnds) {
   ends = true;
 }
 
+TEST(Pool, LooksAtDescriptorsAfterEachPieceOfWorkThatTakesLong) {
+  std::atomic<bool> ends{false};
+  std::atomic<int> begun{0};
+  std::function<void()> again;
+  Pool pool(1);
+  again = [&] {
+    ++begun;
+    std::this_thread::sleep_for(2ms);
+    if (!ends) submit(pool, again);
+  };
+  submit(pool, again);
+  submit(pool, again);
+  const Bell bell;
+  int before = 0;
+  std::counting_semaphore<> called{0};
+  std::atomic<int> most{0};
+  const auto watch = pool.watch(bell.descriptor(), [&] {
+    bell.silence();
+    most = std::max(most.load(), begun - before);
+    called.release();
+  });
+  for (int i = 0; i < 10; ++i) {
+    before = begun;
+    bell.ring();
+    ASSERT_TRUE(called.try_acquire_for(kLimit));
+  }
+  EXPECT_LE(most, 2) << "the word that there is work may be heard first";
+  ends = true;
+}
+
 TEST(Pool, GoesOnWithWorkWhileADescriptorsCallLasts) {
   Pool pool(2);
   const Bell bell;

@@ -202,21 +202,24 @@ class Receiver final : public Component {
   Provides<Orders> orders_{*this, "orders", &Receiver::on_number};
 };
 
+/// A message that says it is this large.
+Parcel parcel(std::uint64_t value, std::size_t bytes) {
+  auto number = std::make_shared<Number>();
+  number->set_value(value);
+  return {Envelope{std::move(number), value, TimePoint{}, bytes}, nullptr};
+}
+
+Inbox& inbox_of(Hull& hull, std::string_view port) {
+  Port* found = hull.find_port(port);
+  if (auto* provided = dynamic_cast<ProvidedPort*>(found)) return *provided->inbox();
+  return *dynamic_cast<RequiredPort&>(*found).inbox();
+}
+
 class Inboxes : public ::testing::Test {
  protected:
   Inboxes() { receiver.hull.set_mode(kModeActive, kLimit); }
 
-  /// A message that says it is this large.
-  static Parcel parcel(std::uint64_t value, std::size_t bytes) {
-    auto number = std::make_shared<Number>();
-    number->set_value(value);
-    return {Envelope{std::move(number), value, TimePoint{}, bytes}, nullptr};
-  }
-  Inbox& inbox(std::string_view port) {
-    Port* found = receiver.hull.find_port(port);
-    if (auto* provided = dynamic_cast<ProvidedPort*>(found)) return *provided->inbox();
-    return *dynamic_cast<RequiredPort&>(*found).inbox();
-  }
+  Inbox& inbox(std::string_view port) { return inbox_of(receiver.hull, port); }
   PortCounters& counters(std::string_view port) { return receiver.hull.find_port(port)->counters(); }
 
   static constexpr std::size_t kMebibyte = 1024 * 1024;
@@ -232,6 +235,20 @@ TEST_F(Inboxes, OfAVirtualClockAreServedInAnOrderThatDoesNotDependOnTheMachinesS
   inbox("orders").push(parcel(5, 1));
   executor.help();
   EXPECT_THAT(receiver->seen(), ElementsAre(1, 2, 3, 4, 5));
+}
+
+TEST(InboxesInTime, WhoseHandlerTakesLongerThanATurnAreServedOneMessageATurn) {
+  testing::InlineExecutor executor;
+  SystemClock clock;
+  KeptEvents events;
+  Made<Receiver> receiver{"receiver", executor, clock, events};
+  receiver.hull.set_mode(kModeActive, kLimit);
+  receiver->takes = 3ms;
+  for (const std::uint64_t value : {1, 2, 3}) inbox_of(receiver.hull, "each").push(parcel(value, 1));
+  for (const std::uint64_t value : {11, 12}) inbox_of(receiver.hull, "orders").push(parcel(value, 1));
+  executor.help();
+  EXPECT_THAT(receiver->seen(), ElementsAre(1, 11, 2, 12, 3));
+  clock.stop();
 }
 
 TEST_F(Inboxes, FullPushInboxLosesItsOldestCounted) {
@@ -464,6 +481,28 @@ TEST_F(Strands, PiecesOfWorkNeverOverlapAndKeepTheirOrder) {
   ASSERT_TRUE(strand->call([] {}, kLimit));
   ASSERT_EQ(order.size(), 5000U);
   EXPECT_TRUE(std::is_sorted(order.begin(), order.end()));
+}
+
+TEST_F(Strands, WhoseWorkTakesLongLetOthersHaveTheThreadAfterEachPiece) {
+  Pool thread(1);
+  const auto slow = std::make_shared<Strand>("slow", thread, clock);
+  const auto quick = std::make_shared<Strand>("quick", thread, clock);
+  std::atomic<bool> ends{false};
+  std::atomic<int> begun{0};
+  std::function<void()> again = [&] {
+    ++begun;
+    std::this_thread::sleep_for(3ms);
+    if (!ends) slow->post([&again] { again(); });
+  };
+  slow->post([&again] { again(); });
+  for (int i = 0; i < 10; ++i) {
+    const int before = begun;
+    int then = 0;
+    ASSERT_TRUE(quick->call([&] { then = begun; }, kLimit));
+    EXPECT_LE(then - before, 2) << "the one that runs may have ended, and the next one begun, before it was there";
+  }
+  ends = true;
+  EXPECT_TRUE(slow->call([] {}, kLimit));
 }
 
 TEST_F(Strands, TimersOfTheSystemClockComeInTheirOrder) {

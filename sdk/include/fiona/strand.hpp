@@ -112,9 +112,11 @@ class Strand final : public Runnable, public std::enable_shared_from_this<Strand
   friend class Inbox;
   friend class VirtualClock;
   struct Turn;
+  /// What comes after a turn: another one, a run after those of other strands, or nothing.
+  enum class Next { Turn, Run, Rest };
 
   void wake(std::unique_lock<std::mutex>& lock);
-  bool take_turn(Turn& turn);
+  Next take_turn(Turn& turn);
   void run_turn(Turn& turn);
   bool is_measured(std::int64_t now_ns);
   void count_time(const Turn& turn);
