@@ -202,7 +202,7 @@ TEST(Pool, LooksAtDescriptorsAfterEachPieceOfWorkThatTakesLong) {
   submit(pool, again);
   submit(pool, again);
   const Bell bell;
-  int before = 0;
+  std::atomic<int> before{0};
   std::counting_semaphore<> called{0};
   std::atomic<int> most{0};
   const auto watch = pool.watch(bell.descriptor(), [&] {
@@ -211,7 +211,7 @@ TEST(Pool, LooksAtDescriptorsAfterEachPieceOfWorkThatTakesLong) {
     called.release();
   });
   for (int i = 0; i < 10; ++i) {
-    before = begun;
+    before = begun.load();
     bell.ring();
     ASSERT_TRUE(called.try_acquire_for(kLimit));
   }

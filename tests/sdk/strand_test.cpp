@@ -498,7 +498,7 @@ TEST_F(Strands, WhoseWorkTakesLongLetOthersHaveTheThreadAfterEachPiece) {
   for (int i = 0; i < 10; ++i) {
     const int before = begun;
     int then = 0;
-    ASSERT_TRUE(quick->call([&] { then = begun; }, kLimit));
+    EXPECT_TRUE(quick->call([&] { then = begun; }, kLimit));
     EXPECT_LE(then - before, 2) << "the one that runs may have ended, and the next one begun, before it was there";
   }
   ends = true;
