@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "../ends_as_without_sanitizer.hpp"
 #include "campaign.hpp"
 #include "fiona/error.hpp"
 #include "os/limits.hpp"
@@ -24,8 +25,7 @@ constexpr int kMostRefusals = 10;  // of each kind
 class Deaths : public testing::Test {
  protected:
   Deaths() {
-    // Under a sanitizer they are to end as they do without.
-    ::setenv("ASAN_OPTIONS", "handle_segv=0:handle_sigbus=0:abort_on_error=1:allocator_may_return_null=0", 0);
+    tests::end_as_without_sanitizer();
     system.load_in("", "pacer", "pacer", "period_ms=1 count=100000000");
     system.load_in("well", "stopwatch", "stopwatch", "count=100000000");
     system.wire("stopwatch.samples", "pacer.samples");

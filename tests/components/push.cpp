@@ -25,11 +25,12 @@ class Source final : public Paced {
       std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(params_->hang_ms()));
     if (params_->count() > 0 && number_ >= params_->count()) return;
     ++number_;
-    newest_.put(sample());
-    last_.put(sample());
-    leased_.put(sample());
-    bell_.put(sample());
-    orders_.send(sample());
+    const auto one = std::make_shared<const Sample>(sample());  // they may be large
+    newest_.put(one);
+    last_.put(one);
+    leased_.put(one);
+    bell_.put(*one);
+    if (orders_.connection() != Connection::Unwired) orders_.send(*one);
     again_after(params_->period_ms());
   }
   void produce() { timed_.put(sample()); }

@@ -47,10 +47,11 @@ class Accounting : public OverTransports {
 
 TEST_P(Accounting, OfAHandlerThatIsTooSlowForEachAddsUp) {
   put(120, 100'000, 12);  // a process that gets no processor for a second takes what is put in it
-  system.load_client("sink", "sink", "work_ms=100");
+  system.load_client("sink", "sink", "work_ms=300");
   system.wire("sink.each", "source.newest");
   system.state("source", "active");
   system.eventually("all put", [&] { return system.port("source.newest").messages() == 120; });
+  system.set("sink", "work_ms=0");
   expect_sum("sink.each", 120);
   EXPECT_GT(system.port("sink.each").dropped(), 0U);
 }

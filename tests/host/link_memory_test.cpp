@@ -5,18 +5,14 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include <filesystem>
-#include <iterator>
 #include <list>
 #include <string>
 #include <vector>
 
+#include "os/limits.hpp"
+
 namespace fiona::host {
 namespace {
-
-std::ptrdiff_t open_descriptors() {
-  return std::distance(std::filesystem::directory_iterator("/proc/self/fd"), std::filesystem::directory_iterator());
-}
 
 /// Both ends in this process, where all of it is as between two but for whose memory it is.
 class MemoryOfALink : public testing::Test {
@@ -45,7 +41,7 @@ class MemoryOfALink : public testing::Test {
 };
 
 TEST_F(MemoryOfALink, CarriesChunksBothWaysOnceOneSideHasOfferedIts) {
-  const auto before = open_descriptors();
+  const auto before = os::open_descriptors();
   EXPECT_FALSE(one.put("too early"));
   talk(one, other, one.offer());
   EXPECT_FALSE(one.offer()) << "once";
@@ -53,7 +49,7 @@ TEST_F(MemoryOfALink, CarriesChunksBothWaysOnceOneSideHasOfferedIts) {
   const std::string chunk(kLocalChunkBytes, 'x');
   EXPECT_EQ(carried(one, other, chunk), chunk);
   EXPECT_EQ(carried(other, one, "the other way"), "the other way");
-  EXPECT_EQ(open_descriptors(), before) << "what both have mapped needs none";
+  EXPECT_EQ(os::open_descriptors(), before) << "what both have mapped needs none";
 }
 
 TEST_F(MemoryOfALink, ComesAboutWhenBothOfferAtATime) {

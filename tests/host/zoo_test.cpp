@@ -22,6 +22,7 @@
 #include <sstream>
 #include <vector>
 
+#include "../ends_as_without_sanitizer.hpp"
 #include "fiona/error.hpp"
 #include "os/control_group.hpp"
 #include "system_fixture.hpp"
@@ -51,8 +52,7 @@ std::string name_of(const testing::TestParamInfo<Animal>& tested) {
 class ZooGroup : public testing::TestWithParam<Animal> {
  protected:
   ZooGroup() {
-    // Under a sanitizer they are to end as they do without.
-    ::setenv("ASAN_OPTIONS", "handle_segv=0:handle_sigbus=0:abort_on_error=1:allocator_may_return_null=0", 0);
+    tests::end_as_without_sanitizer();
     system.load_in("", "source", "source", "period_ms=1");
     system.load_in("", "sink", "sink");
     system.wire("sink.each", "source.newest");

@@ -171,17 +171,17 @@ class WireProtocol(WireProtocolCase):
         self.assertGreater(lost_in_all, 0)
 
     def test_an_object_above_64_mib_is_a_step_that_nothing_tells(self):
-        self.load("source", "src", "far", period_ms=1.0, count=3)
-        self.eventually(lambda: self.port("src.newest").messages == 3, "the source has not put three samples")
-        link, wire, start = self.attach("src.newest", NEWEST)
+        self.load("pourer", "src", "far", count=3)
+        self.eventually(lambda: self.port("src.samples").messages == 3, "the source has not put three samples")
+        link, wire, start = self.attach("src.samples", NEWEST)
         self.assertEqual(start, 3)
         for count, payload in ((4, wire_client.LARGEST + 1), (6, 0)):
             self.set("src", count=count, payload=payload)
             for mode in ("neutral", "active"):
                 self.state("src", mode)
-            self.eventually(lambda: self.port("src.bell").messages == count, "the source has not put them")  # its last port
+            self.eventually(lambda: self.port("src.outcome").messages == count, "the source has not put them")
         self.assertEqual([self.next_object(link, wire)[0::2] for _ in range(2)], [(5, 0), (6, 0)])
-        self.assertEqual((self.port("src.newest").refused, self.status("far").links.too_large), (1, 1))
+        self.assertEqual((self.port("src.samples").refused, self.status("far").links.too_large), (1, 1))
 
     def test_a_silent_provider_speaks_again_and_one_that_is_not_active_says_so(self):
         self.load("source", "src", period_ms=1.0, count=3)
