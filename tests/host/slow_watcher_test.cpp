@@ -96,7 +96,8 @@ TEST_P(SlowWatcher, OfMuchIsShownTheNewestAsFarAsThereIsRoom) {
   TestConsole other(host);
   for (int i = 0; i < kSources; ++i) {
     const std::string name = "source" + std::to_string(i);
-    other.load("source", GetParam(), name, "period_ms=1000 payload=8000000");
+    other.load("source", GetParam(), name,
+               FIONA_SANITIZED ? "period_ms=2500 payload=8000000" : "period_ms=400 payload=8000000");
     auto watch = console->request();
     *watch.mutable_watch()->mutable_port() = conformance::port_name(name + ".newest");
     console->send(watch);
