@@ -17,19 +17,25 @@ TriggerBase::TriggerBase(Component& owner, std::string_view name, const google::
   hull_.add(*this);
 }
 
-/// Passes the outcome on, and counts the call as ended.
+/// Counts the call as ended, then passes the outcome on: who has its answer may call again.
 class TriggerBase::Counted final : public ReplySink {
  public:
   Counted(std::shared_ptr<ReplySink> reply, std::shared_ptr<std::atomic<int>> calls)
       : reply_(std::move(reply)), calls_(std::move(calls)) {}
-  ~Counted() override { --*calls_; }
+  ~Counted() override { end(); }
   void answer(Outcome outcome, std::string reason, std::shared_ptr<const Object> object) override {
+    end();
     reply_->answer(outcome, std::move(reason), std::move(object));
   }
 
  private:
+  void end() {
+    if (!ended_.exchange(true)) --*calls_;
+  }
+
   const std::shared_ptr<ReplySink> reply_;
   const std::shared_ptr<std::atomic<int>> calls_;
+  std::atomic<bool> ended_{false};
 };
 
 void TriggerBase::call(std::shared_ptr<const Object> argument, std::shared_ptr<ReplySink> reply) {

@@ -33,7 +33,7 @@ class Source final : public Paced {
     if (orders_.connection() != Connection::Unwired) orders_.send(*one);
     again_after(params_->period_ms());
   }
-  void produce() { timed_.put(sample()); }
+  void produce() { timed_.put(sample(timed_.subscribers() > 0)); }
   void vouch() {
     if (params_->vouch()) leased_.still_valid();
     subscribers_.set(newest_.subscribers());
@@ -49,11 +49,11 @@ class Source final : public Paced {
     crossing.set_payload(threshold.payload());
     return crossing;
   }
-  Sample sample() const {
+  Sample sample(bool with_payload = true) const {
     Sample one;
     one.set_number(number_);
     one.set_sent_ns(steady_ns());
-    one.mutable_payload()->resize(params_->payload());
+    if (with_payload) one.mutable_payload()->resize(params_->payload());
     one.set_value(params_->value());
     return one;
   }

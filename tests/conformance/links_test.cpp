@@ -141,10 +141,10 @@ TEST_P(Links, SlowConsumerLosesInItsOwnNameAndNobodyElseLoses) {
 
 TEST_P(Links, ObjectsLargerThanEveryWindowArriveWhole) {
   system.load_client("sink", "sink");
-  system.load_provider("source", "source", "neutral period_ms=50 count=2 payload=6000000");
-  system.wire("sink.each", "source.newest");
+  system.load_provider("pourer", "pourer", "neutral count=2 payload=6000000");
+  system.wire("sink.each", "pourer.samples");
   const auto report = system.watch("sink.report");
-  system.state("source", "active");
+  system.state("pourer", "active");
   EXPECT_EQ(system.wait_for(report, [](const auto& one) { return one.number() == 2; }).payload(), "6000000");
 }
 

@@ -818,6 +818,34 @@ TEST(CountingTriggers, AreNotRunForWhoHasGivenUpBeforeTheirTurn) {
   on_strand(bench, [&](CountingTrigger& one) { EXPECT_EQ(one.runs, 1); });
 }
 
+/// Calls a trigger once more as soon as it has been answered.
+class CallsAgain final : public ReplySink {
+ public:
+  CallsAgain(detail::TriggerBase& trigger, std::shared_ptr<ReplySink> next)
+      : trigger_(trigger), next_(std::move(next)) {}
+  void answer(Outcome, std::string, std::shared_ptr<const Object>) override {
+    trigger_.call(std::make_shared<Number>(), next_);
+  }
+
+ private:
+  detail::TriggerBase& trigger_;
+  const std::shared_ptr<ReplySink> next_;
+};
+
+TEST(CountingTriggers, HaveRoomForWhoHasItsAnswer) {
+  testing::Bench<CountingTrigger> bench;
+  bench.start();
+  const auto next = std::make_shared<Heard>();
+  on_strand(bench, [&](CountingTrigger& one) {
+    one.trigger.call(std::make_shared<Number>(), std::make_shared<CallsAgain>(one.trigger, next));
+    for (int i = 1; i < detail::TriggerBase::kMaxCalls; ++i)
+      one.trigger.call(std::make_shared<Number>(), std::make_shared<NoReply>());
+  });
+  on_strand(bench, [](CountingTrigger&) {});
+  on_strand(bench, [&](CountingTrigger& one) { EXPECT_EQ(one.runs, detail::TriggerBase::kMaxCalls + 1); });
+  EXPECT_EQ(next->text, "ok: ");
+}
+
 struct SpacedPort final : Component {
   using Component::Component;
   Provides<Numbers> numbers{*this, "a b"};
