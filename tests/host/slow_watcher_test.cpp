@@ -99,7 +99,7 @@ TEST_P(SlowWatcher, OfMuchIsShownTheNewestAsFarAsThereIsRoom) {
   TestConsole other(host);
   for (int i = 0; i < kSources; ++i) {
     const std::string name = "source" + std::to_string(i);
-    const std::string period_ms = FIONA_SANITIZED ? "3000" : "400";
+    const std::string period_ms = FIONA_SANITIZED ? "5000" : "400";
     other.load("source", GetParam(), name, "payload=8000000 period_ms=" + period_ms);
     auto watch = console->request();
     *watch.mutable_watch()->mutable_port() = conformance::port_name(name + ".newest");
@@ -113,7 +113,8 @@ TEST_P(SlowWatcher, OfMuchIsShownTheNewestAsFarAsThereIsRoom) {
   const auto before = puts();
   other.eventually("each has put more", [&] {
     const auto now = puts();
-    return std::equal(now.begin(), now.end(), before.begin(), [](auto has, auto had) { return has > had + 1; });
+    constexpr std::uint64_t kMore = FIONA_SANITIZED ? 1 : 3;
+    return std::equal(now.begin(), now.end(), before.begin(), [](auto has, auto had) { return has >= had + kMore; });
   });
   for (int i = 0; i < kSources; ++i) other.unload("source" + std::to_string(i));
   std::set<std::uint64_t> shown;
