@@ -114,7 +114,8 @@ TEST_P(SlowWatcher, OfMuchIsShownTheNewestAsFarAsThereIsRoom) {
   other.eventually("each has put more", [&] {
     const auto now = puts();
     constexpr std::uint64_t kMore = FIONA_SANITIZED ? 1 : 3;
-    return std::equal(now.begin(), now.end(), before.begin(), [](auto has, auto had) { return has >= had + kMore; });
+    return std::equal(now.begin(), now.end(), before.begin(),
+                      [](std::uint64_t has, std::uint64_t had) { return has >= had + kMore; });
   });
   for (int i = 0; i < kSources; ++i) other.unload("source" + std::to_string(i));
   std::set<std::uint64_t> shown;
