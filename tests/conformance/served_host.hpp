@@ -11,6 +11,7 @@
 #include <string>
 #include <thread>
 
+#include "../polling.hpp"
 #include "control_server.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
@@ -220,9 +221,10 @@ class TestConsole {
     return text.value();
   }
   void eventually(const std::string& what, const std::function<bool()>& fits) {
-    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+    const tests::Polling polling(std::chrono::seconds(20));
     while (!fits()) {
-      if (std::chrono::steady_clock::now() > end) throw std::runtime_error("never happened: " + what);
+      if (polling.over()) throw std::runtime_error("never happened: " + what);
+      std::this_thread::sleep_for(polling.pause());
     }
   }
 

@@ -9,6 +9,7 @@
 #include <fstream>
 #include <sstream>
 
+#include "../polling.hpp"
 #include "failure.hpp"
 #include "fiona/error.hpp"
 #include "fiona/probe.pb.h"
@@ -405,12 +406,10 @@ void RunningSystem::serve_groups(std::chrono::milliseconds most) {
 
 void RunningSystem::eventually(const std::string& what, const std::function<bool()>& fits,
                                std::chrono::milliseconds deadline) {
-  const auto end = std::chrono::steady_clock::now() + deadline;
+  const tests::Polling polling(deadline);
   while (!fits()) {
-    if (std::chrono::steady_clock::now() > end) {
-      throw Error(ErrorCode::Unreachable, "never happened: " + what);
-    }
-    serve_groups(std::chrono::milliseconds(2));
+    if (polling.over()) throw Error(ErrorCode::Unreachable, "never happened: " + what);
+    serve_groups(polling.pause());
   }
 }
 
