@@ -22,7 +22,10 @@ class Gauge final : public Component {
     if (!params_->fail_with().empty()) return fail_.at(now());
     show();
     if (params_->go() == std::exchange(gone_, params_->go())) return;
-    for (std::uint32_t i = 1; i <= params_->burst(); ++i) count_.set(i);
+    // Afterwards: who sets parameters waits for a piece of work of two seconds at most.
+    hull().strand().post([this, last = params_->burst()] {
+      for (std::uint32_t i = 1; i <= last; ++i) count_.set(i);
+    });
   }
   void show() {
     level_.set(params_->level());
