@@ -136,7 +136,7 @@ TEST_P(Accounting, OfAFullSendQueueIsToldToTheSender) {
   system.eventually("at work", [&] { return system.port("sink.each").messages() > 0; });
   const pid_t far = GetParam() == Transport::Process ? 0 : system.far_process();
   if (far != 0) stop_process(far);
-  // In one process twice what a queue has room for, else what is on its way, too.
+  // In one process nearly twice what a queue has room for; else there is also what is on its way.
   const std::uint64_t burst = far == 0 ? 25 : 50;
   system.set("caller", "call=send_burst go=1 payload=300000 every=" + std::to_string(burst));
   auto ends = counts(system.wait_for(outcomes, [](const auto& one) { return one.number() == 1; }).payload());
