@@ -76,9 +76,9 @@ class Links {
   void release(const Hull& hull, const std::string& reason, Connection now = Connection::Unwired);
   /// A process is gone, known by where it listened and by its name: its wires are lost, at both their ends.
   void peer_lost(const std::string& endpoint, const std::string& name, const std::string& reason);
-  /// Of all ends that are here, other than of wires within the process.
-  /// Of a push that is provided here.
+  /// Of a push that is provided here. Throws Error NotFound if it is not any more.
   void set_prescale(std::uint64_t wire, std::uint32_t prescale);
+  /// All ends that are here, other than of wires within the process.
   void add_held(wire::Adopted& adopted);
   /// Ends the wires of processes that are no group's.
   void cut_attached(const std::string& reason);

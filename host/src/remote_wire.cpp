@@ -82,7 +82,6 @@ class RemoteWire::RemoteReply final : public ReplySink {
     wire.send_frame(frame);
   }
 
- private:
   const std::weak_ptr<RemoteWire> wire_;
   const std::uint64_t id_;
   std::atomic<bool> answered_{false};
